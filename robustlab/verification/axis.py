@@ -60,7 +60,7 @@ from robustlab.verification.balls import (
 )
 from robustlab.verification.claim import PROVED, Verdict, Work, not_proved
 from robustlab.verification.forms import Form, Quadratic
-from robustlab.verification.models import Model, on_the_axis, reciprocal, shifted
+from robustlab.verification.models import Model, balanced, on_the_axis, reciprocal, shifted
 
 UNDECIDED = Definite(False, math.nan)
 ALIKE = 1e-14  # an imaginary part below this part of an eigenvalue is noise of floating point
@@ -84,7 +84,7 @@ def axis(G: Model, intervals: Sequence[tuple[float, float, Form]], work: Work) -
     mapped = on_the_axis(G) if G.dt else G
     if mapped is None:
         return not_proved("the discrete model was not proved to be free of a pole at -1")
-    low, high = Chart(mapped, lambda t: _unwarped(t, G.dt)), None
+    low, high = Chart(balanced(mapped), lambda t: _unwarped(t, G.dt)), None
     for start, stop, form in intervals:
         a, b = _warped(start, G.dt, up=False), _warped(stop, G.dt, up=True)
         split = b
@@ -105,7 +105,7 @@ def axis(G: Model, intervals: Sequence[tuple[float, float, Form]], work: Work) -
 def _around_infinity(mapped: Model, dt: float) -> Chart | None:
     """The chart in which w = inf is 0, and w is ``-1/w``; None where there is none."""
     inverted = reciprocal(mapped)
-    return Chart(inverted, lambda v: _unwarped(-1 / v if v else math.inf, dt)) if inverted else None
+    return Chart(balanced(inverted), lambda v: _unwarped(-1 / v if v else math.inf, dt)) if inverted else None
 
 
 def _warped(w: float, dt: float, *, up: bool) -> float:

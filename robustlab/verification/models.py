@@ -16,6 +16,7 @@ from robustlab.errors import InputError
 from robustlab.verification.balls import (
     Matrix,
     adjoint,
+    diagonal,
     exact,
     identity,
     inverse,
@@ -28,6 +29,8 @@ from robustlab.verification.balls import (
 from robustlab.verification.claim import Claim, real, scalar, whole
 
 CLOSE = 1e8  # condition of the eigenvectors, above which more is lost in cancellation than is gained
+TINY = 1e-300  # what is smaller counts as so much where units of states are chosen
+SWEEPS = 10  # through all states
 SEPARATE = 1e-6  # modal coordinates are used where they leave no more than this beside the diagonal
 
 
@@ -209,3 +212,22 @@ def gain_exceeds(G: Model, w: float, gamma: float) -> bool:
     response = M * u
     out, into = (adjoint(X) * X for X in (response, u))
     return bool(out[0, 0].real > arb(gamma) ** 2 * into[0, 0].real)
+
+
+def balanced(G: Model) -> Model:
+    """The same response with states in units, powers of two, that make each one's row as large as its column.
+
+    Exact; entries of A beside the diagonal, B and C count. What floating point makes of the matrices stays in range.
+    """
+    sizes = [np.abs(midpoints(X)) for X in (G.A, G.B, G.C)]
+    if not all(np.isfinite(X).all() for X in sizes):
+        return G
+    A, B, C = (np.log2(np.maximum(X, TINY)) for X in sizes)
+    np.fill_diagonal(A, np.log2(TINY))
+    unit = np.zeros(G.n)
+    for i in list(range(G.n)) * SWEEPS:
+        row = max((A[i] + unit[i] - unit).max(initial=-np.inf), B[i].max(initial=-np.inf) + unit[i])
+        column = max((A[:, i] - unit[i] + unit).max(initial=-np.inf), C[:, i].max(initial=-np.inf) - unit[i])
+        unit[i] += np.rint((column - row) / 2) if np.isfinite(column - row) else 0
+    T, back = (diagonal([arb(2) ** int(sign * x) for x in unit]) for sign in (1, -1))
+    return Model(T * G.A * back, T * G.B, G.C * back, G.D, G.dt)
