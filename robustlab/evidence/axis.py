@@ -15,7 +15,7 @@ from robustlab.mu_analysis.axis.axis_model import model_frequency
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, WorstCaseGain
-from robustlab.mu_analysis.matrix.bounds import MuBounds
+from robustlab.mu_analysis.matrix.bounds import BoxProof, MuBounds
 from robustlab.mu_analysis.matrix.box import Box, lowest, root_box
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.statespace import StateSpaceModel
@@ -38,7 +38,9 @@ def mu_claims(found: MuBounds) -> list[Claim]:
     for k, M in enumerate(matrices):
         D, D_z, G, delta = (stack[k] for stack in stacks)
         scaled, lower = (float(np.ravel(x)[k]) for x in (found.scaled, found.lower))
-        if np.isfinite(scaled) and scaled > 0:
+        if found.proof and (proof := found.proof[k]):
+            claims.append(_boxes_claim(M, found.blocks, float(np.ravel(found.upper)[k]), proof))
+        elif np.isfinite(scaled) and scaled > 0:
             levels = _kept_levels(found, scaled * ABOVE)
             numbers = {"M": M, "blocks": rows, "level": levels, "D_w": D, "D_z": D_z, "G": G}
             claims.append(Claim("mu-upper", numbers))
@@ -46,6 +48,14 @@ def mu_claims(found: MuBounds) -> list[Claim]:
             levels = _kept_levels(found, lower)
             claims.append(Claim("mu-lower", {"M": M, "blocks": rows, "level": levels, "delta": delta}))
     return claims
+
+
+def _boxes_claim(M: NDArray[Any], blocks: Sequence[Block], upper: float, proof: BoxProof) -> Claim:
+    """The bound that branch and bound has lowered: that no Delta of size below one over it makes I - M Delta singular."""
+    level = upper * ABOVE
+    everywhere = [(box, Piece(0.0, np.inf, 1.0, bound)) for box, bound in proof]
+    numbers = {"M": M, "blocks": block_rows(blocks), "level": _levels(blocks, level)}
+    return Claim("mu-upper-boxes", {**numbers, **_boxes(blocks, everywhere, 1 / level, float)})
 
 
 def _kept_levels(found: MuBounds, level: float) -> NDArray[np.float64]:

@@ -25,7 +25,7 @@ from robustlab.verification.balls import (
     stack,
     zeros,
 )
-from robustlab.verification.claim import Claim, real, scalar, whole
+from robustlab.verification.claim import Claim, complex_or_real, real, scalar, whole
 
 CLOSE = 1e8  # condition of the eigenvectors, above which more is lost in cancellation than is gained
 SEPARATE = 1e-6  # modal coordinates are used where they leave no more than this beside the diagonal
@@ -99,8 +99,15 @@ def loop(claim: Claim) -> Model:
 
 
 def model_of(claim: Claim) -> Model:
-    """The model of a claim: the loop where it has a plant ``P_A ..``, else what is stored."""
-    return loop(claim) if "P_A" in claim.numbers else stored(claim)
+    """The model of a claim: the loop of a plant ``P_A ..``, the difference of ``A1 ..`` and ``A2 ..``, or ``A ..``."""
+    return loop(claim) if "P_A" in claim.numbers else difference(claim) if "A1" in claim.numbers else stored(claim)
+
+
+def static(claim: Claim) -> Model:
+    """The matrix ``M`` (p, q), real or complex, as a model without states."""
+    M = complex_or_real(claim, "M", (None, None))
+    p, q = M.shape
+    return Model(zeros(0, 0), zeros(0, q), zeros(p, 0), exact(M), 0.0)
 
 
 def difference(claim: Claim) -> Model:
