@@ -44,6 +44,8 @@ def mu_claims(found: MuBounds) -> list[Claim]:
             claims.append(_boxes_claim(M, found.blocks, float(np.ravel(found.upper)[k]), proof))
         elif np.isfinite(scaled) and scaled > 0:
             levels = _kept_levels(found, scaled * ABOVE)
+            if found.fixed:  # G is that of M with its inputs divided by the level
+                G = np.repeat(_kept_levels(found, scaled), [b.rows for b in found.blocks])[:, None] * G
             numbers = {"M": M, "blocks": rows, "level": levels, "D_w": D, "D_z": D_z, "G": G}
             claims.append(Claim("mu-upper", numbers))
         if lower > 0:
@@ -81,10 +83,9 @@ def margin_claims(found: Margin) -> list[Claim]:
     if 0 < found.lower < np.inf:
         level = ABOVE / found.lower
         if found.boxes or not _symmetric(blocks):
-            proved = found.boxes or _whole_box(blocks, found.lower, found.proof)
-            claims.append(
-                Claim("mu-boxes", {**common, **_boxes(blocks, proved, 1 / level, at), "level": _levels(blocks, level)})
-            )
+            levels = _levels(blocks, level)
+            proved = _large_enough(blocks, found.boxes, levels) or _whole_box(blocks, found.lower, found.proof)
+            claims.append(Claim("mu-boxes", {**common, **_boxes(blocks, proved, 1 / level, at), "level": levels}))
         else:
             scalings = joined_scalings(model, blocks, found.proof, at)
             if scalings is not None:
@@ -105,7 +106,8 @@ def gain_claims(found: WorstCaseGain) -> list[Claim]:
     gamma = np.array(found.upper * ABOVE)
     numbers: Numbers = {**model_numbers(uncertain.M), "blocks": block_rows(blocks), "gamma": gamma}
     if found.boxes or not _symmetric(blocks):
-        proved = found.boxes or _whole_box(blocks, 1.0, found.proof)
+        levels = np.append(np.ones(len(blocks) - 1), gamma)
+        proved = _large_enough(blocks, found.boxes, levels) or _whole_box(blocks, 1.0, found.proof)
         return [Claim("worst-gain-boxes", {**numbers, **_boxes(blocks, proved, 1.0, at)})]
     return [Claim("worst-gain", {**numbers, **_scalings(found.proof, at)})]
 
@@ -117,10 +119,11 @@ def robust_gain_claims(found: RobustGain) -> list[Claim]:
         return []
     performance = FullBlock(PERFORMANCE, len(uncertain.inputs), len(uncertain.outputs))
     blocks = (*uncertain.blocks, performance)
-    proved = found.boxes or [(_around(blocks, piece.beta, found.level), piece) for piece in found.proof]
+    level = np.append(_levels(uncertain.blocks, ABOVE / found.lower), found.level * ABOVE)
+    around = [(_around(blocks, piece.beta, found.level), piece) for piece in found.proof if isinstance(piece, Piece)]
+    proved = around or _large_enough(blocks, found.boxes, level)
     unit = np.append(np.ones(len(uncertain.blocks)), output_unit(found.level) ** -2.0)
     proved = [(box, _in_units(blocks, piece, unit)) for box, piece in proved]
-    level = np.append(_levels(uncertain.blocks, ABOVE / found.lower), found.level * ABOVE)
     numbers = {**model_numbers(uncertain.M), "blocks": block_rows(blocks), "level": level}
     return [Claim("mu-boxes", {**numbers, **_boxes(blocks, proved, found.lower / ABOVE, _frequencies(uncertain))})]
 
@@ -156,6 +159,15 @@ def _symmetric(blocks: Sequence[Block]) -> bool:
 def _levels(blocks: Sequence[Block], level: float) -> NDArray[np.float64]:
     """One of real blocks, whose ranges are told in the user's unit, and the level of the others."""
     return np.array([1.0 if b.interval else level for b in blocks])
+
+
+def _large_enough(
+    blocks: Sequence[Block], proved: Sequence[tuple[Box, Piece]], levels: NDArray[np.float64]
+) -> list[tuple[Box, Piece]]:
+    """The boxes in which no complex block had a smaller norm than these levels allow: a search may have passed others.
+    """
+    ball = np.array([b.interval is None for b in blocks], dtype=bool)
+    return [(box, piece) for box, piece in proved if (box.half[ball] * levels[ball] >= 1 - SAME).all()]
 
 
 def _whole_box(blocks: Sequence[Block], size: float, proof: Sequence[Any]) -> list[tuple[Box, Piece]]:
