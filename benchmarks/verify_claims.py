@@ -125,7 +125,7 @@ def loop_norm_case(rng: Rng) -> Case | None:
             return None
         claims = claims_of(found)
         return Case("loop-norm", dict(claims[0].numbers)) if claims else None
-    numbers = loop_numbers(P, y, u, K)
+    numbers = loop_numbers(P, K)
     G = closed(P, K, y, u)
     level = gain(G) * slack(rng)
     if not np.isfinite(level) or level <= 0:
@@ -175,7 +175,7 @@ def gramian_case(rng: Rng) -> Case | None:
         if (np.linalg.eigvals(G.A).real < -1e-9).all() or P.dt:
             claims = gramian_claims(G, float(rl.h2_norm(G).value))
             kept = {x: v for x, v in (claims[0].numbers.items() if claims else ()) if x not in "ABCD"}
-            return Case("gramian", kept | loop_numbers(P, y, u, K)) if claims else None
+            return Case("gramian", kept | loop_numbers(P, K)) if claims else None
     G = model(rng, max(1, states(rng)), int(rng.integers(1, 3)), int(rng.integers(1, 3)))
     if not G.dt:
         G = rl.StateSpaceModel(G.A, G.B, G.C, 0 * G.D, 0.0)
@@ -281,7 +281,7 @@ def loop_margin_case(rng: Rng) -> Case | None:
         return None
     numbers = {x: v for x, v in to_the_end(claims[0].numbers).items() if x not in "ABCD"}
     hints = (np.asarray(delta_matrix(set_of.blocks, found.delta)),) if found.delta else ()
-    return Case("mu-axis", numbers | loop_numbers(P, y, u, K), hints)
+    return Case("mu-axis", numbers | loop_numbers(P, K), hints)
 
 
 def plant_and_controller(

@@ -55,7 +55,7 @@ def mu_claims(found: MuBounds) -> list[Claim]:
 
 
 def _boxes_claim(M: NDArray[Any], blocks: Sequence[Block], upper: float, proof: BoxProof) -> Claim:
-    """The bound that branch and bound has lowered: that no Delta of size below one over it makes I - M Delta singular."""
+    """The bound that branch and bound has lowered: no Delta smaller than one over it makes I - M Delta singular."""
     level = upper * ABOVE
     everywhere = [(box, Piece(0.0, np.inf, 1.0, bound)) for box, bound in proof]
     numbers = {"M": M, "blocks": block_rows(blocks), "level": _levels(blocks, level)}
@@ -164,8 +164,7 @@ def _levels(blocks: Sequence[Block], level: float) -> NDArray[np.float64]:
 def _large_enough(
     blocks: Sequence[Block], proved: Sequence[tuple[Box, Piece]], levels: NDArray[np.float64]
 ) -> list[tuple[Box, Piece]]:
-    """The boxes in which no complex block had a smaller norm than these levels allow: a search may have passed others.
-    """
+    """The boxes in which complex blocks were as large as these levels allow: a search passes smaller ones, too."""
     ball = np.array([b.interval is None for b in blocks], dtype=bool)
     return [(box, piece) for box, piece in proved if (box.half[ball] * levels[ball] >= 1 - SAME).all()]
 

@@ -25,7 +25,6 @@ from robustlab.shown import Facts, Shown, bracket, listed
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
 
-
 BoxProof = tuple[tuple[Box, UpperBound], ...]  # boxes of Delta that cover the set, each with its D, G
 
 
