@@ -113,7 +113,7 @@ def test_every_claim_is_proved(name):
         ("not passive", lambda r: replace(r, passive=True)),
         ("reduced in a band", lambda r: replace(r, error=replace(r.error, upper=0.99 * r.error.lower))),
         ("reduced in a band", lambda r: replace(r, band=(0.0, 1e6))),
-        ("reduced between weights", lambda r: replace(r, weights=(1.01 * INTO, OUT))),
+        ("reduced between weights", lambda r: replace(r, weights=(1.01 * r.weights[0], r.weights[1]))),
         ("unstable, reduced", lambda r: replace(r, error=replace(r.error, upper=0.99 * r.error.lower))),
         ("robust gain", lambda r: replace(r, lower=1.01 * r.upper)),
         ("robust gain", lambda r: replace(r, level=0.99 * r.level)),
