@@ -26,8 +26,8 @@ from flint import arb
 from robustlab.errors import InputError
 from robustlab.verification.axis import axis
 from robustlab.verification.balls import diagonal, identity, inverse, zeros
-from robustlab.verification.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved, real, scalar
-from robustlab.verification.forms import REAL, Block, read_blocks, scaled_form
+from robustlab.verification.claim import PROVED, Claim, Verdict, Work, not_proved, real, scalar
+from robustlab.verification.forms import REAL, Block, read_blocks, read_scalings, scaled_form
 from robustlab.verification.models import Model, model_of
 from robustlab.verification.mu import beyond_nyquist
 from robustlab.verification.norms import climb, evidence
@@ -59,11 +59,7 @@ def prove_mu_boxes(claim: Claim, work: Work, build: Callable[[Claim], Model] = m
     if left is not None:
         sides = ", ".join(f"{float(x):.6g} .. {float(y):.6g}" for x, y in left[0])
         raise InputError("box", f"nothing covers {sides} between {left[1]} and {left[2]} rad/s", "boxes that cover all")
-    stacks = [
-        complex_or_real(claim, name, (count, rows, cols))
-        for name, rows, cols in (("D_w", G.m, G.m), ("D_z", G.p, G.p), ("G", G.m, G.p))
-    ]
-    P = evidence(claim, G.n)
+    stacks, P = read_scalings(claim, G.m, G.p, count), evidence(claim, G.n)
     verdict = climb(lambda: stable(build(claim), P, work))
     if not verdict.proved:
         return verdict
