@@ -53,8 +53,9 @@ EFFORT = 400  # units of work that a check may take
 EACH = 40  # mutants of a claim
 # Claims of each kind in a chunk: those whose proofs have more parts more often.
 PLAN = {
-    "stable": 1, "norm": 3, "loop-norm": 3, "difference-norm": 2, "gramian": 2, "mu-upper": 4, "mu-lower": 3,
-    "mu-axis": 4, "mu-boxes": 4, "worst-gain": 4, "worst-gain-boxes": 3, "unstable-member": 3, "set": 2,
+    "stable": 1, "norm": 3, "bounded-real": 2, "loop-norm": 3, "difference-norm": 2, "gramian": 2, "mu-upper": 4,
+    "mu-upper-boxes": 3, "mu-lower": 3, "mu-axis": 4, "mu-boxes": 4, "worst-gain": 4, "worst-gain-boxes": 3,
+    "unstable-member": 3, "set": 2,
 }  # fmt: skip
 COLUMNS = ("mutants", "proved", "refuted", "not proved", "false accepted", "unjustified", "false refuted",
            "unconfirmed", "crash", "judge failed")  # fmt: skip

@@ -5,6 +5,7 @@ A true claim is a kind with its datasets, and hints: Deltas next to which its st
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -13,10 +14,10 @@ import numpy as np
 import robustlab as rl
 from robustlab.evidence import claims_of
 from robustlab.evidence.bounded_real import norm_matrix
-from robustlab.evidence.norms import gramian_claims
+from robustlab.evidence.norms import band_scalings, gramian_claims
 from robustlab.evidence.numbers import loop_numbers, matrices
 from robustlab.mu_analysis.axis.worst_gain import worst_case_gain
-from robustlab.mu_analysis.matrix.box import Box, box_model
+from robustlab.mu_analysis.matrix.box import Box, box_matrices, box_model
 from robustlab.uncertainty.blocks import Block, ParameterRange, delta_matrix
 
 Rng = np.random.Generator
@@ -125,7 +126,7 @@ def loop_norm_case(rng: Rng) -> Case | None:
             return None
         claims = claims_of(found)
         return Case("loop-norm", dict(claims[0].numbers)) if claims else None
-    numbers = loop_numbers(P, y, u, K)
+    numbers = loop_numbers(P, K)
     G = closed(P, K, y, u)
     level = gain(G) * slack(rng)
     if not np.isfinite(level) or level <= 0:
@@ -146,7 +147,14 @@ def closed(P: rl.StateSpaceModel, K: rl.StateSpaceModel, y: int, u: int) -> rl.S
     return rl.StateSpaceModel(A, B, np.hstack([P.C[:p] + D12 @ U[0], D12 @ U[1]]), P.D[:p, :m] + D12 @ U[2], P.dt)
 
 
-def difference_case(rng: Rng) -> Case | None:
+def bounded_real_case(rng: Rng) -> Case | None:
+    """A norm of a model, a loop or a difference, by P alone."""
+    case = (norm_case, loop_norm_case, difference_case)[rng.integers(3)](rng)
+    return None if case is None or "P" not in case.numbers else Case("bounded-real", case.numbers)
+
+
+def difference_case(rng: Rng, banded: bool = False) -> Case | None:
+    """The norm of a difference; ``banded``: its gain over a band, as a claim of mu."""
     G = model(rng, states(rng, 3), int(rng.integers(1, 3)), int(rng.integers(1, 3)))
     if rng.random() < 0.5:
         H = rl.StateSpaceModel(G.A, G.B * (1 + 1e-3 * rng.normal()), G.C, G.D, G.dt)
@@ -158,9 +166,12 @@ def difference_case(rng: Rng) -> Case | None:
     level = gain(E) * slack(rng)
     if not 0 < level < np.inf:
         return None
+    numbers = {**matrices(G, "{}1"), **matrices(H, "{}2"), "dt": np.array(float(G.dt))}
+    if banded:
+        band = tuple(np.sort(10 ** rng.uniform(-2, np.log10(3 / G.dt) if G.dt else 2, 2)).tolist())
+        return Case("mu-axis", {**numbers, "level": np.array(level), **band_scalings(G.n_inputs, G.n_outputs, band)})
     proof = norm_matrix(E, level, gain(E)) if rng.random() < 0.7 else {}
-    numbers = {**matrices(G, "{}1"), **matrices(H, "{}2"), "dt": np.array(float(G.dt)), "gamma": np.array(level)}
-    return Case("difference-norm", numbers | proof)
+    return Case("difference-norm", {**numbers, "gamma": np.array(level), **proof})
 
 
 def gramian_case(rng: Rng) -> Case | None:
@@ -175,7 +186,7 @@ def gramian_case(rng: Rng) -> Case | None:
         if (np.linalg.eigvals(G.A).real < -1e-9).all() or P.dt:
             claims = gramian_claims(G, float(rl.h2_norm(G).value))
             kept = {x: v for x, v in (claims[0].numbers.items() if claims else ()) if x not in "ABCD"}
-            return Case("gramian", kept | loop_numbers(P, y, u, K)) if claims else None
+            return Case("gramian", kept | loop_numbers(P, K)) if claims else None
     G = model(rng, max(1, states(rng)), int(rng.integers(1, 3)), int(rng.integers(1, 3)))
     if not G.dt:
         G = rl.StateSpaceModel(G.A, G.B, G.C, 0 * G.D, 0.0)
@@ -229,6 +240,45 @@ def matrix_case(rng: Rng, kind: str) -> Case | None:
     return Case(kind, numbers)
 
 
+def matrix_boxes_case(rng: Rng) -> Case | None:
+    """A bound of mu of a matrix by boxes: those of branch and bound, or others, of ranges that may be uneven."""
+    rows = STRUCTURES[rng.integers(len(STRUCTURES))]
+    if not any(kind == 0 for kind, _, _ in rows):
+        return None
+    q, p = (sum(row[k] for row in rows) for k in (1, 2))
+    M = (rng.normal(size=(p, q)) + 1j * rng.normal(size=(p, q)) * (rng.random() < 0.7)) * 10 ** rng.uniform(-2, 2)
+    plain = blocks_of(rows)
+    if rng.random() < 0.3:
+        found = rl.mu(M, plain, tolerance=1e-3, effort=0.1)
+        claims = [c for c in claims_of(found) if c.kind == "mu-upper-boxes"]
+        if claims:
+            return Case("mu-upper-boxes", dict(claims[0].numbers), (found.delta,))
+    upper = float(rl.mu(M, plain).upper)
+    if not 0 < upper < np.inf:
+        return None
+    blocks, size = blocks_of(rows, rng), (1 - 10 ** rng.uniform(-4, -0.5)) / upper
+    ranges = np.array([b.interval or (-1.0, 1.0) for b in blocks], dtype=float)
+    whole = [(size * a, size * b) if x.interval else (-1.0, 1.0) for x, (a, b) in zip(blocks, ranges, strict=True)]
+    level = np.array([1.0 if b.interval else 1 / size for b in blocks])
+    sides = [[]]
+    for block, (a, b) in zip(blocks, whole, strict=True):
+        cuts = [a, a + (b - a) * float(rng.choice([0.5, 0.37])), b] if block.interval and len(sides) < 4 else [a, b]
+        sides = [[*old, side] for old in sides for side in itertools.pairwise(cuts)]
+    parts: dict[str, list[Any]] = {name: [] for name in ("D_w", "D_z", "G")}
+    for box in sides:
+        centre = np.array([(x + y) / 2 if b.interval else 0.0 for b, (x, y) in zip(blocks, box, strict=True)])
+        half = np.array([(y - x) / 2 if b.interval else size for b, (x, y) in zip(blocks, box, strict=True)])
+        bound = rl.mu(box_matrices(M.astype(complex), blocks, [Box(centre, half)])[0], plain)
+        if not bound.upper < 1:
+            return None
+        for name, X in zip(parts, (bound.D, bound.D_z, bound.G), strict=True):
+            parts[name].append(X)
+    count = len(sides)
+    numbers = {"M": M, "blocks": np.array(rows, dtype=np.int64), "ranges": ranges, "size": np.array(size * (1 - 1e-12))}
+    ends = {"level": level, "box": np.array(sides), "low": np.zeros(count), "high": np.full(count, np.inf)}
+    return Case("mu-upper-boxes", numbers | ends | {name: np.array(x) for name, x in parts.items()})
+
+
 def uncertain(rng: Rng, asymmetric: bool, performance: bool) -> rl.UncertainModel:
     """A small uncertain model, of which the set is mostly not far from instability."""
     rows = STRUCTURES[rng.integers(len(STRUCTURES))]
@@ -247,8 +297,8 @@ def uncertain(rng: Rng, asymmetric: bool, performance: bool) -> rl.UncertainMode
 
 def margin_case(rng: Rng, kind: str) -> Case | None:
     """mu-axis, mu-boxes and unstable-member of a margin."""
-    if kind == "mu-axis" and rng.random() < 0.2:
-        return loop_margin_case(rng)
+    if kind == "mu-axis" and rng.random() < 0.3:
+        return loop_margin_case(rng) if rng.random() < 0.7 else difference_case(rng, banded=True)
     set_of = uncertain(rng, kind == "mu-boxes", False)
     found = rl.robust_stability(set_of)
     hints = (np.asarray(delta_matrix(set_of.blocks, found.delta)),) if found.delta else ()
@@ -281,7 +331,7 @@ def loop_margin_case(rng: Rng) -> Case | None:
         return None
     numbers = {x: v for x, v in to_the_end(claims[0].numbers).items() if x not in "ABCD"}
     hints = (np.asarray(delta_matrix(set_of.blocks, found.delta)),) if found.delta else ()
-    return Case("mu-axis", numbers | loop_numbers(P, y, u, K), hints)
+    return Case("mu-axis", numbers | loop_numbers(P, K), hints)
 
 
 def plant_and_controller(
@@ -392,10 +442,12 @@ def set_case(rng: Rng) -> Case:
 MAKERS: dict[str, Callable[[Rng], Case | None]] = {
     "stable": stable_case,
     "norm": norm_case,
+    "bounded-real": bounded_real_case,
     "loop-norm": loop_norm_case,
     "difference-norm": difference_case,
     "gramian": gramian_case,
     "mu-upper": lambda rng: matrix_case(rng, "mu-upper"),
+    "mu-upper-boxes": matrix_boxes_case,
     "mu-lower": lambda rng: matrix_case(rng, "mu-lower"),
     "mu-axis": lambda rng: margin_case(rng, "mu-axis"),
     "mu-boxes": lambda rng: margin_case(rng, "mu-boxes"),

@@ -39,7 +39,7 @@ import robustlab as rl
 Numbers = dict[str, Any]
 REAL, COMPLEX, FULL = 0, 1, 2
 ALLOWANCE = 1 + 1e-9
-NORMS = ("norm", "loop-norm", "difference-norm")
+NORMS = ("norm", "bounded-real", "loop-norm", "difference-norm")
 INSIDE = 1 - 1e-13  # by so much a member found in floating point is drawn in before it is judged
 STEPS = 12  # of the ascent of a pole
 STARTS = 4
@@ -75,6 +75,8 @@ def judge(kind: str, numbers: Numbers, proved: bool, hints: Sequence[Any] = (), 
         return "" if found else "unconfirmed: no such Delta was found"
     if kind == "mu-upper":
         return _of_mu(numbers, rng) if proved else _confirmed(_singular(numbers, 1.0))
+    if kind == "mu-upper-boxes":
+        return _of_matrix_boxes(kind, numbers) if proved else "unconfirmed: nothing can refute it"
     if not proved:
         unstable = not is_stable(_system(numbers)[0], float(numbers["dt"]))
         return _confirmed(unstable or (kind in ("mu-axis", "worst-gain") and _unstable(numbers, 1.0, kind)))
@@ -112,7 +114,9 @@ def _closed_loop(numbers: Numbers) -> Quad:
 
 
 def _system(numbers: Numbers) -> Quad:
-    return _closed_loop(numbers) if "P_A" in numbers else _model(numbers)
+    if "P_A" in numbers:
+        return _closed_loop(numbers)
+    return _difference(numbers) if "A1" in numbers else _model(numbers)
 
 
 def _difference(numbers: Numbers) -> Quad:
@@ -125,7 +129,12 @@ def _of_norm(kind: str, numbers: Numbers, proved: bool) -> str:
     dt = float(numbers["dt"])
     if kind == "stable":
         return "" if is_stable(rational(numbers["A"]), dt) == proved else "false: Routh's array says otherwise"
-    build = {"loop-norm": _closed_loop, "difference-norm": _difference, "gramian": _system}.get(kind, _model)
+    build = {
+        "loop-norm": _closed_loop,
+        "difference-norm": _difference,
+        "gramian": _system,
+        "bounded-real": _system,
+    }.get(kind, _model)
     try:
         G = build(numbers)
     except ZeroDivisionError:
@@ -362,6 +371,31 @@ def _of_mu(numbers: Numbers, rng: np.random.Generator) -> str:
     return "" if positive(E["D_w"]) and positive(F) else "unjustified: the form is not positive definite"
 
 
+def _of_matrix_boxes(kind: str, numbers: Numbers) -> str:
+    """A bound of mu of one matrix by boxes: Deltas that break it, the covering, and each form in 60 digits."""
+    M, table = long(numbers["M"]), np.asarray(numbers["blocks"]).tolist()
+    parts, (p, q) = _parts(numbers, kind), M.shape
+    nearer = [min(part.high, -part.low) for part in parts]  # a set within, even about zero
+    even = [part._replace(low=-x, high=x) for part, x in zip(parts, nearer, strict=True)]
+    levels = np.array([(1 + 1e-12) / x if x else np.inf for x in nearer])
+    word = _broken_at(M, even, {**numbers, "level": levels}) or _boxes_cover(kind, numbers, parts)
+    if word:
+        return word
+    own = [1.0 if part.kind == REAL else x for part, x in zip(parts, _levels(kind, numbers), strict=True)]
+    L, static = long(np.diag(_channel_levels(table, own))), [long(np.zeros(s)) for s in ((0, 0), (0, q), (p, 0))]
+    for i, box in enumerate(numbers["box"]):
+        D_w, D_z, G = (np.asarray(numbers[x][i]) for x in ("D_w", "D_z", "G"))
+        if not (_scalings_fit(table, D_w, D_z, G) and positive(embedded(D_w))):
+            return f"unjustified: scalings of box {i} have not the structure, or are not positive"
+        inside = _inside((*static, M), parts, box, mp)[3]
+        D_w, D_z, G = (long(X) for X in (D_w, D_z, G))
+        GM = G.dot(inside)
+        form = L.dot(D_w).dot(L) - star(inside).dot(D_z).dot(inside) - mp.mpc(0, 1) * (GM - star(GM))
+        if not positive(form):
+            return f"unjustified: the form of box {i} is not positive definite"
+    return ""
+
+
 def _broken_at(M: Any, parts: Sequence[Part], numbers: Numbers) -> str:
     """A Delta within the limits that makes I - M Delta singular, sought by the library's lower bound."""
     limits = np.concatenate([np.full(part.w.stop - part.w.start, part.high) for part in parts])
@@ -532,7 +566,7 @@ def _intervals_cover(numbers: Numbers, banded: bool) -> str:
 
 def _boxes_cover(kind: str, numbers: Numbers, parts: Sequence[Part]) -> str:
     """Whether boxes and intervals cover the set at all frequencies: every cell between faces, in rationals."""
-    boxes, dt = np.asarray(numbers["box"]), float(numbers["dt"])
+    boxes, dt = np.asarray(numbers["box"]), float(numbers.get("dt", 0.0))
     low, high = np.asarray(numbers["low"]), np.asarray(numbers["high"])
     size = Fraction(1) if kind.startswith("worst-gain") else Fraction(float(numbers["size"]))
     cuts = []

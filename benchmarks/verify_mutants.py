@@ -100,7 +100,7 @@ def level(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | Non
         return None
     name = str(rng.choice(found))
     worse = -1.0 if (name in ("gamma", "value") or kind in ("mu-upper", "mu-axis")) else 1.0
-    if name == "level" and kind == "mu-boxes":
+    if name == "level" and kind in ("mu-boxes", "mu-upper-boxes"):
         worse = -1.0
     step = 10 ** rng.uniform(-12, 0) * (worse if rng.random() < 0.8 else -worse)
     X = np.array(numbers[name])
@@ -380,7 +380,7 @@ def stray(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | Non
         "tolerance": np.array(10 ** rng.uniform(-9, 1)), "frequency": np.array(10 ** rng.uniform(-2, 2)),
         "level": np.array(10 ** rng.uniform(-1, 3)), "gamma": np.array(10 ** rng.uniform(-1, 3)),
     }  # fmt: skip
-    name = str(rng.choice([*made, "loop", "model", "delta"]))
+    name = str(rng.choice([*made, "loop", "model", "difference", "delta"]))
     if name == "delta" and "blocks" in numbers:
         table = np.asarray(numbers["blocks"])
         delta = np.zeros((table[:, 1].sum(), table[:, 2].sum()))
@@ -398,6 +398,11 @@ def stray(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | Non
         loop |= {"P_D": np.pad(D, ((0, 1), (0, 1))), "K_A": np.zeros((0, 0)), "K_B": np.zeros((0, 1))}
         one = np.array(1, dtype=np.int64)
         return kind, {**numbers, **loop, "K_C": np.zeros((1, 0)), "K_D": np.zeros((1, 1)), "n_meas": one, "n_con": one}
+    if name == "difference" and {*"ABCD"} <= {*numbers}:  # a difference beside a model
+        half = {f"{x}1": np.asarray(numbers[x]) * (0.5 if x in "CD" else 1.0) for x in "ABCD"}
+        p, m = np.shape(numbers["D"])
+        none = {"A2": np.zeros((0, 0)), "B2": np.zeros((0, m)), "C2": np.zeros((p, 0)), "D2": np.zeros((p, m))}
+        return kind, {**numbers, **half, **none}
     if name not in made or (name in numbers and name != "band"):
         return None
     result = {**numbers, name: made[name]}
@@ -407,7 +412,7 @@ def stray(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | Non
     return kind, result
 
 
-PLAIN = ("norm", "stable", "gramian")
+PLAIN = ("norm", "bounded-real", "stable", "gramian")
 AXIS = ("mu-axis", "worst-gain", "unstable-member", "mu-boxes", "worst-gain-boxes")
 
 

@@ -212,12 +212,24 @@ def stray_model() -> None:
     members.model_of = models.stored
 
 
+def difference_sign() -> None:
+    """Two models are added."""
+    difference = models.difference
+
+    def added(claim: Claim) -> Any:
+        flipped = {name: -np.asarray(claim.numbers[name]) for name in ("C2", "D2") if name in claim.numbers}
+        return difference(Claim(claim.kind, {**claim.numbers, **flipped}))
+
+    checker.difference = models.difference = added
+
+
 PLANTS: dict[str, Callable[[], None]] = {
     f.__name__.replace("_", "-"): f
     for f in (
         gaps, last_interval, g_structure, level_not_squared, d_positive, p_positive, undecided, real_line,
         middle, infinity, nyquist, performance, nominal_stability, delta_norm, delta_structure, existence, box_covering,
         hidden_zero, stray_band, stray_model, box_width, controller_sign, h2_square, perturbed_end, refutation,
+        difference_sign,
     )
 }  # fmt: skip
 

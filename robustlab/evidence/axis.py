@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,9 @@ from robustlab.linear_analysis.structural import strong_components
 from robustlab.mu_analysis.axis.axis_model import model_frequency
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.axis.margin import Margin
+from robustlab.mu_analysis.axis.robust_gain import RobustGain, output_unit
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, WorstCaseGain
-from robustlab.mu_analysis.matrix.bounds import MuBounds
+from robustlab.mu_analysis.matrix.bounds import BoxProof, MuBounds
 from robustlab.mu_analysis.matrix.box import Box, lowest, root_box
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.statespace import StateSpaceModel
@@ -38,14 +40,26 @@ def mu_claims(found: MuBounds) -> list[Claim]:
     for k, M in enumerate(matrices):
         D, D_z, G, delta = (stack[k] for stack in stacks)
         scaled, lower = (float(np.ravel(x)[k]) for x in (found.scaled, found.lower))
-        if np.isfinite(scaled) and scaled > 0:
+        if found.proof and (proof := found.proof[k]):
+            claims.append(_boxes_claim(M, found.blocks, float(np.ravel(found.upper)[k]), proof))
+        elif np.isfinite(scaled) and scaled > 0:
             levels = _kept_levels(found, scaled * ABOVE)
+            if found.fixed:  # G is that of M with its inputs divided by the level
+                G = np.repeat(_kept_levels(found, scaled), [b.rows for b in found.blocks])[:, None] * G
             numbers = {"M": M, "blocks": rows, "level": levels, "D_w": D, "D_z": D_z, "G": G}
             claims.append(Claim("mu-upper", numbers))
         if lower > 0:
             levels = _kept_levels(found, lower)
             claims.append(Claim("mu-lower", {"M": M, "blocks": rows, "level": levels, "delta": delta}))
     return claims
+
+
+def _boxes_claim(M: NDArray[Any], blocks: Sequence[Block], upper: float, proof: BoxProof) -> Claim:
+    """The bound that branch and bound has lowered: no Delta smaller than one over it makes I - M Delta singular."""
+    level = upper * ABOVE
+    everywhere = [(box, Piece(0.0, np.inf, 1.0, bound)) for box, bound in proof]
+    numbers = {"M": M, "blocks": block_rows(blocks), "level": _levels(blocks, level)}
+    return Claim("mu-upper-boxes", {**numbers, **_boxes(blocks, everywhere, 1 / level, float)})
 
 
 def _kept_levels(found: MuBounds, level: float) -> NDArray[np.float64]:
@@ -69,10 +83,9 @@ def margin_claims(found: Margin) -> list[Claim]:
     if 0 < found.lower < np.inf:
         level = ABOVE / found.lower
         if found.boxes or not _symmetric(blocks):
-            proved = found.boxes or _whole_box(blocks, found.lower, found.proof)
-            claims.append(
-                Claim("mu-boxes", {**common, **_boxes(blocks, proved, 1 / level, at), "level": _levels(blocks, level)})
-            )
+            levels = _levels(blocks, level)
+            proved = _large_enough(blocks, found.boxes, levels) or _whole_box(blocks, found.lower, found.proof)
+            claims.append(Claim("mu-boxes", {**common, **_boxes(blocks, proved, 1 / level, at), "level": levels}))
         else:
             scalings = joined_scalings(model, blocks, found.proof, at)
             if scalings is not None:
@@ -93,9 +106,39 @@ def gain_claims(found: WorstCaseGain) -> list[Claim]:
     gamma = np.array(found.upper * ABOVE)
     numbers: Numbers = {**model_numbers(uncertain.M), "blocks": block_rows(blocks), "gamma": gamma}
     if found.boxes or not _symmetric(blocks):
-        proved = found.boxes or _whole_box(blocks, 1.0, found.proof)
+        levels = np.append(np.ones(len(blocks) - 1), gamma)
+        proved = _large_enough(blocks, found.boxes, levels) or _whole_box(blocks, 1.0, found.proof)
         return [Claim("worst-gain-boxes", {**numbers, **_boxes(blocks, proved, 1.0, at)})]
     return [Claim("worst-gain", {**numbers, **_scalings(found.proof, at)})]
+
+
+def robust_gain_claims(found: RobustGain) -> list[Claim]:
+    """That no member of the set ``lower`` times as large has a gain above ``level``, by the main loop theorem."""
+    uncertain = found.system
+    if uncertain is None or not 0 < found.lower < np.inf or not found.proof:
+        return []
+    performance = FullBlock(PERFORMANCE, len(uncertain.inputs), len(uncertain.outputs))
+    blocks = (*uncertain.blocks, performance)
+    level = np.append(_levels(uncertain.blocks, ABOVE / found.lower), found.level * ABOVE)
+    around = [(_around(blocks, piece.beta, found.level), piece) for piece in found.proof if isinstance(piece, Piece)]
+    proved = around or _large_enough(blocks, found.boxes, level)
+    unit = np.append(np.ones(len(uncertain.blocks)), output_unit(found.level) ** -2.0)
+    proved = [(box, _in_units(blocks, piece, unit)) for box, piece in proved]
+    numbers = {**model_numbers(uncertain.M), "blocks": block_rows(blocks), "level": level}
+    return [Claim("mu-boxes", {**numbers, **_boxes(blocks, proved, found.lower / ABOVE, _frequencies(uncertain))})]
+
+
+def _around(blocks: Sequence[Block], beta: float, level: float) -> Box:
+    """The box about the nominal point in which scalings of the level ``beta`` of the set's blocks hold."""
+    wider = np.maximum(1.0, -lowest(blocks)) / beta
+    return Box(np.zeros(len(blocks)), np.append(wider[:-1], 1 / level))
+
+
+def _in_units(blocks: Sequence[Block], piece: Piece, factors: NDArray[np.float64]) -> Piece:
+    """The piece with the D of each block times its factor."""
+    w, z = (np.repeat(factors, [getattr(b, side) for b in blocks])[:, None] for side in ("rows", "cols"))
+    bound = replace(piece.bound, Dw=w * piece.bound.Dw, Dz=z * piece.bound.Dz)
+    return replace(piece, bound=bound)
 
 
 def joined_scalings(
@@ -116,6 +159,14 @@ def _symmetric(blocks: Sequence[Block]) -> bool:
 def _levels(blocks: Sequence[Block], level: float) -> NDArray[np.float64]:
     """One of real blocks, whose ranges are told in the user's unit, and the level of the others."""
     return np.array([1.0 if b.interval else level for b in blocks])
+
+
+def _large_enough(
+    blocks: Sequence[Block], proved: Sequence[tuple[Box, Piece]], levels: NDArray[np.float64]
+) -> list[tuple[Box, Piece]]:
+    """The boxes in which complex blocks were as large as these levels allow: a search passes smaller ones, too."""
+    ball = np.array([b.interval is None for b in blocks], dtype=bool)
+    return [(box, piece) for box, piece in proved if (box.half[ball] * levels[ball] >= 1 - SAME).all()]
 
 
 def _whole_box(blocks: Sequence[Block], size: float, proof: Sequence[Any]) -> list[tuple[Box, Piece]]:

@@ -1,71 +1,91 @@
-"""Claims about loops with the controller as it is stored, about reduced models, and about sets.
+"""Claims about loops with the controller as it is stored.
 
 What is claimed of a design is claimed of its plant and its K; the checker closes the loop itself, in balls.
 """
 
 from __future__ import annotations
 
-from fractions import Fraction
-
 import numpy as np
 
 from robustlab.budget import search_budget
-from robustlab.evidence.axis import joined_scalings, margin_claims
-from robustlab.evidence.norms import above, gramian_claims, norm_claims, proof_of_norm
-from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, loop_numbers, matrices, model_numbers
+from robustlab.evidence.axis import gain_claims, joined_scalings, margin_claims
+from robustlab.evidence.loops import coprime_claims, h2_loop_claims, loop_claims
+from robustlab.evidence.numbers import ABOVE, block_rows, loop_numbers
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import cover_axis
-from robustlab.mu_analysis.axis.stability import margin_within
-from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
+from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.tuning import TUNING
-from robustlab.norms import HinfNorm
-from robustlab.statespace import StateSpaceModel
+from robustlab.norms import H2Norm, hinf_norm
 from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.fixed.fixed_structure import FixedSynthesis
-from robustlab.synthesis.h2.h2_synthesis import H2Synthesis
+from robustlab.synthesis.fixed.goal_tuning import TunedSynthesis
+from robustlab.synthesis.h2.mixed_h2_hinf import MixedSynthesis
+from robustlab.synthesis.hinf.loop_shaping import NcfSynthesis
+from robustlab.synthesis.hinf.two_degree import TwoDegreeSynthesis
 from robustlab.synthesis.problem.design import Synthesis
-from robustlab.synthesis.reduction.reduced_model import ReducedModel
-from robustlab.uncertainty.built import BuiltModel
+from robustlab.synthesis.reduction.controller_reduction import ReducedController
+from robustlab.uncertainty.distances.coprime import four_block
 from robustlab.verification.claim import Claim
-
-
-def _loop(found: Synthesis) -> tuple[StateSpaceModel, Numbers]:
-    """The loop with the states of the plant, then those of K, and what it is made of."""
-    plant = found.plant
-    return plant.close(found.K), loop_numbers(plant.model, plant.n_meas, plant.n_con, found.K)
 
 
 def hinf_claims(found: Synthesis) -> list[Claim]:
     """That plant and controller make a stable loop with an H-infinity norm of at most ``gamma``."""
-    loop, numbers = _loop(found)
-    level = above(found.gamma)
-    return [
-        Claim("loop-norm", {**numbers, "gamma": np.array(level), **proof_of_norm(loop, level, found.gamma, numbers)})
-    ]
+    return loop_claims(found.plant.model, found.K, found.gamma)
 
 
-def h2_claims(found: H2Synthesis) -> list[Claim]:
+def h2_claims(found: Synthesis) -> list[Claim]:
     """That plant and controller make a stable loop with an H2 norm of at most ``gamma``."""
-    loop, numbers = _loop(found)
-    return gramian_claims(loop, found.gamma, numbers)
+    return h2_loop_claims(found.plant.model, found.K, found.gamma)
+
+
+def mixed_claims(found: MixedSynthesis) -> list[Claim]:
+    """Both norms, each of its own channel."""
+    hinf = loop_claims(found.hinf_plant.model, found.K, found.hinf_norm.upper)
+    return h2_loop_claims(found.h2_plant.model, found.K, found.gamma) + hinf
+
+
+def ncf_claims(found: NcfSynthesis) -> list[Claim]:
+    """That the shaped loop has a four-block norm of at most ``gamma``, and the loop of the plant as given is stable."""
+    shaped = loop_claims(four_block(found.shaped_plant), found.K_shaped, found.gamma)
+    return shaped + loop_claims(found.plant.model, found.K, hinf_norm(found.closed_loop).upper)
+
+
+def two_degree_claims(found: TwoDegreeSynthesis) -> list[Claim]:
+    """The norm of the problem that was solved, the margin of the shaped loop, and how far T is from T_ref."""
+    problem = loop_claims(found.problem.model, found.K_shaped, found.gamma)
+    return problem + coprime_claims(found.margin) + loop_claims(found.apart.model, found.K, found.matching.upper)
 
 
 def fixed_claims(found: FixedSynthesis) -> list[Claim]:
-    """As of the other designs, for one plant; of a set the worst-case gain."""
+    """The norm of every plant's loop; of a set the worst-case gain."""
     if found.worst is not None:
-        return [] if found.gamma != found.worst.upper else _worst(found)
-    if len(found.gammas) > 1:
-        return []
-    if found.objective == "hinf":
-        return hinf_claims(found)
-    loop, numbers = _loop(found)
-    return gramian_claims(loop, found.gamma, numbers)
+        return [] if found.gamma != found.worst.upper else gain_claims(found.worst)
+    make = loop_claims if found.objective == "hinf" else h2_loop_claims
+    return [
+        c for plant, gamma in zip(found.plants, found.gammas, strict=True) for c in make(plant.model, found.K, gamma)
+    ]
 
 
-def _worst(found: FixedSynthesis) -> list[Claim]:
-    from robustlab.evidence.axis import gain_claims
+def tuned_claims(found: TunedSynthesis) -> list[Claim]:
+    """The value of every goal for every plant: a norm of its weighted loop."""
+    return [
+        claim
+        for goal in found.goals
+        for plant, value in zip(goal.plants, goal.values, strict=True)
+        for claim in (loop_claims if goal.norm == "hinf" else h2_loop_claims)(plant.model, found.K, value)
+    ]
 
-    return gain_claims(found.worst) if found.worst is not None else []
+
+def reduced_controller_claims(found: ReducedController) -> list[Claim]:
+    """The measure of the loop with the controller returned: a norm, or that it is stable for the set."""
+    if isinstance(found.evidence, Margin):
+        numbers = loop_numbers(found.plant.model, found.K)
+        stable = [claim for claim in margin_claims(found.evidence) if claim.kind in ("mu-axis", "mu-boxes")]
+        kept = [{name: x for name, x in claim.numbers.items() if name not in "ABCD"} for claim in stable]
+        return [Claim(claim.kind, {**numbers, **rest}) for claim, rest in zip(stable, kept, strict=True)]
+    plant = found.plant if found.scaled is None else found.scaled
+    make = h2_loop_claims if isinstance(found.evidence, H2Norm) else loop_claims
+    return make(plant.model, found.K, found.gamma)
 
 
 def dk_claims(found: DKSynthesis) -> list[Claim]:
@@ -74,7 +94,7 @@ def dk_claims(found: DKSynthesis) -> list[Claim]:
     Where the design rests on scalings that depend on the frequency, or the loop is discrete, intervals are sought anew
     at the level claimed.
     """
-    loop, numbers = _loop(found)
+    loop, numbers = found.plant.close(found.K), loop_numbers(found.plant.model, found.K)
     mapped = continuous(loop)
     level = found.gamma * ABOVE
     pieces = found.pieces
@@ -93,62 +113,3 @@ def dk_claims(found: DKSynthesis) -> list[Claim]:
     if scalings is None:
         return []
     return [Claim("mu-axis", {**numbers, "blocks": block_rows(found.blocks), "level": np.array(level), **scalings})]
-
-
-def reduction_claims(found: ReducedModel) -> list[Claim]:
-    """That the two models differ by no more than ``error`` at all frequencies."""
-    whole = found.error if found.difference is None else found.difference
-    if not isinstance(whole, HinfNorm) or not np.isfinite(whole.upper) or found.left_out:
-        return []
-    full, small = found.full, found.model
-    n, k = full.n_states, small.n_states
-    apart = StateSpaceModel(
-        np.block([[full.A, np.zeros((n, k))], [np.zeros((k, n)), small.A]]), np.vstack([full.B, small.B]),
-        np.hstack([full.C, -small.C]), full.D - small.D, full.dt,
-    )  # fmt: skip
-    if not apart.is_stable():
-        return []
-    level = above(whole.upper)
-    numbers = {**matrices(full, "{}1"), **matrices(small, "{}2"), "dt": np.array(float(full.dt))}
-    proof = proof_of_norm(apart, level, whole.upper)
-    return [Claim("difference-norm", {**numbers, "gamma": np.array(level), **proof})]
-
-
-def disk_claims(found: DiskMargins) -> list[Claim]:
-    """Those of all loops at once, then of each loop."""
-    parts = {id(part): part for part in (found.simultaneous, *found.channels.values()) if isinstance(part, DiskMargin)}
-    return [claim for part in parts.values() for claim in one_disk_claims(part)]
-
-
-def one_disk_claims(found: DiskMargin) -> list[Claim]:
-    """That no deltas below ``lower`` in the factors' disks destabilise: of one loop a norm, of several mu."""
-    uncertain = found.system
-    if uncertain is None or not 0 < found.lower < np.inf:
-        return []
-    if len(uncertain.blocks) == 1:
-        norm = HinfNorm(0.0, 1 / found.lower, np.nan, found.status, system=uncertain.delta_channels)
-        return norm_claims(norm)
-    budget = search_budget("verify", TUNING.work, 1.0, None)
-    margin = margin_within(uncertain, budget, accuracy=1e-4)
-    return [claim for claim in margin_claims(margin) if claim.kind == "mu-axis"]
-
-
-def set_claims(found: BuiltModel) -> list[Claim]:
-    """That the set is the nominal model at Delta = 0 and the perturbed one at Delta = I, entry by entry.
-
-    Where a difference of two entries is no double, the set can only come as near as half of its last digit; then the
-    claim says how near.
-    """
-    if found.ends is None or any(b.interval != (-1.0, 1.0) for b in found.model.blocks):
-        return []
-    nominal, perturbed = found.ends
-    numbers = {
-        **{key: value for key, value in model_numbers(found.model.M).items() if key != "dt"},
-        **matrices(nominal, "{}0"), **matrices(perturbed, "{}1"), "blocks": block_rows(found.model.blocks),
-    }  # fmt: skip
-    pairs = [
-        pair for name in "ABCD"
-        for pair in zip(*(getattr(end, name).ravel().tolist() for end in found.ends), strict=True)
-    ]  # fmt: skip
-    off = max((abs(float(Fraction(y) - Fraction(x) - Fraction(y - x))) for x, y in pairs), default=0.0)
-    return [Claim("set", numbers if off == 0 else {**numbers, "tolerance": np.array(off)})]

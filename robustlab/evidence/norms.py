@@ -27,12 +27,16 @@ def norm_claims(found: HinfNorm) -> list[Claim]:
                 "norm", {**model_numbers(model), "gamma": np.array(level), **proof_of_norm(model, level, found.upper)}
             )
         ]
-    q, p = model.n_inputs, model.n_outputs
-    low, high = found.band
+    scalings = band_scalings(model.n_inputs, model.n_outputs, found.band)
+    return [Claim("mu-axis", {**model_numbers(model), "level": np.array(level), **scalings})]
+
+
+def band_scalings(q: int, p: int, band: tuple[float, float]) -> Numbers:
+    """One full block with D = 1 over the band: mu of it is the gain."""
+    low, high = band
     whole = {"low": np.array([low]), "high": np.array([high]), "band": np.array([low, high])}
     scalings = {"D_w": np.eye(q)[None], "D_z": np.eye(p)[None], "G": np.zeros((1, q, p))}
-    block = np.array([[2, q, p]], dtype=np.int64)
-    return [Claim("mu-axis", {**model_numbers(model), "blocks": block, "level": np.array(level), **whole, **scalings})]
+    return {"blocks": np.array([[2, q, p]], dtype=np.int64), **whole, **scalings}
 
 
 def above(number: float) -> float:

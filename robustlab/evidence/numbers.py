@@ -26,11 +26,11 @@ def model_numbers(model: StateSpaceModel) -> Numbers:
     return {**matrices(model), "dt": np.array(float(model.dt))}
 
 
-def loop_numbers(plant: StateSpaceModel, n_meas: int, n_con: int, K: StateSpaceModel) -> Numbers:
+def loop_numbers(plant: StateSpaceModel, K: StateSpaceModel) -> Numbers:
     """A plant and the controller u = K y of its last outputs and inputs."""
     return {
         **matrices(plant, "P_{}"), **matrices(K, "K_{}"), "dt": np.array(float(plant.dt)),
-        "n_meas": np.array(n_meas, dtype=np.int64), "n_con": np.array(n_con, dtype=np.int64),
+        "n_meas": np.array(K.n_inputs, dtype=np.int64), "n_con": np.array(K.n_outputs, dtype=np.int64),
     }  # fmt: skip
 
 

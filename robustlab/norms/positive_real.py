@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -92,6 +92,8 @@ class Passivity(Shown):
         That of the bracket of R; of both indices too where there are any.
     reason
         Why R is infinite or inaccurate; else empty.
+    system
+        The model, for `robustlab.verify`.
     """
 
     passive: bool | None
@@ -102,6 +104,7 @@ class Passivity(Shown):
     status: Status
     reason: str = ""
     output_index: PassivityIndex | None = None
+    system: StateSpaceModel | None = field(default=None, compare=False, repr=False)
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "lower": "1", "upper": "1", "frequency": "rad/s", "passive": bool, "input_index": float, "output_index": float,
@@ -131,8 +134,8 @@ class Passivity(Shown):
         ]
 
     def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return vars(self).copy()
+        """All fields but ``system``."""
+        return {name: value for name, value in vars(self).items() if name != "system"}
 
 
 @told_as("passivity")
@@ -199,7 +202,7 @@ def passivity(model: Any, rtol: float = 1e-6) -> Passivity:
     statuses = {part.status for part in (relative, nu, rho) if part is not None}
     status = Status.CERTIFIED if statuses == {Status.CERTIFIED} else Status.INACCURATE
     return Passivity(
-        _verdict(relative), relative.lower, relative.upper, relative.frequency, nu, status, relative.reason, rho
+        _verdict(relative), relative.lower, relative.upper, relative.frequency, nu, status, relative.reason, rho, g
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
+from robustlab.evidence import claims_of
 from robustlab.files.document import parse_document, read_document
 from robustlab.files.signature import Limits, size_text
 from robustlab.files.tree import Tree
@@ -21,7 +22,9 @@ from robustlab.result import Status, plain
 from robustlab.signals import TAKES, Taken
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 from robustlab.storage.matrices import Problems, decode_model, encode_model
+from robustlab.storage.results import encode_claims
 from robustlab.synthesis.problem.controller import Controller
+from robustlab.verification.reading import is_about
 
 # How designs called what a controller takes, before its inputs said it themselves.
 OLD_NAMES = (
@@ -40,11 +43,14 @@ OPTIONAL = ("convention", "gamma", "status", "method", "saturation", "operating_
 
 
 def encode_controller(tree: Tree, controller: Controller) -> None:
-    """K as a state-space model; ``gamma``, ``status``, ``method`` as attributes."""
+    """K as a state-space model; ``gamma``, ``status``, ``method`` as attributes; the claims of its design."""
     encode_model(tree, controller.K)
     tree.attrs.update(status=controller.status.value, method=controller.method)
     if controller.gamma is not None:
         tree.attrs["gamma"] = controller.gamma
+    claims = claims_of(controller.design)
+    if any(is_about(claim, {letter: getattr(controller.K, letter) for letter in "ABCD"}) for claim in claims):
+        encode_claims(tree, claims)
 
 
 def decode_controller(tree: Tree, problems: Problems, transpose: bool = False) -> Controller:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import Any
 
@@ -13,6 +13,7 @@ from robustlab.evidence import claims_of
 from robustlab.files.tree import Dataset, Tree, Unread, link_name, signal_name
 from robustlab.result import Result, Status
 from robustlab.storage.matrices import Problems
+from robustlab.verification.claim import Claim
 
 
 def encode_result(tree: Tree, result: Any) -> None:
@@ -29,7 +30,12 @@ def encode_result(tree: Tree, result: Any) -> None:
         type=result.type if isinstance(result, Result) else type(result).__name__, status=Status(result.status).value
     )
     _table(tree.group("data"), data)
-    for k, claim in enumerate(claims_of(result)):
+    encode_claims(tree, claims_of(result))
+
+
+def encode_claims(tree: Tree, claims: Sequence[Claim]) -> None:
+    """A group for each claim."""
+    for k, claim in enumerate(claims):
         node = tree.group("claims").group(str(k))
         node.attrs["claim"] = claim.kind
         for name, values in claim.numbers.items():

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -26,8 +26,8 @@ from flint import arb
 from robustlab.errors import InputError
 from robustlab.verification.axis import axis
 from robustlab.verification.balls import diagonal, identity, inverse, zeros
-from robustlab.verification.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved, real, scalar
-from robustlab.verification.forms import REAL, Block, read_blocks, scaled_form
+from robustlab.verification.claim import PROVED, Claim, Verdict, Work, not_proved, real, scalar
+from robustlab.verification.forms import REAL, Block, read_blocks, read_scalings, scaled_form
 from robustlab.verification.models import Model, model_of
 from robustlab.verification.mu import beyond_nyquist
 from robustlab.verification.norms import climb, evidence
@@ -37,14 +37,14 @@ Sides = Sequence[tuple[Any, Any]]  # the ends of each block's interval: doubles,
 Region = tuple[Sides, float, float]  # a box, and the frequencies at which something is open in it
 
 
-def prove_mu_boxes(claim: Claim, work: Work) -> Verdict:
-    """No Delta whose real parameters lie within ``size`` times their ``ranges`` destabilises the model.
+def prove_mu_boxes(claim: Claim, work: Work, build: Callable[[Claim], Model] = model_of) -> Verdict:
+    """No Delta whose real parameters lie within ``size`` times their ``ranges`` destabilises the model of ``build``.
 
     ``ranges`` (k, 2): the ends for size one, about zero; of blocks that are not real -1, 1, their norms are within
     1/``level``. Evidence: ``box`` (N, k, 2), ``low``, ``high`` (N,) in rad/s, ``D_w``, ``D_z``, ``G`` (N, ...): in each
     box, at the frequencies of its interval, the form is positive definite; ``P`` may prove the nominal model stable.
     """
-    G = model_of(claim)
+    G = build(claim)
     blocks, size = read_blocks(claim, G.m, G.p), Fraction(scalar(claim, "size"))
     root = [(size * Fraction(a), size * Fraction(b)) for a, b in _ranges(claim, blocks)]
     low = real(claim, "low", (None,))
@@ -59,17 +59,13 @@ def prove_mu_boxes(claim: Claim, work: Work) -> Verdict:
     if left is not None:
         sides = ", ".join(f"{float(x):.6g} .. {float(y):.6g}" for x, y in left[0])
         raise InputError("box", f"nothing covers {sides} between {left[1]} and {left[2]} rad/s", "boxes that cover all")
-    stacks = [
-        complex_or_real(claim, name, (count, rows, cols))
-        for name, rows, cols in (("D_w", G.m, G.m), ("D_z", G.p, G.p), ("G", G.m, G.p))
-    ]
-    P = evidence(claim, G.n)
-    verdict = climb(lambda: stable(model_of(claim), P, work))
+    stacks, P = read_scalings(claim, G.m, G.p, count), evidence(claim, G.n)
+    verdict = climb(lambda: stable(build(claim), P, work))
     if not verdict.proved:
         return verdict
 
     def one(i: int) -> Verdict:
-        inside = within_box(model_of(claim), blocks, boxes[i].tolist())
+        inside = within_box(build(claim), blocks, boxes[i].tolist())
         if inside is None:
             return not_proved(f"box {i}: its middle was not proved to be well posed")
         own = [replace(b, level=1.0) if b.kind == REAL else b for b in blocks]

@@ -14,7 +14,7 @@ from robustlab.verification.balls import PRECISIONS, precision, rounded_down
 from robustlab.verification.boxes import prove_mu_boxes
 from robustlab.verification.claim import Claim, Verdict, Verification, Work, not_proved
 from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
-from robustlab.verification.models import difference, loop, model_of, stored
+from robustlab.verification.models import difference, loop, model_of, static, stored
 from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper
 from robustlab.verification.norms import prove_bounded_real, prove_gramian, prove_norm, prove_stable
 from robustlab.verification.sets import prove_set
@@ -52,6 +52,9 @@ KINDS: Mapping[str, _Kind] = {
     "mu-boxes": _Kind(
         prove_mu_boxes, "stable for all real parameters within size times their ranges and all other blocks within "
         "1/level", "size", "size >="),
+    "mu-upper-boxes": _Kind(
+        lambda c, w: prove_mu_boxes(c, w, static), "no real parameters within size times their ranges, with all other "
+        "blocks within 1/level, make I - M Delta singular", "size", "size >="),
     "worst-gain": _Kind(lambda c, w: prove_mu_axis(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
     "worst-gain-boxes": _Kind(lambda c, w: prove_mu_boxes(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
     "mu-lower": _Kind(prove_mu_lower, f"{SOME} makes I - M Delta singular", "level", "mu >=", below=True),

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from robustlab.errors import InputError
 from robustlab.verification.balls import Matrix, adjoint, definite, diagonal, exact, identity, part, zeros
-from robustlab.verification.claim import Claim, Work, real, whole
+from robustlab.verification.claim import Claim, Work, complex_or_real, real, whole
 
 REAL, COMPLEX, FULL = 0, 1, 2
 
@@ -130,6 +130,12 @@ class Quadratic:
                 half = half + adjoint(X[k // 2]) * into[k // 2] * arb(0.5)
             result.append(-half - adjoint(half))
         return result
+
+
+def read_scalings(claim: Claim, q: int, p: int, *front: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """``D_w`` (q, q), ``D_z`` (p, p), ``G`` (q, p) of a claim, with these leading axes."""
+    D_w, D_z = (complex_or_real(claim, name, (*front, n, n)) for name, n in (("D_w", q), ("D_z", p)))
+    return D_w, D_z, complex_or_real(claim, "G", (*front, q, p))
 
 
 def scaled_form(

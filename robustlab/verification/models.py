@@ -26,7 +26,7 @@ from robustlab.verification.balls import (
     stack,
     zeros,
 )
-from robustlab.verification.claim import Claim, real, scalar, whole
+from robustlab.verification.claim import Claim, complex_or_real, real, scalar, whole
 
 CLOSE = 1e8  # condition of the eigenvectors, above which more is lost in cancellation than is gained
 TINY = 1e-300  # what is smaller counts as so much where units of states are chosen
@@ -102,8 +102,15 @@ def loop(claim: Claim) -> Model:
 
 
 def model_of(claim: Claim) -> Model:
-    """The model of a claim: the loop where it has a plant ``P_A ..``, else what is stored."""
-    return loop(claim) if "P_A" in claim.numbers else stored(claim)
+    """The model of a claim: the loop of a plant ``P_A ..``, the difference of ``A1 ..`` and ``A2 ..``, or ``A ..``."""
+    return loop(claim) if "P_A" in claim.numbers else difference(claim) if "A1" in claim.numbers else stored(claim)
+
+
+def static(claim: Claim) -> Model:
+    """The matrix ``M`` (p, q), real or complex, as a model without states."""
+    M = complex_or_real(claim, "M", (None, None))
+    p, q = M.shape
+    return Model(zeros(0, 0), zeros(0, q), zeros(p, 0), exact(M), 0.0)
 
 
 def difference(claim: Claim) -> Model:

@@ -21,7 +21,7 @@ from robustlab.verification.claim import (
     refuted,
     scalar,
 )
-from robustlab.verification.forms import FULL, Form, read_blocks, read_shapes, scaled_form
+from robustlab.verification.forms import FULL, Form, read_blocks, read_scalings, read_shapes, scaled_form
 from robustlab.verification.members import singular_member, unstable_member
 from robustlab.verification.models import model_of
 from robustlab.verification.norms import climb, evidence
@@ -36,12 +36,10 @@ def prove_mu_upper(claim: Claim, work: Work) -> Verdict:
     M = complex_or_real(claim, "M", (None, None))
     p, q = M.shape
     blocks = read_blocks(claim, q, p)
-    D_w, D_z, G = (
-        complex_or_real(claim, name, shape) for name, shape in (("D_w", (q, q)), ("D_z", (p, p)), ("G", (q, p)))
-    )
+    scalings = read_scalings(claim, q, p)
 
     def attempt() -> Verdict:
-        form = scaled_form(blocks, D_w, D_z, G, work)
+        form = scaled_form(blocks, *scalings, work)
         if form is None:
             return not_proved("D_w > 0 was not proved")
         work.spend(q)
@@ -63,11 +61,8 @@ def prove_mu_axis(claim: Claim, work: Work) -> Verdict:
     """
     G = model_of(claim)
     blocks = read_blocks(claim, G.m, G.p)
-    pieces, k = covering(claim, G.dt), len(claim.numbers["low"])
-    stacks = [
-        complex_or_real(claim, name, (k, rows, cols))
-        for name, rows, cols in (("D_w", G.m, G.m), ("D_z", G.p, G.p), ("G", G.m, G.p))
-    ]
+    pieces = covering(claim, G.dt)
+    stacks = read_scalings(claim, G.m, G.p, len(claim.numbers["low"]))
     whole_axis = "band" not in claim.numbers
     P = evidence(claim, G.n)
 

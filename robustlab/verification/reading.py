@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +20,22 @@ def claims_in_file(path: str | Path) -> list[Claim]:
     group.
 
     A claim is a group with the attribute ``claim`` (its kind) and one dataset for each of its numbers. Raises
-    InputError: no HDF5 file, or a claim that is none.
+    InputError: no HDF5 file, a claim that is none, or the file of a controller with claims about other ones only.
     """
-    node = read_tree(path).find(GROUP)
-    return [] if node is None else [_claim(node.groups[name]) for name in sorted(node.groups, key=_order)]
+    root = read_tree(path)
+    node = root.find(GROUP)
+    claims = [] if node is None else [_claim(node.groups[name]) for name in sorted(node.groups, key=_order)]
+    if claims and str(root.attrs.get("kind", "")) == "controller":
+        K = {letter: _values(root, letter, root.datasets[letter]) for letter in "ABCD" if letter in root.datasets}
+        if not any(is_about(claim, K) for claim in claims):
+            raise InputError(root.file, "claims about other controllers only", "one about the controller in the file")
+    return claims
+
+
+def is_about(claim: Claim, K: Mapping[str, np.ndarray]) -> bool:
+    """Whether the controller of the claim's loop has these matrices ``A .. D``, to the last bit."""
+    named = [(letter, claim.numbers.get(f"K_{letter}")) for letter in "ABCD"]
+    return all(own is not None and letter in K and np.array_equal(own, K[letter]) for letter, own in named)
 
 
 def _order(name: str) -> tuple[int, str]:

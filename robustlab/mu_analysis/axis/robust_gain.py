@@ -30,7 +30,7 @@ from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, delta_rows
 from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
 from robustlab.mu_analysis.axis.worst_gain import performance_inputs, skewed_cover
-from robustlab.mu_analysis.matrix.box import block_entries, centre_matrix, gauge, root_box, widest
+from robustlab.mu_analysis.matrix.box import Box, block_entries, centre_matrix, gauge, root_box, widest
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
 from robustlab.mu_analysis.matrix.gain import gain_at, largest_gain
 from robustlab.mu_analysis.matrix.upper import compile_kernels
@@ -42,7 +42,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import FullBlock, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["RobustGain", "robust_gain"]
+__all__ = ["RobustGain", "output_unit", "robust_gain"]
 
 # Sets more than this many times as large as given are not looked at.
 LARGEST = 2.0**20
@@ -74,6 +74,9 @@ class RobustGain(Bracket):
     proof
         What ``lower`` rests on: pieces of the axis with their D, G, or regions of parameters and frequency, for the
         performance block of size ``1 / level`` and the others of size ``lower``.
+    system, boxes
+        The set that it is about, and each box of a branch and bound with an interval proved in it, for
+        `robustlab.verify`; their D, G are for outputs in the unit `output_unit`.
     status
         CERTIFIED where both ends are within the tolerance, or ``lower`` is so large that nothing larger was looked at;
         else INCONCLUSIVE, or TIMEOUT.
@@ -83,6 +86,8 @@ class RobustGain(Bracket):
     delta: Mapping[str, Any]
     physical: Mapping[str, tuple[float, str]]
     proof: tuple[Piece, ...] | tuple[Region, ...]
+    system: UncertainModel | None = None
+    boxes: tuple[tuple[Box, Piece], ...] = ()
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "lower": "1", "upper": "1", "frequency": "rad/s", "delta": {"*": ...}, "level": float,
@@ -109,8 +114,8 @@ class RobustGain(Bracket):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``proof``; arrays stay arrays."""
-        names = [name for name in vars(self) if name != "proof"]
+        """All attributes but ``proof``, ``system`` and ``boxes``; arrays stay arrays."""
+        names = [name for name in vars(self) if name not in ("proof", "system", "boxes")]
         return {"type": "RobustGain", **{name: getattr(self, name) for name in names}}
 
 
@@ -169,14 +174,18 @@ def robust_gain(
     nominal = hinf_norm(uncertain.nominal)
     if nominal.lower >= level:
         return RobustGain(0.0, 0.0, nominal.frequency, nominal.status, level, {}, {}, ())
-    # Numbers near the ends of the double range would overflow in squares; the unit of the outputs is free.
-    unit = 2.0 ** round(float(np.log2(level)))
+    unit = output_unit(level)
     with one_thread():
         found = _Search(_in_unit(uncertain, unit), level / unit, nominal.upper / unit, budget, seed)
         if uncertain.blocks:
             found.descend()
             found.prove(tolerance)
     return _result(uncertain, level, found, tolerance, budget.struck)
+
+
+def output_unit(level: float) -> float:
+    """The unit of the outputs for the search: numbers near the ends of the double range would overflow in squares."""
+    return 2.0 ** round(float(np.log2(level)))
 
 
 def _in_unit(uncertain: UncertainModel, unit: float) -> UncertainModel:
@@ -201,6 +210,7 @@ class _Search:
         self.delta: dict[str, Any] = {}
         self.lower = LARGEST
         self.proof: tuple[Piece, ...] | tuple[Region, ...] = ()
+        self.boxes: tuple[tuple[Box, Piece], ...] = ()
 
     def descend(self) -> None:
         """From the smallest destabilising Delta, or a set in which the level is reached, to smaller ones."""
@@ -303,7 +313,7 @@ class _Search:
                 values = centre_matrix(self.uncertain.blocks, proof.values[:-1])
                 self.take((1 + 1e-6) * values, hot or problem.scale)
             if proof.upper < found:
-                found, self.proof = proof.upper, tuple(proof.leaves)
+                found, self.proof, self.boxes = proof.upper, tuple(proof.leaves), tuple(problem.proved)
         self.lower = min(1 / found, LARGEST) if np.isfinite(found) else 0.0
 
 
@@ -318,4 +328,6 @@ def _result(uncertain: UncertainModel, level: float, found: _Search, tolerance: 
     physical = uncertain.physical(found.delta) if found.delta else {}
     at = found.frequency
     frequency = None if at is None or not np.isfinite(upper) else model_frequency(uncertain, at)
-    return RobustGain(lower, upper, frequency, status, level, found.delta, physical, found.proof)
+    return RobustGain(
+        lower, upper, frequency, status, level, found.delta, physical, found.proof, uncertain, found.boxes
+    )

@@ -73,6 +73,9 @@ class SmallGain(Bracket):
         CERTIFIED, or INACCURATE where the norm is, or where ``pole`` is not where it was foretold.
     loop
         The law that closes the loop, and who says so; empty where it was closed already.
+    system, K
+        The set, and the controller u = K y of its last outputs and inputs (None where there is none), for
+        `robustlab.verify`.
     """
 
     robustly_stable: bool | None
@@ -81,6 +84,8 @@ class SmallGain(Bracket):
     norm: HinfNorm
     M: StateSpaceModel
     loop: str = ""
+    system: UncertainModel | None = None
+    K: StateSpaceModel | None = None
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "lower": "1", "upper": "1", "frequency": "rad/s", "robustly_stable": bool,
@@ -103,8 +108,9 @@ class SmallGain(Bracket):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes; arrays stay arrays."""
-        return {"type": "SmallGain", **vars(self)}
+        """All attributes but ``system`` and ``K``; arrays stay arrays."""
+        names = [name for name in vars(self) if name not in ("system", "K")]
+        return {"type": "SmallGain", **{name: getattr(self, name) for name in names}}
 
 
 @told_as("small_gain")
@@ -145,10 +151,11 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     blocks = uncertain.blocks
     if len(blocks) != 1 or blocks[0].is_scalar or not blocks[0].is_ball:
         raise InputError("small_gain", f"{uncertain!r}", "one full block", "use robust_stability")
-    closed, said = uncertain, ""
+    system, law, said = uncertain, None, ""
     if K is not None:
         found = closing(uncertain, K, sign, "small_gain")
-        closed, said = found.plant.close(signed(as_model(found.K), found.sign)), found.said
+        system, law, said = found.plant, signed(as_model(found.K), found.sign), found.said
+    closed = system if law is None else system.close(law)
     M = closed.delta_channels
     norm = hinf_norm(M, rtol=TUNING.norm_width)
     if not np.isfinite(norm.upper):
@@ -160,7 +167,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
         )
     if norm.lower == 0:
         lower, holds = _inverse(norm.upper), norm.upper < 1
-        return SmallGain(lower, float("inf"), None, norm.status, holds, {}, None, norm, M, said)
+        return SmallGain(lower, float("inf"), None, norm.status, holds, {}, None, norm, M, said, system, law)
     frequency, response = peak_response(M, norm)
     u, sigma, vh = np.linalg.svd(response)
     # (I - M Delta) u1 = 0
@@ -172,7 +179,9 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     status = norm.status if found else Status.INACCURATE
     stable = True if norm.upper < 1 else False if norm.lower >= 1 else None
     upper = 1 / float(sigma[0])
-    return SmallGain(_inverse(norm.upper), upper, frequency, status, stable, {name: delta}, pole, norm, M, said)
+    return SmallGain(
+        _inverse(norm.upper), upper, frequency, status, stable, {name: delta}, pole, norm, M, said, system, law
+    )
 
 
 def peak_response(M: StateSpaceModel, norm: HinfNorm) -> tuple[float, NDArray[np.complex128]]:

@@ -12,17 +12,20 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import ComplexArray
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.mu_analysis.matrix.box import Box
 from robustlab.mu_analysis.matrix.branch_and_bound import MatrixProblem, tighten
 from robustlab.mu_analysis.matrix.certificate import certified_in_balls, has_structure
 from robustlab.mu_analysis.matrix.decomposition import components
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.skew import skewed
-from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
+from robustlab.mu_analysis.matrix.upper import UpperBound, compile_kernels, upper_bounds
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, listed
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
+
+BoxProof = tuple[tuple[Box, UpperBound], ...]  # boxes of Delta that cover the set, each with its D, G
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,9 @@ class MuBounds(Tabular, Shown):
         Remarks for the reader of a report: what ended branch and bound before its tolerance.
     M, fixed
         The matrices that they are about, and the names of the blocks that keep size one, for `robustlab.verify`.
+    proof
+        Of every matrix the boxes that branch and bound has proved, with the D, G of each, for `robustlab.verify`; empty
+        without it.
     """
 
     lower: Any
@@ -69,6 +75,7 @@ class MuBounds(Tabular, Shown):
     notes: tuple[str, ...] = ()
     M: ComplexArray | None = None
     fixed: tuple[str, ...] = ()
+    proof: tuple[BoxProof, ...] = ()
 
     def __post_init__(self) -> None:
         if self.scaled is None:
@@ -190,13 +197,14 @@ def mu(
     if len(fixed) and (certify or tolerance is not None):
         found = "certify" if certify else "tolerance"
         raise InputError(f"mu: {found}", "given with fixed blocks", "neither certify nor tolerance with them")
-    budget = search_budget("mu", TUNING.work, effort, time_limit)
+    budget, proof = search_budget("mu", TUNING.work, effort, time_limit), ()
     with one_thread():
         parts, status = (
             skewed(stack, structure, fixed, seed) if len(fixed) else _bounds(stack, structure, seed, certify)
         )
         if tolerance is not None:
-            parts["boxes"] = _close(stack, parts, structure, tolerance, budget)
+            proof = _close(stack, parts, structure, tolerance, budget)
+            parts["boxes"] = np.array([len(boxes) for boxes in proof], dtype=int)
     if single:
         parts = {key: value[0] for key, value in parts.items()}
         parts.update({key: float(parts[key]) for key in ("lower", "upper", "scaled")})
@@ -209,7 +217,7 @@ def mu(
     given.setflags(write=False)
     kept = tuple(structure[b].name if isinstance(b, int) else b for b in fixed)
     status = Status.TIMEOUT if budget.struck else status
-    return MuBounds(**parts, status=status, blocks=structure, notes=notes, M=given, fixed=kept)
+    return MuBounds(**parts, status=status, blocks=structure, notes=notes, M=given, fixed=kept, proof=proof)
 
 
 def _bounds(
@@ -259,9 +267,10 @@ def _outward(bound: NDArray[np.float64], scale: NDArray[np.float64], towards: fl
 
 def _close(
     stack: ComplexArray, parts: dict[str, Any], blocks: tuple[Block, ...], tolerance: float, budget: Budget
-) -> NDArray[np.intp]:
-    """Branch and bound of each matrix whose bounds are further apart than the tolerance; how many boxes each took."""
-    boxes, scale = np.zeros(len(stack), dtype=int), _scale(stack)
+) -> tuple[BoxProof, ...]:
+    """Branch and bound of each matrix whose bounds are further apart than the tolerance; the boxes that each took."""
+    boxes: list[BoxProof] = [() for _ in stack]
+    scale = _scale(stack)
     some_real = any(b.interval for b in blocks)
     for k, m in enumerate(stack * scale[:, None, None]):
         lower, upper = parts["lower"][k] * scale[k], parts["upper"][k] * scale[k]
@@ -269,10 +278,12 @@ def _close(
             continue
         part = budget.share(1 / (len(stack) - k))
         proof = tighten(MatrixProblem(m, blocks), lower, upper, tolerance, part)
-        parts["upper"][k], boxes[k] = proof.upper / scale[k], len(proof.leaves)
+        parts["upper"][k] = proof.upper / scale[k]
+        found = [leaf.proof for leaf in proof.leaves if leaf.proof is not None]
+        boxes[k] = tuple((Box(scale[k] * box.centre, scale[k] * box.half), bound) for box, bound in found)
         if proof.values is not None:
             parts["lower"][k], parts["delta"][k] = proof.lower / scale[k], proof.values * scale[k]
-    return boxes
+    return tuple(boxes)
 
 
 def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, bool]:

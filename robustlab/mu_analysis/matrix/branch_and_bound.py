@@ -49,6 +49,7 @@ class Region(Shown):
     """A box, its open frequencies (for a constant matrix one place, zero), and where its parent could not be proved.
 
     ``missed`` are the frequencies at which it was not proved itself, with the level and each block's weight there.
+    ``proof`` is the box of a constant matrix with the bound below one that was found in it.
     """
 
     box: Box
@@ -56,6 +57,7 @@ class Region(Shown):
     hot: float | None = None
     missed: list[tuple[float, float, Array]] = field(default_factory=list)
     in_a_row: int = 0
+    proof: tuple[Box, UpperBound] | None = None
 
 
 @dataclass
@@ -165,7 +167,7 @@ class _Descent:
         sound = True
         for region, was, weight in zip(chosen, before, weights, strict=True):
             if not region.open:
-                self.leaves.append(Region(region.box, was, region.hot))
+                self.leaves.append(Region(region.box, was, region.hot, proof=region.proof))
                 continue
             if weight is None:
                 self.regions.append(region)
@@ -229,7 +231,7 @@ class _Descent:
 
     def _within_root(self, regions: list[Region]) -> list[Region]:
         cut = ((region.box.within(self.root.box), region) for region in regions)
-        return [Region(box, list(region.open), region.hot) for box, region in cut if box is not None]
+        return [Region(box, list(r.open), r.hot, proof=r.proof) for box, r in cut if box is not None]
 
 
 def real_blocks(blocks: Sequence[Block]) -> Mask:
@@ -282,6 +284,7 @@ class MatrixProblem:
             bound = next(bounds) if good else None
             if bound is not None and bound.beta < 1:
                 region.open.clear()
+                region.proof = region.box, bound
                 result.append(None)
                 continue
             result.append(np.ones(len(self.blocks)) if bound is None else block_weights(matrix, bound, self.blocks))

@@ -108,6 +108,8 @@ class FixedSynthesis(Tabular, Synthesis):
         Of an uncertain plant: the Delta of every scenario.
     worst
         Of an uncertain plant: the worst-case gain over the whole set.
+    plants
+        The plant of every loop, for `robustlab.verify`.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -124,6 +126,7 @@ class FixedSynthesis(Tabular, Synthesis):
     starts: tuple[Start, ...]
     scenarios: tuple[Mapping[str, Any], ...] = ()
     worst: WorstCaseGain | None = None
+    plants: tuple[GeneralizedPlant, ...] = ()
 
     @property
     def values(self) -> dict[str, float]:
@@ -521,6 +524,7 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
         peak_frequency=float(peak),
         limits=limits,
         starts=(start,),
+        plants=tuple(plants),
     )
 
 

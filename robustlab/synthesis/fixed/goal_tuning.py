@@ -57,6 +57,9 @@ class GoalValue:
     values: tuple[float, ...]
     # Proved for every controller of any structure: no value is below it; NaN where it was not asked for.
     floor: float = float("nan")
+    # The plants whose loops with K have these norms, "hinf" or "h2"; for `robustlab.verify`.
+    plants: tuple[GeneralizedPlant, ...] = ()
+    norm: str = "hinf"
 
     @property
     def value(self) -> float:
@@ -69,8 +72,9 @@ class GoalValue:
         return self.value <= 1
 
     def to_json(self) -> dict[str, Any]:
-        """All fields."""
-        return vars(self) | {"value": self.value, "met": self.met}
+        """All fields but ``plants`` and ``norm``."""
+        told = {name: value for name, value in vars(self).items() if name not in ("plants", "norm")}
+        return told | {"value": self.value, "met": self.met}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -365,7 +369,7 @@ class _GoalSearch:
         floor = float("nan")
         if goal.hard and goal.norm == "hinf" and max(values) > 1:
             floor = max(_floor(plant) for plant in plants)
-        return GoalValue(goal.text, goal.hard, tuple(values), floor)
+        return GoalValue(goal.text, goal.hard, tuple(values), floor, tuple(plants), goal.norm)
 
     def _status(self, goals: Sequence[GoalValue], doubts: Sequence[str]) -> tuple[Status, list[str]]:
         if doubts:

@@ -44,6 +44,8 @@ class MixedSynthesis(Synthesis):
         The H2 norm without the bound: no controller goes below it where it is the optimum of a regular plant.
     hinf_smallest
         The smallest H-infinity norm found for its channel alone.
+    h2_plant, hinf_plant
+        The plant with one channel each, for `robustlab.verify`.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -55,6 +57,8 @@ class MixedSynthesis(Synthesis):
     bound: float
     h2_optimum: float
     hinf_smallest: float
+    h2_plant: GeneralizedPlant
+    hinf_plant: GeneralizedPlant
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (H2 norm, verified by both Gramians)"
@@ -413,6 +417,8 @@ class _Mixed:
             bound=self.gamma,
             h2_optimum=h2_optimum,
             hinf_smallest=smallest,
+            h2_plant=self.h2_alone,
+            hinf_plant=self.hinf_alone,
         )
 
 

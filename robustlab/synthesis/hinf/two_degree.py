@@ -26,7 +26,7 @@ from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discre
 from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.signals import Taken
-from robustlab.statespace import Signal, StateSpaceModel, append, parallel, series
+from robustlab.statespace import Signal, StateSpaceModel, append, series
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
 from robustlab.synthesis.hinf.tuning import TUNING
@@ -69,6 +69,8 @@ class TwoDegreeSynthesis(Synthesis):
         From the references to what the outputs are to do.
     references
         How many of K's inputs are references; they come first.
+    problem, apart
+        The plant whose loop with K_shaped has the norm ``gamma``, and the one whose loop with K is ``T - T_ref``.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -85,6 +87,8 @@ class TwoDegreeSynthesis(Synthesis):
     shaped_plant: StateSpaceModel
     reference_model: StateSpaceModel
     references: int
+    problem: GeneralizedPlant
+    apart: GeneralizedPlant
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
@@ -190,9 +194,9 @@ def two_degree_design(
     loop = plant.close(K)
     if not surely_stable(loop):
         raise NoTrustworthyNumber("synth ncf", "the loop of the plant as given is not surely stable")
+    apart = _less_reference(plant, t, rows)
+    matching = hinf_norm(apart.close(K))
     T = loop.select(loop.input_names[: len(rows)], [g.output_names[i] for i in rows])
-    T = T.renamed(list(t.input_names), list(t.output_names))
-    matching = hinf_norm(parallel(T, t, -1))
     steady = float(np.abs(T.dc_gain() - wanted).max(initial=0.0)) / max(float(np.abs(wanted).max(initial=0.0)), 1e-300)
     inner = solved.K
     K2 = StateSpaceModel(inner.A, inner.B[:, len(rows) :], inner.C, inner.D[:, len(rows) :], inner.dt)
@@ -208,6 +212,7 @@ def two_degree_design(
         reason="; ".join(doubts) or said, limit=solved.limit, plant=plant, method="ncf with a reference model",
         gamma_min=1 / equations.best_margin, rho=rho, margin=margin, matching=matching, steady_error=steady,
         prefilter=prefilter, K_shaped=inner, shaped_plant=shaped, reference_model=t, references=len(rows),
+        problem=problem, apart=apart,
     )  # fmt: skip
 
 
@@ -240,6 +245,20 @@ def _plant_with_references(g: StateSpaceModel, rows: Sequence[int]) -> Generaliz
     outputs += [Taken(f"{s.name} measured", s.unit, "y", s.name) for s in g.outputs]
     model = StateSpaceModel(g.A, g.B @ total, C, D, g.dt, [*inputs, *g.inputs], outputs, g.states, where="synth ncf")
     return GeneralizedPlant(model, n_r + n_y, n_u)
+
+
+def _less_reference(plant: GeneralizedPlant, t: StateSpaceModel, rows: Sequence[int]) -> GeneralizedPlant:
+    """From (r, u) to (T r - T_ref r; r, measured y): the plant with references, and the reference model beside it."""
+    m, n, n_r = plant.model, plant.model.n_states, len(rows)
+    columns = [*range(n_r), *range(plant.n_w, m.n_inputs)]
+    kept = [*rows, *range(plant.n_z, m.n_outputs)]
+    A = np.block([[m.A, np.zeros((n, t.n_states))], [np.zeros((t.n_states, n)), t.A]])
+    B = np.vstack([m.B[:, columns], np.hstack([t.B, np.zeros((t.n_states, plant.n_con))])])
+    C = np.hstack([m.C[kept], np.vstack([-t.C, np.zeros((plant.n_meas, t.n_states))])])
+    D = m.D[np.ix_(kept, columns)].copy()
+    D[:n_r, :n_r] -= t.D
+    signals = [m.inputs[i] for i in columns], [m.outputs[i] for i in kept]
+    return GeneralizedPlant(StateSpaceModel(A, B, C, D, m.dt, *signals, where="synth ncf"), plant.n_meas, plant.n_con)
 
 
 def _full(

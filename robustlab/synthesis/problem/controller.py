@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import InitVar, dataclass
+from dataclasses import InitVar, dataclass, field
+from typing import Any
 
 from robustlab.errors import InputError
 from robustlab.provenance import Traced
@@ -30,6 +31,9 @@ class Controller(Shown, Traced):
     takes
         Not kept: what the inputs take of the plant's signals, one word for all or one for each: ``"y"`` (u = K y),
         ``"r - y"`` (u = K (r - y)), ``"-y"``, ``"y - r"`` or ``"r"``. Left out: what they say already; designs say it.
+    design
+        The design that it is of, whose claims go into its file, for `robustlab.verify`; None of other controllers, and
+        of one that was read from a file.
 
     Raises
     ------
@@ -48,6 +52,7 @@ class Controller(Shown, Traced):
     status: Status = Status.INCONCLUSIVE
     method: str = ""
     takes: InitVar[str | Sequence[str] | None] = None
+    design: Any = field(default=None, repr=False)
 
     def __post_init__(self, takes: str | Sequence[str] | None) -> None:
         object.__setattr__(self, "K", as_model(self.K, "Controller: K"))

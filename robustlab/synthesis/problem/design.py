@@ -96,7 +96,7 @@ class Synthesis(Design):
     @property
     def controller(self) -> Controller:
         """K with what was verified about it, as it is stored."""
-        return Controller(self.K, self.gamma, self.status, self.method)
+        return Controller(self.K, self.gamma, self.status, self.method, design=self)
 
     @property
     def order(self) -> int:

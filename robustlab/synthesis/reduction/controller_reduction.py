@@ -121,6 +121,8 @@ class ReducedController(Tabular, Synthesis):
         What each order costs, the highest first: the evidence for the order chosen.
     evidence
         What proves ``gamma``: a norm's bracket, or the margin with its scalings.
+    scaled
+        The plant with the scalings given, whose loop has the norm ``gamma``; None without them.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -133,6 +135,7 @@ class ReducedController(Tabular, Synthesis):
     allowed_loss: float
     orders: tuple[OrderTried, ...]
     evidence: Evidence
+    scaled: GeneralizedPlant | None = None
 
     @property
     def original_order(self) -> int:
@@ -468,6 +471,7 @@ class _Descent:
             allowed_loss=self.allowed,
             orders=tuple(tried),
             evidence=performance.evidence,
+            scaled=judge.scaled,
         )
 
 

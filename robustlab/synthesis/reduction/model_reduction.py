@@ -353,7 +353,7 @@ def _balanced_reduction(
         promised = way.bound(small.n_states)
         evidence = replace(_evidence(way, ordinary, lost, difference, promised), parts=(stable, small))
         model = ordinary.as_given(split.joined(small), "reduce_model")
-        found = _checked(full, model, name, way, evidence, promised, apart)
+        found = replace(_checked(full, model, name, way, evidence, promised, apart), band=band, weights=weights)
         if method == "hankel":
             return _with_hankel_norm(found, ordinary.value(hankel_norm(difference), "reduce_model"))
         return found

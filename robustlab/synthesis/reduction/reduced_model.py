@@ -54,6 +54,9 @@ class ReducedModel(Shown):
         Intervals (low, high) in rad/s, around modes on the stability boundary that are kept apart: rounding moves such
         a mode, or its share of the response, and no bound of the difference is finite there. As narrow as keeps what
         rounding adds to ``error`` below a thousandth of it.
+    band, weights
+        The band in rad/s of ``error``, and the weights on inputs and outputs, where there are any; for
+        `robustlab.verify`.
     hankel_error
         Hankel norm of the difference of the stable parts, from its own Gramians; NaN for other methods than
         ``"hankel"``.
@@ -75,6 +78,8 @@ class ReducedModel(Shown):
     difference: HinfNorm | None = None
     left_out: tuple[tuple[float, float], ...] = ()
     hankel_error: float = np.nan
+    band: tuple[float, float] | None = None
+    weights: tuple[StateSpaceModel | None, StateSpaceModel | None] = (None, None)
 
     @property
     def order(self) -> int:
@@ -123,10 +128,10 @@ class ReducedModel(Shown):
         return [*rows, ("why", self.reason)] if self.reason else rows
 
     def to_json(self) -> dict[str, Any]:
-        """All but the model as given."""
+        """All but the model as given, the band and the weights."""
         return {
             "type": "ReducedModel",
-            **{f.name: getattr(self, f.name) for f in fields(self) if f.name != "full"},
+            **{f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("full", "band", "weights")},
             "order": self.order,
             "full_order": self.full.n_states,
         }

@@ -11,7 +11,7 @@ Feedback* (2001), chapters 2, 3.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -122,6 +122,8 @@ class CoprimeMargin(Shown):
         Why the margin is 0 or inaccurate; else empty.
     loop
         The law that closes the loop, and who says so.
+    plant, K
+        What makes the loop, u = K y, for `robustlab.verify`.
     """
 
     lower: float
@@ -131,6 +133,8 @@ class CoprimeMargin(Shown):
     status: Status
     reason: str = ""
     loop: str = ""
+    plant: StateSpaceModel | None = field(default=None, compare=False, repr=False)
+    K: StateSpaceModel | None = field(default=None, compare=False, repr=False)
 
     @property
     def value(self) -> float:
@@ -148,8 +152,9 @@ class CoprimeMargin(Shown):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        return {"type": "CoprimeMargin", "value": self.value, **vars(self)}
+        """All attributes but ``plant`` and ``K``."""
+        names = [name for name in vars(self) if name not in ("plant", "K")]
+        return {"type": "CoprimeMargin", "value": self.value, **{name: getattr(self, name) for name in names}}
 
 
 @told_as("coprime_margin")
@@ -190,13 +195,14 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> Cop
     """
     found = closing(as_model(P, "coprime_margin: P"), as_model(C, "coprime_margin: C"), sign, "coprime_margin")
     plant, k, sign = found.plant, found.K, found.sign
-    loop = lower_lft(four_block(plant), StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, k.dt))
+    law = StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, k.dt)
+    loop = lower_lft(four_block(plant), law)
     norm = hinf_norm(loop, rtol=1e-9)
     best = coprime_riccati(continuous_models(plant).models[0]).best_margin
     if not np.isfinite(norm.upper):
         return CoprimeMargin(0.0, 0.0, None, best, norm.status, norm.reason, found.said)
     bounds = 1 / norm.upper, 1 / norm.lower
-    return CoprimeMargin(*bounds, norm.frequency, best, norm.status, norm.reason, found.said)
+    return CoprimeMargin(*bounds, norm.frequency, best, norm.status, norm.reason, found.said, plant, law)
 
 
 def four_block(plant: StateSpaceModel) -> StateSpaceModel:

@@ -165,3 +165,32 @@ def test_no_delta_proves_more_than_mu(data, seed, name):
     numbers = {"M": M, "blocks": np.array(blocks), "delta": found.delta * factor}
     level = float(found.upper) * data.draw(st.sampled_from([1 + 1e-6, 1.1]))
     assert cases.outcome("mu-lower", numbers, level=level) != "proved"
+
+
+def test_boxes_of_a_matrix_with_a_range_of_its_own():
+    one = {"D_w": np.ones((1, 1, 1)), "D_z": np.ones((1, 1, 1)), "G": np.zeros((1, 1, 1))}
+    one |= {"low": np.zeros(1), "high": np.full(1, np.inf)}
+    numbers = {**one, "M": np.eye(1), "blocks": np.array([[0, 1, 1]]), "level": np.ones(1), "size": 1.0}
+
+    def told(ranges, box, **more):  # 1 - delta is singular at delta = 1 and nowhere else
+        return cases.outcome("mu-upper-boxes", numbers | {"ranges": [ranges], "box": [[box]]} | more)
+
+    assert told((-2.0, 0.9), (-2.0, 0.9)) == "proved"
+    assert told((-2.0, 0.9), (-2.5, 0.95)) == "proved"
+    assert told((-2.0, 1.0), (-2.0, 1.0)) == "not proved"
+    assert told((-2.0, 0.9), (-2.0, 0.8)) == "not proved"
+    assert told((-2.0, 0.9), (-2.0, 0.9), high=[5.0]) == "not proved"
+    assert told((-2.0, 0.9), (-2.0, 0.9), size=1.01) == "not proved"
+    assert told((-1.0, 1.0), (-100.0, 100.0), size=100.0, M=np.array([[1j]]), G=np.full((1, 1, 1), 1e3)) == "proved"
+    assert told((-1.0, 1.0), (-100.0, 100.0), size=100.0, G=np.full((1, 1, 1), 1e3)) == "not proved"
+
+
+def test_a_difference_over_a_band():
+    G = {"A1": -np.eye(1), "B1": np.eye(1), "C1": np.eye(1), "D1": np.zeros((1, 1)), "dt": 0.0}
+    H = {"A2": np.zeros((0, 0)), "B2": np.zeros((0, 1)), "C2": np.zeros((1, 0)), "D2": np.eye(1)}
+    one = {"D_w": np.ones((1, 1, 1)), "D_z": np.ones((1, 1, 1)), "G": np.zeros((1, 1, 1)), "low": [0.0], "high": [1.0]}
+    numbers = {**G, **H, **one, "blocks": np.array([[2, 1, 1]]), "band": [0.0, 1.0]}
+    peak = 1 / np.sqrt(2)  # of 1/(s + 1) - 1 = -s/(s + 1) up to 1 rad/s
+    assert cases.outcome("mu-axis", numbers, level=peak * (1 + 1e-9)) == "proved"
+    assert cases.outcome("mu-axis", numbers, level=peak * (1 - 1e-9)) == "not proved"
+    assert cases.outcome("mu-axis", numbers, D2=-np.eye(1), level=peak * (1 + 1e-9)) == "not proved"

@@ -1,0 +1,82 @@
+"""Claims about norms of loops: plant and controller as they are stored, ``u = K y``, closed by the checker in balls."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robustlab.budget import search_budget
+from robustlab.evidence.axis import margin_claims
+from robustlab.evidence.norms import above, gramian_claims, norm_claims, proof_of_norm
+from robustlab.evidence.numbers import loop_numbers
+from robustlab.mu_analysis.axis.stability import margin_within
+from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
+from robustlab.mu_analysis.margins.small_gain import SmallGain
+from robustlab.mu_analysis.tuning import TUNING
+from robustlab.norms import HinfNorm
+from robustlab.norms.positive_real import Passivity
+from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.uncertainty.distances.coprime import CoprimeMargin, four_block
+from robustlab.verification.claim import Claim
+
+
+def loop_claims(plant: StateSpaceModel, K: StateSpaceModel, gamma: float) -> list[Claim]:
+    """That K, on the last outputs and inputs of the plant, makes a stable loop with a norm of at most ``gamma``."""
+    if not np.isfinite(gamma):
+        return []
+    numbers, level = loop_numbers(plant, K), above(gamma)
+    proof = proof_of_norm(lower_lft(plant, K), level, gamma, numbers)
+    return [Claim("loop-norm", {**numbers, "gamma": np.array(level), **proof})]
+
+
+def h2_loop_claims(plant: StateSpaceModel, K: StateSpaceModel, value: float) -> list[Claim]:
+    """The same of the H2 norm."""
+    return gramian_claims(lower_lft(plant, K), value, loop_numbers(plant, K)) if np.isfinite(value) else []
+
+
+def small_gain_claims(found: SmallGain) -> list[Claim]:
+    """That what Delta sees is stable, with a norm of at most one over ``lower``."""
+    if found.system is None or found.K is None:
+        return norm_claims(found.norm)
+    return loop_claims(found.system.M, found.K, found.norm.upper)
+
+
+def coprime_claims(found: CoprimeMargin) -> list[Claim]:
+    """That the loop is stable, with a four-block norm of at most one over ``lower``."""
+    if found.plant is None or found.K is None or not found.lower > 0:
+        return []
+    return loop_claims(four_block(found.plant), found.K, 1 / found.lower)
+
+
+def passivity_claims(found: Passivity) -> list[Claim]:
+    r"""That the relative index is at most ``upper``, of a passive model at most one.
+
+    :math:`(I - G)(I + G)^{-1}` is the loop of u = -G y around :math:`z = w + 2 u,\ y = w + u`: no number is rounded.
+    """
+    G = found.system
+    if G is None or not np.isfinite(found.upper):
+        return []
+    one = np.eye(G.n_inputs)
+    plant = StateSpaceModel([], [], [], np.block([[one, 2 * one], [one, one]]), G.dt)
+    claims = loop_claims(plant, StateSpaceModel(G.A, G.B, -G.C, -G.D, G.dt), found.upper)
+    if not found.passive:
+        return claims
+    return [Claim(c.kind, {**c.numbers, "gamma": np.minimum(c.numbers["gamma"], 1.0)}) for c in claims]
+
+
+def disk_claims(found: DiskMargins) -> list[Claim]:
+    """Those of all loops at once, then of each loop."""
+    parts = {id(part): part for part in (found.simultaneous, *found.channels.values()) if isinstance(part, DiskMargin)}
+    return [claim for part in parts.values() for claim in one_disk_claims(part)]
+
+
+def one_disk_claims(found: DiskMargin) -> list[Claim]:
+    """That no deltas below ``lower`` in the factors' disks destabilise: of one loop a norm, of several mu."""
+    uncertain = found.system
+    if uncertain is None or not 0 < found.lower < np.inf:
+        return []
+    if len(uncertain.blocks) == 1:
+        norm = HinfNorm(0.0, 1 / found.lower, np.nan, found.status, system=uncertain.delta_channels)
+        return norm_claims(norm)
+    budget = search_budget("verify", TUNING.work, 1.0, None)
+    margin = margin_within(uncertain, budget, accuracy=1e-4)
+    return [claim for claim in margin_claims(margin) if claim.kind == "mu-axis"]

@@ -1,0 +1,263 @@
+"""Claims about loops and models: the loop that is certified is the one that is meant, by dense search in numpy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+
+import robustlab as rl
+from robustlab.cli.ending import main_guard
+from robustlab.cli.verify import app
+from robustlab.errors import InputError
+from robustlab.evidence import claims_of
+from robustlab.synthesis import MarginGoal, TrackingGoal, VarianceGoal
+
+LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+SAMPLED = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+OSCILLATOR = rl.tf([1.0], [1.0, 1.0, 1.0])
+UNSTABLE = rl.StateSpaceModel([[1.0, 0.2], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 0.5]], [[0.0]])
+SHAPE = rl.tf([3.0, 3.0], [1.0, 0.0])
+WEIGHT = rl.makeweight(100, (1, 1), 0.5)
+INTO, OUT = rl.tf([1.0], [1.0, 1.0]), rl.tf([2.0, 1.0], [1.0, 3.0])
+NOISY = rl.StateSpaceModel(
+    [[0.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
+    inputs=["d", "n", "u"], outputs=["x", "effort", "y"],
+)  # fmt: skip
+SQUARE, GRID = np.eye(2), np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 4001)])
+
+
+def six() -> rl.StateSpaceModel:
+    rng = np.random.default_rng(2)
+    A = np.diag(-np.arange(1.0, 7)) + 0.1 * rng.standard_normal((6, 6))
+    return rl.StateSpaceModel(A, rng.standard_normal((6, 2)), rng.standard_normal((2, 6)), np.zeros((2, 2)))
+
+
+def beside(G: rl.StateSpaceModel, pole: float) -> rl.StateSpaceModel:
+    """With a mode of its own."""
+    A = np.block([[G.A, np.zeros((6, 1))], [np.zeros((1, 6)), np.array([[pole]])]])
+    return rl.StateSpaceModel(A, np.vstack([G.B, [[0.3, 0.2]]]), np.hstack([G.C, [[0.4], [0.1]]]), G.D)
+
+
+def regulated() -> rl.StateSpaceModel:
+    A, B = [[-1.0, 0.2], [0.1, 0.5]], [[1, 0, 0.2], [0.5, 0, 1.0]]
+    return rl.StateSpaceModel(A, B, [[1, 0], [0, 0], [0, 1]], [[0, 0, 0], [0, 0, 1.0], [0, 0.3, 0]])
+
+
+def two_plants() -> list[rl.StateSpaceModel]:
+    return [LAG, rl.StateSpaceModel([[-1.2]], [[1.0]], [[1.0]], [[0.0]])]
+
+
+RESULTS = {
+    "lqg": lambda: rl.lqg(UNSTABLE, SQUARE, [[1.0]], SQUARE, [[0.1]]),
+    "lqg discrete": lambda: rl.lqg(SAMPLED, [[1.0]], [[1.0]], [[1.0]], [[1.0]], disturbance="constant"),
+    "mixed": lambda: rl.h2_hinf(NOISY, 1, 1, gamma=1.45, h2_outputs=["x", "effort"], hinf_outputs=["x", "effort"]),
+    "ncf with weights": lambda: rl.ncf(OSCILLATOR, SHAPE, 2.0),
+    "ncf discrete": lambda: rl.ncf(SAMPLED, 5.0),
+    "two degrees": lambda: rl.ncf(OSCILLATOR, SHAPE, reference_model=INTO),
+    "tuned": lambda: rl.tune(LAG, "pi", [TrackingGoal(1.0), VarianceGoal(9.0), MarginGoal(1.0, hard=True)], starts=1),
+    "tuned for two plants": lambda: rl.tune(two_plants(), "pi", [TrackingGoal(1.0)], starts=1),
+    "fixed for two plants": lambda: rl.fixed_structure([NOISY, 1.1 * NOISY], "pi", n_meas=1, n_con=1, starts=1),
+    "reduced controller": lambda: rl.reduce_controller(rl.mixsyn(OSCILLATOR, WEIGHT, 0.1, None), loss=0.1),
+    "reduced H2 controller": lambda: rl.reduce_controller(rl.h2(regulated(), 1, 1), loss=0.2),
+    "small gain": lambda: rl.small_gain(rl.unstructured(LAG, 0.5, "input-multiplicative"), rl.ss([[3.0]]), sign=-1),
+    "small gain of a closed loop": lambda: rl.small_gain(
+        rl.unstructured(LAG, 0.5, "input-multiplicative").feedback(rl.ss([[3.0]]))
+    ),
+    "coprime margin": lambda: rl.coprime_margin(UNSTABLE, rl.ss([[3.0]]), sign=-1),
+    "coprime margin, positive": lambda: rl.coprime_margin(UNSTABLE, rl.ss([[-3.0]]), sign=1),
+    "coprime margin, discrete": lambda: rl.coprime_margin(SAMPLED, rl.ss([[0.3]], dt=0.1), sign=-1),
+    "passive": lambda: rl.passivity(LAG),
+    "passive, discrete": lambda: rl.passivity(rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[2.0]], 0.1)),
+    "not passive": lambda: rl.passivity(OSCILLATOR),
+    "reduced in a band": lambda: rl.reduce_model(six(), 3, band=(0.5, 2.0)),
+    "reduced between weights": lambda: rl.reduce_model(six(), 3, input_weight=INTO, output_weight=OUT),
+    "reduced before a weight": lambda: rl.reduce_model(six(), 3, output_weight=OUT),
+    "unstable, reduced": lambda: rl.reduce_model(beside(six(), 0.5), 4),
+    "relative error": lambda: rl.reduce_model(rl.tf([1.0, 3.0, 2.0], [1.0, 2.0, 5.0]), 1, method="stochastic"),
+    "robust gain": lambda: rl.robust_gain(_pole(), 4.0),
+}  # fmt: skip
+
+
+def _pole() -> rl.UncertainModel:
+    """``1 / (s + 1 + delta / 2)``: its gain stays below 4 for |delta| < 3/2."""
+    M = rl.StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+    return rl.UncertainModel(M, [rl.RealScalar("pole")])
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_every_claim_is_proved(name):
+    found = rl.verify(RESULTS[name]())
+    assert found.proved, found.summary()
+    assert len(found.claims) >= 1
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("lqg", lambda r: replace(r, gamma=0.99 * r.gamma)),
+        ("lqg", lambda r: replace(r, K=-1.0 * r.K)),
+        ("mixed", lambda r: replace(r, hinf_norm=replace(r.hinf_norm, upper=0.99 * r.hinf_norm.lower))),
+        ("ncf with weights", lambda r: replace(r, gamma=0.99 * r.gamma)),
+        ("ncf with weights", lambda r: replace(r, K=-1.0 * r.K)),
+        ("two degrees", lambda r: replace(r, matching=replace(r.matching, upper=0.99 * r.matching.lower))),
+        ("two degrees", lambda r: replace(r, margin=replace(r.margin, lower=1.01 * r.margin.upper))),
+        ("tuned", lambda r: replace(r, goals=(replace(r.goals[0], values=(0.9 * r.goals[0].value,)), *r.goals[1:]))),
+        ("fixed for two plants", lambda r: replace(r, gammas=(r.gammas[0], 0.9 * r.gammas[1]))),
+        ("reduced controller", lambda r: replace(r, K=-1.0 * r.K)),
+        ("small gain", lambda r: replace(r, K=-1.0 * r.K)),
+        ("coprime margin", lambda r: replace(r, lower=1.001 * r.upper)),
+        ("passive", lambda r: replace(r, system=-1.0 * r.system)),
+        ("not passive", lambda r: replace(r, passive=True)),
+        ("reduced in a band", lambda r: replace(r, error=replace(r.error, upper=0.99 * r.error.lower))),
+        ("reduced in a band", lambda r: replace(r, band=(0.0, 1e6))),
+        ("reduced between weights", lambda r: replace(r, weights=(1.01 * r.weights[0], r.weights[1]))),
+        ("unstable, reduced", lambda r: replace(r, error=replace(r.error, upper=0.99 * r.error.lower))),
+        ("robust gain", lambda r: replace(r, lower=1.01 * r.upper)),
+        ("robust gain", lambda r: replace(r, level=0.99 * r.level)),
+    ],
+)
+def test_what_is_not_true_is_not_proved(name, change):
+    found = rl.verify(change(RESULTS[name]()))
+    assert not found.proved, found.summary()
+
+
+def peak(gain, grid=GRID) -> float:
+    """The largest singular value on the grid."""
+    return max(float(np.linalg.norm(np.atleast_2d(gain(1j * w)), 2)) for w in grid)
+
+
+def at(G: rl.StateSpaceModel, s: complex):
+    return G.D + G.C @ np.linalg.solve(s * np.eye(G.n_states) - G.A, G.B)
+
+
+def level(result, number: int = 0) -> float:
+    """What is claimed."""
+    numbers = claims_of(result)[number].numbers
+    return float(numbers["gamma"] if "gamma" in numbers else numbers["level"])
+
+
+def test_the_loop_of_a_coprime_margin_is_the_one_of_its_definition():
+    def four(s):  # [P; I] (I + C P)^-1 [-C, I] of negative feedback, C = 3
+        P = at(UNSTABLE, s)[0, 0]
+        return np.array([[P], [1.0]]) @ np.array([[-3.0, 1.0]]) / (1 + 3 * P)
+
+    wanted = peak(four)
+    for name in ("coprime margin", "coprime margin, positive"):
+        assert level(RESULTS[name]()) == pytest.approx(wanted, rel=1e-5)
+
+
+def test_small_gain_is_that_of_the_complementary_sensitivity():
+    wanted = peak(lambda s: 0.5 * 3 / (s + 1) / (1 + 3 / (s + 1)))
+    for name in ("small gain", "small gain of a closed loop"):
+        assert level(RESULTS[name]()) == pytest.approx(wanted, rel=1e-5)
+
+
+def test_the_index_of_passivity_is_a_gain():
+    wanted = peak(lambda s: (1 - at(OSCILLATOR, s)) / (1 + at(OSCILLATOR, s)))
+    assert level(RESULTS["not passive"]()) == pytest.approx(wanted, rel=1e-5)
+    assert 1 <= level(RESULTS["passive"]()) <= 1 + 3e-6  # |s / (s + 2)| reaches one at infinity, and nowhere passes it
+
+
+def test_errors_of_reduced_models_are_the_differences_meant():
+    G, found = six(), RESULTS["reduced between weights"]()
+    weighted = peak(lambda s: at(OUT, s)[0, 0] * (at(G, s) - at(found.model, s)) * at(INTO, s)[0, 0])
+    assert level(found) == pytest.approx(weighted, rel=1e-4)
+    banded = RESULTS["reduced in a band"]()
+    inside = peak(lambda s: at(G, s) - at(banded.model, s), np.linspace(0.5, 2.0, 2001))
+    assert level(banded, 1) == pytest.approx(inside, rel=1e-4)
+    assert level(banded, 0) > 1.5 * inside
+
+
+def test_nothing_is_claimed_of_an_error_that_is_no_difference():
+    assert claims_of(rl.reduce_model(six(), 3, method="coprime")) == []
+    relative = RESULTS["relative error"]()
+    assert level(relative) == pytest.approx(relative.difference.upper, rel=2e-6)
+
+
+def test_the_distance_from_the_reference_model_is_that_of_plant_and_controller():
+    design = RESULTS["two degrees"]()
+    K1, K2 = design.K.B[:, :1], design.K.B[:, 1:]
+
+    def apart(s):  # u = K1 r + K2 y, y = G u
+        inner = np.linalg.inv(s * np.eye(design.K.n_states) - design.K.A)
+        first, second = (design.K.C @ inner @ B + D for B, D in ((K1, design.K.D[:, :1]), (K2, design.K.D[:, 1:])))
+        G = at(OSCILLATOR, s)
+        return G * first / (1 - G * second) - 1 / (s + 1)
+
+    assert level(design, 2) == pytest.approx(peak(apart, GRID[1:]), rel=1e-4)
+
+
+def test_the_cost_of_lqg_and_the_margin_of_a_gain_are_those_of_the_textbook():
+    lag = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]])
+    (claim,) = rl.verify(rl.lqg(lag, [[1.0]], [[1.0]], [[1.0]], [[1.0]])).claims
+    a = 0.5 + np.sqrt(1.25)  # X = Z solve 2 a x - x^2 + 1 = 0 with a = 1/2: the cost is x + x^3
+    assert claim.bound**2 == pytest.approx(a + a**3, rel=1e-5)
+    (claim,) = rl.verify(RESULTS["robust gain"]()).claims
+    assert claim.bound == pytest.approx(1.5, rel=1e-2)
+    assert claim.bound <= 1.5
+
+
+def cut() -> object:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        found = rl.mu(rng.standard_normal((4, 4)) + 1j * rng.standard_normal((4, 4)), [[-1, 0]] * 4, tolerance=1e-3)
+        if found.boxes:
+            return found
+    raise AssertionError("none of these needed boxes")
+
+
+def test_a_bound_after_branch_and_bound_is_proved_box_by_box():
+    found = cut()
+    told = rl.verify(found)
+    assert told.proved, told.summary()
+    assert [claim.kind for claim in claims_of(found)] == ["mu-upper-boxes", "mu-lower"]
+    assert told.claims[0].bound == pytest.approx(1 / found.upper, rel=2e-6)
+    assert found.upper < found.scaled
+    (boxes,) = found.proof
+    assert not rl.verify(replace(found, proof=(boxes[1:],))).proved
+    assert not rl.verify(replace(found, upper=0.999 * found.lower)).proved
+    several = rl.mu(np.stack([np.diag([1.0, 2.0]), np.ones((2, 2))]), [[-1, 0], [-1, 0]], tolerance=0.01)
+    assert rl.verify(several).proved
+
+
+def test_skewed_mu_of_real_blocks_that_vary():
+    rng = np.random.default_rng(0)
+    M = (rng.standard_normal((4, 4)) + 1j * rng.standard_normal((4, 4))) / 2
+    for fixed in ("delta2", "delta3"):
+        found = rl.mu(M, [[-1, 0], [-2, 0], [1, 0]], fixed=[fixed])
+        assert np.abs(found.G).max() > 0
+        assert rl.verify(found).proved
+
+
+# --- files of controllers --------------------------------------------------------------------------------------------
+
+
+def call(*arguments: str) -> int:
+    return main_guard(lambda: app(list(arguments), standalone_mode=False))
+
+
+def test_the_file_of_a_controller_carries_the_claims_of_its_design(tmp_path, capsys):
+    for name in ("ncf with weights", "lqg"):
+        design, path = RESULTS[name](), tmp_path / "K.h5"
+        rl.save(path, design.controller)
+        assert call(str(path)) == 0
+        assert "proved independently" in capsys.readouterr().out
+        assert (rl.load(path).K.A == design.K.A).all()
+    with h5py.File(path, "r+") as file:
+        file["C"][...] = 1.001 * file["C"][()]
+        del file.attrs["content_sha256"]
+    assert call(str(path)) == 3
+    assert "other controllers" in capsys.readouterr().err
+
+
+def test_a_controller_that_is_not_the_design_s_has_none(tmp_path):
+    design = RESULTS["lqg"]()
+    rl.save(tmp_path / "half.h5", replace(design.controller, K=0.5 * design.K, takes=None))
+    with pytest.raises(InputError, match="without claims"):
+        rl.verify(tmp_path / "half.h5")
+    rl.save(tmp_path / "own.h5", rl.Controller(design.K))
+    with pytest.raises(InputError, match="without claims"):
+        rl.verify(tmp_path / "own.h5")
