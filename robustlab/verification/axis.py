@@ -143,13 +143,13 @@ def _polynomial(G: Model, w0: float, r: float) -> list[Matrix] | None:
     step, X = R * acb(0, -r), [R * G.B]
     for _ in range(DEGREE):
         X.append(step * X[-1])
-    rest = _neumann(magnitudes(step), magnitudes(X.pop()))
+    rest = neumann(magnitudes(step), magnitudes(X.pop()))
     if rest is None:
         return None
     return [*X, acb_mat(G.n, G.m, [acb(arb(0, x), arb(0, x)) for x in rest.entries()])]
 
 
-def _neumann(N: Matrix, X: Matrix) -> Matrix | None:
+def neumann(N: Matrix, X: Matrix) -> Matrix | None:
     """A nonnegative ``Y > X + N Y`` (n, m), which proves what the module's text says; None where none was found."""
     n, x = midpoints(N), midpoints(X)
     if not x.size:

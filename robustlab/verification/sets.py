@@ -31,7 +31,7 @@ def prove_set(claim: Claim, work: Work) -> Verdict:
                   [real(claim, f"C{end}", (p - q, n)), real(claim, f"D{end}", (p - q, m - q))]])
         for end in (0, 1)
     ]  # fmt: skip
-    tolerance = _fraction(scalar(claim, "tolerance", zero=True)) if "tolerance" in claim.numbers else fmpq(0)
+    tolerance = fraction(scalar(claim, "tolerance", zero=True)) if "tolerance" in claim.numbers else fmpq(0)
     work.spend(n + max(p, m))
     rest = _rational(np.block([[A, B[:, q:]], [C[q:], D[q:, q:]]]))
     into, out = (_rational(X) for X in (np.vstack([B[:, :q], D[q:, :q]]), np.hstack([C[:q], D[:q, q:]])))
@@ -50,10 +50,11 @@ def prove_set(claim: Claim, work: Work) -> Verdict:
     return PROVED
 
 
-def _fraction(x: float) -> fmpq:
+def fraction(x: float) -> fmpq:
+    """The rational number that a double is."""
     return fmpq(*x.as_integer_ratio())
 
 
 def _rational(X: NDArray[np.float64]) -> fmpq_mat:
     rows, cols = X.shape
-    return fmpq_mat(rows, cols, [_fraction(x) for x in X.ravel().tolist()])
+    return fmpq_mat(rows, cols, [fraction(x) for x in X.ravel().tolist()])

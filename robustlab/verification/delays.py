@@ -1,0 +1,413 @@
+r"""Models with exact delays: stability, gains and mu of the loop, and weights that cover what a rational delay misses.
+
+The first k inputs w and outputs z of a continuous model are closed by :math:`w_i(t) = z_i(t - \tau_i)`. With x and w as
+unknowns, :math:`H = \begin{pmatrix} A & B_1 \\ C_1 & D_{11} \end{pmatrix}`, B and C what is left of the columns and rows,
+
+.. math:: M(s) = D_{22} + C F(s)^{-1} B, \qquad F(s) = \mathrm{diag}(s I, e^{s \tau_i}) - H .
+
+**Boxes.** For :math:`\omega = \omega_0 + r e,\ |e| \le 1`: :math:`F(j\omega) = F_0 + N(e)`, N diagonal,
+:math:`N = \sum_{k \ge 1} N_k e^k`, and by Taylor's rest :math:`|N(e) - \sum_{k<i} N_k e^k| \le T_i |e|^i`, with
+:math:`T_1 = r\,\mathrm{diag}(I, \tau)`, :math:`T_i = \mathrm{diag}(0, (r \tau)^i / i!)`. With :math:`R = F_0^{-1}`,
+:math:`X_0 = R B`, :math:`X_k = -R \sum_{1 \le i \le k} N_i X_{k-i}`, put :math:`F^{-1} B = \sum_{k<K} X_k e^k + e^K Z`.
+Then :math:`|F Z| \le Q = \sum_{k<K} T_{K-k} |X_k|` entry by entry, so :math:`|Z| \le |R| Q + |R| T_1 |Z|`, and
+`axis.neumann` bounds Z, proves the spectral radius of :math:`|R| T_1` below one, and so F regular in the box. What
+`axis` does with X(e) is done here.
+
+**Beyond** :math:`\Omega`, for all :math:`|s| \ge \Omega` with :math:`\Re s \ge 0`: with
+:math:`S = \mathrm{diag}(I / s, e^{-s\tau})` and :math:`|S| \le \bar S = \mathrm{diag}(I / \Omega, I)`,
+:math:`F^{-1} = (I - S H)^{-1} S`. Where :math:`\bar S |H|` has a spectral radius below one F is regular there, and
+:math:`|M - D_{22}| \le |C| Y` for :math:`Y > \bar S |B| + \bar S |H| Y`.
+
+**Roots on the right.** If :math:`|E| \le \bar N` entry by entry and :math:`\bar N` has a spectral radius below one,
+:math:`\log \det(I + E) = \sum_k (-1)^{k+1} \mathrm{tr}(E^k) / k` is continuous in E, zero at E = 0, and at most
+:math:`-\log \det(I - \bar N)`, as :math:`|\mathrm{tr}\,E^k| \le \mathrm{tr}\,\bar N^k`. Where that is below pi, the
+argument of det(I + E) that goes continuously from zero is the principal one. So in a box :math:`\arg \det F` turns by
+the difference of the principal arguments of :math:`\det(R F)` at its ends; and beyond :math:`\Omega`
+:math:`f(s) = e^{-s \sum \tau} \det F(s) = s^n \det(I - S H)` turns as s^n but for the principal argument
+:math:`\varphi` of :math:`\det(I - S H)` at its end. f is entire, real on the real axis, and has no zero on the contour:
+
+.. math:: N = \frac n2 + \frac 1\pi \Big( \varphi(\Omega) - \Delta_{0 \to \Omega} \arg \det F(j\omega)
+   + \Omega \textstyle\sum \tau_i \Big)
+
+roots lie right of the axis. A ball below one leaves none, one above zero leaves at least one. Where there is none, the
+poles lie left of a line left of the axis (the echoes :math:`|D_{11}|` die away), and M is bounded on the right.
+
+**Weights.** `prove_delay_weight` says what is claimed. At each frequency :math:`|e^{-j\omega\tau} - R|` is largest at an
+end of the range of tau, unless the arc has the point opposite to R, and is never above 1 + |R|.
+
+References
+----------
+Michiels, Niculescu, *Stability, Control, and Computation for Time-Delay Systems* (2014), chapters 1 and 2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from flint import acb, acb_mat, arb, arb_mat, fmpq_mat
+
+from robustlab.errors import InputError
+from robustlab.verification.axis import DEGREE, REACH, axis, neumann
+from robustlab.verification.balls import (
+    INDEFINITE,
+    PRECISIONS,
+    Definite,
+    Matrix,
+    definite,
+    diagonal,
+    identity,
+    inverse,
+    magnitudes,
+    midpoints,
+    part,
+    precision,
+    rounded_up,
+    stack,
+    zeros,
+)
+from robustlab.verification.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved, real, refuted, scalar
+from robustlab.verification.forms import Form, gain_form, read_blocks, scaled_form
+from robustlab.verification.models import Model, modal, model_of, norm_exceeds, stored
+from robustlab.verification.mu import covering
+from robustlab.verification.norms import climb
+from robustlab.verification.sets import fraction
+from robustlab.verification.stability import stable
+
+DOUBLINGS = 80  # of the frequency, in the search for one beyond which bounds of the resolvent are enough
+SMALL = 6  # K for weights: what they cover is small at low frequencies, the difference of numbers that are not
+NARROW = 1e-13  # a box in which M changes by less than this part will not gain from another halving
+
+
+@dataclass(frozen=True)
+class Delayed:
+    """The unknowns (x, w) of the module's text: ball matrices H (n + k, n + k), B, C, D, and the exact delays in s."""
+
+    H: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    delays: tuple[float, ...]
+
+    @property
+    def n(self) -> int:
+        """States."""
+        return self.size - len(self.delays)
+
+    @property
+    def size(self) -> int:
+        """Unknowns."""
+        return self.H.nrows()
+
+    def diagonal(self, state: Any, late: Callable[[arb], Any]) -> Matrix:
+        """The diagonal matrix with ``state`` for each state, ``late(tau)`` for each delay."""
+        entries = [acb(state)] * self.n + [acb(late(arb(t))) for t in self.delays]
+        return acb_mat(self.size, self.size, [x if i == j else 0 for i, x in enumerate(entries) for j in range(self.size)])
+
+    def at(self, w: float) -> Matrix:
+        """F at the exact frequency ``w``."""
+        return self.diagonal(acb(0, w), lambda t: _turned(w, t)) - self.H
+
+
+def _turned(w: float, tau: arb) -> acb:
+    return acb(0, arb(w) * tau).exp()
+
+
+def delayed(claim: Claim) -> Delayed:
+    """The model of a claim with its first channels closed by ``delays`` (k,) in s.
+
+    Raises InputError: a discrete model, delays that are not above zero, or more of them than channels.
+    """
+    G, delays = model_of(claim), real(claim, "delays", (None,))
+    k = len(delays)
+    if G.dt or not (delays > 0).all() or k > min(G.m, G.p):
+        raise InputError("delays", f"{delays.tolist()}, dt {G.dt}", "times above zero, one each of the first channels")
+    G, _ = modal(G)
+    own, late = slice(0, G.n), slice(0, k)
+    ins, outs = slice(k, G.m), slice(k, G.p)
+    return Delayed(
+        stack([[G.A, part(G.B, own, late)], [part(G.C, late, own), part(G.D, late, late)]]),
+        stack([[part(G.B, own, ins)], [part(G.D, late, ins)]]),
+        stack([[part(G.C, outs, own), part(G.D, outs, late)]]),
+        part(G.D, outs, ins),
+        tuple(delays.tolist()),
+    )
+
+
+# --- the axis --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Box:
+    """In a box of frequency: the coefficients of X(e), the rest in the last, and a bound of ``R N(e)``."""
+
+    X: list[Matrix]
+    N: Matrix
+
+
+def box_of(G: Delayed, w0: float, r: float, degree: int = DEGREE) -> Box | None:
+    """The box ``|w - w0| <= r`` as in the module's text; None where F was not proved to be regular in it."""
+    R = inverse(G.at(w0))
+    if R is None:
+        return None
+    turns = [arb(1)] + [arb(r) ** i / math.factorial(i) for i in range(1, degree + 1)]
+
+    def moved(i: int) -> Matrix:
+        state, power = acb(0, r) if i == 1 else acb(0), acb(0, 1) ** i * turns[i]
+        return G.diagonal(state, lambda t: power * t**i * _turned(w0, t))
+
+    def rest(i: int) -> Matrix:
+        return magnitudes(G.diagonal(r if i == 1 else 0, lambda t: turns[i] * t**i))
+
+    X, steps = [R * G.B], [R * moved(i) for i in range(1, degree)]
+    for k in range(1, degree):
+        X.append(-sum((steps[i - 1] * X[k - i] for i in range(2, k + 1)), steps[0] * X[k - 1]))
+    size = magnitudes(R)
+    N, Q = size * rest(1), rest(degree) * magnitudes(X[0])
+    for k in range(1, degree):
+        Q = Q + rest(degree - k) * magnitudes(X[k])
+    Z = neumann(N, size * Q)
+    if Z is None or neumann(N, _ones(G.size)) is None:
+        return None
+    return Box([*X, _around_zero(Z)], N)
+
+
+def _ones(n: int) -> Matrix:
+    return arb_mat(n, 1, [1] * n)
+
+
+def _around_zero(radii: Matrix) -> Matrix:
+    """Complex balls around zero that hold all numbers of at most these sizes."""
+    return acb_mat(radii.nrows(), radii.ncols(), [acb(arb(0, x), arb(0, x)) for x in radii.entries()])
+
+
+def narrow_arguments(N: Matrix) -> bool:
+    """Whether the principal argument of det(I + E) is the one that is continuous, for all ``|E| <= N`` (radius < 1)."""
+    return bool((identity(N.nrows()) - N).det() > (-arb.pi()).exp())
+
+
+def sweep(G: Delayed, a: float, b: float, test: Callable[[float, float, float, float], Definite], work: Work) -> Verdict:
+    """Whether ``test(low, middle, high, half width)`` holds in boxes that cover [a, b], from left to right.
+
+    A box that fails is halved; so is one that floating point sees to be wider than its roots are far.
+    """
+    todo, H = [(a, b)], midpoints(G.H)
+    delays = np.array(G.delays)
+    weights = np.concatenate([np.ones(G.n), delays])
+    while todo:
+        a, b = todo.pop()
+        w0 = min(max(a + (b - a) / 2, a), b)
+        r = max(rounded_up(arb(b) - arb(w0)), rounded_up(arb(w0) - arb(a)))
+        F = np.diag(np.concatenate([np.full(G.n, 1j * w0), np.exp(1j * w0 * delays)])) - H
+        speeds = np.abs(np.linalg.eigvals(np.abs(np.linalg.inv(F)) * weights)) if len(F) else np.zeros(1)
+        distance = 1 / max(float(speeds.max()), 1e-300)
+        if r <= REACH * distance:
+            work.spend(G.size)
+            answer = test(a, w0, b, r)
+            if answer.proved:
+                continue
+            if answer.least < INDEFINITE or r <= NARROW * distance:
+                return not_proved(f"at {w0:.9g} rad/s what has to be positive is {answer.least:.3g} of its size")
+        if not a < w0 < b:
+            return not_proved(f"a root on the axis, or nearly, at {w0:.9g} rad/s")
+        todo += [(w0, b), (a, w0)]
+    return PROVED
+
+
+def prove_axis(G: Delayed, intervals: Sequence[tuple[float, float, Form | None]], work: Work) -> Verdict:
+    """The loop is stable, and each interval's form is positive definite at each of its frequencies.
+
+    ``intervals``: low, high in rad/s, one after the other from 0 to inf; a form of None asks for stability alone.
+    Refuted: a root right of the axis was counted.
+    """
+    end = beyond(G, intervals[-1][2], intervals[-1][0], work)
+    if end is None:
+        return not_proved("high frequencies: bounds of the resolvent and of the echoes did not end the axis")
+    turned, determinants = arb(0), dict[float, acb]()
+
+    def argument(w: float, w0: float) -> arb:
+        for x in (w, w0):
+            determinants.setdefault(x, G.at(x).det())
+        return (determinants[w] / determinants[w0]).arg()
+
+    for low, high, form in intervals:
+        quadratic = None if form is None else form.of_sum(G.D, G.C)
+
+        def test(a: float, w0: float, b: float, r: float, quadratic: Any = quadratic) -> Definite:
+            nonlocal turned
+            box = box_of(G, w0, r)
+            if box is None or not narrow_arguments(box.N):
+                return Definite(False, math.nan)
+            answer = Definite(True, 1.0)
+            if quadratic is not None:
+                answer = definite(quadratic.at(box.X[0]), lambda S: quadratic.higher(box.X, S))
+            if answer.proved:
+                turned += argument(b, w0) - argument(a, w0)
+            return answer
+
+        verdict = sweep(G, low, min(high, end), test, work)
+        if not verdict.proved:
+            return verdict
+    S = G.diagonal(1 / acb(0, end), lambda t: _turned(-end, t))
+    last = (identity(G.size) - S * G.H).det().arg()
+    roots = arb(G.n) / 2 + (last - turned + arb(end) * sum(map(arb, G.delays), arb(0))) / arb.pi()
+    if roots < 1:
+        return PROVED
+    return refuted("a root right of the axis was counted") if roots > 0 else not_proved("the roots were not counted")
+
+
+def beyond(G: Delayed, form: Form | None, start: float, work: Work) -> float | None:
+    """A frequency from ``start`` on beyond which there is no root, and the form holds; None where none was found."""
+    H, B, C = (magnitudes(X) for X in (G.H, G.B, G.C))
+    speed = float(np.abs(np.linalg.eigvals(midpoints(H)[: G.n, : G.n])).max(initial=0.0))
+    end = max(start, speed, 1e-3 / max((*G.delays, 1e-300)))
+    for _ in range(DOUBLINGS):
+        work.spend(G.size)
+        S = magnitudes(G.diagonal(1 / arb(end), lambda t: 1))
+        N = S * H
+        if neumann(N, _ones(G.size)) is not None and narrow_arguments(N):
+            Y = neumann(N, S * B)
+            if form is None or (Y is not None and definite(form.of(G.D + _around_zero(C * Y))).proved):
+                return end
+        end *= 1.5
+    return None
+
+
+# --- claims ----------------------------------------------------------------------------------------------------------
+
+
+def prove_delayed_stable(claim: Claim, work: Work) -> Verdict:
+    """All roots of the loop with its ``delays`` lie left of the axis."""
+    return climb(lambda: prove_axis(delayed(claim), [(0.0, math.inf, None)], work))
+
+
+def prove_delayed_norm(claim: Claim, work: Work) -> Verdict:
+    """That, and its gain is at most ``gamma`` at all frequencies; ``frequency`` may be that of a counterexample."""
+    gamma = scalar(claim, "gamma")
+    if "frequency" in claim.numbers:
+        w = scalar(claim, "frequency", zero=True)
+        with precision(PRECISIONS[0]):
+            G = delayed(claim)
+            R = inverse(G.at(w))
+            if R is not None and norm_exceeds(G.D + G.C * R * G.B, gamma):
+                return refuted(f"the gain at {w:.9g} rad/s was proved to be larger")
+
+    def attempt() -> Verdict:
+        G = delayed(claim)
+        return prove_axis(G, [(0.0, math.inf, gain_form(G.D.ncols(), G.D.nrows(), gamma))], work)
+
+    return climb(attempt)
+
+
+def prove_delayed_mu(claim: Claim, work: Work) -> Verdict:
+    """The loop with its ``delays`` is stable for every Delta of the ``blocks`` within 1/``level``; as `prove_mu_axis`."""
+    if "band" in claim.numbers:
+        raise InputError("band", "a band", "none: the claim is that at all frequencies")
+    G = delayed(claim)
+    p, m = G.D.nrows(), G.D.ncols()
+    blocks, pieces, k = read_blocks(claim, m, p), covering(claim, 0.0), len(claim.numbers["low"])
+    D_w, D_z, X = (
+        complex_or_real(claim, name, (k, *shape)) for name, shape in (("D_w", (m, m)), ("D_z", (p, p)), ("G", (m, p)))
+    )
+
+    def attempt() -> Verdict:
+        forms = [(a, b, scaled_form(blocks, D_w[i], D_z[i], X[i], work)) for i, a, b in pieces]
+        if any(form is None for *_, form in forms):
+            return not_proved("D_w > 0 was not proved")
+        return prove_axis(delayed(claim), forms, work)
+
+    return climb(attempt)
+
+
+def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
+    r"""R is stable, and at all frequencies for all tau of the ``range`` (2,), in s
+
+    .. math:: |e^{-j\omega\tau} - R(j\omega)|^2 \le |W(j\omega)|^2 + \varepsilon^2 .
+
+    ``R_A ..``, ``W_A ..``: models of one input and output. ``tolerance``: epsilon, zero where left out. Evidence:
+    ``far``, in rad/s, from where on :math:`|W|^2 + \varepsilon^2 > 2 + 2 |R|^2 \ge (1 + |R|)^2`. Without a tolerance R
+    is the number 1, W(0) = 0 by rational numbers, and up to ``near`` :math:`|W / j\omega| > \tau_{\max}`, as
+    :math:`|e^{-j\omega\tau} - 1| \le \omega \tau`; :math:`W(s) = s\, C (sI - A)^{-1} A^{-1} B`.
+    """
+    low, high = real(claim, "range", (2,)).tolist()
+    far, exactly = scalar(claim, "far"), "tolerance" not in claim.numbers
+    near, epsilon = (scalar(claim, "near"), 0.0) if exactly else (0.0, scalar(claim, "tolerance"))
+    R, W = (stored(claim, name) for name in ("R_{}", "W_{}"))
+    if not 0 <= low <= high or not near <= far or R.dt or (R.m, R.p, W.m, W.p) != (1, 1, 1, 1):
+        raise InputError("range, near, far, R, W", f"{low}, {high}, {near}, {far}", "in order; one input, one output")
+
+    def attempt() -> Verdict:
+        R, W = (stored(claim, name) for name in ("R_{}", "W_{}"))
+        verdict = stable(R, None, work)
+        if exactly and verdict.proved:
+            verdict = _slope(R, W, near, high, work)
+        if verdict.proved:
+            form = Form(arb_mat([[arb(epsilon) ** 2 - 2]]), diagonal([arb(2), arb(-1)]), None)
+            verdict = axis(_beside(R, W), [(far, math.inf, form)], work)
+        for tau in dict.fromkeys((low, high)):
+            if verdict.proved:
+                verdict = _end_of_range(R, W, tau, epsilon, near, far, work)
+        if verdict.proved and low < high:
+            verdict = _no_opposite(R, low, high, near, far, work)
+        return verdict
+
+    return climb(attempt)
+
+
+def _beside(R: Model, W: Model) -> Model:
+    """R and W of one input, the outputs in this order."""
+    A = stack([[R.A, zeros(R.n, W.n)], [zeros(W.n, R.n), W.A]])
+    C = stack([[R.C, zeros(1, W.n)], [zeros(1, R.n), W.C]])
+    return Model(A, stack([[R.B], [W.B]]), C, stack([[R.D], [W.D]]), 0.0)
+
+
+def _slope(R: Model, W: Model, near: float, tau: float, work: Work) -> Verdict:
+    """``|e^(-jw t) - 1| <= w tau <= |W|`` up to ``near``, as the claim says."""
+    A, B, C, D = (fmpq_mat(X.nrows(), X.ncols(), [fraction(float(x)) for x in X.entries()]) for X in (W.A, W.B, W.C, W.D))
+    try:
+        zero = (D - C * A.solve(B))[0, 0] == 0
+    except ZeroDivisionError:
+        zero = False
+    over = inverse(W.A)
+    if R.n or R.D[0, 0] != 1 or not zero or over is None:
+        return not_proved("low frequencies: R is not 1, or W(0) is not zero")
+    form = Form(arb_mat([[-(arb(tau) ** 2)]]), -identity(1), None)
+    return axis(Model(W.A, over * W.B, W.C, zeros(1, 1), 0.0), [(0.0, near, form)], work)
+
+
+def _end_of_range(R: Model, W: Model, tau: float, epsilon: float, near: float, far: float, work: Work) -> Verdict:
+    """The inequality for one delay between ``near`` and ``far``: of the model ``[e^(-s tau) - R; W]``."""
+    both = _beside(R, W)
+    n, sign = both.n, diagonal([arb(-1), arb(1)])
+    G = Delayed(
+        stack([[both.A, zeros(n, 1)], [zeros(1, n), zeros(1, 1)]]), stack([[both.B], [identity(1)]]),
+        stack([[sign * both.C, arb_mat([[1], [0]])]]), sign * both.D, (tau,),
+    )  # fmt: skip
+    quadratic = Form(arb_mat([[arb(epsilon) ** 2]]), diagonal([arb(1), arb(-1)]), None).of_sum(G.D, G.C)
+
+    def test(a: float, w0: float, b: float, r: float) -> Definite:
+        box = box_of(G, w0, r, SMALL)
+        if box is None:
+            return Definite(False, math.nan)
+        return definite(quadratic.at(box.X[0]), lambda S: quadratic.higher(box.X, S))
+
+    return sweep(G, near, far, test, work)
+
+
+def _no_opposite(R: Model, low: float, high: float, near: float, far: float, work: Work) -> Verdict:
+    """The arc of all delays has nowhere between ``near`` and ``far`` the point opposite to R."""
+    G = Delayed(R.A, R.B, R.C, R.D, ())
+    half, middle = (arb(high) - arb(low)) / 2, (arb(low) + arb(high)) / 2
+
+    def test(a: float, w0: float, b: float, r: float) -> Definite:
+        box = box_of(G, w0, r)
+        if box is None:
+            return Definite(False, math.nan)
+        value = (G.D + G.C * sum((X * arb(0, 1) for X in box.X[1:]), box.X[0]))[0, 0]
+        angle = (value.conjugate() * acb(0, -middle * arb(w0, r)).exp()).arg()
+        return Definite(bool(angle.abs_upper() + arb(b) * half < arb.pi()), math.nan)
+
+    return sweep(G, near, far, test, work)
