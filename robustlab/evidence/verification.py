@@ -29,6 +29,13 @@ CLAIMS: Mapping[str, str] = {
     "DiskMargins": "designs.disk_claims",
     "DiskMargin": "designs.one_disk_claims",
     "BuiltModel": "designs.set_claims",
+    "Cover": "covers.cover_claims",
+    "DelayStability": "delays.stability_claims",
+    "DelayGain": "delays.gain_claims",
+    "DelayDiskMargins": "delays.disk_claims",
+    "DelayedDesign": "delays.design_claims",
+    "NeglectedWeight": "delays.neglected_claims",
+    "UncertainModel": "delays.set_claims",
 }
 
 

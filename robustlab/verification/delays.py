@@ -263,7 +263,7 @@ def beyond(G: Delayed, form: Form | None, start: float, work: Work) -> float | N
     """A frequency from ``start`` on beyond which there is no root, and the form holds; None where none was found."""
     H, B, C = (magnitudes(X) for X in (G.H, G.B, G.C))
     speed = float(np.abs(np.linalg.eigvals(midpoints(H)[: G.n, : G.n])).max(initial=0.0))
-    end = max(start, speed, 1e-3 / max((*G.delays, 1e-300)))
+    end = max(start, speed, *(1e-3 / t for t in G.delays)) or 1.0
     for _ in range(DOUBLINGS):
         work.spend(G.size)
         S = magnitudes(G.diagonal(1 / arb(end), lambda t: 1))
