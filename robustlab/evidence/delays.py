@@ -89,7 +89,7 @@ def disk_claims(found: DelayDiskMargins) -> list[Claim]:
 def _scalings(model: DelayedModel, blocks: Sequence[Block], level: float) -> Numbers | None:
     """Intervals that cover the axis, each with the D of one of its points that keeps mu below the level in it."""
     speed = float(np.abs(model.pade(2).poles()).max(initial=1.0))
-    cuts = [0.0, *np.geomspace(1e-4 * speed, 1e4 * speed, 17).tolist(), np.inf]
+    cuts = [0.0, *np.geomspace(1e-2 * speed, 10.0 * speed, 10).tolist(), np.inf]
     todo = [(a, b, CUTS) for a, b in itertools.pairwise(cuts)]
     found: list[tuple[float, float, Array]] = []
     while todo:

@@ -77,6 +77,8 @@ BAND = _Kind(  # "mu-axis" where a band is given
     prove_mu_axis, f"{NONE} makes I - M(jw) Delta singular at a frequency of the band up to pi/dt", "level", "mu <=")
 NEARLY = _Kind(prove_set, "the set is the nominal model at parameters 0 and the perturbed one at 1", "tolerance",
                "every entry to within the tolerance")  # "set" where one is given
+MEMBER = _Kind(prove_set, "the model is the member of the set at the given parameters, within their ranges",
+               "tolerance", "every entry to within the tolerance")  # "set" with parameters
 ROUNDED = _Kind(  # "delay-weight" where one is given
     prove_delay_weight, "the weight and the tolerance cover what R misses of every delay of the range, at all "
     "frequencies", "tolerance", "tolerance")
@@ -104,7 +106,7 @@ def check(claim: Claim, *, effort: int = EFFORT) -> Verification:
     if claim.kind == "mu-axis" and "band" in claim.numbers:
         kind = BAND
     if claim.kind == "set" and "tolerance" in claim.numbers:
-        kind = NEARLY
+        kind = MEMBER if "delta" in claim.numbers else NEARLY
     if claim.kind == "delay-weight" and "tolerance" in claim.numbers:
         kind = ROUNDED
     number = None
