@@ -270,10 +270,26 @@ def beyond(G: Delayed, form: Form | None, start: float, work: Work) -> float | N
         N = S * H
         if neumann(N, _ones(G.size)) is not None and narrow_arguments(N):
             Y = neumann(N, S * B)
-            if form is None or (Y is not None and definite(form.of(G.D + _around_zero(C * Y))).proved):
+            if form is None or (Y is not None and _holds_about(form, G.D, C * Y)):
                 return end
         end *= 1.5
     return None
+
+
+def _holds_about(form: Form, D: Matrix, radii: Matrix) -> bool:
+    """Whether the form is positive definite at every M with ``|M - D| <= radii`` entry by entry.
+
+    In balls; or, of scalings that are diagonal, at the one matrix of the largest moduli: w^* F w is at least what F of
+    that one gives for the moduli of w.
+    """
+    if definite(form.of(D + _around_zero(radii))).proved:
+        return True
+    plain = form.G is None and all(_is_diagonal(X) for X in (form.weighted, form.D_z))
+    return plain and definite(form.of(magnitudes(D) + radii)).proved
+
+
+def _is_diagonal(X: Matrix) -> bool:
+    return all(X[i, j] == 0 for i in range(X.nrows()) for j in range(X.ncols()) if i != j)
 
 
 # --- claims ----------------------------------------------------------------------------------------------------------
