@@ -57,6 +57,7 @@ from robustlab.verification.balls import (
     PRECISIONS,
     Definite,
     Matrix,
+    adjoint,
     definite,
     diagonal,
     identity,
@@ -277,19 +278,29 @@ def beyond(G: Delayed, form: Form | None, start: float, work: Work) -> float | N
 
 
 def _holds_about(form: Form, D: Matrix, radii: Matrix) -> bool:
-    """Whether the form is positive definite at every M with ``|M - D| <= radii`` entry by entry.
+    r"""Whether the form is positive definite at every M with ``|M - D| <= radii`` entry by entry.
 
-    In balls; or, of scalings that are diagonal, at the one matrix of the largest moduli: w^* F w is at least what F of
-    that one gives for the moduli of w.
+    In balls; or, of D_z diagonal and not negative, G = 0: for any t > 0 (Young) :math:`M^* D_z M \le (1 + t) D^* D_z D +
+    (1 + 1/t) \lambda I`, where :math:`\lambda I \ge \mathrm{radii}^T D_z\, \mathrm{radii}`. Floating point takes t.
     """
     if definite(form.of(D + _around_zero(radii))).proved:
         return True
-    plain = form.G is None and all(_is_diagonal(X) for X in (form.weighted, form.D_z))
-    return plain and definite(form.of(magnitudes(D) + radii)).proved
+    if form.G is not None or not _is_diagonal(form.D_z):
+        return False
+    inner, outer = adjoint(D) * (form.D_z * D), radii.transpose() * (form.D_z * radii)
+    largest, size = (float(np.abs(np.linalg.eigvals(midpoints(X))).max(initial=0.0)) for X in (outer, inner))
+    above, t = arb(largest * (1 + 1e-9)), math.sqrt(largest / max(size, 1e-12 * largest)) if largest else 1.0
+    one = identity(D.ncols())
+    return (
+        definite(one * above - outer).proved
+        and definite(form.of(D) - inner * arb(t) - one * (above * (1 + 1 / arb(t)))).proved
+    )
 
 
 def _is_diagonal(X: Matrix) -> bool:
-    return all(X[i, j] == 0 for i in range(X.nrows()) for j in range(X.ncols()) if i != j)
+    """And not negative."""
+    n = X.nrows()
+    return all(X[i, j] == 0 if i != j else X[i, i].real >= 0 for i in range(n) for j in range(n))
 
 
 # --- claims ----------------------------------------------------------------------------------------------------------
