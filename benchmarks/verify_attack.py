@@ -200,7 +200,9 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--plant", choices=list(PLANTS), help="look for one planted fault only")
     parser.add_argument("--plants", action="store_true", help="look for each planted fault only")
-    parser.add_argument("--kinds", nargs="+", choices=list(PLAN), help="claims of these kinds alone; nothing is written")
+    parser.add_argument(
+        "--kinds", nargs="+", choices=list(PLAN), help="claims of these kinds alone; nothing is written"
+    )
     parser.add_argument("--keep", type=Path, help="folder for what is found wrong")
     options = parser.parse_args()
     if options.plant:

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import robustlab as rl
-from robustlab.evidence import claims_of
 from robustlab.delays.neglected import neglected_weight
+from robustlab.evidence import claims_of
 from robustlab.evidence.bounded_real import norm_matrix
 from robustlab.evidence.norms import gramian_claims
 from robustlab.evidence.numbers import loop_numbers, matrices

@@ -46,7 +46,9 @@ def judged(kind: str, numbers: Numbers, proved: bool, loop: Quad | None = None) 
 def _grid(G: Any, delays: Any) -> Any:
     """Frequencies about the poles, and along the turns of the delays."""
     sizes = np.abs(np.linalg.eigvals(G[0])) if len(G[0]) else np.ones(1)
-    far = 30 * max(float(sizes.max(initial=0.0)), float(np.abs(G[1]).max(initial=0.0) * np.abs(G[2]).max(initial=0.0)), 1.0)
+    far = 30 * max(
+        float(sizes.max(initial=0.0)), float(np.abs(G[1]).max(initial=0.0) * np.abs(G[2]).max(initial=0.0)), 1.0
+    )
     turns = np.linspace(0, 60, POINTS) / max(float(delays.max(initial=0.0)), 1e-3)
     return np.unique(np.concatenate([[0.0], np.geomspace(1e-4, far, POINTS), turns]))
 
@@ -63,7 +65,7 @@ def _characteristic(G: Any, delays: Any, s: Any, exp: Any) -> Any:
 
 
 def _response(G: Any, delays: Any, w: Any, long_: bool) -> Any:
-    A, B, C, D = G
+    _, B, C, D = G
     k = len(delays)
     s, exp, solver = (mp.mpc(0, w), mp.exp, solve) if long_ else (1j * w, np.exp, np.linalg.solve)
     F = _characteristic(G, delays, s, exp)
@@ -223,7 +225,7 @@ def _fits(table: Any, D_w: Any, D_z: Any, G: Any) -> bool:
 
 
 def _of_weight(numbers: Numbers) -> str:
-    """A weight that was proved to cover: R stable in rationals, frequencies and delays that may break it in 60 digits."""
+    """A weight that was proved: R stable in rationals, frequencies and delays that may break it in 60 digits."""
     R, W = (tuple(rational(numbers[f"{which}_{x}"]) for x in "ABCD") for which in "RW")
     if not is_stable(R[0], 0.0):
         return "false: R is not stable"

@@ -1,4 +1,4 @@
-"""Claims about covers: each model is a member of the set, at real parameters that are given, or by the norm of its error.
+"""Claims about covers: each model is a member of the set, at given real parameters, or by the norm of its error.
 
 What is claimed is claimed of the models, the set and the weight as they are stored, not of a Delta that was computed.
 """
@@ -6,6 +6,7 @@ What is claimed is claimed of the models, the set and the weight as they are sto
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from robustlab.evidence.norms import above, proof_of_norm
 from robustlab.evidence.numbers import Numbers, block_rows, loop_numbers, matrices, model_numbers
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import RealScalar
 from robustlab.verification.claim import Claim
 
 ROUNDING = 1e-14  # of the largest entry: allowed for beside what the result says that a member misses
@@ -26,12 +28,12 @@ def cover_claims(found: Cover) -> list[Claim]:
         return []
     if found.form == ADDITIVE:
         return _norms(found)
-    return _members(found) if all(b.interval for b in found.model.blocks) else []
+    blocks = [b for b in found.model.blocks if isinstance(b, RealScalar)]
+    return _members(found, blocks) if len(blocks) == len(found.model.blocks) else []
 
 
-def _members(found: Cover) -> list[Claim]:
+def _members(found: Cover, blocks: Sequence[RealScalar]) -> list[Claim]:
     """Each model is the member at its parameters, every entry to within a tolerance."""
-    blocks = found.model.blocks
     common: Numbers = {
         **{key: value for key, value in model_numbers(found.model.M).items() if key != "dt"},
         **matrices(found.model.nominal, "{}0"), "blocks": block_rows(blocks),

@@ -148,7 +148,7 @@ def _weight(R: StateSpaceModel, W: StateSpaceModel, low: float, high: float, mor
 
 
 def _far(R: StateSpaceModel, W: StateSpaceModel, low: float, high: float) -> float:
-    """Where the weight has passed all that can be missed, before the arc of the delays reaches what is opposite to R."""
+    """Where the weight has passed all that can be missed, before the arc of the delays reaches the opposite of R."""
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     omega = GRID / middle
     r, w = (frequency_response(G, omega)[:, 0, 0] for G in (R, W))

@@ -13,12 +13,8 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.verification.balls import PRECISIONS, precision, rounded_down
 from robustlab.verification.boxes import prove_mu_boxes
 from robustlab.verification.claim import Claim, Verdict, Verification, Work, not_proved
-from robustlab.verification.delays import (
-    prove_delay_weight,
-    prove_delayed_mu,
-    prove_delayed_norm,
-    prove_delayed_stable,
-)
+from robustlab.verification.delay_weights import prove_delay_weight
+from robustlab.verification.delays import prove_delayed_mu, prove_delayed_norm, prove_delayed_stable
 from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
 from robustlab.verification.models import difference, loop, model_of, stored
 from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper

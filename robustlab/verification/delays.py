@@ -1,7 +1,7 @@
-r"""Models with exact delays: stability, gains and mu of the loop, and weights that cover what a rational delay misses.
+r"""Models with exact delays: stability, gain and mu of the loop.
 
-The first k inputs w and outputs z of a continuous model are closed by :math:`w_i(t) = z_i(t - \tau_i)`. With x and w as
-unknowns, :math:`H = \begin{pmatrix} A & B_1 \\ C_1 & D_{11} \end{pmatrix}`, B and C what is left of the columns and rows,
+The first k inputs w and outputs z of a continuous model are closed by :math:`w_i(t) = z_i(t - \tau_i)`. With x and w
+as unknowns, :math:`H = \begin{pmatrix} A & B_1 \\ C_1 & D_{11} \end{pmatrix}`, B, C what is left of columns and rows,
 
 .. math:: M(s) = D_{22} + C F(s)^{-1} B, \qquad F(s) = \mathrm{diag}(s I, e^{s \tau_i}) - H .
 
@@ -32,9 +32,6 @@ the difference of the principal arguments of :math:`\det(R F)` at its ends; and 
 roots lie right of the axis. A ball below one leaves none, one above zero leaves at least one. Where there is none, the
 poles lie left of a line left of the axis (the echoes :math:`|D_{11}|` die away), and M is bounded on the right.
 
-**Weights.** `prove_delay_weight` says what is claimed. At each frequency :math:`|e^{-j\omega\tau} - R|` is largest at an
-end of the range of tau, unless the arc has the point opposite to R, and is never above 1 + |R|.
-
 References
 ----------
 Michiels, Niculescu, *Stability, Control, and Computation for Time-Delay Systems* (2014), chapters 1 and 2.
@@ -48,10 +45,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from flint import acb, acb_mat, arb, arb_mat, fmpq_mat
+from flint import acb, acb_mat, arb, arb_mat
 
 from robustlab.errors import InputError
-from robustlab.verification.axis import DEGREE, REACH, axis, neumann
+from robustlab.verification.axis import DEGREE, REACH, neumann
 from robustlab.verification.balls import (
     INDEFINITE,
     PRECISIONS,
@@ -59,7 +56,6 @@ from robustlab.verification.balls import (
     Matrix,
     adjoint,
     definite,
-    diagonal,
     identity,
     inverse,
     magnitudes,
@@ -68,20 +64,28 @@ from robustlab.verification.balls import (
     precision,
     rounded_up,
     stack,
-    zeros,
 )
-from robustlab.verification.claim import PROVED, Claim, Verdict, Work, complex_or_real, not_proved, real, refuted, scalar
+from robustlab.verification.claim import (
+    PROVED,
+    Claim,
+    Verdict,
+    Work,
+    complex_or_real,
+    not_proved,
+    real,
+    refuted,
+    scalar,
+)
 from robustlab.verification.forms import Form, gain_form, read_blocks, scaled_form
-from robustlab.verification.models import Model, modal, model_of, norm_exceeds, stored
+from robustlab.verification.models import Model, modal, model_of, norm_exceeds
 from robustlab.verification.mu import covering
 from robustlab.verification.norms import climb
-from robustlab.verification.sets import fraction
-from robustlab.verification.stability import stable
 
 DOUBLINGS = 80  # of the frequency, in the search for one beyond which bounds of the resolvent are enough
-SMALL = 6  # K for weights: what they cover is small at low frequencies, the difference of numbers that are not
 WORSE = 10.0  # modal coordinates are used where no more than this is lost in the cancellation of what they add up
 NARROW = 1e-13  # a box in which M changes by less than this part will not gain from another halving
+
+Test = Callable[[float, float, float, float], Definite]
 
 
 @dataclass(frozen=True)
@@ -107,7 +111,9 @@ class Delayed:
     def diagonal(self, state: Any, late: Callable[[arb], Any]) -> Matrix:
         """The diagonal matrix with ``state`` for each state, ``late(tau)`` for each delay."""
         entries = [acb(state)] * self.n + [acb(late(arb(t))) for t in self.delays]
-        return acb_mat(self.size, self.size, [x if i == j else 0 for i, x in enumerate(entries) for j in range(self.size)])
+        return acb_mat(
+            self.size, self.size, [x if i == j else 0 for i, x in enumerate(entries) for j in range(self.size)]
+        )
 
     def at(self, w: float) -> Matrix:
         """F at the exact frequency ``w``."""
@@ -198,8 +204,8 @@ def narrow_arguments(N: Matrix) -> bool:
     return bool((identity(N.nrows()) - N).det() > (-arb.pi()).exp())
 
 
-def sweep(G: Delayed, a: float, b: float, test: Callable[[float, float, float, float], Definite], work: Work) -> Verdict:
-    """Whether ``test(low, middle, high, half width)`` holds in boxes that cover [a, b], from left to right.
+def sweep(G: Delayed, a: float, b: float, test: Test, work: Work) -> Verdict:
+    """Whether ``test(low, middle, high, half width)``, in rad/s, holds in boxes that cover [a, b], from left to right.
 
     A box that fails is halved; so is one that floating point sees to be wider than its roots are far.
     """
@@ -288,8 +294,8 @@ def beyond(G: Delayed, form: Form | None, start: float, work: Work) -> float | N
 def _holds_about(form: Form, D: Matrix, radii: Matrix) -> bool:
     r"""Whether the form is positive definite at every M with ``|M - D| <= radii`` entry by entry.
 
-    In balls; or, of D_z diagonal and not negative, G = 0: for any t > 0 (Young) :math:`M^* D_z M \le (1 + t) D^* D_z D +
-    (1 + 1/t) \lambda I`, where :math:`\lambda I \ge \mathrm{radii}^T D_z\, \mathrm{radii}`. Floating point takes t.
+    In balls; or, of D_z diagonal and not negative, G = 0: for any t > 0 (Young)
+    :math:`M^* D_z M \le (1 + t) D^* D_z D + (1 + 1/t) \lambda I`, where :math:`\lambda I \ge \mathrm{radii}^T D_z\, \mathrm{radii}`. Floating point takes t.
     """
     if definite(form.of(D + _around_zero(radii))).proved:
         return True
@@ -338,7 +344,7 @@ def prove_delayed_norm(claim: Claim, work: Work) -> Verdict:
 
 
 def prove_delayed_mu(claim: Claim, work: Work) -> Verdict:
-    """The loop with its ``delays`` is stable for every Delta of the ``blocks`` within 1/``level``; as `prove_mu_axis`."""
+    """The loop with its ``delays`` is stable for every Delta of the ``blocks`` within 1/``level``: `prove_mu_axis`."""
     if "band" in claim.numbers:
         raise InputError("band", "a band", "none: the claim is that at all frequencies")
     G = delayed(claim)
@@ -355,94 +361,3 @@ def prove_delayed_mu(claim: Claim, work: Work) -> Verdict:
         return prove_axis(delayed(claim), forms, work)
 
     return climb(attempt)
-
-
-def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
-    r"""R is stable, and at all frequencies for all tau of the ``range`` (2,), in s
-
-    .. math:: |e^{-j\omega\tau} - R(j\omega)|^2 \le |W(j\omega)|^2 + \varepsilon^2 .
-
-    ``R_A ..``, ``W_A ..``: models of one input and output. ``tolerance``: epsilon, zero where left out. Evidence:
-    ``far``, in rad/s, from where on :math:`|W|^2 + \varepsilon^2 > 2 + 2 |R|^2 \ge (1 + |R|)^2`. Without a tolerance R
-    is the number 1, W(0) = 0 by rational numbers, and up to ``near`` :math:`|W / j\omega| > \tau_{\max}`, as
-    :math:`|e^{-j\omega\tau} - 1| \le \omega \tau`; :math:`W(s) = s\, C (sI - A)^{-1} A^{-1} B`.
-    """
-    low, high = real(claim, "range", (2,)).tolist()
-    far, exactly = scalar(claim, "far"), "tolerance" not in claim.numbers
-    near, epsilon = (scalar(claim, "near"), 0.0) if exactly else (0.0, scalar(claim, "tolerance"))
-    R, W = (stored(claim, name) for name in ("R_{}", "W_{}"))
-    if not 0 <= low <= high or not near <= far or R.dt or (R.m, R.p, W.m, W.p) != (1, 1, 1, 1):
-        raise InputError("range, near, far, R, W", f"{low}, {high}, {near}, {far}", "in order; one input, one output")
-
-    def attempt() -> Verdict:
-        R, W = (stored(claim, name) for name in ("R_{}", "W_{}"))
-        verdict = stable(R, None, work)
-        if exactly and verdict.proved:
-            verdict = _slope(R, W, near, high, work)
-        if verdict.proved:
-            form = Form(arb_mat([[arb(epsilon) ** 2 - 2]]), diagonal([arb(2), arb(-1)]), None)
-            verdict = axis(_beside(R, W), [(far, math.inf, form)], work)
-        for tau in dict.fromkeys((low, high)):
-            if verdict.proved:
-                verdict = _end_of_range(R, W, tau, epsilon, near, far, work)
-        if verdict.proved and low < high:
-            verdict = _no_opposite(R, low, high, near, far, work)
-        return verdict
-
-    return climb(attempt)
-
-
-def _beside(R: Model, W: Model) -> Model:
-    """R and W of one input, the outputs in this order."""
-    A = stack([[R.A, zeros(R.n, W.n)], [zeros(W.n, R.n), W.A]])
-    C = stack([[R.C, zeros(1, W.n)], [zeros(1, R.n), W.C]])
-    return Model(A, stack([[R.B], [W.B]]), C, stack([[R.D], [W.D]]), 0.0)
-
-
-def _slope(R: Model, W: Model, near: float, tau: float, work: Work) -> Verdict:
-    """``|e^(-jw t) - 1| <= w tau <= |W|`` up to ``near``, as the claim says."""
-    A, B, C, D = (fmpq_mat(X.nrows(), X.ncols(), [fraction(float(x)) for x in X.entries()]) for X in (W.A, W.B, W.C, W.D))
-    try:
-        zero = (D - C * A.solve(B))[0, 0] == 0
-    except ZeroDivisionError:
-        zero = False
-    over = inverse(W.A)
-    if R.n or R.D[0, 0] != 1 or not zero or over is None:
-        return not_proved("low frequencies: R is not 1, or W(0) is not zero")
-    form = Form(arb_mat([[-(arb(tau) ** 2)]]), -identity(1), None)
-    return axis(Model(W.A, over * W.B, W.C, zeros(1, 1), 0.0), [(0.0, near, form)], work)
-
-
-def _end_of_range(R: Model, W: Model, tau: float, epsilon: float, near: float, far: float, work: Work) -> Verdict:
-    """The inequality for one delay between ``near`` and ``far``: of the model ``[e^(-s tau) - R; W]``."""
-    both = _beside(R, W)
-    n, sign = both.n, diagonal([arb(-1), arb(1)])
-    G = Delayed(
-        stack([[both.A, zeros(n, 1)], [zeros(1, n), zeros(1, 1)]]), stack([[both.B], [identity(1)]]),
-        stack([[sign * both.C, arb_mat([[1], [0]])]]), sign * both.D, (tau,),
-    )  # fmt: skip
-    quadratic = Form(arb_mat([[arb(epsilon) ** 2]]), diagonal([arb(1), arb(-1)]), None).of_sum(G.D, G.C)
-
-    def test(a: float, w0: float, b: float, r: float) -> Definite:
-        box = box_of(G, w0, r, SMALL)
-        if box is None:
-            return Definite(False, math.nan)
-        return definite(quadratic.at(box.X[0]), lambda S: quadratic.higher(box.X, S))
-
-    return sweep(G, near, far, test, work)
-
-
-def _no_opposite(R: Model, low: float, high: float, near: float, far: float, work: Work) -> Verdict:
-    """The arc of all delays has nowhere between ``near`` and ``far`` the point opposite to R."""
-    G = Delayed(R.A, R.B, R.C, R.D, ())
-    half, middle = (arb(high) - arb(low)) / 2, (arb(low) + arb(high)) / 2
-
-    def test(a: float, w0: float, b: float, r: float) -> Definite:
-        box = box_of(G, w0, r)
-        if box is None:
-            return Definite(False, math.nan)
-        value = (G.D + G.C * sum((X * arb(0, 1) for X in box.X[1:]), box.X[0]))[0, 0]
-        angle = (value.conjugate() * acb(0, -middle * arb(w0, r)).exp()).arg()
-        return Definite(bool(angle.abs_upper() + arb(b) * half < arb.pi()), math.nan)
-
-    return sweep(G, near, far, test, work)

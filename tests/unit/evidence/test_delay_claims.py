@@ -31,6 +31,10 @@ def designed():
     return rl.hinf(rl.with_delays(P, inputs={2: 0.5}), n_meas=1, n_con=1)
 
 
+def smaller(margin):
+    return replace(margin, lower=1.0001 * margin.upper)
+
+
 RESULTS = {
     "stability": lambda: rl.robust_stability((2.0 * LATE).feedback()),
     "gain": lambda: rl.peak_gain((2.0 * LATE).feedback()),
@@ -63,7 +67,7 @@ def test_every_claim_is_proved(name):
         ("gain", lambda r: replace(r, upper=0.9999 * r.lower)),
         ("gain", lambda r: replace(r, system=(2.05 * LATE).feedback())),
         ("disk margin", lambda r: replace(r, gain=replace(r.gain, upper=0.9999 * r.gain.lower))),
-        ("disk margins", lambda r: replace(r, simultaneous=replace(r.simultaneous, lower=1.0001 * r.simultaneous.upper))),
+        ("disk margins", lambda r: replace(r, simultaneous=smaller(r.simultaneous))),
         ("design", lambda r: replace(r, K=3.0 * r.K)),
         ("design", lambda r: replace(r, gain=replace(r.gain, upper=0.9999 * r.gain.lower))),
         ("neglected", lambda r: replace(r, delay=1.06 * r.delay)),

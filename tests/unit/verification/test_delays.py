@@ -81,9 +81,7 @@ def test_several_delays_and_mu():
     two = CHANNEL | {"A": A, "B": B, "C": np.vstack([np.eye(2)] * 2), "D": np.zeros((4, 4)), "delays": [0.3, 0.7]}
     two["delays"] = np.array(two["delays"])
     w = np.linspace(0, 20, 200_001)
-    peak = max(
-        np.abs(1 / (1j * w + a + np.exp(-1j * w * t))).max() for a, t in ((1.0, 0.3), (2.0, 0.7))
-    )
+    peak = max(np.abs(1 / (1j * w + a + np.exp(-1j * w * t))).max() for a, t in ((1.0, 0.3), (2.0, 0.7)))
     mu = {
         "blocks": np.array([[1, 1, 1], [1, 1, 1]]), "low": np.array([0.0, 1.0]), "high": np.array([1.0, np.inf]),
         "D_w": np.stack([np.eye(2)] * 2), "D_z": np.stack([np.eye(2)] * 2), "G": np.zeros((2, 2, 2)),
