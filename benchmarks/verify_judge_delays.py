@@ -93,6 +93,7 @@ def _root_on_the_right(exact: Any, floats: Any, delays: Any, grid: Any) -> bool:
     size = float(np.abs(F).max())
     shifts = (0.0, 0.3, 3.0)
     points = [complex(x * (1 + abs(grid[i])), grid[i]) for i in starts for x in shifts] + [1e-2, 1e-1, 1.0, size]
+    points += [r * np.exp(1j * angle) for r in np.geomspace(1e-2, 30.0, 8) for angle in (0.0, 0.4, 0.8, 1.2, 1.5)]
     return any(_newton(exact, floats, delays, complex(s)) for s in points)
 
 
