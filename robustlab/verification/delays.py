@@ -295,8 +295,8 @@ def _holds_about(form: Form, D: Matrix, radii: Matrix) -> bool:
     r"""Whether the form is positive definite at every M with ``|M - D| <= radii`` entry by entry.
 
     In balls; or, of D_z diagonal and not negative, G = 0: for any t > 0 (Young)
-    :math:`M^* D_z M \le (1 + t) D^* D_z D + (1 + 1/t) \lambda I`, :math:`\lambda I \ge \mathrm{radii}^T D_z\, \mathrm{radii}`.
-    Floating point takes t.
+    :math:`M^* D_z M \le (1 + t) D^* D_z D + (1 + 1/t) \lambda I`, where :math:`\lambda I` is above
+    :math:`\mathrm{radii}^T D_z\, \mathrm{radii}`. Floating point takes t.
     """
     if definite(form.of(D + _around_zero(radii))).proved:
         return True
