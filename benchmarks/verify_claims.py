@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import robustlab as rl
+from robustlab.delays.neglected import neglected_weight
 from robustlab.evidence import claims_of
 from robustlab.evidence.bounded_real import norm_matrix
 from robustlab.evidence.norms import band_scalings, gramian_claims
@@ -434,9 +435,68 @@ def set_case(rng: Rng) -> Case:
     for end, X in (("0", base), ("1", moved)):
         numbers |= {f"A{end}": X[:n, :n], f"B{end}": X[:n, n:], f"C{end}": X[n:, :n], f"D{end}": X[n:, n:]}
     numbers["blocks"] = np.array(blocks, dtype=np.int64).reshape(-1, 3)
-    if rng.random() < 0.3:
+    if rng.random() < 0.3:  # a member at parameters, met but for rounding
+        delta = np.round(rng.uniform(-1, 1, len(blocks)), 2)
+        each = np.repeat(delta, [rows for _, rows, _ in blocks])
+        inside = whole[inner, inner] * each
+        moved = base + whole[kept[0]][:, inner] * each @ np.linalg.solve(np.eye(q) - inside, whole[inner][:, kept[1]])
+        numbers |= {"delta": delta, "ranges": np.tile([-1.0, 1.0], (len(blocks), 1)), "tolerance": np.array(1e-13)}
+        numbers |= {"A1": moved[:n, :n], "B1": moved[:n, n:], "C1": moved[n:, :n], "D1": moved[n:, n:]}
+    elif rng.random() < 0.3:
         numbers["tolerance"] = np.array(10 ** rng.uniform(-9, -2))
     return Case("set", numbers)
+
+
+# --- delays ----------------------------------------------------------------------------------------------------------
+
+
+def delayed(rng: Rng, m: int, p: int) -> rl.DelayedModel:
+    """A model with one or two delays in loops of its own, some of which make it unstable: lags, integrators, echoes."""
+    n, k = int(rng.integers(1, 4)), int(rng.integers(1, 3))
+    G = model(rng, n, k + m, k + p, 0.0)
+    A, D = G.A.copy(), G.D.copy()
+    D[:k, :k] *= rng.random() < 0.3
+    if rng.random() < 0.2:
+        A[0] = 0.0  # an integrator that the loop may move
+    scale = 10 ** rng.uniform(-1.5, 0.3)
+    B, C = G.B.copy(), G.C.copy()
+    B[:, :k], D[:, :k] = scale * B[:, :k], min(scale, 0.5) * D[:, :k]
+    return rl.DelayedModel(rl.StateSpaceModel(A, B, C, D), 10 ** rng.uniform(-1.5, 0.5, k))
+
+
+def delayed_case(rng: Rng, kind: str) -> Case | None:
+    """delayed-stable, delayed-norm, delayed-mu."""
+    rows = [[1, 1, 1], [1, 1, 1]] if rng.random() < 0.5 else [[2, 1, 2], [1, 1, 1]]
+    m, p = (2, 2 if rows[0][2] == 1 else 3) if kind == "delayed-mu" else (int(x) for x in rng.integers(1, 3, 2))
+    G = delayed(rng, m, p)
+    found = rl.robust_stability(G) if kind == "delayed-stable" else rl.peak_gain(G)
+    claims = claims_of(found)
+    if not claims:
+        return None
+    numbers = dict(claims[0].numbers)
+    if kind == "delayed-mu":
+        cuts = np.sort(10 ** rng.uniform(-1, 1, 2))
+        ends = {"low": np.array([0.0, *cuts]), "high": np.array([*cuts, np.inf])}
+        D = np.stack([np.eye(max(m, p))] * 3) * 2.0 ** rng.integers(-1, 2, (3, 1, 1))
+        scalings = {"D_w": D[:, :m, :m], "D_z": D[:, :p, :p], "G": np.zeros((3, m, p))}
+        numbers |= {"blocks": np.array(rows, dtype=np.int64), "level": numbers["gamma"] * slack(rng)} | ends | scalings
+        numbers = {x: np.array(v) for x, v in numbers.items() if x not in ("gamma", "frequency")}
+    elif kind == "delayed-norm":
+        numbers["gamma"] = np.array(float(numbers["gamma"]) * (slack(rng) if rng.random() < 0.5 else 1.0))
+        if rng.random() < 0.5:
+            numbers.pop("frequency", None)
+    return Case(kind, numbers)
+
+
+def weight_case(rng: Rng) -> Case:
+    """Weights of a rational delay, of a range, of a delay that is left out."""
+    tau = float(10 ** rng.uniform(-2, 1))
+    if rng.random() < 0.3:
+        claims = claims_of(neglected_weight(tau, order=int(rng.choice([1, 3]))))
+    else:
+        spread = tau * float(rng.choice([0.0, 0.1, 0.5, 1.0]))
+        claims = claims_of(rl.delay(tau).uncertain(int(rng.integers(1, 4)), spread=spread))
+    return Case("delay-weight", dict(claims[0].numbers))
 
 
 MAKERS: dict[str, Callable[[Rng], Case | None]] = {
@@ -455,6 +515,10 @@ MAKERS: dict[str, Callable[[Rng], Case | None]] = {
     "worst-gain-boxes": lambda rng: gain_case(rng, "worst-gain-boxes"),
     "unstable-member": lambda rng: margin_case(rng, "unstable-member"),
     "set": set_case,
+    "delayed-stable": lambda rng: delayed_case(rng, "delayed-stable"),
+    "delayed-norm": lambda rng: delayed_case(rng, "delayed-norm"),
+    "delayed-mu": lambda rng: delayed_case(rng, "delayed-mu"),
+    "delay-weight": weight_case,
 }
 
 __all__ = ["MAKERS", "Case"]

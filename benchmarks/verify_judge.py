@@ -33,6 +33,7 @@ from verify_exact import (
     spectral_norm,
     star,
 )
+from verify_judge_delays import DELAYED, judged
 
 import robustlab as rl
 
@@ -68,6 +69,9 @@ def judge(kind: str, numbers: Numbers, proved: bool, hints: Sequence[Any] = (), 
     rng = np.random.default_rng(seed)
     if kind in ("stable", *NORMS, "gramian"):
         return _of_norm(kind, numbers, proved)
+    if kind in DELAYED:
+        word = judged(kind, numbers, proved, _closed_loop(numbers) if "P_A" in numbers else None)
+        return word or (_intervals_cover(numbers, False) if kind == "delayed-mu" and proved else "")
     if kind == "set":
         return "" if _set_holds(numbers) == proved else "false: rationals say otherwise"
     if kind in ("mu-lower", "unstable-member"):
@@ -158,8 +162,13 @@ def _set_holds(numbers: Numbers) -> bool:
     kept = [*range(n), *range(n + q, len(whole))], [*range(n), *range(n + q, whole.shape[1])]
     inner = slice(n, n + q)
     base, into, out = whole[np.ix_(*kept)], whole[kept[0]][:, inner], whole[inner][:, kept[1]]
+    sizes = np.asarray(numbers["blocks"])[:, 1].tolist()
+    given = np.asarray(numbers["delta"]) if "delta" in numbers else np.ones(len(sizes))
+    if "delta" in numbers and not all(a <= x <= b for (a, b), x in zip(numbers["ranges"], given, strict=True)):
+        return False
+    delta = rational(np.diag(np.repeat(given, sizes)))
     try:
-        moved = base + into.dot(solve(eye(q) - whole[inner, inner], out)) if q else base
+        moved = base + into.dot(delta).dot(solve(eye(q) - whole[inner, inner].dot(delta), out)) if q else base
     except ZeroDivisionError:
         return False
     for X, end in ((base, "0"), (moved, "1")):

@@ -99,7 +99,7 @@ def level(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | Non
     if not found:
         return None
     name = str(rng.choice(found))
-    worse = -1.0 if (name in ("gamma", "value") or kind in ("mu-upper", "mu-axis")) else 1.0
+    worse = -1.0 if (name in ("gamma", "value") or kind in ("mu-upper", "mu-axis", "delayed-mu")) else 1.0
     if name == "level" and kind in ("mu-boxes", "mu-upper-boxes"):
         worse = -1.0
     step = 10 ** rng.uniform(-12, 0) * (worse if rng.random() < 0.8 else -worse)
@@ -412,13 +412,40 @@ def stray(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | Non
     return kind, result
 
 
+def late(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
+    """Delays longer, shorter, swapped, or one of them left out; a range wider, its far end moved."""
+    if "range" in numbers:
+        name = str(rng.choice(["range", "far", "near", "tolerance"]))
+        if name not in numbers:
+            return None
+        X = np.array(numbers[name])
+        if name == "range":
+            X[rng.integers(2)] *= 1 + relative(rng, -8.0)
+            return kind, {**numbers, name: np.sort(X)}
+        return kind, {**numbers, name: X * 10 ** rng.uniform(-2, 2)}
+    if "delays" not in numbers or not len(numbers["delays"]):
+        return None
+    delays = np.array(numbers["delays"])
+    what = rng.integers(4)
+    if what == 0:
+        delays = delays * (1 + relative(rng, -8.0))
+    elif what == 1:
+        delays[rng.integers(len(delays))] *= 10 ** rng.uniform(-1, 1)
+    elif what == 2:
+        delays = delays[::-1].copy()
+    else:
+        delays = delays[:-1]
+    return kind, {**numbers, "delays": delays}
+
+
+LATE = ("delayed-norm", "delayed-stable")
 PLAIN = ("norm", "bounded-real", "stable", "gramian")
 AXIS = ("mu-axis", "worst-gain", "unstable-member", "mu-boxes", "worst-gain-boxes")
 
 
 def exchanged(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
     """The kind of claim, with what it needs made of what there is."""
-    families = (PLAIN, AXIS, ("mu-upper", "mu-lower"))
+    families = (PLAIN, AXIS, LATE, ("mu-upper", "mu-lower"))
     own = next((f for f in families if kind in f), None)
     if own is None:
         return None
@@ -459,6 +486,7 @@ MUTATIONS: tuple[tuple[Callable[..., Mutant | None], float], ...] = (
     (hidden, 1.0),
     (stray, 2.0),
     (exchanged, 1.5),
+    (late, 4.0),
 )
 
 

@@ -13,7 +13,21 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-from robustlab.verification import axis, balls, boxes, checker, forms, members, models, mu, norms, sets, stability
+from robustlab.verification import (
+    axis,
+    balls,
+    boxes,
+    checker,
+    delay_weights,
+    delays,
+    forms,
+    members,
+    models,
+    mu,
+    norms,
+    sets,
+    stability,
+)
 from robustlab.verification.balls import Definite, exact
 from robustlab.verification.claim import PROVED, Claim, refuted
 
@@ -223,6 +237,26 @@ def difference_sign() -> None:
     checker.difference = models.difference = added
 
 
+def late_rest() -> None:
+    """The rest of the series of a loop with delays counts as zero."""
+    delays.neumann = lambda N, X: exact(np.zeros((X.nrows(), X.ncols())))
+
+
+def uncounted_roots() -> None:
+    """Roots right of the axis are not counted."""
+    delays.refuted = lambda where: PROVED if "root" in where else refuted(where)
+
+
+def opposite() -> None:
+    """Only the ends of a range of delays are looked at."""
+    delay_weights._no_opposite = lambda *others: PROVED
+
+
+def far_end() -> None:
+    """High frequencies of a weight are not looked at."""
+    delay_weights.axis = lambda *others: PROVED
+
+
 PLANTS: dict[str, Callable[[], None]] = {
     f.__name__.replace("_", "-"): f
     for f in (
@@ -230,6 +264,7 @@ PLANTS: dict[str, Callable[[], None]] = {
         middle, infinity, nyquist, performance, nominal_stability, delta_norm, delta_structure, existence, box_covering,
         hidden_zero, stray_band, stray_model, box_width, controller_sign, h2_square, perturbed_end, refutation,
         difference_sign,
+        late_rest, uncounted_roots, opposite, far_end,
     )
 }  # fmt: skip
 

@@ -91,14 +91,19 @@ def covering(tau: float, spread: float, order: int, weight_order: int, i: int = 
     """
     rational = pade(tau, order)
     weight = error_weight(order, weight_order, spread / tau).scaled(tau)
+    covers = (tau, spread, order, weight_order)
     if spread:
         words = f"a delay of {tau:g} s +- {spread:g} s, covered at all frequencies: proved"
-        block: Block = FullBlock(f"{name}spread {i + 1} of {tau!r} s +- {spread!r} s", 1, 1, origin=words)
+        block: Block = FullBlock(
+            f"{name}spread {i + 1} of {tau!r} s +- {spread!r} s", 1, 1, origin=words, covers=covers
+        )
     else:
         bound = phase_bound(order)
         words = f"what Padé's approximation of order {order} of a delay of {tau:g} s misses, at most min(2,"
         words += f" {bound.coefficient:.3g} (w {tau:g} s)^{bound.power}) for all w: proved"
-        block = ComplexScalar(f"delay of {tau!r} s (order {order}, slope {weight.n_states})", origin=words)
+        block = ComplexScalar(
+            f"delay of {tau!r} s (order {order}, slope {weight.n_states})", origin=words, covers=covers
+        )
     states = [
         f"{kind}{i + 1}.{k + 1}" for kind, m in (("weight", weight), ("delay", rational)) for k in range(m.n_states)
     ]

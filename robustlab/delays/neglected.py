@@ -79,12 +79,15 @@ class NeglectedWeight(Shown):
         Why it covers.
     status
         CERTIFIED.
+    delay
+        The longest delay in s that is left out; None of a lag.
     """
 
     weight: StateSpaceModel
     neglected: str
     proof: str
     status: Status = Status.CERTIFIED
+    delay: float | None = None
 
     quantities: ClassVar[Mapping[str, Any]] = StateSpaceModel.quantities
 
@@ -117,7 +120,7 @@ def neglected_weight(delay: float | None = None, lag: float | None = None, order
     """
     if delay is not None and lag is None:
         weight = neglected_dynamics(delay=delay, order=order)
-        return NeglectedWeight(weight, f"a delay of up to {delay:g} s", PROOFS["delay"])
+        return NeglectedWeight(weight, f"a delay of up to {delay:g} s", PROOFS["delay"], delay=float(delay))
     if lag is not None and delay is None:
         return NeglectedWeight(neglected_dynamics(lag=lag), f"a lag of up to {lag:g} s", PROOFS["lag"])
     raise InputError("neglected_weight", "delay and lag" if lag is not None else "neither", "one of them")

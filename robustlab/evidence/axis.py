@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.evidence.delays import weight_claims
 from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, model_numbers
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.mu_analysis.axis.axis_model import model_frequency
@@ -93,7 +94,7 @@ def margin_claims(found: Margin) -> list[Claim]:
     if found.delta and np.isfinite(found.upper):
         delta = np.asarray(delta_matrix(blocks, found.delta))
         claims.append(Claim("unstable-member", {**common, "level": _attained(blocks, delta), "delta": delta}))
-    return claims
+    return claims + weight_claims(blocks)
 
 
 def gain_claims(found: WorstCaseGain) -> list[Claim]:
@@ -108,8 +109,10 @@ def gain_claims(found: WorstCaseGain) -> list[Claim]:
     if found.boxes or not _symmetric(blocks):
         levels = np.append(np.ones(len(blocks) - 1), gamma)
         proved = _large_enough(blocks, found.boxes, levels) or _whole_box(blocks, 1.0, found.proof)
-        return [Claim("worst-gain-boxes", {**numbers, **_boxes(blocks, proved, 1.0, at)})]
-    return [Claim("worst-gain", {**numbers, **_scalings(found.proof, at)})]
+        claim = Claim("worst-gain-boxes", {**numbers, **_boxes(blocks, proved, 1.0, at)})
+    else:
+        claim = Claim("worst-gain", {**numbers, **_scalings(found.proof, at)})
+    return [claim, *weight_claims(blocks)]
 
 
 def robust_gain_claims(found: RobustGain) -> list[Claim]:

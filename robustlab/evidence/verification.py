@@ -38,6 +38,13 @@ CLAIMS: Mapping[str, str] = {
     "Passivity": "loops.passivity_claims",
     "DiskMargins": "loops.disk_claims",
     "DiskMargin": "loops.one_disk_claims",
+    "Cover": "covers.cover_claims",
+    "DelayStability": "delays.stability_claims",
+    "DelayGain": "delays.gain_claims",
+    "DelayDiskMargins": "delays.disk_claims",
+    "DelayedDesign": "delays.design_claims",
+    "NeglectedWeight": "delays.neglected_claims",
+    "UncertainModel": "delays.set_claims",
 }
 
 

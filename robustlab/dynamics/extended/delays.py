@@ -109,4 +109,4 @@ def delay_block(delay: float, spread: float, pade: int, name: str, origin: str =
     n = checked_order(pade, "delay_block", 1)
     # The slope of what is missed changes from 1 to 2 n + 1 where there is a spread: a lower order follows that better.
     made = covering(delay, spread, n, n + 1 if spread else min(n + 2, 2 * n + 1))
-    return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin)])
+    return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin, covers=made.blocks[0].covers)])

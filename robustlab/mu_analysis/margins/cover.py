@@ -121,6 +121,8 @@ class Cover(Shown):
         Worst gain of the cover over that of the set; None where it was not asked for.
     reason
         Why the status is no better; else empty.
+    models
+        The models, for `robustlab.verify`.
     """
 
     model: UncertainModel
@@ -135,6 +137,7 @@ class Cover(Shown):
     fit: Overbound | None
     conservatism: Conservatism | None
     reason: str = ""
+    models: tuple[StateSpaceModel, ...] = ()
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **UncertainModel.quantities, **dict.fromkeys(("count", "members", "size", "missed", "radius"), "1"),
@@ -207,8 +210,8 @@ class Cover(Shown):
         return self.model.details()
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes, and the model's."""
-        own = {f.name: getattr(self, f.name) for f in fields(self)}
+        """All attributes but ``models``, and the model's."""
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "models"}
         return {"type": "Cover", **self.model.to_json(), **own}
 
 
@@ -330,7 +333,7 @@ def _parametric(
     reason = "" if status.trustworthy else f"model {int(np.argmax(made.misses)) + 1} is missed by {worst:.2g}"
     number = 0 if nominal is None else None
     return Cover(
-        made.model, form, status, made.deltas, sizes, made.misses, number, 0.0, made.spread, None, None, reason
+        made.model, form, status, made.deltas, sizes, made.misses, number, 0.0, made.spread, None, None, reason, models
     )
 
 
@@ -352,7 +355,7 @@ def _unstructured(
     name = made.model.blocks[0].name
     return Cover(
         made.model, form, status, tuple({name: d} for d in made.deltas), made.sizes, (0.0,) * len(models),
-        made.nominal, made.radius, (), made.fit, None, reason,
+        made.nominal, made.radius, (), made.fit, None, reason, models,
     )  # fmt: skip
 
 

@@ -86,9 +86,12 @@ class DelayDiskMargins(DiskMargins):
         CERTIFIED: the bounds are within the tolerance. INACCURATE: they are not.
     gain
         Of a loop of one channel: the gain whose inverse the margin is, with its proof; else None.
+    sensitivity
+        Of several channels: what the deltas of all factors see, for `robustlab.verify`; else None.
     """
 
     gain: DelayGain | None = None
+    sensitivity: DelayedModel | None = None
 
 
 @told_as("delay_classical_margins")
@@ -140,7 +143,8 @@ def delay_disk_margins(
     _require_stable(delay_stability(loop.S, highest_order, effort), highest_order)
     channels = {name: _disk(loop.S, [i], [name], skew, tolerance, seed) for i, name in enumerate(loop.names)}
     every = _disk(loop.S, range(len(loop.names)), loop.names, skew, tolerance, seed)
-    return DelayDiskMargins.of(every, channels, at, loop.said)
+    seen = loop.S + 0.5 * (skew - 1.0) * np.eye(len(loop.names))
+    return DelayDiskMargins.of(every, channels, at, loop.said, sensitivity=seen)
 
 
 def _require_stable(known: DelayStability, highest_order: int) -> None:

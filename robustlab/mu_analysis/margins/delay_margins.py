@@ -8,7 +8,7 @@ largest, from above by the exact responses at points and how far the response ca
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -45,10 +45,15 @@ class DelayGain(PeakGain):
     status
         CERTIFIED where the bounds are within the tolerance, INACCURATE where they are not, INCONCLUSIVE without an
         upper one.
+    system
+        The model, for `robustlab.verify`.
     """
 
     frequency: float
     stability: DelayStability
+    system: DelayedModel | None = None
+
+    unsaved: ClassVar[tuple[str, ...]] = ("system",)
 
     def evidence(self) -> Facts:
         """Whether the model is stable."""
@@ -84,7 +89,7 @@ def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int 
     upper = proved_peak(axis, axis.D, SHARE * tolerance, attained, measured)
     near = upper <= (1.0 + tolerance) * best[0] * (1.0 + 10.0 * ROUNDING)
     status = Status.CERTIFIED if near else Status.INACCURATE if np.isfinite(upper) else Status.INCONCLUSIVE
-    return DelayGain(best[0], upper, best[1], status, known)
+    return DelayGain(best[0], upper, best[1], status, known, g)
 
 
 def _attained(g: DelayedModel) -> tuple[float, float]:

@@ -23,7 +23,7 @@ and 2; Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 11.8.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -77,6 +77,8 @@ class DelayStability(StabilityMargin):
         An exact root lies within this distance of ``root``, in 1/s.
     count
         How many roots lie right of the axis, with the cells that show it; None where they could not be counted.
+    system
+        The model, for `robustlab.verify`.
     """
 
     order: int
@@ -84,6 +86,7 @@ class DelayStability(StabilityMargin):
     root: complex | None
     radius: float
     count: RootCount | None = None
+    system: DelayedModel | None = None
 
     @classmethod
     def of(cls, stable: bool | None, status: Status, *evidence: Any) -> DelayStability:
@@ -116,8 +119,9 @@ class DelayStability(StabilityMargin):
         ]
 
     def to_json(self) -> dict[str, object]:
-        """All attributes."""
-        return {"type": "DelayStability", "stable": self.stable, **vars(self)}
+        """All attributes but ``system``."""
+        kept = {name: x for name, x in vars(self).items() if name != "system"}
+        return {"type": "DelayStability", "stable": self.stable, **kept}
 
 
 @told_as("delay_stability")
@@ -138,14 +142,14 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
     if count is not None and not count.roots:
         root, radius = _rightmost(g, g.pade(LOOKED_FOR))
         if root is None or root.real <= radius:
-            return DelayStability.of(True, Status.CERTIFIED, 0, None, root, radius, count)
+            return DelayStability.of(True, Status.CERTIFIED, 0, None, root, radius, count, g)
         text = f"no root right of the axis is counted, and {root:.6g} is one: digits were lost"
         raise NoTrustworthyNumber("delay_stability", text)
     for order in (n for n in ORDERS if n <= highest_order) if len(g.delays) else (0,):
         found = _tried(g, order, effort, count)
         if found.stable is not None:
             break
-    return found
+    return replace(found, system=g)
 
 
 def _tried(g: DelayedModel, order: int, effort: float, count: RootCount | None) -> DelayStability:

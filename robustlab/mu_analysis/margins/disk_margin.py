@@ -128,8 +128,9 @@ class DiskBounds(Bracket):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``system``; models stay models."""
-        return {"type": type(self).__name__, **{name: x for name, x in vars(self).items() if name != "system"}}
+        """All attributes but ``system`` and ``sensitivity``; models stay models."""
+        kept = {name: x for name, x in vars(self).items() if name not in ("system", "sensitivity")}
+        return {"type": type(self).__name__, **kept}
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,6 +48,8 @@ class DelayedDesign(Design):
         The design on the rational model; None where a controller was given.
     order
         Order of Padé's approximation that the design was made for; 0 where a controller was given.
+    plant
+        The generalised plant with its delays; None where K has delays, too.
     status
         That of the gain; where there is none, that of the stability, FAILED where the loop is proved unstable.
     """
@@ -58,6 +60,7 @@ class DelayedDesign(Design):
     gain: DelayGain | None
     design: HinfSynthesis | None = None
     order: int = 0
+    plant: DelayedModel | None = None
 
     def _gamma_text(self) -> str:
         return "" if self.gain is None else bracket(self.gain.lower, self.gain.upper, ("attained", "proved"))
@@ -73,9 +76,10 @@ class DelayedDesign(Design):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but the design, of which its gamma."""
+        """All attributes but the plant, and of the design its gamma."""
         gamma = None if self.design is None else self.design.gamma
-        return {"type": "DelayedDesign", **vars(self), "design": gamma}
+        kept = {name: x for name, x in vars(self).items() if name != "plant"}
+        return {"type": "DelayedDesign", **kept, "design": gamma}
 
 
 def judged(P: Any, K: Any, where: str = "hinf", tolerance: float = 0.01) -> DelayedDesign:
@@ -101,6 +105,7 @@ def judged(P: Any, K: Any, where: str = "hinf", tolerance: float = 0.01) -> Dela
         closed_loop=loop,
         stability=stability,
         gain=gain,
+        plant=plant if isinstance(k, StateSpaceModel) else None,
         status=status,
         reason=stability.facts()[0][1],
     )

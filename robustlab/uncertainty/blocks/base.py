@@ -174,6 +174,8 @@ class Block(ABC):
     rows: int
     cols: int
     origin: str = ""  # where the block comes from, in words
+    # Of a block for a delay: its length and how far it may be off, in s, orders of the approximation and of the weight.
+    covers: tuple[float, float, int, int] | None = None
     parameter: ParameterRange | None = None  # the physical range that a real delta stands for
 
     # Whether all members are real matrices, constant in time; else a member is a stable system of gain at most one.

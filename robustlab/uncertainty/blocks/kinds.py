@@ -100,6 +100,9 @@ class ComplexScalar(ScalarBlock):
         How many channels the number acts on.
     origin
         Where the block comes from, in words; blocks that differ in nothing else are equal.
+    covers
+        Of a block that stands for a delay: its length and its spread in s, and the orders of the approximation and of
+        the weight; None of others.
 
     Raises
     ------
@@ -113,6 +116,7 @@ class ComplexScalar(ScalarBlock):
     name: str
     repeats: int = 1
     origin: str = field(default="", repr=False, compare=False, kw_only=True)
+    covers: tuple[float, float, int, int] | None = field(default=None, repr=False, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
         check_name_and_size(self.name, self.repeats)
@@ -161,6 +165,9 @@ class RealScalar(ScalarBlock):
         and every value of the parameter enters M by one and the same affine law.
     origin
         Where the block comes from, in words; blocks that differ in nothing else are equal.
+    covers
+        Of a block that stands for a delay: its length and its spread in s, and the orders of the approximation and of
+        the weight; None of others.
 
     Raises
     ------
@@ -284,6 +291,9 @@ class FullBlock(Block):
         Entries of w and of z.
     origin
         Where the block comes from, in words; blocks that differ in nothing else are equal.
+    covers
+        Of a block that stands for a delay: its length and its spread in s, and the orders of the approximation and of
+        the weight; None of others.
 
     Raises
     ------
@@ -299,6 +309,7 @@ class FullBlock(Block):
     rows: int
     cols: int
     origin: str = field(default="", repr=False, compare=False, kw_only=True)
+    covers: tuple[float, float, int, int] | None = field(default=None, repr=False, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
         check_name_and_size(self.name, self.rows)
