@@ -55,7 +55,7 @@ def design_claims(found: DelayedDesign) -> list[Claim]:
         return []
     y, u = found.K.n_inputs, found.K.n_outputs
     K = wired(found.K, plant.outputs[plant.n_outputs - y :], plant.inputs[plant.n_inputs - u :], "verify")
-    return _norm({**loop_numbers(plant.H, y, u, K), "delays": plant.delays}, gain)
+    return _norm({**loop_numbers(plant.H, K), "delays": plant.delays}, gain)
 
 
 def _norm(numbers: Numbers, found: DelayGain) -> list[Claim]:

@@ -1,9 +1,9 @@
 r"""The rest of a Neumann series, bounded entry by entry.
 
 Let X >= 0 and N >= 0 bound the moduli of two matrices' entries, and let a matrix Y >= 0 satisfy :math:`Y > X + N Y`
-strictly in every entry. Then :math:`Y \ge \sum_k N^k X`, and, as Y > N Y and Y > 0, the spectral radius of N is below 1.
-So for every matrix S with :math:`|S| \le N` entry by entry I - S is regular, and :math:`|(I - S)^{-1} Z| \le Y` for every
-:math:`|Z| \le X`. Floating point proposes Y, balls check it.
+strictly in every entry. Then :math:`Y \ge \sum_k N^k X`, and, as Y > N Y and Y > 0, the spectral radius of N is below
+1. So for every matrix S with :math:`|S| \le N` entry by entry I - S is regular, and
+:math:`|(I - S)^{-1} Z| \le Y` for every :math:`|Z| \le X`. Floating point proposes Y, balls check it.
 """
 
 from __future__ import annotations
