@@ -54,14 +54,16 @@ from robustlab.verification.balls import (
     inverse,
     magnitudes,
     midpoints,
+    radii,
     rounded_down,
     rounded_up,
     stack,
 )
-from robustlab.verification.claim import PROVED, Verdict, Work, not_proved
+from robustlab.verification.claim import PROVED, Blurred, Verdict, Work, not_proved
 from robustlab.verification.forms import Form, Quadratic
 from robustlab.verification.models import Model, balanced, on_the_axis, reciprocal, shifted
 
+BLURRED = 1e-6  # radii of a row that are larger than this part of its diagonal: more bits are asked for
 UNDECIDED = Definite(False, math.nan)
 ALIKE = 1e-14  # an imaginary part below this part of an eigenvalue is noise of floating point
 
@@ -197,11 +199,16 @@ def _bases(hint: np.ndarray, r: float) -> Iterator[tuple[np.ndarray, np.ndarray]
 
 
 def _dominant(H: Matrix, r: float, W: Matrix, V: Matrix) -> bool:
-    """Whether ``W V - d W H V`` is strictly diagonally dominant for all real |d| <= r."""
+    """Whether ``W V - d W H V`` is strictly diagonally dominant for all real |d| <= r; Blurred where digits decide."""
     unit, moved, rows = W * V, W * (H * V), range(H.nrows())
-    sizes, steps = magnitudes(unit), magnitudes(moved)
-    sums = (sizes + steps * arb(r)) * arb_mat(len(rows), 1, [1] * len(rows))
-    return all(_apart(unit[i, i], moved[i, i], r) > sums[i, 0] - sizes[i, i] - steps[i, i] * arb(r) for i in rows)
+    sizes, steps, ones = magnitudes(unit), magnitudes(moved), arb_mat(len(rows), 1, [1] * len(rows))
+    sums = (sizes + steps * arb(r)) * ones
+    if all(_apart(unit[i, i], moved[i, i], r) > sums[i, 0] - sizes[i, i] - steps[i, i] * arb(r) for i in rows):
+        return True
+    noise = (radii(unit) + radii(moved) * arb(r)) * ones
+    if any(noise[i, 0] > BLURRED for i in rows):
+        raise Blurred
+    return False
 
 
 def _apart(a: acb, b: acb, r: float) -> arb:

@@ -87,6 +87,13 @@ def magnitudes(X: Matrix) -> Matrix:
     return arb_mat(X.nrows(), X.ncols(), [x.abs_upper() for x in X.entries()])
 
 
+def radii(X: Matrix) -> Matrix:
+    """Upper bounds of how far the entries lie from their midpoints."""
+    entries = X.entries()
+    spread = [x.real.rad() + x.imag.rad() for x in entries] if isinstance(X, acb_mat) else [x.rad() for x in entries]
+    return arb_mat(X.nrows(), X.ncols(), spread)
+
+
 def midpoints(X: Matrix) -> NDArray[Any]:
     """The midpoints in floating point: a hint."""
     values = [complex(x) for x in X.entries()] if isinstance(X, acb_mat) else [float(x) for x in X.entries()]

@@ -71,6 +71,10 @@ def refuted(where: str) -> Verdict:
     return Verdict(Outcome.REFUTED, where)
 
 
+class Blurred(ArithmeticError):
+    """The balls have become so wide that only more bits can help."""
+
+
 class Work:
     """Counts tests, and ends the check where they cost more than the effort allows.
 

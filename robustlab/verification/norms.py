@@ -34,6 +34,7 @@ from robustlab.verification.balls import (
 )
 from robustlab.verification.claim import (
     PROVED,
+    Blurred,
     Claim,
     Outcome,
     Verdict,
@@ -58,7 +59,10 @@ def climb(attempt: Callable[[], Verdict]) -> Verdict:
     verdict = not_proved("")
     for bits in PRECISIONS:
         with precision(bits):
-            verdict = attempt()
+            try:
+                verdict = attempt()
+            except Blurred:
+                verdict = not_proved(f"{bits} bits are not enough")
         if verdict.outcome is not Outcome.NOT_PROVED or verdict.final:
             break
     return verdict
