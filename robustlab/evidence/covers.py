@@ -15,7 +15,7 @@ from robustlab.evidence.norms import above, proof_of_norm
 from robustlab.evidence.numbers import Numbers, block_rows, loop_numbers, matrices, model_numbers
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.blocks import Block
 from robustlab.verification.claim import Claim
 
 ROUNDING = 1e-14  # of the largest entry: allowed for beside what the result says that a member misses
@@ -28,11 +28,11 @@ def cover_claims(found: Cover) -> list[Claim]:
         return []
     if found.form == ADDITIVE:
         return _norms(found)
-    blocks = [b for b in found.model.blocks if isinstance(b, RealScalar)]
-    return _members(found, blocks) if len(blocks) == len(found.model.blocks) else []
+    blocks = found.model.blocks
+    return _members(found, blocks) if all(b.interval for b in blocks) else []
 
 
-def _members(found: Cover, blocks: Sequence[RealScalar]) -> list[Claim]:
+def _members(found: Cover, blocks: Sequence[Block]) -> list[Claim]:
     """Each model is the member at its parameters, every entry to within a tolerance."""
     common: Numbers = {
         **{key: value for key, value in model_numbers(found.model.M).items() if key != "dt"},
