@@ -191,8 +191,8 @@ def _bases(hint: np.ndarray, r: float) -> Iterator[tuple[np.ndarray, np.ndarray]
         if (units > 0).all():
             yield np.diag(1 / units), np.diag(units)
             return
-        values, vectors = (np.asarray(X, dtype=complex) for X in np.linalg.eig(hint))
-        if not ((np.abs(values) * r >= 1) & (np.abs(values.imag) <= ALIKE * np.abs(values))).any():
+        values, vectors = np.linalg.eig(hint)
+        if not ((np.abs(values) * r >= 1) & (np.abs(np.imag(values)) <= ALIKE * np.abs(values))).any():
             yield np.linalg.inv(vectors), vectors
     except np.linalg.LinAlgError:
         return
