@@ -28,7 +28,6 @@ from robustlab.identification.naming.first_look import Start
 from robustlab.identification.naming.named_effects import INTERVAL, SURE, EffectValue, KindMember, wave_amplitude
 from robustlab.identification.naming.named_kinds import Place, Places
 
-LAST = 3  # pieces at the end to which the changes are fitted
 CHANCE = 3.0  # standard deviations of a sum of squares beyond which it is more than noise
 
 
@@ -133,6 +132,24 @@ def _trial(problem: Problem, before: Before, change: Change, start: Start | None
     return start.hypothesis, np.append(before.z[kept], start.z[len(kept) :]), Prior(mean, precision)
 
 
+class Fits(NamedTuple):
+    """The model as it was, and each change, fitted to the same pieces; their points."""
+
+    none: Fitted
+    each: tuple[Fitted, ...]
+    points: int
+
+    @property
+    def best(self) -> Fitted:
+        """The most probable change."""
+        return max(self.each, key=lambda f: f.evidence)
+
+    @property
+    def gain(self) -> float:
+        """Log evidence of the best change over none."""
+        return self.best.evidence - self.none.evidence
+
+
 class Named(NamedTuple):
     """What the fits say: the growth, None where nothing explains the change; the index of the best change."""
 
@@ -142,28 +159,25 @@ class Named(NamedTuple):
 
 
 def named(
-    problem: Problem, before: Before, changes: Sequence[Change], fits: Sequence[Fitted], none: Fitted, points: int,
-    places: Places, growing: float,
-) -> Named:  # fmt: skip
+    problem: Problem, before: Before, changes: Sequence[Change], fits: Fits, places: Places, growing: float
+) -> Named:
     """The narrowest kind that is sure, over all fitted changes, and how much of what lacks it explains."""
-    best = max(fits, key=lambda f: f.evidence)
-    floor = points * before.left
-    left, lacking = best.fit.cost - floor, none.fit.cost - floor
-    noise = CHANCE * math.sqrt(2.0 * points) * before.left
-    complete = left <= noise
-    explained = min(1.0, max(0.0, 1.0 - max(left, 0.0) / lacking)) if lacking > 0.0 else 1.0
-    if not complete and explained < problem.tuning.explained:
+    best, floor = fits.best, fits.points * before.left
+    left, lacking = best.fit.cost - floor, fits.none.fit.cost - floor
+    complete = left <= CHANCE * math.sqrt(2.0 * fits.points) * before.left
+    explained = min(1.0, max(0.0, 1.0 - max(left, 0.0) / lacking)) if lacking > 0.0 else 0.0
+    if fits.gain <= 0.0 or (not complete and explained < problem.tuning.explained):
         return Named(None, False, best.change)
-    coarse = max(1.0, best.fit.cost / floor)
-    logs = np.array([f.evidence / coarse for f in fits])
+    coarse = 1.0 if complete else max(1.0, best.fit.cost / floor)
+    logs = np.array([f.evidence / coarse for f in fits.each])
     shares = np.exp(logs - logsumexp(logs))
     kinds: dict[Place, float] = defaultdict(float)
-    for f, share in zip(fits, shares, strict=True):
+    for f, share in zip(fits.each, shares, strict=True):
         for node in changes[f.change].above(places):
             kinds[node] += float(share)
     node = next((n for n in changes[best.change].above(places) if kinds[n] >= SURE and _says_something(n)), None)
     within = [
-        (changes[f.change], float(s)) for f, s in zip(fits, shares, strict=True)
+        (changes[f.change], float(s)) for f, s in zip(fits.each, shares, strict=True)
         if node is None or node in changes[f.change].above(places)
     ]  # fmt: skip
     whole = sum(s for _, s in within)
@@ -174,7 +188,7 @@ def named(
     change = changes[best.change]
     kind, place = node or ("", change.site.name)
     title = KINDS[kind].title if kind in KINDS else change.title
-    now, was = value_fitted(problem, best.fit, change), None
+    now, was = value_fitted(problem, best.fit, change, coarse), None
     if change.at is not None:
         was = value_of(problem, before.hypothesis, before.z, before.covariance, change)
     growth = Growth(kind, title, place, members, change.effect, was, now, growing, explained, complete)
@@ -195,9 +209,9 @@ def value_of(problem: Problem, hypothesis: Hypothesis, z: Array, covariance: Arr
     return EffectValue(name, value, unit, value - spread, value + spread, meaning)
 
 
-def value_fitted(problem: Problem, fit: Fit, change: Change) -> EffectValue:
-    """The same of a fit."""
-    return value_of(problem, fit.hypothesis, fit.z, np.linalg.pinv(fit.hessian), change)
+def value_fitted(problem: Problem, fit: Fit, change: Change, coarse: float) -> EffectValue:
+    """The same of a fit that leaves ``coarse`` times the mean square of the noise."""
+    return value_of(problem, fit.hypothesis, fit.z, coarse * np.linalg.pinv(fit.hessian), change)
 
 
 def _told_by(problem: Problem, hypothesis: Hypothesis, change: Change) -> tuple[str, str, str]:
@@ -222,8 +236,3 @@ def _value(problem: Problem, hypothesis: Hypothesis, z: Array, change: Change) -
         return values[change.parameter]
     size = wave_amplitude(values)
     return next(iter(values.values())) if size is None else size
-
-
-def last_pieces(since: int, count: int) -> range:
-    """Indices of the pieces to which the changes are fitted."""
-    return range(max(since, count - LAST), count)

@@ -32,15 +32,15 @@ from robustlab.identification.hypotheses.candidates import (
     with_absolute_tolerances,
 )
 from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, FitPlan, Hypothesis, NoiseModel, Problem
-from robustlab.identification.hypotheses.noise import first_noise, whitening
+from robustlab.identification.hypotheses.noise import careful, first_noise, whitening
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, ports_of, prepare, window_length
-from robustlab.identification.monitoring.change_test import ChangeTest
+from robustlab.identification.monitoring.change_test import Alternatives, ChangeTest
 from robustlab.identification.monitoring.changes import Change, ColumnPlan, column_plan, possible_changes
 from robustlab.identification.monitoring.grown import (
-    Named,
+    Before,
+    Fits,
     before_change,
     fitted,
-    last_pieces,
     named,
     onset,
     shortlist,
@@ -49,6 +49,7 @@ from robustlab.identification.monitoring.grown import (
 )
 from robustlab.identification.monitoring.piece import equations, placed
 from robustlab.identification.monitoring.watch_result import Verdict, Watch, WatchedPiece
+from robustlab.identification.naming.named_effects import EffectValue
 from robustlab.identification.naming.named_kinds import Places
 from robustlab.identification.naming.set_search import clock_nuisances, held_inputs, short_steps
 from robustlab.identification.record_check.resampling import clock_step, uniform
@@ -58,6 +59,8 @@ from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
+CLEAR = 10.0  # log evidence beyond an alarm: then the beginning is told; a change may outgrow what is linear in it
+MOST_FITTED = 8  # pieces at the end to which the changes are fitted
 OWN_SPREAD = 0.3  # relative: how well a model's effect is known before its first piece, where it does not say
 
 
@@ -135,7 +138,8 @@ def watch(
     plant, attached = _parts_of(model)
     stated = stated_tolerances(plant, tolerances)
     plant = with_absolute_tolerances(plant, stated)
-    settings = _Settings(plant, attached, stated, noise, {effect(n).id for n in exclude}, window, tuning)
+    left_out = {effect(name).id for name in exclude}
+    settings = _Settings(plant, attached, stated, noise, false_alarm, left_out, window, tuning)
     given = [records] if isinstance(records, Record) else records
     watched: _Watched | None = None
     log_limit = -np.log(false_alarm)
@@ -153,7 +157,7 @@ def watch(
             "watch", f"{0 if watched is None else 1} piece", "at least two",
             "one record is cut into pieces by every=SECONDS",
         )  # fmt: skip
-    return watched.result(false_alarm)
+    return watched.result()
 
 
 @dataclass(frozen=True)
@@ -164,6 +168,7 @@ class _Settings:
     attached: tuple[AttachedEffect, ...]
     stated: Mapping[str, tuple[float, bool]]
     noise: Mapping[str, float] | None
+    false_alarm: float
     left_out: set[str]
     window: float | None
     tuning: NamingTuning
@@ -226,12 +231,15 @@ class _Watched:
         nuisances = nuisance_parameters(plant, settings.stated)
         nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), self.dt, tuning)
         problem = Problem(plant, [prepared], nuisances, tuning=tuning, clock=Clock(tuning.least_steps))
-        self.problem, learned = self._learned(problem, Hypothesis(tuple(_own(e) for e in settings.attached)))
+        pool = candidates(plant, self.model, [prepared], tuning)
+        self.problem, learned = self._learned(problem, Hypothesis(tuple(_own(e, pool) for e in settings.attached)))
         self.hypothesis, self.z, self.noise = learned.hypothesis, learned.z, learned.noise
-        pool = [c for c in candidates(plant, self.model, [prepared], tuning) if c.effect.id not in settings.left_out]
+        pool = [c for c in pool if c.effect.id not in settings.left_out]
         self.changes: tuple[Change, ...] = possible_changes(self.problem, self.hypothesis, self.z, pool)
         self.plan: ColumnPlan = column_plan(self.changes, len(self.z))
         self.test = ChangeTest(self.plan.columns, 1 if settings.noise is None else 0, 1)
+        self.told: Alternatives | None = None  # the alternatives once an alarm is clear
+        self.highest = -np.log(settings.false_alarm)  # evidence that they had, or that of an alarm
         self.prepared: list[PreparedRecord] = []
         self.pieces: list[WatchedPiece] = []
         self._judge(first, prepared)
@@ -268,7 +276,7 @@ class _Watched:
         problem = short_steps(problem, fit)
         for _ in range(2):
             if stated is None:
-                noise = whitening(problem, fit)
+                noise = careful(problem, fit, _noise_left(problem, fit))
             fit = problem.fit(hypothesis, noise, fit.z, fit.starts, FitPlan(tuning.base, 1e-3))
         return problem, fit
 
@@ -294,53 +302,82 @@ class _Watched:
         self.prepared.append(prepared)
         evidence = self.test.add(told)
         self.pieces.append(WatchedPiece(float(piece.t[0]), float(piece.t[-1]), evidence, misfit))
+        if self.highest <= evidence and self.highest < CLEAR - np.log(self.settings.false_alarm):
+            self.highest, self.told = evidence, self.test.alternatives()
 
     # --- the answer ---------------------------------------------------------------------------------------------------
 
-    def result(self, false_alarm: float) -> Watch:
+    def result(self) -> Watch:
         """What was found in all pieces so far."""
-        over = [k for k, p in enumerate(self.pieces) if p.evidence >= -np.log(false_alarm)]
+        alarm = -np.log(self.settings.false_alarm)
+        over = [k for k, p in enumerate(self.pieces) if p.evidence >= alarm]
         names = [self.settings.plant.outputs[k].name for k in self.prepared[0].columns]
         sizes = self.noise.std * np.sqrt(self.thin)
         result = Watch(
-            Status.CONVERGED, "explained", false_alarm, np.nan, np.nan, np.nan, np.nan, None, tuple(self.pieces),
-            dict(zip(names, map(float, sizes), strict=True)), self.settings.noise is not None, self.settings.plant.name,
-            self.length * self.dt,
+            Status.CONVERGED, "explained", self.settings.false_alarm, np.nan, np.nan, np.nan, np.nan, None,
+            tuple(self.pieces), dict(zip(names, map(float, sizes), strict=True)), self.settings.noise is not None,
+            self.settings.plant.name, self.length * self.dt,
         )  # fmt: skip
-        return self._with_change(result, over[0]) if over else result
+        return self._with_change(result, over[0], self.told) if self.told is not None else result
 
-    def _with_change(self, result: Watch, alarm: int) -> Watch:
-        found, tuning = self.test.alternatives(), self.settings.tuning
-        likely = shortlist(found, self.plan, tuning.kept_last)
+    def _with_change(self, result: Watch, alarm: int, found: Alternatives) -> Watch:
+        """The same with what changed: told by the fits of the changes that come into question."""
+        likely = shortlist(found, self.plan, self.settings.tuning.kept_last)
         began = onset(found, likely, self.plan)
-        before = before_change(self.test, self.hypothesis, self.z, began.piece)
-        at = last_pieces(began.piece, len(self.pieces))
-        there = self.problem.on([self.prepared[k] for k in at])
-        none = unchanged(there, before, self.noise)
-        fits = [fitted(there, before, self.changes, k, self.noise) for k in likely]
-        points = sum(self.test.pieces[k].points for k in at)
-        places = Places(self.settings.plant, self.problem.simulators(Hypothesis(()))[0].model({}, []))
-        told: Named = named(there, before, self.changes, fits, none, points, places, began.growing)
-        verdict: Verdict = "unknown" if told.growth is None else "named" if told.sure else "ambiguous"
         times = [self.pieces[k].start for k in (began.piece, began.lower, began.upper)]
+        before = before_change(self.test, self.hypothesis, self.z, began.piece)
+        fits = self._fitted(before, likely, began.piece)
+        places = Places(self.settings.plant, self.problem.simulators(Hypothesis(()))[0].model({}, []))
+        told = named(self.problem, before, self.changes, fits, places, began.growing)
+        verdict: Verdict = "unknown" if told.growth is None else "named" if told.sure else "ambiguous"
         changed = replace(
             result, verdict=verdict, alarm=self.pieces[alarm].stop, since=times[0], since_lower=times[1],
             since_upper=times[2], growth=told.growth,
         )  # fmt: skip
         if told.growth is None:
             return changed
-        pieces = []
-        for piece, prepared in zip(self.pieces, self.prepared, strict=True):
-            alone = self.problem.on([prepared])
-            v = value_fitted(alone, fitted(alone, before, self.changes, told.best, self.noise).fit, self.changes[told.best])
-            pieces.append(replace(piece, value=v.value, lower=v.lower, upper=v.upper))
-        return replace(changed, pieces=tuple(pieces))
+        values = [self._value(before, told.best, k) for k in range(len(self.pieces))]
+        rows = zip(self.pieces, values, strict=True)
+        return replace(changed, pieces=tuple(replace(p, value=v.value, lower=v.lower, upper=v.upper) for p, v in rows))
+
+    def _fitted(self, before: Before, likely: Sequence[int], since: int) -> Fits:
+        """The changes fitted to as few of the last pieces as tell one of them from none.
+
+        The last one that shows the change, where it has gone again.
+        """
+        excess = np.array([p.misfit**2 - before.left for p in self.pieces[since:]])
+        end = len(self.pieces) if excess[-1] >= 0.5 * excess.max() else since + int(np.argmax(excess)) + 1
+        for count in range(1, min(MOST_FITTED, end - since) + 1):
+            at = range(end - count, end)
+            there = self.problem.on([self.prepared[k] for k in at])
+            none = unchanged(there, before, self.noise)
+            each = [fitted(there, before, self.changes, k, self.noise) for k in likely]
+            fits = Fits(none, tuple(each), sum(self.test.pieces[k].points for k in at))
+            if fits.gain >= self.settings.tuning.far_behind:
+                break
+        return fits
+
+    def _value(self, before: Before, change: int, k: int) -> EffectValue:
+        """What changed as it was in one piece."""
+        alone = self.problem.on([self.prepared[k]])
+        found = fitted(alone, before, self.changes, change, self.noise)
+        floor = self.test.pieces[k].points * before.left
+        return value_fitted(alone, found.fit, self.changes[change], max(1.0, found.fit.cost / floor))
 
 
-def _own(there: AttachedEffect) -> Candidate:
+def _noise_left(problem: Problem, fit: Fit) -> NoiseModel:
+    """What makes a fit's errors white, of the order that Schwarz' criterion chooses: a short piece tells few numbers."""
+    found = [whitening(problem, fit, order) for order in range(problem.tuning.ar_order + 1)]
+    points = sum(np.isfinite(e).sum() for e in problem.errors(fit.hypothesis, fit.z, fit.starts)) / len(found[0].std)
+    return min(found, key=lambda n: float(np.sum(2.0 * points * np.log(n.std) + len(n.ar) * np.log(points))))
+
+
+def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
     """An effect of the model as one to be refitted: its priors about the values that the model has."""
-    parameters = tuple(_about(p, there.values[p.name], there.std.get(p.name, 0.0)) for p in there.parameters)
-    return Candidate(there.effect, there.site, parameters, (dict(there.values),), Scales())
+    known = next((c for c in pool if (c.effect, c.site) == (there.effect, there.site)), None)
+    parameters = there.parameters if known is None else known.parameters  # with the units of its joint
+    parameters = tuple(_about(p, there.values[p.name], there.std.get(p.name, 0.0)) for p in parameters)
+    return Candidate(there.effect, there.site, parameters, (dict(there.values),), known.scales if known else Scales())
 
 
 def _about(parameter: EffectParameter, value: float, std: float) -> EffectParameter:

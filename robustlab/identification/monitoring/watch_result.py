@@ -104,7 +104,8 @@ class Growth(Evidence):
         sign = 1.0 if ratio.value >= 1.0 else -1.0
         low, middle, high = sorted(sign * 100.0 * (x - 1.0) for x in (ratio.lower, ratio.value, ratio.upper))
         word = "up" if sign > 0 else "down"
-        return f"{what}: {self.now.name} {word} {middle:.0f} % ({low:.0f} .. {high:.0f} %) to {number(self.now.value, self.now.unit)}"
+        share = f"{number(middle, digits=3)} % ({number(low, digits=3)} .. {number(high, digits=3)} %)"
+        return f"{what}: {self.now.name} {word} {share} to {number(self.now.value, self.now.unit)}"
 
 
 @dataclass(frozen=True)
