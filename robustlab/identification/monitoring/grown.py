@@ -27,6 +27,7 @@ from robustlab.identification.monitoring.watch_result import Growth
 from robustlab.identification.naming.first_look import Start
 from robustlab.identification.naming.named_effects import INTERVAL, SURE, EffectValue, KindMember, wave_amplitude
 from robustlab.identification.naming.named_kinds import Place, Places
+from robustlab.identification.naming.set_search import log_prior
 
 CHANCE = 3.0  # standard deviations of a sum of squares beyond which it is more than noise
 
@@ -92,13 +93,18 @@ def before_change(test: ChangeTest, hypothesis: Hypothesis, z: Array, piece: int
 
 
 def fitted(problem: Problem, before: Before, changes: Sequence[Change], k: int, noise: NoiseModel) -> Fitted:
-    """A change fitted to the problem's pieces, from its best start."""
+    """A change fitted to the problem's pieces, from its best start.
+
+    That a parameter moves is taken for as probable as anything; an effect that comes in has the prior that it has in
+    `discover`.
+    """
     change = changes[k]
     trials = [_trial(problem, before, change, start) for start in change.starts or (None,)]
     found = []
     for hypothesis, z, prior in trials:
         fit = problem.fit(hypothesis, noise, z, plan=FitPlan(problem.tuning.full), prior=prior)
-        found.append(Fitted(k, fit, _evidence(fit, prior)))
+        coming = 0.0 if change.at is not None else log_prior(Hypothesis(fit.hypothesis.candidates[-1:]), problem.tuning)
+        found.append(Fitted(k, fit, _evidence(fit, prior) + coming))
     return max(found, key=lambda f: f.evidence)
 
 
@@ -120,15 +126,21 @@ def _trial(problem: Problem, before: Before, change: Change, start: Start | None
         covariance = before.covariance.copy()
         covariance[change.at, change.at] += change.size**2
         return before.hypothesis, before.z, Prior(before.z, np.linalg.inv(covariance))
-    kept, at = list(range(len(problem.nuisances))), len(problem.nuisances)
+    kept, at, refined = list(range(len(problem.nuisances))), len(problem.nuisances), dict[str, float]()
     for there in before.hypothesis.candidates:
-        if any(there is c for c in start.hypothesis.candidates):
-            kept += range(at, at + len(there.parameters))
+        own = range(at, at + len(there.parameters))
         at += len(there.parameters)
-    own = len(start.z) - len(kept)
-    precision = np.eye(len(start.z))
+        if any(there is c for c in start.hypothesis.candidates):
+            kept += own
+        else:
+            stds = np.sqrt(np.diag(before.covariance)[list(own)])
+            refined = {p.name: p.prior.spread * std for p, std in zip(there.parameters, stds, strict=True)}
+    new = start.candidate.parameters
+    # What the effect has in common with the one that it refines stays as well known as it was: that is another change.
+    told = [refined[p.name] / p.prior.spread if p.name in refined else 1.0 for p in new]
+    mean = np.append(before.z[kept], [z if p.name in refined else 0.0 for p, z in zip(new, start.z[-len(new) :], strict=True)])
+    precision = np.diag(np.append(np.zeros(len(kept)), np.array(told) ** -2.0))
     precision[: len(kept), : len(kept)] = np.linalg.inv(before.covariance[np.ix_(kept, kept)])
-    mean = np.append(before.z[kept], np.zeros(own))
     return start.hypothesis, np.append(before.z[kept], start.z[len(kept) :]), Prior(mean, precision)
 
 
@@ -168,7 +180,7 @@ def named(
     explained = min(1.0, max(0.0, 1.0 - max(left, 0.0) / lacking)) if lacking > 0.0 else 0.0
     if fits.gain <= 0.0 or (not complete and explained < problem.tuning.explained):
         return Named(None, False, best.change)
-    coarse = 1.0 if complete else max(1.0, best.fit.cost / floor)
+    coarse = max(1.0, best.fit.cost / floor)
     logs = np.array([f.evidence / coarse for f in fits.each])
     shares = np.exp(logs - logsumexp(logs))
     kinds: dict[Place, float] = defaultdict(float)

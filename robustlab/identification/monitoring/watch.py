@@ -324,7 +324,8 @@ class _Watched:
         """The same with what changed: told by the fits of the changes that come into question."""
         likely = shortlist(found, self.plan, self.settings.tuning.kept_last)
         began = onset(found, likely, self.plan)
-        times = [self.pieces[k].start for k in (began.piece, began.lower, began.upper)]
+        # A change may begin within a piece, and too late in it to show there.
+        times = [self.pieces[k].start for k in (began.piece, max(began.lower - 1, 0), began.upper)]
         before = before_change(self.test, self.hypothesis, self.z, began.piece)
         fits = self._fitted(before, likely, began.piece)
         places = Places(self.settings.plant, self.problem.simulators(Hypothesis(()))[0].model({}, []))

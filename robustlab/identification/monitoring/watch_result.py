@@ -124,7 +124,7 @@ class Watch(Tabular, Evidence):
     alarm
         Time of the alarm in the log in s, the end of its piece; NaN without one.
     since, since_lower, since_upper
-        When the change began, s, and its 95 % interval: beginnings of pieces.
+        When the change began to show, s, and a 95 % interval for its beginning: beginnings of pieces.
     growth
         What changed; None without an alarm and where it is unknown.
     pieces
