@@ -28,6 +28,7 @@ from robustlab.identification.naming.first_look import Start
 from robustlab.identification.naming.named_effects import INTERVAL, SURE, EffectValue, KindMember, wave_amplitude
 from robustlab.identification.naming.named_kinds import Place, Places
 from robustlab.identification.naming.set_search import log_prior
+from robustlab.identification.tuning import NamingTuning
 
 CHANCE = 3.0  # standard deviations of a sum of squares beyond which it is more than noise
 
@@ -54,11 +55,34 @@ class Onset(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """A change as it was fitted: its index, the fit, its log evidence."""
+    """A change as it was fitted to one piece: its index, the fit, its log evidence."""
 
     change: int
     fit: Fit
     evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """The model as it was, and each change, fitted to pieces one by one, the last one first; their points."""
+
+    none: tuple[Fitted, ...]
+    each: tuple[tuple[Fitted, ...], ...]  # of each piece, in the same order of changes
+    points: int
+
+    def and_of(self, none: Fitted, each: Sequence[Fitted], points: int) -> Fits:
+        """With one more piece."""
+        return Fits((*self.none, none), (*self.each, tuple(each)), self.points + points)
+
+    @property
+    def evidence(self) -> Array:
+        """Log evidence of each change over none, without their priors."""
+        return np.array([[f.evidence for f in row] for row in self.each]).sum(axis=0) - sum(f.evidence for f in self.none)
+
+    @property
+    def gain(self) -> float:
+        """That of the best change."""
+        return float(self.evidence.max())
 
 
 def onset(found: Alternatives, of: Sequence[int], plan: ColumnPlan) -> Onset:
@@ -93,23 +117,23 @@ def before_change(test: ChangeTest, hypothesis: Hypothesis, z: Array, piece: int
 
 
 def fitted(problem: Problem, before: Before, changes: Sequence[Change], k: int, noise: NoiseModel) -> Fitted:
-    """A change fitted to the problem's pieces, from its best start.
-
-    That a parameter moves is taken for as probable as anything; an effect that comes in has the prior that it has in
-    `discover`.
-    """
+    """A change fitted to a piece, from its best start."""
     change = changes[k]
     trials = [_trial(problem, before, change, start) for start in change.starts or (None,)]
     found = []
     for hypothesis, z, prior in trials:
         fit = problem.fit(hypothesis, noise, z, plan=FitPlan(problem.tuning.full), prior=prior)
-        coming = 0.0 if change.at is not None else log_prior(Hypothesis(fit.hypothesis.candidates[-1:]), problem.tuning)
-        found.append(Fitted(k, fit, _evidence(fit, prior) + coming))
+        found.append(Fitted(k, fit, _evidence(fit, prior)))
     return max(found, key=lambda f: f.evidence)
 
 
+def _log_prior(change: Change, fit: Fit, tuning: NamingTuning) -> float:
+    """That a parameter moves is taken for as probable as anything; an effect that comes in is as rare as in `discover`."""
+    return 0.0 if change.at is not None else log_prior(Hypothesis(fit.hypothesis.candidates[-1:]), tuning)
+
+
 def unchanged(problem: Problem, before: Before, noise: NoiseModel) -> Fitted:
-    """The model as it was, in the problem's pieces."""
+    """The model as it was, in a piece."""
     prior = Prior(before.z, np.linalg.inv(before.covariance))
     fit = problem.fit(before.hypothesis, noise, before.z, plan=FitPlan(problem.tuning.full), prior=prior)
     return Fitted(-1, fit, _evidence(fit, prior))
@@ -144,24 +168,6 @@ def _trial(problem: Problem, before: Before, change: Change, start: Start | None
     return start.hypothesis, np.append(before.z[kept], start.z[len(kept) :]), Prior(mean, precision)
 
 
-class Fits(NamedTuple):
-    """The model as it was, and each change, fitted to the same pieces; their points."""
-
-    none: Fitted
-    each: tuple[Fitted, ...]
-    points: int
-
-    @property
-    def best(self) -> Fitted:
-        """The most probable change."""
-        return max(self.each, key=lambda f: f.evidence)
-
-    @property
-    def gain(self) -> float:
-        """Log evidence of the best change over none."""
-        return self.best.evidence - self.none.evidence
-
-
 class Named(NamedTuple):
     """What the fits say: the growth, None where nothing explains the change; the index of the best change."""
 
@@ -174,22 +180,26 @@ def named(
     problem: Problem, before: Before, changes: Sequence[Change], fits: Fits, places: Places, growing: float
 ) -> Named:
     """The narrowest kind that is sure, over all fitted changes, and how much of what lacks it explains."""
-    best, floor = fits.best, fits.points * before.left
-    left, lacking = best.fit.cost - floor, fits.none.fit.cost - floor
+    logs, tuning = fits.evidence, problem.tuning
+    first = fits.each[0]  # the piece at the end
+    logs = logs + [_log_prior(changes[f.change], f.fit, tuning) for f in first]
+    at = int(np.argmax(logs))
+    best, floor = first[at], fits.points * before.left
+    cost = sum(row[at].fit.cost for row in fits.each)
+    left, lacking = cost - floor, sum(f.fit.cost for f in fits.none) - floor
     complete = left <= CHANCE * math.sqrt(2.0 * fits.points) * before.left
     explained = min(1.0, max(0.0, 1.0 - max(left, 0.0) / lacking)) if lacking > 0.0 else 0.0
-    if fits.gain <= 0.0 or (not complete and explained < problem.tuning.explained):
+    if logs[at] <= 0.0 or (not complete and explained < tuning.explained):
         return Named(None, False, best.change)
-    coarse = max(1.0, best.fit.cost / floor)
-    logs = np.array([f.evidence / coarse for f in fits.each])
-    shares = np.exp(logs - logsumexp(logs))
+    coarse = max(1.0, cost / floor)
+    shares = np.exp(logs / coarse - logsumexp(logs / coarse))
     kinds: dict[Place, float] = defaultdict(float)
-    for f, share in zip(fits.each, shares, strict=True):
+    for f, share in zip(first, shares, strict=True):
         for node in changes[f.change].above(places):
             kinds[node] += float(share)
     node = next((n for n in changes[best.change].above(places) if kinds[n] >= SURE and _says_something(n)), None)
     within = [
-        (changes[f.change], float(s)) for f, s in zip(fits.each, shares, strict=True)
+        (changes[f.change], float(s)) for f, s in zip(first, shares, strict=True)
         if node is None or node in changes[f.change].above(places)
     ]  # fmt: skip
     whole = sum(s for _, s in within)

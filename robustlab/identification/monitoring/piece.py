@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,12 +13,38 @@ from robustlab.identification.monitoring.change_test import PieceEquations
 from robustlab.identification.monitoring.changes import Change
 from robustlab.identification.naming.first_look import effect_columns, own_derivatives
 
+MOST_BENT = 4.0  # square of residuals that are not linear in the parameters, over the noise of one point
 SLOW = 6  # cosines in a window, over which unnamed errors are looked for
 
 
 def placed(problem: Problem, hypothesis: Hypothesis, noise: NoiseModel, z: Array) -> Fit:
     """The model with these parameters in the windows of a piece, each from its best start."""
     return problem.fit(hypothesis, noise, z, plan=FitPlan(problem.tuning.last, 0.5, fixed=True))
+
+
+def linear_windows(problem: Problem, fit: Fit, spread: Array) -> tuple[Problem, Fit]:
+    """The piece, and the model in it, without the windows in which the model is not linear in what may move it.
+
+    Where a force is about that at which a contact breaks away, its motion says little of parameters and all of chance.
+    ``spread`` (k, m): steps of the standardised parameters, each tried to both sides; a window counts as linear where
+    what is not linear of its residuals, its start free, is less than the noise makes of them.
+    """
+    (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
+    ((_, over_x),) = own_derivatives(problem, fit, [residual])
+    free = np.linalg.qr(over_x)[0]
+    simulators = problem.simulators(fit.hypothesis)
+
+    def moved(z: Array) -> Array:
+        return problem.whitened(problem.errors(fit.hypothesis, z, fit.starts, simulators), fit.noise)[0] - residual
+
+    bent = np.zeros(len(residual))
+    for step in spread.T:
+        both = 0.5 * (moved(fit.z + step) + moved(fit.z - step))  # what is even in a step is not linear in it
+        left = both - (free @ (np.swapaxes(free, 1, 2) @ both[:, :, None]))[:, :, 0]
+        bent = np.maximum(bent, (left**2).sum(axis=1))
+    kept = np.flatnonzero(bent < MOST_BENT)
+    (record,), (chosen,), (starts,) = problem.records, problem.chosen, fit.starts
+    return problem.on([record], [chosen[kept]]), replace(fit, starts=(starts[kept],))
 
 
 def equations(problem: Problem, fit: Fit, changes: Sequence[Change]) -> PieceEquations:

@@ -47,7 +47,7 @@ from robustlab.identification.monitoring.grown import (
     unchanged,
     value_fitted,
 )
-from robustlab.identification.monitoring.piece import equations, placed
+from robustlab.identification.monitoring.piece import equations, linear_windows, placed
 from robustlab.identification.monitoring.watch_result import Verdict, Watch, WatchedPiece
 from robustlab.identification.naming.named_effects import EffectValue
 from robustlab.identification.naming.named_kinds import Places
@@ -59,6 +59,7 @@ from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
+FAR = 2.0  # standard deviations, as the first piece tells the parameters, within which a window has to be linear
 CLEAR = 10.0  # log evidence beyond an alarm: then the beginning is told; a change may outgrow what is linear in it
 MOST_FITTED = 8  # pieces at the end to which the changes are fitted
 OWN_SPREAD = 0.3  # relative: how well a model's effect is known before its first piece, where it does not say
@@ -234,13 +235,15 @@ class _Watched:
         pool = candidates(plant, self.model, [prepared], tuning)
         self.problem, learned = self._learned(problem, Hypothesis(tuple(_own(e, pool) for e in settings.attached)))
         self.hypothesis, self.z, self.noise = learned.hypothesis, learned.z, learned.noise
+        sizes, directions = np.linalg.eigh(np.linalg.inv(learned.hessian))
+        self.spread = FAR * directions * np.sqrt(np.maximum(sizes, 0.0))
         pool = [c for c in pool if c.effect.id not in settings.left_out]
         self.changes: tuple[Change, ...] = possible_changes(self.problem, self.hypothesis, self.z, pool)
         self.plan: ColumnPlan = column_plan(self.changes, len(self.z))
         self.test = ChangeTest(self.plan.columns, 1 if settings.noise is None else 0, 1)
         self.told: Alternatives | None = None  # the alternatives once an alarm is clear
         self.highest = -np.log(settings.false_alarm)  # evidence that they had, or that of an alarm
-        self.prepared: list[PreparedRecord] = []
+        self.tested: list[Problem] = []  # the windows of each piece that the test has seen
         self.pieces: list[WatchedPiece] = []
         self._judge(first, prepared)
 
@@ -297,9 +300,10 @@ class _Watched:
         """Place the model in the piece, and hand what it tells to the test."""
         there = self.problem.on([prepared])
         fit = placed(there, self.hypothesis, self.noise, self.z)
+        there, fit = linear_windows(there, fit, self.spread)
         told = equations(there, fit, self.changes)
         misfit = float(np.sqrt(told.whole[-1, -1] / max(told.points, 1)))
-        self.prepared.append(prepared)
+        self.tested.append(there)
         evidence = self.test.add(told)
         self.pieces.append(WatchedPiece(float(piece.t[0]), float(piece.t[-1]), evidence, misfit))
         if self.highest <= evidence and self.highest < CLEAR - np.log(self.settings.false_alarm):
@@ -311,7 +315,7 @@ class _Watched:
         """What was found in all pieces so far."""
         alarm = -np.log(self.settings.false_alarm)
         over = [k for k, p in enumerate(self.pieces) if p.evidence >= alarm]
-        names = [self.settings.plant.outputs[k].name for k in self.prepared[0].columns]
+        names = [self.settings.plant.outputs[k].name for k in self.tested[0].records[0].columns]
         sizes = self.noise.std * np.sqrt(self.thin)
         result = Watch(
             Status.CONVERGED, "explained", self.settings.false_alarm, np.nan, np.nan, np.nan, np.nan, None,
@@ -327,8 +331,8 @@ class _Watched:
         # A change may begin within a piece, and too late in it to show there.
         times = [self.pieces[k].start for k in (began.piece, max(began.lower - 1, 0), began.upper)]
         before = before_change(self.test, self.hypothesis, self.z, began.piece)
-        fits = self._fitted(before, likely, began.piece)
         places = Places(self.settings.plant, self.problem.simulators(Hypothesis(()))[0].model({}, []))
+        fits = self._fitted(before, likely, began.piece, places)
         told = named(self.problem, before, self.changes, fits, places, began.growing)
         verdict: Verdict = "unknown" if told.growth is None else "named" if told.sure else "ambiguous"
         changed = replace(
@@ -341,29 +345,28 @@ class _Watched:
         rows = zip(self.pieces, values, strict=True)
         return replace(changed, pieces=tuple(replace(p, value=v.value, lower=v.lower, upper=v.upper) for p, v in rows))
 
-    def _fitted(self, before: Before, likely: Sequence[int], since: int) -> Fits:
-        """The changes fitted to as few of the last pieces as tell one of them from none.
+    def _fitted(self, before: Before, likely: Sequence[int], since: int, places: Places) -> Fits:
+        """The changes fitted, each piece by itself, to as few of the last pieces as tell which of them it is.
 
-        The last one that shows the change, where it has gone again.
+        To the last ones that show the change, where it has gone again.
         """
         excess = np.array([p.misfit**2 - before.left for p in self.pieces[since:]])
         end = len(self.pieces) if excess[-1] >= 0.5 * excess.max() else since + int(np.argmax(excess)) + 1
-        for count in range(1, min(MOST_FITTED, end - since) + 1):
-            at = range(end - count, end)
-            there = self.problem.on([self.prepared[k] for k in at])
+        fits = Fits((), (), 0)
+        for k in range(end - 1, max(since, end - MOST_FITTED) - 1, -1):
+            there = self.tested[k]
             none = unchanged(there, before, self.noise)
-            each = [fitted(there, before, self.changes, k, self.noise) for k in likely]
-            fits = Fits(none, tuple(each), sum(self.test.pieces[k].points for k in at))
-            if fits.gain >= self.settings.tuning.far_behind:
+            each = [fitted(there, before, self.changes, j, self.noise) for j in likely]
+            fits = fits.and_of(none, each, self.test.pieces[k].points)
+            if fits.gain >= self.settings.tuning.far_behind and named(there, before, self.changes, fits, places, 0.0).sure:
                 break
         return fits
 
     def _value(self, before: Before, change: int, k: int) -> EffectValue:
         """What changed as it was in one piece."""
-        alone = self.problem.on([self.prepared[k]])
-        found = fitted(alone, before, self.changes, change, self.noise)
+        found = fitted(self.tested[k], before, self.changes, change, self.noise)
         floor = self.test.pieces[k].points * before.left
-        return value_fitted(alone, found.fit, self.changes[change], max(1.0, found.fit.cost / floor))
+        return value_fitted(self.tested[k], found.fit, self.changes[change], max(1.0, found.fit.cost / floor))
 
 
 def _noise_left(problem: Problem, fit: Fit) -> NoiseModel:
