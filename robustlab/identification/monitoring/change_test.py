@@ -50,7 +50,10 @@ from robustlab.arrays import Array, Mask
 DIFFUSE = 1e-4  # precision of the standardised parameters: 100 times their tolerances is as good as flat
 SIZES = (0.05, 0.5)  # of a change that is looked for, over its usual size
 GROWING = 20.0  # pieces in which a growing change reaches the size of one that came at once
-SCATTERS = (1.0, 100.0)  # variance of unnamed slow errors, over the noise; below one half it would test the noise itself
+SCATTERS = (
+    1.0,
+    100.0,
+)  # variance of unnamed slow errors, over the noise; below one half it would test the noise itself
 UNNAMED = 0.5  # share of the alternatives that name nothing
 NEGLIGIBLE = 1e-9  # of a column's own square: what the parameters make of it by rounding
 

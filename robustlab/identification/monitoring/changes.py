@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.effects.kinds import KIND_OF, upwards
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics.effects.kinds import KIND_OF, upwards
 from robustlab.dynamics.ports.port_model import parameter_groups
 from robustlab.identification.hypotheses.effect_fit import Candidate, Hypothesis, Problem
 from robustlab.identification.monitoring.change_test import Columns
@@ -82,7 +82,11 @@ def possible_changes(
     refitted = {n.label for n in problem.nuisances}
     coming: dict[str, tuple[Candidate, list[Start]]] = {}
     for c in pool:
-        if not may_follow(c, hypothesis) or c.effect.long_memory or c.site.kind == "parameter" and c.site.name in refitted:
+        if (
+            not may_follow(c, hypothesis)
+            or c.effect.long_memory
+            or (c.site.kind == "parameter" and c.site.name in refitted)
+        ):
             continue
         starts = [Start(c, *extended(problem, hypothesis, z, c, start)) for start in c.starts]
         coming.setdefault(c.key, (c, []))[1].extend(starts)

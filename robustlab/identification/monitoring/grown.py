@@ -55,11 +55,12 @@ class Onset(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """A change as it was fitted to one piece: its index, the fit, its log evidence."""
+    """A change as it was fitted to one piece: its index (-1 of none), the fit, its log evidence, its free parameters."""
 
     change: int
     fit: Fit
     evidence: float
+    free: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +77,15 @@ class Fits:
 
     @property
     def evidence(self) -> Array:
-        """Log evidence of each change over none, without their priors."""
-        return np.array([[f.evidence for f in row] for row in self.each]).sum(axis=0) - sum(f.evidence for f in self.none)
+        """Log evidence of each change over none, without their priors.
+
+        The strength is free in each piece, for what grows has another one in each; how wide its prior is counts once, in
+        the last piece, and in every other one a free parameter costs what it gains by chance.
+        """
+        total = np.array([f.evidence for f in self.each[0]]) - self.none[0].evidence
+        for none, row in zip(self.none[1:], self.each[1:], strict=True):
+            total += [0.5 * (none.fit.cost - f.fit.cost - f.free) for f in row]
+        return np.asarray(total)
 
     @property
     def gain(self) -> float:
@@ -123,7 +131,8 @@ def fitted(problem: Problem, before: Before, changes: Sequence[Change], k: int, 
     found = []
     for hypothesis, z, prior in trials:
         fit = problem.fit(hypothesis, noise, z, plan=FitPlan(problem.tuning.full), prior=prior)
-        found.append(Fitted(k, fit, _evidence(fit, prior)))
+        free = 1 if change.at is not None else len(hypothesis.candidates[-1].parameters)
+        found.append(Fitted(k, fit, _evidence(fit, prior), free))
     return max(found, key=lambda f: f.evidence)
 
 
@@ -136,7 +145,7 @@ def unchanged(problem: Problem, before: Before, noise: NoiseModel) -> Fitted:
     """The model as it was, in a piece."""
     prior = Prior(before.z, np.linalg.inv(before.covariance))
     fit = problem.fit(before.hypothesis, noise, before.z, plan=FitPlan(problem.tuning.full), prior=prior)
-    return Fitted(-1, fit, _evidence(fit, prior))
+    return Fitted(-1, fit, _evidence(fit, prior), 0)
 
 
 def _evidence(fit: Fit, prior: Prior) -> float:
@@ -162,7 +171,9 @@ def _trial(problem: Problem, before: Before, change: Change, start: Start | None
     new = start.candidate.parameters
     # What the effect has in common with the one that it refines stays as well known as it was: that is another change.
     told = [refined[p.name] / p.prior.spread if p.name in refined else 1.0 for p in new]
-    mean = np.append(before.z[kept], [z if p.name in refined else 0.0 for p, z in zip(new, start.z[-len(new) :], strict=True)])
+    mean = np.append(
+        before.z[kept], [z if p.name in refined else 0.0 for p, z in zip(new, start.z[-len(new) :], strict=True)]
+    )
     precision = np.diag(np.append(np.zeros(len(kept)), np.array(told) ** -2.0))
     precision[: len(kept), : len(kept)] = np.linalg.inv(before.covariance[np.ix_(kept, kept)])
     return start.hypothesis, np.append(before.z[kept], start.z[len(kept) :]), Prior(mean, precision)
@@ -226,7 +237,9 @@ def value_of(problem: Problem, hypothesis: Hypothesis, z: Array, covariance: Arr
     """The parameter that the change is told by, with its 95 % interval by the delta method."""
     name, unit, meaning = _told_by(problem, hypothesis, change)
     value, step = _value(problem, hypothesis, z, change), problem.tuning.step
-    slope = np.array([_value(problem, hypothesis, z + step * unit_z, change) - value for unit_z in np.eye(len(z))]) / step
+    slope = (
+        np.array([_value(problem, hypothesis, z + step * unit_z, change) - value for unit_z in np.eye(len(z))]) / step
+    )
     spread = INTERVAL * math.sqrt(max(0.0, float(slope @ covariance @ slope)))
     return EffectValue(name, value, unit, value - spread, value + spread, meaning)
 

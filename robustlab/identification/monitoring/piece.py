@@ -13,7 +13,8 @@ from robustlab.identification.monitoring.change_test import PieceEquations
 from robustlab.identification.monitoring.changes import Change
 from robustlab.identification.naming.first_look import effect_columns, own_derivatives
 
-MOST_BENT = 4.0  # square of residuals that are not linear in the parameters, over the noise of one point
+MOST_BENT = 1.0  # square of the change of a window's residuals, over the noise of one point
+MOST_STEPS, FEW = 16, 0.02  # steps a sample; share of the windows that may still change
 SLOW = 6  # cosines in a window, over which unnamed errors are looked for
 
 
@@ -22,29 +23,56 @@ def placed(problem: Problem, hypothesis: Hypothesis, noise: NoiseModel, z: Array
     return problem.fit(hypothesis, noise, z, plan=FitPlan(problem.tuning.last, 0.5, fixed=True))
 
 
-def linear_windows(problem: Problem, fit: Fit, spread: Array) -> tuple[Problem, Fit]:
-    """The piece, and the model in it, without the windows in which the model is not linear in what may move it.
+def faithful_windows(problem: Problem, fit: Fit, spread: Array) -> tuple[Problem, Fit]:
+    """The piece, and the model in it, without the windows in which the simulation is not to be trusted that far.
 
-    Where a force is about that at which a contact breaks away, its motion says little of parameters and all of chance.
-    ``spread`` (k, m): steps of the standardised parameters, each tried to both sides; a window counts as linear where
-    what is not linear of its residuals, its start free, is less than the noise makes of them.
+    Where a force is about that at which a contact breaks away, what is known of the parameters changes the motion
+    otherwise than linear, and a breakaway within a step is told no better than the step. ``spread`` (k, m): steps of the
+    standardised parameters, each tried to both sides. A window stays where neither what is even in such a step, nor
+    steps of half the length, change its residuals, starts free, by more than `MOST_BENT`.
     """
     (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
-    ((_, over_x),) = own_derivatives(problem, fit, [residual])
-    free = np.linalg.qr(over_x)[0]
+    free = _free(problem, fit, residual)
     simulators = problem.simulators(fit.hypothesis)
 
     def moved(z: Array) -> Array:
         return problem.whitened(problem.errors(fit.hypothesis, z, fit.starts, simulators), fit.noise)[0] - residual
 
-    bent = np.zeros(len(residual))
+    bent = _stepped(problem, fit, residual, free)
     for step in spread.T:
-        both = 0.5 * (moved(fit.z + step) + moved(fit.z - step))  # what is even in a step is not linear in it
-        left = both - (free @ (np.swapaxes(free, 1, 2) @ both[:, :, None]))[:, :, 0]
-        bent = np.maximum(bent, (left**2).sum(axis=1))
+        bent = np.maximum(bent, _beyond_starts(0.5 * (moved(fit.z + step) + moved(fit.z - step)), free))
     kept = np.flatnonzero(bent < MOST_BENT)
     (record,), (chosen,), (starts,) = problem.records, problem.chosen, fit.starts
     return problem.on([record], [chosen[kept]]), replace(fit, starts=(starts[kept],))
+
+
+def fine_steps(problem: Problem, fit: Fit) -> Problem:
+    """The problem with steps so short that half of them change few windows; shorter ones than `MOST_STEPS` are not."""
+    while (problem.clock.sub or 1) < MOST_STEPS:
+        (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
+        if (_stepped(problem, fit, residual, _free(problem, fit, residual)) > MOST_BENT).mean() <= FEW:
+            break
+        problem = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
+    return problem
+
+
+def _free(problem: Problem, fit: Fit, residual: Array) -> Array:
+    """Orthonormal basis of what the starts do to the residuals, (n_windows, points, n_x)."""
+    ((_, over_x),) = own_derivatives(problem, fit, [residual])
+    return np.linalg.qr(over_x)[0]
+
+
+def _beyond_starts(change: Array, free: Array) -> Array:
+    """Square of a change of the residuals in each window, starts projected out, (n_windows,)."""
+    left = change - (free @ (np.swapaxes(free, 1, 2) @ change[:, :, None]))[:, :, 0]
+    return np.asarray((left**2).sum(axis=1))
+
+
+def _stepped(problem: Problem, fit: Fit, residual: Array, free: Array) -> Array:
+    """The same of steps of half the length."""
+    halved = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
+    (there,) = problem.whitened(halved.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
+    return _beyond_starts(there - residual, free)
 
 
 def equations(problem: Problem, fit: Fit, changes: Sequence[Change]) -> PieceEquations:

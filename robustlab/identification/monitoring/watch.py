@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.checks import number
 from robustlab.dynamics.effects.catalogue import effect
@@ -31,7 +30,15 @@ from robustlab.identification.hypotheses.candidates import (
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, FitPlan, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import (
+    Candidate,
+    Clock,
+    Fit,
+    FitPlan,
+    Hypothesis,
+    NoiseModel,
+    Problem,
+)
 from robustlab.identification.hypotheses.noise import careful, first_noise, whitening
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, ports_of, prepare, window_length
 from robustlab.identification.monitoring.change_test import Alternatives, ChangeTest
@@ -47,11 +54,11 @@ from robustlab.identification.monitoring.grown import (
     unchanged,
     value_fitted,
 )
-from robustlab.identification.monitoring.piece import equations, linear_windows, placed
+from robustlab.identification.monitoring.piece import equations, faithful_windows, fine_steps, placed
 from robustlab.identification.monitoring.watch_result import Verdict, Watch, WatchedPiece
 from robustlab.identification.naming.named_effects import EffectValue
 from robustlab.identification.naming.named_kinds import Places
-from robustlab.identification.naming.set_search import clock_nuisances, held_inputs, short_steps
+from robustlab.identification.naming.set_search import clock_nuisances, held_inputs
 from robustlab.identification.record_check.resampling import clock_step, uniform
 from robustlab.identification.response.response import with_units
 from robustlab.identification.tuning import TUNING, NamingTuning
@@ -136,6 +143,10 @@ def watch(
     for word, value in (("every", every), ("window", window)):
         if value is not None:
             number(f"watch: {word}", value, "a length in s above 0", above=0.0)
+    if not isinstance(records, Record | Iterable):
+        raise InputError("watch: records", f"a {type(records).__name__}", "a record, or records")
+    if not isinstance(noise, Mapping | None):
+        raise InputError("watch: noise", f"{noise!r}", "standard deviations by outputs, {...}, or None")
     plant, attached = _parts_of(model)
     stated = stated_tolerances(plant, tolerances)
     plant = with_absolute_tolerances(plant, stated)
@@ -192,8 +203,10 @@ def _cut(records: Iterable[Record], every: float | None) -> Iterator[Record]:
         if not isinstance(record, Record):
             raise InputError("watch", f"a {type(record).__name__}", "records")
         count = 1 if every is None else max(1, round(record.duration / every))
-        edges = np.linspace(0, record.n, count + 1) if every is None else np.append(
-            np.searchsorted(record.t, record.t[0] + every * np.arange(count) - 1e-9 * every), record.n
+        edges = (
+            np.linspace(0, record.n, count + 1)
+            if every is None
+            else np.append(np.searchsorted(record.t, record.t[0] + every * np.arange(count) - 1e-9 * every), record.n)
         )
         for k, (first, last) in enumerate(zip(edges[:-1].astype(int), edges[1:].astype(int), strict=True)):
             yield record if count == 1 else _samples(record, first, last, f"{record.name}, piece {k + 1}")
@@ -276,11 +289,11 @@ class _Watched:
         z = np.zeros(problem.size(hypothesis))
         fit = problem.fit(hypothesis, noise, z, plan=FitPlan(tuning.base))
         fit, problem = held_inputs(problem, fit)
-        problem = short_steps(problem, fit)
         for _ in range(2):
             if stated is None:
                 noise = careful(problem, fit, _noise_left(problem, fit))
             fit = problem.fit(hypothesis, noise, fit.z, fit.starts, FitPlan(tuning.base, 1e-3))
+            problem = fine_steps(problem, fit)
         return problem, fit
 
     def _stated(self, problem: Problem, stated: Mapping[str, float]) -> NoiseModel:
@@ -300,7 +313,7 @@ class _Watched:
         """Place the model in the piece, and hand what it tells to the test."""
         there = self.problem.on([prepared])
         fit = placed(there, self.hypothesis, self.noise, self.z)
-        there, fit = linear_windows(there, fit, self.spread)
+        there, fit = faithful_windows(there, fit, self.spread)
         told = equations(there, fit, self.changes)
         misfit = float(np.sqrt(told.whole[-1, -1] / max(told.points, 1)))
         self.tested.append(there)
@@ -317,10 +330,12 @@ class _Watched:
         over = [k for k, p in enumerate(self.pieces) if p.evidence >= alarm]
         names = [self.settings.plant.outputs[k].name for k in self.tested[0].records[0].columns]
         sizes = self.noise.std * np.sqrt(self.thin)
+        used = sum(len(t.chosen[0]) for t in self.tested) / sum(t.records[0].count for t in self.tested)
+        status = Status.CONVERGED if over or used >= 0.5 else Status.INCONCLUSIVE
         result = Watch(
-            Status.CONVERGED, "explained", self.settings.false_alarm, np.nan, np.nan, np.nan, np.nan, None,
+            status, "explained", self.settings.false_alarm, np.nan, np.nan, np.nan, np.nan, None,
             tuple(self.pieces), dict(zip(names, map(float, sizes), strict=True)), self.settings.noise is not None,
-            self.settings.plant.name, self.length * self.dt,
+            self.settings.plant.name, self.length * self.dt, used,
         )  # fmt: skip
         return self._with_change(result, over[0], self.told) if self.told is not None else result
 
@@ -358,7 +373,10 @@ class _Watched:
             none = unchanged(there, before, self.noise)
             each = [fitted(there, before, self.changes, j, self.noise) for j in likely]
             fits = fits.and_of(none, each, self.test.pieces[k].points)
-            if fits.gain >= self.settings.tuning.far_behind and named(there, before, self.changes, fits, places, 0.0).sure:
+            if (
+                fits.gain >= self.settings.tuning.far_behind
+                and named(there, before, self.changes, fits, places, 0.0).sure
+            ):
                 break
         return fits
 
@@ -390,5 +408,7 @@ def _about(parameter: EffectParameter, value: float, std: float) -> EffectParame
         centre = value or np.finfo(float).tiny ** 0.25 * prior.centre
         return replace(parameter, prior=replace(prior, centre=centre, spread=OWN_SPREAD))
     if prior.kind == "linear":
-        return replace(parameter, prior=replace(prior, centre=value, spread=std or OWN_SPREAD * abs(value) or prior.spread))
+        return replace(
+            parameter, prior=replace(prior, centre=value, spread=std or OWN_SPREAD * abs(value) or prior.spread)
+        )
     return replace(parameter, prior=replace(prior, centre=value))

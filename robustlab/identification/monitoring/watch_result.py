@@ -116,6 +116,7 @@ class Watch(Tabular, Evidence):
     ----------
     status
         CONVERGED: the alarm, or its absence, holds at the stated rate, whether the change has a name or not.
+        INCONCLUSIVE: no alarm, but the test could use less than half of the windows.
     verdict
         ``"explained"``: no alarm; ``"named"``: an alarm, and the kind of the change has 95 %; ``"ambiguous"``: several
         kinds; ``"unknown"``: nothing in the catalogue explains it.
@@ -135,6 +136,9 @@ class Watch(Tabular, Evidence):
         Whether it was given; else it is that of the first piece.
     plant, window
         The model; the length of the windows in s.
+    tested
+        Share of the windows that the test used, 0..1; in the others the model is not linear in what the first piece
+        leaves open of its parameters (a contact about to break away).
     """
 
     status: Status
@@ -150,14 +154,16 @@ class Watch(Tabular, Evidence):
     noise_stated: bool
     plant: str
     window: float
+    tested: float
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "verdict": str,
         "met": bool,
         **dict.fromkeys(("alarm", "since", "since_lower", "since_upper", "window"), "s"),
         "evidence": "1",
+        "tested": "1",
         "growth": Growth,
-        "ratio": {"value": "1", "lower": "1", "upper": "1"},
+        "ratio": EffectValue,
     }
 
     @property
@@ -198,7 +204,7 @@ class Watch(Tabular, Evidence):
             ]
         rows += [
             ("noise", f"{listed(f'{name} {number(std)}' for name, std in self.noise.items())} a sample, {told}"),
-            ("windows", number(self.window, "s")),
+            ("windows", f"{number(self.window, 's')}, {100.0 * self.tested:.0f} % of them tested"),
         ]
         return rows
 
@@ -217,12 +223,9 @@ class Watch(Tabular, Evidence):
     def table(self) -> Table:
         """A row for each piece."""
         names = ("stop", "evidence", "misfit", "value", "lower", "upper")
-        return Table(("start", [p.start for p in self.pieces]), {n: [getattr(p, n) for p in self.pieces] for n in names})
-
-    def numbers(self) -> dict[str, Any]:
-        """What requirements may refer to."""
-        found = super().numbers() if self.growth is None or self.growth.ratio is None else {}
-        return found
+        return Table(
+            ("start", [p.start for p in self.pieces]), {n: [getattr(p, n) for p in self.pieces] for n in names}
+        )
 
     @property
     def ratio(self) -> EffectValue | None:
@@ -239,5 +242,5 @@ def span_of(seconds: float) -> str:
 
 
 def _large(log: float) -> str:
-    """e to the power of ``log`` as a power of ten where it is large."""
+    """E to the power of ``log`` as a power of ten where it is large."""
     return f"{math.exp(log):.3g}" if log < 14.0 else f"1e{log / math.log(10.0):.0f}"
