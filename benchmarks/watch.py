@@ -1,4 +1,4 @@
-"""Watching a machine: false alarms where nothing changes, the delay of the alarm against the size of a change, its name.
+"""Watching a machine: false alarms where nothing changes, the delay of an alarm against a change's size, its name.
 
 The truth is simulated here, exactly between its switches (`Axis`, `Motor`), and not by robustlab: an axis driven by a
 force of steps, its position measured; and a voltage-driven motor, its current and speed measured. Each has viscous and
@@ -15,6 +15,7 @@ import math
 import sys
 import time
 from collections import Counter
+from typing import ClassVar
 
 import numpy as np
 from scipy.stats import beta
@@ -28,8 +29,9 @@ PIECE, PIECES, BEGINS = 2.0, 10, 4  # s, number of pieces, the first piece with 
 class Axis:
     """J w' = u - b w - Fc sgn w + d, q' = w: solved between the switches of the sign."""
 
-    noise, dt = {"q": 5e-3}, 5e-3
-    nominal = {"J": 2e-3, "b": 4e-3, "Fc": 0.02, "gain": 1.0, "load": 0.0}
+    dt = 5e-3
+    noise: ClassVar = {"q": 5e-3}
+    nominal: ClassVar = {"J": 2e-3, "b": 4e-3, "Fc": 0.02, "gain": 1.0, "load": 0.0}
 
     @staticmethod
     def model():
@@ -81,8 +83,18 @@ class Axis:
 class Motor:
     """L i' = u - R i - K w, J w' = K i - b w - Fc sgn w - load: eigenvectors between the switches of the sign."""
 
-    noise, dt = {"i": 0.02, "omega": 0.5}, 1e-3
-    nominal = {"R": 2.07, "L": 6.2e-4, "K": 0.0525, "J": 1.4e-5, "b": 4.8e-6, "Fc": 0.004, "gain": 1.0, "load": 0.0}
+    dt = 1e-3
+    noise: ClassVar = {"i": 0.02, "omega": 0.5}
+    nominal: ClassVar = {
+        "R": 2.07,
+        "L": 6.2e-4,
+        "K": 0.0525,
+        "J": 1.4e-5,
+        "b": 4.8e-6,
+        "Fc": 0.004,
+        "gain": 1.0,
+        "load": 0.0,
+    }
 
     @staticmethod
     def model():
@@ -251,9 +263,8 @@ def main(words: list[str]) -> None:
     """What is asked for."""
     began = time.process_time()
     print("# python benchmarks/watch.py " + " ".join(words))
-    print(
-        f"# {PIECES} pieces of {PIECE:g} s; a change begins at {BEGINS * PIECE:g} s; false alarms at most {FALSE_ALARM:g}"
-    )
+    begins = f"a change begins at {BEGINS * PIECE:g} s"
+    print(f"# {PIECES} pieces of {PIECE:g} s; {begins}; false alarms at most {FALSE_ALARM:g}")
     if not words or words[0] == "quiet":
         for machine in (Axis, Motor):
             for stated in (True, False):

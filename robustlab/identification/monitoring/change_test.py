@@ -8,8 +8,8 @@ explains the log,
 
 with one unknown :math:`\zeta` for all pieces: the parameters need not be known, they must not move. If from piece
 :math:`\tau` on something of strength :math:`\delta` comes in, at once (:math:`w_p = 1`) or growing (:math:`w_p = p -
-\tau + 1`), it is :math:`r_p + J_p \zeta + w_p G_p \delta`. With :math:`\zeta` integrated out under a flat prior in both,
-and :math:`\delta \sim N(0, s^2)`, the ratio of the two likelihoods is
+\tau + 1`), it is :math:`r_p + J_p \zeta + w_p G_p \delta`. With :math:`\zeta` integrated out under a flat prior in
+both, and :math:`\delta \sim N(0, s^2)`, the ratio of the two likelihoods is
 
 .. math::
     \log \Lambda_\tau = \tfrac12 \frac{b^2}{A + s^{-2}} - \tfrac12 \log(1 + s^2 A), \qquad
@@ -33,8 +33,8 @@ References
 ----------
 Ville, *Étude critique de la notion de collectif* (1939); Robbins, *Statistical methods related to the law of the
 iterated logarithm* (1970); Pérez-Ortiz, Lardy, de Heide, Grünwald, *E-statistics, group invariance and anytime-valid
-testing*, Annals of Statistics 52 (2024); Ramdas, Grünwald, Vovk, Shafer, *Game-theoretic statistics and safe anytime-valid
-inference*, Statistical Science 38 (2023).
+testing*, Annals of Statistics 52 (2024); Ramdas, Grünwald, Vovk, Shafer, *Game-theoretic statistics and safe
+anytime-valid inference*, Statistical Science 38 (2023).
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr
 
-from robustlab.arrays import Array, Mask
+from robustlab.arrays import Array, Indices, Mask
 
 DIFFUSE = 1e-4  # precision of the standardised parameters: 100 times their tolerances is as good as flat
 SIZES = (0.05, 0.5)  # of a change that is looked for, over its usual size
@@ -91,7 +91,7 @@ class Alternatives:
     of what is unnamed (n_tau,).
     """
 
-    since: Array  # piece at which the change comes, (n_tau,)
+    since: Indices  # piece at which the change comes, (n_tau,)
     named: Array
     unnamed: Array
 
@@ -99,7 +99,7 @@ class Alternatives:
     def each(self) -> Array:
         """Log evidence of each tau, (n_tau,)."""
         both = np.concatenate([self.named.reshape(len(self.since), -1), self.unnamed[:, None]], axis=1)
-        return np.asarray(logsumexp(both, axis=1))
+        return log_sum(both, axis=1)
 
 
 @dataclass(eq=False)
@@ -129,7 +129,7 @@ class ChangeTest:
             there.add(piece, own, float(age))
         self.pieces.append(piece)
         behind = len(self._since)
-        return float(np.logaddexp(logsumexp(self.alternatives().each), -np.log(behind + 1.0))) if behind else 0.0
+        return float(np.logaddexp(log_sum(self.alternatives().each), -np.log(behind + 1.0))) if behind else 0.0
 
     def alternatives(self) -> Alternatives:
         """All that may have changed, by the pieces so far."""
@@ -144,7 +144,7 @@ class ChangeTest:
             (np.stack([s.whole for s in self._since]), np.array([s.points for s in self._since])),
         ]
         scatter = [self._scatter(part, points, v) for part, points in parts for v in SCATTERS]
-        unnamed = logsumexp(scatter, axis=0) - np.log(len(scatter)) + np.log(UNNAMED)
+        unnamed = log_sum(np.array(scatter), axis=0) - np.log(len(scatter)) + np.log(UNNAMED)
         return Alternatives(since, named + prior[:, None, None], unnamed + prior)
 
     def _strengths(self, once: Array, square: Array) -> Array:
@@ -161,7 +161,7 @@ class ChangeTest:
             ratio = 0.5 * b**2 / (a + precision) - 0.5 * np.log1p(a / precision)
             sign = np.log(2.0) + log_ndtr(-b / np.sqrt(a + precision))
             found.append(ratio + np.where(self.columns.never_negative, sign, 0.0))
-        return np.asarray(logsumexp(found, axis=0)) - np.log(len(SIZES))
+        return log_sum(np.array(found), axis=0) - np.log(len(SIZES))
 
     def _scatter(self, part: Array, points: Array, variance: float) -> Array:
         """Log ratio, (n_tau,), of errors that are random with this variance in the directions that ``part`` is of."""
@@ -202,6 +202,15 @@ class _Since:
         self.square, self.square_growing = self.square + square, self.square_growing + age**2 * square
         self.whole, self.slow = self.whole + piece.whole[np.ix_(own, own)], self.slow + piece.slow[np.ix_(own, own)]
         self.points, self.slow_points = self.points + piece.points, self.slow_points + piece.slow_points
+
+
+def log_sum(logs: Array, axis: int | tuple[int, ...] | None = None) -> Array:
+    """Logarithm of the sum of what has these logarithms, along an axis or over all."""
+    most = np.max(logs, axis=axis, keepdims=True)
+    most = np.where(np.isfinite(most), most, 0.0)
+    with np.errstate(divide="ignore"):
+        found = np.log(np.sum(np.exp(logs - most), axis=axis, keepdims=True)) + most
+    return np.asarray(found.squeeze() if axis is None else found.squeeze(axis))
 
 
 def _share(weight: Array) -> Array:

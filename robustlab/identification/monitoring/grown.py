@@ -16,12 +16,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.kinds import KINDS
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, NoiseModel, Prior, Problem
-from robustlab.identification.monitoring.change_test import Alternatives, ChangeTest, told_by
+from robustlab.identification.monitoring.change_test import Alternatives, ChangeTest, log_sum, told_by
 from robustlab.identification.monitoring.changes import Change, ColumnPlan
 from robustlab.identification.monitoring.watch_result import Growth
 from robustlab.identification.naming.first_look import Start
@@ -55,7 +54,7 @@ class Onset(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """A change as it was fitted to one piece: its index (-1 of none), the fit, its log evidence, its free parameters."""
+    """A change as fitted to one piece: its index (-1 of none), the fit, its log evidence, its free parameters."""
 
     change: int
     fit: Fit
@@ -79,8 +78,8 @@ class Fits:
     def evidence(self) -> Array:
         """Log evidence of each change over none, without their priors.
 
-        The strength is free in each piece, for what grows has another one in each; how wide its prior is counts once, in
-        the last piece, and in every other one a free parameter costs what it gains by chance.
+        The strength is free in each piece, for what grows has another one in each. How wide its prior is counts once,
+        in the last piece; in every other one a free parameter costs what it gains by chance.
         """
         total = np.array([f.evidence for f in self.each[0]]) - self.none[0].evidence
         for none, row in zip(self.none[1:], self.each[1:], strict=True):
@@ -96,19 +95,19 @@ class Fits:
 def onset(found: Alternatives, of: Sequence[int], plan: ColumnPlan) -> Onset:
     """When the change began, by the columns of these changes and what is unnamed."""
     columns = np.flatnonzero(np.isin(plan.of, of))
-    shapes = logsumexp(found.named[:, :, columns], axis=2) if len(columns) else np.full((len(found.since), 2), -np.inf)
-    each = np.logaddexp(logsumexp(shapes, axis=1), found.unnamed)
-    share = np.exp(each - logsumexp(each))
+    shapes = log_sum(found.named[:, :, columns], axis=2) if len(columns) else np.full((len(found.since), 2), -np.inf)
+    each = np.logaddexp(log_sum(shapes, axis=1), found.unnamed)
+    share = np.exp(each - log_sum(each))
     order = np.argsort(found.since)
     at, below = found.since[order], np.cumsum(share[order])
     lower, upper = (int(at[min(np.searchsorted(below, q), len(at) - 1)]) for q in (0.025, 0.975))
-    growing = float(np.exp(logsumexp(shapes[:, 1]) - logsumexp(shapes))) if len(columns) else math.nan
+    growing = float(np.exp(log_sum(shapes[:, 1]) - log_sum(shapes))) if len(columns) else math.nan
     return Onset(int(found.since[np.argmax(share)]), lower, upper, growing)
 
 
 def shortlist(found: Alternatives, plan: ColumnPlan, most: int) -> list[int]:
     """Indices of the changes that the test finds most probable, best first."""
-    each = logsumexp(found.named, axis=(0, 1))
+    each = log_sum(found.named, axis=(0, 1))
     total: dict[int, float] = defaultdict(lambda: -math.inf)
     for k, log in zip(plan.of.tolist(), each, strict=True):
         if k >= 0:
@@ -137,7 +136,7 @@ def fitted(problem: Problem, before: Before, changes: Sequence[Change], k: int, 
 
 
 def _log_prior(change: Change, fit: Fit, tuning: NamingTuning) -> float:
-    """That a parameter moves is taken for as probable as anything; an effect that comes in is as rare as in `discover`."""
+    """An effect that comes in is as rare as in `discover`; that a parameter moves is taken for granted."""
     return 0.0 if change.at is not None else log_prior(Hypothesis(fit.hypothesis.candidates[-1:]), tuning)
 
 
@@ -171,9 +170,8 @@ def _trial(problem: Problem, before: Before, change: Change, start: Start | None
     new = start.candidate.parameters
     # What the effect has in common with the one that it refines stays as well known as it was: that is another change.
     told = [refined[p.name] / p.prior.spread if p.name in refined else 1.0 for p in new]
-    mean = np.append(
-        before.z[kept], [z if p.name in refined else 0.0 for p, z in zip(new, start.z[-len(new) :], strict=True)]
-    )
+    common = np.array([p.name in refined for p in new])
+    mean = np.append(before.z[kept], np.where(common, start.z[-len(new) :], 0.0))
     precision = np.diag(np.append(np.zeros(len(kept)), np.array(told) ** -2.0))
     precision[: len(kept), : len(kept)] = np.linalg.inv(before.covariance[np.ix_(kept, kept)])
     return start.hypothesis, np.append(before.z[kept], start.z[len(kept) :]), Prior(mean, precision)
@@ -203,7 +201,7 @@ def named(
     if logs[at] <= 0.0 or (not complete and explained < tuning.explained):
         return Named(None, False, best.change)
     coarse = max(1.0, cost / floor)
-    shares = np.exp(logs / coarse - logsumexp(logs / coarse))
+    shares = np.exp(logs / coarse - log_sum(logs / coarse))
     kinds: dict[Place, float] = defaultdict(float)
     for f, share in zip(first, shares, strict=True):
         for node in changes[f.change].above(places):
@@ -237,9 +235,8 @@ def value_of(problem: Problem, hypothesis: Hypothesis, z: Array, covariance: Arr
     """The parameter that the change is told by, with its 95 % interval by the delta method."""
     name, unit, meaning = _told_by(problem, hypothesis, change)
     value, step = _value(problem, hypothesis, z, change), problem.tuning.step
-    slope = (
-        np.array([_value(problem, hypothesis, z + step * unit_z, change) - value for unit_z in np.eye(len(z))]) / step
-    )
+    moved = [_value(problem, hypothesis, z + step * unit_z, change) for unit_z in np.eye(len(z))]
+    slope = (np.array(moved) - value) / step
     spread = INTERVAL * math.sqrt(max(0.0, float(slope @ covariance @ slope)))
     return EffectValue(name, value, unit, value - spread, value + spread, meaning)
 

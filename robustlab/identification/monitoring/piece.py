@@ -27,9 +27,9 @@ def faithful_windows(problem: Problem, fit: Fit, spread: Array) -> tuple[Problem
     """The piece, and the model in it, without the windows in which the simulation is not to be trusted that far.
 
     Where a force is about that at which a contact breaks away, what is known of the parameters changes the motion
-    otherwise than linear, and a breakaway within a step is told no better than the step. ``spread`` (k, m): steps of the
-    standardised parameters, each tried to both sides. A window stays where neither what is even in such a step, nor
-    steps of half the length, change its residuals, starts free, by more than `MOST_BENT`.
+    otherwise than linear, and a breakaway within a step is told no better than the step. ``spread`` (k, m): steps of
+    the standardised parameters, each tried to both sides. A window stays where neither what is even in such a step,
+    nor steps of half the length, change its residuals, starts free, by more than `MOST_BENT`.
     """
     (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
     free = _free(problem, fit, residual)

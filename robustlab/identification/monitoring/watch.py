@@ -95,9 +95,9 @@ def watch(
 
     ASSUMPTIONS: the noise of the sensors is white in time and Gaussian (for changes with a name: sub-Gaussian) of the
     standard deviation ``noise``; without it, coloured as the first piece shows it, and the rate holds as far as that
-    piece tells the noise. The parameters are constant, known only as well as the log itself tells them, and the model is
-    linear in what they move between the pieces. The windows start anew: a drift of the state that is slower than a
-    window is no change.
+    piece tells the noise. The parameters are constant, known only as well as the log itself tells them, and the model
+    is linear in what the first piece leaves open of them; windows in which it is not are left out. The windows start
+    anew: a drift of the state that is slower than a window is no change.
 
     Parameters
     ----------
@@ -388,7 +388,7 @@ class _Watched:
 
 
 def _noise_left(problem: Problem, fit: Fit) -> NoiseModel:
-    """What makes a fit's errors white, of the order that Schwarz' criterion chooses: a short piece tells few numbers."""
+    """What makes a fit's errors white, of the order by Schwarz' criterion: a short piece tells few numbers."""
     found = [whitening(problem, fit, order) for order in range(problem.tuning.ar_order + 1)]
     points = sum(np.isfinite(e).sum() for e in problem.errors(fit.hypothesis, fit.z, fit.starts)) / len(found[0].std)
     return min(found, key=lambda n: float(np.sum(2.0 * points * np.log(n.std) + len(n.ar) * np.log(points))))
