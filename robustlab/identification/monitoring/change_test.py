@@ -49,7 +49,7 @@ from robustlab.arrays import Array, Indices, Mask
 
 DIFFUSE = 1e-4  # precision of the standardised parameters: 100 times their tolerances is as good as flat
 SIZES = (0.05, 0.5)  # of a change that is looked for, over its usual size
-GROWING = 20.0  # pieces in which a growing change reaches the size of one that came at once
+GROWING = 5.0  # pieces in which a growing change reaches the size of one that came at once
 SCATTERS = (
     1.0,
     100.0,

@@ -95,13 +95,13 @@ class Fits:
 def onset(found: Alternatives, of: Sequence[int], plan: ColumnPlan) -> Onset:
     """When the change began, by the columns of these changes and what is unnamed."""
     columns = np.flatnonzero(np.isin(plan.of, of))
-    shapes = log_sum(found.named[:, :, columns], axis=2) if len(columns) else np.full((len(found.since), 2), -np.inf)
+    shapes = log_sum(found.named[:, :, columns], axis=2)
     each = np.logaddexp(log_sum(shapes, axis=1), found.unnamed)
     share = np.exp(each - log_sum(each))
     order = np.argsort(found.since)
     at, below = found.since[order], np.cumsum(share[order])
     lower, upper = (int(at[min(np.searchsorted(below, q), len(at) - 1)]) for q in (0.025, 0.975))
-    growing = float(np.exp(log_sum(shapes[:, 1]) - log_sum(shapes))) if len(columns) else math.nan
+    growing = float(np.exp(log_sum(shapes[:, 1]) - np.maximum(log_sum(shapes), np.finfo(float).min)))
     return Onset(int(found.since[np.argmax(share)]), lower, upper, growing)
 
 

@@ -239,6 +239,9 @@ class _Watched:
         record = self._uniform(first)
         self.model: PortModel = ports_of(plant, record)
         window = settings.window
+        least = tuning.fewest_windows * tuning.shortest_window // 2
+        if window is None and record.n < least:
+            raise InputError(f"watch {first.name}", f"{record.n} samples", f"at least {least} in a piece")
         self.length = window_length(plant, [record], tuning, self.model) if window is None else round(window / self.dt)
         prepared = self._prepared(first)
         self.thin = prepared.thin
@@ -345,20 +348,27 @@ class _Watched:
         began = onset(found, likely, self.plan)
         # A change may begin within a piece, and too late in it to show there.
         times = [self.pieces[k].start for k in (began.piece, max(began.lower - 1, 0), began.upper)]
+        changed = replace(
+            result, verdict="unknown", alarm=self.pieces[alarm].stop, since=times[0], since_lower=times[1],
+            since_upper=times[2],
+        )  # fmt: skip
+        if not began.piece:  # it never explained the log: what it lacks is for `discover`
+            return changed
         before = before_change(self.test, self.hypothesis, self.z, began.piece)
         places = Places(self.settings.plant, self.problem.simulators(Hypothesis(()))[0].model({}, []))
         fits = self._fitted(before, likely, began.piece, places)
         told = named(self.problem, before, self.changes, fits, places, began.growing)
-        verdict: Verdict = "unknown" if told.growth is None else "named" if told.sure else "ambiguous"
-        changed = replace(
-            result, verdict=verdict, alarm=self.pieces[alarm].stop, since=times[0], since_lower=times[1],
-            since_upper=times[2], growth=told.growth,
-        )  # fmt: skip
         if told.growth is None:
             return changed
+        verdict: Verdict = "named" if told.sure else "ambiguous"
         values = [self._value(before, told.best, k) for k in range(len(self.pieces))]
         rows = zip(self.pieces, values, strict=True)
-        return replace(changed, pieces=tuple(replace(p, value=v.value, lower=v.lower, upper=v.upper) for p, v in rows))
+        return replace(
+            changed,
+            verdict=verdict,
+            growth=told.growth,
+            pieces=tuple(replace(p, value=v.value, lower=v.lower, upper=v.upper) for p, v in rows),
+        )
 
     def _fitted(self, before: Before, likely: Sequence[int], since: int, places: Places) -> Fits:
         """The changes fitted, each piece by itself, to as few of the last pieces as tell which of them it is.

@@ -181,6 +181,8 @@ class Watch(Tabular, Evidence):
         if self.met:
             return f"{self.plant} explains all of the log, {len(self.pieces)} pieces"
         since = f"since {span_of(self.since)} ({span_of(self.since_lower)} .. {span_of(self.since_upper)})"
+        if not self.since > self.pieces[0].start:
+            return f"{self.plant} never explained the log: `robustlab data discover` names what it lacks"
         if self.growth is None:
             return f"{self.plant} no longer explains the log {since}: nothing in the catalogue does"
         return f"{self.plant} no longer explains the log: {self.growth.words} {since}"
