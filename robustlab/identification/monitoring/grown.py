@@ -29,6 +29,7 @@ from robustlab.identification.naming.named_kinds import Place, Places
 from robustlab.identification.naming.set_search import log_prior
 from robustlab.identification.tuning import NamingTuning
 
+LEAST = 1e-6  # mean square of errors, over the noise: none leaves less
 CHANCE = 3.0  # standard deviations of a sum of squares beyond which it is more than noise
 
 
@@ -120,7 +121,7 @@ def before_change(test: ChangeTest, hypothesis: Hypothesis, z: Array, piece: int
     if not piece:
         return Before(hypothesis, z, np.eye(len(z)), 1.0)
     step, covariance, left = told_by(test.pieces[:piece], len(z))
-    return Before(hypothesis, z + step, covariance, max(left, 1.0))
+    return Before(hypothesis, z + step, covariance, max(left, LEAST))
 
 
 def fitted(problem: Problem, before: Before, changes: Sequence[Change], k: int, noise: NoiseModel) -> Fitted:

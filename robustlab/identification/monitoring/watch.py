@@ -393,8 +393,7 @@ class _Watched:
     def _value(self, before: Before, change: int, k: int) -> EffectValue:
         """What changed as it was in one piece."""
         found = fitted(self.tested[k], before, self.changes, change, self.noise)
-        floor = self.test.pieces[k].points * before.left
-        return value_fitted(self.tested[k], found.fit, self.changes[change], max(1.0, found.fit.cost / floor))
+        return value_fitted(self.tested[k], found.fit, self.changes[change], max(1.0, before.left, found.fit.cost / self.test.pieces[k].points))
 
 
 def _noise_left(problem: Problem, fit: Fit) -> NoiseModel:
