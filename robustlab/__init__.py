@@ -122,6 +122,7 @@ _PUBLIC = {
     # measurements
     "compare": "identification.comparison.comparison",
     "discover": "identification.naming.discovery",
+    "watch": "identification.monitoring.watch",
     "data_cover": "identification.validation.data_cover",
     "uncertain_from": "identification.naming.updated_plant",
     "validate": "identification.validation",

@@ -20,6 +20,7 @@ from robustlab.errors import NoTrustworthyNumber as NoTrustworthyNumber
 from robustlab.errors import RobustlabError as RobustlabError
 from robustlab.evidence import verify as verify
 from robustlab.identification.comparison.comparison import compare as compare
+from robustlab.identification.monitoring.watch import watch as watch
 from robustlab.identification.naming.discovery import discover as discover
 from robustlab.identification.naming.updated_plant import uncertain_from as uncertain_from
 from robustlab.identification.validation import FrequencyData as FrequencyData
@@ -215,6 +216,7 @@ __all__ = [
     "sampled_robustness",
     "compare",
     "discover",
+    "watch",
     "data_cover",
     "uncertain_from",
     "validate",

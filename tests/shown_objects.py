@@ -69,6 +69,21 @@ def comparison() -> Any:
     return rl.compare(rl.plant("servo-axis"), record())
 
 
+@cache
+def watch() -> Any:
+    """A log of a servo axis whose dry friction rises in its second half."""
+    from naming_cases import T, U
+
+    rough = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}})
+    rougher = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 26.0}})
+    noise, pieces = np.random.default_rng(4), []
+    for machine in (rough, rough, rougher):
+        q = rl.simulate(machine, T, U)["q"] + 1e-4 * noise.normal(size=len(T))
+        pieces.append(rl.Record(T, {"u": U}, {"q": q}, {"u": "V", "q": "m"}, "piece"))
+    others = {"cogging", "position-dependent-friction", "sensor-eccentricity", "end-stop", "backlash", "torque-ripple"}
+    return rl.watch(rough, pieces, noise={"q": 1e-4}, exclude=sorted(others))
+
+
 def periodic_comparison() -> Any:
     """A periodic record of odd lines, some left out: what friction makes of it shows between them."""
     n, rng = 512, np.random.default_rng(0)
@@ -328,6 +343,9 @@ OBJECTS: dict[str, Any] = {
     "Discovery": discovery,
     "Validation": validation,
     "DataCover": data_cover,
+    "Watch": watch,
+    "WatchedPiece": lambda: watch().pieces[0],
+    "Growth": lambda: watch().growth,
     "FrequencyData": measured_response,
     "Result": lambda: result.Result("Margin", rl.Status.CERTIFIED, {"lower": 1.5}),
 }

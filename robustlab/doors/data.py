@@ -13,6 +13,13 @@ from robustlab.doors.words import Measured, Plant, Repeats, Search, UncertainPla
 
 Window = Annotated[float | None, Number(above=0), "Length of the windows in s; chosen from the model if left out."]
 Period = Annotated[float | None, Number(above=0), "Period of the record in s; found if a signal repeats."]
+Tolerances = Annotated[
+    dict[str, float] | None,
+    Table(Share(above=0), "parameters"),
+    Named(option="--tolerance"),
+    "Relative tolerance of a parameter, over the one that the plant states: Km=0.05 or Km=5%.",
+]
+Exclude = Annotated[list[str] | None, Names(repeated=True), "Id of an effect not to be tried."]
 Column = Annotated[str | None, Names("outputs", "record", one=True)]
 
 
@@ -67,13 +74,8 @@ def discover(
     held_out: Annotated[list[Any] | None, RecordFile(many=True), "Record that no fit sees; the gap is judged on it."]
     = None,
     repeats: Annotated[Repeats, Named(option="--repeat")] = None,
-    tolerances: Annotated[
-        dict[str, float] | None,
-        Table(Share(above=0), "parameters"),
-        Named(option="--tolerance"),
-        "Relative tolerance of a parameter, over the one that the plant states: Km=0.05 or Km=5%.",
-    ] = None,
-    exclude: Annotated[list[str] | None, Names(repeated=True), "Id of an effect not to be tried."] = None,
+    tolerances: Tolerances = None,
+    exclude: Exclude = None,
     window: Annotated[float | None, Number(above=0), "Length of the windows in s."] = None,
     period: Annotated[float | None, Number(above=0), "Period of the excitation in s."] = None,
     progress: Callable[[str], None] | None = None,
@@ -90,6 +92,39 @@ def discover(
 
     return rl.discover(
         model, records, held_out or None, tolerances=tolerances, window=window, period=period, repeats=repeats or (),
+        exclude=tuple(effect(name).id for name in exclude or ()), progress=progress,
+    )  # fmt: skip
+
+
+@door("data watch", "watch", result="identification.monitoring.watch_result.Watch", progress="lines")
+def watch(
+    model: Annotated[Plant, Named(key="of")],
+    records: Annotated[list[Any], RecordFile(many=True), "The log: one record, or its pieces in their order."],
+    every: Annotated[float | None, Number(above=0), "Cut each record into pieces of so many seconds."] = None,
+    noise: Annotated[
+        dict[str, float] | None,
+        Table(Number(above=0), "outputs"),
+        "Standard deviation of an output's noise in one sample, in its unit; from the first piece if all are left out.",
+    ] = None,
+    false_alarm: Annotated[
+        float, Number(above=0, most=0.5), "Probability of an alarm in the whole log while the model explains it."
+    ] = 0.01,
+    tolerances: Tolerances = None,
+    exclude: Exclude = None,
+    window: Annotated[float | None, Number(above=0), "Length of the windows in s."] = None,
+    progress: Callable[[str], None] | None = None,
+) -> Any:
+    """Say when a model stops explaining a running log, and what has changed since.
+
+    Exit code 0: the model explains the log from beginning to end; 1: an alarm, whether what changed has a name or not;
+    3: a record is wrong; 4: the log says too little for a test.
+
+    Example: robustlab data watch axis.h5 monday.csv tuesday.csv --every 60 --inputs u --outputs q --false-alarm 0.001
+    """
+    from robustlab.dynamics.effects.catalogue import effect
+
+    return rl.watch(
+        model, records, every=every, noise=noise or None, false_alarm=false_alarm, tolerances=tolerances, window=window,
         exclude=tuple(effect(name).id for name in exclude or ()), progress=progress,
     )  # fmt: skip
 

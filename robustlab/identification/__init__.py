@@ -9,6 +9,7 @@ hypotheses     one hypothesis about what is missing: which effects may be, and t
 unnamed        what no effect explains: a residual force over its coordinates
 experiment     what to measure next: a menu of experiments, and how far apart hypotheses are in each
 naming         `discover`: the search over hypotheses, its verdict, and the plant and uncertainty after it
+monitoring     `watch`: does a model go on explaining a running log, and what changes where it does not
 validation     `validate`: the smallest Delta with which an uncertain model explains a record
 
 `tuning` holds the numbers of the naming, from its windows to the next experiment.
@@ -27,6 +28,8 @@ _WORDS = {
     "cover": "comparison.envelope",
     "discover": "naming.discovery",
     "Discovery": "naming.discovery_result",
+    "watch": "monitoring.watch",
+    "Watch": "monitoring.watch_result",
     "NamingTuning": "tuning",
     "check_record": "record_check.suitability",
     "suitability": "record_check.suitability",

@@ -248,7 +248,7 @@ def test_what_an_argument_cannot_be_is_refused_in_one_clear_line(name):
 def test_every_public_function_that_takes_milliseconds_is_attacked():
     """What is left out searches for seconds, makes files, or takes anything by name."""
     apart = {
-        *("data_cover", "discover", "dk", "reduce_controller", "tune"),
+        *("data_cover", "discover", "dk", "reduce_controller", "tune", "watch"),
         *("sampled_robustness", "robust_performance"),
         *("load", "save", "export_controller", "plant", "trim", "PlantEquations"),
         *("beside", "stacked", "uncertain_from", "Signal", "Status"),

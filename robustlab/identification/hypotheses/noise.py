@@ -78,8 +78,8 @@ def noise_ratio(problem: Problem, fit: Fit) -> float:
 def _past(errors: Array, order: int) -> Array:
     """The ``order`` points before each point of a window, (n, order), latest first."""
     length = errors.shape[1]
-    lagged = [errors[:, order - lag - 1 : length - lag - 1] for lag in range(order)]
-    return np.stack(lagged, axis=2).reshape(-1, order)
+    lagged = [errors[:, order - lag - 1 : length - lag - 1].ravel() for lag in range(order)]
+    return np.column_stack(lagged) if lagged else np.empty((errors.size, 0))
 
 
 def white(noise: NoiseModel) -> NoiseModel:

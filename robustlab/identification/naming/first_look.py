@@ -54,7 +54,7 @@ def best_scored(
     if len({s.candidate.key for s in starts}) <= most:
         return list(starts)
     residual = problem.whitened(problem.errors(base.hypothesis, base.z, base.starts), base.noise)
-    own = _derivatives(problem, base, residual)
+    own = own_derivatives(problem, base, residual)
     gains: list[float] = []
     for done, gain in enumerate(workers.map(lambda s: _gain(problem, base, residual, own, s), starts), start=1):
         gains.append(gain)
@@ -64,7 +64,7 @@ def best_scored(
     return [s for s in starts if s.candidate.key in set(kept)]
 
 
-def _derivatives(problem: Problem, base: Fit, residual: Sequence[Array]) -> list[tuple[Array, Array]]:
+def own_derivatives(problem: Problem, base: Fit, residual: Sequence[Array]) -> list[tuple[Array, Array]]:
     """Derivatives of the residuals over all parameters of the set and over the starts, a pair a record."""
     step, start_step = problem.tuning.step, problem.tuning.start_step
     simulators = problem.simulators(base.hypothesis)
@@ -83,24 +83,34 @@ def _columns(parts: Sequence[Sequence[Array]], k: int, like: Array) -> Array:
     return np.stack([p[k] for p in parts], axis=2) if parts else np.zeros((*like.shape, 0))
 
 
-def _gain(
-    problem: Problem, base: Fit, residual: Sequence[Array], own: Sequence[tuple[Array, Array]], start: Start
-) -> float:
-    """Fall of V that the effect promises; 0 where it would have to be of negative strength."""
+def effect_columns(
+    problem: Problem, base: Fit, residual: Sequence[Array], start: Start
+) -> tuple[list[Array], list[list[Array]]]:
+    """What an effect does to the residuals of a set where a fit of it begins, an array a record each: the change that
+    it makes as a whole, and the derivatives over its linear parameters.
+    """
     simulators = problem.simulators(start.hypothesis)
 
     def there(z: Array) -> list[Array]:
         return problem.whitened(problem.errors(start.hypothesis, z, base.starts, simulators), base.noise)
 
+    at, step = there(start.z), problem.tuning.step
+    first = len(start.z) - len(start.candidate.parameters)
+    slopes = []
+    for i, p in enumerate(start.candidate.parameters):
+        if p.prior.kind == "linear":
+            moved = there(start.z + step * np.eye(len(start.z))[first + i])
+            slopes.append([(m - a) / step for m, a in zip(moved, at, strict=True)])
+    return [a - r for a, r in zip(at, residual, strict=True)], slopes
+
+
+def _gain(
+    problem: Problem, base: Fit, residual: Sequence[Array], own: Sequence[tuple[Array, Array]], start: Start
+) -> float:
+    """Fall of V that the effect promises; 0 where it would have to be of negative strength."""
     with np.errstate(all="ignore"):
-        at = there(start.z)
-        first = len(start.z) - len(start.candidate.parameters)
-        step = problem.tuning.step
-        linear = [first + i for i, p in enumerate(start.candidate.parameters) if p.prior.kind == "linear"]
-        changes = [[a - r for a, r in zip(at, residual, strict=True)]]
-        for i in linear:
-            moved = there(start.z + step * np.eye(len(start.z))[i])
-            changes.append([(m - a) / step for m, a in zip(moved, at, strict=True)])
+        change, slopes = effect_columns(problem, base, residual, start)
+        changes, linear = [change, *slopes], bool(slopes)
         n = len(base.z)
         hessian, gradient = np.zeros((n + len(changes),) * 2), np.zeros(n + len(changes))
         for k, (over_z, over_x) in enumerate(own):

@@ -10,7 +10,7 @@ import pytest
 DOCS = Path(__file__).parents[3] / "docs"
 
 
-@pytest.mark.parametrize("name", ["cover", "delays", "gain-scheduling"])
+@pytest.mark.parametrize("name", ["cover", "delays", "gain-scheduling", "watch"])
 def test_the_page_prints_what_it_says(name, capsys):
     page = (DOCS / f"{name}.md").read_text(encoding="utf-8")
     parts = re.findall(r"```(python)?\n(.*?)```", page, flags=re.DOTALL)

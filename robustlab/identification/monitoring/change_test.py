@@ -1,0 +1,237 @@
+r"""A sequential test that a model's parameters stay what they are, valid at every time (an e-process).
+
+What a piece p of a log tells stands in whitened residuals :math:`r_p`, their derivatives :math:`J_p` over the model's
+parameters, and the columns :math:`G_p` of what may change; the starts of its windows are projected out. While the model
+explains the log,
+
+.. math:: r_p + J_p \zeta = \varepsilon_p, \qquad \varepsilon_p \sim N(0, I),
+
+with one unknown :math:`\zeta` for all pieces: the parameters need not be known, they must not move. If from piece
+:math:`\tau` on something of strength :math:`\delta` comes in, at once (:math:`w_p = 1`) or growing (:math:`w_p = p -
+\tau + 1`), it is :math:`r_p + J_p \zeta + w_p G_p \delta`. With :math:`\zeta` integrated out under a flat prior in
+both, and :math:`\delta \sim N(0, s^2)`, the ratio of the two likelihoods is
+
+.. math::
+    \log \Lambda_\tau = \tfrac12 \frac{b^2}{A + s^{-2}} - \tfrac12 \log(1 + s^2 A), \qquad
+    A = G^T P G, \quad b = G^T P r, \quad P = I - J (J^T J)^{-1} J^T
+
+over all pieces so far (G zero before :math:`\tau`); for a strength that cannot be negative twice the normal probability
+of that sign comes to it. What is in no catalogue is looked for as random slow errors of each window, and as more noise:
+:math:`\varepsilon_p \sim N(0, I + s^2 U_p U_p^T)` from :math:`\tau` on.
+
+:math:`P r` does not depend on :math:`\zeta`, and the ratio of its likelihoods is a martingale under the model, whatever
+:math:`\zeta` is (Pérez-Ortiz and others 2024). So is every mixture
+
+.. math:: E_t = \sum_{\tau \le t} \pi_\tau \sum_j \omega_j \Lambda_{\tau j}(t) + \sum_{\tau > t} \pi_\tau, \qquad
+    \pi_\tau = \frac{1}{\tau (\tau + 1)},
+
+and by Ville's inequality :math:`P(\exists t: E_t \ge 1/\alpha) \le \alpha`, however long the log is. For the strengths
+:math:`\delta` the same holds for any noise that is conditionally sub-Gaussian with variance proxy one, since
+:math:`\Lambda` is then a mixture of :math:`e^{\lambda^T \varepsilon - |\lambda|^2 / 2}`.
+
+References
+----------
+Ville, *Étude critique de la notion de collectif* (1939); Robbins, *Statistical methods related to the law of the
+iterated logarithm* (1970); Pérez-Ortiz, Lardy, de Heide, Grünwald, *E-statistics, group invariance and anytime-valid
+testing*, Annals of Statistics 52 (2024); Ramdas, Grünwald, Vovk, Shafer, *Game-theoretic statistics and safe
+anytime-valid inference*, Statistical Science 38 (2023).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from robustlab.arrays import Array, Indices, Mask
+
+DIFFUSE = 1e-4  # precision of the standardised parameters: 100 times their tolerances is as good as flat
+SIZES = (0.05, 0.5)  # of a change that is looked for, over its usual size
+GROWING = 5.0  # pieces in which a growing change reaches the size of one that came at once
+SCATTERS = (
+    1.0,
+    100.0,
+)  # variance of unnamed slow errors, over the noise; below one half it would test the noise itself
+UNNAMED = 0.5  # share of the alternatives that name nothing
+NEGLIGIBLE = 1e-9  # of a column's own square: what the parameters make of it by rounding
+
+
+@dataclass(frozen=True, eq=False)
+class PieceEquations:
+    """What a piece tells, its windows' starts projected out.
+
+    With M = [J G r], (points, k + g + 1): ``whole`` is :math:`M^T M`, ``slow`` :math:`M^T U U^T M` with the slow
+    directions U of its windows; ``points`` and ``slow_points`` their numbers.
+    """
+
+    whole: Array
+    slow: Array
+    points: int
+    slow_points: int
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """What may change: the first k are the model's own parameters.
+
+    ``weight`` (n,): prior share of each, with the sum one; ``size`` (n,): a usual strength; ``never_negative`` (n,).
+    """
+
+    own: int
+    weight: Array
+    size: Array
+    never_negative: Mask
+
+
+@dataclass(frozen=True, eq=False)
+class Alternatives:
+    """Log likelihood ratios at one time, each with its prior share: of the columns (n_tau, 2, n) at once and growing,
+    of what is unnamed (n_tau,).
+    """
+
+    since: Indices  # piece at which the change comes, (n_tau,)
+    named: Array
+    unnamed: Array
+
+    @property
+    def each(self) -> Array:
+        """Log evidence of each tau, (n_tau,)."""
+        both = np.concatenate([self.named.reshape(len(self.since), -1), self.unnamed[:, None]], axis=1)
+        return log_sum(both, axis=1)
+
+
+@dataclass(eq=False)
+class ChangeTest:
+    """The test over the pieces so far.
+
+    ``first``: index of the first piece at which a change may come; ``named_first`` that of a change that has a name.
+    """
+
+    columns: Columns
+    first: int
+    named_first: int
+    pieces: list[PieceEquations] = field(default_factory=list)
+    _whole: Array = field(init=False)  # over all pieces, of the own parameters and the residual, (k + 1, k + 1)
+    _since: list[_Since] = field(init=False, default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._whole = np.zeros((self.columns.own + 1,) * 2)
+
+    def add(self, piece: PieceEquations) -> float:
+        """Log of E after one more piece."""
+        own = [*range(self.columns.own), len(self.columns.size)]
+        self._whole = self._whole + piece.whole[np.ix_(own, own)]
+        if len(self.pieces) >= self.first:
+            self._since.append(_Since.empty(len(self.columns.size), self.columns.own))
+        for age, there in enumerate(reversed(self._since), 1):
+            there.add(piece, own, float(age))
+        self.pieces.append(piece)
+        behind = len(self._since)
+        return float(np.logaddexp(log_sum(self.alternatives().each), -np.log(behind + 1.0))) if behind else 0.0
+
+    def alternatives(self) -> Alternatives:
+        """All that may have changed, by the pieces so far."""
+        since = self.first + np.arange(len(self._since))
+        prior = -np.log((since - self.first + 1.0) * (since - self.first + 2.0))
+        once = np.stack([[s.once, s.growing] for s in self._since])  # (n_tau, 2, n, k + 1)
+        square = np.stack([[s.square, s.square_growing] for s in self._since])
+        named = self._strengths(once, square) + np.log((1.0 - UNNAMED) / 2.0) + np.log(_share(self.columns.weight))
+        named[since < self.named_first] = -np.inf
+        parts = [
+            (np.stack([s.slow for s in self._since]), np.array([s.slow_points for s in self._since])),
+            (np.stack([s.whole for s in self._since]), np.array([s.points for s in self._since])),
+        ]
+        scatter = [self._scatter(part, points, v) for part, points in parts for v in SCATTERS]
+        unnamed = log_sum(np.array(scatter), axis=0) - np.log(len(scatter)) + np.log(UNNAMED)
+        return Alternatives(since, named + prior[:, None, None], unnamed + prior)
+
+    def _strengths(self, once: Array, square: Array) -> Array:
+        """Log ratio of each column that comes at once or grows, (n_tau, 2, n)."""
+        k = self.columns.own
+        inverse = np.linalg.inv(self._whole[:k, :k] + DIFFUSE * np.eye(k))
+        cross = once[..., :k]
+        lost = ((cross @ inverse) * cross).sum(axis=-1)
+        a = np.maximum(square - lost, 0.0) + NEGLIGIBLE * square
+        b = once[..., k] - cross @ (inverse @ self._whole[:k, k])
+        found = []
+        for size in SIZES:
+            precision = (size * self.columns.size / np.array([[1.0], [GROWING]])) ** -2.0
+            ratio = 0.5 * b**2 / (a + precision) - 0.5 * np.log1p(a / precision)
+            sign = np.log(2.0) + log_ndtr(-b / np.sqrt(a + precision))
+            found.append(ratio + np.where(self.columns.never_negative, sign, 0.0))
+        return log_sum(np.array(found), axis=0) - np.log(len(SIZES))
+
+    def _scatter(self, part: Array, points: Array, variance: float) -> Array:
+        """Log ratio, (n_tau,), of errors that are random with this variance in the directions that ``part`` is of."""
+        k = self.columns.own
+        before, after = _profile(self._whole, k), _profile(self._whole - variance / (1.0 + variance) * part, k)
+        return -0.5 * (after[0] - before[0] + after[1] - before[1] + points * np.log1p(variance))
+
+
+@dataclass(eq=False)
+class _Since:
+    """Sums over the pieces since one of them.
+
+    ``once``, ``growing``: products of the columns with the own parameters and the residual, (n, k + 1), times one and
+    times the weight of what grows; ``square``, ``square_growing``: their squares, (n,); ``whole``, ``slow``: of the own
+    parameters and the residual, (k + 1, k + 1).
+    """
+
+    once: Array
+    growing: Array
+    square: Array
+    square_growing: Array
+    whole: Array
+    slow: Array
+    points: int = 0
+    slow_points: int = 0
+
+    @classmethod
+    def empty(cls, n: int, k: int) -> _Since:
+        """Of no piece."""
+        zero = np.zeros((k + 1, k + 1))
+        return cls(np.zeros((n, k + 1)), np.zeros((n, k + 1)), np.zeros(n), np.zeros(n), zero, zero)
+
+    def add(self, piece: PieceEquations, own: list[int], age: float) -> None:
+        """One more piece, the ``age``-th."""
+        n = len(self.square)
+        once, square = piece.whole[:n, own], np.diag(piece.whole)[:n]
+        self.once, self.growing = self.once + once, self.growing + age * once
+        self.square, self.square_growing = self.square + square, self.square_growing + age**2 * square
+        self.whole, self.slow = self.whole + piece.whole[np.ix_(own, own)], self.slow + piece.slow[np.ix_(own, own)]
+        self.points, self.slow_points = self.points + piece.points, self.slow_points + piece.slow_points
+
+
+def log_sum(logs: Array, axis: int | tuple[int, ...] | None = None) -> Array:
+    """Logarithm of the sum of what has these logarithms, along an axis or over all."""
+    most = np.max(logs, axis=axis, keepdims=True)
+    most = np.where(np.isfinite(most), most, 0.0)
+    with np.errstate(divide="ignore"):
+        found = np.log(np.sum(np.exp(logs - most), axis=axis, keepdims=True)) + most
+    return np.asarray(found.squeeze() if axis is None else found.squeeze(axis))
+
+
+def _share(weight: Array) -> Array:
+    """The weights, with the least number in the place of zero."""
+    return np.maximum(weight, np.finfo(float).tiny)
+
+
+def _profile(sums: Array, k: int) -> tuple[Array, Array]:
+    """Cost at the best of the k parameters, and log determinant of what tells them; ``sums`` (..., k + 1, k + 1)."""
+    told = sums[..., :k, :k] + DIFFUSE * np.eye(k)
+    right = sums[..., :k, k]
+    cost = sums[..., k, k] - (right * np.linalg.solve(told, right[..., None])[..., 0]).sum(axis=-1)
+    return cost, np.linalg.slogdet(told)[1]
+
+
+def told_by(pieces: Sequence[PieceEquations], k: int) -> tuple[Array, Array, float]:
+    """Step of the k parameters that explains the pieces best, its covariance (the prior of their tolerances included),
+    and the mean square of the residuals that it leaves.
+    """
+    whole = np.sum([p.whole for p in pieces], axis=0)
+    precision = whole[:k, :k] + np.eye(k)
+    step = -np.linalg.solve(precision, whole[:k, -1])
+    left = whole[-1, -1] + whole[:k, -1] @ step
+    return step, np.linalg.inv(precision), float(left) / max(sum(p.points for p in pieces), 1)

@@ -1,0 +1,222 @@
+"""Watching a log: an axis with dry friction, simulated here exactly between its switches, whose friction rises."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+import robustlab as rl
+from robustlab.cli.data import app
+from robustlab.cli.ending import main_guard
+
+J, B, FC, DT, NOISE = 2e-3, 4e-3, 0.02, 5e-3, 5e-3
+UNITS = {"u": "N m", "q": "rad"}
+FEW = ("coulomb-friction", "constant-load", "quadratic-drag", "sensor-delay", "input-dead-zone")
+
+
+def advance(q, w, push, f, left):
+    """State of J w' = push - B w - f sgn w, q' = w after ``left`` seconds: exponentials between stops."""
+    while left > 0.0:
+        if w == 0.0 and abs(push) <= f:
+            return q, 0.0
+        way = math.copysign(1.0, w or push)
+        end, stops = (push - f * way) / B, math.inf
+        if w != 0.0 and end * way < 0.0:
+            stops = J / B * math.log(1.0 - w / end)
+        span = min(left, stops)
+        fade = math.exp(-B * span / J)
+        q += end * span + (w - end) * J / B * (1.0 - fade)
+        w = 0.0 if stops <= left else end + (w - end) * fade
+        left -= span
+    return q, w
+
+
+def log(seed, seconds=16.0, friction=lambda t: FC, push=lambda t: 0.0, fine=1):
+    """A record of the axis under random steps."""
+    rng = np.random.default_rng(seed)
+    t = DT * np.arange(round(seconds / DT))
+    u, k, q, w = np.zeros(len(t)), 0, 0.0, 0.0
+    while k < len(t):
+        span = int(rng.integers(20, 80))
+        u[k : k + span] = rng.uniform(-0.1, 0.1)
+        k += span
+    y = np.empty(len(t))
+    for k, at in enumerate(t):
+        y[k] = q
+        for part in range(fine):
+            q, w = advance(q, w, u[k] + push(at + (part + 0.5) * DT / fine), friction(at), DT / fine)
+    return rl.Record(t, {"u": u}, {"q": y + NOISE * rng.normal(size=len(t))}, UNITS, f"log {seed}")
+
+
+def bare(inertia=J, viscous=B):
+    states = [("q", "rad"), ("w", "rad/s")]
+    a, b = [[0.0, 1.0], [0.0, -viscous / inertia]], [[0.0], [1.0 / inertia]]
+    return rl.StateSpaceModel(a, b, [[1, 0]], [[0]], inputs=[("u", "N m")], outputs=[("q", "rad")], states=states)
+
+
+def axis():
+    return rl.with_effects(bare(), {"coulomb-friction": {"Fc": FC}})
+
+
+def others(*kept):
+    """Ids of the catalogue but those: a short list is quickly looked through."""
+    from robustlab.dynamics.effects.catalogue import catalogue
+
+    return sorted(set(catalogue()) - {*FEW, *kept})
+
+
+def wear(t):
+    """Friction that rises by 30 % from 6 s to 16 s."""
+    return FC * (1.0 + 0.3 * min(max(t - 6.0, 0.0) / 10.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def worn():
+    return rl.watch(axis(), log(2, friction=wear), every=2.0, noise={"q": NOISE})
+
+
+def test_wear_raises_an_alarm_and_is_named_with_its_size(worn):
+    assert worn.verdict == "named"
+    assert not worn.met
+    assert worn.growth.kind == "dry-friction"
+    assert worn.growth.before.lower <= FC <= worn.growth.before.upper
+    assert 6.0 < worn.alarm <= 12.0
+    assert worn.since_lower <= 6.0 <= worn.since_upper or worn.since - 6.0 <= 2.0
+    last = wear(15.0)
+    assert worn.pieces[-1].lower <= last <= worn.pieces[-1].upper
+    assert worn.ratio.lower <= last / FC <= worn.ratio.upper
+    assert "dry friction at w: Fc up " in worn.headline()
+
+
+def test_each_piece_tells_the_friction_that_it_had(worn):
+    true = np.array([wear(p.start + 1.0) for p in worn.pieces])
+    value, half = (np.array([f(p) for p in worn.pieces]) for f in (lambda p: p.value, lambda p: p.upper - p.value))
+    assert np.abs(value / true - 1.0).max() < 0.03
+    assert (np.abs(value - true) < half).mean() >= 0.6  # of 95 %, in eight pieces of which six ramp within
+
+
+def test_pieces_one_by_one_say_the_same_and_are_asked_for_one_by_one(worn):
+    whole, asked, told = log(2, friction=wear), [], []
+
+    def pieces():
+        for k in range(8):
+            asked.append(len(told))
+            yield whole.between(2.0 * k - 1e-6, 2.0 * k + 2.0 - 1e-3)
+
+    found = rl.watch(axis(), pieces(), noise={"q": NOISE}, progress=told.append)
+    assert asked == list(range(8))
+    assert [p.evidence for p in found.pieces] == pytest.approx([p.evidence for p in worn.pieces], rel=1e-6)
+    assert sum(text.startswith("ALARM") for text in told) == sum(p.evidence > math.log(100.0) for p in found.pieces)
+
+
+def test_pieces_that_each_begin_at_zero_follow_one_another():
+    whole = log(4, seconds=6.0)
+    pieces = [whole.between(a - 1e-6, a + 2.0 - 1e-3) for a in (0.0, 2.0, 4.0)]
+    again = [rl.Record(p.t - p.t[0], p.inputs, p.outputs, UNITS, p.name) for p in pieces]
+    found = rl.watch(axis(), again, noise={"q": NOISE}, exclude=others())
+    assert [p.start for p in found.pieces] == pytest.approx([0.0, 2.0, 4.0])
+
+
+def test_what_is_in_no_catalogue_is_told_as_unknown():
+    wave = lambda t: 4e-3 * math.sin(14.0 * t + 3.0 * math.sin(5.0 * t)) if t >= 6.0 else 0.0  # noqa: E731
+    found = rl.watch(axis(), log(3, push=wave, fine=10), every=2.0, noise={"q": NOISE})
+    assert (found.verdict, found.growth) == ("unknown", None)
+    assert found.alarm > 6.0
+    assert "nothing in the catalogue" in found.headline()
+
+
+def test_an_effect_that_the_model_never_had_comes_in():
+    load = lambda t: -1.5e-3 if t >= 8.0 else 0.0  # noqa: E731
+    found = rl.watch(axis(), log(5, push=load), every=2.0, noise={"q": NOISE}, exclude=others())
+    assert (found.verdict, found.growth.kind, found.growth.before) == ("named", "load", None)
+    assert found.growth.now.lower <= 1.5e-3 <= found.growth.now.upper
+    assert found.since_lower <= 8.0 <= found.since_upper
+
+
+def test_a_model_that_never_explained_the_log_is_told_at_once_where_the_noise_is_stated():
+    found = rl.watch(bare(), log(6, seconds=6.0), every=2.0, noise={"q": NOISE}, exclude=others())
+    assert not found.met
+    assert found.alarm == found.pieces[0].stop
+
+
+def test_a_machine_with_other_parameters_within_the_tolerances_is_no_alarm():
+    heavy = rl.with_effects(bare(1.03 * J, 1.05 * B), {"coulomb-friction": {"Fc": 1.1 * FC}})
+    found = rl.watch(heavy, log(7), every=2.0, noise={"q": NOISE}, exclude=others())
+    assert found.met
+    assert found.tested > 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [{"q": NOISE}, None])
+def test_alarms_where_nothing_changes_are_as_rare_as_stated(noise):
+    alarms = sum(
+        not rl.watch(axis(), log(100 + k, 5.0), every=1.0, noise=noise, false_alarm=0.02, exclude=others()).met
+        for k in range(200)
+    )
+    assert alarms <= binom.ppf(0.999, 200, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({}, "at least two"),
+        ({"every": 0.0}, "every"),
+        ({"every": 2.0, "false_alarm": 1.0}, "between 0 and 1"),
+        ({"every": 2.0, "noise": {"w": 1.0}}, "noise: 'w'"),
+        ({"every": 2.0, "noise": {"q": -1.0}}, "above 0"),
+        ({"every": 2.0, "noise": 3.0}, "noise"),
+        ({"every": 2.0, "exclude": ["coulomb"]}, "coulomb"),
+        ({"every": 0.1}, "at least"),
+    ],
+)
+def test_what_cannot_be_is_refused(given, said):
+    with pytest.raises(rl.InputError, match=said):
+        rl.watch(axis(), log(1, 6.0), **given)
+
+
+def test_pieces_of_another_kind_are_refused():
+    short = log(1, 2.0)
+    fast = rl.Record(0.5 * short.t + 10.0, short.inputs, short.outputs, UNITS)
+    blind = rl.Record(short.t + 10.0, {"u": short["u"], "v": short["q"]}, {"x": short["q"]}, {"u": "N m"})
+    for other, said in ((fast, "sample time"), (blind, "no output 'q'"), ("log", "records")):
+        with pytest.raises(rl.InputError, match=said):
+            rl.watch(axis(), [short, other], noise={"q": NOISE}, exclude=others())
+
+
+def run(tmp_path, record, capsys, *more):
+    rl.save(tmp_path / "axis.h5", axis())
+    rows = np.column_stack([record.t, record["u"], record["q"]])
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,u,q", comments="")
+    words = [
+        "--every",
+        "2",
+        "--noise",
+        f"q={NOISE}",
+        "--inputs",
+        "u",
+        "--outputs",
+        "q",
+        "--unit",
+        "u=N m",
+        "--unit",
+        "q=rad",
+    ]
+    left_out = [word for name in others() for word in ("--exclude", name)]
+    arguments = ["watch", str(tmp_path / "axis.h5"), str(tmp_path / "log.csv"), *words, *left_out, *more]
+    code = main_guard(lambda: app(arguments, standalone_mode=False))
+    return code, capsys.readouterr()
+
+
+def test_the_command_ends_in_1_with_an_alarm_and_in_0_without(tmp_path, capsys):
+    code, printed = run(tmp_path, log(2, friction=wear), capsys, "--json")
+    told = json.loads(printed.out)
+    assert (code, told["verdict"], told["growth"]["kind"]) == (1, "named", "dry-friction")
+    assert len(told["pieces"]) == 8
+    assert "ALARM: piece" in printed.err
+    code, printed = run(tmp_path, log(1, 6.0), capsys)
+    assert code == 0
+    assert "explains all of the log, 3 pieces" in printed.out
