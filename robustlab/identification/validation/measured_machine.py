@@ -37,6 +37,10 @@ from robustlab.statespace import StateSpaceModel
 NODES = 144  # of a period: four to the shortest of 36 waves a turn
 SMOOTHED = 4.0  # standard deviation of the kernel in samples; it reaches over three of them to either side
 ROUGHNESS = 1e-3  # weight of the table's second differences beside the records: what no record visits is bridged
+# Central differences of order six: of order two, a wave of nine samples a period would lose 4 % of its acceleration.
+FIRST = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
+SECOND = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
+FAR = 100.0  # periods from the reference: it has run away
 STEP = 2e-5  # s, the longest of the simulation
 
 
@@ -111,7 +115,7 @@ class MeasuredMachine:
         steps = math.ceil(K.dt / STEP)
         numbers = np.array([self.inertia, self.viscous, self.friction, self.period, lsb, K.dt / steps])
         found = _run(K.A, K.B, K.C[0], K.D[0], q_ref, more, self.table, numbers, steps)
-        if not np.isfinite(found).all() or np.abs(found[0] - q_ref).max() > 100.0 * self.period:
+        if not np.isfinite(found).all():
             raise NoTrustworthyNumber("measured machine", "it runs away under this controller", "a stable loop")
         return MachineRun(K.dt * np.arange(len(q_ref)), *found)
 
@@ -170,7 +174,7 @@ def _equations(
         return gaussian_filter1d(x, SMOOTHED, axis=0)
 
     from_start = smooth(q - q[0])
-    speed = np.gradient(from_start, h)
+    speed = np.convolve(from_start, FIRST[::-1] / h, "same")
     terms = np.zeros((len(q), nodes + 3))
     place = np.mod(q, period) / period * nodes
     node, share = np.floor(place).astype(int), place - np.floor(place)
@@ -179,7 +183,7 @@ def _equations(
     terms[every, (node + 1) % nodes] += share
     terms[:, nodes + 1], terms[:, nodes + 2] = np.sign(speed), speed
     rows = smooth(terms)
-    rows[1:-1, nodes] = np.diff(from_start, 2) / h**2
+    rows[:, nodes] = np.convolve(from_start, SECOND / h**2, "same")
     reach = math.ceil(3.0 * SMOOTHED)
     size = np.abs(speed)
     near = 2 * reach + 1
@@ -196,6 +200,9 @@ def _run(A, B, C, D, q_ref, more, table, numbers, steps):  # type: ignore[no-unt
     out, x = np.zeros((3, n)), np.zeros(len(A))
     q, v, kick = q_ref[0], 0.0, h * friction / inertia
     for k in range(n):
+        if not abs(q - q_ref[k]) < FAR * period:  # NaN, too
+            out[:, k:] = np.nan
+            return out
         seen = q if lsb == 0.0 else lsb * math.floor(q / lsb + 0.5)
         u = C @ x + D[0] * q_ref[k] + D[1] * seen + more[k]
         x = A @ x + B[:, 0] * q_ref[k] + B[:, 1] * seen
