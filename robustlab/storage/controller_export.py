@@ -142,7 +142,11 @@ def c_source(
         )
     time, back = _back_calculation(model, limits, anti_windup)
     ahead = None if feed_forward is None else _Ahead.of(model, feed_forward)
-    unused = [name for name, used in (("s", model.n_states), ("u", model.B.any() or model.D.any())) if not used and not (name == "u" and ahead)]
+    unused = [
+        name
+        for name, used in (("s", model.n_states), ("u", model.B.any() or model.D.any()))
+        if not used and not (name == "u" and ahead)
+    ]
     return _template().render(
         model=model,
         prefix=prefix,
@@ -174,7 +178,9 @@ class _Ahead(NamedTuple):
         names, wanted = model.output_names, law.position
         if law.input.name not in names:
             raise InputError("C export: feed-forward", f"of {law.input.name!r}", f"one of {', '.join(names)}")
-        found = [i for i, s in enumerate(model.inputs) if isinstance(s, Taken) and (s.takes, s.of) == ("r", wanted.name)]
+        found = [
+            i for i, s in enumerate(model.inputs) if isinstance(s, Taken) and (s.takes, s.of) == ("r", wanted.name)
+        ]
         if not found:
             hint = "a controller of a tracking problem is: it sees references and measurements apart"
             expected = f"a controller that is given the reference of {wanted.name}"

@@ -111,7 +111,10 @@ def try_machine(
     )  # fmt: skip
     per = f"{machine.input.unit}/({unit}/s2)"
     told = [
-        ("machine", f"read off {machine.samples} samples of its records, {number(machine.left, machine.input.unit)} left"),
+        (
+            "machine",
+            f"read off {machine.samples} samples of its records, {number(machine.left, machine.input.unit)} left",
+        ),
         ("inertia", number(machine.inertia, per)),
         ("dry friction", number(machine.friction, machine.input.unit)),
         ("map over the position, rms", number(float(machine.table.std()), machine.input.unit)),

@@ -110,7 +110,9 @@ class MeasuredMachine:
         """
         if (K.n_inputs, K.n_outputs) != (2, 1) or not K.is_discrete:
             found = f"{K.n_inputs} inputs, {K.n_outputs} outputs, {'discrete' if K.is_discrete else 'continuous'}"
-            raise InputError("measured machine: controller", found, "reference and position in, one input out, discrete")
+            raise InputError(
+                "measured machine: controller", found, "reference and position in, one input out, discrete"
+            )
         more = np.zeros_like(q_ref) if ahead is None else ahead(q_ref, v_ref)
         steps = math.ceil(K.dt / STEP)
         numbers = np.array([self.inertia, self.viscous, self.friction, self.period, lsb, K.dt / steps])
@@ -122,7 +124,7 @@ class MeasuredMachine:
 
 def measured_machine(
     records: Sequence[Record],
-    input: str,  # noqa: A002 - the word of the records
+    input: str,
     position: str,
     speeds: tuple[float, float],
     period: float = 2.0 * math.pi,

@@ -62,7 +62,9 @@ class ExportStep(Step):
             *(Fact(f"SHA-256 of {work.step}.{kind}", digest) for kind, digest in digests.items()),
         )
         if self.feed_forward is not None:
-            facts += tuple(Fact(fact.label, fact.value, f"{work.step}.c") for fact in facts_of(work.values[self.feed_forward]))
+            facts += tuple(
+                Fact(fact.label, fact.value, f"{work.step}.c") for fact in facts_of(work.values[self.feed_forward])
+            )
         numbers = {"order": K.n_states, "dt": K.dt, "sha256": digests}
         names = ", ".join(f"{work.step}{suffix}" for suffix in FORMATS)
         return Outcome(work.folder / f"{work.step}.h5", f"{self.of} written to {names}.", numbers, facts)
