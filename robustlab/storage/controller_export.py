@@ -20,13 +20,14 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.dynamics.extended.feed_forward import FeedForward
 from robustlab.dynamics.plant_contract import Plant
-from robustlab.errors import InputError, UsageError, told_as
+from robustlab.errors import InputError, UnitMismatch, UsageError, told_as
 from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance
 from robustlab.signals import Taken, law
@@ -102,6 +103,7 @@ def c_source(
     limits: Sequence[tuple[float, float]] | None = None,
     notes: Sequence[str] = (),
     anti_windup: Any = None,
+    feed_forward: FeedForward | None = None,
 ) -> str:
     """The C99 source of a discrete model.
 
@@ -113,7 +115,10 @@ def c_source(
     ``anti_windup``: time T in s: during saturation modes that are slower are made to decay within it. Ten samples where
     left out; inf leaves a stable controller's states alone. Or the gain itself, (n, p): what ``y held - y asked for``
     adds to the states. Of no effect without limits.
-    Raises InputError: a continuous model, one in deviations from an operating point, one without inputs or outputs, a
+    ``feed_forward``: added to its output before the limits; the step is then given the rate of the reference as a
+    further, last input.
+    Raises InputError: a feed-forward of a signal that the model does not put out, or of a reference that it is not
+    given; a continuous model, one in deviations from an operating point, one without inputs or outputs, a
     prefix that is no identifier.
 
     Examples
@@ -136,7 +141,12 @@ def c_source(
             "C export: prefix", f"{prefix!r}", "a lower-case letter, then lower-case letters, digits or underscores"
         )
     time, back = _back_calculation(model, limits, anti_windup)
-    unused = [name for name, used in (("s", model.n_states), ("u", model.B.any() or model.D.any())) if not used]
+    ahead = None if feed_forward is None else _Ahead.of(model, feed_forward)
+    unused = [
+        name
+        for name, used in (("s", model.n_states), ("u", model.B.any() or model.D.any()))
+        if not used and not (name == "u" and ahead)
+    ]
     return _template().render(
         model=model,
         prefix=prefix,
@@ -150,8 +160,35 @@ def c_source(
         law=law(model.inputs),
         check=_first_samples(model),
         unused=unused,
+        ahead=ahead,
         TERMS=TERMS,
     )
+
+
+class _Ahead(NamedTuple):
+    """A feed-forward in a model's code: itself, the output that it is added to, and the input that is its reference."""
+
+    law: FeedForward
+    output: int
+    reference: int
+
+    @classmethod
+    def of(cls, model: StateSpaceModel, law: FeedForward) -> _Ahead:
+        """Where the model has the signals of a feed-forward."""
+        names, wanted = model.output_names, law.position
+        if law.input.name not in names:
+            raise InputError("C export: feed-forward", f"of {law.input.name!r}", f"one of {', '.join(names)}")
+        found = [
+            i for i, s in enumerate(model.inputs) if isinstance(s, Taken) and (s.takes, s.of) == ("r", wanted.name)
+        ]
+        if not found:
+            hint = "a controller of a tracking problem is: it sees references and measurements apart"
+            expected = f"a controller that is given the reference of {wanted.name}"
+            raise InputError("C export: feed-forward", f"inputs {', '.join(model.input_names)}", expected, hint)
+        for ours, its in ((model.outputs[names.index(law.input.name)], law.input), (model.inputs[found[0]], wanted)):
+            if ours.unit != its.unit:
+                raise UnitMismatch(f"C export: feed-forward of {its.name}", its.unit, ours.unit)
+        return cls(law, names.index(law.input.name), found[0])
 
 
 def _template() -> Any:
@@ -236,6 +273,7 @@ def export_controller(
     prefix: str = "controller",
     saturation: Any = None,
     anti_windup: Any = None,
+    feed_forward: FeedForward | None = None,
     provenance: Provenance | None = None,
 ) -> Path:
     r"""Write a controller for another program, with the sign of its feedback; the extension of the file says which.
@@ -265,6 +303,10 @@ def export_controller(
         For ``.c`` with a saturation: time in s within which, during saturation, all modes of the controller decay. Ten
         samples where left out; inf leaves a stable controller's states alone. Or the gain itself, (n, p), such as that
         of `anti_windup`.
+    feed_forward
+        For ``.c``: what is added to a control signal before its limits, a function of the reference and its rate
+        (`robustlab.dynamics.extended.feed_forward.feed_forward` of a plant with effects). The rate is then the last
+        input of the step.
     provenance
         Where it comes from; time and versions of now where left out.
 
@@ -276,10 +318,10 @@ def export_controller(
     Raises
     ------
     UsageError
-        Another extension, or a saturation or an anti-windup time where there is no place for it.
+        Another extension, or a saturation, an anti-windup time or a feed-forward where there is no place for it.
     InputError
         A continuous controller for ``.c``, limits or a prefix that are none, an anti-windup time below a sample, a slow
-        mode that back-calculation cannot move.
+        mode that back-calculation cannot move, a feed-forward of signals that the controller does not have.
     EnvironmentFault
         Disk full, no permission; the previous file is kept.
     """
@@ -295,10 +337,12 @@ def export_controller(
     if anti_windup is not None and (saturation is None or suffix != ".c"):
         found = "an anti-windup time " + (f"in a {suffix} file" if suffix != ".c" else "without a saturation")
         raise UsageError(str(path), found, "a .c file with a saturation")
+    if feed_forward is not None and suffix != ".c":
+        raise UsageError(str(path), f"a feed-forward in a {suffix} file", "a .c file: the others hold a linear model")
     limits = saturation_limits(held.K, saturation, "export_controller")
     origin = provenance or Provenance.now("export_controller")
     if suffix == ".c":
-        text = c_source(held.K, prefix, limits, _notes(held, origin), anti_windup)
+        text = c_source(held.K, prefix, limits, _notes(held, origin), anti_windup, feed_forward)
         return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="ascii"))
     if suffix == ".json":
         text = json.dumps(controller_to_json(held, limits, origin), indent=1, allow_nan=False, ensure_ascii=True)

@@ -7,9 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.doors.vocabulary import ToController
+from robustlab.doors.vocabulary import RefersTo, ToController
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, step
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, step
 
 FORMATS = (".c", ".json", ".mat", ".h5")
 
@@ -29,6 +29,10 @@ class ExportStep(Step):
         {}, description="Limits [low, high] of each control signal in the C code."
     )
 
+    feed_forward: Annotated[str, RefersTo(("feed-forward",))] | None = Field(
+        None, description="Added to a control signal in the C code, before the limits; the other files do not have it."
+    )
+
     def run(self, work: Workspace) -> Outcome:
         from robustlab.provenance import file_sha256
         from robustlab.statespace import as_model
@@ -46,6 +50,8 @@ class ExportStep(Step):
         for suffix in FORMATS:
             path = work.folder / f"{work.step}{suffix}"
             options: dict[str, Any] = {"prefix": self.prefix, "saturation": limits} if suffix in (".c", ".json") else {}
+            if suffix == ".c" and self.feed_forward is not None:
+                options["feed_forward"] = work.values[self.feed_forward]
             rl.export_controller(path, given, provenance=origin, **options)
             work.files.append(path.name)
             digests[suffix[1:]] = file_sha256(path)
@@ -55,6 +61,10 @@ class ExportStep(Step):
             Fact("Control signals", ", ".join(f"{s.name} [{s.unit}]" for s in K.outputs)),
             *(Fact(f"SHA-256 of {work.step}.{kind}", digest) for kind, digest in digests.items()),
         )
+        if self.feed_forward is not None:
+            facts += tuple(
+                Fact(fact.label, fact.value, f"{work.step}.c") for fact in facts_of(work.values[self.feed_forward])
+            )
         numbers = {"order": K.n_states, "dt": K.dt, "sha256": digests}
         names = ", ".join(f"{work.step}{suffix}" for suffix in FORMATS)
         return Outcome(work.folder / f"{work.step}.h5", f"{self.of} written to {names}.", numbers, facts)

@@ -1,0 +1,202 @@
+r"""Feed-forward of named effects: the input that a motion needs because of them, told from its reference.
+
+A force law at a joint, with the force g of one unit of the input there, is met by
+
+.. math::
+    u_{ff}(q_r, v_r) = -\frac{1}{g} \sum_j f_j(q_r, v_r)
+    = \sum_w \bigl(c_w \cos k_w q_r + s_w \sin k_w q_r\bigr)
+    + \sum_d \bigl(\ell_d + b_d\, e^{-(v_r / v_d)^2}\bigr) \operatorname{sgn} v_r
+
+with waves for cogging, gravity of a pendulum and constant loads (k = 0), and dry friction as it is while sliding. It is
+no feedback: the loop's poles stay where they are. At the reference it is exact where the effects are; where the motion
+is off by e, a wave leaves at most :math:`k \sqrt{c^2 + s^2}\,|e|` of itself. At standstill, :math:`v_r = 0`, dry
+friction is anything within its band: nothing is asked for.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.arrays import Array
+from robustlab.checks import number as checked
+from robustlab.errors import InputError
+from robustlab.shown import Facts, number
+from robustlab.signals import Signal
+from robustlab.statespace import real_array
+
+ALONG = 1e-9  # share of a force that may point elsewhere than the input's: rounding of the plant's matrices
+
+WHOLE = 0.1  # of a wave, by which a fitted number of waves may be off
+
+
+class Wave(NamedTuple):
+    """``c cos(k q) + s sin(k q)``: c, s in units of the input, k in 1/rad or 1/m; k = 0 is a constant."""
+
+    c: float
+    s: float
+    k: float
+
+
+class DryLevel(NamedTuple):
+    """``(level + more exp(-(v / vs)^2)) sgn v``: level, more in units of the input, vs in units of the speed."""
+
+    level: float
+    more: float = 0.0
+    vs: float = 1.0
+
+
+@dataclass(frozen=True)
+class FeedForward:
+    """An input as a function of the reference's position and speed.
+
+    Attributes
+    ----------
+    input, position
+        The input that it is added to, and the output whose reference it sees.
+    waves, dry
+        What it is the sum of, in units of the input.
+    of
+        The effects that it stands for, in words.
+    """
+
+    input: Signal
+    position: Signal
+    waves: tuple[Wave, ...] = ()
+    dry: tuple[DryLevel, ...] = ()
+    of: tuple[str, ...] = ()
+
+    def __call__(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """The input at positions q and speeds v of the reference, both of one shape, (n,) or ().
+
+        Examples
+        --------
+        >>> friction = FeedForward(Signal("i", "A"), Signal("phi", "rad"), (), (DryLevel(0.4),))
+        >>> friction([0.0, 1.0, 2.0], [-3.0, 0.0, 3.0]).tolist()
+        [-0.4, 0.0, 0.4]
+        """
+        at, speed = (real_array(name, x, np.ndim(x), "feed-forward") for name, x in (("q", q), ("v", v)))
+        if at.shape != speed.shape:
+            raise InputError("feed-forward", f"positions {at.shape}, speeds {speed.shape}", "one shape")
+        found = np.zeros(at.shape)
+        for c, s, k in self.waves:
+            found = found + c * np.cos(k * at) + s * np.sin(k * at)
+        for level, more, vs in self.dry:
+            found = found + (level + more * np.exp(-((speed / vs) ** 2))) * np.sign(speed)
+        return found
+
+    @property
+    def largest(self) -> float:
+        """A bound of its magnitude, in the unit of the input."""
+        return sum(math.hypot(c, s) for c, s, _ in self.waves) + sum(abs(level) + abs(b) for level, b, _ in self.dry)
+
+    def periodic(self, period: float, about: float) -> FeedForward:
+        """The same with whole numbers of waves a period, such as a turn, 2 pi.
+
+        A fit tells the number of waves no better than the records are long. What repeats by nature holds everywhere
+        only as a whole number; far from the records the fitted one is out of phase.
+
+        ``period``: in units of the position. ``about``: where the waves keep their phase, the middle of the records.
+
+        Raises InputError: a period that is not positive; a wave further than a tenth from a whole number, or slower.
+        """
+        where = "feed-forward: period"
+        period = checked(where, period, "a positive number", above=0)
+        found = []
+        for c, s, k in self.waves:
+            count = k * period / (2.0 * math.pi)
+            if abs(count - round(count)) > WHOLE or (k and not round(count)):
+                raise InputError(where, f"{count:.4g} waves in {period:g}", "a whole number of them, within 0.1")
+            whole = 2.0 * math.pi * round(count) / period
+            turned = complex(c, -s) * cmath.exp(1j * (k - whole) * about)  # c cos + s sin = Re (c - i s) e^(i k q)
+            found.append(Wave(turned.real, -turned.imag, whole))
+        return replace(self, waves=tuple(found))
+
+    def facts(self) -> Facts:
+        """What it is made of."""
+        unit, per = self.input.unit, f"1/{self.position.unit}"
+        waves = [f"{number(math.hypot(c, s), unit)} at {number(k, per)}" for c, s, k in self.waves]
+        dry = [number(level, unit) for level, _, _ in self.dry]
+        return [
+            ("feed-forward of", ", ".join(self.of)),
+            ("waves over the position", ", ".join(waves)),
+            ("dry friction", ", ".join(dry)),
+        ]
+
+
+Values = Mapping[str, float]
+
+# Effect -> waves and levels of the force against it, -f; what each parameter is stands with the effect itself.
+_AGAINST: Mapping[str, Callable[[Values], tuple[list[Wave], list[DryLevel]]]] = {
+    "cogging": lambda p: ([Wave(-p["Ac"], -p["As"], p["k"])], []),
+    "pendulum-gravity": lambda p: ([Wave(p["H"], p["G"], 1.0)], []),
+    "constant-load": lambda p: ([Wave(p["T0"], 0.0, 0.0)], []),
+    "coulomb-friction": lambda p: ([], [DryLevel(p["Fc"])]),
+    "presliding": lambda p: ([], [DryLevel(p["Fc"])]),
+    "stribeck-friction": lambda p: ([], [DryLevel(p["Fc"], p["dF"], p["vs"])]),
+    "asymmetric-coulomb-friction": lambda p: (
+        [Wave(0.5 * (p["F_pos"] - p["F_neg"]), 0.0, 0.0)],
+        [DryLevel(0.5 * (p["F_pos"] + p["F_neg"]))],
+    ),
+}
+
+
+def feed_forward(plant: Any) -> FeedForward:
+    """The feed-forward of a plant's named effects, such as those of ``rl.discover(...).model``.
+
+    ``plant``: linear, with effects (`robustlab.with_effects`); its force laws sit at one joint, whose position is an
+    output, and one of its inputs acts there alone.
+
+    Linear effects (a wrong inertia, a spring) are the feedback controller's, and left alone.
+
+    Raises InputError: no effect that it knows, effects at several joints, no such input or output.
+
+    Examples
+    --------
+    >>> from robustlab.dynamics import plant
+    >>> from robustlab.dynamics.extended.extended_plant import with_effects
+    >>> axis = with_effects(plant("servo-axis", gain=2.0), {"coulomb-friction": {"Fc": 20.0}})
+    >>> float(feed_forward(axis)(0.1, 0.05)), feed_forward(axis).input.name
+    (10.0, 'u')
+    """
+    where = f"feed-forward of {getattr(plant, 'name', type(plant).__name__)}"
+    laws = [(e, port) for e, _, port in getattr(plant, "laws", ())]
+    known = [(e, port) for e, port in laws if e.effect.id in _AGAINST]
+    if not known:
+        found = ", ".join(e.in_words for e, _ in laws) or "no effect that is a force"
+        raise InputError(where, found, f"a plant with one of {', '.join(_AGAINST)}")
+    ports = {port.name: port for _, port in known}
+    if len(ports) > 1:
+        raise InputError(where, f"effects at {', '.join(ports)}", "effects at one joint")
+    port = next(iter(ports.values()))
+    signal, gain = _input_at(plant, port, where)
+    made = [_AGAINST[e.effect.id](e.values) for e, _ in known]
+    waves = [Wave(c / gain, s / gain, k) for parts, _ in made for c, s, k in parts]
+    dry = [DryLevel(level / gain, more / gain, vs) for _, parts in made for level, more, vs in parts]
+    return FeedForward(
+        signal, _position_of(plant, port, where), tuple(waves), tuple(dry), tuple(e.in_words for e, _ in known)
+    )
+
+
+def _input_at(plant: Any, port: Any, where: str) -> tuple[Signal, float]:
+    """The input that acts at the port alone, and the force of one unit of it there."""
+    size = float(port.force @ port.force)
+    for signal, column in zip(plant.inputs, plant.model.B.T, strict=True):
+        gain = float(column @ port.force) / size
+        if gain and np.abs(column - gain * port.force).max() <= ALONG * np.abs(column).max():
+            return signal, gain
+    raise InputError(where, f"no input that acts at {port.name} alone", "a plant driven at that joint")
+
+
+def _position_of(plant: Any, port: Any, where: str) -> Signal:
+    """The output that is the port's position."""
+    for signal, row in zip(plant.outputs, plant.model.C, strict=True):
+        if port.position is not None and np.array_equal(row, port.position):
+            return signal
+    raise InputError(where, f"no output that is the position of {port.name}", "a plant that shows it")
