@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from robustlab.evidence.norms import above, proof_of_norm
 from robustlab.evidence.numbers import Numbers, block_rows, loop_numbers, matrices, model_numbers
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block
 from robustlab.verification.claim import Claim
 
 ROUNDING = 1e-14  # of the largest entry: allowed for beside what the result says that a member misses
@@ -32,7 +32,7 @@ def cover_claims(found: Cover) -> list[Claim]:
     return _members(found, blocks) if all(b.interval for b in blocks) else []
 
 
-def _members(found: Cover, blocks: Sequence[Block]) -> list[Claim]:
+def _members(found: Cover, blocks: Sequence[Any]) -> list[Claim]:
     """Each model is the member at its parameters, every entry to within a tolerance."""
     common: Numbers = {
         **{key: value for key, value in model_numbers(found.model.M).items() if key != "dt"},
