@@ -1,4 +1,4 @@
-"""The recipe on a measured motor, and its second half by itself: the map, what is fed forward, the trial, the C code."""
+"""The recipe on a measured motor, and its second half by itself: map, feed-forward, trial, C code."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def at_hand(name):
 
 
 def second_half(folder):
-    """The recipe from the feed-forward on, with a plant as it was named once and a proportional-derivative controller."""
+    """The recipe from the feed-forward on, with a plant as it was named once, under a PD controller."""
     effects = {
         "cogging": {"Ac": -0.0030, "As": -0.0410, "k": 6.9977},
         "coulomb-friction": {"Fc": 0.02556},

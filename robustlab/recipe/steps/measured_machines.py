@@ -133,7 +133,7 @@ class TryMachineStep(Step):
     do: Literal["try-machine"]
     machine: ToMachine
     controller: ToController
-    feed_forward: Annotated[list[ToFeedForward], Field(max_length=8)] = []
+    feed_forward: Annotated[list[ToFeedForward], Field(max_length=8)] = Field([])
     speed: Positive = Field(description="Of the reference.")
     way: Positive = Field(description="At that speed, each way.")
     ramp: Positive = Field(description="s of each change of the speed.")

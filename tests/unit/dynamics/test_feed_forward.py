@@ -90,8 +90,8 @@ def test_whole_waves_a_turn_keep_their_phase_where_the_records_are():
     [
         (lambda: rl.plant("brushless-motor"), "no effect that is a force"),
         (lambda: rl.with_effects(rl.plant("brushless-motor"), {"inertia": {"s": 1.2}}), "no effect that is a force"),
-        (lambda: rl.with_effects(rl.plant("two-mass"), {"coulomb-friction@omega1": {"Fc": 1.0},
-                                                        "coulomb-friction@omega2": {"Fc": 1.0}}), "effects at omega1, omega2"),
+        (lambda: rl.with_effects(rl.plant("two-mass"), {f"coulomb-friction@omega{k}": {"Fc": 1.0} for k in (1, 2)}),
+         "effects at omega1, omega2"),
         (lambda: rl.with_effects(rl.plant("two-mass"), {"coulomb-friction@omega2": {"Fc": 1.0}}), "no input that acts"),
         (lambda: rl.with_effects(rl.plant("dc-motor"), {"coulomb-friction": {"Fc": 1e-3}}), "no input that acts"),
     ],
