@@ -55,6 +55,7 @@ from robustlab.identification.hypotheses.noise import (
 from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
+from robustlab.identification.naming.materiality import strained
 from robustlab.identification.tuning import NamingTuning
 
 
@@ -556,8 +557,19 @@ class _Search:
         return careful(self.problem, fit, whitening(self.problem, fit, self.tuning.ar_order if self.near else 1))
 
     def _again(self, fit: Fit) -> Fit:
-        """The set fitted under the present noise and clock, from where it stands."""
-        return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(self.tuning.full, 0.05))
+        """The set fitted under the present noise and clock, from where it stands.
+
+        Parameters that are then beyond their tolerances may have been driven there under another noise, in which a
+        wrong model's errors were far larger, and be held there by this one: a second fit begins with nominal ones.
+        """
+        plan = FitPlan(self.tuning.full, 0.05)
+        stands = self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, plan)
+        if not strained(self.problem, stands):
+            return stands
+        nominal = stands.z.copy()
+        nominal[: len(self.problem.nuisances)] = 0.0
+        anew = self.problem.fit(fit.hypothesis, self.noise, nominal, plan=plan)
+        return min(stands, anew, key=lambda f: f.cost)
 
     def _clocked(self, fit: Fit) -> Fit:
         """The best set under the input holds that suit it and steps that are short enough for it."""
