@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Mask
 from robustlab.checks import number as checked
 from robustlab.dynamics.control.controlled_runs import ControlledRuns, TimePanel
 from robustlab.dynamics.extended.feed_forward import FeedForward
@@ -27,7 +27,7 @@ class ThereAndBack(NamedTuple):
     ramp: float
     rest: float = 0.5
 
-    def samples(self, dt: float, start: float) -> tuple[Array, Array, Array]:
+    def samples(self, dt: float, start: float) -> tuple[Array, Array, Mask]:
         """Position and speed of the reference at the samples (n,), and where its speed is constant and not zero.
 
         Changes of speed are half a wave of a cosine. The way there is longer by what the ramps take.

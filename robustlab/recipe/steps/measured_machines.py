@@ -70,7 +70,7 @@ class MeasuredMachineStep(Step):
             Fact("Inertia", quantity(found.inertia, f"{unit}/({found.position.unit}/s2)")),
             Fact("Dry friction", quantity(found.friction, unit)),
             Fact("Viscous friction", quantity(found.viscous, f"{unit}/({found.position.unit}/s)")),
-            Fact("Map, rms", quantity(numbers["map"], unit)),
+            Fact("Map, rms", quantity(float(found.table.std()), unit)),
             Fact("Its largest waves, by their number a period", listed),
             Fact("Left over, rms", f"{quantity(found.left, unit)} of {found.samples} samples"),
         )
@@ -113,7 +113,7 @@ class FeedForwardStep(Step):
         if self.machine is not None:
             found = work.values[self.machine].feed_forward(self.waves)
         else:
-            found = feed_forward(work.values[self.of])
+            found = feed_forward(work.values[str(self.of)])
         if self.period is not None:
             seen = np.concatenate([work.record(name).outputs[found.position.name] for name in self.records])
             found = found.periodic(self.period, float(seen.mean()))
