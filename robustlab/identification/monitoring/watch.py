@@ -393,7 +393,12 @@ class _Watched:
     def _value(self, before: Before, change: int, k: int) -> EffectValue:
         """What changed as it was in one piece."""
         found = fitted(self.tested[k], before, self.changes, change, self.noise)
-        return value_fitted(self.tested[k], found.fit, self.changes[change], max(1.0, before.left, found.fit.cost / self.test.pieces[k].points))
+        return value_fitted(
+            self.tested[k],
+            found.fit,
+            self.changes[change],
+            max(1.0, before.left, found.fit.cost / self.test.pieces[k].points),
+        )
 
 
 def _noise_left(problem: Problem, fit: Fit) -> NoiseModel:
