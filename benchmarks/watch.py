@@ -5,7 +5,7 @@ force of steps, its position measured; and a voltage-driven motor, its current a
 dry friction, and parameters of its own within the tolerances of the model that is watched.
 
     python benchmarks/watch.py                 # all, about 40 minutes on one core
-    python benchmarks/watch.py quiet 200       # false alarms in 200 logs of each machine
+    python benchmarks/watch.py quiet 200 [Axis] # false alarms in 200 logs of each machine, or of one
     python benchmarks/watch.py changes 3       # 3 logs of each change
 """
 
@@ -266,7 +266,7 @@ def main(words: list[str]) -> None:
     begins = f"a change begins at {BEGINS * PIECE:g} s"
     print(f"# {PIECES} pieces of {PIECE:g} s; {begins}; false alarms at most {FALSE_ALARM:g}")
     if not words or words[0] == "quiet":
-        for machine in (Axis, Motor):
+        for machine in [m for m in (Axis, Motor) if m.__name__ in (words[2:] or ("Axis", "Motor"))]:
             for stated in (True, False):
                 quiet(machine, int(words[1]) if len(words) > 1 else 200, stated)
     if not words or words[0] == "changes":

@@ -94,8 +94,8 @@ def watch(
     inequality), however long it is and whenever one looks; see `robustlab.identification.monitoring.change_test`.
 
     ASSUMPTIONS: the noise of the sensors is white in time and Gaussian (for changes with a name: sub-Gaussian) of the
-    standard deviation ``noise``; without it, coloured as the first piece shows it, and the rate holds as far as that
-    piece tells the noise. The parameters are constant, known only as well as the log itself tells them, and the model
+    standard deviation ``noise``; without it, of the size that the first piece shows, and the rate holds as far as that
+    piece tells it. The parameters are constant, known only as well as the log itself tells them, and the model
     is linear in what the first piece leaves open of them; windows in which it is not are left out. The windows start
     anew: a drift of the state that is slower than a window is no change.
 
@@ -402,10 +402,15 @@ class _Watched:
 
 
 def _noise_left(problem: Problem, fit: Fit) -> NoiseModel:
-    """What makes a fit's errors white, of the order by Schwarz' criterion: a short piece tells few numbers."""
-    found = [whitening(problem, fit, order) for order in range(problem.tuning.ar_order + 1)]
-    points = sum(np.isfinite(e).sum() for e in problem.errors(fit.hypothesis, fit.z, fit.starts)) / len(found[0].std)
-    return min(found, key=lambda n: float(np.sum(2.0 * points * np.log(n.std) + len(n.ar) * np.log(points))))
+    """White noise of the size of a fit's errors, for the parameters and starts that the fit was free to choose.
+
+    An autoregression would take what the starts took out of the windows for a lack of slow noise, and the test for a
+    change that the noise is no slower elsewhere.
+    """
+    white = whitening(problem, fit, 0)
+    points = sum(int(np.isfinite(e).sum()) for e in problem.errors(fit.hypothesis, fit.z, fit.starts))
+    free = len(fit.z) + sum(x.size for x in fit.starts)
+    return replace(white, std=white.std * np.sqrt(points / max(points - free, 1)))
 
 
 def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
