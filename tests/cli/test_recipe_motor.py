@@ -110,9 +110,8 @@ def test_a_feed_forward_has_one_source(said):
 
 def test_a_plant_without_effects_gives_none(tmp_path):
     (tmp_path / "x.toml").write_text(STEPS + 'of = "a"\n')
-    result = run_recipe(load_recipe(tmp_path / "x.toml"), tmp_path / "out")
-    assert result.exit_code != 0
-    assert "no effect that is a force" in str(result.data["steps"][-1]["error"])
+    with pytest.raises(InputError, match="no effect that is a force"):
+        run_recipe(load_recipe(tmp_path / "x.toml"), tmp_path / "out")
 
 
 def test_no_record_of_the_motor_is_read_twice():
