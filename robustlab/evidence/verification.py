@@ -29,6 +29,12 @@ CLAIMS: Mapping[str, str] = {
     "DiskMargins": "designs.disk_claims",
     "DiskMargin": "designs.one_disk_claims",
     "BuiltModel": "designs.set_claims",
+    "IqcGain": "multipliers.gain_claims",
+    "IqcStability": "multipliers.size_claims",
+    "EffectGain": "multipliers.effect_claims",
+    "AntiWindup": "multipliers.windup_claims",
+    "LPVGain": "scheduling.gain_claims",
+    "LPVSynthesis": "scheduling.design_claims",
 }
 
 
