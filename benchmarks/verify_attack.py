@@ -55,6 +55,7 @@ EACH = 40  # mutants of a claim
 PLAN = {
     "stable": 1, "norm": 3, "loop-norm": 3, "difference-norm": 2, "gramian": 2, "mu-upper": 4, "mu-lower": 3,
     "mu-axis": 4, "mu-boxes": 4, "worst-gain": 4, "worst-gain-boxes": 3, "unstable-member": 3, "set": 2,
+    "iqc-gain": 3, "iqc-size": 3, "lpv-gain": 3,
 }  # fmt: skip
 COLUMNS = ("mutants", "proved", "refuted", "not proved", "false accepted", "unjustified", "false refuted",
            "unconfirmed", "crash", "judge failed")  # fmt: skip
