@@ -65,6 +65,8 @@ class MuTuning(Tuning):
     slack: float = 1e-5  # the Hamiltonian is that of a beta smaller by this: a blurred double root costs far less
     frequencies: int = 8  # at which D, G are sought together
     probes: int = 12  # frequencies at which a sign is tested to find an end, or what the eigenvalues have missed
+    raised: float = 1e-3  # a bound that would raise the level by more than this share is sought by the slower method
+    slowly: int = 40  # its work over that of the fast one, as measured
     coarse: float = 4e-3  # accuracy of the first cover, which tells whether branch and bound has to follow
     sharpened: tuple[float, ...] = (0.1, 0.02, 0.004, 8e-4)
     # half widths, in log frequency, of the neighbourhoods in which a smaller complex Delta is sought

@@ -17,13 +17,13 @@ from functools import partial
 
 import numpy as np
 
-from robustlab.arrays import Array, Mask
+from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.budget import Budget
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.mu_analysis.axis.axis_model import model_frequency, typical_speed
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
-from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
+from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_slowly, points_work
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.shown import Facts, Shown, in_words, number
 from robustlab.statespace import StateSpaceModel
@@ -181,12 +181,30 @@ def cover_axis(
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
     while cover.open and not budget.over:
         omega = cover.take_points(pending, scale, TUNING.frequencies)
-        bounds = points_below(frequency_response(model, omega), blocks, beta / (1 + accuracy / 2))
+        response = frequency_response(model, omega)
+        bounds = points_below(response, blocks, beta / (1 + accuracy / 2))
         budget.spend(points_work(blocks, len(omega)))
+        _looked_at_again(response, blocks, bounds, beta / (1 + accuracy), budget)
         finite = [b.beta for b in bounds if np.isfinite(b.beta)]
         beta = max(beta, max(finite, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
         cover.grow(model, omega, bounds, beta, budget)
     return cover
+
+
+def _looked_at_again(
+    response: ComplexArray, blocks: Sequence[Block], bounds: list[UpperBound], level: float, budget: Budget
+) -> None:
+    """Have the largest bounds, which would raise the level, sought by the slower method, until one stays the largest."""
+    asked: set[int] = set()
+    while level > 0 and not budget.over:
+        k = int(np.argmax([b.beta for b in bounds]))
+        if k in asked or not bounds[k].beta > level * (1 + TUNING.raised):
+            return
+        asked.add(k)
+        (again,) = points_slowly(response[k : k + 1], blocks)
+        budget.spend(TUNING.slowly * points_work(blocks, 1))
+        if again.beta < bounds[k].beta:
+            bounds[k] = again
 
 
 def _size(model: StateSpaceModel, omega: Array) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -154,6 +154,16 @@ def _placed(
     return Dw, Dz, G
 
 
+def points_slowly(M: ComplexArray, blocks: Sequence[Block]) -> list[UpperBound]:
+    """As `points_below`, by the slower method and to the optimum: what is told to be out of reach may not be.
+
+    Where M is nearly real, D, G of a much smaller bound have a G as large as the imaginary parts are small. The methods'
+    estimates of what is left, by which they give up a target, do not see it from afar.
+    """
+    space = scaling_space(tuple(blocks))
+    return _balanced(M, blocks, lambda X: _certified(X, *space.matrices(path_following(X, space, 1e-4))))
+
+
 def points_work(blocks: Sequence[Block], count: int) -> int:
     """Work of `points_below` for so many matrices, as measured: 10 Newton systems each, where D, G are not easy."""
     n, size = max(structure_size(blocks)), scaling_space(tuple(blocks)).size
@@ -166,10 +176,18 @@ def points_below(M: ComplexArray, blocks: Sequence[Block], target: float, *, tho
     Unlike `upper_bounds` it stops early, and does not split: the scalings shall stay good at neighbouring frequencies.
     Not thorough: a rare matrix at which the solver ends early gets no second one, a hundred times as slow.
     """
+    goal = target if target > 0 else None
+    return _balanced(M, blocks, lambda X: _minimise(X, blocks, 1e-4, goal, thorough))
+
+
+def _balanced(
+    M: ComplexArray, blocks: Sequence[Block], find: Callable[[ComplexArray], list[UpperBound]]
+) -> list[UpperBound]:
+    """D, G that ``find`` finds for balanced matrices, as those of M itself."""
     exponents = np.stack([balancing_exponents(m, blocks) for m in M])
     w, z = (np.exp2(np.stack(e)) for e in zip(*(expand(blocks, e) for e in exponents), strict=True))
     balanced = M * z[:, :, None] / w[:, None, :]
-    found = _minimise(balanced, blocks, 1e-4, target if target > 0 else None, thorough)
+    found = find(balanced)
     Dw = np.stack([b.Dw for b in found]) * w[:, :, None] * w[:, None, :]
     Dz = np.stack([b.Dz for b in found]) * z[:, :, None] * z[:, None, :]
     G = np.stack([b.G for b in found]) * w[:, :, None] * z[:, None, :]
