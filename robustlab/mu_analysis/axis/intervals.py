@@ -177,14 +177,14 @@ def cover_axis(
         Relative distance of the proved bound to the largest pointwise D-G bound.
     """
     cover, scale = AxisCover(), typical_speed(model)
-    beta = beta * (1 + accuracy)
+    slowly, beta = beta > 0, beta * (1 + accuracy)
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
     while cover.open and not budget.over:
         omega = cover.take_points(pending, scale, TUNING.frequencies)
         response = frequency_response(model, omega)
         bounds = points_below(response, blocks, beta / (1 + accuracy / 2))
         budget.spend(points_work(blocks, len(omega)))
-        _looked_at_again(response, blocks, bounds, beta / (1 + accuracy), budget)
+        slowly = slowly and _looked_at_again(response, blocks, bounds, beta / (1 + accuracy), budget)
         finite = [b.beta for b in bounds if np.isfinite(b.beta)]
         beta = max(beta, max(finite, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
         cover.grow(model, omega, bounds, beta, budget)
@@ -193,18 +193,23 @@ def cover_axis(
 
 def _looked_at_again(
     response: ComplexArray, blocks: Sequence[Block], bounds: list[UpperBound], level: float, budget: Budget
-) -> None:
-    """Have the largest bounds, which would raise the level, sought by the slower method, until one stays the largest."""
+) -> bool:
+    """Have the largest bounds, which would raise the level, sought by the slower method, until one stays the largest.
+
+    Returns whether it was of use wherever it was asked: where it is not, this is no model for it.
+    """
     asked: set[int] = set()
-    while level > 0 and not budget.over:
+    while not budget.over:
         k = int(np.argmax([b.beta for b in bounds]))
         if k in asked or not bounds[k].beta > level * (1 + TUNING.raised):
-            return
+            return True
         asked.add(k)
         (again,) = points_slowly(response[k : k + 1], blocks)
         budget.spend(TUNING.slowly * points_work(blocks, 1))
-        if again.beta < bounds[k].beta:
-            bounds[k] = again
+        if again.beta > level + 0.5 * (bounds[k].beta - level):
+            return False
+        bounds[k] = again
+    return False
 
 
 def _size(model: StateSpaceModel, omega: Array) -> float:
