@@ -241,3 +241,34 @@ def test_a_set_without_spread():
 def test_bad_inputs_are_named(models, options, words):
     with pytest.raises(rl.InputError, match=words):
         rl.cover(models, **{"gain": False, **options})
+
+
+def first_order(pole, zero=None):
+    """``1 / (s - pole)``, or ``(s - zero) / (s - pole)``."""
+    gain = 1.0 if zero is None else pole - zero
+    return rl.StateSpaceModel([[pole]], [[1.0]], [[gain]], [[0.0 if zero is None else 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("form", "models", "holds"),
+    [
+        ("input-multiplicative", [first_order(1.0), first_order(1.5)], "inverse-input-multiplicative"),
+        ("output-multiplicative", [first_order(-1.0), first_order(0.5)], "inverse-output-multiplicative"),
+        ("inverse-input-multiplicative", [first_order(-1.0, 2.0), first_order(-1.0, 3.0)], "input-multiplicative"),
+        ("additive", [first_order(1.0, 2.0), first_order(2.0, 3.0)], "coprime"),  # other poles and zeros on the right
+    ],
+)
+def test_the_call_in_the_hint_of_a_refused_form_holds_the_models(form, models, holds):
+    with pytest.raises(rl.NoTrustworthyNumber, match="unstable error") as refused:
+        rl.cover(models, form=form)
+    call = refused.value.hint.rsplit(": ", 1)[1]
+    assert call == f'rl.cover(models, form="{holds}")'
+    found = eval(call, {"rl": rl, "models": models})
+    assert found.status.trustworthy and max(found.sizes) <= 1.0 + 1e-9
+    # Each member's own error, straight from its definition, is nowhere larger than the weight.
+    if holds == "inverse-input-multiplicative":
+        omega = np.geomspace(1e-3, 1e3, 200)
+        weight, centre = np.abs(found.fit.weight(1j * omega)[:, 0, 0]), found.model.nominal
+        for model in models:
+            error = centre(1j * omega)[:, 0, 0] / model(1j * omega)[:, 0, 0] - 1.0
+            assert (np.abs(error) <= weight * (1 + 1e-9)).all()
