@@ -36,7 +36,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -174,9 +174,26 @@ def unstructured_cover(
             best = radius, number, candidate
     if best is None:
         assert refused is not None
-        raise refused
+        call = f'rl.cover(models, form="{_form_that_holds(models, [c for _, c in candidates], form, omega)}")'
+        raise NoTrustworthyNumber(refused.where, refused.found, refused.expected, f"{refused.hint}: {call}") from None
     radius, number, centre = best
     return _around(models, centre, number, form, (order, tolerance), omega, radius)
+
+
+def _form_that_holds(
+    models: tuple[StateSpaceModel, ...], centres: list[StateSpaceModel], form: Form, omega: Array
+) -> str:
+    """A form that these models do not refuse: the inverse of ``form``, or one that is additive; else coprime."""
+    inverse = form.removeprefix("inverse-") if form.startswith("inverse-") else f"inverse-{form}"
+    for other in (cast(Form, inverse), "inverse-additive", "additive"):
+        for centre in centres if other != form else ():
+            try:
+                _require_stable(models, centre, other)
+                _require_bounded(models, centre, other, omega, _bound(models, centre, other, omega))
+            except (NoTrustworthyNumber, np.linalg.LinAlgError):
+                continue
+            return other
+    return "coprime"
 
 
 def _around(

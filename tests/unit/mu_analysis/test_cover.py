@@ -241,3 +241,33 @@ def test_a_set_without_spread():
 def test_bad_inputs_are_named(models, options, words):
     with pytest.raises(rl.InputError, match=words):
         rl.cover(models, **{"gain": False, **options})
+
+
+def first_order(pole, zero=None):
+    """``1 / (s - pole)``, or ``(s - zero) / (s - pole)``."""
+    gain = 1.0 if zero is None else pole - zero
+    return rl.StateSpaceModel([[pole]], [[1.0]], [[gain]], [[0.0 if zero is None else 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("form", "models", "holds"),
+    [
+        ("input-multiplicative", [first_order(p) for p in (-1.0, 0.5, 1.0)], "inverse-input-multiplicative"),
+        ("output-multiplicative", [first_order(p) for p in (-1.0, 0.5, 1.0)], "inverse-output-multiplicative"),
+        ("input-multiplicative", [first_order(1.0), first_order(1.5)], "inverse-additive"),  # no nominal one is stable
+        ("inverse-input-multiplicative", [first_order(-1.0, 2.0), first_order(-1.0, 3.0)], "additive"),
+        ("additive", [first_order(1.0, 2.0), first_order(2.0, 3.0)], "coprime"),  # other poles and zeros on the right
+    ],
+)
+def test_the_call_in_the_hint_of_a_refused_form_holds_the_models(form, models, holds):
+    with pytest.raises(rl.NoTrustworthyNumber, match="unstable error") as refused:
+        rl.cover(models, form=form)
+    call = refused.value.hint.rsplit(": ", 1)[1]
+    assert call == f'rl.cover(models, form="{holds}")'
+    found = eval(call.replace(")", ", gain=False)"), {"rl": rl, "models": models})
+    assert found.status is rl.Status.CERTIFIED
+    if holds == "inverse-input-multiplicative":  # no member's own error, from its definition, is above the weight
+        omega = np.geomspace(1e-3, 1e3, 200)
+        weight, centre = np.abs(found.fit.weight(1j * omega)[:, 0, 0]), found.model.nominal(1j * omega)[:, 0, 0]
+        for model in models:
+            assert (np.abs(centre / model(1j * omega)[:, 0, 0] - 1.0) <= weight * (1 + 1e-9)).all()
