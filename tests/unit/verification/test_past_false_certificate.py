@@ -1,13 +1,40 @@
-"""A number that an earlier version vouched for, and that is not true: the checker refutes it."""
+"""Numbers that earlier versions vouched for, and that are not true, as files: the command proves none of them."""
 
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
 from attack_cases import make_case
+from exact_loops import Model, h2_norm, system, with_precision
+from scipy.linalg import solve_continuous_lyapunov
 
 import robustlab as rl
-from robustlab.evidence.designs import h2_claims
-from robustlab.verification import Outcome, check
+from robustlab.cli.ending import main_guard
+from robustlab.cli.verify import app
+from robustlab.evidence.designs import h2_claims, hinf_claims
+from robustlab.evidence.numbers import loop_numbers, model_numbers
+from robustlab.verification import Claim, Outcome, check
+
+HOSTILE = Path(__file__).parents[4] / "shared" / "data" / "hostile" / "hinf_r150.npz"
 
 
-def test_an_h2_design_next_to_an_ill_posed_loop():
+def written(path, claim):
+    with h5py.File(path, "w") as file:
+        group = file.create_group("claims/0")
+        group.attrs["claim"] = claim.kind
+        for name, values in claim.numbers.items():
+            group[name] = values
+    return path
+
+
+def command(path):
+    return main_guard(lambda: app([str(path)], standalone_mode=False))
+
+
+def test_an_h2_design_next_to_an_ill_posed_loop(tmp_path, capsys):
     # Case 578 of seed 11 of benchmarks/attack.py: a direct term of 1e-6 is left in the exact loop, none in doubles.
     data = make_case(11, 578).data
     P = data["P"]
@@ -17,3 +44,38 @@ def test_an_h2_design_next_to_an_ill_posed_loop():
     found = check(claim)
     assert found.outcome is Outcome.REFUTED
     assert "infinite" in found.where
+    assert command(written(tmp_path / "claim.h5", claim)) == 1
+    assert "refuted" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not HOSTILE.exists(), reason="needs ../shared")
+def test_a_stiff_h_infinity_loop(tmp_path, capsys):
+    """Certified 16.2949 once, 17.25 in truth; with the true number the same loop is proved."""
+    d = np.load(HOSTILE)
+    n_y, n_u = (int(x) for x in d["dims"][2:])
+    plant = rl.StateSpaceModel(d["A"], d["B"], d["C"], d["D"])
+    K = rl.StateSpaceModel(d["kA"], d["kB"], d["kC"], d["kD"])
+    numbers = loop_numbers(plant, K)
+    found = check(Claim("loop-norm", {**numbers, "gamma": np.array(16.2949)}))
+    assert found.outcome is Outcome.REFUTED
+    assert command(written(tmp_path / "false.h5", Claim("loop-norm", {**numbers, "gamma": np.array(16.2949)}))) == 1
+    assert "refuted" in capsys.readouterr().out
+    true = command(written(tmp_path / "true.h5", Claim("loop-norm", {**numbers, "gamma": np.array(17.2509286)})))
+    assert true == 0
+    design = rl.hinf(plant, n_y, n_u)
+    assert all(check(claim).outcome is Outcome.PROVED for claim in hinf_claims(design))
+
+
+# Poles with damping of 1e-5 and less: a Gramian in doubles, once the only voice, is off by 1e-6 to 0.1.
+@pytest.mark.parametrize("index", [2591, 18831, 30831])
+def test_an_h2_norm_from_one_gramian(tmp_path, index):
+    data = make_case(71, index).data["G"]
+    G = rl.StateSpaceModel(data.A, data.B, data.C, data.D, data.dt)
+    reached, seen = solve_continuous_lyapunov(G.A, -G.B @ G.B.T), solve_continuous_lyapunov(G.A.T, -G.C.T @ G.C)
+    value = np.sqrt(min(np.trace(G.C @ reached @ G.C.T), np.trace(G.B.T @ seen @ G.B)))
+    exact = with_precision(lambda: h2_norm(system(Model(data.A, data.B, data.C, data.D, data.dt))))
+    if exact is None or not value < float(exact) * (1 - 1e-7):
+        pytest.skip("true, or unstable, by the rounding of its products on this processor")
+    claim = Claim("gramian", {**model_numbers(G), "P": 0.5 * (reached + reached.T), "value": np.array(value)})
+    assert check(claim).outcome is not Outcome.PROVED
+    assert command(written(tmp_path / "claim.h5", claim)) in (1, 4)
