@@ -24,7 +24,9 @@ def scaled(seed, q, p):
     rng = np.random.default_rng([seed, 1])
     W, Z = (rng.standard_normal((k, k)) + 1j * rng.standard_normal((k, k)) for k in (q, p))
     G = rng.standard_normal((q, p)) + 1j * rng.standard_normal((q, p))
-    return forms.Form(balls.exact(W @ W.conj().T + np.eye(q)), balls.exact(Z + Z.conj().T), balls.exact(G))
+    square = W @ W.conj().T + np.eye(q)
+    square = 0.5 * (square + square.conj().T)  # to the last bit, as scalings must be
+    return forms.Form(balls.exact(square), balls.exact(Z + Z.conj().T), balls.exact(G))
 
 
 def value(form, G, w):
