@@ -17,6 +17,7 @@ from robustlab.verification.delay_weights import prove_delay_weight
 from robustlab.verification.delays import prove_delayed_mu, prove_delayed_norm, prove_delayed_stable
 from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
 from robustlab.verification.models import difference, loop, model_of, static, stored
+from robustlab.verification.multipliers import prove_multipliers
 from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper
 from robustlab.verification.norms import prove_bounded_real, prove_gramian, prove_norm, prove_stable
 from robustlab.verification.sets import prove_set
@@ -59,6 +60,12 @@ KINDS: Mapping[str, _Kind] = {
         "blocks within 1/level, make I - M Delta singular", "size", "size >="),
     "worst-gain": _Kind(lambda c, w: prove_mu_axis(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
     "worst-gain-boxes": _Kind(lambda c, w: prove_mu_boxes(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
+    "iqc-size": _Kind(
+        lambda c, w: prove_multipliers(c, w, gain=False), "stable for all blocks of their natures within size times "
+        "their ranges", "size", "size >="),
+    "iqc-gain": _Kind(
+        lambda c, w: prove_multipliers(c, w, gain=True), "stable for all blocks of their natures", "gamma",
+        "worst-case gain <="),
     "mu-lower": _Kind(prove_mu_lower, f"{SOME} makes I - M Delta singular", "level", "mu >=", below=True),
     "unstable-member": _Kind(
         prove_unstable_member, f"{SOME} gives a pole on or beyond the stability boundary, or no well-posed model",
