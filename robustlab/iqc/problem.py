@@ -201,7 +201,7 @@ def _posed(opened: UncertainModel, laws: Mapping[tuple[str, str], Nonlinearity],
             known = replace(known, sector=(low, high), slope=inside)
         ranges.append((low, high))
         natures.append(known)
-    return Posed(opened.M, tuple(opened.blocks), np.array(ranges).reshape(-1, 2), tuple(natures))
+    return Posed(opened.M, tuple(opened.blocks), np.array(ranges, dtype=float).reshape(-1, 2), tuple(natures))
 
 
 class Problem:

@@ -20,6 +20,7 @@ from robustlab.verification.models import difference, loop, model_of, static, st
 from robustlab.verification.multipliers import prove_multipliers
 from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper
 from robustlab.verification.norms import prove_bounded_real, prove_gramian, prove_norm, prove_stable
+from robustlab.verification.parameters import prove_parameters
 from robustlab.verification.sets import prove_set
 
 EFFORT = 20_000  # units of `Work`: about two minutes
@@ -66,6 +67,9 @@ KINDS: Mapping[str, _Kind] = {
     "iqc-gain": _Kind(
         lambda c, w: prove_multipliers(c, w, gain=True), "stable for all blocks of their natures", "gamma",
         "worst-case gain <="),
+    "lpv-gain": _Kind(
+        prove_parameters, "stable for all trajectories of the parameters within their ranges and rates", "gamma",
+        "gain <="),
     "mu-lower": _Kind(prove_mu_lower, f"{SOME} makes I - M Delta singular", "level", "mu >=", below=True),
     "unstable-member": _Kind(
         prove_unstable_member, f"{SOME} gives a pole on or beyond the stability boundary, or no well-posed model",
