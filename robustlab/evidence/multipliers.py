@@ -25,8 +25,8 @@ def gain_claims(found: IqcGain) -> list[Claim]:
     """That the gain is at most ``upper`` for all blocks of their natures."""
     if found.posed is None or found.proof is None or not np.isfinite(found.upper):
         return []
-    level = {"gamma": np.array(above(found.upper))}
-    return [Claim("iqc-gain", {**model_numbers(found.posed.model), **_proof_numbers(found.posed, found.proof), **level})]
+    numbers = {**model_numbers(found.posed.model), **_proof_numbers(found.posed, found.proof)}
+    return [Claim("iqc-gain", {**numbers, "gamma": np.array(above(found.upper))})]
 
 
 def size_claims(found: IqcStability) -> list[Claim]:
@@ -58,7 +58,7 @@ def windup_claims(found: AntiWindup) -> list[Claim]:
 
 
 def _loop_numbers(P: StateSpaceModel, K: StateSpaceModel, gain: Array) -> Numbers:
-    """A plant of [q, w, u_c] with the outputs [u_c, z, y, -q], u = u_c - q, and K with ``gain`` on -q as u_c of [y, -q].
+    """A plant from [q, w, u_c] to [u_c, z, y, -q], u = u_c - q, and K as the one from [y, -q] to u_c, by ``gain``.
 
     Entries are those of plant and controller, or zero, or one, or the opposite.
     """
@@ -73,9 +73,7 @@ def _loop_numbers(P: StateSpaceModel, K: StateSpaceModel, gain: Array) -> Number
             np.hstack([-one, np.zeros((n_u, w)), none]),
         ]),
     )  # fmt: skip
-    told = StateSpaceModel(
-        K.A, np.hstack([K.B, gain[: K.n_states]]), K.C, np.hstack([K.D, gain[K.n_states :]])
-    )
+    told = StateSpaceModel(K.A, np.hstack([K.B, gain[: K.n_states]]), K.C, np.hstack([K.D, gain[K.n_states :]]))
     return loop_numbers(wide, n_y + n_u, n_u, told)
 
 
@@ -90,8 +88,8 @@ def _proof_numbers(posed: Posed, proof: IqcProof) -> Numbers:
     rates = [n.rate if isinstance(n, Varying) else np.inf for n in posed.natures]
     return {
         "blocks": block_rows(posed.blocks), "nature": table, "ranges": posed.ranges,
-        "slope": np.array(slopes, dtype=float).reshape(-1, 2), "rate": np.array(rates, dtype=float), "pole": np.array(proof.pole),
-        "order": np.array(proof.order, dtype=np.int64), "P": proof.P, "multipliers": proof.unknowns,
+        "slope": np.array(slopes, dtype=float).reshape(-1, 2), "rate": np.array(rates, dtype=float),
+        "pole": np.array(proof.pole), "order": np.array(proof.order, dtype=np.int64), "P": proof.P, "multipliers": proof.unknowns,
     }  # fmt: skip
 
 

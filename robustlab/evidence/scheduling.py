@@ -45,7 +45,11 @@ def _proved(found: LPVGain) -> bool:
 def _model_numbers(model: LPVModel) -> Numbers:
     """Grid, matrices at its points, rates, and the deviation between them where there is any."""
     numbers: Numbers = {f"points{i}": np.array(p.points) for i, p in enumerate(model.parameters)}
-    numbers |= {"M": model.matrices, "n": np.array(model.n_states), "rate": np.array([p.rate for p in model.parameters])}
+    numbers |= {
+        "M": model.matrices,
+        "n": np.array(model.n_states),
+        "rate": np.array([p.rate for p in model.parameters]),
+    }
     return {**numbers, "deviation": model.deviation} if model.deviation.any() else numbers
 
 

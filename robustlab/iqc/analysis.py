@@ -211,4 +211,5 @@ def iqc_stability(
                 low, proof = size, found
             size = 2 * low if math.isinf(high) else 0.5 * (low + high)
     status = Status.CERTIFIED if low else Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
-    return IqcStability(low, math.inf, None, status, {}, (), problem.words, problem.conditions, proof, posed=problem.posed)
+    words, conditions = problem.words, problem.conditions
+    return IqcStability(low, math.inf, None, status, {}, (), words, conditions, proof, posed=problem.posed)

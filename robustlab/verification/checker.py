@@ -18,6 +18,7 @@ from robustlab.verification.delays import prove_delayed_mu, prove_delayed_norm, 
 from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
 from robustlab.verification.models import difference, loop, model_of, static, stored
 from robustlab.verification.multipliers import prove_multipliers
+from robustlab.verification.iqc import prove_multipliers
 from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper
 from robustlab.verification.norms import prove_bounded_real, prove_gramian, prove_norm, prove_stable
 from robustlab.verification.parameters import prove_parameters

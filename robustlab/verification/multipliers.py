@@ -1,65 +1,49 @@
-r"""Gain and stability with blocks that vary or are nonlinear, by integral quadratic constraints.
+r"""What is known of a block of Delta, as integral quadratic constraints; and whether a multiplier is of its class.
 
-The loop is w = Delta(z), from the model's first inputs and outputs; the others, u and y, are the performance. A real
-block is :math:`c z + s h\, \delta(z)`, c and h middle and half width of its range, s the ``size``; other blocks are
-s times a unit one. So Delta' = (delta) sees the model of `boxes.within_box` with its columns times s.
+.. math:: \int_0^\infty v^T M v \, dt \ge 0 \quad\text{for all } z \in L_2,\ w = \Delta(z)
 
-Theorem (Megretski, Rantzer 1997; Popov: Jonsson 1997). Let A be stable with all blocks at their middles, and let each
-block, with tau times it for all tau in [0, 1], give :math:`\int v_i^T M_i v_i\, dt \ge 0` for signals
-:math:`v_i = C_i x + D_i q` of the model with stable filters, :math:`\dot x = A x + B q`, x(0) = 0, q = (w, u, r). If
-for some symmetric P, of either sign,
-
-.. math:: F = \gamma^2 \begin{bmatrix} 0 & E \end{bmatrix}^T \begin{bmatrix} 0 & E \end{bmatrix}
-    - \begin{bmatrix} A^T P + P A & P B \\ B^T P & 0 \end{bmatrix} - \sum_i [C_i\ D_i]^T M_i [C_i\ D_i]
-    - [C_y\ D_y]^T [C_y\ D_y] > 0,
-
-E taking u out of q, then :math:`\|y\|_2 \le \gamma \|u\|_2` for every well-posed loop, and the loop is stable. (F > 0
-at :math:`x = (j\omega - A)^{-1} B q` is the strict frequency-domain inequality, :math:`x^* P` cancels.)
-
-The constraints; zeta is a signal behind 1, :math:`\frac{a}{s+a}, .., (\frac{a}{s+a})^\nu`, a > 0. All matrices X and Q
-that follow are positive definite, Y is skew; X counts once for each channel of a full block.
+zeta is a signal behind 1, :math:`\frac{a}{s+a}, .., (\frac{a}{s+a})^\nu`, a > 0, from rest. All matrices X and Q that
+follow are positive definite, Y is skew; X counts once for each channel of a full block. Each constraint holds for tau
+times the block, too, tau from 0 to 1.
 
 - Time-invariant block (nu), or one that varies (nu = 0): :math:`\zeta_z^T X \zeta_z - \zeta_w^T X \zeta_w`. Of a
   linear block of gain at most one: in the frequency domain :math:`\psi^* X \psi \ge 0` is a scaling that commutes.
-- Real number, constant or (nu = 0) varying: also :math:`2 \zeta_z^T Y \zeta_w`; the integral of it is zero.
+- Real number in [-1, 1], constant or (nu = 0) varying: also :math:`2 \zeta_z^T Y \zeta_w`, of which the integral is 0.
 - Real number with :math:`|\dot\delta| \le \rho`: both with :math:`\zeta_w` driven by
   :math:`\rho r_j = \dot\delta \zeta_{z,j}`, so that :math:`\zeta_w = \delta \zeta_z` at each instant; the same two
-  constraints say that :math:`r = (\dot\delta/\rho) \zeta_z`, stages from the first on.
-- Law in the sector [-1, 1]: :math:`x (z^2 - w^2)`, x > 0. Steady and z without direct term: :math:`2 x w \dot z`, x of
-  either sign, whose integral is that of the law from z(0) = 0 to :math:`z(\infty) = 0`.
+  constraints say that :math:`r = (\dot\delta/\rho) \zeta_z`, from the first power of the filter on.
+- Law in the sector [-1, 1]: :math:`x (z^2 - w^2)`, x > 0. Steady, and z without a direct term: :math:`2 x w \dot z`, x
+  of either sign, whose integral is that of the law from z(0) = 0 to :math:`z(\infty) = 0` (Popov).
 - Law with slopes in [m, k]: p = k z - w and q = w - m z do not fall with z, so (Zames, Falb 1968)
   :math:`2 \int p (x_0 q - h * q)\, dt \ge 0` where :math:`\|h\|_1 \le x_0` and h >= 0 (or the law is odd). Here
   h = h_+ - h_- (h_- of odd laws only), each :math:`a e^{-at}(s^T Q_1 s + at\, s^T Q_2 s)`, :math:`s_i = (at)^i/i!`, of
-  both directions of time; the integral of :math:`a e^{-at} (at)^l/l!` is one, so the norm is at most the sum of all
+  both directions of time. As the integral of :math:`a e^{-at} (at)^l/l!` is one, the norm is at most the sum of all
   coefficients. A law that is not steady has h = 0.
 
-Well posed: let z = C x + D w, w = Delta(t, z) at an instant. A law whose z has no row in D is a function of the state.
-For the others only constraints are used that hold for differences of two signals (of a law the last one, never the
-sector's or Popov's), and F > 0 at x = 0 makes the map w - Delta(D w + e) one-to-one with a Lipschitz inverse, hence onto
-(invariance of domain). Of laws without a bound of their slope it is assumed that solutions exist.
+References
+----------
+Megretski, Rantzer, IEEE TAC 42 (1997); Jonsson, "Stability analysis with Popov multipliers and IQCs", Systems & Control
+Letters 31 (1997); Zames, Falb, SIAM J. Control 6 (1968); Koroglu, Scherer, "Robust performance analysis for structured
+linear time-varying perturbations with bounded rates-of-variation", IEEE TAC 52 (2007): the swapping lemma.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from flint import arb
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError
-from robustlab.verification.balls import Matrix, definite, exact, identity, part, stack, zeros
-from robustlab.verification.boxes import within_box
-from robustlab.verification.claim import PROVED, Claim, Verdict, Work, not_proved, real, scalar, symmetric, whole
-from robustlab.verification.forms import FULL, REAL, Block, placed, read_shapes
-from robustlab.verification.models import Model, model_of
-from robustlab.verification.norms import climb
-from robustlab.verification.stability import stable
+from robustlab.verification.balls import Matrix, definite, exact, part, stack, zeros
+from robustlab.verification.claim import Claim, Work, real, whole
+from robustlab.verification.filters import Filtered
+from robustlab.verification.forms import FULL, REAL, Block
 
 CONSTANT, VARYING, SECTOR, SLOPE = 0, 1, 2, 3
-HIGHEST = 8  # power of a filter
 
 
 @dataclass(frozen=True)
@@ -99,54 +83,6 @@ def read_natures(claim: Claim, blocks: Sequence[Block]) -> list[Nature]:
             raise InputError("nature", f"{found} of a block of kind {block.kind}", "a class of the theorem")
         result.append(Nature(kind, bool(odd), bool(steady), (a, b), (m, n), rate))
     return result
-
-
-class Filtered:
-    """The model with the filters that its constraints ask for; a signal is a matrix of rows over (x, q).
-
-    ``filters`` states and ``extra`` inputs are asked for in all, so that every row has its final length.
-    """
-
-    def __init__(self, G: Model, filters: int, extra: int) -> None:
-        self.n, self.inputs, self.width = G.n + filters, G.m + extra, G.n + filters + G.m + extra
-        self.G, self.rates = G, [self._wide(G.A, G.B)]
-        self.states, self.used = G.n, G.m
-
-    def _wide(self, C: Matrix, D: Matrix) -> Matrix:
-        gap, rest = self.n - C.ncols(), self.inputs - D.ncols()
-        return stack([[C, zeros(C.nrows(), gap), D, zeros(C.nrows(), rest)]])
-
-    def units(self, first: int, count: int) -> Matrix:
-        """Entries of (x, q) themselves."""
-        return exact(np.eye(self.width)[first : first + count])
-
-    def output(self, rows: slice) -> Matrix:
-        """Outputs of the model."""
-        return self._wide(part(self.G.C, rows, slice(None)), part(self.G.D, rows, slice(None)))
-
-    def input(self, cols: slice) -> Matrix:
-        """Inputs of the model."""
-        return self.units(self.n + cols.start, cols.stop - cols.start)
-
-    def added(self, count: int) -> Matrix:
-        """New inputs r."""
-        self.used += count
-        return self.units(self.n + self.used - count, count)
-
-    def stages(self, signal: Matrix, pole: float, order: int, driven: Sequence[Matrix] = ()) -> list[Matrix]:
-        """The signal behind each power of ``a / (s + a)``; each stage is driven by more where that is given."""
-        found: list[Matrix] = []
-        for j in range(order):
-            own, source = self.units(self.states, signal.nrows()), found[-1] if found else signal
-            rate = (source - own) * arb(pole)
-            self.rates.append(rate + driven[j] if driven else rate)
-            self.states += signal.nrows()
-            found.append(own)
-        return found
-
-    def derivative(self, rows: slice) -> Matrix:
-        """Of outputs without a direct term."""
-        return part(self.G.C, rows, slice(None)) * self.rates[0]
 
 
 class Multipliers:
@@ -195,7 +131,8 @@ def linear(F: Filtered, block: Block, order: int, pole: float, rho: arb | None, 
     kz, kw, number = z.nrows(), w.nrows(), block.kind == REAL
     behind_z = F.stages(z, pole, order)
     moved = F.added(order * kz) if rho is not None else None
-    driven = [] if moved is None else [part(moved, slice(j * kz, (j + 1) * kz), slice(None)) * rho for j in range(order)]
+    shares = [slice(j * kz, (j + 1) * kz) for j in range(order)]
+    driven = [] if moved is None else [part(moved, rows, slice(None)) * rho for rows in shares]
     behind_w = F.stages(w, pole, order, driven)
     above, below = _stacked([z, *behind_z]), _stacked([w, *behind_w])
     full = block.kind == FULL
@@ -203,7 +140,9 @@ def linear(F: Filtered, block: Block, order: int, pole: float, rho: arb | None, 
     return S if moved is None else S + scaled(_stacked(behind_z), moved, order * kz, (1, 1), number, x)
 
 
-def law(F: Filtered, block: Block, nature: Nature, order: int, pole: float, free: tuple[bool, bool], x: Multipliers) -> Matrix:
+def law(
+    F: Filtered, block: Block, nature: Nature, order: int, pole: float, free: tuple[bool, bool], x: Multipliers
+) -> Matrix:
     """The constraints of a law; ``free``: z has no direct term from any block, none from any input."""
     z, w = F.output(block.z), F.input(block.w)
     S = zeros(F.width, F.width)
@@ -220,7 +159,8 @@ def law(F: Filtered, block: Block, nature: Nature, order: int, pole: float, free
     middle, half = (arb(a) + arb(b)) / 2, (arb(b) - arb(a)) / 2
     p, q = z * ((arb(n) - middle) / half) - w, w - z * ((arb(m) - middle) / half)
     behind_q, behind_p, direct = F.stages(q, pole, order), F.stages(p, pole, order), arb(x.take(1)[0])
-    kernels = [[(sign, _kernel(x, order)) for sign in ((1, -1) if nature.odd else (1,))] for _ in range(2 * (order > 0))]
+    signs = (1, -1) if nature.odd else (1,)
+    kernels = [[(sign, _kernel(x, order)) for sign in signs] for _ in range(2 if order else 0)]  # both ways of time
     x.positive = x.positive and bool(direct > sum((c for way in kernels for _, h in way for c in h), arb(0)))
     pair = p.transpose() * q * direct
     for way, one, behind in zip(kernels, (p, q), (behind_q, behind_p), strict=False):
@@ -245,76 +185,3 @@ def _kernel(x: Multipliers, order: int) -> list[arb]:
 
 def _stacked(rows: Sequence[Matrix]) -> Matrix:
     return stack([[X] for X in rows])
-
-
-def prove_multipliers(claim: Claim, work: Work, gain: bool) -> Verdict:
-    """The module's theorem: the ``gain`` of the whole set is at most ``gamma``; or it is stable at ``size``.
-
-    The model of datasets ``A .. D`` (or a loop) has the channels of ``blocks`` first. ``pole`` is a, ``order`` nu;
-    ``multipliers`` holds the numbers of each block's constraints in the order of the text, triangles row by row; ``P``
-    belongs to the states of the model, then those of the filters of each block, of z (q) before those of w (p).
-    """
-    given, table = model_of(claim), read_shapes(claim)
-    rows, cols = (sum(row[k] for row in table) for k in (1, 2))
-    if given.dt or rows > given.m or cols > given.p or (not gain and (rows, cols) != (given.m, given.p)):
-        raise InputError("A .. D", f"{given.p} x {given.m}, dt {given.dt}", f"continuous, with {rows} w and {cols} z")
-    blocks = placed(table, [1.0] * len(table))
-    natures, order, pole = read_natures(claim, blocks), int(whole(claim, "order", ())), scalar(claim, "pole")
-    if not 0 <= order <= HIGHEST:
-        raise InputError("order", f"{order}", f"0 to {HIGHEST}")
-    size, gamma = (1.0, scalar(claim, "gamma")) if gain else (scalar(claim, "size"), 0.0)
-    orders = [nature.order(order) for nature in natures]
-    rated = [n.kind == VARYING and k > 0 for n, k in zip(natures, orders, strict=True)]
-    kz, kw = ([s.stop - s.start for s in side] for side in ([b.z for b in blocks], [b.w for b in blocks]))
-    filters = sum(k * (i + j) for k, i, j in zip(orders, kz, kw, strict=True))
-    extra = sum(k * i for k, i, r in zip(orders, kz, rated, strict=True) if r)
-    n = given.n + filters
-    P, values = symmetric(claim, "P", n), real(claim, "multipliers", (None,))
-
-    def attempt() -> Verdict:
-        free = [_free(model_of(claim), block.z, rows) for block in blocks]
-        G = _about_the_middles(model_of(claim), blocks, natures, rows, size)
-        if G is None:
-            return not_proved("the set's middle was not proved to be well posed")
-        verdict = stable(G, None, work)
-        if not verdict.proved:
-            return verdict
-        F, x = Filtered(G, filters, extra), Multipliers(values, work)
-        S = zeros(F.width, F.width)
-        for i, (block, nature) in enumerate(zip(blocks, natures, strict=True)):
-            rho = arb(nature.rate) * 2 / (arb(nature.range[1]) - arb(nature.range[0])) / arb(size) if rated[i] else None
-            if nature.kind in (SECTOR, SLOPE):
-                S = S + law(F, block, nature, orders[i], pole, free[i], x)
-            else:
-                S = S + linear(F, block, orders[i], pole, rho, x)
-        if x.at != len(values):
-            raise InputError("multipliers", f"{len(values)} numbers", f"{x.at}")
-        if not x.positive:
-            return not_proved("a multiplier was not proved to be one of its class")
-        motion = F.units(0, n).transpose() * exact(P) * _stacked(F.rates)
-        y, u = F.output(slice(cols, G.p)), F.input(slice(rows, G.m))
-        work.spend(F.width)
-        form = u.transpose() * u * arb(gamma) ** 2 - motion - motion.transpose() - S - y.transpose() * y
-        answer = definite(form)
-        return PROVED if answer.proved else not_proved(f"the inequality's smallest eigenvalue is {answer.least:.3g} of its size")
-
-    return climb(attempt)
-
-
-def _free(G: Model, z: slice, w: int) -> tuple[bool, bool]:
-    """Whether the rows z of D are zero, exactly: those from the first w inputs, and all."""
-    entries = [[x == 0 for x in line] for line in part(G.D, z, slice(None)).tolist()]
-    return all(all(line[:w]) for line in entries), all(all(line) for line in entries)
-
-
-def _about_the_middles(G: Model, blocks: Sequence[Block], natures: Sequence[Nature], w: int, size: float) -> Model | None:
-    """The model that the unit blocks see; None where it was not proved to be well posed."""
-    z = blocks[-1].z.stop if blocks else 0
-    rest = Block(FULL, slice(w, G.m), slice(z, G.p), 1.0)
-    inside = within_box(G, [*blocks, rest], [*(n.range for n in natures), (-1.0, 1.0)])
-    if inside is None:
-        return None
-    scale = identity(G.m)
-    for i in range(w):
-        scale[i, i] = arb(size)
-    return replace(inside, B=inside.B * scale, D=inside.D * scale)

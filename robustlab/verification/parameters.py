@@ -14,8 +14,8 @@ Theorem (Wu, Yang, Packard, Becker 1996). If P > 0 and
 for all rho in the box and all :math:`|\dot\rho_i| \le \nu_i` (any rate, where P does not vary along i), then along
 every trajectory that keeps to both x = 0 is stable, and :math:`\|y\|_2 \le \gamma \|u\|_2` from x(0) = 0.
 
-Proof. With y for the last rows (Schur) :math:`\frac{d}{dt} x^T P x < \gamma |u|^2 - |y|^2/\gamma`, integrated from 0. P is
-Lipschitz in rho: the derivative exists for almost all t, and is that within a cell which the motion enters.
+Proof. With y for the last rows (Schur) :math:`\frac{d}{dt} x^T P x < \gamma |u|^2 - |y|^2/\gamma`, integrated from 0.
+P is Lipschitz in rho: the derivative exists for almost all t, and is that within a cell which the motion enters.
 
 In a cell, with :math:`\sigma \in [0, 1]^k` the place in it, M and P are :math:`\sum_v b_v(\sigma) M_v` and
 :math:`\sum_w b_w(\sigma) P_w` over its vertices, so L is of degree 2, and with Bernstein's polynomials
@@ -28,8 +28,8 @@ affine in the rates and in E (which is the same at all vertices: it is that of t
 looked at where they are largest, of either sign; where more than three entries of E are not zero, they are balls. So if
 all L_c > 0, L > 0 in the whole cell.
 
-A loop: a plant of these and a controller u = K(rho) y, multi-linear on the same grid. Where B2, D12, C2, D21 are the same
-at all points and D22 = 0, the loop is multi-linear too, and is that of the vertices.
+A loop: such a plant and a controller u = K(rho) y, multi-linear on the same grid. Where B2, D12, C2, D21 are the same at
+all points and D22 = 0, the loop is multi-linear too, and is that of the vertices.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def prove_parameters(claim: Claim, work: Work) -> Verdict:
     them, or a plant ``M`` with the controller ``K`` of ``n_K`` states, ``n_meas`` and ``n_con``; ``deviation``
     (n_1 - 1, ..., n_k - 1, rows, columns of M) the bound of E. Evidence: ``P`` (n_1 or 1, ..., n_k or 1, n, n).
     """
-    rates = real(claim, "rate", (None,), infinite=True).tolist()
+    rates: list[float] = real(claim, "rate", (None,), infinite=True).tolist()
     k = len(rates)
     if not 0 < k <= MOST or not all(rate >= 0 for rate in rates):
         raise InputError("rate", f"{rates}", f"1 to {MOST} numbers not below zero")
@@ -81,7 +81,7 @@ def prove_parameters(claim: Claim, work: Work) -> Verdict:
     for i, v in enumerate(varies):
         if (v and (P.shape[i] != grid[i] or math.isinf(rates[i]))) or min(M.shape[-2:]) < n:
             raise InputError("P", f"shape {P.shape} over a grid {grid}", "1, or the grid where the rate has a bound")
-    if not (P == np.swapaxes(P, -1, -2)).all():
+    if not (np.swapaxes(P, -1, -2) == P).all():
         raise InputError("P", "not symmetric to the last bit", "symmetric matrices")
 
     def attempt() -> Verdict:
@@ -121,7 +121,7 @@ def _shifts(bound: NDArray[np.float64] | None) -> Iterator[Matrix | None]:
         return
     places = np.argwhere(bound > 0)
     if len(places) > SIGNED:
-        yield arb_mat(*bound.shape, [arb(0, x) for x in bound.ravel().tolist()])
+        yield arb_mat(len(bound), len(bound.T), [arb(0, x) for x in bound.ravel().tolist()])
         return
     for signs in product((1.0, -1.0), repeat=len(places)):
         E = np.zeros_like(bound)
@@ -134,8 +134,8 @@ def _coefficients(
     cell: Index, models: Stack, squares: Stack, varies: Sequence[bool], rates: Sequence[float],
     lengths: Sequence[arb], shift: Matrix | None, gamma: float,
 ) -> Iterator[Matrix]:  # fmt: skip
-    """L_c of a cell, for each c and each choice of rates at their ends. Where P is constant, c = 1 is a mean of others."""
-    k = len(cell)
+    """L_c of a cell, each c and each choice of rates at their ends. Where P is constant, c = 1 is a mean of others."""
+    k, n = len(cell), next(iter(squares.values())).nrows()
     ends = [(1, -1) if v and rate else (0,) for v, rate in zip(varies, rates, strict=True)]
     for c in product(*((0, 1, 2) if v else (0, 2) for v in varies)):
         pairs = list(product(*(((0, 1), (1, 0)) if x == 1 else ((x // 2, x // 2),) for x in c)))
@@ -145,7 +145,6 @@ def _coefficients(
             M = M if shift is None else M + shift
             w = [a + b if moves else 0 for a, (_, b), moves in zip(cell, pair, varies, strict=True)]
             P, share = squares[tuple(w)], arb(1) / len(pairs)
-            n = P.nrows()
             means[0] += P * part(M, slice(0, n), slice(None)) * share
             means[1] += part(M, slice(n, None), slice(None)) * share
             for i in range(k):
@@ -180,11 +179,11 @@ def _loops(
     fixed = np.zeros((n + z + y, n + w + u), dtype=bool)
     fixed[n + z :], fixed[:, n + w :] = True, True
     M = np.asarray(claim.numbers["M"])
-    same = (M == M[(0,) * len(grid)])[..., fixed].all() and not any(E[fixed].any() for E in beside.values())
+    same = (M[(0,) * len(grid)] == M)[..., fixed].all() and not any(E[fixed].any() for E in beside.values())
     if not same or M[..., n + z :, n + w :].any():
         raise InputError("M", "B2, C2, D12 or D21 that depend on a parameter, or D22", "constant ones, and D22 = 0")
     into, out = exact(M[(0,) * len(grid)][: n + z, n + w :]), exact(M[(0,) * len(grid)][n + z :, : n + w])
-    # With K = [A_K B_K; C_K D_K] on (x_K, y) the loop is [M_11 0; 0 0] + U K V in rows (x, z; x_K), columns (x, w; x_K).
+    # With K = [A_K B_K; C_K D_K] the loop is [M_11 0; 0 0] + U K V, rows (x, z; x_K), columns (x, w; x_K).
     U = stack([[zeros(n + z, n_K), into], [identity(n_K), zeros(n_K, u)]])
     V = stack([[zeros(n_K, n + w), identity(n_K)], [out, zeros(y, n_K)]])
     rows, cols = (_order(n, rest, n_K) for rest in (z, w))

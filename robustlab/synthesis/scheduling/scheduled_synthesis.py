@@ -356,8 +356,8 @@ class _Task:
         if not frozen <= gain.upper * (1 + 1e-6) and self.plant.known == EXACT:
             raise NoTrustworthyNumber("hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}")
         return LPVSynthesis(
-            K=K, plant=self.plant, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen, status=gain.status,
-            reason=f"{how}; loop rebuilt from plant and controller",
+            K=K, plant=self.plant, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen,
+            status=gain.status, reason=f"{how}; loop rebuilt from plant and controller",
         )  # fmt: skip
 
     def _frozen(self, K: LPVModel) -> float:

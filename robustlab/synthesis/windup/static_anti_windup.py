@@ -278,9 +278,7 @@ def anti_windup(
     calculated = np.vstack([_calculated(K, pairs, slow), np.zeros((K.n_outputs, K.n_outputs))])
     found, without, back = (judged(of) for of in (gain, np.zeros_like(gain), calculated))
     norm = hinf_norm(linear.select(w, z)).upper
-    return AntiWindup(
-        gain[: K.n_states], gain[K.n_states :], found, without, back, slow, norm, level, K, P, calculated
-    )
+    return AntiWindup(gain[: K.n_states], gain[K.n_states :], found, without, back, slow, norm, level, K, P, calculated)
 
 
 def _limits(limits: Any, count: int) -> list[tuple[float, float]]:
