@@ -89,7 +89,8 @@ def _proof_numbers(posed: Posed, proof: IqcProof) -> Numbers:
     return {
         "blocks": block_rows(posed.blocks), "nature": table, "ranges": posed.ranges,
         "slope": np.array(slopes, dtype=float).reshape(-1, 2), "rate": np.array(rates, dtype=float),
-        "pole": np.array(proof.pole), "order": np.array(proof.order, dtype=np.int64), "P": proof.P, "multipliers": proof.unknowns,
+        "pole": np.array(proof.pole), "order": np.array(proof.order, dtype=np.int64), "P": proof.P,
+        "multipliers": proof.unknowns,
     }  # fmt: skip
 
 

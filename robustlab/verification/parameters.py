@@ -28,15 +28,15 @@ affine in the rates and in E (which is the same at all vertices: it is that of t
 looked at where they are largest, of either sign; where more than three entries of E are not zero, they are balls. So if
 all L_c > 0, L > 0 in the whole cell.
 
-A loop: such a plant and a controller u = K(rho) y, multi-linear on the same grid. Where B2, D12, C2, D21 are the same at
-all points and D22 = 0, the loop is multi-linear too, and is that of the vertices.
+A loop: such a plant and a controller u = K(rho) y, multi-linear on the same grid. Where B2, D12, C2, D21 are the same
+everywhere and D22 = 0, the loop is multi-linear too, and is that of the vertices.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -66,10 +66,10 @@ def prove_parameters(claim: Claim, work: Work) -> Verdict:
     k = len(rates)
     if not 0 < k <= MOST or not all(rate >= 0 for rate in rates):
         raise InputError("rate", f"{rates}", f"1 to {MOST} numbers not below zero")
-    points = [real(claim, f"points{i}", (None,)) for i in range(k)]
-    if not all(len(p) > 1 and (p[1:] > p[:-1]).all() for p in points):
-        raise InputError("points", f"{[p.tolist() for p in points]}", "at least two for each parameter, ascending")
-    grid, gamma = tuple(len(p) for p in points), scalar(claim, "gamma")
+    places: list[list[float]] = [real(claim, f"points{i}", (None,)).tolist() for i in range(k)]
+    if not all(len(p) > 1 and all(a < b for a, b in pairwise(p)) for p in places):
+        raise InputError("points", f"{places}", "at least two for each parameter, ascending")
+    grid, gamma = tuple(len(p) for p in places), scalar(claim, "gamma")
     n, M = _size(claim, "n"), real(claim, "M", (*grid, None, None))
     cells = tuple(size - 1 for size in grid)
     deviation = real(claim, "deviation", (*cells, *M.shape[-2:])) if "deviation" in claim.numbers else None
@@ -95,7 +95,7 @@ def prove_parameters(claim: Claim, work: Work) -> Verdict:
             if not definite(X).proved:
                 return not_proved(f"P > 0 was not proved at the point {at}")
         for cell in np.ndindex(*cells):
-            lengths = [arb(p[i + 1]) - arb(p[i]) for p, i in zip(points, cell, strict=True)]
+            lengths = [arb(p[i + 1]) - arb(p[i]) for p, i in zip(places, cell, strict=True)]
             for shift in _shifts(beside.get(cell)):
                 for L in _coefficients(cell, models, squares, varies, rates, lengths, shift, gamma):
                     work.spend(L.nrows())
