@@ -15,10 +15,9 @@ from robustlab.verification.boxes import prove_mu_boxes
 from robustlab.verification.claim import Claim, Verdict, Verification, Work, not_proved
 from robustlab.verification.delay_weights import prove_delay_weight
 from robustlab.verification.delays import prove_delayed_mu, prove_delayed_norm, prove_delayed_stable
+from robustlab.verification.iqc import prove_multipliers
 from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
 from robustlab.verification.models import difference, loop, model_of, static, stored
-from robustlab.verification.multipliers import prove_multipliers
-from robustlab.verification.iqc import prove_multipliers
 from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper
 from robustlab.verification.norms import prove_bounded_real, prove_gramian, prove_norm, prove_stable
 from robustlab.verification.parameters import prove_parameters
