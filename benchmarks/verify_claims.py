@@ -504,7 +504,8 @@ def weight_case(rng: Rng) -> Case:
 
 NATURES = (
     None, rl.Varying(), rl.Varying(0.3), rl.Varying(3.0), rl.Nonlinearity((-1, 1)),
-    rl.Nonlinearity((-1, 1), (-1.2, 1.5)), rl.Nonlinearity((-1, 1), (-1, 1), odd=True), rl.Nonlinearity((-1, 1), (-1.0, 1.0), odd=True, steady=False),
+    rl.Nonlinearity((-1, 1), (-1.2, 1.5)), rl.Nonlinearity((-1, 1), (-1, 1), odd=True),
+    rl.Nonlinearity((-1, 1), (-1, 1), odd=True, steady=False),
 )  # fmt: skip
 
 
