@@ -445,7 +445,7 @@ def natures(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | N
 
     Half of the time the multipliers are made as many as the new classes ask for.
     """
-    if "nature" not in numbers or not len(numbers["nature"]):
+    if "nature" not in numbers or not 0 < len(numbers["nature"]) == len(numbers["blocks"]):
         return None
     result, i = dict(numbers), int(rng.integers(len(numbers["nature"])))
     what = str(rng.choice(["nature", "nature", "rate", "ranges", "slope", "pole", "order", "multipliers"]))
@@ -495,7 +495,7 @@ def needed(numbers: Numbers) -> int:
 
 def places(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
     """Moving parameters: points, rates, the deviation; P of one point for all, or of a neighbour; n of another size."""
-    if kind != "lpv-gain":
+    if kind != "lpv-gain" or "P" not in numbers:
         return None
     result, k = dict(numbers), len(numbers["rate"])
     i, what = int(rng.integers(k)), int(rng.integers(6))
