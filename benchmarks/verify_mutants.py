@@ -438,8 +438,6 @@ def late(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None
     return kind, {**numbers, "delays": delays}
 
 
-
-
 def natures(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
     """Natures of blocks: of another kind, odd or steady, a larger rate, a wider range, a steeper slope; other filters.
 
