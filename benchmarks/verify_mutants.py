@@ -445,16 +445,20 @@ def natures(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | N
     """
     if "nature" not in numbers or not 0 < len(numbers["nature"]) == len(numbers["blocks"]):
         return None
-    result, i = dict(numbers), int(rng.integers(len(numbers["nature"])))
+    plain = np.asarray(numbers["nature"])[:, 0] == 0
+    result, i = (
+        dict(numbers),
+        int(rng.choice(len(plain), p=np.where(plain, 0.2, 1.0) / np.where(plain, 0.2, 1.0).sum())),
+    )
     what = str(rng.choice(["nature", "nature", "rate", "ranges", "slope", "pole", "order", "multipliers"]))
+    what = "rate" if np.isfinite(numbers["rate"][i]) and rng.random() < 0.5 else what
     X = np.array(numbers[what])
     if what == "nature":
-        column = int(rng.integers(3))
+        column = int(rng.integers(3)) if X[i, 0] < 2 else int(rng.choice([0, 1, 1, 2]))
         X[i, column] = rng.integers(0, 4) if column == 0 else 1 - X[i, column]
     elif what == "rate":
-        X[i] = (
-            np.inf if rng.random() < 0.4 else 10 ** rng.uniform(-1, 1) if np.isinf(X[i]) else X[i] * (1 + relative(rng))
-        )
+        faster = 10 ** rng.uniform(-1, 1) if np.isinf(X[i]) else X[i] * 10 ** rng.uniform(0, 0.5)
+        X[i] = np.inf if rng.random() < 0.3 else faster
     elif what in ("ranges", "slope"):
         X[i] = X[i] + (X[i, 1] - X[i, 0] + 1e-3) * np.array([-1, 1]) * 10 ** rng.uniform(-9, 0) * rng.integers(0, 2, 2)
     elif what == "order":
@@ -523,6 +527,27 @@ def places(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | No
     return kind, result
 
 
+def turned(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
+    """The states of one point in another basis, with their P, all parameters at rest: it differs only between."""
+    if kind != "lpv-gain" or "K" in numbers or int(numbers["n"]) < 2:
+        return None
+    n, k, grid = (
+        int(numbers["n"]),
+        len(numbers["rate"]),
+        tuple(len(numbers[f"points{i}"]) for i in range(len(numbers["rate"]))),
+    )
+    M, P = np.array(numbers["M"]), np.array(np.broadcast_to(numbers["P"], (*grid, n, n)))
+    at = tuple(int(rng.integers(size)) for size in grid)
+    T = np.eye(n)[::-1] * 2.0 ** rng.integers(-3, 4, n) * (rng.choice([-1, 1], n) if rng.random() < 0.5 else 1)
+    back = np.linalg.inv(T)
+    M[at][:n] = T @ M[at][:n]
+    M[at][:, :n] = M[at][:, :n] @ back
+    X = back.T @ P[at] @ back
+    P[at] = 0.5 * (X + X.T)
+    kept = {name: x for name, x in numbers.items() if name != "deviation"}
+    return kind, {**kept, "M": M, "P": P, "rate": np.zeros(k)}
+
+
 LATE = ("delayed-norm", "delayed-stable")
 PLAIN = ("norm", "bounded-real", "stable", "gramian")
 AXIS = ("mu-axis", "worst-gain", "unstable-member", "mu-boxes", "worst-gain-boxes")
@@ -574,6 +599,7 @@ MUTATIONS: tuple[tuple[Callable[..., Mutant | None], float], ...] = (
     (late, 4.0),
     (natures, 14.0),
     (places, 14.0),
+    (turned, 6.0),
 )
 
 

@@ -62,7 +62,7 @@ def _loop_numbers(P: StateSpaceModel, K: StateSpaceModel, gain: Array) -> Number
 
     Entries are those of plant and controller, or zero, or one, or the opposite.
     """
-    n, n_u, n_y = P.n_states, K.n_outputs, K.n_inputs
+    n, n_u = P.n_states, K.n_outputs
     w = P.n_inputs - n_u
     B, D, one, none = P.B, P.D, np.eye(n_u), np.zeros((n_u, n_u))
     wide = StateSpaceModel(
@@ -74,7 +74,7 @@ def _loop_numbers(P: StateSpaceModel, K: StateSpaceModel, gain: Array) -> Number
         ]),
     )  # fmt: skip
     told = StateSpaceModel(K.A, np.hstack([K.B, gain[: K.n_states]]), K.C, np.hstack([K.D, gain[K.n_states :]]))
-    return loop_numbers(wide, n_y + n_u, n_u, told)
+    return loop_numbers(wide, told)
 
 
 def _beside_model(numbers: Mapping[str, Any]) -> Numbers:
