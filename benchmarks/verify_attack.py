@@ -57,6 +57,7 @@ PLAN = {
     "mu-upper-boxes": 3, "mu-lower": 3, "mu-axis": 4, "mu-boxes": 4, "worst-gain": 4, "worst-gain-boxes": 3,
     "unstable-member": 3, "set": 2,
     "delayed-stable": 1, "delayed-norm": 3, "delayed-mu": 2, "delay-weight": 2,
+    "iqc-gain": 3, "iqc-size": 3, "lpv-gain": 3,
 }  # fmt: skip
 COLUMNS = ("mutants", "proved", "refuted", "not proved", "false accepted", "unjustified", "false refuted",
            "unconfirmed", "crash", "judge failed")  # fmt: skip

@@ -34,6 +34,7 @@ from verify_exact import (
     star,
 )
 from verify_judge_delays import DELAYED, judged
+from verify_judge_multipliers import of_multipliers, of_parameters
 
 import robustlab as rl
 
@@ -67,6 +68,13 @@ def judge(kind: str, numbers: Numbers, proved: bool, hints: Sequence[Any] = (), 
     ``hints``: Deltas next to which a counterexample may be.
     """
     rng = np.random.default_rng(seed)
+    if kind.startswith("iqc-"):
+        try:
+            return of_multipliers(kind, numbers, _system(numbers), proved, rng)
+        except ZeroDivisionError:
+            return "false: the loop is not well posed" if proved else ""
+    if kind == "lpv-gain":
+        return of_parameters(numbers, rng)
     if kind in ("stable", *NORMS, "gramian"):
         return _of_norm(kind, numbers, proved)
     if kind in DELAYED:

@@ -21,10 +21,13 @@ from robustlab.verification import (
     delay_weights,
     delays,
     forms,
+    iqc,
     members,
     models,
     mu,
+    multipliers,
     norms,
+    parameters,
     sets,
     stability,
 )
@@ -257,6 +260,72 @@ def far_end() -> None:
     delay_weights.axis = lambda *others: PROVED
 
 
+def between_points() -> None:
+    """Moving parameters are looked at in the points of their grid alone."""
+    of_cell = parameters._coefficients
+
+    def ends(cell: Any, models_: Any, squares: Any, varies: Any, *others: Any) -> Any:
+        plain = parameters.product
+        parameters.product = lambda *sets_, **more: plain(*((0, 2) if s == (0, 1, 2) else s for s in sets_), **more)
+        try:
+            yield from of_cell(cell, models_, squares, varies, *others)
+        finally:
+            parameters.product = plain
+
+    parameters._coefficients = ends
+
+
+def parameters_at_rest() -> None:
+    """Moving parameters rest."""
+    of_cell = parameters._coefficients
+    parameters._coefficients = lambda cell, m, P, varies, rates, *others: of_cell(
+        cell, m, P, varies, [0.0] * len(rates), *others
+    )
+
+
+def deviation() -> None:
+    """What a model deviates by between the points of its grid is not looked at."""
+    parameters._shifts = lambda bound: [None]
+
+
+def multiplier_class() -> None:
+    """Multipliers need not be positive."""
+    known = multipliers.definite
+    multipliers.definite = lambda X: Definite(True, known(X).least)
+
+
+def kernel_norm() -> None:
+    """The kernels of Zames and Falb may be as large as they like."""
+    multipliers.bool = lambda x: True  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def steadiness() -> None:
+    """Laws that change with time are taken for steady ones."""
+    read = iqc.read_natures
+    iqc.read_natures = lambda claim, blocks: [replace(n, steady=True) for n in read(claim, blocks)]
+
+
+def oddness() -> None:
+    """Laws are taken for odd ones."""
+    read = iqc.read_natures
+    iqc.read_natures = lambda claim, blocks: [replace(n, odd=True) for n in read(claim, blocks)]
+
+
+def rate() -> None:
+    """A number changes half as fast."""
+    read = iqc.read_natures
+    iqc.read_natures = lambda claim, blocks: [replace(n, rate=0.5 * n.rate) for n in read(claim, blocks)]
+
+
+def slope() -> None:
+    """Slopes of a law are a little less steep."""
+    read = iqc.read_natures
+    iqc.read_natures = lambda claim, blocks: [
+        replace(n, slope=(min(0.97 * n.slope[0], n.range[0]), max(0.97 * n.slope[1], n.range[1])))
+        for n in read(claim, blocks)
+    ]
+
+
 PLANTS: dict[str, Callable[[], None]] = {
     f.__name__.replace("_", "-"): f
     for f in (
@@ -264,7 +333,8 @@ PLANTS: dict[str, Callable[[], None]] = {
         middle, infinity, nyquist, performance, nominal_stability, delta_norm, delta_structure, existence, box_covering,
         hidden_zero, stray_band, stray_model, box_width, controller_sign, h2_square, perturbed_end, refutation,
         difference_sign,
-        late_rest, uncounted_roots, opposite, far_end,
+        late_rest, uncounted_roots, opposite, far_end, between_points, parameters_at_rest, deviation, multiplier_class,
+        kernel_norm, steadiness, oddness, rate, slope,
     )
 }  # fmt: skip
 

@@ -45,6 +45,12 @@ CLAIMS: Mapping[str, str] = {
     "DelayedDesign": "delays.design_claims",
     "NeglectedWeight": "delays.neglected_claims",
     "UncertainModel": "delays.set_claims",
+    "IqcGain": "multipliers.gain_claims",
+    "IqcStability": "multipliers.size_claims",
+    "EffectGain": "multipliers.effect_claims",
+    "AntiWindup": "multipliers.windup_claims",
+    "LPVGain": "scheduling.gain_claims",
+    "LPVSynthesis": "scheduling.design_claims",
 }
 
 

@@ -17,14 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, told_as
-from robustlab.iqc.problem import IqcProof, Natures, posed
+from robustlab.iqc.problem import IqcProof, Natures, Posed, posed
 from robustlab.iqc.tuning import TUNING
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.norms import PeakGain
@@ -53,6 +53,8 @@ class IqcGain(PeakGain):
         For which motions a law is in its sector, where that is not all.
     proof
         Evidence of ``upper``; None where nothing was proved.
+    posed
+        What it is about, so that it can be proved again.
     status
         CERTIFIED: ``upper`` was proved outside of the solver. INCONCLUSIVE: nothing was proved, which says nothing of
         the loop. INFEASIBLE: the member ``delta`` is unstable. TIMEOUT: the time limit ended the search.
@@ -61,6 +63,9 @@ class IqcGain(PeakGain):
     delta: Mapping[str, float]
     nature: Mapping[str, str]
     proof: IqcProof | None
+    posed: Posed | None = field(default=None, kw_only=True)
+
+    unsaved: ClassVar[tuple[str, ...]] = ("posed",)
 
     def evidence(self) -> Facts:
         """What each block was taken for, the worst linear member, and the proof."""
@@ -82,7 +87,7 @@ class IqcStability(StabilityMargin):
         where ``stable``; 0 where nothing was proved.
     upper
         inf: no unstable member is looked for.
-    nature, conditions, proof
+    nature, conditions, proof, posed
         As in `IqcGain`; the proof is that of ``lower``.
     status
         CERTIFIED: ``lower`` was proved outside of the solver. INCONCLUSIVE: it is 0. TIMEOUT: the clock ended the
@@ -94,6 +99,7 @@ class IqcStability(StabilityMargin):
     nature: Mapping[str, str]
     conditions: tuple[str, ...]
     proof: IqcProof | None
+    posed: Posed | None = field(default=None, kw_only=True)
 
     @property
     def stable(self) -> bool:
@@ -121,7 +127,8 @@ class IqcStability(StabilityMargin):
 
     def to_json(self) -> dict[str, Any]:
         """All attributes."""
-        return {"type": "IqcStability", "stable": self.stable, "margin": self.margin, **vars(self)}
+        kept = {name: value for name, value in vars(self).items() if name != "posed"}
+        return {"type": "IqcStability", "stable": self.stable, "margin": self.margin, **kept}
 
 
 def _proof_facts(proof: IqcProof | None) -> Facts:
@@ -174,7 +181,9 @@ def iqc_gain(
     if not np.isfinite(lower):
         status = Status.INFEASIBLE
     upper, proof = best if best is not None else (math.inf, None)
-    return IqcGain(lower, upper, None, status, delta, problem.words, proof, conditions=problem.conditions)
+    return IqcGain(
+        lower, upper, None, status, delta, problem.words, proof, conditions=problem.conditions, posed=problem.posed
+    )
 
 
 @told_as("iqc_stability")
@@ -202,4 +211,5 @@ def iqc_stability(
                 low, proof = size, found
             size = 2 * low if math.isinf(high) else 0.5 * (low + high)
     status = Status.CERTIFIED if low else Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
-    return IqcStability(low, math.inf, None, status, {}, (), problem.words, problem.conditions, proof)
+    words, conditions = problem.words, problem.conditions
+    return IqcStability(low, math.inf, None, status, {}, (), words, conditions, proof, posed=problem.posed)

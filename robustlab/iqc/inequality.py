@@ -80,6 +80,10 @@ class Heard(Protocol):
         """Frequency and responses, frequencies in this inequality's time unit."""
         ...
 
+    def given(self, point: Point, terms: Sequence[Term]) -> tuple[Array, Array]:
+        """P and all unknowns of a point in the units of the loop as it was given."""
+        ...
+
 
 class Inequality:
     """One model with its terms.

@@ -41,7 +41,9 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.iqc.filtered_model import FilteredModel, Rows, stacked
 from robustlab.iqc.nature import Nonlinearity
 
-__all__ = ["Basis", "Term", "l1_norm", "nonlinear_terms", "rate_terms", "repeated_terms"]
+__all__ = ["POPOV", "Basis", "Term", "l1_norm", "nonlinear_terms", "rate_terms", "repeated_terms"]
+
+POPOV = "Popov"  # the kind of a constraint that weighs a derivative
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,7 @@ def nonlinear_terms(
         found.append(_single(name, "sector", stacked(z, w), np.diag([1.0, -1.0]), True, _heard_sector))
     if law.steady and not z.d.any():
         swap = np.array([[0.0, 1.0], [1.0, 0.0]])
-        found.append(_single(name, "Popov", stacked(model.derivative(z), w), swap, False, _heard_popov))
+        found.append(_single(name, POPOV, stacked(model.derivative(z), w), swap, False, _heard_popov))
     if law.slope is not None:
         m, k = law.slope
         order = basis.order if law.steady else 0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -20,12 +20,12 @@ from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.iqc.filtered_model import FilteredModel
 from robustlab.iqc.inequality import Channels, Inequality, Judgement, Point
-from robustlab.iqc.multipliers import Basis, Term, nonlinear_terms, rate_terms, repeated_terms
+from robustlab.iqc.multipliers import POPOV, Basis, Term, nonlinear_terms, rate_terms, repeated_terms
 from robustlab.iqc.nature import Nature, Nonlinearity, Varying
 from robustlab.iqc.tuning import TUNING, IqcTuning
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import hinf_norm
-from robustlab.norms.level_set import well_scaled
+from robustlab.norms.level_set import balancing_units, well_scaled
 from robustlab.result import Evidence
 from robustlab.shown import listed
 from robustlab.statespace import StateSpaceModel, as_model
@@ -33,7 +33,7 @@ from robustlab.uncertainty.algebra import centred, upper
 from robustlab.uncertainty.blocks import Block, ParameterRange, RealScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["IqcProof", "Natures", "Problem", "posed", "with_nonlinearities"]
+__all__ = ["IqcProof", "Natures", "Posed", "Problem", "posed", "with_nonlinearities"]
 
 MOST_ORDER = 8
 # Name of a block, or (output that is seen, input that is driven) -> what is there.
@@ -58,7 +58,7 @@ class IqcProof(Evidence):
         Largest eigenvalue of the frequency-domain inequality over its largest entry, at all candidate frequencies:
         negative.
     P, unknowns
-        Lyapunov matrix (of either sign) and multipliers, in scaled states and time.
+        Lyapunov matrix (of either sign) and multipliers, for the states and the time of the model as it was given.
     """
 
     constraints: Mapping[str, str]
@@ -72,11 +72,38 @@ class IqcProof(Evidence):
     unknowns: Array
 
 
+@dataclass(frozen=True)
+class Posed(Evidence):
+    """What a proof is about, with no number changed: the channels of the blocks come first in the model.
+
+    Attributes
+    ----------
+    model
+        Continuous; its Delta is that of ``blocks``, and for a law the gain itself.
+    blocks
+        Blocks in their order.
+    ranges
+        Ends of what stands in Delta, (k, 2); -1, 1 of blocks that are no real number.
+    natures
+        What each block is, in Delta's unit; None: constant.
+    """
+
+    model: StateSpaceModel
+    blocks: tuple[Block, ...]
+    ranges: Array
+    natures: tuple[Nature | None, ...]
+
+
 def with_nonlinearities(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
     """The model with a real block ``output:input`` for each law: the gain between them, in the range of its sector.
 
     The outputs stay, so that they can be looked at; the inputs are driven by the laws alone.
     """
+    return _normalised(_opened(model, laws), laws)
+
+
+def _opened(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
+    """The same, but in Delta stands the gain of a law itself: its channels are those of the model, moved."""
     given = model if isinstance(model, UncertainModel) else UncertainModel(as_model(model, "iqc"), [])
     M, (q, p) = given.M, given.delta_shape
     ins, outs = M.input_names[q:], M.output_names[p:]
@@ -99,12 +126,18 @@ def with_nonlinearities(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]
         [*M.inputs[:q], *names[0], *(M.inputs[j] for j in columns[q + len(blocks) :])],
         [*M.outputs[:p], *names[1], *M.outputs[p:]], M.states, where="iqc",
     )  # fmt: skip
+    return UncertainModel(wide, [*given.blocks, *blocks])
+
+
+def _normalised(opened: UncertainModel, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
+    """The gains of the laws, the last blocks, about the middles of their sectors."""
+    (q, p), k = opened.delta_shape, len(laws)
     # [z'; w] = [0 I; R C] [w'; z]: w = (middle + half Delta) z in the new channels, the set's own as they are
-    centre = np.zeros((q + len(blocks), p + len(blocks)))
-    centre[q:, p:] = np.diag([0.5 * sum(law.sector) for law in laws.values()])
-    scale = np.diag([*np.ones(q), *(0.5 * (law.sector[1] - law.sector[0]) for law in laws.values())])
-    change = np.block([[np.zeros(centre.T.shape), np.eye(p + len(blocks))], [scale, centre]])
-    return upper(wide, UncertainModel(StateSpaceModel([], [], [], change), [*given.blocks, *blocks]))
+    centre = np.zeros((q, p))
+    centre[q - k :, p - k :] = np.diag([0.5 * sum(law.sector) for law in laws.values()])
+    scale = np.diag([*np.ones(q - k), *(0.5 * (law.sector[1] - law.sector[0]) for law in laws.values())])
+    change = np.block([[np.zeros((p, q)), np.eye(p)], [scale, centre]])
+    return upper(opened.M, UncertainModel(StateSpaceModel([], [], [], change), opened.blocks))
 
 
 def posed(
@@ -132,7 +165,8 @@ def posed(
             if len(key) != 2 or not isinstance(law, Nonlinearity):
                 raise InputError(f"{where}: {key!r}", f"{law!r}", "(output, input) -> a Nonlinearity")
             laws[key] = law
-    whole = with_nonlinearities(model, laws).select(*channel)
+    opened = _opened(model, laws).select(*channel)
+    whole = _normalised(opened, laws)
     named: dict[str, Nature] = {":".join(k) if isinstance(k, tuple) else k: v for k, v in given.items()}
     if whole.M.is_discrete:
         raise InputError(where, f"a discrete model (dt = {whole.dt:g} s)", "a continuous one", "rl.d2c makes one")
@@ -144,11 +178,36 @@ def posed(
             raise InputError(
                 f"{where}: {name!r}", "no such block", f"one of {listed(known)}", did_you_mean(name, known)
             )
-    return Problem(where, centred(whole), named, order, pole), budget
+    problem = Problem(where, centred(whole), named, order, pole)
+    problem.posed = _posed(opened, laws, problem)
+    return problem, budget
+
+
+def _posed(opened: UncertainModel, laws: Mapping[tuple[str, str], Nonlinearity], problem: Problem) -> Posed:
+    """What is asked for, in the units of Delta of the opened model."""
+    ranges, natures = [], []
+    gains = {":".join(key): law for key, law in laws.items()}
+    for block in opened.blocks:
+        known = problem.laws[block.name]
+        low, high = gains[block.name].sector if block.name in gains else block.interval or (-1.0, 1.0)
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        if isinstance(known, Varying):
+            known = Varying(known.rate * half)
+        elif isinstance(known, Nonlinearity):
+            m, k = known.slope or (0.0, 0.0)
+            slope = gains[block.name].slope if block.name in gains else (middle + half * m, middle + half * k)
+            # A sector is within the slope: rounding must not part them.
+            inside = None if known.slope is None or slope is None else (min(slope[0], low), max(slope[1], high))
+            known = replace(known, sector=(low, high), slope=inside)
+        ranges.append((low, high))
+        natures.append(known)
+    return Posed(opened.M, tuple(opened.blocks), np.array(ranges, dtype=float).reshape(-1, 2), tuple(natures))
 
 
 class Problem:
     """The set about its middles, what each block is, and the inequalities at a basis and a size."""
+
+    posed: Posed
 
     def __init__(
         self, where: str, middle: UncertainModel, nature: Mapping[str, Nature], order: int, pole: float | None,
@@ -281,9 +340,11 @@ class Problem:
         B, C = M.B[:, : q + n_w] * into, M.C[: p + n_z] * out[:, None]
         D = M.D[: p + n_z, : q + n_w] * into * out[:, None]
         scaled, rate = StateSpaceModel(M.A, B, C, D), 1.0
+        units = np.ones(scaled.n_states)
         if scaled.n_states:
-            scaled, rate = well_scaled(scaled)
             t = np.broadcast_to(states, scaled.n_states)
+            units = np.sqrt(balancing_units(scaled)[1]) / (balancing_units(scaled)[0] * t)
+            scaled, rate = well_scaled(scaled)
             A, B, C = scaled.A / t[:, None] * t, scaled.B / t[:, None], scaled.C * t
             scaled = StateSpaceModel(A, B, C, scaled.D)
         balance = _channel_balance(self.middle.blocks, scaled)
@@ -295,12 +356,13 @@ class Problem:
             D[z] *= d
         model, own = FilteredModel(scaled.A, B, C, D), Basis(basis.pole / rate, basis.order)
         terms: list[Term] = []
-        for block, (w, z) in zip(self.middle.blocks, block_slices(self.middle.blocks), strict=True):
+        for block, d, (w, z) in zip(self.middle.blocks, balance, block_slices(self.middle.blocks), strict=True):
             terms += self._terms(model, block, w, z, own, size, rate)
+            units = np.append(units, np.full(model.n - len(units), d))
         if model.n > self.tuning.states:
             return None, terms
         seen = model.outputs(slice(p, p + n_z)) if n_z else None
-        voice = _GivenLoop(self.middle, model.m, size, unit, balance, rate)
+        voice = _GivenLoop(self.middle, model.m, size, unit, balance, rate, units)
         return Inequality(model, terms, seen, slice(q, q + n_w), voice), terms
 
     def _terms(
@@ -374,10 +436,11 @@ class _GivenLoop:
     """Responses of the model as it was given, in the units of an inequality: what the second voice hears."""
 
     def __init__(
-        self, middle: UncertainModel, inputs: int, size: float, unit: float | None, balance: list[float], rate: float
-    ) -> None:
+        self, middle: UncertainModel, inputs: int, size: float, unit: float | None, balance: list[float], rate: float,
+        states: Array,
+    ) -> None:  # fmt: skip
         self.middle, self.inputs, self.size, self.unit = middle, inputs, size, unit
-        self.balance, self.rate = balance, rate
+        self.balance, self.rate, self.states = balance, rate, states
 
     def at(self, omega: AnyArray) -> Iterator[tuple[float, Channels]]:
         """Frequency in the inequality's time unit, and the responses there over its inputs."""
@@ -398,12 +461,23 @@ class _GivenLoop:
             }
             yield float(w0), Channels(wide[p:] / self.unit if self.unit is not None else wide[:0], blocks)
 
+    def given(self, point: Point, terms: Sequence[Term]) -> tuple[Array, Array]:
+        """P and all unknowns of a point in the units of the loop as it was given: but for roots, powers of two."""
+        square = (self.unit or 1.0) ** 2
+        size = {b.name: square * d**2 for b, d in zip(self.middle.blocks, self.balance, strict=True)}
+        # Popov's multiplier weighs a derivative.
+        parts = [
+            x * size[t.block] / (self.rate if t.kind == POPOV else 1.0)
+            for t, x in zip(terms, point.unknowns, strict=True)
+        ]
+        return point.P * self.states[:, None] * self.states * (square / self.rate), np.concatenate(parts)
+
 
 def _proof(basis: Basis, inequality: Inequality, terms: list[Term], point: Point, judged: Judgement) -> IqcProof:
     kinds: dict[str, str] = {}
     for term in terms:
         kinds[term.block] = f"{kinds[term.block]}, {term.kind}" if term.block in kinds else term.kind
-    unknowns = np.concatenate(point.unknowns)
+    P, unknowns = inequality.loop.given(point, terms)
     return IqcProof(
-        kinds, basis.pole, basis.order, inequality.n, judged.slack, judged.rounding, judged.highest, point.P, unknowns
+        kinds, basis.pole, basis.order, inequality.n, judged.slack, judged.rounding, judged.highest, P, unknowns
     )

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import solved_response
 from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, lapack
@@ -23,7 +23,10 @@ from robustlab.norms.axis_integral import AxisTuning, panel_ends
 from robustlab.shown import Tuning
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["TUNING", "Band", "NormTuning", "crossings", "largest_gains", "level_bracket", "search_grid", "well_scaled"]
+__all__ = [
+    "TUNING", "Band", "NormTuning", "balancing_units", "crossings", "largest_gains", "level_bracket", "search_grid",
+    "well_scaled",
+]  # fmt: skip
 
 Band = tuple[float, float]
 
@@ -70,6 +73,13 @@ TUNING = NormTuning()
 
 def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
     """The same transfer function in the time unit 1/rate, with states balanced against inputs and outputs (Osborne)."""
+    t, rate = balancing_units(m)
+    a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
+    return m._in_states(t, a / t[:, None] * t, b / t[:, None], c * t, rate=rate), rate
+
+
+def balancing_units(m: StateSpaceModel) -> tuple[Array, float]:
+    """``t`` (n,) and ``rate`` of `well_scaled`, powers of two: its states are ``sqrt(rate) x / t``."""
     size = np.sort(np.abs(m.poles()))
     size = size[size > 1e-12 * size[-1]]
     rate = float(2.0 ** np.round(np.log2(size[len(size) // 2]))) if size.size else 1.0  # nothing but integrators
@@ -79,8 +89,7 @@ def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
     bordered = np.zeros((n + 1, n + 1), order="F")  # B and C, which weigh the same, as the row and column of one state
     bordered[:n, :n], bordered[:n, n], bordered[n, :n] = a, _lengths(b, 1), level * _lengths(c, 0)
     scale = lapack().dgebal(bordered, scale=1, overwrite_a=1)[3]
-    t = scale[:n] / scale[n]
-    return m._in_states(t, a / t[:, None] * t, b / t[:, None], c * t, rate=rate), rate
+    return scale[:n] / scale[n], rate
 
 
 def _lengths(matrix: AnyArray, axis: int) -> AnyArray:

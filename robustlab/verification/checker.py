@@ -15,10 +15,12 @@ from robustlab.verification.boxes import prove_mu_boxes
 from robustlab.verification.claim import Claim, Verdict, Verification, Work, not_proved
 from robustlab.verification.delay_weights import prove_delay_weight
 from robustlab.verification.delays import prove_delayed_mu, prove_delayed_norm, prove_delayed_stable
+from robustlab.verification.iqc import prove_multipliers
 from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
 from robustlab.verification.models import difference, loop, model_of, static, stored
 from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper
 from robustlab.verification.norms import prove_bounded_real, prove_gramian, prove_norm, prove_stable
+from robustlab.verification.parameters import prove_parameters
 from robustlab.verification.sets import prove_set
 
 EFFORT = 20_000  # units of `Work`: about two minutes
@@ -59,6 +61,15 @@ KINDS: Mapping[str, _Kind] = {
         "blocks within 1/level, make I - M Delta singular", "size", "size >="),
     "worst-gain": _Kind(lambda c, w: prove_mu_axis(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
     "worst-gain-boxes": _Kind(lambda c, w: prove_mu_boxes(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
+    "iqc-size": _Kind(
+        lambda c, w: prove_multipliers(c, w, gain=False), "stable for all blocks of their natures within size times "
+        "their ranges", "size", "size >="),
+    "iqc-gain": _Kind(
+        lambda c, w: prove_multipliers(c, w, gain=True), "stable for all blocks of their natures", "gamma",
+        "worst-case gain <="),
+    "lpv-gain": _Kind(
+        prove_parameters, "stable for all trajectories of the parameters within their ranges and rates", "gamma",
+        "gain <="),
     "mu-lower": _Kind(prove_mu_lower, f"{SOME} makes I - M Delta singular", "level", "mu >=", below=True),
     "unstable-member": _Kind(
         prove_unstable_member, f"{SOME} gives a pole on or beyond the stability boundary, or no well-posed model",

@@ -59,13 +59,20 @@ def read_shapes(claim: Claim, kinds: Sequence[int] = (REAL, COMPLEX, FULL)) -> l
 def read_blocks(claim: Claim, q: int, p: int) -> list[Block]:
     """The blocks of a Delta (q, p) with their levels; InputError where they do not fill it exactly."""
     table = read_shapes(claim)
+    result = placed(table, _levels(claim, len(table)))
+    found = (result[-1].w.stop, result[-1].z.stop) if result else (0, 0)
+    if found != (q, p):
+        raise InputError("blocks", f"rows and columns in all {found}", f"{(q, p)}")
+    return result
+
+
+def placed(table: Sequence[Sequence[int]], levels: Sequence[float]) -> list[Block]:
+    """Blocks ``[kind, rows, cols]`` in this order, with the channels that follow each other."""
     result: list[Block] = []
     row = col = 0
-    for (kind, rows, cols), level in zip(table, _levels(claim, len(table)), strict=True):
+    for (kind, rows, cols), level in zip(table, levels, strict=True):
         result.append(Block(kind, slice(row, row + rows), slice(col, col + cols), level))
         row, col = row + rows, col + cols
-    if (row, col) != (q, p):
-        raise InputError("blocks", f"rows and columns in all {(row, col)}", f"{(q, p)}")
     return result
 
 

@@ -55,6 +55,8 @@ class LPVSynthesis(Design):
         The controllers at the points of the grid, interpolated between them.
     gamma
         Proved bound of the loop's induced gain.
+    plant
+        The generalised plant.
     closed_loop
         The loop rebuilt from plant and controller, from w to z.
     gain
@@ -73,6 +75,7 @@ class LPVSynthesis(Design):
     quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("gamma", "lmi_gamma", "frozen"), float)
 
     K: LPVModel
+    plant: LPVModel
     closed_loop: LPVModel
     gain: LPVGain
     lmi_gamma: float
@@ -353,8 +356,8 @@ class _Task:
         if not frozen <= gain.upper * (1 + 1e-6) and self.plant.known == EXACT:
             raise NoTrustworthyNumber("hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}")
         return LPVSynthesis(
-            K=K, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen, status=gain.status,
-            reason=f"{how}; loop rebuilt from plant and controller",
+            K=K, plant=self.plant, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen,
+            status=gain.status, reason=f"{how}; loop rebuilt from plant and controller",
         )  # fmt: skip
 
     def _frozen(self, K: LPVModel) -> float:

@@ -70,6 +70,10 @@ class AntiWindup(Shown):
         What the synthesis inequality said; not proved, shown for comparison.
     controller
         The controller as given.
+    plant
+        The plant with its performance channel first, the one that was added too.
+    calculated
+        Gains of the back-calculation, those of L above those of H.
     status
         That of ``proved``.
     """
@@ -83,6 +87,8 @@ class AntiWindup(Shown):
     linear: float
     level: float
     controller: StateSpaceModel
+    plant: StateSpaceModel
+    calculated: Array
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "lower": float, "upper": float, "without": float, "back": float, "linear": float, "L": [[float]],
@@ -98,6 +104,11 @@ class AntiWindup(Shown):
     def headline(self) -> str:
         """The proved gain beside that without."""
         return f"worst L2 gain {self.proved.bounds()}, without anti-windup {self.without.bounds()}"
+
+    @property
+    def gain(self) -> Array:
+        """L above H: from ``sat(u_c) - u_c`` to the controller's states and outputs."""
+        return np.vstack([self.L, self.H])
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -145,8 +156,9 @@ class AntiWindup(Shown):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes and the status."""
-        return {"type": "AntiWindup", **vars(self), "status": self.status}
+        """All attributes but those that can be made anew, and the status."""
+        kept = {name: value for name, value in vars(self).items() if name not in ("plant", "calculated")}
+        return {"type": "AntiWindup", **kept, "status": self.status}
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,6 +252,7 @@ def anti_windup(
         raise InputError("anti_windup: time", f"{time!r}", "a positive number of seconds")
     width = 1.0 if math.isinf(reach) else 1.0 - 1.0 / reach
     K = wired(K, P.outputs[P.n_outputs - K.n_inputs :], P.inputs[P.n_inputs - K.n_outputs :], "anti_windup")
+    P = _with_performance(P, K)
     loop = _loop(P, K)
     linear = loop.closed(np.zeros((K.n_states + K.n_outputs, K.n_outputs)))
     if linear.n_states and not linear.is_stable():
@@ -265,7 +278,7 @@ def anti_windup(
     calculated = np.vstack([_calculated(K, pairs, slow), np.zeros((K.n_outputs, K.n_outputs))])
     found, without, back = (judged(of) for of in (gain, np.zeros_like(gain), calculated))
     norm = hinf_norm(linear.select(w, z)).upper
-    return AntiWindup(gain[: K.n_states], gain[K.n_states :], found, without, back, slow, norm, level, K)
+    return AntiWindup(gain[: K.n_states], gain[K.n_states :], found, without, back, slow, norm, level, K, P, calculated)
 
 
 def _limits(limits: Any, count: int) -> list[tuple[float, float]]:
@@ -277,20 +290,25 @@ def _limits(limits: Any, count: int) -> list[tuple[float, float]]:
     return [(float(low), float(high)) for low, high in pairs]
 
 
-def _loop(P: StateSpaceModel, K: StateSpaceModel) -> _Loop:
-    n_u, n_y, n, n_c = K.n_outputs, K.n_inputs, P.n_states, K.n_states
+def _with_performance(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
+    """The plant, with w added to what the controller sees, and that as z, where it has neither."""
+    n_u, n_y, n = K.n_outputs, K.n_inputs, P.n_states
     n_w, n_z = P.n_inputs - n_u, P.n_outputs - n_y
     if n_w < 0 or n_z < 0:
         found = f"a controller of {n_u} x {n_y} for a plant of {P.n_outputs} x {P.n_inputs}"
         raise InputError("anti_windup", found, "at least as many inputs and outputs of the plant")
-    B, C, D = P.B, P.C, P.D
-    if not n_w and not n_z:  # w is added to what the controller sees, and z is that
-        B = np.hstack([np.zeros((n, n_y)), B])
-        C = np.vstack([C, C])
-        D = np.block([[np.eye(n_y), D], [np.eye(n_y), D]])
-        n_w = n_z = n_y
+    if not n_w and not n_z:
+        B, C = np.hstack([np.zeros((n, n_y)), P.B]), np.vstack([P.C, P.C])
+        return StateSpaceModel(P.A, B, C, np.block([[np.eye(n_y), P.D], [np.eye(n_y), P.D]]))
     if not n_w or not n_z:
         raise InputError("anti_windup", "a plant with half a performance channel", "w and z before u and y, or neither")
+    return P
+
+
+def _loop(P: StateSpaceModel, K: StateSpaceModel) -> _Loop:
+    n_u, n_y, n, n_c = K.n_outputs, K.n_inputs, P.n_states, K.n_states
+    n_w, n_z = P.n_inputs - n_u, P.n_outputs - n_y
+    B, C, D = P.B, P.C, P.D
     # Signals as rows over [x, x_c | q, v_c, v_u, w]; u_c = E (C_c x_c + D_c (C x + D_w w - D_u q) + v_u)
     sizes = {"x": n, "xc": n_c, "q": n_u, "vc": n_c, "vu": n_u, "w": n_w}
     ends = np.cumsum([0, *sizes.values()])

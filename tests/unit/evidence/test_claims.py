@@ -35,6 +35,9 @@ def regulated() -> rl.StateSpaceModel:
     return rl.StateSpaceModel(A, B, [[1, 0], [0, 0], [0, 1]], [[0, 0, 0], [0, 0, 1.0], [0, 0.3, 0]])
 
 
+SCHEDULED = rl.LPVModel(
+    {"a": [1.0, 4.0]}, [rl.StateSpaceModel([[-a]], [[a]], [[1.0]], [[0.0]]) for a in (1.0, 4.0)], rates={"a": 1.0}
+)
 RESULTS = {
     "margin": lambda: rl.robust_stability(EVEN.feedback(INTEGRAL)),
     "margin of uneven ranges": lambda: rl.robust_stability(SPRING.feedback(INTEGRAL)),
@@ -57,6 +60,10 @@ RESULTS = {
     "ncf": lambda: rl.ncf(OSCILLATOR),
     "h2": lambda: rl.h2(regulated(), 1, 1),
     "reduced model": lambda: rl.reduce_model(rows(2, 6), 3),
+    "gain with a law": lambda: rl.peak_gain(EVEN, natures={"k": rl.Varying(0.1)}, order=1),
+    "margin of parameters that vary": lambda: rl.robust_stability(EVEN, natures={"k": rl.Varying(), "m": rl.Varying()}),
+    "anti-windup": lambda: rl.anti_windup(OSCILLATOR, rl.StateSpaceModel([[-0.01]], [[-1.0]], [[0.2]], [[-1.0]])),
+    "gain of a scheduled model": lambda: rl.peak_gain(SCHEDULED),
     "elementwise": lambda: elementwise(
         rl.StateSpaceModel([[-1.0, 0.2], [0.1, -0.5]], [[1.0], [0.5]], [[1, 0]], [[0]]),
         rl.StateSpaceModel([[-1.1, 0.7], [-0.1, -0.7]], [[1.2], [0.5]], [[1, 0]], [[0.3]]),

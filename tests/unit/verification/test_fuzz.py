@@ -28,6 +28,18 @@ CLAIMS = {
     | {"low": np.array([0.0]), "high": np.array([np.inf]), "D_w": ONE[None], "D_z": ONE[None], "G": 0 * ONE[None]}
     | {"P": ONE, "delta": ONE},
     "unstable-member": LAG | BLOCK | {"delta": ONE, "level": np.array(0.9)},
+    "iqc-gain": LAG
+    | {"B": np.ones((1, 2)), "C": np.ones((2, 1)), "D": np.zeros((2, 2)), "blocks": BLOCK["blocks"]}
+    | {"nature": np.array([[1, 0, 0]]), "ranges": np.array([[-0.5, 0.5]]), "slope": np.zeros((1, 2))}
+    | {"rate": np.array([np.inf]), "pole": np.array(1.0), "order": np.array(1), "P": 2 * ONE}
+    | {"multipliers": np.array([1.0]), "gamma": np.array(2.1)},
+    "iqc-size": LAG
+    | {"blocks": BLOCK["blocks"], "nature": np.array([[2, 0, 1]]), "ranges": np.array([[-1.0, 1.0]])}
+    | {"slope": np.zeros((1, 2)), "rate": np.array([np.inf]), "pole": np.array(1.0), "order": np.array(2), "P": ONE}
+    | {"multipliers": np.array([1.0, 0.0]), "size": np.array(0.9)},
+    "lpv-gain": {"points0": np.array([1.0, 4.0]), "M": np.array([[[-1.0, 1.0], [1.0, 0.0]], [[-4.0, 4.0], [1.0, 0.0]]])}
+    | {"n": np.array(1), "rate": np.array([np.inf]), "P": 0.5 * ONE[None], "gamma": np.array(1.3)}
+    | {"deviation": np.zeros((1, 2, 2))},
     "set": {"A": -ONE, "B": np.ones((1, 2)), "C": np.ones((2, 1)), "D": np.zeros((2, 2)), "blocks": BLOCK["blocks"]}
     | {"A0": -ONE, "B0": ONE, "C0": ONE, "D0": 0 * ONE, "A1": 0 * ONE, "B1": ONE, "C1": ONE, "D1": 0 * ONE},
 }

@@ -1,0 +1,187 @@
+r"""What is known of a block of Delta, as integral quadratic constraints; and whether a multiplier is of its class.
+
+.. math:: \int_0^\infty v^T M v \, dt \ge 0 \quad\text{for all } z \in L_2,\ w = \Delta(z)
+
+zeta is a signal behind 1, :math:`\frac{a}{s+a}, .., (\frac{a}{s+a})^\nu`, a > 0, from rest. All matrices X and Q that
+follow are positive definite, Y is skew; X counts once for each channel of a full block. Each constraint holds for tau
+times the block, too, tau from 0 to 1.
+
+- Time-invariant block (nu), or one that varies (nu = 0): :math:`\zeta_z^T X \zeta_z - \zeta_w^T X \zeta_w`. Of a
+  linear block of gain at most one: in the frequency domain :math:`\psi^* X \psi \ge 0` is a scaling that commutes.
+- Real number in [-1, 1], constant or (nu = 0) varying: also :math:`2 \zeta_z^T Y \zeta_w`, of which the integral is 0.
+- Real number with :math:`|\dot\delta| \le \rho`: both with :math:`\zeta_w` driven by
+  :math:`\rho r_j = \dot\delta \zeta_{z,j}`, so that :math:`\zeta_w = \delta \zeta_z` at each instant; the same two
+  constraints say that :math:`r = (\dot\delta/\rho) \zeta_z`, from the first power of the filter on.
+- Law in the sector [-1, 1]: :math:`x (z^2 - w^2)`, x > 0. Steady, and z without a direct term: :math:`2 x w \dot z`, x
+  of either sign, whose integral is that of the law from z(0) = 0 to :math:`z(\infty) = 0` (Popov).
+- Law with slopes in [m, k]: p = k z - w and q = w - m z do not fall with z, so (Zames, Falb 1968)
+  :math:`2 \int p (x_0 q - h * q)\, dt \ge 0` where :math:`\|h\|_1 \le x_0` and h >= 0 (or the law is odd). Here
+  h = h_+ - h_- (h_- of odd laws only), each :math:`a e^{-at}(s^T Q_1 s + at\, s^T Q_2 s)`, :math:`s_i = (at)^i/i!`, of
+  both directions of time. As the integral of :math:`a e^{-at} (at)^l/l!` is one, the norm is at most the sum of all
+  coefficients. A law that is not steady has h = 0.
+
+References
+----------
+Megretski, Rantzer, IEEE TAC 42 (1997); Jonsson, "Stability analysis with Popov multipliers and IQCs", Systems & Control
+Letters 31 (1997); Zames, Falb, SIAM J. Control 6 (1968); Koroglu, Scherer, "Robust performance analysis for structured
+linear time-varying perturbations with bounded rates-of-variation", IEEE TAC 52 (2007): the swapping lemma.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from flint import arb
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.verification.balls import Matrix, definite, exact, part, stack, zeros
+from robustlab.verification.claim import Claim, Work, real, whole
+from robustlab.verification.filters import Filtered
+from robustlab.verification.forms import FULL, REAL, Block
+
+CONSTANT, VARYING, SECTOR, SLOPE = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Nature:
+    """What a block is: the kind of it, for a law whether it is odd and steady; and numbers in the model's own units."""
+
+    kind: int
+    odd: bool
+    steady: bool
+    range: tuple[float, float]  # of a real block
+    slope: tuple[float, float]  # of a law of the kind SLOPE
+    rate: float  # of change, per second; inf: no bound
+
+    def order(self, order: int) -> int:
+        """The highest power of a filter that its constraints allow."""
+        fast = self.kind == VARYING and math.isinf(self.rate)
+        return 0 if fast or self.kind == SECTOR or (self.kind == SLOPE and not self.steady) else order
+
+
+def read_natures(claim: Claim, blocks: Sequence[Block]) -> list[Nature]:
+    """``nature`` (k, 3): kind, odd, steady; ``ranges``, ``slope`` (k, 2), ``rate`` (k,). InputError: no such class."""
+    k = len(blocks)
+    table, rates = whole(claim, "nature", (k, 3)).tolist(), real(claim, "rate", (k,), infinite=True).tolist()
+    ranges, slopes = (real(claim, name, (k, 2)).tolist() for name in ("ranges", "slope"))
+    result: list[Nature] = []
+    for block, (kind, odd, steady), (a, b), (m, n), rate in zip(blocks, table, ranges, slopes, rates, strict=True):
+        number = block.kind == REAL
+        fits = [
+            kind in (CONSTANT, VARYING) or (kind in (SECTOR, SLOPE) and number and block.w.stop - block.w.start == 1),
+            {odd, steady} <= {0, 1},
+            a < b if number else (a, b) == (-1, 1),
+            kind != SLOPE or m <= a < b <= n,
+            rate > 0 and (math.isinf(rate) or (kind == VARYING and number)),
+        ]
+        if not all(fits):
+            found = f"{[kind, odd, steady]}, range {a}, {b}, slope {m}, {n}, rate {rate}"
+            raise InputError("nature", f"{found} of a block of kind {block.kind}", "a class of the theorem")
+        result.append(Nature(kind, bool(odd), bool(steady), (a, b), (m, n), rate))
+    return result
+
+
+class Multipliers:
+    """The numbers of all multipliers in their order, read one after the other; what must be positive is proved so."""
+
+    def __init__(self, values: NDArray[np.float64], work: Work) -> None:
+        self.values, self.at, self.work, self.positive = values, 0, work, True
+
+    def take(self, count: int) -> NDArray[np.float64]:
+        """The next ones. InputError: there are not so many."""
+        self.at += count
+        if self.at > len(self.values):
+            raise InputError("multipliers", f"{len(self.values)} numbers", f"{self.at} or more")
+        return self.values[self.at - count : self.at]
+
+    def skew(self, size: int) -> NDArray[np.float64]:
+        """A skew matrix, from what is above its diagonal, row by row."""
+        X = np.zeros((size, size))
+        X[np.triu_indices(size, 1)] = self.take(size * (size - 1) // 2)
+        return X - X.T
+
+    def definite(self, size: int) -> NDArray[np.float64]:
+        """A symmetric matrix, from its upper triangle, row by row."""
+        X = np.zeros((size, size))
+        X[np.triu_indices(size)] = self.take(size * (size + 1) // 2)
+        X = X + np.triu(X, 1).T
+        self.work.spend(size)
+        self.positive = self.positive and definite(exact(X)).proved
+        return X
+
+
+def scaled(above: Matrix, below: Matrix, size: int, copies: tuple[int, int], number: bool, x: Multipliers) -> Matrix:
+    """X on ``above`` less X on ``below``; of a real number also Y between them."""
+    X = x.definite(size)
+    over, under = (exact(np.kron(X, np.eye(k))) for k in copies)
+    S = above.transpose() * over * above - below.transpose() * under * below
+    if number:
+        cross = above.transpose() * exact(x.skew(size)) * below
+        S = S + cross + cross.transpose()
+    return S
+
+
+def linear(F: Filtered, block: Block, order: int, pole: float, rho: arb | None, x: Multipliers) -> Matrix:
+    """The constraints of a block that is linear; ``rho``: the bound of the rate of its number, which has filters."""
+    z, w = F.output(block.z), F.input(block.w)
+    kz, kw, number = z.nrows(), w.nrows(), block.kind == REAL
+    behind_z = F.stages(z, pole, order)
+    moved = F.added(order * kz) if rho is not None else None
+    shares = [slice(j * kz, (j + 1) * kz) for j in range(order)]
+    driven = [] if moved is None else [part(moved, rows, slice(None)) * rho for rows in shares]
+    behind_w = F.stages(w, pole, order, driven)
+    above, below = _stacked([z, *behind_z]), _stacked([w, *behind_w])
+    full = block.kind == FULL
+    S = scaled(above, below, order + 1 if full else (order + 1) * kz, (kz, kw) if full else (1, 1), number, x)
+    return S if moved is None else S + scaled(_stacked(behind_z), moved, order * kz, (1, 1), number, x)
+
+
+def law(
+    F: Filtered, block: Block, nature: Nature, order: int, pole: float, free: tuple[bool, bool], x: Multipliers
+) -> Matrix:
+    """The constraints of a law; ``free``: z has no direct term from any block, none from any input."""
+    z, w = F.output(block.z), F.input(block.w)
+    S = zeros(F.width, F.width)
+    if not free[0] and nature.kind == SECTOR:
+        raise InputError("nature", "a law without a slope that acts on its own input at once", "a law with a slope")
+    if free[0]:
+        S = S + (z.transpose() * z - w.transpose() * w) * arb(x.definite(1)[0, 0])
+    if free[1] and nature.steady:
+        pair = F.derivative(block.z).transpose() * w * arb(x.take(1)[0])
+        S = S + pair + pair.transpose()
+    if nature.kind == SECTOR:
+        return S
+    (a, b), (m, n) = nature.range, nature.slope
+    middle, half = (arb(a) + arb(b)) / 2, (arb(b) - arb(a)) / 2
+    p, q = z * ((arb(n) - middle) / half) - w, w - z * ((arb(m) - middle) / half)
+    behind_q, behind_p, direct = F.stages(q, pole, order), F.stages(p, pole, order), arb(x.take(1)[0])
+    signs = (1, -1) if nature.odd else (1,)
+    kernels = [[(sign, _kernel(x, order)) for sign in signs] for _ in range(2 if order else 0)]  # both ways of time
+    x.positive = x.positive and bool(direct > sum((c for way in kernels for _, h in way for c in h), arb(0)))
+    pair = p.transpose() * q * direct
+    for way, one, behind in zip(kernels, (p, q), (behind_q, behind_p), strict=False):
+        for sign, h in way:
+            for c, stage in zip(h, behind, strict=True):
+                pair = pair - one.transpose() * stage * (c * sign)
+    return S + pair + pair.transpose()
+
+
+def _kernel(x: Multipliers, order: int) -> list[arb]:
+    """Coefficients of ``a e^-at (at)^l / l!``, l = 0, .., order - 1, of Q_1 and, from the order 2 on, Q_2."""
+    h = [arb(0)] * order
+    for shift in range(min(order, 2)):
+        size = (order - 1 - shift) // 2 + 1
+        Q = x.definite(size)
+        for i in range(size):
+            for j in range(size):
+                times = math.factorial(i + j + shift) // (math.factorial(i) * math.factorial(j))
+                h[i + j + shift] += arb(Q[i, j]) * times
+    return h
+
+
+def _stacked(rows: Sequence[Matrix]) -> Matrix:
+    return stack([[X] for X in rows])

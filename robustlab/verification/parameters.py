@@ -1,0 +1,201 @@
+r"""Gain of a model whose matrices depend on parameters that move, for all their trajectories, between grid points too.
+
+.. math:: \dot x = A(\rho) x + B(\rho) u, \quad y = C(\rho) x + D(\rho) u, \qquad
+    M(\rho) = \begin{bmatrix} A & B \\ C & D \end{bmatrix} = \bar M(\rho) + E(\rho), \quad |E| \le \bar E
+
+:math:`\bar M` is given at the points of a grid and multi-linear in each cell of it, :math:`\bar E` entry by entry. P is
+multi-linear on the same grid along the parameters with which it varies.
+
+Theorem (Wu, Yang, Packard, Becker 1996). If P > 0 and
+
+.. math:: L = -\begin{bmatrix} A^T P + P A + \sum_i \dot\rho_i\, \partial_i P & P B & C^T \\
+    \cdot & -\gamma I & D^T \\ \cdot & \cdot & -\gamma I \end{bmatrix} > 0
+
+for all rho in the box and all :math:`|\dot\rho_i| \le \nu_i` (any rate, where P does not vary along i), then along
+every trajectory that keeps to both x = 0 is stable, and :math:`\|y\|_2 \le \gamma \|u\|_2` from x(0) = 0.
+
+Proof. With y for the last rows (Schur) :math:`\frac{d}{dt} x^T P x < \gamma |u|^2 - |y|^2/\gamma`, integrated from 0.
+P is Lipschitz in rho: the derivative exists for almost all t, and is that within a cell which the motion enters.
+
+In a cell, with :math:`\sigma \in [0, 1]^k` the place in it, M and P are :math:`\sum_v b_v(\sigma) M_v` and
+:math:`\sum_w b_w(\sigma) P_w` over its vertices, so L is of degree 2, and with Bernstein's polynomials
+
+.. math:: L(\sigma) = \sum_{c \in \{0,1,2\}^k} \beta_c(\sigma) L_c, \qquad \beta_c \ge 0, \quad \sum_c \beta_c = 1,
+
+with L_c the mean of L(M_v, P_w) over all pairs of vertices with v + w = c, as :math:`b_v b_w = \beta_{v+w} / \prod_i
+\binom{2}{v_i + w_i}`. :math:`\partial_i P` is the difference of the vertices of P along i over the cell's length. L is
+affine in the rates and in E (which is the same at all vertices: it is that of the place rho), so both need only be
+looked at where they are largest, of either sign; where more than three entries of E are not zero, they are balls. So if
+all L_c > 0, L > 0 in the whole cell.
+
+A loop: such a plant and a controller u = K(rho) y, multi-linear on the same grid. Where B2, D12, C2, D21 are the same
+everywhere and D22 = 0, the loop is multi-linear too, and is that of the vertices.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise, product
+from typing import Any
+
+import numpy as np
+from flint import arb, arb_mat
+from numpy.typing import NDArray
+
+from robustlab.errors import InputError
+from robustlab.verification.balls import Matrix, definite, exact, identity, part, stack, zeros
+from robustlab.verification.claim import PROVED, Claim, Verdict, Work, not_proved, real, scalar, whole
+from robustlab.verification.norms import climb
+
+SIGNED = 3  # entries of E up to which every choice of signs is looked at
+MOST = 6  # parameters
+
+Index = tuple[int, ...]
+Stack = Mapping[Index, Matrix]  # a matrix for each point of the grid
+
+
+def prove_parameters(claim: Claim, work: Work) -> Verdict:
+    """The gain is at most ``gamma`` for all trajectories within the ranges and the bounds ``rate`` (k,) of the rates.
+
+    Model: ``points0``, ``points1``, ... (n_i,), ascending; ``n`` states; ``M`` (n_1, ..., n_k, n + n_y, n + n_u) at
+    them, or a plant ``M`` with the controller ``K`` of ``n_K`` states, ``n_meas`` and ``n_con``; ``deviation``
+    (n_1 - 1, ..., n_k - 1, rows, columns of M) the bound of E. Evidence: ``P`` (n_1 or 1, ..., n_k or 1, n, n).
+    """
+    rates: list[float] = real(claim, "rate", (None,), infinite=True).tolist()
+    k = len(rates)
+    if not 0 < k <= MOST or not all(rate >= 0 for rate in rates):
+        raise InputError("rate", f"{rates}", f"1 to {MOST} numbers not below zero")
+    places: list[list[float]] = [real(claim, f"points{i}", (None,)).tolist() for i in range(k)]
+    if not all(len(p) > 1 and all(a < b for a, b in pairwise(p)) for p in places):
+        raise InputError("points", f"{places}", "at least two for each parameter, ascending")
+    grid, gamma = tuple(len(p) for p in places), scalar(claim, "gamma")
+    n, M = _size(claim, "n"), real(claim, "M", (*grid, None, None))
+    cells = tuple(size - 1 for size in grid)
+    deviation = real(claim, "deviation", (*cells, *M.shape[-2:])) if "deviation" in claim.numbers else None
+    if deviation is not None and (deviation < 0).any():
+        raise InputError("deviation", "a number below zero", "bounds of absolute values")
+    n_K = _size(claim, "n_K") if "K" in claim.numbers else 0
+    P = real(claim, "P", (*(None,) * k, n + n_K, n + n_K))
+    varies = [size > 1 for size in P.shape[:k]]
+    for i, v in enumerate(varies):
+        if (v and (P.shape[i] != grid[i] or math.isinf(rates[i]))) or min(M.shape[-2:]) < n:
+            raise InputError("P", f"shape {P.shape} over a grid {grid}", "1, or the grid where the rate has a bound")
+    if not (np.swapaxes(P, -1, -2) == P).all():
+        raise InputError("P", "not symmetric to the last bit", "symmetric matrices")
+
+    def attempt() -> Verdict:
+        models = {at: exact(np.ascontiguousarray(M[at])) for at in np.ndindex(*grid)}
+        beside = {} if deviation is None else {cell: deviation[cell] for cell in np.ndindex(*cells)}
+        if "K" in claim.numbers:
+            models, beside = _loops(claim, models, beside, n, n_K)
+        squares = {at: exact(np.ascontiguousarray(P[at])) for at in np.ndindex(*P.shape[:k])}
+        for at, X in squares.items():
+            work.spend(n + n_K)
+            if not definite(X).proved:
+                return not_proved(f"P > 0 was not proved at the point {at}")
+        for cell in np.ndindex(*cells):
+            lengths = [arb(p[i + 1]) - arb(p[i]) for p, i in zip(places, cell, strict=True)]
+            for shift in _shifts(beside.get(cell)):
+                for L in _coefficients(cell, models, squares, varies, rates, lengths, shift, gamma):
+                    work.spend(L.nrows())
+                    answer = definite(L)
+                    if not answer.proved:
+                        return not_proved(f"cell {cell}: smallest eigenvalue {answer.least:.3g} of its size")
+        return PROVED
+
+    return climb(attempt)
+
+
+def _size(claim: Claim, name: str) -> int:
+    count = int(whole(claim, name, ()))
+    if count < 0:
+        raise InputError(name, f"{count}", "a number not below zero")
+    return count
+
+
+def _shifts(bound: NDArray[np.float64] | None) -> Iterator[Matrix | None]:
+    """Matrices whose convex hull holds every E within its bound."""
+    if bound is None or not bound.any():
+        yield None
+        return
+    places = np.argwhere(bound > 0)
+    if len(places) > SIGNED:
+        yield arb_mat(len(bound), len(bound.T), [arb(0, x) for x in bound.ravel().tolist()])
+        return
+    for signs in product((1.0, -1.0), repeat=len(places)):
+        E = np.zeros_like(bound)
+        for (i, j), sign in zip(places, signs, strict=True):
+            E[i, j] = sign * bound[i, j]
+        yield exact(E)
+
+
+def _coefficients(
+    cell: Index, models: Stack, squares: Stack, varies: Sequence[bool], rates: Sequence[float],
+    lengths: Sequence[arb], shift: Matrix | None, gamma: float,
+) -> Iterator[Matrix]:  # fmt: skip
+    """L_c of a cell, each c and each choice of rates at their ends. Where P is constant, c = 1 is a mean of others."""
+    k, n = len(cell), next(iter(squares.values())).nrows()
+    ends = [(1, -1) if v and rate else (0,) for v, rate in zip(varies, rates, strict=True)]
+    for c in product(*((0, 1, 2) if v else (0, 2) for v in varies)):
+        pairs = list(product(*(((0, 1), (1, 0)) if x == 1 else ((x // 2, x // 2),) for x in c)))
+        means: list[Any] = [0, 0, [0] * k]  # of P [A B], of [C D], of the derivatives of P
+        for pair in pairs:
+            M = models[tuple(a + v for a, (v, _) in zip(cell, pair, strict=True))]
+            M = M if shift is None else M + shift
+            w = [a + b if moves else 0 for a, (_, b), moves in zip(cell, pair, varies, strict=True)]
+            P, share = squares[tuple(w)], arb(1) / len(pairs)
+            means[0] += P * part(M, slice(0, n), slice(None)) * share
+            means[1] += part(M, slice(n, None), slice(None)) * share
+            for i in range(k):
+                if varies[i]:
+                    high, low = ((*w[:i], cell[i] + end, *w[i + 1 :]) for end in (1, 0))
+                    means[2][i] += (squares[high] - squares[low]) * (share / lengths[i])
+        for signs in product(*ends):
+            motion = sum((means[2][i] * (arb(rates[i]) * s) for i, s in enumerate(signs) if s), zeros(n, n))
+            yield _dissipation(means[0], means[1], motion, gamma)
+
+
+def _dissipation(PAB: Matrix, CD: Matrix, motion: Matrix, gamma: float) -> Matrix:
+    """L from P [A B] (n, n + n_u), [C D] and the derivative of P."""
+    n, u, y = PAB.nrows(), PAB.ncols() - PAB.nrows(), CD.nrows()
+    half = stack([[PAB, zeros(n, y)], [zeros(u, n + u + y)], [stack([[CD, zeros(y, y)]])]])
+    level = identity(u + y) * arb(gamma)
+    whole_motion = stack([[motion, zeros(n, u + y)], [zeros(u + y, n), -level]])
+    return -half - half.transpose() - whole_motion
+
+
+def _loops(
+    claim: Claim, plants: Stack, beside: Mapping[Index, NDArray[np.float64]], n: int, n_K: int
+) -> tuple[Stack, Mapping[Index, NDArray[np.float64]]]:
+    """The loop at each point, states of the plant first, and E of it. InputError: the loop is not multi-linear."""
+    y, u = _size(claim, "n_meas"), _size(claim, "n_con")
+    first = next(iter(plants.values()))
+    z, w = first.nrows() - n - y, first.ncols() - n - u
+    grid = tuple(last + 1 for last in max(plants))
+    K = real(claim, "K", (*grid, n_K + u, n_K + y))
+    if z < 0 or w < 0:
+        raise InputError("n_meas, n_con", f"{y}, {u}", "some of the plant's outputs and inputs")
+    fixed = np.zeros((n + z + y, n + w + u), dtype=bool)
+    fixed[n + z :], fixed[:, n + w :] = True, True
+    M = np.asarray(claim.numbers["M"])
+    same = (M[(0,) * len(grid)] == M)[..., fixed].all() and not any(E[fixed].any() for E in beside.values())
+    if not same or M[..., n + z :, n + w :].any():
+        raise InputError("M", "B2, C2, D12 or D21 that depend on a parameter, or D22", "constant ones, and D22 = 0")
+    into, out = exact(M[(0,) * len(grid)][: n + z, n + w :]), exact(M[(0,) * len(grid)][n + z :, : n + w])
+    # With K = [A_K B_K; C_K D_K] the loop is [M_11 0; 0 0] + U K V, rows (x, z; x_K), columns (x, w; x_K).
+    U = stack([[zeros(n + z, n_K), into], [identity(n_K), zeros(n_K, u)]])
+    V = stack([[zeros(n_K, n + w), identity(n_K)], [out, zeros(y, n_K)]])
+    rows, cols = (_order(n, rest, n_K) for rest in (z, w))
+    loops: dict[Index, Matrix] = {}
+    for at, X in plants.items():
+        own = part(X, slice(0, n + z), slice(0, n + w))
+        both = stack([[own, zeros(n + z, n_K)], [zeros(n_K, n + w + n_K)]]) + U * exact(np.ascontiguousarray(K[at])) * V
+        loops[at] = arb_mat(len(rows), len(cols), [both[i, j] for i in rows for j in cols])
+    wide = {cell: np.pad(E[: n + z, : n + w], ((0, n_K), (0, n_K)))[np.ix_(rows, cols)] for cell, E in beside.items()}
+    return loops, wide
+
+
+def _order(n: int, rest: int, n_K: int) -> list[int]:
+    """From (x, signals; x_K) to (x, x_K; signals)."""
+    return [*range(n), *range(n + rest, n + rest + n_K), *range(n, n + rest)]
