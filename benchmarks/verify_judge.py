@@ -514,14 +514,17 @@ def seek(G: tuple[Any, ...], dt: float, parts: Sequence[Part], hints: Sequence[A
 
 
 def _drawn_in(parts: Sequence[Part], hint: Any) -> Any:
-    """The hint with each block brought to its limit."""
-    delta = np.array(hint, dtype=complex)
+    """The hint, perhaps of another structure, with each block made one of its kind and brought to its limit."""
+    given = np.asarray(hint, dtype=complex)
+    delta = np.zeros_like(given)
     for part in parts:
-        own = delta[part.w, part.z]
-        size = np.linalg.norm(own, 2)
+        own = given[part.w, part.z]
         if part.kind == REAL:
-            delta[part.w, part.z] = np.clip(own[0, 0].real * 1.0, part.low, part.high) * np.eye(len(own))
-        elif size:
+            delta[part.w, part.z] = np.clip(own[0, 0].real, part.low, part.high) * np.eye(len(own))
+            continue
+        own = own if part.kind == FULL else own[0, 0] * np.eye(len(own))
+        size = np.linalg.norm(own, 2)
+        if size:
             delta[part.w, part.z] = own / size * part.high
     return delta
 

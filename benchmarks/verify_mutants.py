@@ -258,6 +258,9 @@ def shrunk(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | No
     delta, size = np.array(numbers["delta"]), 1 + relative(rng, -12.0)
     if rng.random() < 0.5:
         return kind, {**numbers, "delta": delta * size}
+    if delta.ndim == 1:  # the parameters of a member
+        delta[rng.integers(len(delta))] *= size
+        return kind, {**numbers, "delta": delta}
     table = np.asarray(numbers.get("blocks", np.zeros((0, 3))))
     if not len(table):
         return None
