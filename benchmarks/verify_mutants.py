@@ -612,7 +612,12 @@ def mutant(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> tuple[str, 
     told: list[str] = []
     while not told or rng.random() < TWICE:
         change = MUTATIONS[int(rng.choice(len(MUTATIONS), p=weights / weights.sum()))][0]
-        made = change(rng, kind, numbers, other)
+        try:
+            made = change(rng, kind, numbers, other)
+        except (IndexError, ValueError):
+            if not told:
+                raise
+            made = None  # an earlier mutation left shapes that this one cannot change
         if made is not None:
             kind, numbers = made
             told.append(change.__name__)
