@@ -253,7 +253,7 @@ def boxes(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | Non
 
 def shrunk(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
     """Delta smaller, larger, or with one block changed."""
-    if "delta" not in numbers:
+    if "delta" not in numbers or not np.size(numbers["delta"]):
         return None
     delta, size = np.array(numbers["delta"]), 1 + relative(rng, -12.0)
     if rng.random() < 0.5:
@@ -614,10 +614,8 @@ def mutant(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> tuple[str, 
         change = MUTATIONS[int(rng.choice(len(MUTATIONS), p=weights / weights.sum()))][0]
         try:
             made = change(rng, kind, numbers, other)
-        except (IndexError, ValueError):
-            if not told:
-                raise
-            made = None  # an earlier mutation left shapes that this one cannot change
+        except (IndexError, KeyError, ValueError):
+            made = None  # the claim lacks what it would change, or an earlier mutation took it away
         if made is not None:
             kind, numbers = made
             told.append(change.__name__)
