@@ -25,7 +25,10 @@ FULL = 2
 def judged(kind: str, numbers: Numbers, proved: bool, loop: Quad | None = None) -> str:
     """What is wrong with the answer; empty where nothing was found. ``loop``: the model, where it is put together."""
     if kind == "delay-weight":
-        return _of_weight(numbers)
+        word = _of_weight(numbers)
+        if proved:
+            return word
+        return "" if word.startswith("false") else "unconfirmed: the counterexample was not found again"
     G = loop if loop is not None else tuple(rational(numbers[x]) for x in "ABCD")
     exact, floats = tuple(long(X) for X in G), tuple(X.astype(float) for X in G)
     delays = np.asarray(numbers["delays"], dtype=float)

@@ -102,8 +102,14 @@ def loop(claim: Claim) -> Model:
 
 
 def model_of(claim: Claim) -> Model:
-    """The model of a claim: the loop of a plant ``P_A ..``, the difference of ``A1 ..`` and ``A2 ..``, or ``A ..``."""
-    return loop(claim) if "P_A" in claim.numbers else difference(claim) if "A1" in claim.numbers else stored(claim)
+    """The model of a claim: the loop of a plant ``P_A ..``, the difference of ``A1 ..`` and ``A2 ..``, or ``A ..``.
+
+    Raises InputError: more than one of them, and so no telling which one is meant.
+    """
+    there = [name for name in ("P_A", "A1", "A") if name in claim.numbers]
+    if len(there) > 1:
+        raise InputError("the model", f"the datasets {' and '.join(there)}", "those of one model")
+    return {"P_A": loop, "A1": difference}.get("".join(there), stored)(claim)
 
 
 def static(claim: Claim) -> Model:
