@@ -33,7 +33,7 @@ def judged(kind: str, numbers: Numbers, proved: bool, loop: Quad | None = None) 
     exact, floats = tuple(long(X) for X in G), tuple(X.astype(float) for X in G)
     delays = np.asarray(numbers["delays"], dtype=float)
     grid = _grid(floats, delays)
-    root = _root_on_the_right(exact, floats, delays, grid)
+    root = _root_on_the_right(exact, floats, delays, grid) if len(delays) else not is_stable(G[0], 0.0)
     if not proved:
         if root or (kind == "delayed-norm" and _gain_at(exact, delays, numbers["frequency"], numbers["gamma"])):
             return ""

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -56,6 +56,7 @@ from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
 from robustlab.identification.naming.materiality import strained
+from robustlab.identification.naming.single_fits import single_fits
 from robustlab.identification.tuning import NamingTuning
 
 
@@ -202,7 +203,7 @@ class _Search:
     looked: dict[Key, dict[str, Fit]] = field(default_factory=dict)
     asked: set[Key] = field(default_factory=set)
     again: set[Key] = field(default_factory=set)
-    alone: set[str] = field(default_factory=set)
+    alone: bool = False  # whether every single effect was fitted in full
     distances: dict[tuple[Fit, Fit], float] = field(default_factory=dict)
     explained: dict[Fit, bool] = field(default_factory=dict)
     expansions: int = 0
@@ -225,11 +226,14 @@ class _Search:
             self._sharpen()
             while not self._used_up():
                 best = self._told().key
+                if self._stretched() and self._singles():
+                    self._sharpen()
+                    continue
                 key = self._next()
                 if self._told().key != best:  # a smaller set that had to be fitted first
                     self._sharpen()
                     continue
-                if key is None and (self._lines() or self._singles()):
+                if key is None and (self._lines() or (len(self._whole().key) > 1 and self._singles())):
                     key = self._next()
                 if key is None:
                     settled = True
@@ -332,7 +336,14 @@ class _Search:
         return max(left, key=lambda k: self.visited[k].evidence, default=None)
 
     def _explains(self, told: Visited) -> bool:
-        """Whether a set leaves no more than noise: then no other beginning can lead further."""
+        """Whether a set leaves no more than noise: then no other beginning can lead further.
+
+        Not with parameters beyond their tolerances: those stand for something that is missing.
+        """
+        return self._as_noise(told) and not strained(self.problem, told.fit)
+
+    def _as_noise(self, told: Visited) -> bool:
+        """Whether a set leaves no more than noise."""
         if not self.sharpened:
             return False
         if told.fit not in self.explained:
@@ -368,29 +379,28 @@ class _Search:
             self.looked, self.expanded = {}, self.expanded - {best.key}
         return bool(found)
 
+    def _stretched(self) -> bool:
+        """Whether the best set leaves only noise, but with parameters beyond their tolerances."""
+        return self._as_noise(self._told()) and not self._explains(self._told())
+
     def _singles(self) -> bool:
-        """Fit in full, from each of its starts, every single effect that was not; whether that changes the best set.
+        """Fit every single effect in full under the present noise, once; whether that changes the best set.
 
-        A short look may miss an effect that explains by itself what two or three others share: no set of these is
-        believed before. Of a nonlinear plant the search came to each set by all of its parts already.
+        A short look may miss an effect that explains by itself what two or three others share, or what one does with
+        parameters beyond their tolerances: neither is believed before. Of a nonlinear plant the search came to each set
+        by all of its parts already.
         """
-        told, best, empty = self._told().key, self._whole(), self.visited[Key()].fit
-        left = [c for c in self.pool if Key({c.key}) not in self.visited and c.key not in self.alone]
-        if len(best.key) < 2 or not left or isinstance(self.problem.plant, NonlinearPlant):
+        told, empty = self._told().key, self.visited[Key()].fit
+        if self.alone or isinstance(self.problem.plant, NonlinearPlant):
             return False
-        left = [c for c in left if may_follow(c, empty.hypothesis)]
-        self.alone |= {c.key for c in left}
-        plan = FitPlan(self.tuning.full, 0.05, ceiling=self._ceiling(empty))
-        jobs = [(c, start) for c in left for start in c.starts]
+        self.alone = True
+        pool = [c for c in self.pool if may_follow(c, empty.hypothesis)]
 
-        def full(job: tuple[Candidate, Mapping[str, float]]) -> Fit:
-            candidate, start = job
-            z = np.append(empty.z, candidate.standardised(start))
-            return self.problem.fit(Hypothesis((candidate,)), self.noise, z, empty.starts, plan)
+        def said(done: int, expected: int) -> None:
+            self.progress(done, expected, "every single effect in full")
 
-        for done, fit in enumerate(self.workers.map(full, jobs), 1):
+        for fit in single_fits(self.problem, self._told().fit, pool, self._ceiling(empty), self.workers, said):
             self._visit(fit)
-            self.progress(done, len(jobs), "single effects that were only looked at so far")
         return self._told().key != told
 
     def _unrefined(self, fit: Fit) -> None:
