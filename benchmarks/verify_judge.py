@@ -634,7 +634,7 @@ def _forms(kind: str, numbers: Numbers, parts: Sequence[Part], exact: Quad) -> s
     for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
         b = min(b, stop)
         begin = a if kind.endswith("boxes") else max(a, reached)
-        if begin > b or (begin == b and reached > start):
+        if begin > b or (begin == b and worst and not kind.endswith("boxes")):  # proved by one before it
             continue
         reached = max(reached, b)
         D_w, D_z, G = (np.asarray(numbers[x][i]) for x in ("D_w", "D_z", "G"))
