@@ -185,7 +185,9 @@ class RobustSampledController(SampledController):
     def headline(self) -> str:
         """What sampling costs."""
         before, after = self.mu_before["upper"], self.after.mu_upper
-        return f"{super().headline()}; mu of robust performance: {before:.4g} before, {after:.4g} sampled"
+        kept = self.stability_margin_after
+        part = "" if kept >= 1 else f"; STABILITY of the sampled loop is proved for {kept:.3g} of the set only"
+        return f"{super().headline()}; mu of robust performance: {before:.4g} before, {after:.4g} sampled{part}"
 
     def facts(self) -> Facts:
         """Those of the controller, and mu before and after."""
