@@ -106,7 +106,7 @@ class Scales:
     inertia: float = 1.0  # force per acceleration at the port
     input: float = 1.0  # largest absolute value of the site's input
     output: float = 1.0  # half the range of the site's output
-    zero: float = 0.03  # by how much a sensor's zero may be off, over `output`
+    zero: float = 0.1  # by how much a sensor's zero may be off, over `output`
     current: float = 1.0  # largest absolute current
     # dt, duration: sample time and length of the record in s
     dt: float = 1e-3

@@ -220,7 +220,7 @@ class SensorGain(SignalGain):
     equation = "y' = s y"
     independently = "move the axis by a length or angle known from elsewhere (a gauge, counted turns) and compare"
     site_kind = "output"
-    spread = 0.08
+    spread = 0.1  # as of an input's gain: of one path no record tells them apart
     meaning = "what is recorded over what is there"
     output = SignalGain.scaled
 

@@ -254,6 +254,33 @@ def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, l
     assert "a lateness of" in found.headline()
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("pair", "gain", "bias", "apart", "kinds"),
+    [
+        (("input-gain", "sensor-gain"), 1.12, 0.0, 0.1, ["factor"]),
+        (("constant-load", "sensor-bias"), 1.0, 2e-3, 0.3, []),
+    ],
+)
+def test_gains_and_zeros_of_one_path_are_equally_probable(seed, pair, gain, bias, apart, kinds):
+    """What a gain does before a linear plant it does behind it; a bias of a spring's end is a load on it."""
+    rng = np.random.default_rng(seed)
+    m, c, k = rng.uniform(0.5, 5.0), rng.uniform(1.0, 30.0), rng.uniform(60.0, 400.0)
+    plant = rl.StateSpaceModel(
+        [[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]],
+        states=[("q", "m"), ("v", "m/s")], inputs=[("u", "N")], outputs=[("q", "m")],
+    )  # fmt: skip
+    t = 5e-3 * np.arange(600)
+    u = np.repeat(rng.uniform(-3.0, 3.0, 30), 20)
+    clean = rl.simulate(plant, t, {"u": gain * u})["q"] + bias
+    record = rl.Record(t, {"u": u}, noisy({"q": clean}, seed, 1e-4), {"u": "N", "q": "m"}, name="twins")
+    found = rl.discover(plant, record, exclude=tuple(set(catalogue()) - set(pair)))
+    by_names = {s.names: s.probability for s in found.posterior}
+    assert abs(np.log(by_names[pair[:1]] / by_names[pair[1:]])) < apart
+    assert [kind.kind for kind in found.kinds] == kinds
+    assert found.verdict == ("named" if kinds else "ambiguous")
+
+
 # --- a misfit --------------------------------------------------------------------------------------------------------
 
 
