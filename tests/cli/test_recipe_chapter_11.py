@@ -46,7 +46,7 @@ def test_with_the_right_friction_nothing_is_contradicted(tmp_path):
 
 
 # Looking for every effect of the catalogue takes minutes; the slow test does, the other looks for these.
-TRIED = ("coulomb-friction", "presliding", "gear-efficiency", "resistance", "viscous-friction")
+TRIED = ("coulomb-friction", "presliding", "gear-efficiency")
 
 
 def test_the_square_wave_tells_the_friction_and_its_level():
