@@ -605,17 +605,17 @@ The platform's equations beside two other programs: [stewart.txt](../benchmarks/
 def new_cases() -> str:
     """What was answered of the next seed of the open benchmark, asked once."""
     rows = [
-        groups("naming_2028.txt", rf"^{what} +(\d+)/(\d+)")
+        groups("naming_2027.txt", rf"^{what} +(\d+)/(\d+)")
         for what in (
             "singles that the records can tell: right", "pairs: both, and no third", "singles: sure and wrong",
             "nothing missing: a name all the same",
         )
     ]  # fmt: skip
-    (count,) = groups("naming_2028.txt", r"^(\d+) cases")
+    (count,) = groups("naming_2027.txt", r"^(\d+) cases")
     (right, of), (both, pairs), (wrong, singles), (false, nothing) = rows
     return (
         f"{count} new cases since, asked once ([rows and misses]"
-        f"(../benchmarks/results/naming_2028.txt)): {right} of {of} singles that the records can tell where 97 % are wanted "
+        f"(../benchmarks/results/naming_2027.txt)): {right} of {of} singles that the records can tell where 97 % are wanted "
         f"{MISSED}, {both} of {pairs} pairs where 85 % are {MISSED}, {wrong} of {singles} singles sure and wrong {MISSED}, "
         f"{false} of {nothing} false names."
     )
