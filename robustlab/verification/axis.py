@@ -61,7 +61,7 @@ from robustlab.verification.balls import (
 )
 from robustlab.verification.claim import PROVED, Blurred, Verdict, Work, not_proved
 from robustlab.verification.forms import Form, Quadratic
-from robustlab.verification.models import Model, balanced, on_the_axis, reciprocal, shifted
+from robustlab.verification.models import Model, balanced, exponents, on_the_axis, reciprocal, shifted
 
 BLURRED = 1e-6  # radii of a row that are larger than this part of its diagonal: more bits are asked for
 UNDECIDED = Definite(False, math.nan)
@@ -184,18 +184,46 @@ def regular_within(H: Matrix, r: float) -> bool:
 
 
 def _bases(hint: np.ndarray, r: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Hints W, V: units for each row where ``d H`` is small, else eigenvectors, if no real eigenvalue is in the way."""
-    n = len(hint)
+    """Hints W, V, from plain to costly; none if a real eigenvalue is in the way.
+
+    Units for each row where ``d H`` is small; the same of H made triangular, small where its eigenvalues are, however
+    far from normal it is; eigenvectors.
+    """
     try:
-        units = np.linalg.solve(np.eye(n) - r * np.abs(hint), np.ones(n))
-        if (units > 0).all():
+        if (units := _units(hint, r)) is not None:
             yield np.diag(1 / units), np.diag(units)
             return
         values, vectors = np.linalg.eig(hint)
+        if np.abs(values).max() * r < 1:
+            level = np.exp2(exponents(np.abs(hint), hint[:, :0].real, hint[:0].real))
+            even = level[:, None] * hint / level
+            Q = _triangularising(even)
+            if (units := _units(np.triu(Q.conj().T @ even @ Q), r)) is not None:
+                yield Q.conj().T / units[:, None] * level, Q * units / level[:, None]
         if not ((np.abs(values) * r >= 1) & (np.abs(np.imag(values)) <= ALIKE * np.abs(values))).any():
             yield np.linalg.inv(vectors), vectors
     except np.linalg.LinAlgError:
         return
+
+
+def _units(H: np.ndarray, r: float) -> np.ndarray | None:
+    """Positive u (n,) with ``u - r |H| u = 1``; None where the spectral radius of ``r |H|`` is one or more."""
+    units = np.linalg.solve(np.eye(len(H)) - r * np.abs(H), np.ones(len(H)))
+    return units if (units > 0).all() else None
+
+
+def _triangularising(H: np.ndarray) -> np.ndarray:
+    """Q, unitary, with ``Q^* H Q`` upper triangular but for rounding: an eigenvector of what is left is put first."""
+    n = len(H)
+    Q, T = np.eye(n, dtype=complex), H.astype(complex)
+    for k in range(n - 1):
+        values, vectors = np.linalg.eig(T[k:, k:])
+        x = vectors[:, [int(np.argmax(np.abs(values)))]]
+        turn = np.linalg.qr(np.hstack([x, np.eye(n - k)]))[0]
+        T[k:] = turn.conj().T @ T[k:]
+        T[:, k:] = T[:, k:] @ turn
+        Q[:, k:] = Q[:, k:] @ turn
+    return Q
 
 
 def _dominant(H: Matrix, r: float, W: Matrix, V: Matrix) -> bool:

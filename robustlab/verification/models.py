@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from flint import arb
+from numpy.typing import NDArray
 
 from robustlab.errors import InputError
 from robustlab.verification.balls import (
@@ -240,12 +241,18 @@ def balanced(G: Model) -> Model:
     sizes = [np.abs(midpoints(X)) for X in (G.A, G.B, G.C)]
     if not all(np.isfinite(X).all() for X in sizes):
         return G
-    A, B, C = (np.log2(np.maximum(X, TINY)) for X in sizes)
+    unit = exponents(*sizes)
+    T, back = (diagonal([arb(2) ** int(sign * x) for x in unit]) for sign in (1, -1))
+    return Model(T * G.A * back, T * G.B, G.C * back, G.D, G.dt)
+
+
+def exponents(A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Powers of two (n,) for the rows of A and B that make each row as large as its column, in A and C."""
+    A, B, C = (np.log2(np.maximum(X, TINY)) for X in (A, B, C))
     np.fill_diagonal(A, np.log2(TINY))
-    unit = np.zeros(G.n)
-    for i in list(range(G.n)) * SWEEPS:
+    unit = np.zeros(len(A))
+    for i in list(range(len(A))) * SWEEPS:
         row = max((A[i] + unit[i] - unit).max(initial=-np.inf), B[i].max(initial=-np.inf) + unit[i])
         column = max((A[:, i] - unit[i] + unit).max(initial=-np.inf), C[:, i].max(initial=-np.inf) - unit[i])
         unit[i] += np.rint((column - row) / 2) if np.isfinite(column - row) else 0
-    T, back = (diagonal([arb(2) ** int(sign * x) for x in unit]) for sign in (1, -1))
-    return Model(T * G.A * back, T * G.B, G.C * back, G.D, G.dt)
+    return unit

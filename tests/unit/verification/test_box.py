@@ -114,3 +114,14 @@ def test_a_few_boxes_for_a_resonance(zeta):
         assert axis.axis(G, [(0.0, np.inf, forms.gain_form(1, 1, peak * (1 + 1e-9)))], work).proved
         assert work.boxes <= 12
         assert not axis.axis(G, [(0.0, np.inf, forms.gain_form(1, 1, peak * (1 - 1e-9)))], Work(1000)).proved
+
+
+@pytest.mark.parametrize("n", [3, 5])
+def test_far_from_normal_is_regular_where_its_eigenvalues_are_small(n):
+    """A Jordan block of 1/2 with 50 beside it, turned: |H| has a radius far above 1, and there are no eigenvectors."""
+    Q = np.linalg.qr(np.random.default_rng(n).standard_normal((n, n)))[0]
+    H = Q @ (0.5 * np.eye(n) + 50.0 * np.eye(n, k=1)) @ Q.T
+    assert np.abs(np.linalg.eigvals(np.abs(H))).max() > 10
+    with balls.precision(BITS):
+        assert axis.regular_within(balls.exact(H.astype(complex)), 1.0)
+        assert not axis.regular_within(balls.exact(H.astype(complex)), 2.01)
