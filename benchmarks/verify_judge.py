@@ -86,7 +86,8 @@ def judge(kind: str, numbers: Numbers, proved: bool, hints: Sequence[Any] = (), 
         found = _singular(numbers, ALLOWANCE) if kind == "mu-lower" else _unstable(numbers, ALLOWANCE)
         return "" if found else "unconfirmed: no such Delta was found"
     if kind == "mu-upper":
-        return _of_mu(numbers, rng) if proved else _confirmed(_singular(numbers, 1.0))
+        found = _of_mu(numbers, rng)
+        return found if proved else _confirmed(found.startswith("false") or _singular(numbers, 1.0))
     if kind == "mu-upper-boxes":
         return _of_matrix_boxes(kind, numbers) if proved else "unconfirmed: nothing can refute it"
     if not proved:
