@@ -195,7 +195,8 @@ def _bases(hint: np.ndarray, r: float) -> Iterator[tuple[np.ndarray, np.ndarray]
             return
         values, vectors = np.linalg.eig(hint)
         if np.abs(values).max() * r < 1:
-            level = np.exp2(exponents(np.abs(hint), hint[:, :0].real, hint[:0].real))
+            sizes = np.abs(hint)
+            level = np.exp2(exponents(sizes, sizes[:, :0], sizes[:0]))
             even = level[:, None] * hint / level
             Q = _triangularising(even)
             if (units := _units(np.triu(Q.conj().T @ even @ Q), r)) is not None:
