@@ -19,6 +19,7 @@ from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothe
 from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.naming import answer as module
 from robustlab.identification.naming import posterior as posterior_module
+from robustlab.identification.naming import set_search
 from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.materiality import Errors, _matters
 from robustlab.identification.naming.named_effects import EffectValue, KindMember, NamedKind
@@ -437,12 +438,19 @@ def test_a_hysteretic_spring_that_never_yields_is_refused_by_the_search():
     assert not yielding(3.0 * own.scales.position)
 
 
-def test_no_pair_is_believed_before_every_single_effect_was_fitted():
+def test_no_pair_is_believed_before_every_single_effect_was_asked_in_full(monkeypatch):
     """A look that keeps one effect a round passes over most of them."""
+    asked, plain = [], set_search.single_fits
+
+    def spied(problem, best, pool, *rest):
+        asked.append((best.hypothesis, {c.key for c in pool}))
+        return plain(problem, best, pool, *rest)
+
+    monkeypatch.setattr(set_search, "single_fits", spied)
     short = {"kept_second": 1, "kept_last": 1, "kept_gains": 0, "most_scored": 1}
     found = searched(machine(friction=20.0, load=8.0, seed=3), **short)
     assert found.best.key == {FRICTION, LOAD}
-    assert {frozenset({key}) for key in POOL} <= {v.key for v in found.sets}
+    assert [keys for _, keys in asked] == [set(POOL)]
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------

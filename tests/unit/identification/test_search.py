@@ -89,11 +89,17 @@ def test_two_names_for_one_are_merged(seen_late):
     assert len(found.best.key) < max(len(v.key) for v in found.sets)
 
 
-def test_an_effect_that_came_first_and_only_stood_for_others_is_dropped(seen_late):
-    first = "asymmetric-viscous-friction @ v"
+def test_an_effect_that_came_first_and_only_stood_for_others_is_dropped(seen_late, monkeypatch):
+    first, told, plain = "asymmetric-viscous-friction @ v", [], module._Search._sharpen
+
+    def sharpened(search):
+        told.append(search._told().key)
+        plain(search)
+
+    monkeypatch.setattr(module._Search, "_sharpen", sharpened)
     seen_late(1, FRICTION, LOAD)
     found = searched(machine(friction=20.0, load=8.0), (first, FRICTION, LOAD))
-    assert any(v.key == {first} for v in found.sets)
+    assert told[0] == {first}
     assert found.best.key == {FRICTION, LOAD}
     assert found.settled
 
