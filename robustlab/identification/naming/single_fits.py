@@ -15,11 +15,13 @@ from concurrent.futures import Executor
 
 import numpy as np
 
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, NoiseModel, Problem
+from robustlab.arrays import Array
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import first_noise
 
 TIMES = 10.0  # the V of the best set under the sensors' noise, which a single effect that explains as much comes near
 Said = Callable[[int, int], None]
+Begin = tuple[Hypothesis, Array, Sequence[Array]]  # what is fitted, its standardised parameters, the windows' starts
 
 
 def single_fits(
@@ -49,19 +51,18 @@ def single_fits(
         said(done, len(jobs) + tuning.kept_last)
     first = sorted((f for f in lowest.values() if f.cost < most), key=lambda f: f.cost)[: tuning.kept_last]
 
-    def full(fit: Fit) -> Fit:
-        whole = problem.fit(fit.hypothesis, wide, fit.z, fit.starts, FitPlan(tuning.full, 0.05))
-        return problem.fit(
-            fit.hypothesis, best.noise, whole.z, whole.starts, FitPlan(tuning.full, 0.05, ceiling=ceiling)
-        )
+    def full(begin: Begin) -> Fit:
+        hypothesis, z, starts = begin
+        whole = problem.fit(hypothesis, wide, z, starts, FitPlan(tuning.full, 0.05))
+        return problem.fit(hypothesis, best.noise, whole.z, whole.starts, FitPlan(tuning.full, 0.05, ceiling=ceiling))
 
-    plain = list(workers.map(full, first))
+    plain = list(workers.map(full, ((f.hypothesis, f.z, f.starts) for f in first)))
     yield from plain
-    yield from workers.map(full, _refined(problem, plain, pool, wide))
+    yield from workers.map(full, _refined(problem, plain, pool))
 
 
-def _refined(problem: Problem, fits: Sequence[Fit], pool: Sequence[Candidate], noise: NoiseModel) -> Iterator[Fit]:
-    """What refines the effects of these fits, begun where they stand; not fitted yet."""
+def _refined(problem: Problem, fits: Sequence[Fit], pool: Sequence[Candidate]) -> Iterator[Begin]:
+    """Where what refines the effects of these fits begins: where they stand."""
     n = len(problem.nuisances)
     for fit in fits:
         (there,) = fit.hypothesis.candidates
@@ -71,4 +72,4 @@ def _refined(problem: Problem, fits: Sequence[Fit], pool: Sequence[Candidate], n
                 for start in candidate.starts:
                     kept = {**start, **{name: x for name, x in values.items() if name in start}}
                     z = np.append(fit.z[:n], candidate.standardised(kept))
-                    yield problem.fit(Hypothesis((candidate,)), noise, z, fit.starts, FitPlan(0))
+                    yield Hypothesis((candidate,)), z, fit.starts

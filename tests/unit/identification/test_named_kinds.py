@@ -229,11 +229,8 @@ def test_a_mixture_has_the_mean_and_the_ends_of_its_members():
 # --- twins by algebra ------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=6, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
-@given(seed=st.integers(0, 10_000), late=st.floats(2.5, 9.4))
-def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, late):
-    """Random masses, dampings, springs; any delay, in parts of a sample too."""
-    rng = np.random.default_rng(seed)
+def path(rng):
+    """A mass on a spring and a damper, three seconds, and steps of its force."""
     m, c, k = rng.uniform(0.5, 5.0), rng.uniform(1.0, 30.0), rng.uniform(60.0, 400.0)
     plant = rl.StateSpaceModel(
         [[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]],
@@ -241,6 +238,15 @@ def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, l
     )  # fmt: skip
     t = 5e-3 * np.arange(600)
     u = np.repeat(rng.uniform(-3.0, 3.0, 30), 20)
+    return plant, t, u
+
+
+@settings(max_examples=6, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@given(seed=st.integers(0, 10_000), late=st.floats(2.5, 9.4))
+def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, late):
+    """Random masses, dampings, springs; any delay, in parts of a sample too."""
+    rng = np.random.default_rng(seed)
+    plant, t, u = path(rng)
     shifted = np.concatenate([np.full(round(10 * late), u[0]), np.repeat(u, 10)])[:6000]
     clean = rl.simulate(plant, 5e-4 * np.arange(6000), {"u": shifted})["q"][::10]
     record = rl.Record(t, {"u": u}, noisy({"q": clean}, seed, 1e-4), {"u": "N", "q": "m"}, name="late")
@@ -266,13 +272,7 @@ def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, l
 def test_gains_and_zeros_of_one_path_are_equally_probable(seed, pair, gain, bias, apart, kinds):
     """What a gain does before a linear plant it does behind it; a bias of a spring's end is a load on it."""
     rng = np.random.default_rng(seed)
-    m, c, k = rng.uniform(0.5, 5.0), rng.uniform(1.0, 30.0), rng.uniform(60.0, 400.0)
-    plant = rl.StateSpaceModel(
-        [[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]],
-        states=[("q", "m"), ("v", "m/s")], inputs=[("u", "N")], outputs=[("q", "m")],
-    )  # fmt: skip
-    t = 5e-3 * np.arange(600)
-    u = np.repeat(rng.uniform(-3.0, 3.0, 30), 20)
+    plant, t, u = path(rng)
     clean = rl.simulate(plant, t, {"u": gain * u})["q"] + bias
     record = rl.Record(t, {"u": u}, noisy({"q": clean}, seed, 1e-4), {"u": "N", "q": "m"}, name="twins")
     found = rl.discover(plant, record, exclude=tuple(set(catalogue()) - set(pair)))

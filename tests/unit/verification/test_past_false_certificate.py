@@ -72,10 +72,10 @@ def test_an_h2_norm_from_one_gramian(tmp_path, index):
     data = make_case(71, index).data["G"]
     G = rl.StateSpaceModel(data.A, data.B, data.C, data.D, data.dt)
     reached, seen = solve_continuous_lyapunov(G.A, -G.B @ G.B.T), solve_continuous_lyapunov(G.A.T, -G.C.T @ G.C)
-    value = np.sqrt(min(np.trace(G.C @ reached @ G.C.T), np.trace(G.B.T @ seen @ G.B)))
     exact = with_precision(lambda: h2_norm(system(Model(data.A, data.B, data.C, data.D, data.dt))))
-    if exact is None or not value < float(exact) * (1 - 1e-7):
-        pytest.skip("true, or unstable, by the rounding of its products on this processor")
+    value = np.sqrt(min(np.trace(G.C @ reached @ G.C.T), np.trace(G.B.T @ seen @ G.B)))
+    if exact is not None:  # on another processor the Gramian may be off the other way
+        value = min(value, float(exact) * (1 - 1e-6))
     claim = Claim("gramian", {**model_numbers(G), "P": 0.5 * (reached + reached.T), "value": np.array(value)})
     assert check(claim).outcome is not Outcome.PROVED
     assert command(written(tmp_path / "claim.h5", claim)) in (1, 4)
