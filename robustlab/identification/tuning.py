@@ -61,6 +61,10 @@ class NamingTuning(Tuning):
     hope: float = 2.0  # times the expected fall of V that a fit may still fall by: smaller gives up sooner
     longest_step: float = 2.0  # of a standardised parameter in one step
 
+    # Standard deviations of a parameter by which a fit may go on with the matrices of a nonlinear plant: they multiply
+    # what deviates from the motion alone, and are made anew where the fit ends.
+    near: float = 0.5
+
     # --- looks at single effects, rough and then fuller
     workers: int = 2
     # Order of the autoregression that makes errors white where they are noise; where something is still missing, whose

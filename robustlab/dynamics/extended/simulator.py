@@ -70,6 +70,7 @@ class SampledInput:
         pieces = samples[:, None] if hold == "zoh" else _pieces(samples, 1 if hold == "linear" else DEGREE)
         still = np.zeros((1, pieces.shape[1]))
         still[0, 0] = samples[0]
+        self._kept: dict[tuple[int, float], Array] = {}
         self._pieces = np.vstack([still, pieces])  # row k + 1: the interval after sample k; row 0: before the first
 
     def steps(self, sub: int, shift: float = 0.0) -> Array:
@@ -83,6 +84,16 @@ class SampledInput:
             if across.any():
                 found[:, r] += self._after(first + 1) @ across
         return found.reshape(-1, 2)
+
+    def steps_kept(self, sub: int, shift: float) -> Array:
+        """`steps`, kept: of several inputs mostly one is shifted anew."""
+        key = sub, shift
+        found = self._kept.get(key)
+        if found is None:
+            if len(self._kept) > KEPT_SHIFTS:
+                self._kept.clear()
+            found = self._kept[key] = self.steps(sub, shift)
+        return found
 
     def samples(self, shift: float = 0.0) -> Array:
         """The shifted input at the samples, (n,)."""
@@ -130,7 +141,9 @@ def _weights(a: float, w: float, terms: int) -> tuple[Array, Array]:
     return seen(a, 1.0, middle), seen(0.0, a + w - 1.0, middle - 1.0)
 
 
-KEPT_INPUTS = 8  # shifted inputs that a simulator keeps
+KEPT_SIGNALS = 256  # sampled inputs of all records
+KEPT_INPUTS = 8  # sets of shifted inputs that a simulator keeps
+KEPT_SHIFTS = 16  # shifts of one of them
 KEPT_MOTIONS = 24  # parameter values about a motion that a simulator keeps
 POINTS = 60  # of a motion that stand for it where a plant's places are asked for
 STEPS_A_PERIOD = 20  # of the plant's fastest oscillation
@@ -236,7 +249,7 @@ class Simulator:
         holds = ("zoh",) * len(plant.inputs) if hold is None else tuple(hold)
         if len(holds) != len(plant.inputs):
             raise InputError("simulation: hold", f"{len(holds)} of them", f"one for each of {len(plant.inputs)} inputs")
-        self._inputs = [SampledInput(column, kind) for column, kind in zip(u.T, holds, strict=True)]
+        self._inputs = [_kept_input(column.tobytes(), kind) for column, kind in zip(u.T, holds, strict=True)]
         self._steps: dict[tuple[float, ...], Array] = {}
         self._exponentials: dict[bytes, tuple[Array, Array, Array]] = {}
         self._models: dict[tuple[tuple[str, float], ...], PortModel] = {}
@@ -262,7 +275,7 @@ class Simulator:
         ``factors``: plant parameter -> factor of the nominal value.
         ``values``: parameters of each effect.
         ``x0``: plant states at the window starts, (n_windows, n_plant). States of effects start at zero and are carried
-        over from window to window.
+        over from window to window. Further rows are further runs through all windows, each as if it were alone.
         ``windows``: where they lie.
         ``shift``: time in s by which the plant sees each input later than the record says, (n_u,); negative: earlier.
         ``near``: of a nonlinear plant: factors and values near by whose matrices along the motion may stand for those
@@ -288,12 +301,17 @@ class Simulator:
         if model.D.any():
             u = [signal.samples(d / self.dt) for signal, d in zip(self._inputs, late, strict=True)]
             u = np.column_stack(self._mapped(u, values, self.dt))[windows.starts[:, None] + np.arange(windows.length)]
-        outputs = self.plain_outputs(states, about, model, u)
+        runs = np.split(states, len(states) // len(windows.starts)) if len(windows.starts) else [states]
+        outputs = np.concatenate([self._shown(self.plain_outputs(run, about, model, u), values) for run in runs])
+        return Motion(states, outputs, forces), about, model
+
+    def _shown(self, outputs: Array, values: Sequence[Mapping[str, float]]) -> Array:
+        """Outputs of one run after what effects do to them, in place."""
         for (effect, site), v in zip(self.effects, values, strict=True):
             if site.kind == "output":
                 k = [s.name for s in self.plant.outputs].index(site.name)
                 outputs[:, :, k] = effect.output(outputs[:, :, k], v, self.dt)
-        return Motion(states, outputs, forces), about, model
+        return outputs
 
     def laws(self, values: Sequence[Mapping[str, float]]) -> list[Law]:
         """The force laws of all effects."""
@@ -387,7 +405,7 @@ class Simulator:
         if steps is None:
             if len(self._steps) > KEPT_INPUTS:
                 self._steps.clear()
-            halves = [s.steps(self.sub, d / self.dt) for s, d in zip(self._inputs, late, strict=True)]
+            halves = [s.steps_kept(self.sub, d / self.dt) for s, d in zip(self._inputs, late, strict=True)]
             steps = self._steps[late] = np.hstack([np.column_stack([h[:, k] for h in halves]) for k in (0, 1)])
             if all(s.hold == "zoh" for s in self._inputs) and not any(late):
                 steps = self._steps[late] = np.ascontiguousarray(steps[:, : len(late)])
@@ -430,7 +448,7 @@ class Simulator:
             table.phi, table.gamma_u, np.array([whole, push, push]), velocity, position, table.drift, table.stride
         )
         addresses = np.array([law.function.address for law in laws], dtype=np.uintp)
-        count = len(windows.starts)
+        count = len(x0)
         states = np.empty((count, windows.length, n))
         forces = np.zeros((count, windows.length, n_laws))
         start = np.zeros((count, n))
@@ -459,6 +477,12 @@ class Simulator:
                 self._exponentials.clear()
             self._exponentials[key] = exponential(a, h)
         return self._exponentials[key]
+
+
+@lru_cache(maxsize=KEPT_SIGNALS)
+def _kept_input(samples: bytes, hold: Hold) -> SampledInput:
+    """`SampledInput`, one for all simulators of a record."""
+    return SampledInput(np.frombuffer(samples), hold)
 
 
 @lru_cache(maxsize=32)

@@ -91,7 +91,8 @@ class Run(NamedTuple):
     u (n_samples * sub, columns of gamma_u), steps of h seconds from the time t0, ``sub`` of them a sample; first
     samples of the windows (n_windows,), each ``length`` samples long, and their initial states x0 (n_windows, n). Of
     these the first ``own`` belong to the plant; those of effects are used in the first window and carried over
-    afterwards. Without ``halves`` each step is made once, whole.
+    afterwards. Further rows of x0 are further runs through all windows, which know nothing of each other. Without
+    ``halves`` each step is made once, whole.
     """
 
     u: Any
@@ -159,16 +160,15 @@ def step_windows(  # type: ignore[no-untyped-def]
     u, h, t0, sub, starts, length, x0, own, halves,
     states, forces,
 ):  # fmt: skip
-    """Simulate windows one after the other.
+    """Simulate windows one after the other; with more rows of x0 than windows, all of them several times.
 
     laws (n_laws,), their addresses; parameters (n_laws, n_p), memory (n_laws, n_z; changed in place) of the laws; the
-    entries of `HeldSteps`; those of `Run`; states (n_windows, length, n) and forces (n_windows, length, n_laws; their
+    entries of `HeldSteps`; those of `Run`; states (rows of x0, length, n) and forces (rows of x0, length, n_laws; their
     means over the sample before) are written.
     """
     n, n_u, n_z = phi.shape[2], gamma_u.shape[3], memory.shape[1]
     n_laws = forces.shape[2]
     x = np.zeros((4, n))  # at the start, after a whole step, in its middle, after two halves
-    x[0] = x0[0]
     f = np.zeros((3, n_laws))
     mean = np.zeros(n_laws)  # of the forces over the sample so far
     seen = np.zeros(N_SEEN)
@@ -185,16 +185,20 @@ def step_windows(  # type: ignore[no-untyped-def]
     _compliances(position, velocity, gamma_f, at, gq, gv)
     sweeps = SWEEPS if n_laws > 1 else 1
     parts = 3 if n_laws and halves else 1
-    for w in range(starts.shape[0]):
-        for i in range(own):
-            x[0, i] = x0[w, i]
+    first = memory.copy()
+    for run in range(x0.shape[0]):
+        w = run % starts.shape[0]
+        for i in range(own if w else n):
+            x[0, i] = x0[run, i]
+        if w == 0:
+            memory[:] = first
         f[:] = 0.0
         mean[:] = 0.0
         for k in range(length):
             for i in range(n):
-                states[w, k, i] = x[0, i]
+                states[run, k, i] = x[0, i]
             for j in range(n_laws):
-                forces[w, k, j] = mean[j]
+                forces[run, k, j] = mean[j]
                 mean[j] = 0.0
             for s in range(sub):
                 row = (starts[w] + k) * sub + s

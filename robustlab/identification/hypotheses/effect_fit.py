@@ -39,13 +39,12 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales,
 from robustlab.dynamics.extended.simulator import Hold, Simulator, Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
-from robustlab.identification.hypotheses.normal_equations import Linearised, damped, sandwich
+from robustlab.identification.hypotheses.normal_equations import Linearised, NoiseModel, Prior, damped, sandwich
 from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 from robustlab.identification.tuning import TUNING, NamingTuning
 
 Effects = Sequence[tuple[Effect, Site]]
-WILD = 1e6  # errors beyond this many standard deviations count as this
 DIVERGED = 1e100  # an output that is no number any more; only what the record lacks is a missing error
 
 
@@ -103,19 +102,6 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseModel:
-    """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) per measured output.
-
-    ``excess`` is the factor of the variance by which ``std`` is above what the errors themselves have: errors of a
-    model come in one piece, and tell less than as many independent ones (`independent`).
-    """
-
-    std: Array
-    ar: Array
-    excess: float = 1.0
-
-
-@dataclass(frozen=True, eq=False)
 class Fit:
     """One fitted hypothesis."""
 
@@ -160,20 +146,14 @@ class FitPlan:
     ceiling: float = np.inf
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """Normal prior of the standardised parameters: mean (n,) and precision, the inverse of the covariance, (n, n)."""
+class _Place(NamedTuple):
+    """Where a fit stands: z, starts and residuals of each record, V, and of which z its matrices are."""
 
-    mean: Array
-    precision: Array
-
-    def cost(self, z: Array) -> float:
-        """Its share of V."""
-        return float((z - self.mean) @ self.precision @ (z - self.mean))
-
-    def gradient(self, z: Array) -> Array:
-        """Of its share of V / 2."""
-        return self.precision @ (z - self.mean)
+    z: Array
+    xi: Sequence[Array]
+    residual: Sequence[Array]
+    cost: float
+    around: Array
 
 
 class Problem:
@@ -291,7 +271,7 @@ class Problem:
     ) -> list[Array]:  # fmt: skip
         """Averaged errors of the chosen windows, one array (n_windows, n_points, n_y) a record; NaN without samples.
 
-        ``near``: z near by, of which a nonlinear plant's matrices may be (`Simulator.run`).
+        ``near``: z near by, of which a nonlinear plant's matrices, and the motion they are about, may be.
         """
         return [
             self._record_errors(k, simulator, hypothesis, z, starts[k], near)
@@ -301,12 +281,17 @@ class Problem:
     def _record_errors(
         self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array, near: Array | None = None
     ) -> Array:
+        """Averaged errors of one record's chosen windows; of several starts of each (copies, n_windows, n_x), one copy
+        after the other.
+        """
         record, chosen = self.records[k], self.chosen[k]
         around = None if near is None else self.split(hypothesis, near)
         with np.errstate(all="ignore"):
             outputs = self.outputs(k, simulator, self.setting(hypothesis, z), xi, around)
         outputs = np.nan_to_num(outputs, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
-        return averaged(record.measured[chosen] - outputs, record.thin)
+        measured = record.measured[chosen]
+        errors = measured - outputs.reshape(-1, *measured.shape)
+        return averaged(errors.reshape(-1, *measured.shape[1:]), record.thin)
 
     def outputs(
         self,
@@ -317,7 +302,7 @@ class Problem:
         near: tuple[dict[str, float], list[dict[str, float]]] | None = None,
     ) -> Array:
         """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured); ``near`` as of
-        `Simulator.run`.
+        `Simulator.run`. Of several starts of each window, xi (copies, n_windows, n_x), one copy after the other.
         """
         factors, values, shift = setting
         record, chosen = self.records[k], self.chosen[k]
@@ -325,14 +310,17 @@ class Problem:
             values = [e.begun(v, record.begun) for (e, _), v in zip(simulator.effects, values, strict=True)]
         everything = len(chosen) < record.count and any(effect.long_memory for effect, _ in simulator.effects)
         used = np.arange(record.count) if everything else chosen
-        x0 = self.starts_seen(k, simulator, values)
-        x0[chosen] += record.x0_std[chosen] * xi
+        at = np.flatnonzero(np.isin(used, chosen))
+        own = self.starts_seen(k, simulator, values)[used]
+        x0 = np.tile(own, (len(xi) if xi.ndim == 3 else 1, 1, 1))
+        x0[:, at] += record.x0_std[chosen] * xi
         windows = Windows(record.windows.starts[used], record.windows.length)
-        simulator = self._about_what_happened(k, simulator, values)
-        self.work.append(len(used) * windows.length * simulator.sub * (1 if simulator.rough else 3))
-        motion = simulator.run(factors, values, x0[used], windows, shift, near)
-        outputs = motion.outputs[:, :, list(record.columns)]
-        return outputs[chosen] if everything else outputs
+        # The motion about which a plant is linear may be that of values near by: what deviates from it is linear, too.
+        simulator = self._about_what_happened(k, simulator, values if near is None else near[1])
+        self.work.append(len(x0) * len(used) * windows.length * simulator.sub * (1 if simulator.rough else 3))
+        motion = simulator.run(factors, values, x0.reshape(-1, x0.shape[2]), windows, shift, near)
+        outputs = motion.outputs[:, :, list(record.columns)].reshape(*x0.shape[:2], windows.length, -1)[:, at]
+        return outputs.reshape(-1, *outputs.shape[2:])
 
     def _about_what_happened(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Simulator:
         """Of a nonlinear plant whose sensors are scaled, biased or late: the simulator about the motion as it was."""
@@ -342,7 +330,7 @@ class Problem:
 
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
         """Residuals (n_windows, n_points * n_y) a record; missing points are zero."""
-        return [_whiten(e, noise) for e in errors]
+        return [noise.whitened(e) for e in errors]
 
     def starts_seen(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Array:
         """States at all window starts of one record, as they are where its sensors have these effects."""
@@ -402,6 +390,9 @@ class Problem:
         ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from elsewhere
         (`derivatives`) to save their simulations in a first look. ``prior``: of the standardised parameters; what other
         data told of them. The standard normal one where left out.
+
+        A nonlinear plant's matrices along its motion are made anew where z has gone far from where they were made, and
+        where the fit ends, but not in a draft: they multiply what deviates from that motion.
         """
         fixed, tolerance = plan.fixed, plan.tolerance
         z = np.array(z, dtype=float)
@@ -411,48 +402,63 @@ class Problem:
         simulators = self.simulators(hypothesis)
         forced = simulators[0].laws(self.split(hypothesis, z)[1]) and not plan.robust
         quick = self.quick(hypothesis) if forced else simulators
+
+        def at(z: Array, xi: Sequence[Array], around: Array) -> _Place:
+            residual = self.whitened(self.errors(hypothesis, z, xi, simulators, around), noise)
+            return _Place(z, xi, residual, _total(residual, xi) + own.cost(z), around)
+
+        def exact(there: _Place) -> _Place:
+            return there if self._distance(there) == 0.0 else at(there.z, there.xi, there.z)
+
         damping, count, rounds = self.tuning.damping, 0, plan.iterations
-        residual = self.whitened(self.errors(hypothesis, z, xi, simulators), noise)
-        cost = _total(residual, xi) + own.cost(z)
+        here = at(z, xi, z)
         hessian = own.precision
         parts: list[Linearised] = []
         while rounds > 0 or not plan.draft:
             parts = [
-                self._linearised(
-                    k, hypothesis, z, xi[k], residual[k], quick[k], noise, fixed, borrowed[k] if borrowed else None
-                )
+                self._linearised(k, hypothesis, here, quick[k], noise, fixed, borrowed[k] if borrowed else None)
                 for k in range(len(xi))
             ]
             count += 1
             hessian = own.precision + sum(p.reduced(0.0).hessian for p in parts)
-            fall = self._expected(own.gradient(z), hessian, parts, fixed)
-            if rounds <= 0 or fall < tolerance or (count > 1 and cost - self.tuning.hope * fall > plan.ceiling):
+            fall = self._expected(own.gradient(here.z), hessian, parts, fixed)
+            if (rounds <= 0 or fall < tolerance) and self._distance(here) > 0.0:
+                here = exact(here)
+                parts = [p.with_residual(r, x) for p, r, x in zip(parts, here.residual, here.xi, strict=True)]
+                fall = self._expected(own.gradient(here.z), hessian, parts, fixed)
+            hopeless = count > 1 and here.cost - self.tuning.hope * fall > plan.ceiling
+            if rounds <= 0 or fall < tolerance or hopeless:
                 break
             improved = 0.0
             for _ in range(self.tuning.tries):
-                dz, dxi = self._step(z, own, parts, damping, fixed)
+                dz, dxi = self._step(here.z, own, parts, damping, fixed)
                 if not fixed and not borrowed:
-                    bent = self._bent(z, xi, residual, parts, hypothesis, simulators, noise, (dz, dxi), damping, own)
+                    bent = self._bent(here, parts, hypothesis, simulators, noise, (dz, dxi), damping, own)
                     dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
-                there, moved = self._within(z + dz), [x + d for x, d in zip(xi, dxi, strict=True)]
-                trial, found = residual, np.inf
-                for near in (z, None) if isinstance(self.plant, NonlinearPlant) else (None,):  # first at little cost
-                    trial = self.whitened(self.errors(hypothesis, there, moved, simulators, near), noise)
-                    found = _total(trial, moved) + own.cost(there)
-                    if not found < cost:
-                        break
-                if found < cost:
-                    improved, cost = cost - found, found
-                    z, xi, residual = there, moved, trial
+                there = at(self._within(here.z + dz), [x + d for x, d in zip(here.xi, dxi, strict=True)], here.around)
+                if there.cost < here.cost and not plan.draft and self._distance(there) > self.tuning.near:
+                    there = exact(there)
+                if there.cost < here.cost:
+                    improved, here = here.cost - there.cost, there
                     damping = max(0.1 * damping, self.tuning.least_damping)
                     break
                 damping = max(damping, self.tuning.damping) * 10.0
             rounds -= 1
-            if improved < max(tolerance, self.tuning.relative * cost):
+            if improved < max(tolerance, self.tuning.relative * here.cost):
                 break
-        window_cost = np.concatenate([(r**2).sum(1) + (x**2).sum(1) for r, x in zip(residual, xi, strict=True)])
+        if not plan.draft:
+            here = exact(here)
+        window_cost = np.concatenate(
+            [(r**2).sum(1) + (x**2).sum(1) for r, x in zip(here.residual, here.xi, strict=True)]
+        )
         covariance = sandwich(parts, hessian) if plan.robust else None
-        return Fit(hypothesis, z, tuple(xi), cost, window_cost, hessian, noise, count, covariance)
+        return Fit(hypothesis, here.z, tuple(here.xi), here.cost, window_cost, hessian, noise, count, covariance)
+
+    def _distance(self, there: _Place) -> float:
+        """Of the largest parameter from where a nonlinear plant's matrices were made; a linear one's are its own."""
+        if not isinstance(self.plant, NonlinearPlant):
+            return 0.0
+        return float(np.abs(there.z - there.around).max(initial=0.0))
 
     @staticmethod
     def _expected(slope: Array, hessian: Array, parts: Sequence[Linearised], fixed: bool) -> float:
@@ -483,25 +489,17 @@ class Problem:
         return dz, [-r.offset - r.slope @ dz for r in reduced]
 
     def _bent(
-        self,
-        z: Array,
-        xi: Sequence[Array],
-        residual: Sequence[Array],
-        parts: Sequence[Linearised],
-        hypothesis: Hypothesis,
-        simulators: Sequence[Simulator],
-        noise: NoiseModel,
-        step: tuple[Array, list[Array]],
-        damping: float,
-        prior: Prior,
-    ) -> tuple[Array, Sequence[Array]]:
+        self, here: _Place, parts: Sequence[Linearised], hypothesis: Hypothesis, simulators: Sequence[Simulator],
+        noise: NoiseModel, step: tuple[Array, list[Array]], damping: float, prior: Prior,
+    ) -> tuple[Array, Sequence[Array]]:  # fmt: skip
         """Second-order correction of a step (geodesic acceleration): valleys of V are curved, straight steps creep."""
         dz, dxi = step
-        ahead = [x + self.tuning.bend * d for x, d in zip(xi, dxi, strict=True)]
-        errors = self.whitened(self.errors(hypothesis, z + self.tuning.bend * dz, ahead, simulators, z), noise)
+        z, ahead = here.z, [x + self.tuning.bend * d for x, d in zip(here.xi, dxi, strict=True)]
+        there = z + self.tuning.bend * dz
+        errors = self.whitened(self.errors(hypothesis, there, ahead, simulators, here.around), noise)
         curved = [
             p.with_residual(2.0 / self.tuning.bend * ((e - r) / self.tuning.bend - p.along(dz, d)))
-            for p, r, e, d in zip(parts, residual, errors, dxi, strict=True)
+            for p, r, e, d in zip(parts, here.residual, errors, dxi, strict=True)
         ]
         reduced = [p.reduced(damping) for p in curved]
         gradient = sum((r.gradient for r in reduced), np.zeros_like(z))
@@ -515,54 +513,54 @@ class Problem:
         return np.zeros_like(dz), [np.zeros_like(d) for d in dxi]
 
     def _linearised(
-        self, k: int, hypothesis: Hypothesis, z: Array, xi: Array, residual: Array, simulator: Simulator,
-        noise: NoiseModel, fixed: bool, borrowed: tuple[Array, Array] | None,
+        self, k: int, hypothesis: Hypothesis, place: _Place, simulator: Simulator, noise: NoiseModel, fixed: bool,
+        borrowed: tuple[Array, Array] | None,
     ) -> Linearised:  # fmt: skip
         """Derivatives of one record's residuals by differences, with the window starts eliminated."""
+        z, xi, residual = place.z, place.xi[k], place.residual[k]
+        known = len(self.nuisances) if borrowed else 0
+        units = np.eye(len(z))[known:] if not fixed else np.zeros((0, len(z)))
+        own = None if simulator.rough and not self.clock.rough else residual
+        if borrowed:
+            over_z, _ = self._columns(k, simulator, hypothesis, z, xi, place.around, noise, units, False, own)
+            over_z = np.concatenate([borrowed[0] * self.moving(hypothesis), over_z], axis=2)
+            return Linearised.of(residual, over_z, borrowed[1], xi)
+        j, x = self._columns(k, simulator, hypothesis, z, xi, place.around, noise, units, True, own)
+        if fixed:
+            j = np.zeros((*residual.shape, len(z)))
+        return Linearised.of(residual, j, x, xi)
+
+    def _columns(
+        self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array, around: Array,
+        noise: NoiseModel, units: Array, starts: bool, here: Array | None = None,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Derivatives of one record's residuals along the units of z, and over the window starts where asked for.
+
+        All starts are moved in one simulation. ``here``: the residuals where both are as given; None: they are asked.
+        """
+        step, start_step = self.tuning.step, self.tuning.start_step
 
         def at(there: Array, start: Array) -> Array:
-            return _whiten(self._record_errors(k, simulator, hypothesis, there, start, z), noise)
+            errors = self._record_errors(k, simulator, hypothesis, there, start, around)
+            return noise.whitened(errors).reshape(*start.shape[:-1], -1)
 
-        here = at(z, xi) if simulator.rough and not self.clock.rough else residual
-
-        def moved(there: Array, start: Array, step: float) -> Array:
-            return (at(there, start) - here) / step
-
-        known = len(self.nuisances) if borrowed else 0
-        units = np.eye(len(z))[known:] if not fixed else []
-        columns = [moved(z + self.tuning.step * unit, xi, self.tuning.step)[:, :, None] for unit in units]
-        j = np.concatenate(columns, axis=2) if columns else np.zeros((*residual.shape, len(z)))
-        if borrowed:
-            over_z = borrowed[0] * self.moving(hypothesis)
-            return Linearised.of(residual, np.concatenate([over_z, j], axis=2), borrowed[1], xi)
-        x = [moved(z, xi + self.tuning.start_step * unit, self.tuning.start_step) for unit in np.eye(xi.shape[1])]
-        return Linearised.of(residual, j, np.stack(x, axis=2), xi)
+        moved = [xi + start_step * unit for unit in np.eye(xi.shape[1])] if starts else []
+        if here is None:
+            moved = [xi, *moved]
+        found = at(z, np.array(moved)) if moved else np.zeros((0, *xi.shape[:1], 0))
+        if here is None:
+            here, found = found[0], found[1:]
+        over_z = [(at(z + step * unit, xi) - here) / step for unit in units]
+        j = np.stack(over_z, axis=2) if over_z else np.zeros((*here.shape, 0))
+        return j, np.moveaxis((found - here) / start_step, 0, 2) if starts else np.zeros((*here.shape, 0))
 
     def derivatives(self, fit: Fit) -> list[tuple[Array, Array]]:
         """Derivatives of the residuals over the nuisances and over the window starts at a fit, a pair a record."""
-        pairs, step, start_step = [], self.tuning.step, self.tuning.start_step
-        for k, simulator in enumerate(self.simulators(fit.hypothesis)):
-            xi = fit.starts[k]
-
-            def residual(z: Array, start: Array, k: int = k, simulator: Simulator = simulator) -> Array:
-                return _whiten(self._record_errors(k, simulator, fit.hypothesis, z, start, fit.z), fit.noise)
-
-            here = residual(fit.z, xi)
-            over_z = [(residual(fit.z + step * e, xi) - here) / step for e in np.eye(len(fit.z))[: len(self.nuisances)]]
-            over_x = [(residual(fit.z, xi + start_step * e) - here) / start_step for e in np.eye(xi.shape[1])]
-            empty = np.zeros((*here.shape, 0))
-            pairs.append((np.stack(over_z, axis=2) if over_z else empty, np.stack(over_x, axis=2) if over_x else empty))
-        return pairs
-
-
-def _whiten(errors: Array, noise: NoiseModel) -> Array:
-    order = len(noise.ar)
-    e = errors[:, order:].copy()
-    for lag in range(order):
-        e -= noise.ar[lag] * errors[:, order - lag - 1 : errors.shape[1] - lag - 1]
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = np.nan_to_num(e / noise.std, nan=0.0, posinf=WILD, neginf=-WILD)
-    return np.clip(scaled, -WILD, WILD).reshape(len(e), e.shape[1] * e.shape[2])  # there may be no window at all
+        units = np.eye(len(fit.z))[: len(self.nuisances)]
+        return [
+            self._columns(k, simulator, fit.hypothesis, fit.z, fit.starts[k], fit.z, fit.noise, units, True)
+            for k, simulator in enumerate(self.simulators(fit.hypothesis))
+        ]
 
 
 def _total(residual: Sequence[Array], xi: Sequence[Array]) -> float:

@@ -1,4 +1,4 @@
-r"""Normal equations of a fit in which every window has a start of its own, which is eliminated.
+r"""Noise, prior and normal equations of a fit in which every window has a start of its own, which is eliminated.
 
 With the residuals r of a window, their derivatives J over the parameters z and X over the start :math:`\xi` of the
 window, a step minimises
@@ -22,6 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array
+
+WILD = 1e6  # errors beyond this many standard deviations count as this
 
 
 class Reduced(NamedTuple):
@@ -60,11 +62,11 @@ class Linearised:
         """Change of the residuals along a step, were they linear."""
         return self.j @ dz + (self.x @ dxi[:, :, None])[:, :, 0]
 
-    def with_residual(self, residual: Array) -> Linearised:
-        """The same derivatives with other residuals, and no start of its own."""
+    def with_residual(self, residual: Array, xi: Array | None = None) -> Linearised:
+        """The same derivatives with other residuals, at the starts xi; without any, of a change of the residuals."""
         scores = np.einsum("wmz,wm->wz", self.j, residual)
         xr = (np.swapaxes(self.x, 1, 2) @ residual[:, :, None])[:, :, 0]
-        return replace(self, jr=scores.sum(axis=0), xr=xr, scores=scores)
+        return replace(self, jr=scores.sum(axis=0), xr=xr if xi is None else xr + xi, scores=scores)
 
     @property
     def diagonal(self) -> Array:
@@ -100,3 +102,44 @@ def sandwich(parts: Sequence[Linearised], hessian: Array) -> Array:
     inverse = np.linalg.pinv(hessian)
     count = len(scores)
     return inverse @ (scores.T @ scores) @ inverse * (count / max(1, count - 1))
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) per measured output.
+
+    ``excess`` is the factor of the variance by which ``std`` is above what the errors themselves have: errors of a
+    model come in one piece, and tell less than as many independent ones (`independent`).
+    """
+
+    std: Array
+    ar: Array
+    excess: float = 1.0
+
+    def whitened(self, errors: Array) -> Array:
+        """Residuals (n_windows, n_points * n_y) of averaged errors (n_windows, n_points, n_y), each of variance one;
+        missing points are zero.
+        """
+        order = len(self.ar)
+        e = errors[:, order:].copy()
+        for lag in range(order):
+            e -= self.ar[lag] * errors[:, order - lag - 1 : errors.shape[1] - lag - 1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            scaled = np.nan_to_num(e / self.std, copy=False, nan=0.0, posinf=WILD, neginf=-WILD)
+        return np.clip(scaled, -WILD, WILD).reshape(len(e), e.shape[1] * e.shape[2])  # there may be no window at all
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Normal prior of the standardised parameters: mean (n,) and precision, the inverse of the covariance, (n, n)."""
+
+    mean: Array
+    precision: Array
+
+    def cost(self, z: Array) -> float:
+        """Its share of V."""
+        return float((z - self.mean) @ self.precision @ (z - self.mean))
+
+    def gradient(self, z: Array) -> Array:
+        """Of its share of V / 2."""
+        return self.precision @ (z - self.mean)

@@ -19,7 +19,8 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.kinds import KINDS
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, NoiseModel, Prior, Problem
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, Problem
+from robustlab.identification.hypotheses.normal_equations import NoiseModel, Prior
 from robustlab.identification.monitoring.change_test import Alternatives, ChangeTest, log_sum, told_by
 from robustlab.identification.monitoring.changes import Change, ColumnPlan
 from robustlab.identification.monitoring.watch_result import Growth

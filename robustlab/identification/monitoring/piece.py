@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, Problem
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.monitoring.change_test import PieceEquations
 from robustlab.identification.monitoring.changes import Change
 from robustlab.identification.naming.first_look import effect_columns, own_derivatives

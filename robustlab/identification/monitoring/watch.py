@@ -30,16 +30,9 @@ from robustlab.identification.hypotheses.candidates import (
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import (
-    Candidate,
-    Clock,
-    Fit,
-    FitPlan,
-    Hypothesis,
-    NoiseModel,
-    Problem,
-)
+from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import careful, first_noise, whitening
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, ports_of, prepare, window_length
 from robustlab.identification.monitoring.change_test import Alternatives, ChangeTest
 from robustlab.identification.monitoring.changes import Change, ColumnPlan, column_plan, possible_changes

@@ -28,6 +28,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import Linearised
 
+STARTS = 2  # of an effect, the best by what they promise, from which it is fitted where there are many effects
 NEGLIGIBLE = 1e-9  # of a column's own square: what the set refits makes all of it
 
 
@@ -47,7 +48,7 @@ class Start:
 def best_scored(
     problem: Problem, base: Fit, starts: Sequence[Start], most: int, workers: Executor, said: Callable[[int, int], None]
 ) -> list[Start]:
-    """The starts of at most so many effects, those that promise most; all where there are no more.
+    """The best starts of at most so many effects, those that promise most; all where there are no more.
 
     ``base``: the fit of the set in these windows. ``said``: called with the number of starts scored and to score.
     """
@@ -60,8 +61,12 @@ def best_scored(
         gains.append(gain)
         said(done, len(starts))
     order = sorted(range(len(starts)), key=lambda k: -gains[k])
-    kept = list(dict.fromkeys(starts[k].candidate.key for k in order))[:most]
-    return [s for s in starts if s.candidate.key in set(kept)]
+    kept: dict[str, list[int]] = {}
+    for k in order:
+        key = starts[k].candidate.key
+        if key in kept or len(kept) < most:
+            kept.setdefault(key, []).append(k)
+    return [starts[k] for k in sorted(k for own in kept.values() for k in own[:STARTS])]
 
 
 def own_derivatives(problem: Problem, base: Fit, residual: Sequence[Array]) -> list[tuple[Array, Array]]:

@@ -38,7 +38,6 @@ from robustlab.identification.hypotheses.effect_fit import (
     Fit,
     FitPlan,
     Hypothesis,
-    NoiseModel,
     Problem,
     refit_distance,
 )
@@ -52,6 +51,7 @@ from robustlab.identification.hypotheses.noise import (
     predictive,
     whitening,
 )
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without

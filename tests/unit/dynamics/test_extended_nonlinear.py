@@ -15,7 +15,8 @@ from robustlab.dynamics.extended import nonlinear_steps
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_equations import extended_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import ports_of, prepare
 from robustlab.identification.naming.updated_plant import updated_plant
 

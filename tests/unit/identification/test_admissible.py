@@ -9,7 +9,8 @@ from naming_cases import AXIS, T, U, noisy
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.discovery import admissible
 

@@ -19,14 +19,12 @@ from robustlab.identification.hypotheses.effect_fit import (
     Fit,
     FitPlan,
     Hypothesis,
-    NoiseModel,
     Problem,
     _total,
-    _whiten,
     simulated_outputs,
 )
 from robustlab.identification.hypotheses.noise import first_noise
-from robustlab.identification.hypotheses.normal_equations import Linearised
+from robustlab.identification.hypotheses.normal_equations import Linearised, NoiseModel
 from robustlab.identification.hypotheses.prepared_record import averaged, prepare
 
 AXIS = rl.plant("servo-axis")
@@ -248,20 +246,20 @@ def test_whitening_gives_the_innovations_back():
         e[:, k] = std * steps[:, k]
         for lag in (1, 2):
             e[:, k] += ar[lag - 1] * e[:, k - lag] if k >= lag else 0.0
-    found = _whiten(e, NoiseModel(std, ar)).reshape(3, 48, 2)
+    found = NoiseModel(std, ar).whitened(e).reshape(3, 48, 2)
     assert found == pytest.approx(steps[:, 2:], abs=1e-12)
 
 
 def test_a_missing_error_takes_its_point_and_those_that_need_it_out():
     e = np.ones((1, 6, 1))
     e[0, 2, 0] = np.nan
-    assert _whiten(e, NoiseModel(np.array([0.5]), np.array([[0.5]])))[0].tolist() == [1.0, 0.0, 0.0, 1.0, 1.0]
+    assert NoiseModel(np.array([0.5]), np.array([[0.5]])).whitened(e)[0].tolist() == [1.0, 0.0, 0.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize("shape", [(0, 30, 1), (3, 2, 2), (2, 1, 1), (0, 0, 2)])
 def test_no_window_or_fewer_points_than_the_autoregression_asks_for_are_nothing(shape):
     noise = NoiseModel(np.ones(shape[2]), np.full((3, shape[2]), 0.1))
-    assert _whiten(np.ones(shape), noise).shape == (shape[0], max(0, shape[1] - 3) * shape[2])
+    assert noise.whitened(np.ones(shape)).shape == (shape[0], max(0, shape[1] - 3) * shape[2])
 
 
 def test_a_parameter_of_the_value_zero_is_found_within_its_absolute_tolerance():
@@ -275,7 +273,7 @@ def test_a_parameter_of_the_value_zero_is_found_within_its_absolute_tolerance():
 
 def test_wild_errors_count_as_large_and_not_as_nothing():
     e = np.array([[[np.inf], [-np.inf], [1e300], [0.0]]])
-    assert _whiten(e, NoiseModel(np.array([1e-9]), np.zeros((0, 1))))[0].tolist() == [1e6, -1e6, 1e6, 0.0]
+    assert NoiseModel(np.array([1e-9]), np.zeros((0, 1))).whitened(e)[0].tolist() == [1e6, -1e6, 1e6, 0.0]
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])

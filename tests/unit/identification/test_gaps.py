@@ -13,8 +13,9 @@ from scipy.signal import cont2discrete
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import spans
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming import held_out_gaps as module
 from robustlab.identification.naming.held_out_gaps import held_out_gaps

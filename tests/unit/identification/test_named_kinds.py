@@ -15,8 +15,9 @@ from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, NoiseModel
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis
 from robustlab.identification.hypotheses.noise import first_noise
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.naming import answer as module
 from robustlab.identification.naming import posterior as posterior_module
 from robustlab.identification.naming import set_search

@@ -11,7 +11,8 @@ import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Hypothesis, Problem
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.set_search import clock_nuisances, held_inputs, short_steps, step_error
 from robustlab.identification.tuning import TUNING

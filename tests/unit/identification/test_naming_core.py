@@ -18,13 +18,13 @@ from robustlab.identification.hypotheses.effect_fit import (
     Fit,
     FitPlan,
     Hypothesis,
-    NoiseModel,
     Problem,
     predicted,
     refit_distance,
     simulated_outputs,
 )
 from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, whitening, window_errors
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.discovery import beyond_tolerance
 from robustlab.identification.naming.residual_after_naming import left_over

@@ -14,8 +14,9 @@ from robustlab.identification.experiment import experiment_bench as bench
 from robustlab.identification.experiment.experiment_bench import Piece, experiment_menu
 from robustlab.identification.experiment.next_experiment import propose_experiment
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, NoiseModel, Problem, simulated_outputs
+from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem, simulated_outputs
 from robustlab.identification.hypotheses.noise import first_noise, whitening
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare, window_length
 from robustlab.result import plain
 

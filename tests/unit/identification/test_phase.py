@@ -12,8 +12,9 @@ import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import held_out_fit, in_phase
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
 
 AXIS = rl.plant("servo-axis")

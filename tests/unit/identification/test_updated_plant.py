@@ -10,7 +10,8 @@ from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.updated_plant import updated_plant
 
