@@ -4,8 +4,9 @@ Each case of `platform_cases` is named by `robustlab.discover` in a process of i
 what is there is not run again. A case that was refused, failed or ran out of time is a line, too, and counts as wrong.
 ``--report`` runs nothing.
 
-What counts: *right* where exactly the hidden effect is named at exactly its legs; *in the answer* where some set of the
-collection of 95 % says so; *sure and wrong* where the verdict is "named" and the set is another. Nothing hidden is
+What counts: *right* where exactly the hidden effect, or its kind, is named at exactly its legs (a lateness that may be
+the input's or the sensor's is one at its leg); *by name* where it is the effect itself; *in the answer* where some set
+of the collection of 95 % says so; *sure and wrong* where the verdict is "named" and neither is right. Nothing hidden is
 right where nothing is named, and what no catalogue has where nothing is, or where the answer says that more remains.
 
 Seeds: 1-99 for tuning, 9001-9099 for checking; 77001-77099 (``--last``) are run once, at the very end.
@@ -28,6 +29,8 @@ from typing import Any
 
 import numpy as np
 from platform_cases import NOISE, OUTSIDE, PlatformCase, cached_case, names, nominal_plant, seeds
+
+from robustlab.dynamics.effects.kinds import KIND_OF
 
 __all__ = ["ACCEPTED", "main", "report", "run_case", "said_of", "verdict_of"]
 
@@ -72,14 +75,36 @@ def is_truth(said: Said, case: PlatformCase) -> bool:
     return legs == set(case.legs) or (len(case.legs) == 6 and legs == {0})
 
 
-def verdict_of(case: PlatformCase, verdict: str, complete: bool, said: Said, open_sets: Sequence[Said]) -> Line:
-    """right, in_answer, sure_wrong of an answer."""
+def kinds_are_truth(kinds: Said, case: PlatformCase) -> bool:
+    """Whether the kinds that are told are that of the hidden effect, at its legs, and no more."""
+    if case.name in ("none", *OUTSIDE):
+        return not kinds
+    own = {KIND_OF[name] for name in ACCEPTED.get(case.effect, (case.effect,))}
+    if not kinds or any(kind not in own for kind, _ in kinds):
+        return False
+    if case.effect in COMMON:
+        return True
+    legs = {leg for _, leg in kinds}
+    return legs == set(case.legs) or (len(case.legs) == 6 and legs == {0})
+
+
+def verdict_of(
+    case: PlatformCase, verdict: str, complete: bool, said: Said, open_sets: Sequence[Said], kinds: Said
+) -> Line:
+    """right, by_name, in_answer, sure_wrong of an answer."""
     if case.name in OUTSIDE:
         right = verdict == "unknown" or not complete
-        return {"right": right, "in_answer": right, "sure_wrong": verdict == "named" and complete}
-    right = is_truth(said, case) and verdict in ("named", "no missing effect")
+        return {
+            "right": right, "by_name": right, "in_answer": right, "sure_wrong": verdict == "named" and complete,
+        }  # fmt: skip
+    sure = verdict in ("named", "no missing effect")
+    by_name, by_kind = is_truth(said, case), kinds_are_truth(kinds, case)
+    right = sure and (by_name or by_kind)
     found = right or any(is_truth(s, case) for s in (said, *open_sets))
-    return {"right": right, "in_answer": found, "sure_wrong": verdict == "named" and not is_truth(said, case)}
+    return {
+        "right": right, "by_name": sure and by_name, "in_answer": found,
+        "sure_wrong": verdict == "named" and not (by_name or by_kind),
+    }  # fmt: skip
 
 
 def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path, exclude: Sequence[str] = ()) -> Line:
@@ -97,9 +122,11 @@ def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path, exclud
         line |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
         named = [(e.name, e.site) for e in found.effects]
         sets = [[tuple(e.partition("@")[::2]) for e in p.effects] for p in found.collection]
-        line |= verdict_of(case, found.verdict, found.complete, said_of(named), [said_of(s) for s in sets])
+        kinds = [(k.kind, k.place) for k in found.kinds]
+        open_sets = [said_of(s) for s in sets]
+        line |= verdict_of(case, found.verdict, found.complete, said_of(named), open_sets, said_of(kinds))
         line |= {
-            "status": "ok", "verdict": found.verdict, "complete": found.complete, "named": named,
+            "status": "ok", "verdict": found.verdict, "complete": found.complete, "named": named, "kinds": kinds,
             "values": [{v.name: (v.value, v.lower, v.upper) for v in e.parameters} for e in found.effects],
             "posterior": [(p.effects, p.probability) for p in found.posterior[:8]],
             "gap_before": found.gap_before, "gap_refitted": found.gap_refitted, "gap_after": found.gap_after,
@@ -155,14 +182,18 @@ def report(lines: Iterable[Line]) -> str:
         by_class[line["name"]].append(line)
     if not by_class:
         return "no cases"
-    rows = [f"{'class':24s} {'cases':>5s} {'right':>6s} {'answer':>6s} {'sure wrong':>10s} {'lost':>5s} {'CPU s':>11s}"]
+    heads = (
+        f"{'cases':>5s} {'right':>6s} {'by name':>7s} {'answer':>6s} {'sure wrong':>10s} {'lost':>5s} {'CPU s':>11s}"
+    )
+    rows = [f"{'class':24s} {heads}"]
 
     def row(title: str, of: list[Line]) -> str:
         cpu = [line["cpu_s"] for line in of if "cpu_s" in line]
         time_text = f"{np.median(cpu):5.0f}/{max(cpu):5.0f}" if cpu else "-"
-        count = [sum(bool(line.get(key)) for line in of) for key in ("right", "in_answer", "sure_wrong")]
+        count = [sum(bool(line.get(key)) for line in of) for key in ("right", "by_name", "in_answer", "sure_wrong")]
         lost = sum(line["status"] != "ok" for line in of)
-        return f"{title:24s} {len(of):5d} {count[0]:6d} {count[1]:6d} {count[2]:10d} {lost:5d} {time_text:>11s}"
+        counts = f"{len(of):5d} {count[0]:6d} {count[1]:7d} {count[2]:6d} {count[3]:10d} {lost:5d}"
+        return f"{title:24s} {counts} {time_text:>11s}"
 
     rows += [row(name, by_class[name]) for name in by_class]
     single = [x for name, of in by_class.items() for x in of if name not in ("none", *OUTSIDE) and name[:3] != "2x "]

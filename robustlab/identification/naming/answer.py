@@ -22,7 +22,14 @@ from robustlab.identification.hypotheses.noise import held_out_fit, settled, whi
 from robustlab.identification.hypotheses.prepared_record import start_std
 from robustlab.identification.naming.discovery_result import Discovery, Verdict
 from robustlab.identification.naming.held_out_gaps import Gaps, held_out_gaps
-from robustlab.identification.naming.materiality import Matter, errors_of, matter_of, strained, without_effects
+from robustlab.identification.naming.materiality import (
+    Matter,
+    errors_of,
+    late_clocks,
+    matter_of,
+    strained,
+    without_effects,
+)
 from robustlab.identification.naming.named_effects import (
     INTERVAL,
     EffectValue,
@@ -202,6 +209,7 @@ def _what_is_left(case: Case, found: Found, posterior: Posterior, fit: Fit, stag
     remains = remains or any(f > tuning.repeatable for f in excess.values())
     remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
     remains = remains or posterior.random_share > tuning.most_random or not posterior.generalises
+    remains = remains or bool(late_clocks(found.problem, fit))
     # What was not looked at (no motion, a stage that failed, records in pieces) is not known to be nothing.
     complete = not remains and force is not None and bool(np.isfinite(posterior.noise_ratio))
     return _Left(bool(remains), complete, force, lines, floor, excess)

@@ -29,6 +29,7 @@ from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPl
 from robustlab.identification.hypotheses.normal_equations import Linearised
 
 STARTS = 2  # of an effect, the best by what they promise, from which it is fitted where there are many effects
+LATE = 2.0  # standard deviations of a clock, beyond which it may stand for a delay
 NEGLIGIBLE = 1e-9  # of a column's own square: what the set refits makes all of it
 
 
@@ -135,12 +136,13 @@ def _gain(
 
 
 def stretched(problem: Problem, base: Fit, pool: Sequence[Candidate]) -> list[Start]:
-    """The parameters that the refit of a set has taken beyond their tolerances, as effects on top of it.
+    """The parameters that the refit of a set has taken beyond their tolerances, as effects on top of it; and delays in
+    the stead of a clock that stands for one.
 
     Their fits begin with the errors of the set, exactly: only the parameter's prior is another one. So no look at a few
     windows, in which something else may seem to gain more, decides whether they are fitted.
     """
-    found = []
+    found = [start for candidate in pool for start in _handed_over(problem, base, candidate)]
     for nuisance, z in zip(problem.nuisances, base.z, strict=False):
         low, high = nuisance.ends
         if low <= z <= high:
@@ -150,6 +152,22 @@ def stretched(problem: Problem, base: Fit, pool: Sequence[Candidate]) -> list[St
                 for start in _as_refitted(problem, base, candidate):
                     hypothesis, there = extended(problem, base.hypothesis, base.z, candidate, start)
                     found.append(Start(candidate, hypothesis, there))
+    return found
+
+
+def _handed_over(problem: Problem, base: Fit, candidate: Candidate) -> list[Start]:
+    """For a delay: the lateness that the set has given to an input's clock, and that clock back at its own time."""
+    if not candidate.effect.delay:
+        return []
+    clocks = [(k, n) for k, n in enumerate(problem.nuisances) if n.input and base.z[k] > LATE]
+    if candidate.site.kind == "input":
+        clocks = [(k, n) for k, n in clocks if n.input == candidate.site.name]
+    found = []
+    for k, clock in clocks:
+        start = {candidate.effect.delay: clock.spread * float(base.z[k])}
+        hypothesis, z = extended(problem, base.hypothesis, base.z, candidate, start)
+        z[k] = 0.0
+        found.append(Start(candidate, hypothesis, z))
     return found
 
 

@@ -84,6 +84,11 @@ def strained(problem: Problem, fit: Fit) -> frozenset[str]:
     return frozenset(found)
 
 
+def late_clocks(problem: Problem, fit: Fit) -> frozenset[str]:
+    """Labels of the clocks that a fit has moved further than clocks are off: they stand for a lateness."""
+    return strained(problem, fit) & {n.label for n in problem.nuisances if n.input}
+
+
 def matter_of(held: Problem, whole: Errors, less: Errors, needed: bool) -> Matter:
     """What is missing in ``less`` brings to ``whole``; ``needed``: it is material whatever the errors say."""
     ranges = spans(held.records)

@@ -21,7 +21,7 @@ import numpy as np
 from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, Kind, Quantity, upwards
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.identification.hypotheses.effect_fit import Candidate, Hypothesis, Problem
 from robustlab.identification.naming.named_effects import EffectValue, KindMember, NamedKind
 from robustlab.identification.naming.posterior import Posterior, Weighed
@@ -38,6 +38,7 @@ class Places:
     def __init__(self, plant: AnyPlant, model: PortModel) -> None:
         self.plant = plant
         self.joints = [p for p in model.ports.values() if p.kind == "joint"]
+        self._paths = {} if len(plant.inputs) == 1 else _paths(plant, model, self.joints)
         self._of: dict[tuple[Site, str], str] = {}
 
     def of(self, site: Site, kind: Kind) -> str:
@@ -49,7 +50,7 @@ class Places:
 
     def _found(self, site: Site, kind: Kind) -> str:
         if kind.where == "path":
-            return self._path() if len(self.plant.inputs) == 1 else site.name
+            return self._path() if len(self.plant.inputs) == 1 else self._paths.get(site.name, site.name)
         if kind.where == "joint" and site.kind == "parameter":
             return self._joint_of(site.name.split("+"))
         return site.name
@@ -68,6 +69,30 @@ class Places:
         change = port_model(self.plant, dict.fromkeys(names, 2.0)).A - port_model(self.plant).A
         moved = [float(np.abs(p.velocity[: len(change)] @ change).sum()) for p in self.joints]
         return self.joints[int(np.argmax(moved))].name
+
+
+def _paths(plant: AnyPlant, model: PortModel, joints: Sequence[Port]) -> dict[str, str]:
+    """Input or output -> the path that it is a part of, of a plant with several inputs.
+
+    That of an input goes to the first sensor of the joint that it moves most; no path where another input moves that
+    joint most, too. A lateness of the one then is one of the other.
+    """
+    a, b, c = (np.abs(m).reshape(-1, *m.shape[-2:]).max(axis=0) for m in (model.A, model.B, model.C))
+    moved: dict[str, list[str]] = defaultdict(list)
+    for signal, pushed in zip(plant.inputs, b[:, : len(plant.inputs)].T, strict=True):
+        for reach in (pushed, a @ pushed):  # at once, or through a current
+            reached = [float(np.abs(p.velocity) @ reach) for p in joints]
+            if max(reached, default=0.0) > 0.0:
+                moved[joints[int(np.argmax(reached))].name].append(signal.name)
+                break
+    found = {}
+    for joint in joints:
+        own = [np.abs(vector) for vector in (joint.position, joint.velocity) if vector is not None]
+        read = [s.name for vector in own for s, row in zip(plant.outputs, c, strict=True) if row @ vector > 0.0]
+        if len(moved[joint.name]) == 1 and read:
+            path = f"{moved[joint.name][0]} to {read[0]}"
+            found.update(dict.fromkeys([moved[joint.name][0], *read], path))
+    return found
 
 
 class Kinds:

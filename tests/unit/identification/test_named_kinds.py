@@ -14,6 +14,9 @@ import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
+from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.parameters import Parameter
+from robustlab.dynamics.ports.motion_model import local_port_model
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis
 from robustlab.identification.hypotheses.noise import first_noise
@@ -29,6 +32,7 @@ from robustlab.identification.naming.posterior import weigh
 from robustlab.identification.naming.quantities import Told, force_share, quantities
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.tuning import TUNING
+from robustlab.statespace import Signal
 
 LEVEL, GIVES = 20.0, 2e-4  # N, m
 
@@ -111,6 +115,32 @@ def test_a_parameter_stands_at_the_joint_whose_motion_it_changes():
     motor = rl.plant("dc-motor")
     there = Places(motor, port_model(motor))
     assert there.of(Site("input", motor.inputs[0].name), KINDS["lateness"]).startswith(f"{motor.inputs[0].name} to ")
+
+
+@pytest.mark.parametrize("motors", [False, True])
+def test_input_and_sensor_of_one_leg_are_one_path(motors):
+    """The rotor has nearly all of a leg's inertia: each input moves its own nut most, if through a current."""
+    platform = rl.plant("stewart-platform", preset="physical", motors=motors)
+    x, u = np.zeros((2, len(platform.states))), np.zeros((2, 6))
+    places = Places(platform, local_port_model(platform, platform.local_models(x, u)))
+    lateness, name = KINDS["lateness"], "u" if motors else "torque"
+    for leg in range(1, 7):
+        ends = Site("input", f"{name}_{leg}"), Site("output", f"phi_{leg}")
+        assert {places.of(end, lateness) for end in ends} == {f"{name}_{leg} to phi_{leg}"}
+
+
+def test_a_joint_that_two_inputs_move_most_has_no_path_of_one():
+    b, c = np.array([[0.0, 0.0], [1.0, 2.0], [0.0, 0.0], [0.3, 0.1]]), np.eye(4)[[0, 2]]
+    a = np.array([[0.0, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
+    states = tuple(Signal(n, unit) for n, unit in (("q", "rad"), ("v", "rad/s"), ("p", "rad"), ("w", "rad/s")))
+    inputs = Signal("a", "N m"), Signal("b", "N m")
+    plant = LinearPlant(
+        "two motors at one joint", {"J": Parameter("J", 1.0, "kg m2")}, inputs=inputs, outputs=states[::2],
+        states=states, equations=lambda p: Descriptor(E=np.diag([1.0, p["J"], 1.0, 1.0]), F=a, G=b, C=c),
+    )  # fmt: skip
+    places = Places(plant, port_model(plant))
+    assert places.of(Site("input", "a"), KINDS["lateness"]) == "a"
+    assert places.of(Site("output", "q"), KINDS["lateness"]) == "q"
 
 
 # --- quantities ------------------------------------------------------------------------------------------------------
