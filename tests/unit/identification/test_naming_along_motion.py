@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -18,8 +19,12 @@ from robustlab.dynamics.effects.catalogue import catalogue, effect
 from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.plant_contract import input_signal
+from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
-from robustlab.identification.hypotheses.prepared_record import ports_of, window_length
+from robustlab.identification.hypotheses.noise import first_noise
+from robustlab.identification.hypotheses.prepared_record import ports_of, prepare, window_length
+from robustlab.identification.tuning import TUNING
 
 MODELS = Path(__file__).parents[3] / "models" / "plants"
 FEW = {"coulomb-friction", "viscous-friction", "constant-load", "input-gain", "inertia", "sensor-bias"}
@@ -48,6 +53,25 @@ def simulated(plant, motion, x0=None, effects=(), values=()):
     windows = Windows(np.array([0, 60, 120, 180]), 60)
     start = x[windows.starts] if x0 is None else x0
     return Simulator(plant, effects, u, record.dt, sub=2, motion=motion).run({}, values, start, windows).states
+
+
+@pytest.mark.parametrize("name", ["presliding", "input-delay", "sensor-bias"])
+def test_runs_beside_each_other_are_those_of_each_alone(name):
+    """Several starts of every window in one simulation: to the last bit, whatever an effect remembers."""
+    record, x = swing()
+    plant, found = arm(), effect(name)
+    place = {"input": "", "output": "q_1"}.get(found.site_kind, "w_1")
+    if found.site_kind == "input":
+        place = plant.inputs[0].name
+    values = found.starts(Scales(force=5.0, speed=1.0, position=0.4, dt=2e-3))[0]
+    u = np.column_stack(list(record.inputs.values()))
+    one = Simulator(plant, [(found, Site(found.site_kind, place))], u, record.dt, sub=2, motion=x)
+    windows = Windows(np.array([0, 60, 120, 180]), 60)
+    starts = [x[windows.starts] + off for off in (0.0, 0.01, -0.02)]
+    alone = [one.run({}, [values], x0, windows) for x0 in starts]
+    both = one.run({}, [values], np.concatenate(starts), windows)
+    for field in ("states", "outputs", "forces"):
+        assert np.array_equal(getattr(both, field), np.concatenate([getattr(run, field) for run in alone])), field
 
 
 def true_windows(x):
@@ -110,6 +134,28 @@ def test_derivatives_from_near_by_matrices_are_those_of_the_plant():
     exact = run.run(step, [], start, windows).outputs - here
     near = run.run(step, [], start, windows, None, ({}, [])).outputs - here
     assert np.abs(near - exact).max() < 0.02 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("name", ["viscous-friction", "inertia", "sensor-bias"])
+def test_a_fit_that_keeps_its_matrices_ends_where_one_does_that_makes_them_anew(name):
+    """To the tolerance at which a fit ends; with an effect that changes nothing of the plant, its matrices, or the
+    motion that its sensors tell.
+    """
+    plant = arm()
+    record = arm_record(5, seconds=2.0, b_2=NOMINAL["b_2"] + 0.4, I_r2=1.1 * NOMINAL["I_r2"])
+    ready = prepare(plant, ports_of(plant, record), record, 80)
+    pool = candidates(plant, ports_of(plant, record), [ready])
+    chosen = next(c for c in pool if c.effect.id == name and c.site.name in ("w_2", "I_r2", "q_2"))
+    nuisances = nuisance_parameters(plant, stated_tolerances(plant, {}))
+
+    def fitted(near: float):
+        problem = Problem(plant, [ready], nuisances, tuning=replace(TUNING, near=near))
+        z = np.append(np.zeros(len(nuisances)), chosen.standardised(chosen.starts[0]))
+        return problem.fit(Hypothesis((chosen,)), first_noise(problem), z, plan=FitPlan(30, 1e-3))
+
+    kept, anew = fitted(TUNING.near), fitted(0.0)
+    assert kept.cost == pytest.approx(anew.cost, abs=0.1)
+    assert kept.evidence == pytest.approx(anew.evidence, abs=0.2)
 
 
 # --- states from the sensors -----------------------------------------------------------------------------------------

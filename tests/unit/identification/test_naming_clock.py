@@ -14,6 +14,8 @@ from robustlab.identification.hypotheses.candidates import candidates, nuisance_
 from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification.naming.first_look import stretched
+from robustlab.identification.naming.materiality import late_clocks
 from robustlab.identification.naming.set_search import clock_nuisances, held_inputs, short_steps, step_error
 from robustlab.identification.tuning import TUNING
 
@@ -129,6 +131,28 @@ def test_a_shift_moves_the_input_beside_a_delay_of_it():
         for part, d in ((1.0, DT), (0.0, DT + shift))
     )
     np.testing.assert_allclose(one, other, atol=1e-9 * np.ptp(problem.records[0].y))
+
+
+def test_what_a_clock_has_taken_beyond_its_part_of_a_sample_is_handed_over_to_a_delay():
+    """The fit of the set with the delay begins with the very errors of the set without: only the prior is another."""
+    problem = problem_of(record("late"), Clock(1, ("smooth",)))
+    pool = candidates(OSCILLATOR, port_model(OSCILLATOR), problem.records)
+    fit = fitted(problem)
+    assert stretched(problem, fit, [c for c in pool if c.effect.delay]) == []  # 0.3 of a sample is a clock's own
+    assert late_clocks(problem, fit) == frozenset()
+    z = np.append(fit.z[:-1], 5.0)
+    late = replace(fit, z=z)
+    assert late_clocks(problem, late) == {"clock of f"}
+    begun = {s.candidate.key: s for s in stretched(problem, late, [c for c in pool if c.effect.delay])}
+    assert set(begun) == {"input-delay @ f", "sensor-delay @ q"}
+    before = problem.errors(NONE, z, fit.starts)[0]
+    for start in begun.values():
+        (own,) = problem.split(start.hypothesis, start.z)[1]
+        assert own["d"] == pytest.approx(5.0 * TUNING.clock_share * DT)
+        assert start.z[len(z) - 1] == 0.0
+    there = begun["input-delay @ f"]
+    after = problem.errors(there.hypothesis, there.z, fit.starts)[0]
+    np.testing.assert_allclose(after, before, atol=1e-9 * np.ptp(problem.records[0].y))
 
 
 def test_steps_are_halved_until_no_residual_changes():
