@@ -104,6 +104,9 @@ class Scales:
     lowest: float | None = None
     highest: float | None = None
     inertia: float = 1.0  # force per acceleration at the port
+    # Of a joint of a nonlinear plant: shares of that inertia that may hang behind its drive, as parameters tell them
+    # (`robustlab.dynamics.ports.carried_load.shares_behind`)
+    shares: tuple[float, ...] = ()
     input: float = 1.0  # largest absolute value of the site's input
     output: float = 1.0  # half the range of the site's output
     zero: float = 0.1  # by how much a sensor's zero may be off, over `output`
@@ -299,6 +302,12 @@ class Effect(ABC):
     def bias(self, values: Mapping[str, float]) -> float:
         """What is recorded of an output where nothing is there."""
         return 0.0
+
+    def resting(self, values: Mapping[str, float], pull: Array) -> Array:
+        """Of an effect that splits the joint in two: where the drive rests relative to its load, for the relative
+        accelerations ``pull`` (n,) that the two would have with nothing between them.
+        """
+        return np.zeros_like(pull)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
         """Sector, delay or bound of the effect at this amplitude of its signal; None where the model has it all."""

@@ -9,9 +9,11 @@ from dataclasses import replace
 import numba as nb
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, STEP, V0, Q, V, bracket, guess, is_open, law, narrowed
-from robustlab.dynamics.ports.port_model import PortModel, with_load_side
+from robustlab.dynamics.ports.load_side import with_load_side
+from robustlab.dynamics.ports.port_model import PortModel
 
 
 @nb.njit(cache=True)
@@ -392,19 +394,60 @@ class BoucWen(Effect):
 DAMPING = 0.2
 
 
+@nb.njit(cache=True)
+def _met(d0, free, gq, spring, damper):  # type: ignore[no-untyped-def]
+    """Push of a flank that is met within the step: from d0 <= 0 before it to ``free`` > 0 behind it without a push."""
+    slope = 1.0 + gq * (spring + damper)
+    middle = 0.5 * (free + d0 + gq * damper * d0)
+    depth = (middle + math.sqrt(middle * middle - slope * free * d0)) / slope
+    return (free - depth) / gq
+
+
+@nb.njit(cache=True)
+def _left(d0, free, gq, spring, damper):  # type: ignore[no-untyped-def]
+    """Push of a flank that is left within the step: from the depth d0 > 0."""
+    stored = spring * d0 * d0 - damper * d0 * (d0 - free)
+    if stored <= 0.0:  # the flanks part faster than the spring follows
+        return 0.0
+    half = 0.5 * (d0 - free + gq * damper * d0)
+    root = math.sqrt(half * half + gq * stored)
+    return stored / (half + root) if half > 0.0 else (root - half) / gq
+
+
 @law
 def flank_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     """Force per reduced inertia; p = (half gap, omega^2, 2 zeta omega)."""
-    side = 1.0 if seen[Q] > 0.0 else -1.0
-    depth = side * seen[Q] - p[0]  # at the end of the step, without the force
-    if depth <= 0.0:
-        return 0.0
-    before = max(side * seen[Q0] - p[0], 0.0)
-    damper = p[2] / seen[STEP]
-    push = 0.5 * p[1] * (depth + before) + damper * (depth - before)
-    if push <= 0.0:  # the flanks part faster than the spring follows
-        return 0.0
-    return -side * push / (1.0 + seen[GQ] * (0.5 * p[1] + damper))
+    gq, spring, damper = seen[GQ], 0.5 * p[1], p[2] / seen[STEP]
+    side = 1.0 if seen[Q0] > 0.0 else -1.0
+    d0, free = side * seen[Q0] - p[0], side * seen[Q] - p[0]
+    push = 0.0
+    if d0 > 0.0:
+        push = max((spring * (d0 + free) + damper * (free - d0)) / (1.0 + gq * (spring + damper)), 0.0)
+        if free - gq * push < 0.0:
+            push = _left(d0, free, gq, spring, damper)
+    elif free > 0.0:
+        push = _met(d0, free, gq, spring, damper)
+    across = -free - 2.0 * p[0]  # the same from the other flank
+    if across + gq * push > 0.0:  # it has crossed the gap: what the one flank stored and has not given back is lost
+        if across > 0.0:
+            return side * _met(-d0 - 2.0 * p[0], across, gq, spring, damper)
+        push = -across / gq
+    return -side * push
+
+
+GAPS = tuple(2.0**-k for k in range(4, 10))  # shares of the travel from which a gap is looked for
+SHARE = 0.35  # of the inertia behind a gap or coupling, where nothing tells it
+FLANK = 120.0  # Hz, of a closed contact with that share
+
+
+def share_prior(scales: Scales) -> Prior:
+    """Prior of the load's share of a joint's inertia: about what the plant's parameters tell."""
+    return Prior("share", float(np.mean(scales.shares)) if scales.shares else SHARE, 0.8)
+
+
+def flank_frequency(share: float) -> float:
+    """Usual frequency of a closed contact in Hz: on one flank a lighter load swings faster."""
+    return FLANK * math.sqrt(SHARE * (1.0 - SHARE) / (share * (1.0 - share)))
 
 
 class Backlash(Effect):
@@ -417,11 +460,11 @@ class Backlash(Effect):
         \qquad \omega = 2 \pi f, \quad \zeta = 0.2
 
     f is the frequency of the two inertias on the closed flank. The damping of the flank is that of an impact which
-    gives back about half of the speed. See `robustlab.dynamics.ports.port_model` for the two sides.
+    gives back about half of the speed. See `robustlab.dynamics.ports.load_side` for the two sides.
 
-    Over a step the flank's force is that of the mean depth, :math:`\omega^2 (e_0 + e_1)/2 + 2 \zeta \omega (e_1 -
-    e_0)/h`: what it does to the inertias is never more than what the spring had stored, so that no contact creates
-    energy at any length of step.
+    Over a step the flank's force is :math:`\frac{\omega^2}{2} (e_1^2 - e_0^2) / |\delta_1 - \delta_0| + 2 \zeta \omega
+    (e_1 - e_0)/h` (a discrete gradient): what the spring stores is what it takes from the inertias, wherever within the
+    step the flank is met or left, and no contact creates energy at any length of step.
 
     References
     ----------
@@ -440,12 +483,22 @@ class Backlash(Effect):
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (
             EffectParameter("gap", scales.position_unit, "width of the gap", Prior("log", 1e-3 * scales.position, 2.0)),
-            EffectParameter("share", "", "load's share of the inertia", Prior("share", 0.35, 0.8)),
-            EffectParameter("f", "Hz", "frequency of the closed contact", Prior("log", 120.0, 0.4)),
+            EffectParameter("share", "", "load's share of the inertia", share_prior(scales)),
+            EffectParameter(
+                "f",
+                "Hz",
+                "frequency of the closed contact",
+                Prior("log", flank_frequency(share_prior(scales).value(0.0)), 0.4),
+            ),
         )
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        return tuple({"gap": size * scales.position, "share": 0.35, "f": 120.0} for size in (2e-4, 2e-3, 2e-2))
+        # Of a load that pulls the flights are short, and told by when they end: from half or twice the gap none is
+        # found.
+        sizes, shares = (GAPS, scales.shares) if scales.shares else ((2e-4, 2e-3, 2e-2), (SHARE,))
+        return tuple(
+            {"gap": size * scales.position, "share": s, "f": flank_frequency(s)} for s in shares for size in sizes
+        )
 
     def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
         return with_load_side(model, site.name, values["share"], "gap", f"effect {self.id}")
@@ -453,6 +506,10 @@ class Backlash(Effect):
     def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
         omega = 2.0 * math.pi * values["f"]
         return (Law(flank_force, f"{site.name}.gap", (0.5 * values["gap"], omega**2, 2.0 * DAMPING * omega)),)
+
+    def resting(self, values: Mapping[str, float], pull: Array) -> Array:
+        # At the flank to which the two are pressed, as deep as that takes.
+        return np.sign(pull) * (0.5 * values["gap"] + np.abs(pull) / (2.0 * math.pi * values["f"]) ** 2)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # The load's position follows the drive's within half the gap.
@@ -471,7 +528,7 @@ class FlexibleCoupling(Effect):
         \omega = 2 \pi f, \quad m = s (1 - s) J
 
     f is the natural frequency of the two inertias against each other with nothing else attached
-    (`robustlab.dynamics.ports.port_model`).
+    (`robustlab.dynamics.ports.load_side`).
     """
 
     id = "flexible-coupling"
@@ -486,11 +543,12 @@ class FlexibleCoupling(Effect):
         return (
             EffectParameter("f", "Hz", "frequency of the drive against the load", Prior("log", middle, 0.9)),
             EffectParameter("zeta", "", "damping ratio of that mode", Prior("log", 0.03, 0.8)),
-            EffectParameter("share", "", "load's share of the inertia", Prior("share", 0.35, 0.8)),
+            EffectParameter("share", "", "load's share of the inertia", share_prior(scales)),
         )
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        return tuple({"f": f, "zeta": 0.03, "share": 0.35} for f in (18.0, 45.0, 110.0))
+        share = share_prior(scales).value(0.0)
+        return tuple({"f": f, "zeta": 0.03, "share": share} for f in (18.0, 45.0, 110.0))
 
     def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
         wide = with_load_side(model, site.name, values["share"], "twist", f"effect {self.id}")
@@ -499,6 +557,9 @@ class FlexibleCoupling(Effect):
         assert twist.position is not None
         row = -(omega**2) * twist.position - 2.0 * values["zeta"] * omega * twist.velocity
         return wide.with_state_feedback(twist, np.asarray(row))
+
+    def resting(self, values: Mapping[str, float], pull: Array) -> Array:
+        return pull / (2.0 * math.pi * values["f"]) ** 2
 
 
 EFFECTS = (CubicStiffness(), EndStop(), OneSidedSpring(), BoucWen(), Backlash(), FlexibleCoupling())

@@ -24,7 +24,15 @@ from robustlab.arrays import Array
 from robustlab.checks import number
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, attach
 from robustlab.dynamics.extended.extended_equations import ExtendedEquations, extended_model
-from robustlab.dynamics.extended.nonlinear_steps import About, Drive, march, point_model, scaled, with_linear_parts
+from robustlab.dynamics.extended.nonlinear_steps import (
+    About,
+    Drive,
+    carried,
+    march,
+    point_model,
+    scaled,
+    with_linear_parts,
+)
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
@@ -59,20 +67,23 @@ class ExtendedNonlinearPlant(ExtendedEquations):
     def turning(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
         """By differences of the exact models about the point, extrapolated."""
         own, n = len(self.plant.states), len(self.states)
-        here, n_u = self.changed.local_models(x[None, :own], seen[None]), len(seen)
-        steps = TUNING.position_step * np.maximum(np.abs(x[:own]), 1.0)
+        rows = carried(self.plant, self.effects)
+        at = rows @ x
+        here, n_u = self.changed.local_models(at[None], seen[None]), len(seen)
+        steps = TUNING.position_step * np.maximum(np.abs(at), 1.0)
         shifts = np.concatenate([k * np.diag(steps) for k in (1.0, -1.0, 0.5, -0.5)])
-        local = self.changed.local_models(x[:own] + shifts, np.tile(seen, (len(shifts), 1)))
+        local = self.changed.local_models(at + shifts, np.tile(seen, (len(shifts), 1)))
         model = with_linear_parts(local_port_model(self.changed, local), self.effects)
         if model.A is local.A and not any(forces.values()):
             return np.zeros((n, n))
         entering = model.B[..., n_u:]
-        rates = model.A @ x + entering @ here.rates[0] - (entering @ local.A) @ x[:own]
+        rates = model.A @ x + entering @ here.rates[0] - (entering @ local.A) @ at
+        rates = rates + (model.B[..., :n_u] - entering @ local.B) @ seen
         for port, force in forces.items():
             rates = rates + force * model.ports[port].force
         up, down, near_up, near_down = rates.reshape(4, own, n)
         wide, narrow = ((a - b) / steps[:, None] for a, b in ((0.5 * up, 0.5 * down), (near_up, near_down)))
-        return np.column_stack([((4.0 * narrow - wide) / 3.0).T, np.zeros((n, n - own))])
+        return ((4.0 * narrow - wide) / 3.0).T @ rows
 
     def motion(
         self, u: Array, dt: float, t0: float, x0: Array, step: float | None, hold: Literal["zoh", "foh"] = "zoh"

@@ -62,14 +62,30 @@ def with_linear_parts(model: PortModel, effects: Iterable[AttachedEffect]) -> Po
     return model
 
 
+def carried(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> Array:
+    """Rows (n_own, n_x) by which the states, those of effects included, tell the plant's as its load has them.
+
+    Where an effect splits a joint, its bodies are where the load is: the joint's states less the relative ones.
+    """
+    names, split = [s.name for s in plant.states], [e.site.name for e in effects if e.effect.structural]
+    rows = np.eye(len(names), len(names) + 2 * len(split))
+    for k, joint in enumerate(split):
+        place = next(p for p in plant.port_places if p.name == joint)
+        rows[names.index(joint), len(names) + 2 * k + 1] = -1.0
+        if place.position:
+            rows[names.index(place.position), len(names) + 2 * k] = -1.0
+    return rows
+
+
 def point_model(plant: NonlinearPlant, effects: Sequence[AttachedEffect], x: Array, u: Array) -> About:
     """About the state x, those of the effects included, and what the plant sees of the inputs.
 
     ``plant``: as `scaled` gives it.
     """
-    model, entering, local = _about(plant, effects, x[: len(plant.states)], u)
-    rates = model.A @ x + entering @ (local.rates[0] - local.A[0] @ x[: model.own])
-    return About(model, rates, local.outputs[0])
+    at = carried(plant, effects) @ x
+    model, entering, local = _about(plant, effects, at, u)
+    rates = model.A @ x + model.B @ u + entering @ (local.rates[0] - local.A[0] @ at - local.B[0] @ u)
+    return About(model, rates, local.outputs[0] + local.C[0] @ (x[: model.own] - at))
 
 
 def somewhere(plant: NonlinearPlant, effects: Sequence[AttachedEffect]) -> PortModel:
@@ -186,6 +202,7 @@ class _Block:
     ) -> None:
         self.plant, self.effects, self.laws = plant, effects, laws
         self.drive, self.at, self.count, self.memory = drive, at, count, memory
+        self.carried = carried(plant, effects)
         self.after = memory
         self.mean, self.rise = drive.mean[at : at + count], drive.rise[at : at + count]
 
@@ -220,22 +237,23 @@ class _Block:
         steps = np.arange(count)
         of = steps // stride
         x, u = course.at(np.minimum((np.arange(of[-1] + 1) + 0.5) * stride, count - 0.5))
-        local = self.plant.local_models(x[:, :own], u)
+        local = self.plant.local_models(x @ self.carried.T, u)
         model = with_linear_parts(local_port_model(self.plant, local), self.effects)
         halves = exponentials_and_ramps(model.A, 0.5 * h)
         parts = []
         if model.A is not local.A:
             entering, added = model.B[..., n_u:], model.A.copy()
-            added[..., :own] -= entering @ local.A
-            parts = [_around(part) for part in (entering, added)]
+            added -= entering @ local.A @ self.carried
+            parts = [_around(part) for part in (entering, added, model.B[..., :n_u] - entering @ local.B)]
         sides, size = [], np.zeros(model.A.shape[-1])
         for share in (-GAUSS, GAUSS):
             x, _ = course.at(steps + 0.5 + share)
-            rates = self.plant.rates_along(x[:, :own], self.mean + 2.0 * share * self.rise)
+            u = self.mean + 2.0 * share * self.rise
+            rates = self.plant.rates_along(x @ self.carried.T, u)
             size[:own] = np.maximum(size[:own], np.abs(rates).max(axis=0))
             if parts:  # what the effects make of the plant's rates, and what they add
-                enters, adds = ((here + share * first + 0.5 * share**2 * second)[of] for here, first, second in parts)
-                rates = _times(enters, rates) + _times(adds, x)
+                enters, adds, drives = ((here + share * by + 0.5 * share**2 * twice)[of] for here, by, twice in parts)
+                rates = _times(enters, rates) + _times(adds, x) + _times(drives, u)
             sides.append(rates - _times(model.A[of], x))
         phi, psi, ramp = (matrices[of] for matrices in halves)
         middle, rise = 0.5 * (sides[0] + sides[1]), (sides[1] - sides[0]) / (4.0 * GAUSS)

@@ -296,7 +296,9 @@ class Simulator:
         about = self._about(factors, values, windows, near) if self._course else None
         model = self._with_effects(about.model, values) if about else self.model(factors, values)
         late = self._late(values, shift)
-        states, forces = self._step(model, self.laws(values), self._seen(values, late), x0, windows, about)
+        seen = self._seen(values, late)
+        start = self._start(model, values, seen, x0, windows, about)
+        states, forces = self._step(model, self.laws(values), seen, start, windows, about)
         u = None
         if model.D.any():
             u = [signal.samples(d / self.dt) for signal, d in zip(self._inputs, late, strict=True)]
@@ -428,7 +430,7 @@ class Simulator:
         return u
 
     def _step(
-        self, model: PortModel, laws: Sequence[Law], u: Array, x0: Array, windows: Windows, about: MotionModel | None
+        self, model: PortModel, laws: Sequence[Law], u: Array, start: Array, windows: Windows, about: MotionModel | None
     ) -> tuple[Array, Array]:
         from robustlab.dynamics.ports import law_kernel as kernel
 
@@ -451,13 +453,36 @@ class Simulator:
         count = len(x0)
         states = np.empty((count, windows.length, n))
         forces = np.zeros((count, windows.length, n_laws))
-        start = np.zeros((count, n))
-        start[:, : model.own] = x0
+        # Of a nonlinear plant windows need not follow each other, and a load that hangs is at rest in none by itself.
+        own = model.own if about is None else n
         run = kernel.Run(
-            u, self.dt / self.sub, self.t0, self.sub, windows.starts, windows.length, start, model.own, not self.rough
+            u, self.dt / self.sub, self.t0, self.sub, windows.starts, windows.length, start, own, not self.rough
         )
         kernel.step_windows(addresses, parameters, memory, *steps, *run, states, forces)
         return states, forces
+
+    def _start(
+        self, model: PortModel, values: Sequence[Mapping[str, float]], u: Array, x0: Array, windows: Windows,
+        about: MotionModel | None,
+    ) -> Array:  # fmt: skip
+        """States at the window starts, those of effects included: zero, or where a load behind a joint of a nonlinear
+        plant rests under what pulls at it there.
+        """
+        n, n_u = model.A.shape[-1], len(self._inputs)
+        start = np.zeros((len(windows.starts), n))
+        start[:, : model.own] = x0
+        if about is None:
+            return start
+        steps = np.arange(len(start)) * windows.length * self.sub
+        at, entering = about.steps[steps], np.hstack([u[windows.starts * self.sub, :n_u], about.rates[steps]])
+        for (effect, site), v in zip(self.effects, values, strict=True):
+            if effect.structural:
+                between = next(p for p in model.ports.values() if p.kind == "relative" and p.name.startswith(site.name))
+                rows = between.velocity @ model.A[at], between.velocity @ model.B[at]
+                pull = np.sum(rows[0] * start, axis=1) + np.sum(rows[1] * entering, axis=1)
+                assert between.position is not None
+                start += np.outer(effect.resting(v, pull), between.position)
+        return start
 
     def _table(self, model: PortModel, columns: int, about: MotionModel | None) -> _Table:
         """The plant in steps, for inputs of so many columns."""

@@ -16,13 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port, PortModel
+from robustlab.errors import RobustlabError
 
 TERMS = 9  # of the exponential's series below half a unit of the matrix's norm: rounding
 SMALL = 0.5
@@ -112,7 +113,7 @@ def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, 
     samples = (starts[:, None] + np.arange(length)).ravel()
     x, u = course.x[samples], course.u[samples]
     offsets = plant.outputs_along(x, u, values) - _times(local.C, seen, x) - _times(local.D, seen, u)
-    model = local_port_model(plant, local)
+    model = local_port_model(plant, local, values)
     return MotionModel(model, rates, offsets, stride, own, seen, at, local.rates, local.outputs)
 
 
@@ -136,9 +137,10 @@ def _times(matrices: Array, of: Indices, vectors: Array) -> Array:
     return (matrices[of] @ vectors[..., None])[..., 0]
 
 
-def local_port_model(plant: NonlinearPlant, local: LocalModels) -> PortModel:
-    """Models about points, with an axis of these, and the plant's ports."""
+def local_port_model(plant: NonlinearPlant, local: LocalModels, values: Mapping[str, float] | None = None) -> PortModel:
+    """Models about points, with an axis of these, and the plant's ports; ``values``: those of ``local``."""
     n = len(plant.states)
+    home = _at_home(plant, tuple((plant.values if values is None else values).items()))
     names = [s.name for s in plant.states]
     ports = {}
     for j, place in enumerate(plant.port_places):
@@ -147,10 +149,35 @@ def local_port_model(plant: NonlinearPlant, local: LocalModels) -> PortModel:
         position = None if q is None else np.eye(n)[q]
         unit = "" if q is None else plant.states[q].unit
         ports[place.name] = Port(
-            place.name, place.kind, place.unit, plant.states[k].unit, unit, local.push[:, :, j], np.eye(n)[k], position
-        )
+            place.name, place.kind, place.unit, plant.states[k].unit, unit, local.push[:, :, j], np.eye(n)[k], position,
+            *home.get(place.name, (0.0, 0.0)),
+        )  # fmt: skip
     wide = np.concatenate([local.B, np.broadcast_to(np.eye(n), local.A.shape)], axis=2)
     return PortModel(local.A, wide, local.C, local.D, ports, n)
+
+
+@lru_cache(maxsize=256)
+def _at_home(plant: NonlinearPlant, values: tuple[tuple[str, float], ...]) -> dict[str, tuple[float, float]]:
+    """Of each joint the inertia where the plant starts, and its viscous friction by the parameters of that role.
+
+    Empty where the plant has no model at its start. The friction is what these parameters change of the force that the
+    joint's own velocity makes there.
+    """
+    given, x, u = dict(values), plant.start[None], np.zeros((1, len(plant.inputs)))
+    viscous = [n for n, p in plant.parameters.items() if p.role == "viscous-friction" and given[n]]
+    try:
+        here = plant.local_models(x, u, given)
+        without = plant.local_models(x, u, given | dict.fromkeys(viscous, 0.0)) if viscous else here
+    except RobustlabError:
+        return {}
+    names = [s.name for s in plant.states]
+    joints = [(j, names.index(p.name)) for j, p in enumerate(plant.port_places) if p.kind == "joint"]
+    rows = [k for _, k in joints]
+    push, change = here.push[0][np.ix_(rows, [j for j, _ in joints])], (here.A - without.A)[0][np.ix_(rows, rows)]
+    if not joints or not np.isfinite(push).all() or np.linalg.matrix_rank(push) < len(push):
+        return {}
+    drag = -np.diag(np.linalg.solve(push, change))
+    return {names[k]: (float(1.0 / push[i, i]), float(drag[i])) for i, (_, k) in enumerate(joints)}
 
 
 def exponentials(a: Array, h: float) -> tuple[Array, Array]:

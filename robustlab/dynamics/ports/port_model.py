@@ -6,16 +6,6 @@ r"""A linear plant with its ports: the places where effects push and where their
 A *joint* is a velocity state with the position state that integrates it; its force direction is the column of
 :math:`E^{-1}` that belongs to its equation of motion, so that f is a force in N or a torque in N m. A *current* port is
 a current state; f is a voltage there.
-
-A joint's inertia split in two: the drive, which is the joint that is measured, and a load behind it.
-
-.. math::
-    (1 - s) J\,\dot v_1 = F_1 + F, \qquad s J\,\dot v_2 = F_2 - F, \qquad
-    \delta = q_1 - q_2, \quad \dot\delta = v_1 - v_2
-
-All that acts on the joint, friction included, acts on the drive: :math:`F_1`. F is what the load does to the drive. The
-further states are relative, :math:`\delta, \dot\delta`; they may be carried over where the joint's own starts anew.
-J is the inertia that a force meets at the joint while every other velocity is held by nothing but its own equation.
 """
 
 from __future__ import annotations
@@ -28,7 +18,6 @@ from typing import Literal
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.checks import number
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
@@ -56,6 +45,10 @@ class Port:
     force: Array  # b, shape (n_x,), or (m, n_x) along a motion: rate of the states per unit of force
     velocity: Array  # c, shape (n_x,)
     position: Array | None  # p, shape (n_x,), or None where no state integrates the velocity
+    # Of a nonlinear plant: its inertia where the plant starts, 0 where not known; and the viscous friction at it, force
+    # per velocity.
+    home_inertia: float = 0.0
+    drag: float = 0.0
 
     @property
     def inertia(self) -> Array:
@@ -271,74 +264,3 @@ def _inertia_told(model: StateSpaceModel, velocity: int) -> float | None:
         if found > 0.0:
             return found
     return None
-
-
-def with_load_side(model: PortModel, joint: str, share: float, relative: str, where: str) -> PortModel:
-    r"""The model with the joint's load behind it, not yet connected: no force between the two.
-
-    Two ports are added. ``<joint>.load`` is the load: a force on it, its velocity and position.
-    ``<joint>.<relative>`` sees :math:`\delta` and its rate; its force is divided by the reduced inertia
-    :math:`s (1 - s) J`, so that a unit of it accelerates :math:`\delta` by one.
-
-    ``share``: s, the load's share of the joint's inertia, between 0 and 1. ``relative``: name of the relative port:
-    ``"twist"`` or ``"gap"``. ``where``: what messages call the effect.
-
-    Raises InputError: a second load side at the joint, or a share outside 0..1.
-    """
-    port = model.ports.get(joint)
-    if port is None or port.kind != "joint":
-        joints = ", ".join(p.name for p in model.ports.values() if p.kind == "joint")
-        raise InputError(f"{where}: {joint!r}", "no such joint", f"one of {joints}")
-    if f"{joint}.load" in model.ports or "." in joint:
-        raise InputError(f"{where}: {joint!r}", "another effect that splits the joint in two", "one of them at a joint")
-    number(f"{where}: share", share, "a share of the inertia between 0 and 1", above=0.0, below=1.0)
-    split = _with_less_inertia(model, port, share)
-    n, drive = len(port.velocity), split.ports[joint]
-    rows = np.zeros((2, n + 2))
-    rows[0, n + 1] = 1.0
-    wide = split.widened(rows)
-    a, b = wide.A.copy(), wide.B.copy()
-    a[..., n + 1, :n] = drive.velocity @ split.A  # the load is free: the rate grows as the drive's does
-    b[..., n + 1, :] = drive.velocity @ split.B
-    ports = {name: _on_drive(p, split.ports[name].force @ drive.velocity) for name, p in wide.ports.items()}
-    drive = ports[joint]
-    load = _load(drive, 1.0 / (share * port.inertia))
-    reduced = (share * (1.0 - share) * port.inertia)[..., None]
-    gap = replace(
-        drive,
-        name=f"{joint}.{relative}",
-        kind="relative",
-        unit=f"{drive.speed_unit.removesuffix('/s')}/s2",
-        position_unit=drive.speed_unit.removesuffix("/s"),
-        force=reduced * (drive.force - load.force),
-        velocity=np.eye(n + 2)[n + 1],
-        position=np.eye(n + 2)[n],
-    )
-    return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
-
-
-def _with_less_inertia(model: PortModel, port: Port, share: float) -> PortModel:
-    r"""The equations with :math:`(1 - s) J` at the joint.
-
-    :math:`(E - s J e e^T)^{-1} = (I + \frac{s}{1 - s} \frac{b}{c^T b} c^T) E^{-1}` with :math:`b = E^{-1} e`
-    (Sherman, Morrison); for a joint with an inertia of its own it divides one row by 1 - s.
-    """
-    pulled = (port.inertia[..., None] * port.force)[..., :, None] * port.velocity
-    change = np.eye(len(port.velocity)) + share / (1.0 - share) * pulled
-    ports = {name: replace(p, force=(change @ p.force[..., None])[..., 0]) for name, p in model.ports.items()}
-    return replace(model, A=change @ model.A, B=change @ model.B, ports=ports)
-
-
-def _on_drive(port: Port, acceleration: Array) -> Port:
-    """The port with the drive's acceleration by its force in the rate of the relative velocity as well."""
-    force = port.force.copy()
-    force[..., -1] = acceleration
-    return replace(port, force=force)
-
-
-def _load(drive: Port, mobility: Array) -> Port:
-    """Port of the load: its motion is the drive's less the relative one."""
-    delta, rate = np.eye(len(drive.velocity))[-2:]
-    position = None if drive.position is None else drive.position - delta
-    name, force = f"{drive.name}.load", -mobility[..., None] * rate
-    return replace(drive, name=name, force=force, velocity=drive.velocity - rate, position=position)

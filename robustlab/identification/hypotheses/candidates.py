@@ -16,6 +16,7 @@ from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Effect, Scales, Site
 from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.carried_load import shares_behind
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
 from robustlab.identification.hypotheses.effect_fit import Candidate
@@ -121,6 +122,7 @@ def _scales(
         lowest=min(float(q.min()) for q, _, _, _ in motion),
         highest=max(float(q.max()) for q, _, _, _ in motion),
         inertia=inertia,
+        shares=shares_behind(plant, site.name) if isinstance(plant, NonlinearPlant) else (),
         current=float(max(currents, default=1.0)) or 1.0,
         orders=_merged_orders(motion, tuning) if port.position is not None else (),
         lines=_lines(motion, records, tuning),

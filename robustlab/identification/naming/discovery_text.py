@@ -67,6 +67,7 @@ def summary_of(d: Any, details: bool) -> str:
         lines += _effect_lines(d, effect, details)
     lines += [_slight_line(e) for e in d.also_detectable]
     lines += [_doubt_line(r) for r in d.rivals if r.instead_of == "none"]
+    lines += [row for f in d.findings if f.kind == "shut-gap" for row in (f"  {f.message}", f"    to tell: {f.hint}")]
     if len(d.collection) > 1:
         shown = d.collection if details else d.collection[:SHOWN_SETS]
         lines += ["what the records leave open (3 noise sigmas tell):", *(_set_line(p) for p in shown)]

@@ -188,11 +188,11 @@ def _at_worst_joint(problem: Problem, fit: Fit, simulators: Sequence[Simulator])
         if f is None:
             parts.append(None)
             continue
-        port, record = f.ports[j], problem.records[k]
-        coordinates = {"time": record.record.t[f.used], "speed": f.x @ port.velocity}
+        port, record, own = f.ports[j], problem.records[k], f.x.shape[1]
+        coordinates = {"time": record.record.t[f.used], "speed": f.x @ port.velocity[:own]}
         units = {"time": "s", "speed": port.speed_unit}
         if port.position is not None:
-            coordinates["position"], units["position"] = f.x @ port.position, port.position_unit
+            coordinates["position"], units["position"] = f.x @ port.position[:own], port.position_unit
         for i, signal in enumerate(problem.plant.inputs):
             coordinates[f"input {signal.name}"], units[f"input {signal.name}"] = record.u[f.used, i], signal.unit
         parts.append((port.name, port.unit, f.force[:, j], f.std[:, j], coordinates, units))

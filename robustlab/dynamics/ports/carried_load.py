@@ -1,0 +1,196 @@
+r"""A joint of a nonlinear plant, split into its drive and the load that it carries, about points of a motion.
+
+With M the mass matrix of the joints, :math:`b = M^{-1} e_j`, :math:`J = 1/(e_j^T b)`, and the drive's part
+:math:`(1 - s) J` of that inertia, the machine behind the gap has the mass matrix :math:`M - (1 - s) J e_j e_j^T`. It
+bears all forces of the plant but the drive's own: weight, what the other joints' motions ask of it, springs. With a the
+accelerations that the whole plant would have in the load's position (the joint's position and velocity less
+:math:`\delta, \dot\delta`), D the drive's own force and F what the load does to the drive,
+
+.. math::
+    (1 - s) J \dot v_1 = D(v_1) + F, \qquad
+    \dot v_{load} = a + \frac{1 - s}{s} J b\, a_j - \frac{b}{s}\,(D(v_2) + F)
+
+(Sherman, Morrison for the smaller mass matrix). With no more than one body this is `with_load_side` with what pulls at
+the joint pulling at the load. The drive's own force is that of the inputs and currents at the joint, and its viscous
+friction as far as a parameter with that role tells it; laws at the joint act on the drive, too.
+
+The drive's inertia does not follow the pose: it is the share :math:`1 - s` of J at the plant's start (its home), and s
+along a motion follows from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robustlab.arrays import Array, Indices
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.port_model import Port, PortModel
+from robustlab.errors import RobustlabError
+
+ASIDE = 0.05  # of the states, at which an inertia that no pose changes is asked for a second time
+ROUNDING = 1e-9  # of an inertia
+LEAST_SHARE = 1e-4  # of the load, where a pose leaves it less inertia than the drive is said to have
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """States (n, n_x) and inputs (n, n_u) at points of a motion, the plant's rates there, and those of the motion."""
+
+    x: Array
+    u: Array
+    rates: Array
+    accelerations: Array  # rates of the states as the motion has them, (n, n_x)
+
+
+def with_carried_load(model: PortModel, joint: str, share: float, relative: str) -> PortModel:
+    """The model with the load behind the joint, not yet connected; ports as of
+    `robustlab.dynamics.ports.load_side.with_load_side`.
+
+    ``share``: s at the plant's start, the load's share of the inertia there.
+    """
+    port = model.ports[joint]
+    places = {n: int(np.argmax(p.velocity)) for n, p in model.ports.items() if p.kind == "joint"}
+    rows, j = np.array(sorted(places.values()), dtype=np.int64), places[joint]
+    inertia = port.inertia[:, None]
+    home = port.home_inertia or port.mean_inertia
+    s = np.maximum(1.0 - (1.0 - share) * home / inertia, LEAST_SHARE)
+    n = len(port.velocity)
+    drive_a, drive_b = _drives_own(model, port, places, rows)
+    wide = model.widened(np.zeros((2, n + 2)))
+    a, b = wide.A.copy(), wide.B.copy()
+    # the plant in the load's position: what the joint's states do, they do less delta and its rate
+    a[:, rows, n + 1] = -model.A[:, rows, j]
+    load_a = drive_a.copy()
+    load_a[:, n + 1] = -drive_a[:, j]
+    if port.position is not None:
+        a[:, rows, n] = -model.A[:, rows, int(np.argmax(port.position))]
+    pushed = port.force[:, rows] / s
+    whole_a, whole_b = a[:, j].copy(), b[:, j].copy()
+    a[:, rows] += pushed[..., None] * ((1.0 - s) * inertia * whole_a - load_a)[:, None, :]
+    b[:, rows] += pushed[..., None] * ((1.0 - s) * inertia * whole_b - drive_b)[:, None, :]
+    load_row_a, load_row_b = a[:, j].copy(), b[:, j].copy()
+    drive = (1.0 - s) * inertia
+    a[:, j], b[:, j] = drive_a / drive, drive_b / drive
+    a[:, n, n + 1] = 1.0
+    a[:, n + 1], b[:, n + 1] = a[:, j] - load_row_a, b[:, j] - load_row_b
+    ports = {name: _on_load(p, wide.ports[joint], rows, s, inertia) for name, p in wide.ports.items()}
+    ports[joint] = _on_drive(wide.ports[joint], 1.0 / drive[:, 0])
+    load = _load(wide.ports[joint], rows, s)
+    reduced = (s * drive)[:, 0, None]
+    unit = port.speed_unit.removesuffix("/s")
+    gap = replace(
+        ports[joint], name=f"{joint}.{relative}", kind="relative", unit=f"{unit}/s2", position_unit=unit,
+        force=reduced * (ports[joint].force - load.force), velocity=np.eye(n + 2)[n + 1], position=np.eye(n + 2)[n],
+    )  # fmt: skip
+    return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
+
+
+def shares_behind(plant: NonlinearPlant, joint: str) -> tuple[float, ...]:
+    """Smallest and largest share of a joint's inertia that hangs behind its drive, where a parameter is the drive's.
+
+    A drive's inertia is the joint's alone, in every pose: what half of the parameter takes away stands in one entry of
+    the mass matrix. Where several do that (a rotor, the first link of an arm) each may be it; none where none does.
+    """
+    names = [s.name for s in plant.states]
+    joints = [(k, names.index(p.name)) for k, p in enumerate(plant.port_places) if p.kind == "joint"]
+    rows, columns = np.array([k for _, k in joints]), np.array([k for k, _ in joints])
+    j = [names[k] for k in rows].index(joint)
+    n = len(names)
+    x = plant.start + np.outer([0.0, ASIDE], 1.0 + np.arange(n) / n)
+
+    def masses(values: Mapping[str, float]) -> Array:
+        local = plant.local_models(x, np.zeros((2, len(plant.inputs))), values)
+        return np.linalg.inv(local.push[:, rows[:, None], columns])
+
+    try:
+        whole, found = masses(plant.values), []
+        for name, p in plant.parameters.items():
+            if p.role == "inertia" and p.value:
+                part = 2.0 * (whole - masses({**plant.values, name: 0.5 * p.value}))
+                own = part[0, j, j]
+                rest = np.abs(part[:, j]).sum(axis=1) - own
+                if own > ROUNDING * whole[0, j, j] and (np.abs([*rest, part[1, j, j] - own]) < ROUNDING * own).all():
+                    found.append(1.0 - own * float(np.linalg.inv(whole[0])[j, j]))
+    except (RobustlabError, np.linalg.LinAlgError):
+        return ()
+    found = [float(s) for s in found if 0.0 < s < 1.0]
+    return (min(found), max(found))[: len(set(found))] if found else ()
+
+
+def carried_force(model: PortModel, joint: str, share: float, motion: Motion) -> Array:
+    r"""Force (n,) that keeps the load at the joint's drive along a motion: its sign is the flank's of a gap there.
+
+    .. math:: e_j^T (M - (1 - s) J e_j e_j^T)\,\dot v - (e_j^T M a - D)
+
+    with the accelerations a of the plant and D the drive's own force, as they are at the states and inputs of the
+    motion; what the inputs do there cancels. As long as it keeps its sign no gap opens.
+
+    ``model``: about the points of the motion. ``share``: as of `with_carried_load`.
+    """
+    port = model.ports[joint]
+    places = {n: int(np.argmax(p.velocity)) for n, p in model.ports.items() if p.kind == "joint"}
+    rows, n = np.array(sorted(places.values()), dtype=np.int64), len(port.velocity)
+    over_x, over_b = _drives_own(model, port, places, rows)
+    lacking = motion.accelerations[:, rows] - motion.rates[:, rows]
+    found = np.sum(_masses(model, port, rows) * lacking, axis=1)
+    found += np.sum(over_x[:, :n] * motion.x, axis=1) + np.sum(over_b[:, : motion.u.shape[1]] * motion.u, axis=1)
+    drive = (1.0 - share) * (port.home_inertia or port.mean_inertia)
+    return np.asarray(found - drive * motion.accelerations[:, places[joint]])
+
+
+def _masses(model: PortModel, port: Port, rows: Indices) -> Array:
+    """The joint's row of the mass matrix, (n_points, n_joints)."""
+    joints = [p for p in model.ports.values() if p.kind == "joint"]
+    push = np.stack([p.force[:, rows] for p in joints], axis=2)
+    unit = np.array([float(p.name == port.name) for p in joints])[:, None]
+    return np.linalg.solve(np.swapaxes(push, 1, 2), np.broadcast_to(unit, (len(push), *unit.shape)))[..., 0]
+
+
+def _drives_own(model: PortModel, port: Port, places: Mapping[str, int], rows: Indices) -> tuple[Array, Array]:
+    """The drive's own force over the states and a velocity column for the load's (n_points, n + 2), and over the
+    columns of B: what inputs, currents and its viscous friction do at the joint.
+    """
+    row = _masses(model, port, rows)
+    n, n_u = len(port.velocity), model.B.shape[-1] - model.own
+    over_x = np.zeros((len(row), n + 2))
+    for other in model.ports.values():
+        if other.kind == "current":
+            k = int(np.argmax(other.velocity))
+            over_x[:, k] = np.einsum("mr,mr->m", row, model.A[:, rows, k])
+    over_x[:, places[port.name]] = -port.drag
+    over_b = np.zeros((len(row), model.B.shape[-1]))
+    over_b[:, :n_u] = np.einsum("mr,mru->mu", row, model.B[:, rows, :n_u])
+    return over_x, over_b
+
+
+def _on_drive(port: Port, mobility: Array) -> Port:
+    """Port of the drive: its force moves the drive alone, and with it the relative velocity."""
+    force = np.zeros_like(port.force)
+    force[:, int(np.argmax(port.velocity))] = force[:, -1] = mobility
+    return replace(port, force=force)
+
+
+def _on_load(port: Port, joint: Port, rows: Indices, s: Array, inertia: Array) -> Port:
+    """Port of another place: a force there acts on the machine without the drive."""
+    j = int(np.argmax(joint.velocity))
+    at_joint = port.force[:, j, None]
+    force = port.force.copy()
+    force[:, rows] += (1.0 - s) / s * inertia * joint.force[:, rows] * at_joint
+    force[:, -1] = -force[:, j]
+    force[:, j] = 0.0
+    return replace(port, force=force)
+
+
+def _load(joint: Port, rows: Indices, s: Array) -> Port:
+    """Port of the load: its motion is the joint's less the relative one."""
+    delta, rate = np.eye(len(joint.velocity))[-2:]
+    j = int(np.argmax(joint.velocity))
+    force = joint.force.copy()
+    force[:, rows] /= s
+    force[:, -1] = -force[:, j]
+    force[:, j] = 0.0
+    position = None if joint.position is None else joint.position - delta
+    return replace(joint, name=f"{joint.name}.load", force=force, velocity=joint.velocity - rate, position=position)
