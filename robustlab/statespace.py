@@ -133,6 +133,8 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         for matrix in (A, B, C, D):
             matrix.setflags(write=False)
         known = {"_poles": poles, "_eigen": None if modes is None else (poles, modes)}
+        if A is not self.A:
+            known["_schur"] = None
         kept = {name: value for name, value in vars(self).items() if name not in known}
         vars(model).update(kept | {name: value for name, value in known.items() if value is not None})
         vars(model).update(A=A, B=B, C=C, D=D, operating_point=None)

@@ -11,7 +11,6 @@ This is also the one door to LAPACK's own routines (`lapack`).
 from __future__ import annotations
 
 import functools
-import math
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -423,124 +422,15 @@ def unique_solution(where: str, apart: AnyArray, size: float, solve: Callable[[]
     return X
 
 
-@dataclass(frozen=True, eq=False)
-class SchurForm:
-    """The real Schur form ``A = Z T Z^T`` of a finite matrix, shapes (n, n), n > 0: one for all that A is asked."""
-
-    T: AnyArray
-    Z: AnyArray
-
-    @classmethod
-    def of(cls, A: AnyArray, where: str) -> SchurForm:
-        """By the QR algorithm; `NoTrustworthyNumber` where that does not converge."""
-        T, _, _, _, Z, _, failed = lapack().dgees(lambda *_: False, A, lwork=ROOM * len(A))
-        if failed:
-            raise NoTrustworthyNumber(where, "the QR algorithm did not converge")
-        return cls(T, Z)
-
-    def modes(self) -> tuple[AnyArray, AnyArray]:
-        """Eigenvalues (n,) and eigenvectors (n, n) of A: a fraction of the work that they are from A."""
-        poles, vectors = np.linalg.eig(self.T)
-        return poles, self.Z @ vectors
-
-    def gramian(self, right: AnyArray, *, dual: bool = False, tolerance: float = 1e-6) -> AnyArray:
-        """X with ``A X + X A^T + right right^T = 0``, or, dual, with A^T in the place of A (Bartels, Stewart 1972)."""
-        T, known = self.T, self.Z.T @ right
-        known = known @ known.T
-        X, scale, info = lapack().dtrsyl(T, T, -known, **({"trana": "T"} if dual else {"tranb": "T"}))
-        if info or scale < 1 or not np.isfinite(X).all():
-            raise NoTrustworthyNumber("gramians", MIRRORED)
-        _small_residual("gramians", T.T @ X if dual else T @ X, known, tolerance)
-        X = self.Z @ X @ self.Z.T
-        return 0.5 * (X + X.T)
+# --- judging, and the door to LAPACK ---------------------------------------------------------------------------------
 
 
-def lyapunov_factors(
-    A: ArrayLike, B: ArrayLike, C: ArrayLike, form: SchurForm | None = None, *, tolerance: float = 1e-8
-) -> tuple[AnyArray, AnyArray]:
-    r"""Triangular factors of both Gramians, shapes (n, n), from one Schur form: no Gramian is ever formed.
-
-    .. math:: A P + P A^T + B B^T = 0, \quad P = L_c L_c^T, \qquad A^T Q + Q A + C^T C = 0, \quad Q = L_o L_o^T
-
-    Eigenvalues of P and Q down to ``eps^2`` of the largest keep their sign, which a decomposition of them loses.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, NaN or Inf.
-    NoTrustworthyNumber
-        A is not stable (continuous time), or a relative residual is above ``tolerance``.
-
-    References
-    ----------
-    Hammarling, "Numerical solution of the stable, non-negative definite Lyapunov equation", IMA J. Numer. Anal. 2
-    (1982), sections 3, 5.
-
-    Examples
-    --------
-    >>> [float(x[0, 0]) for x in lyapunov_factors([[-0.5]], [[2.0]], [[3.0]])]
-    [2.0, 3.0]
-    """
-    where = "lyapunov_factors"
-    a, b, c = (real_array(k, v, 2, where) for k, v in (("A", A), ("B", B), ("C", C)))
-    n = a.shape[0]
-    check_shapes(where, A=(a, (n, n)), B=(b, (n, b.shape[1])), C=(c, (c.shape[0], n)))
-    if n == 0 or not (b.any() or c.any()):
-        return np.zeros((n, n)), np.zeros((n, n))
-    form = form or SchurForm.of(a, where)
-    s, _, poles, q, _, info = lapack().zgees(lambda _: 0, form.T)  # with next to nothing left to do
-    q = form.Z @ q
-    if info:
-        raise NoTrustworthyNumber(where, "the QR algorithm did not converge")
-    if np.real(poles).max() >= 0:
-        raise NoTrustworthyNumber(where, f"A has the eigenvalue {poles[np.real(poles).argmax()]:.6g}", "a stable A")
-    reach = _hammarling(a, b, s, q, tolerance)
-    # A^T is conj(q) s^T q^T, whose middle is lower triangular: upper, with its states in reverse order.
-    return reach, _hammarling(a.T, c.T, s.T[::-1, ::-1], q.conj()[:, ::-1], tolerance)
-
-
-def _hammarling(a: AnyArray, b: AnyArray, s: AnyArray, q: AnyArray, tolerance: float) -> AnyArray:
-    """L with ``a L L^T + L L^T a^T + b b^T = 0`` for ``a = q s q^H``, s upper triangular."""
-    where, n = "lyapunov_factors", len(a)
-    if not b.any():
-        return np.zeros((n, n))
-    rest, u = (q.conj().T @ b).astype(complex), np.zeros((n, n), complex)
-    # Last row of U first; what is left of the right-hand side is again of the form B B^H.
-    solve, shifted, poles = lapack().ztrtrs, s.copy(order="F"), s.diagonal().copy()
-    diagonal = np.einsum("ii->i", shifted)
-    for k in range(n - 1, -1, -1):
-        direction = rest[k].conj()
-        size = math.sqrt(np.vdot(direction, direction).real)
-        if size == 0:
-            continue
-        decay, direction = math.sqrt(-2 * poles[k].real), direction / size
-        u[k, k] = size / decay
-        if k:
-            diagonal[:k] = poles[:k] + poles[k].conj()
-            x, info = solve(shifted[:k, :k], -(decay * (rest[:k] @ direction) + s[:k, k] * u[k, k]))
-            if info:
-                raise NoTrustworthyNumber(where, MIRRORED)
-            u[:k, k] = x
-            rest[:k] -= (decay * x)[:, None] * direction.conj()
-    factor = q @ u
-    if not np.isfinite(factor).all():
-        raise NoTrustworthyNumber(where, "the factor is not finite")
-    # X is real, so its real and imaginary factors side by side are a real factor of it.
-    L = np.asarray(np.linalg.qr(np.hstack([np.real(factor), np.imag(factor)]).T, mode="r")).T
-    with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
-        _small_residual(where, a @ (L @ L.T), b @ b.T, tolerance)
-    return L
-
-
-def _small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float) -> None:
+def small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float) -> None:
     """Refuse the solution of ``half + half^T + known = 0`` that leaves more than this share of its terms."""
     size = 2 * np.linalg.norm(half) + np.linalg.norm(known)
     residual = float(np.linalg.norm(half + half.T + known) / size) if size else 0.0
     if not residual <= tolerance:
         raise NoTrustworthyNumber(where, f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
-
-
-# --- judging, and the door to LAPACK ---------------------------------------------------------------------------------
 
 
 def accepted_residual(where: str, terms: tuple[AnyArray, ...], tolerance: float) -> float:

@@ -12,8 +12,9 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.exact_stability import exactly_stable
 from robustlab.linear_analysis.magnitude import Moderated, balancing_factors, moderated
-from robustlab.linear_analysis.matrix_equations import SchurForm, lyapunov
+from robustlab.linear_analysis.matrix_equations import lyapunov
 from robustlab.linear_analysis.modal_response import ModalResponse
+from robustlab.linear_analysis.schur_lyapunov import SchurForm, balanced_schur
 from robustlab.norms.axis_integral import TUNING, mean_square_gain
 from robustlab.norms.hinfinity import unstable_norm
 from robustlab.norms.level_set import well_scaled
@@ -218,6 +219,12 @@ def _by_gramians(ordinary: Moderated, with_modes: bool = False) -> tuple[H2Norm,
     if not m.n_states:
         return H2Norm(ordinary.value(float(np.linalg.norm(m.D)), "h2_norm"), Status.CERTIFIED), None
     doubt = outside.reason if outside is not None and exactly_stable(m.A, m.is_discrete) is None else ""
+    if not m.is_discrete and "_schur" in vars(m):
+        form, t = balanced_schur(m)
+        balanced = StateSpaceModel(m.A / t[:, None] * t, m.B / t[:, None], m.C * t, m.D, m.dt)
+        found = _solved(ordinary, balanced, 1.0, doubt, form)
+        if found[0].status is Status.CONVERGED:
+            return found
     # In the time unit 1/rate the impulse response keeps its square integral divided by rate.
     s, rate = (m, 1.0) if m.is_discrete else well_scaled(m)
     confirmed = _confirmed(ordinary, s, rate) if with_modes and not doubt and not m.is_discrete else None
@@ -248,12 +255,14 @@ def _confirmed(ordinary: Moderated, s: StateSpaceModel, rate: float) -> H2Norm |
     return H2Norm(value, Status.CONVERGED, "", integral)
 
 
-def _solved(ordinary: Moderated, s: StateSpaceModel, rate: float, doubt: str) -> tuple[H2Norm, _Solved | None]:
+def _solved(
+    ordinary: Moderated, s: StateSpaceModel, rate: float, doubt: str, form: SchurForm | None = None
+) -> tuple[H2Norm, _Solved | None]:
     try:
         if s.is_discrete:
             reach, see = lyapunov(s.A, s.B @ s.B.T, True), lyapunov(s.A.T, s.C.T @ s.C, True)
         else:
-            form = SchurForm.of(s.A, "gramians")
+            form = form or SchurForm.of(s.A, "gramians")
             reach, see = form.gramian(s.B), form.gramian(s.C.T, dual=True)
         solved = _Solved(ordinary, s, rate, reach, see, doubt)
     except NoTrustworthyNumber as error:

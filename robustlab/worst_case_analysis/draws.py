@@ -23,6 +23,7 @@ from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.upper_lft import ILL_POSED
 from robustlab.worst_case_analysis.ensemble import Ensemble, lft_parts, split, state_scale
+from robustlab.worst_case_analysis.seeded_uniform import uniform_numbers
 from robustlab.worst_case_analysis.tuning import TUNING
 
 # "all" vertices are listed up to this many real deltas; subsets are drawn from a full list up to the same number.
@@ -76,15 +77,12 @@ class Deltas(Sequence[Mapping[str, Any]]):
 
     def numbers(self, part: slice) -> Array:
         """Normalised values of the real scalars of some samples, shape (k, d); for sets of real scalars only."""
-        rows = np.empty((part.stop - part.start, len(self.blocks)))
-        for row, index in zip(rows, range(part.start, part.stop), strict=True):
-            if index < self.n:
-                row[:] = _generator(self.seed, index).uniform(-1.0, 1.0, len(row))
-                for k, block in self._asymmetric:
-                    row[k] = block.in_range(float(row[k]))
-            else:
-                row[:] = self.signs[index - self.n]
-        return rows
+        inside = np.arange(part.start, max(part.start, min(part.stop, self.n)))
+        drawn = uniform_numbers(self.seed, inside, len(self.blocks))
+        for k, block in self._asymmetric:
+            drawn[:, k] = [block.in_range(place) for place in drawn[:, k].tolist()]
+        corners = self.signs[max(part.start - self.n, 0) : max(part.stop - self.n, 0)]
+        return np.concatenate([drawn, corners]) if len(corners) else drawn
 
     def to_json(self) -> list[Mapping[str, Any]]:
         """All of them."""

@@ -302,7 +302,8 @@ class Lanes(NamedTuple):
 def in_lanes(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold) -> Lanes:
     """The kernels' arrays for some members under one input."""
     used = np.flatnonzero(drive.u.any(axis=0))
-    phi, gamma, slope = transitions(ensemble, drive.h, hold, used)
+    with np.errstate(over="ignore", invalid="ignore"):
+        phi, gamma, slope = transitions(ensemble, drive.h, hold, used)
     u = np.ascontiguousarray(drive.u[:, used])
     v = u[:-1]
     if hold == "foh":
@@ -326,6 +327,11 @@ def _grouped(matrices: Array) -> Array:
     return np.ascontiguousarray(whole.reshape(groups, LANES, rows, columns).transpose(0, 2, 3, 1))
 
 
+def is_compiled(n_t: int, n_x: int) -> bool:
+    """Whether responses of so many times and states come from the compiled kernel."""
+    return n_t * max(1, n_x) ** 2 >= TUNING.compiled_from
+
+
 def responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold, out: Array | None = None) -> Array:
     """Outputs of all (real) members (k, n_t, n_y), by the way that suits the size of one of them.
 
@@ -333,7 +339,7 @@ def responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold, out:
     are asked for.
     """
     n_t, n_y = len(drive.u), ensemble.C.shape[1]
-    if n_t * max(1, len(x0)) ** 2 < TUNING.compiled_from:
+    if not is_compiled(n_t, len(x0)):
         found = time_responses(ensemble, drive.h, drive.u, x0, hold)
         if out is None:
             return found
@@ -342,8 +348,7 @@ def responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold, out:
     from robustlab.worst_case_analysis.response_kernels import respond
 
     out = np.empty((len(ensemble), n_t, n_y)) if out is None else out
-    with np.errstate(over="ignore", invalid="ignore"):
-        respond(in_lanes(ensemble, drive, x0, hold), out)
+    respond(in_lanes(ensemble, drive, x0, hold), out)
     return out
 
 

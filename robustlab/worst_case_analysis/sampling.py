@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
+from robustlab.budget import one_thread
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
 from robustlab.dynamics.simulation import simulate
@@ -400,6 +401,7 @@ def _asked(
     return drive, start
 
 
+@one_thread()
 def _respond(
     samples: Samples, t: ArrayLike, u: Mapping[str, ArrayLike] | ArrayLike | None, x0: ArrayLike | None, hold: Hold
 ) -> Responses:

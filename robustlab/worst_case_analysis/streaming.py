@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -12,13 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
+from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.statespace import Signal
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count
-from robustlab.worst_case_analysis.ensemble import Excitation, Hold, in_lanes, responses
+from robustlab.worst_case_analysis.ensemble import (
+    Ensemble,
+    Excitation,
+    Hold,
+    Lanes,
+    in_lanes,
+    is_compiled,
+    responses,
+    time_responses,
+)
 from robustlab.worst_case_analysis.tuning import TUNING
 
 T = TypeVar("T")
@@ -147,14 +158,37 @@ class Sums(NamedTuple):
     total: Array
     squares: Array
     lost: NDArray[np.int64]  # how many values are not finite
-    counts: NDArray[Any]  # how many fall into each bin, (n_t, n_y, n_bins)
 
     @classmethod
-    def empty(cls, shape: tuple[int, int], n_bins: int, dtype: Any) -> Sums:
+    def empty(cls, shape: tuple[int, int]) -> Sums:
         """Statistics of no samples."""
         lower, upper = np.full(shape, np.inf), np.full(shape, -np.inf)
-        lost, counts = np.zeros(shape, dtype=np.int64), np.zeros((*shape, n_bins), dtype=dtype)
-        return cls(lower, upper, np.zeros(shape), np.zeros(shape), lost, counts)
+        return cls(lower, upper, np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=np.int64))
+
+
+class _Counts:
+    """How many values fall into each bin, (n_t, n_y, n_bins), in as many arrays as threads add to them at a time.
+
+    Whole numbers may be added in any order.
+    """
+
+    def __init__(self, shape: tuple[int, int], n_bins: int, samples: int) -> None:
+        self._shape, self._dtype = (*shape, n_bins), np.int32 if samples < 2**31 else np.int64
+        self._idle: list[NDArray[Any]] = []
+
+    @contextmanager
+    def lent(self) -> Iterator[NDArray[Any]]:
+        """An array that nobody else adds to meanwhile."""
+        try:
+            counts = self._idle.pop()
+        except IndexError:
+            counts = np.zeros(self._shape, dtype=self._dtype)
+        yield counts
+        self._idle.append(counts)
+
+    def total(self) -> NDArray[Any]:
+        """The sum of all of them."""
+        return sum(self._idle[1:], start=self._idle[0])
 
 
 @dataclass
@@ -187,21 +221,29 @@ class _Stream:
     x0: Array
     hold: Hold
     bins: Bins
-    n_bins: int
+    counts: _Counts
+    first: tuple[Ensemble, Lanes]  # the members of the first block
 
     def block(self, part: slice) -> _Tally:
         """Statistics of one block."""
         from robustlab.worst_case_analysis.response_kernels import accumulate
 
-        ensemble, shape = self.members.drawn(self.deltas, part, "stream"), self.bins.nominal.shape
-        sums, peak = Sums.empty(shape, self.n_bins, np.int32), np.empty((part.stop - part.start, shape[1]))
-        with np.errstate(over="ignore", invalid="ignore"):
-            lanes = in_lanes(ensemble, self.drive, self.x0, self.hold)
-        accumulate(lanes, self.bins, sums, peak)
+        ensemble, lanes = self._members(part)
+        n_t, n_y = self.bins.nominal.shape
+        sums, peak = Sums.empty((n_t, n_y)), np.empty((part.stop - part.start, n_y))
+        with self.counts.lent() as counts:
+            accumulate(lanes, self.bins, sums, counts, peak)
         unstable = int(ensemble.is_unstable(TUNING.marginal).sum())
         return _Tally(sums, peak.max(axis=0), part.start + peak.argmax(axis=0), unstable)
 
+    def _members(self, part: slice) -> tuple[Ensemble, Lanes]:
+        if not part.start:
+            return self.first
+        ensemble = self.members.drawn(self.deltas, part, "stream")
+        return ensemble, in_lanes(ensemble, self.drive, self.x0, self.hold)
 
+
+@one_thread()
 def stream(
     uncertain: UncertainModel,
     deltas: Deltas,
@@ -221,23 +263,40 @@ def stream(
         limit = TUNING.most_counts // TUNING.fewest_bins
         raise InputError("stream", f"{nominal.size} times x outputs", f"at most {limit}", "fewer times or outputs")
     first = members.drawn(deltas, slice(0, min(members.block, len(deltas))), "stream")
+    lanes = in_lanes(first, drive, x0, hold)
     n_bins = int(np.clip(TUNING.most_counts // max(1, nominal.size), TUNING.fewest_bins, TUNING.bins))
-    bins = _bins(responses(first, drive, x0, hold), np.ascontiguousarray(nominal), n_bins)
-    job = _Stream(members, deltas, drive, x0, hold, bins, n_bins)
-    n_y = nominal.shape[1]
-    sums = Sums.empty((len(nominal), n_y), n_bins, np.int64)
-    tally = _Tally(sums, np.full(n_y, -1.0), np.zeros(n_y, dtype=np.int64))
+    bins = _bins(*_envelope(first, lanes, drive, x0, hold, nominal), np.ascontiguousarray(nominal), n_bins)
+    n_t, n_y = nominal.shape
+    counts = _Counts((n_t, n_y), n_bins, len(deltas))
+    job = _Stream(members, deltas, drive, x0, hold, bins, counts, (first, lanes))
+    tally = _Tally(Sums.empty((n_t, n_y)), np.full(n_y, -1.0), np.zeros(n_y, dtype=np.int64))
     for found in in_order(job.block, blocks_of(len(deltas), members.block), workers):
         tally.add(found)
     return _result(uncertain, job, tally, quantiles)
 
 
-def _bins(y: Array, nominal: Array, n_bins: int) -> Bins:
+def _envelope(
+    first: Ensemble, lanes: Lanes, drive: Excitation, x0: Array, hold: Hold, nominal: Array
+) -> tuple[Array, Array]:
+    """Smallest and largest finite value of some members and the nominal model; infinite where there is none."""
+    if is_compiled(len(drive.u), len(x0)):
+        from robustlab.worst_case_analysis.response_kernels import accumulate
+
+        nothing, shape = np.zeros(nominal.shape), nominal.shape
+        sums, peak = Sums.empty(shape), np.empty((len(first), shape[1]))
+        accumulate(lanes, Bins(nothing, nothing, nothing), sums, np.zeros((*shape, 1), dtype=np.int32), peak)
+        low, high = sums.lower, sums.upper
+    else:
+        y = time_responses(first, drive.h, drive.u, x0, hold)
+        finite = np.isfinite(y)
+        low = np.where(finite, y, np.inf).min(axis=0)
+        high = np.where(finite, y, -np.inf).max(axis=0)
+    finite = np.isfinite(nominal)
+    return np.minimum(low, np.where(finite, nominal, np.inf)), np.maximum(high, np.where(finite, nominal, -np.inf))
+
+
+def _bins(low: Array, high: Array, nominal: Array, n_bins: int) -> Bins:
     """Bins from the envelope of the first block's responses, widened by half of it on both sides."""
-    everything = np.concatenate([y, nominal[None]])
-    finite = np.isfinite(everything)
-    low = np.where(finite, everything, np.inf).min(axis=0)
-    high = np.where(finite, everything, -np.inf).max(axis=0)
     low, high = np.where(np.isfinite(low), low, 0.0), np.where(np.isfinite(high), high, 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
         width = 2.0 * (high - low) / n_bins
@@ -252,6 +311,7 @@ def _bins(y: Array, nominal: Array, n_bins: int) -> Bins:
 
 def _result(uncertain: UncertainModel, job: _Stream, tally: _Tally, quantiles: Sequence[float]) -> StreamedResponses:
     count, drive, nominal, sums = len(job.deltas), job.drive, job.bins.nominal, tally.sums
+    below = np.cumsum(job.counts.total(), axis=2, dtype=np.int64)
     valid = np.maximum(count - sums.lost, 1)
     mean_gap = sums.total / valid
     with np.errstate(over="ignore", invalid="ignore"):
@@ -269,7 +329,7 @@ def _result(uncertain: UncertainModel, job: _Stream, tally: _Tally, quantiles: S
         np.where(gone, np.inf, upper),
         np.where(gone, np.nan, nominal + mean_gap),
         np.where(gone, np.nan, np.sqrt(variance)),
-        {float(q): _quantile(job.bins, sums, q, lower, upper) for q in quantiles},
+        {float(q): np.where(gone, np.nan, _quantile(job.bins, below, q, lower, upper)) for q in quantiles},
         1.0 / job.bins.per_bin,
         worst,
         deltas,
@@ -285,15 +345,16 @@ def _result(uncertain: UncertainModel, job: _Stream, tally: _Tally, quantiles: S
     )
 
 
-def _quantile(bins: Bins, sums: Sums, q: float, lower: Array, upper: Array) -> Array:
-    """Value of the sample with rank ``ceil(q n)``, to half a bin; the envelope in the outermost bins."""
-    below = np.cumsum(sums.counts, axis=2)
+def _quantile(bins: Bins, below: NDArray[np.int64], q: float, lower: Array, upper: Array) -> Array:
+    """Value of the sample with rank ``ceil(q n)``, to half a bin; the envelope in the outermost bins.
+
+    ``below`` tells how many values fall into each bin and those before it.
+    """
     wanted = np.ceil(q * below[:, :, -1:])
     place = (below < wanted).sum(axis=2)
     value = bins.low + (place + 0.5) / bins.per_bin
-    value = np.where(place == 0, lower, np.where(place == sums.counts.shape[2] - 1, upper, value))
-    value = np.clip(value, lower, upper)
-    return np.where(sums.lost > 0, np.nan, value)
+    value = np.where(place == 0, lower, np.where(place == below.shape[2] - 1, upper, value))
+    return np.clip(value, lower, upper)
 
 
 def _worst_again(

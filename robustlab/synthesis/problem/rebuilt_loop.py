@@ -15,6 +15,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
+from robustlab.linear_analysis.schur_lyapunov import balanced_schur
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
@@ -159,6 +160,6 @@ def surely_stable(loop: StateSpaceModel) -> bool:
     """True where every pole is further inside the stability region than the rounding of eigenvalues may move it."""
     if not loop.n_states:
         return True
-    t = balancing_factors(loop.A)
+    _, t = balanced_schur(loop)
     size = max(float(np.linalg.norm(loop.A / t[:, None] * t, 1)), 1.0 if loop.is_discrete else 0.0)
-    return loop._with_modes().spectral_abscissa() < -10 * float(np.finfo(float).eps) * size
+    return loop.spectral_abscissa() < -10 * float(np.finfo(float).eps) * size

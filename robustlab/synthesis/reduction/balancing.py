@@ -8,15 +8,16 @@ Any two positive semidefinite matrices may stand in for the Gramians: those of a
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_factors
-from robustlab.linear_analysis.matrix_equations import SchurForm, lyapunov_factors
+from robustlab.linear_analysis.schur_lyapunov import SchurForm, lyapunov_factors
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel, parallel
 from robustlab.synthesis.problem.double_double import sum_of_products
@@ -46,13 +47,15 @@ class SplitModel:
 
     The parts have no names of signals, so that weights of any units go with them.
     ``whole`` is the model in balanced states, ``basis`` T, shape (n, n), the states of both parts in terms of these;
-    None where one of the parts is the model itself.
+    None where one of the parts is the model itself. ``form`` is the Schur form of A in balanced states, where the model
+    is continuous and all of it is stable.
     """
 
     stable: StateSpaceModel
     apart: StateSpaceModel
     whole: StateSpaceModel
     basis: AnyArray | None = None
+    form: SchurForm | None = None
 
     def joined(self, reduced: StateSpaceModel) -> StateSpaceModel:
         """The sum, with a reduced stable part; states of that first."""
@@ -100,11 +103,13 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
     scale = balancing_factors(model.A)
     a, b, c = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
     poles = model.poles()
-    stable = _surely_stable(a, poles, dt)
+    form = SchurForm.of(a, "stable part") if n else None
+    values, modes = form.modes() if form else (np.zeros(0), np.zeros((0, 0)))
+    stable = _surely_stable(a, values, modes, poles, dt)
     if stable.all():
         bare = StateSpaceModel(model.A, model.B, model.C, model.D, dt)
-        bare = bare._with_matrices(bare.A, bare.B, bare.C, bare.D, model.poles())
-        return SplitModel(bare, _static(model, 0 * model.D), model)
+        bare._with_modes((values, scale[:, None] * modes))
+        return SplitModel(bare, _static(model, 0 * model.D), model, form=None if dt else form)
     if not stable.any():
         return SplitModel(_static(model, model.D), model._with_matrices(model.A, model.B, model.C, 0 * model.D), model)
     try:
@@ -134,19 +139,20 @@ def _static(like: StateSpaceModel, D: AnyArray) -> StateSpaceModel:
     return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n_u)), np.zeros((n_y, 0)), D, like.dt)
 
 
-def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
+def gramian_factors(model: StateSpaceModel, form: SchurForm | None = None) -> tuple[AnyArray, AnyArray]:
     """Factors ``(L_c, L_o)`` of the Gramians of a stable model, each (n, n); a discrete one through the bilinear map.
 
-    The map with the scaling of `robustlab.norms.bilinear_to_continuous` leaves both Gramians as they are.
+    The map with the scaling of `robustlab.norms.bilinear_to_continuous` leaves both Gramians as they are. ``form`` is
+    the Schur form of A in balanced states, where it is known.
     """
     m = bilinear_to_continuous(model) if model.is_discrete else model
     if not m.n_states:
         return np.zeros((0, 0)), np.zeros((0, 0))
     scale = balancing_factors(m.A)
     a = m.A / scale[:, None] * scale
-    form = SchurForm.of(a, "lyapunov_factors")
+    form = form or SchurForm.of(a, "lyapunov_factors")
     reach, see = lyapunov_factors(a, m.B / scale[:, None], m.C * scale, form)
-    if m is model:
+    if m is model and "_eigen" not in vars(model):
         poles, modes = form.modes()
         model._with_modes((poles, scale[:, None] * modes))
     return scale[:, None] * reach, see / scale[:, None]
@@ -219,21 +225,22 @@ def _model(like: StateSpaceModel, a: AnyArray, b: AnyArray, c: AnyArray, d: AnyA
     return StateSpaceModel(a, b, c, d, like.dt, like.inputs, like.outputs, where="reduced model")
 
 
-def _surely_stable(a: AnyArray, poles: AnyArray, dt: float) -> AnyArray:
+def _surely_stable(a: AnyArray, values: AnyArray, modes: AnyArray, poles: AnyArray, dt: float) -> AnyArray:
     r"""Which poles of a balanced matrix are further inside than the rounding of its entries may move them.
 
-    .. math:: |\delta \lambda_i| \le \epsilon \frac{|y_i|^T |A| |x_i|}{|y_i^H x_i|}
-    """
-    from scipy.linalg import eig
+    .. math:: |\delta \lambda_i| \le \epsilon |y_i|^T |A| |x_i|, \qquad [y_1 \; ... \; y_n]^H = [x_1 \; ... \; x_n]^{-1}
 
+    with its eigenvalues and eigenvectors x.
+    """
     if not len(a):
         return np.zeros(0, dtype=bool)
-    values, left, right = cast("tuple[AnyArray, AnyArray, AnyArray]", eig(a, left=True, right=True))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moved = np.einsum("ji,jk,ki->i", np.abs(left), np.abs(a), np.abs(right)) / np.abs((left.conj() * right).sum(0))
     # Of defective poles, whose bound is infinite, that of the whole matrix.
-    moved = 10 * EPS * np.fmin(moved, np.linalg.norm(a, 1))
-    rounding = moved[np.abs(values[None, :] - poles[:, None]).argmin(axis=1)]
+    moved = whole = np.full(len(a), np.linalg.norm(a, 1))
+    with np.errstate(all="ignore"):
+        with suppress(np.linalg.LinAlgError):
+            moved = ((np.abs(np.linalg.inv(modes)) @ np.abs(a)) * np.abs(modes).T).sum(axis=1)
+        rounding = 10 * EPS * np.fmin(moved, whole)
+    rounding = rounding[np.abs(values[None, :] - poles[:, None]).argmin(axis=1)]
     if dt:
         return np.abs(poles) < 1 - np.maximum(STABLE_MARGIN, rounding)
     return np.real(poles) < -np.maximum(STABLE_MARGIN * np.abs(poles), rounding)

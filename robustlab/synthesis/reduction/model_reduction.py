@@ -83,7 +83,8 @@ def hankel_singular_values(model: Any) -> Array:
     """
     where = "hankel_singular_values"
     ordinary = moderated(as_model(model, where), where)
-    values = Balancing.of(*gramian_factors(split_stable(ordinary.model).stable)).values
+    split = split_stable(ordinary.model)
+    values = Balancing.of(*gramian_factors(split.stable, split.form)).values
     return np.array([ordinary.value(value, where) for value in values])
 
 
@@ -338,7 +339,7 @@ def _balanced_reduction(
         elif weighted:
             name, way = f"weighted {method}", _weighted_way(stable, weights, projection)
         else:
-            way = _plain_way(stable, ordinary, projection)
+            way = _plain_way(stable, Balancing.of(*gramian_factors(stable, split.form)), ordinary, projection)
     apart = split.apart.n_states
 
     def candidate(order: int) -> ReducedModel:
@@ -405,8 +406,7 @@ def _evidence(
     )
 
 
-def _plain_way(stable: StateSpaceModel, ordinary: Moderated, projection: Projection) -> _Way:
-    balancing = Balancing.of(*gramian_factors(stable))
+def _plain_way(stable: StateSpaceModel, balancing: Balancing, ordinary: Moderated, projection: Projection) -> _Way:
     values = _values_as_given(balancing, ordinary)
     return _Way(
         values,

@@ -27,7 +27,8 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_exponents
-from robustlab.linear_analysis.matrix_equations import care, lyapunov_factors
+from robustlab.linear_analysis.matrix_equations import care
+from robustlab.linear_analysis.schur_lyapunov import lyapunov_factors
 from robustlab.norms import HinfNorm, hinf_norm, linf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, inverse, series

@@ -8,7 +8,8 @@ import scipy.linalg
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis import matrix_equations
-from robustlab.linear_analysis.matrix_equations import SchurForm, care, dare, hamiltonian_riccati, lyapunov
+from robustlab.linear_analysis.matrix_equations import care, dare, hamiltonian_riccati, lyapunov
+from robustlab.linear_analysis.schur_lyapunov import SchurForm
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 12])
@@ -104,10 +105,10 @@ def test_lyapunov_without_a_unique_solution():
         lyapunov(np.diag([1.0, -1.0]), np.ones((2, 2)))
 
 
-@pytest.mark.parametrize("n", [1, 2, 7])
+@pytest.mark.parametrize("n", [1, 2, 7, 33, 70, 145])
 def test_one_schur_form_gives_both_gramians_and_the_modes(n):
     rng = np.random.default_rng(n)
-    A = rng.standard_normal((n, n)) - 3 * np.eye(n)
+    A = rng.standard_normal((n, n)) / np.sqrt(n) - 3 * np.eye(n)
     B, C = rng.standard_normal((n, 2)), rng.standard_normal((3, n))
     form = SchurForm.of(A, "here")
     P, Q = form.gramian(B), form.gramian(C.T, dual=True)
@@ -118,7 +119,7 @@ def test_one_schur_form_gives_both_gramians_and_the_modes(n):
     np.testing.assert_allclose(np.linalg.norm(modes, axis=0), 1)
 
 
-@pytest.mark.parametrize("A", [np.zeros((1, 1)), np.diag([1.0, -1.0])])
+@pytest.mark.parametrize("A", [np.zeros((1, 1)), np.diag([1.0, -1.0]), np.diag(np.append(1.0, -np.arange(1.0, 70.0)))])
 @pytest.mark.parametrize("dual", [False, True])
 def test_a_gramian_that_does_not_exist_is_refused(A, dual):
     with pytest.raises(NoTrustworthyNumber):

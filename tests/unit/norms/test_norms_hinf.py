@@ -181,7 +181,7 @@ def test_a_norm_that_is_zero_but_for_rounding_is_certified_as_that(dt, size):
 
 @pytest.mark.parametrize("wrong", ["gramian", "modes"])
 def test_h2_norm_with_one_voice_that_lies_does_not_pass_for_another(monkeypatch, wrong):
-    from robustlab.linear_analysis.matrix_equations import SchurForm
+    from robustlab.linear_analysis.schur_lyapunov import SchurForm
 
     G = StateSpaceModel([[-1.0, 3.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
     truth, right = h2_norm(G).value, getattr(SchurForm, wrong)

@@ -226,7 +226,7 @@ def test_a_refined_integral_next_to_a_pole_of_next_to_no_damping(index):
 
 def wrong_gramians(monkeypatch, share):
     """Both Gramians too large by the same share: they agree."""
-    from robustlab.linear_analysis.matrix_equations import SchurForm
+    from robustlab.linear_analysis.schur_lyapunov import SchurForm
 
     gramian = SchurForm.gramian
     monkeypatch.setattr(SchurForm, "gramian", lambda self, *a, **k: (1 + share) * gramian(self, *a, **k))

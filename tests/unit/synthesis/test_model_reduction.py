@@ -10,7 +10,8 @@ import pytest
 from slicot_examples import model_of_ab09ad
 
 import robustlab as rl
-from robustlab.linear_analysis.matrix_equations import lyapunov, lyapunov_factors
+from robustlab.linear_analysis.matrix_equations import lyapunov
+from robustlab.linear_analysis.schur_lyapunov import lyapunov_factors
 from robustlab.result import Status, plain
 from robustlab.synthesis.reduction.balancing import split_stable
 

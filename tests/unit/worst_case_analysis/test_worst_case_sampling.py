@@ -16,6 +16,7 @@ from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample, worst_case
+from robustlab.worst_case_analysis.seeded_uniform import uniform_numbers
 from robustlab.worst_case_analysis.tuning import WorstCaseTuning
 
 T = np.linspace(0.0, 4.0, 81)
@@ -46,6 +47,21 @@ def test_sample_i_does_not_depend_on_n():
         assert a["r"] == b["r"]
         np.testing.assert_array_equal(a["f"], b["f"])
     assert sample(mixed(), 3, seed=8).deltas[0]["r"] != few.deltas[0]["r"]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**32 - 1, 2**32, 2**64 + 1, 2**128 - 1, 2**130 + 7])
+def test_numbers_of_many_samples_are_those_of_a_generator_each(seed):
+    indices = np.array([0, 1, 511, 2**32 - 1, 2**32, 2**33 + 7])
+    seeds = [np.random.SeedSequence(seed, spawn_key=(int(i),)) for i in indices]
+    each = [np.random.Generator(np.random.PCG64(s)).uniform(-1.0, 1.0, 73) for s in seeds]
+    np.testing.assert_array_equal(uniform_numbers(seed, indices, 73), each)
+
+
+def test_numbers_of_a_block_are_those_of_its_deltas():
+    deltas = sample(uncertain(), 20_000, seed=3, vertices=4).deltas
+    part = slice(19_000, 20_003)
+    rows = [list(deltas[i].values()) for i in range(part.start, part.stop)]
+    np.testing.assert_array_equal(deltas.numbers(part), rows)
 
 
 def test_samples_lie_in_the_set_and_fill_it():

@@ -14,6 +14,8 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample
 from robustlab.worst_case_analysis.draws import RealSet
 from robustlab.worst_case_analysis.ensemble import excitation, in_lanes, responses, time_responses
+from robustlab.worst_case_analysis.response_kernels import accumulate
+from robustlab.worst_case_analysis.streaming import Bins, Sums
 
 T = np.linspace(0.0, 4.0, 81)
 
@@ -56,6 +58,39 @@ def test_statistics_are_those_of_the_responses(hold):
     assert (found.n, found.vertices, found.unstable) == (1100, 5, len(kept.unstable))
     assert found.status is Status.CONVERGED
     assert "sampled" in plain(found)["label"]
+
+
+@pytest.mark.parametrize("losses", [False, True])
+def test_sums_are_taken_in_the_order_of_the_members(losses):
+    """Lane by lane in groups of 32, group by group: the same bits however the kernel goes through times and outputs."""
+    count, nominal = 75, np.zeros((200, 3))
+    members = RealSet(chain(12)).members(sample(chain(12), count).deltas.numbers(slice(0, count)))
+    drive = excitation(chain(12).inputs, 0.0, np.linspace(0, 4, 200), np.ones((200, 2)), "test")
+    lanes = in_lanes(members, drive, np.arange(12.0), "zoh")
+    y = responses(members, drive, np.arange(12.0), "zoh")
+    nominal[100:] = np.inf if losses else 0.0  # from here on no deviation is finite
+    sums, counts, peak = Sums.empty((200, 3)), np.zeros((200, 3, 9), dtype=np.int32), np.empty((count, 3))
+    accumulate(lanes, Bins(nominal, np.full((200, 3), -2.0), np.ones((200, 3))), sums, counts, peak)
+    with np.errstate(invalid="ignore"):
+        gap = y - nominal
+    lost = ~np.isfinite(gap)
+    total, squares = np.zeros((200, 3)), np.zeros((200, 3))
+    for first in range(0, count, 32):
+        added, added_squares = np.zeros((200, 3)), np.zeros((200, 3))
+        for one in np.where(lost, 0.0, gap)[first : first + 32]:
+            added += one
+            added_squares += one * one
+        total += added
+        squares += added_squares
+    np.testing.assert_array_equal(sums.lost, lost.sum(axis=0))
+    np.testing.assert_array_equal(sums.total, total)
+    np.testing.assert_array_equal(sums.squares, squares)
+    np.testing.assert_array_equal(sums.lower, np.where(lost, np.inf, y).min(axis=0))
+    np.testing.assert_array_equal(sums.upper, np.where(lost, -np.inf, y).max(axis=0))
+    np.testing.assert_array_equal(peak, np.where(lost, np.inf, np.abs(gap)).max(axis=1))
+    places = np.clip(y + 2.0, 0.0, 8.0).astype(int)
+    for k in range(9):
+        np.testing.assert_array_equal(counts[:, :, k], ((places == k) & ~lost).sum(axis=0))
 
 
 def test_workers_do_not_change_a_bit():
