@@ -60,7 +60,7 @@ def primal_dual(
     scale, goal = _scale_and_goal(M, target)
     entries, trace, orders = _sparse_map(space)
     n, size = space.q + space.p, space.size
-    W, J = np.empty((kernels.MATRICES, 2 * space.q, space.q), dtype=complex), np.empty((2, n, n), dtype=complex)
+    W, J = np.empty((kernels.MATRICES, 2 * space.q, space.q), dtype=complex), np.empty((3, n, n), dtype=complex)
     H, V = np.empty((size, size)), np.empty((kernels.VECTORS, max(size, n)))
     c = np.stack([space.coefficients, space.coefficients])
     x, settled = np.empty((len(M), size)), np.empty(len(M), dtype=bool)

@@ -12,7 +12,7 @@ W
     ``(10, 2 q, q)``: in each matrix a block-diagonal one, a first block of order q and below it the smaller ones of
     ``orders``, each beginning in column 0. So F stands above ``S = D_w``, and Z, the dual of F, above Y, that of S.
 J
-    ``(2, n, n)``: products ``U^* X U`` with ``U^* = [I; M]``, ``n = q + p``.
+    ``(3, n, n)``: products ``U^* X U`` with ``U^* = [I; M]``, ``n = q + p``.
 H
     Newton matrix, then its Cholesky factor.
 V
@@ -56,7 +56,7 @@ X, P, Z, DX, DZ, D, BEND, SECOND, A, B = np.arange(MATRICES)
 # barrier; border of H, and the solutions for it and for the trace; terms of second order; scaling of H; two of sums.
 AT, STEP, BEST, TRACE, SHORT, DOWN, BORDER, BY_BORDER, BY_TRACE, BENT, SCALE, ACROSS, BACK = np.arange(VECTORS)
 ROW, COL, OF, PLACE, BEGIN = np.arange(5)  # in entries
-AT_P, AT_Z = np.arange(2)  # in J: of P, and of Z or a product
+AT_P, AT_Z, ROOM = np.arange(3)  # in J: of P, and of Z or a product; room for rows of them
 
 # Weight of |G|^2 beside the barrier: where mu = 0 without any doubt, G would grow without bound.
 SHORT_G = 1e-4
@@ -258,9 +258,12 @@ def curvature(W, J, H, c, entries):
         row, col, i, begin = entries[ROW, e], entries[COL, e], entries[OF, e], entries[BEGIN, e]
         while end < c.shape[1] and entries[OF, end] == i:
             end += 1
+        for k in range(J.shape[1]):
+            J[ROOM, 0, k] = c[1, e] * J[AT_P, col, k]
+            J[ROOM, 1, k] = J[AT_Z, row, k].conjugate()
         for f in range(end):
-            value = c[1, e] * J[0, col, entries[ROW, f]] * (c[1, f] * J[1, row, entries[COL, f]].conjugate())
-            H[i, entries[OF, f]] += value.real
+            value = J[ROOM, 0, entries[ROW, f]] * J[ROOM, 1, entries[COL, f]]
+            H[i, entries[OF, f]] += c[1, f].real * value.real - c[1, f].imag * value.imag
         if begin >= 0:
             low = col - entries[PLACE, e]
             for f in range(begin, end):
