@@ -181,10 +181,12 @@ def cover_axis(
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
     while cover.open and not budget.over:
         omega = cover.take_points(pending, scale, TUNING.frequencies)
-        bounds = points_below(frequency_response(model, omega), blocks, beta / (1 + accuracy / 2))
+        target = beta / (1 + accuracy / 2)
+        bounds = points_below(frequency_response(model, omega), blocks, target)
         budget.spend(points_work(blocks, len(omega)))
-        finite = [b.beta for b in bounds if np.isfinite(b.beta)]
-        beta = max(beta, max(finite, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
+        # A bound below its target may be any: it was stopped there, and says nothing of the level.
+        missed = [b.beta for b in bounds if target < b.beta < np.inf]
+        beta = max(beta, max(missed, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
         cover.grow(model, omega, bounds, beta, budget)
     return cover
 

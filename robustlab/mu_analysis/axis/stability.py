@@ -194,7 +194,7 @@ def _bounds(
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
     cover = _cover_symmetric if symmetric else _cover_asymmetric
     cover(found, first, budget, max(accuracy, tuning.coarse))
-    near = found.level <= found.attained * (1 + max(tolerance, 2 * tuning.coarse))
+    near = found.level <= found.attained * (1 + tolerance) * (1 + 2 * tuning.coarse)
     if not found.cover.open and accuracy < tuning.coarse and (near or (symmetric and not found.attained)):
         again = replace(found)
         middles = [p.low + 0.5 * (p.high - p.low) for p in found.cover.pieces if np.isfinite(p.high)]

@@ -8,9 +8,12 @@ The primal-dual method (compiled) solves its optimality conditions ``<Z, D_w> = 
 D_i``, ``F Z = 0``, ``D Y = 0`` with ``Z, Y >= 0``. The zeros of the last two are moved to ``nu I`` and followed down to
 ``nu = 0`` by Newton steps in Mehrotra's way (a predictor that tells how far to go, a corrector with the second-order
 terms), from the analytic centre of a large t. The only product of unknowns is ``t D``; the problem is quasiconvex, so a
-stationary point is the optimum. About ten Newton systems do for any size.
+stationary point is the optimum. About ten Newton systems do for any size, where nu falls all the way with t. It need
+not: where M is nearly real, or modes are light, the centres of smaller t have a larger nu for a while, Newton steps
+towards a smaller nu lead nowhere, and the gap nu stands for is none. There the path is followed by its other parameter:
+steps along the tangent in t, each centred again, about fifty systems. The gap is believed where the dual proves it.
 
-Path following, for matrices at which that came to the end of its digits, keeps x near the minimiser of
+Path following, for matrices at which that broke down, keeps x near the minimiser of
 
 .. math:: \varphi_t(x) = -\log\det F_t(x) - \rho \log\det D_w(x) + \kappa \, \mathrm{tr} D_w(x)
 
@@ -35,7 +38,12 @@ from robustlab.mu_analysis.tuning import TUNING
 
 
 def primal_dual(
-    M: ComplexArray, space: ScalingSpace, tol: float = 1e-6, target: float | None = None, max_steps: int = 40
+    M: ComplexArray,
+    space: ScalingSpace,
+    tol: float = 1e-6,
+    target: float | None = None,
+    max_steps: int = 150,
+    sure: bool = True,
 ) -> tuple[Array, Mask]:
     """Parameters x (k, size) of the best D, G found for each matrix of the stack M (k, p, q), and where that is all.
 
@@ -43,6 +51,7 @@ def primal_dual(
     ``tol``: stop where the estimated distance of t to its optimum falls below ``tol * t``.
     ``target``: stop where this beta is reached (a point well inside is wanted, not the optimum), or is shown out of
     reach.
+    ``sure``: out of reach, or at the optimum, is what a dual shows; else what estimates tell, in a third of the steps.
     Returns: ``settled`` (k,) is False where the method came to the end of its digits before ``tol``: the x is valid,
     another method may find a better one.
     """
@@ -51,7 +60,7 @@ def primal_dual(
     scale, goal = _scale_and_goal(M, target)
     entries, trace, orders = _sparse_map(space)
     n, size = space.q + space.p, space.size
-    W, J = np.empty((kernels.MATRICES, 2 * space.q, space.q), dtype=complex), np.empty((2, n, n), dtype=complex)
+    W, J = np.empty((kernels.MATRICES, 2 * space.q, space.q), dtype=complex), np.empty((3, n, n), dtype=complex)
     H, V = np.empty((size, size)), np.empty((kernels.VECTORS, max(size, n)))
     c = np.stack([space.coefficients, space.coefficients])
     x, settled = np.empty((len(M), size)), np.empty(len(M), dtype=bool)
@@ -60,7 +69,7 @@ def primal_dual(
         V[kernels.AT, :size], V[kernels.TRACE, :size] = space.identity, trace
         V[kernels.SHORT, :size] = kernels.SHORT_G * space.scales_with_m
         m = M[k] / scale[k]
-        settled[k] = kernels.descend(W, J, H, V, m, c, entries, orders, TUNING.start, tol, goal[k], max_steps)
+        settled[k] = kernels.descend(W, J, H, V, m, c, entries, orders, TUNING.start, tol, goal[k], max_steps, sure)
         x[k] = V[kernels.BEST, :size]
     return _in_own_unit(x, space, scale), settled
 

@@ -12,7 +12,7 @@ W
     ``(10, 2 q, q)``: in each matrix a block-diagonal one, a first block of order q and below it the smaller ones of
     ``orders``, each beginning in column 0. So F stands above ``S = D_w``, and Z, the dual of F, above Y, that of S.
 J
-    ``(2, n, n)``: products ``U^* X U`` with ``U^* = [I; M]``, ``n = q + p``.
+    ``(3, n, n)``: products ``U^* X U`` with ``U^* = [I; M]``, ``n = q + p``.
 H
     Newton matrix, then its Cholesky factor.
 V
@@ -56,10 +56,15 @@ X, P, Z, DX, DZ, D, BEND, SECOND, A, B = np.arange(MATRICES)
 # barrier; border of H, and the solutions for it and for the trace; terms of second order; scaling of H; two of sums.
 AT, STEP, BEST, TRACE, SHORT, DOWN, BORDER, BY_BORDER, BY_TRACE, BENT, SCALE, ACROSS, BACK = np.arange(VECTORS)
 ROW, COL, OF, PLACE, BEGIN = np.arange(5)  # in entries
-AT_P, AT_Z = np.arange(2)  # in J: of P, and of Z or a product
+AT_P, AT_Z, ROOM = np.arange(3)  # in J: of P, and of Z or a product; room for rows of them
 
 # Weight of |G|^2 beside the barrier: where mu = 0 without any doubt, G would grow without bound.
 SHORT_G = 1e-4
+# Where to be sure, a t smaller by so many tolerances has to be shown out of reach, or the gap to be so much finer: by
+# degenerate duals nothing is shown even at the optimum.
+SURE, FINER = 10.0, 0.01
+# So many gaps a step along the tangent may go: the gap is an estimate, and beyond it digits of the step are lost.
+LONG = 8.0
 
 
 @nb.njit(**INSIDE)
@@ -253,9 +258,12 @@ def curvature(W, J, H, c, entries):
         row, col, i, begin = entries[ROW, e], entries[COL, e], entries[OF, e], entries[BEGIN, e]
         while end < c.shape[1] and entries[OF, end] == i:
             end += 1
+        for k in range(J.shape[1]):
+            J[ROOM, 0, k] = c[1, e] * J[AT_P, col, k]
+            J[ROOM, 1, k] = J[AT_Z, row, k].conjugate()
         for f in range(end):
-            value = c[1, e] * J[0, col, entries[ROW, f]] * (c[1, f] * J[1, row, entries[COL, f]].conjugate())
-            H[i, entries[OF, f]] += value.real
+            value = J[ROOM, 0, entries[ROW, f]] * J[ROOM, 1, entries[COL, f]]
+            H[i, entries[OF, f]] += c[1, f].real * value.real - c[1, f].imag * value.imag
         if begin >= 0:
             low = col - entries[PLACE, e]
             for f in range(begin, end):
@@ -297,17 +305,18 @@ def newton_factor(H, V, short):
         for j in range(i):
             H[i, j] *= V[SCALE, i] * V[SCALE, j]
         H[i, i] = 1e-13 + (1.0 if flat else 0.0) + H[i, i] * V[SCALE, i] * V[SCALE, i]
-    for i in range(n):
-        for j in range(i + 1):
-            value = H[i, j]
-            for k in range(j):
-                value -= H[i, k] * H[j, k]
-            if j < i:
-                H[i, j] = value / H[j, j]
-            elif value > 0 and value < np.inf:
-                H[i, i] = math.sqrt(value)
-            else:
-                return False
+    # H = L' L from the last row up: what is left changes along rows, from their beginnings, which is compiled to the
+    # widest operations there are; the sums of products of the usual order are not, as they may not be reordered.
+    for k in range(n - 1, -1, -1):
+        if not (H[k, k] > 0 and H[k, k] < np.inf):
+            return False
+        H[k, k] = math.sqrt(H[k, k])
+        for j in range(k):
+            H[k, j] /= H[k, k]
+        for i in range(k):
+            a = H[k, i]
+            for j in range(i + 1):
+                H[i, j] -= a * H[k, j]
     return True
 
 
@@ -316,14 +325,16 @@ def newton_solve(H, V, out, right):
     """Solution for one right-hand side."""
     n = len(H)
     for i in range(n):
-        value = V[right, i] * V[SCALE, i]
+        V[out, i] = V[right, i] * V[SCALE, i]
+    for k in range(n - 1, -1, -1):
+        V[out, k] /= H[k, k]
+        for i in range(k):
+            V[out, i] -= H[k, i] * V[out, k]
+    for i in range(n):
+        value = V[out, i]
         for k in range(i):
             value -= H[i, k] * V[out, k]
         V[out, i] = value / H[i, i]
-    for i in range(n - 1, -1, -1):
-        V[out, i] /= H[i, i]
-        for k in range(i):
-            V[out, k] -= H[i, k] * V[out, i]
     for i in range(n):
         V[out, i] *= V[SCALE, i]
 
@@ -460,36 +471,92 @@ def second_order(W, J, V, M, c, entries, orders, dt):
     return bent - inner(W, SECOND, D)
 
 
+@nb.njit(**PART)
+def tangent(W, J, V, M, c, entries, down):
+    """Step along the path of centres to a t smaller by ``down``, from a centre and the factorised system there."""
+    share = down * dot(V, BORDER, BY_TRACE) / dot(V, TRACE, BY_TRACE)
+    for i in range(V.shape[1]):
+        V[STEP, i] = down * V[BY_BORDER, i] - share * V[BY_TRACE, i]
+    form(W, DX, J, V, STEP, M, c, entries)
+    combine(W, DX, 1.0, DX, -down, D)
+
+
+@nb.njit(**INSIDE)
+def beyond(W, down, gap, orders):
+    """Whether Z and Y show a t smaller by ``down`` out of reach.
+
+    There ``<Z, F> + <Y, S>`` is ``<eta I - Y - down Z, S>`` for every x, with eta the gap over the trace of S.
+    """
+    q, low = W.shape[2], 0
+    combine(W, A, 1.0, Z, 0.0, Z)
+    lower_large(W, A, down, Z, orders)
+    for m in orders[1:]:
+        for i in range(m):
+            W[A, q + low + i, i] -= gap / q
+        low += m
+    return factor(W, A, orders)
+
+
+@nb.njit(**INSIDE)
+def ended(W, t, best_t, gap, left, blur, tol, goal, careful, sure, orders):
+    """Whether the way down ends: at its goal, which may be shown out of reach, at the optimum, or with its digits."""
+    if best_t <= goal or best_t <= 0 or (careful and blur > gap):
+        return True
+    if goal > 0 and t - 2 * gap - left > goal and (not sure or beyond(W, t - goal, gap, orders)):
+        return True
+    # A D far from I makes the gap lie: the steps of t have to die out too.
+    if gap > tol * t or left > 3 * tol * t:
+        return False
+    return not sure or (careful and gap <= FINER * tol * t) or beyond(W, SURE * tol * t, gap, orders)
+
+
+@nb.njit(**PART)
+def follow(W, J, V, M, c, entries, orders, t, gap):
+    """Step along the tangent of the path of centres as far as x stays feasible, nearly; returns its change of t."""
+    down = min(t, LONG * gap)
+    tangent(W, J, V, M, c, entries, down)
+    raise_small(W, BEND, -down, DX, orders)
+    a = 0.9 * longest(W, X, DX, 1.0, orders, 1.0, 0.1 / LONG)
+    shift(V, AT, a, STEP)
+    return -a * down
+
+
 @nb.njit(cache=True, **ENTRY)
-def descend(W, J, H, V, M, c, entries, orders, t, tol, goal, max_steps):
+def descend(W, J, H, V, M, c, entries, orders, t, tol, goal, max_steps, sure):
     """Leave the best x down the central path from x, t in V; whether its t is the optimum within ``tol``.
 
-    Or its goal was reached, or shown out of reach.
+    Or its goal was reached, or shown out of reach: by estimates, which lie now and then, or if ``sure`` by a dual.
     """
     best_t, last, left, gap = np.inf, np.inf, np.inf, 0.0
     dt = ap = ad = 0.0
-    steps, restarts, centred, settled = 0, 0, False, False
+    steps, careful, centred, settled = 0, False, False, False
     shift(V, BEST, 1.0, AT)
-    while steps < max_steps and restarts < 4 and evaluate(W, J, V, M, c, entries, orders, t):
+    while steps < max_steps and evaluate(W, J, V, M, c, entries, orders, t):
         steps += 1
         if centred:
-            gap = inner(W, Z, X)
-            reached = t + allowance(W, V, M, c, entries, orders)
-            if reached < best_t:
-                best_t = reached
+            gap, blur = inner(W, Z, X), allowance(W, V, M, c, entries, orders)
+            if t + blur < best_t:
+                best_t = t + blur
                 shift(V, BEST, -1.0, BEST)
                 shift(V, BEST, 1.0, AT)
-            # A D far from I makes the gap lie: the steps of t have to die out too.
-            settled = best_t <= goal or best_t <= 0 or (gap <= tol * t and left <= 3 * tol * t)
-            settled = settled or (goal > 0 and t - 2 * gap - left > goal)
+            settled = ended(W, t, best_t, gap, left, blur, tol, goal, careful, sure, orders)
             if settled:
                 break
+            if gap <= tol * t and left <= 3 * tol * t and not careful:
+                careful, centred, left = True, False, np.inf
+        if centred:
             mean, nu, far = gap / W.shape[1], 0.0, 1.05
         else:
             # With Z = P and t fixed, the Newton step is that of the barrier, and Z + dZ meets all constraints.
             combine(W, Z, 1.0, P, 0.0, P)
             mean, nu, far = 1.0, 1.0, 4.0
         tt, bent = newton_system(W, J, H, V, M, c, entries, orders, mean), 0.0
+        if centred and careful:
+            dt = follow(W, J, V, M, c, entries, orders, t, gap)
+            if not abs(dt) < np.inf:
+                break
+            t, left, centred = t + dt, -dt, False
+            continue
         if not centred:
             tt += np.inf
         for corrected in range(2):
@@ -514,7 +581,7 @@ def descend(W, J, H, V, M, c, entries, orders, t, tol, goal, max_steps):
             ratio = min(abs(ap * dt / last), 0.95)
             left, last = abs(ap * dt) * ratio / (1 - ratio), ap * dt
             if min(ap, ad) < 0.05:
-                restarts, centred = restarts + 1, False
+                careful, centred = True, False
         elif dot(V, DOWN, STEP) < 0.8:
             # Z + dZ is positive definite for a decrement below one.
             size = 1 / (inner(W, P, D) + inner(W, DZ, D))

@@ -79,9 +79,9 @@ def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[
 def _minimise(
     M: ComplexArray, blocks: Sequence[Block], tol: float, target: float | None = None, thorough: bool = True
 ) -> list[UpperBound]:
-    """D and G by the primal-dual method; thorough: where that came to no end, the better ones of two methods."""
+    """D and G by the primal-dual method; thorough: it makes sure, and where it ends early a second one is asked."""
     space = scaling_space(tuple(blocks))
-    x, settled = primal_dual(M, space, tol, target)
+    x, settled = primal_dual(M, space, tol, target, sure=thorough)
     bounds = _certified(M, *space.matrices(x))
     rest = np.flatnonzero(~settled & thorough)
     if len(rest):
@@ -164,7 +164,8 @@ def points_below(M: ComplexArray, blocks: Sequence[Block], target: float, *, tho
     """For each matrix of the stack D, G well inside those that prove ``target``, or the best ones where none does.
 
     Unlike `upper_bounds` it stops early, and does not split: the scalings shall stay good at neighbouring frequencies.
-    Not thorough: a rare matrix at which the solver ends early gets no second one, a hundred times as slow.
+    Not thorough: what estimates tell is out of reach is believed, and a matrix at which the solver ends early gets no
+    second one, a hundred times as slow.
     """
     exponents = np.stack([balancing_exponents(m, blocks) for m in M])
     w, z = (np.exp2(np.stack(e)) for e in zip(*(expand(blocks, e) for e in exponents), strict=True))

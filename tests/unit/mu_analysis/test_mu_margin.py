@@ -337,3 +337,38 @@ def test_a_critical_parameter_that_may_exist_has_no_such_remark():
     margin = rl.robust_stability(rl.UncertainModel(m, [rl.RealScalar("k", 1, k)]))
     assert margin.physical["k"][0] == pytest.approx(1.0, rel=1e-4)
     assert not any("impossible" in note for note in margin.notes)
+
+
+def light_modes(damping: float, seed: int) -> rl.UncertainModel:
+    """M x'' + C x' + K x = 0 with M full, C and K diagonal, each 20 % uncertain: six modes close to each other."""
+    rng = np.random.default_rng(seed)
+    n, zero = 6, np.zeros((6, 6))
+    k, root = 100 * rng.uniform(0.8, 1.2, n), np.eye(n) + 0.05 * rng.standard_normal((n, n))
+    c = 20 * damping * rng.uniform(0.2, 1.0, n)
+    inverse = np.linalg.inv(root @ root.T)
+    A = np.block([[zero, np.eye(n)], [-inverse * k, -inverse * c]])
+    B = np.vstack([np.zeros((n, 2 * n)), np.hstack([-inverse, -inverse])])
+    C = np.block([[np.diag(0.2 * k), zero], [zero, np.diag(0.2 * c)]])
+    blocks = [rl.RealScalar(f"{kind}{i}") for kind in "kc" for i in range(n)]
+    return rl.UncertainModel(rl.StateSpaceModel(A, B, C, np.zeros((2 * n, 2 * n))), blocks)
+
+
+@pytest.mark.parametrize("damping", [0.002, 0.02])
+def test_light_modes_are_stable_until_a_stiffness_is_gone(damping):
+    """K and C positive definite: stable, by the energy. One of them singular: not. So the margin is 1 / 0.2 exactly."""
+    margin = rl.robust_stability(light_modes(damping, 3))
+    assert 5 * 0.999 <= margin.lower <= 5.00001
+    assert margin.upper == pytest.approx(5, rel=1e-4)
+    assert margin.status is rl.Status.CERTIFIED
+
+
+def test_light_modes_between_resonances_are_bounded_at_their_mu():
+    """With no damper left and some stiffness each frequency below the highest is a resonance: mu is 0.2 all along.
+
+    M is nearly real there, and D of a stiffness goes to zero against G: the path to the optimum turns back on itself.
+    """
+    uncertain = light_modes(0.002, 3)
+    omega = np.array([0.5, 2.0, 5.0, 8.0, 12.0, 13.0])
+    bounds = rl.mu(rl.frequency_response(uncertain.delta_channels, omega), uncertain.blocks)
+    assert (bounds.upper >= 0.2 * (1 - 1e-9)).all()
+    assert (bounds.upper <= 0.2 * (1 + 5e-4)).all()
