@@ -450,7 +450,7 @@ class Simulator:
             table.phi, table.gamma_u, np.array([whole, push, push]), velocity, position, table.drift, table.stride
         )
         addresses = np.array([law.function.address for law in laws], dtype=np.uintp)
-        count = len(x0)
+        count = len(start)
         states = np.empty((count, windows.length, n))
         forces = np.zeros((count, windows.length, n_laws))
         # Of a nonlinear plant windows need not follow each other, and a load that hangs is at rest in none by itself.
@@ -469,12 +469,13 @@ class Simulator:
         plant rests under what pulls at it there.
         """
         n, n_u = model.A.shape[-1], len(self._inputs)
-        start = np.zeros((len(windows.starts), n))
+        start = np.zeros((len(x0), n))
         start[:, : model.own] = x0
-        if about is None:
+        if about is None or not len(start):
             return start
-        steps = np.arange(len(start)) * windows.length * self.sub
-        at, entering = about.steps[steps], np.hstack([u[windows.starts * self.sub, :n_u], about.rates[steps]])
+        window = np.arange(len(start)) % len(windows.starts)
+        steps = window * windows.length * self.sub
+        at, entering = about.steps[steps], np.hstack([u[windows.starts[window] * self.sub, :n_u], about.rates[steps]])
         for (effect, site), v in zip(self.effects, values, strict=True):
             if effect.structural:
                 between = next(p for p in model.ports.values() if p.kind == "relative" and p.name.startswith(site.name))

@@ -55,7 +55,7 @@ def simulated(plant, motion, x0=None, effects=(), values=()):
     return Simulator(plant, effects, u, record.dt, sub=2, motion=motion).run({}, values, start, windows).states
 
 
-@pytest.mark.parametrize("name", ["presliding", "input-delay", "sensor-bias"])
+@pytest.mark.parametrize("name", ["presliding", "backlash", "input-delay", "sensor-bias"])
 def test_runs_beside_each_other_are_those_of_each_alone(name):
     """Several starts of every window in one simulation: to the last bit, whatever an effect remembers."""
     record, x = swing()
