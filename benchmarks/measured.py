@@ -498,8 +498,8 @@ STORIES = words(
         ),
         (
             "`platform-discover` (simulated)",
-            "leg and name of dry friction, 53.4 mN m; μ promised 0.58, kept 0.87, redesigned 0.61",
-            "on the simulated path the new design brings nothing, and the recipe says so",
+            "leg and name of dry friction, 53.4 mN m; μ promised 0.83, kept 2.02, with the friction fed forward 0.84; leg 6 of the hidden machine 8.0 counts off before, 2.3 after (rms, slow path with reversals)",
+            "at fast references it brings nothing; not proved are the moments of reversal and the sampled loop",
         ),
         (
             "`robust-machine`",

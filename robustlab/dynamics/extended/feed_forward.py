@@ -10,7 +10,8 @@ A force law at a joint, with the force g of one unit of the input there, is met 
 with waves for cogging, gravity of a pendulum and constant loads (k = 0), and dry friction as it is while sliding. It is
 no feedback: the loop's poles stay where they are. At the reference it is exact where the effects are; where the motion
 is off by e, a wave leaves at most :math:`k \sqrt{c^2 + s^2}\,|e|` of itself. At standstill, :math:`v_r = 0`, dry
-friction is anything within its band: nothing is asked for.
+friction is anything within its band: nothing is asked for. Where the joint turns later than its reference, the law has
+the wrong sign until it does.
 """
 
 from __future__ import annotations
@@ -64,6 +65,9 @@ class FeedForward:
         What it is the sum of, in units of the input.
     of
         The effects that it stands for, in words.
+    left
+        How much larger the effects' force may be within the intervals of their fitted values, in units of the input;
+        of dry friction what the law leaves at most while joint and reference go the same way. 0: no interval is known.
     """
 
     input: Signal
@@ -71,6 +75,7 @@ class FeedForward:
     waves: tuple[Wave, ...] = ()
     dry: tuple[DryLevel, ...] = ()
     of: tuple[str, ...] = ()
+    left: float = 0.0
 
     def __call__(self, q: ArrayLike, v: ArrayLike) -> Array:
         """The input at positions q and speeds v of the reference, both of one shape, (n,) or ().
@@ -127,6 +132,7 @@ class FeedForward:
             ("feed-forward of", ", ".join(self.of)),
             ("waves over the position", ", ".join(waves)),
             ("dry friction", ", ".join(dry)),
+            ("left within the fitted intervals", number(self.left, unit) if self.left else ""),
         ]
 
 
@@ -147,11 +153,13 @@ _AGAINST: Mapping[str, Callable[[Values], tuple[list[Wave], list[DryLevel]]]] = 
 }
 
 
-def feed_forward(plant: Any) -> FeedForward:
+def feed_forward(plant: Any, sigmas: float = 2.0) -> FeedForward:
     """The feed-forward of a plant's named effects, such as those of ``rl.discover(...).model``.
 
-    ``plant``: linear, with effects (`robustlab.with_effects`); its force laws sit at one joint, whose position is an
-    output, and one of its inputs acts there alone.
+    ``plant``: with effects (`robustlab.with_effects`); its force laws sit at one joint, whose position is an output,
+    and one of its inputs acts there alone. It may be nonlinear (a leg of the Stewart platform) where that input acts at
+    the joint alike in every pose.
+    ``sigmas``: half width of the interval of a fitted value in its standard deviations.
 
     Linear effects (a wrong inertia, a spring) are the feedback controller's, and left alone.
 
@@ -179,9 +187,9 @@ def feed_forward(plant: Any) -> FeedForward:
     made = [_AGAINST[e.effect.id](e.values) for e, _ in known]
     waves = [Wave(c / gain, s / gain, k) for parts, _ in made for c, s, k in parts]
     dry = [DryLevel(level / gain, more / gain, vs) for _, parts in made for level, more, vs in parts]
-    return FeedForward(
-        signal, _position_of(plant, port, where), tuple(waves), tuple(dry), tuple(e.in_words for e, _ in known)
-    )
+    left = sum(e.largest_offset(sigmas) - e.largest_offset(0.0) for e, _ in known) / abs(gain)
+    words = tuple(e.in_words for e, _ in known)
+    return FeedForward(signal, _position_of(plant, port, where), tuple(waves), tuple(dry), words, left)
 
 
 def _input_at(plant: Any, port: Any, where: str) -> tuple[Signal, float]:

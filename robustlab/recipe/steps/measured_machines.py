@@ -24,6 +24,7 @@ from robustlab.recipe.steps.contract import (
 
 ToMachine = Annotated[str, RefersTo(("machine",))]
 ToFeedForward = Annotated[str, RefersTo(("feed-forward",))]
+ToRecordedRun = Annotated[str, RefersTo(("runs",))]
 Records = Annotated[list[ToRecord], Field(min_length=1, max_length=100)]
 Period = Annotated[Positive, Field(description="After which the machine repeats, in the position's unit; a turn.")]
 
@@ -84,7 +85,7 @@ class FeedForwardStep(Step):
     """The input that a motion needs, told from its reference: of named effects, or of a machine's map and friction."""
 
     gives: ClassVar[str] = "feed-forward"
-    leaves: ClassVar[Any] = {"largest": float, "waves": [float], "counts": ["1"], "dry": float}
+    leaves: ClassVar[Any] = {"largest": float, "waves": [float], "counts": ["1"], "dry": float, "left": float}
     do: Literal["feed-forward"]
     of: ToPlantOrFile | None = Field(None, description="A discover step, or a plant with effects.")
     machine: ToMachine | None = Field(None, description="In place of of: a measured-machine step.")
@@ -104,7 +105,7 @@ class FeedForwardStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         """Numbers in units of the input: ``largest``, a bound; ``waves`` (amplitudes) with ``counts`` in 2 pi of the
-        position, ``dry``, the level of the dry friction.
+        position, ``dry``, the level of the dry friction, ``left``, what fitted intervals leave open of the largest.
         """
         import numpy as np
 
@@ -119,7 +120,7 @@ class FeedForwardStep(Step):
             found = found.periodic(self.period, float(seen.mean()))
         numbers = {
             "largest": found.largest, "waves": [math.hypot(w.c, w.s) for w in found.waves],
-            "counts": [w.k for w in found.waves], "dry": sum(d.level for d in found.dry),
+            "counts": [w.k for w in found.waves], "dry": sum(d.level for d in found.dry), "left": found.left,
         }  # fmt: skip
         source = self.of or self.machine
         return Outcome(found, f"Feed-forward of {source}.", numbers, facts_of(found))
@@ -160,6 +161,51 @@ class TryMachineStep(Step):
         if aheads:
             work.draw(map_figure(machine, aheads), "map", "What each place needs, and what is fed forward there.")
         return told(found, found, f"{self.machine} under {self.controller}, with {len(aheads)} feed-forwards.", work)
+
+
+@step
+class RecordedRunStep(Step):
+    """A run that the machine itself made under a controller of this recipe, judged from its record.
+
+    The record has what the controller saw (references as OUTPUT_ref) and asked for. What of that this controller with
+    its feed-forward does not explain is a number: a requirement can ask that the run was made with what stands here.
+    """
+
+    gives: ClassVar[str] = "runs"
+    do: Literal["recorded-run"]
+    record: ToRecord
+    controller: ToController = Field(
+        description="That ran: a digital one, or a continuous one by Tustin's formula on the record's clock."
+    )
+    feed_forward: Annotated[list[ToFeedForward], Field(max_length=8)] = Field([], description="Added to its outputs.")
+    output: Text = Field(description="Whose error counts.")
+    name: Text = Field("", description="Of the run; that of its controller where left out.")
+    beside: ToRecordedRun | None = Field(None, description="Recorded run of the same motion, which is compared.")
+    after: Annotated[float, Field(ge=0)] = Field(0.0, description="s from which on the error counts.")
+    lsb: Annotated[float, Field(ge=0)] = Field(0.0, description="Step of the sensor in the output's unit; 0: none.")
+    limit: Positive | None = Field(None, description="Of the inputs; compared, not clipped.")
+
+    def foretell(self, ahead: Ahead) -> Foretold:
+        row = {
+            "order": "1", "rms_error": float, "worst_error": float, "others": float, "largest_input": float,
+            "command_gap": "1", "within_limits": bool, "rms_counts": "1", "worst_counts": "1", "error_ratio": "1",
+            "worst_ratio": "1",
+        }  # fmt: skip
+        before = ahead[self.beside].leaves if self.beside else {"controllers": {}}
+        known = before["controllers"] if before is not ... else {}
+        return Foretold(leaves={"controllers": {**known, self.name or self.controller: row}})
+
+    def run(self, work: Workspace) -> Outcome:
+        from robustlab.identification.validation.recorded_run import Judgement, recorded_run
+
+        judged = Judgement(self.output, self.after, self.lsb, math.inf if self.limit is None else self.limit)
+        found = recorded_run(
+            self.name or self.controller, work.record(self.record), work.values[self.controller],
+            [work.values[name] for name in self.feed_forward], judged,
+            work.values[self.beside] if self.beside else None,
+        )  # fmt: skip
+        kind = "simulated" if self.record in work.simulated else "measured"
+        return told(found, found, f"A {kind} run under {self.controller}, with {len(self.feed_forward)} laws.", work)
 
 
 ALONE = "feedback_alone"  # the run without any feed-forward
