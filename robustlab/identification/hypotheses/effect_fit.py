@@ -306,8 +306,10 @@ class Problem:
         """
         factors, values, shift = setting
         record, chosen = self.records[k], self.chosen[k]
-        if record.begun:
-            values = [e.begun(v, record.begun) for (e, _), v in zip(simulator.effects, values, strict=True)]
+        values, about = (
+            [e.begun(v, record.begun) if record.begun else v for (e, _), v in zip(simulator.effects, own, strict=True)]
+            for own in (values, values if near is None else near[1])
+        )
         everything = len(chosen) < record.count and any(effect.long_memory for effect, _ in simulator.effects)
         used = np.arange(record.count) if everything else chosen
         at = np.flatnonzero(np.isin(used, chosen))
@@ -316,7 +318,7 @@ class Problem:
         x0[:, at] += record.x0_std[chosen] * xi
         windows = Windows(record.windows.starts[used], record.windows.length)
         # The motion about which a plant is linear may be that of values near by: what deviates from it is linear, too.
-        simulator = self._about_what_happened(k, simulator, values if near is None else near[1])
+        simulator = self._about_what_happened(k, simulator, about)
         self.work.append(len(x0) * len(used) * windows.length * simulator.sub * (1 if simulator.rough else 3))
         motion = simulator.run(factors, values, x0.reshape(-1, x0.shape[2]), windows, shift, near)
         outputs = motion.outputs[:, :, list(record.columns)].reshape(*x0.shape[:2], windows.length, -1)[:, at]
