@@ -122,7 +122,8 @@ def search_grid(m: StateSpaceModel, points: int, band: Band | None = None) -> An
     size = size[size > 0]
     low, high = (size.min() / 10, size.max() * 10) if len(size) else (1e-1, 1e1)
     resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
-    omega = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag), resonance, np.exp(np.linspace(np.log(low), np.log(high), points))])
+    grid = np.exp(np.linspace(np.log(low), np.log(high), points))
+    omega = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag), resonance, grid])
     if m.is_discrete:
         return np.unique(np.append(omega[omega < np.pi / m.dt], np.pi / m.dt))
     return np.append(np.unique(omega), np.inf)
