@@ -375,6 +375,12 @@ SETS = [
         "sampling.txt",
         r"^streamed statistics, 1 thread +100000 .*? ([\d.]+)$.*?^scipy.signal, model by model .*? ([\d.]+)$",
     ),
+    Row(
+        "10 000 samples streamed by two threads, in turns with the version before",
+        "{1} s of CPU, before {0} (wanted: half of it)",
+        "sampling.txt",
+        r"^2 threads, cpu s +([\d.]+) +([\d.]+) +",
+    ),
 ]
 
 

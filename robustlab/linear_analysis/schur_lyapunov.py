@@ -63,13 +63,14 @@ def balanced_schur(model: StateSpaceModel) -> tuple[SchurForm, AnyArray]:
     Raises NoTrustworthyNumber: the QR algorithm did not converge.
     """
     known = vars(model).get("_schur")
-    if known is None:
-        t = balancing_factors(model.A)
-        form = SchurForm.of(model.A / t[:, None] * t, "poles")
-        poles, modes = form.modes()
-        model._with_modes((poles, t[:, None] * modes))
-        vars(model)["_schur"] = known = form, t
-    return known
+    if known is not None:
+        return SchurForm(*known[:2]), known[2]
+    t = balancing_factors(model.A)
+    form = SchurForm.of(model.A / t[:, None] * t, "poles")
+    poles, modes = form.modes()
+    model._with_modes((poles, t[:, None] * modes))
+    vars(model)["_schur"] = form.T, form.Z, t
+    return form, t
 
 
 def _symmetric(T: AnyArray, known: AnyArray, dual: bool) -> AnyArray:

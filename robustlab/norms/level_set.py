@@ -122,7 +122,8 @@ def search_grid(m: StateSpaceModel, points: int, band: Band | None = None) -> An
     size = size[size > 0]
     low, high = (size.min() / 10, size.max() * 10) if len(size) else (1e-1, 1e1)
     resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
-    omega = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag), resonance, np.geomspace(low, high, points)])
+    grid = np.exp(np.linspace(np.log(low), np.log(high), points))
+    omega = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag), resonance, grid])
     if m.is_discrete:
         return np.unique(np.append(omega[omega < np.pi / m.dt], np.pi / m.dt))
     return np.append(np.unique(omega), np.inf)
@@ -138,6 +139,7 @@ class _Gains:
         # that bound at each.
         self.reach = 0.0
         self._tops: list[tuple[AnyArray, AnyArray, AnyArray]] = []
+        self._solved: dict[float, float] = {}
 
     def doubtful(self, level: float) -> AnyArray:
         """Finite frequencies searched so far at which rounding may take the gain above a level, a few of the worst."""
@@ -180,7 +182,9 @@ class _Gains:
     def highest(self, omega: AnyArray, sigma: AnyArray) -> tuple[float, float]:
         """The largest of these, solved for with A, and its frequency."""
         at = float(omega[np.argmax(sigma)])
-        return float(largest_gains(self.model, np.array([at]))[0]), at
+        if at not in self._solved:
+            self._solved[at] = float(largest_gains(self.model, np.array([at]))[0])
+        return self._solved[at], at
 
     def above(self, level: float, band: Band | None, tuning: NormTuning) -> AnyArray | None:
         """Frequencies whose gain exceeds a level, none where that is proved of all; None where it is not known."""
@@ -313,13 +317,13 @@ def _around(
 
     Next to a single pole ``1 / sigma^2`` is a parabola in the frequency; its lowest point is guessed from three values.
     """
-    low, at, high = omega[before], omega[peaks], omega[after]
-    high = np.where(np.isfinite(high), high, 10 * at + 1)
+    low, at, high = omega[[before, peaks, after]]
+    high = np.where(high < np.inf, high, 10 * at + 1)
     with np.errstate(all="ignore"):
-        f, g, h = (1 / sigma[k] ** 2 for k in (before, peaks, after))
+        f, g, h = sigma[[before, peaks, after]] ** -2.0
         left, right = (g - f) / (at - low), (h - g) / (high - at)
         top = 0.5 * (low + at) - 0.5 * left * (high - low) / (right - left)
     top = np.where((top > low) & (top < high), top, at)
     share = 3.0 ** -np.arange(1, count + 1)
-    below, above = (top[:, None] + (end - top)[:, None] * share for end in (low, high))
-    return np.concatenate([below.ravel(), top, above.ravel()])
+    beside = top[:, None] + np.stack([low - top, high - top])[:, :, None] * share
+    return np.append(beside, top)

@@ -49,6 +49,7 @@ class WorstCaseTuning(Tuning):
     fewest_bins: int = 16  # ... for long responses at least so many ...
     most_counts: int = 4_000_000  # ... in so many counts
     marginal: float = 1e-9  # share of the largest pole beyond the stability boundary that counts as unstable
+    traces: float = 1e-6  # share of |A|^2 from which on the trace of A^2 is no rounding
     agreement: float = 1e-6  # to which a second simulation must repeat the worst responses
     influence_bins: int = 32  # along each parameter at most, for the share of the variance that it explains
 

@@ -16,6 +16,7 @@ from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample, worst_case
+from robustlab.worst_case_analysis.ensemble import split
 from robustlab.worst_case_analysis.seeded_uniform import uniform_numbers
 from robustlab.worst_case_analysis.tuning import WorstCaseTuning
 
@@ -187,6 +188,23 @@ def test_unstable_samples_are_reported_and_overflow_is_not_hidden():
     assert far.status is Status.INACCURATE
     assert not np.isfinite(far.upper[-1]).any()
     assert np.isfinite(far.y[0]).all()
+
+
+@pytest.mark.parametrize("damping", [-0.3, 0.0, 1e-10, 1e-3, 2.0])
+def test_what_traces_show_is_what_eigenvalues_show(damping):
+    rng = np.random.default_rng(3)
+    k, n = 400, 3
+    A = np.zeros((k, 2 * n, 2 * n))
+    A[:, :n, n:], A[:, n:, n:] = np.eye(n), -damping * np.eye(n)
+    A[:, n:, :n] = rng.standard_normal((k, n, n)) * np.logspace(-14, 3, k)[:, None, None]
+    whole = np.zeros((k, 2 * n + 1, 2 * n + 1))
+    whole[:, : 2 * n, : 2 * n] = A
+    ensemble = split(whole, 2 * n, 0.0, np.zeros(k, dtype=bool), np.ones(2 * n))
+    poles = np.linalg.eigvals(A)
+    for margin in (1e-9, 1e-3):
+        wanted = poles.real.max(axis=1) > margin * np.abs(poles).max(axis=1)
+        np.testing.assert_array_equal(ensemble.is_unstable(margin), wanted)
+    assert damping > 0 or 0.2 * k < ensemble._by_traces(1e-9).sum() < k
 
 
 def test_an_integrator_is_not_called_unstable():
