@@ -516,7 +516,10 @@ def follow(W, J, V, M, c, entries, orders, t, gap):
     down = min(t, LONG * gap)
     tangent(W, J, V, M, c, entries, down)
     raise_small(W, BEND, -down, DX, orders)
-    a = 0.9 * longest(W, X, DX, 1.0, orders, 1.0, 0.1 / LONG)
+    a, far = 1.0, np.inf
+    while a < far:  # along a bent path what lies before a feasible step need not be feasible
+        far = longest(W, X, DX, 1.0, orders, a, 0.1 / LONG)
+        a = far if far == a and a < 1.0 else 0.9 * far
     shift(V, AT, a, STEP)
     return -a * down
 
@@ -553,7 +556,7 @@ def descend(W, J, H, V, M, c, entries, orders, t, tol, goal, max_steps, sure):
         tt, bent = newton_system(W, J, H, V, M, c, entries, orders, mean), 0.0
         if centred and careful:
             dt = follow(W, J, V, M, c, entries, orders, t, gap)
-            if not abs(dt) < np.inf:
+            if not 0 < abs(dt) < np.inf:
                 break
             t, left, centred = t + dt, -dt, False
             continue
