@@ -479,6 +479,7 @@ class Backlash(Effect):
     independently = "hold the motor and move the output by hand against a dial gauge"
     site_kind = "joint"
     structural = True
+    told_from_below = "gap"  # of a load that never reaches its other flank
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (
