@@ -200,6 +200,8 @@ class Effect(ABC):
     time_constant: str = ""  # of an effect that lags an input in first order: the parameter that is its T in s
     # Name of the amplitude that one speaks of, and the two parameters, in its unit, that are its cosine and sine part.
     amplitude: tuple[str, ...] = ()
+    # Parameter of which a record may tell only the least: beyond that the effect goes on as before.
+    told_from_below: str = ""
     # Balance of a steady point from which it takes an amount of its own.
     constant_loss: Literal["", "torque", "voltage"] = ""
     # Relative tolerance of the plant's parameters with the role `id`, where the plant states none.

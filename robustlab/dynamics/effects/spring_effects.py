@@ -460,7 +460,9 @@ class Backlash(Effect):
         \qquad \omega = 2 \pi f, \quad \zeta = 0.2
 
     f is the frequency of the two inertias on the closed flank. The damping of the flank is that of an impact which
-    gives back about half of the speed. See `robustlab.dynamics.ports.load_side` for the two sides.
+    gives back about half of the speed. See `robustlab.dynamics.ports.load_side` for the two sides. At a joint of a
+    nonlinear plant the load bears its weight and what the other joints ask of it: the gap opens only where the drive
+    outruns it, and a load that never reaches the other flank tells the gap from below alone.
 
     Over a step the flank's force is :math:`\frac{\omega^2}{2} (e_1^2 - e_0^2) / |\delta_1 - \delta_0| + 2 \zeta \omega
     (e_1 - e_0)/h` (a discrete gradient): what the spring stores is what it takes from the inertias, wherever within the
@@ -479,6 +481,7 @@ class Backlash(Effect):
     independently = "hold the motor and move the output by hand against a dial gauge"
     site_kind = "joint"
     structural = True
+    told_from_below = "gap"  # of a load that never reaches its other flank
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         return (

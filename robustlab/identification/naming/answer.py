@@ -42,6 +42,7 @@ from robustlab.identification.naming.named_effects import (
     overall,
 )
 from robustlab.identification.naming.named_kinds import Kinds, kinds_of
+from robustlab.identification.naming.open_intervals import opened_above
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.quantities import force_share
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
@@ -377,7 +378,8 @@ def _named(
     less = next((v for v in found.sets if v.key == posterior.best.key - {candidate.key}), found.empty)
     effect = candidate.effect
     return NamedEffect(
-        effect.id, effect.title, effect.equation, candidate.site.name, _effect_values(found.problem, fit, k),
+        effect.id, effect.title, effect.equation, candidate.site.name,
+        opened_above(found.problem, fit, k, _effect_values(found.problem, fit, k)),
         posterior.of_effect(candidate.key), posterior.best.visited.evidence - less.evidence,
         tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
         matters[candidate.key].error_without if candidate.key in matters else np.nan,
