@@ -66,7 +66,8 @@ class NextExperiment(Evidence):
     description: str  # signal, duration and sensors in words
     advice: str  # where the experiment is not safe to separate the hypotheses: what else would
     t: Array  # clock in s, (n,)
-    # inputs, units: input -> samples (n,), each held until the next; input -> unit
+    # inputs, units: input -> samples (n,), each held until the next; input -> unit. Of a platform under control the
+    # references of its nut angles, for the controller, and the poses that they belong to
     inputs: Mapping[str, Array]
     units: Mapping[str, str]
     duration: float  # in s
