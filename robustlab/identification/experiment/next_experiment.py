@@ -66,7 +66,8 @@ class NextExperiment(Evidence):
     description: str  # signal, duration and sensors in words
     advice: str  # where the experiment is not safe to separate the hypotheses: what else would
     t: Array  # clock in s, (n,)
-    # inputs, units: input -> samples (n,), each held until the next; input -> unit
+    # inputs, units: input -> samples (n,), each held until the next; input -> unit. Of a platform under control the
+    # references of its nut angles, for the controller, and the poses that they belong to
     inputs: Mapping[str, Array]
     units: Mapping[str, str]
     duration: float  # in s
@@ -154,7 +155,7 @@ def propose_experiment(
     if not rivals:
         return None
     open_ones = [named, *sorted(rivals, key=lambda f: -f.evidence)[: problem.tuning.most_opponents]]
-    labels = _labels(open_ones)
+    labels = labels_of(open_ones)
     limits = _limits(problem, input_range, travel, longest, may_add)
     trials = trials_of(problem, open_ones, limits)
     if not trials:
@@ -262,7 +263,7 @@ def _known(what: str, given: Sequence[str] | Mapping[str, object], names: Sequen
 # --- the answer ------------------------------------------------------------------------------------------------------
 
 
-def _labels(fits: Sequence[Fit]) -> tuple[str, ...]:
+def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
     """What each hypothesis has that not all have: effect ids, with their sites where the ids alone say too little."""
     keys = [[c.key for c in f.hypothesis.candidates] for f in fits]
     common = set(keys[0]).intersection(*keys[1:])

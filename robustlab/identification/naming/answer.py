@@ -347,11 +347,15 @@ def _search_findings(found: Found) -> list[Finding]:
 
 def _next_experiment(problem: Problem, best: Fit, rivals: Sequence[Alternative]) -> NextExperiment | None:
     """What would separate the named effects from their rivals."""
-    if not rivals or isinstance(problem.plant, NonlinearPlant):  # whose motion in an experiment is not known
+    if not rivals:
         return None
+    others = {a.weighed.key: a.weighed.fit for a in rivals}
+    if isinstance(problem.plant, NonlinearPlant):  # which moves as its controller asks
+        from robustlab.identification.experiment.path_experiment import propose_path
+
+        return propose_path(problem, best, list(others.values()))
     from robustlab.identification.experiment.next_experiment import propose_experiment
 
-    others = {a.weighed.key: a.weighed.fit for a in rivals}
     return propose_experiment(problem, best, list(others.values()))
 
 
