@@ -547,14 +547,12 @@ class Problem:
             return noise.whitened(errors).reshape(*start.shape[:-1], -1)
 
         moved = [xi + start_step * unit for unit in np.eye(xi.shape[1])] if starts else []
-        if here is None:
-            moved = [xi, *moved]
-        found = at(z, np.array(moved)) if moved else np.zeros((0, *xi.shape[:1], 0))
-        if here is None:
-            here, found = found[0], found[1:]
-        over_z = [(at(z + step * unit, xi) - here) / step for unit in units]
-        j = np.stack(over_z, axis=2) if over_z else np.zeros((*here.shape, 0))
-        return j, np.moveaxis((found - here) / start_step, 0, 2) if starts else np.zeros((*here.shape, 0))
+        moved = moved if here is not None else [xi, *moved]
+        found = at(z, np.array(moved)) if moved else np.zeros((0, len(xi), 0))
+        at_rest, found = (found[0], found[1:]) if here is None else (here, found)
+        over_z = [(at(z + step * unit, xi) - at_rest) / step for unit in units]
+        j = np.stack(over_z, axis=2) if over_z else np.zeros((*at_rest.shape, 0))
+        return j, np.moveaxis((found - at_rest) / start_step, 0, 2) if starts else np.zeros((*at_rest.shape, 0))
 
     def derivatives(self, fit: Fit) -> list[tuple[Array, Array]]:
         """Derivatives of the residuals over the nuisances and over the window starts at a fit, a pair a record."""
