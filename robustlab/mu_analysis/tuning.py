@@ -27,7 +27,9 @@ class MuTuning(Tuning):
     precisions: tuple[int, ...] = (128, 512, 2048)  # bits of ball arithmetic; the next where one cannot decide
     # --- lower bounds (lower, minimum_norm, starting_points) ---
     singular: float = 1e-11  # relative smallest singular value below which I - M Delta counts as singular
-    nearby: float = 1e-8  # a Delta attains its bound where an exactly singular one lies within this share of its norm
+    # Share of the norm of a Delta that attains its bound, within which an exactly singular one is seen to first order;
+    # near a double root that is half of the way.
+    nearby: float = 5e-9
     chosen: int = 6  # candidates per matrix that are taken to rounding and verified
     wider: int = 3  # so many times the paths asked for begin where blocks are real; the most promising go on
     descending: int = 2  # candidates per matrix that go down along the singular set ...

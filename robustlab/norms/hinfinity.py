@@ -6,14 +6,14 @@ band of it, is infinite where a pole lies on it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.exact_stability import exactly_on_boundary, exactly_stable
 from robustlab.linear_analysis.magnitude import Moderated, balancing_factors, moderated
@@ -258,24 +258,30 @@ def axis_point(m: StateSpaceModel, omega: float) -> complex:
     return 1j * omega if np.isfinite(omega) else complex(np.inf)
 
 
-def gain_rounding(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex) -> float:
+def gain_rounding(
+    A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex, sums: Sequence[Array] | None = None
+) -> float:
     r"""Bound of the rounding error of ``sigma_max(C (sI - A)^{-1} B + D)``, to first order; s may be infinite.
+
+    ``sums``: sizes of what was added up to A, B, C and D, where terms cancelled in them; their own where left out.
 
     With ``F = sI - A`` and ``X = F^{-1} B`` a backward stable solution is off by no more than
     ``n eps |F^{-1}| (|F| |X| + |B|)``, entry by entry; no scaling of the states changes that.
     """
-    return _terms(A, B, C, D, s)[1]
+    return _terms(A, B, C, D, s, sums)[1]
 
 
-def _terms(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex) -> tuple[float, float]:
+def _terms(
+    A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex, sums: Sequence[Array] | None = None
+) -> tuple[float, float]:
     """Size of what is added up to the gain at s, ``|C| |X| + |D|``, and `gain_rounding`."""
-    n, size = len(A), np.abs(D)
-    error = size
+    in_a, in_b, in_c, in_d = [np.abs(m) for m in (A, B, C, D)] if sums is None else sums
+    n, size, error = len(A), np.abs(D), in_d
     if n and np.isfinite(s):
         inverse = np.linalg.inv(s * np.eye(n) - A)
-        X, terms = np.abs(inverse @ B), np.abs(A) + abs(s) * np.eye(n)
+        X, terms = np.abs(inverse @ B), in_a + abs(s) * np.eye(n)
         size = size + np.abs(C) @ X
-        error = size + np.abs(C) @ np.abs(inverse) @ (terms @ X + np.abs(B))
+        error = error + in_c @ X + np.abs(C) @ np.abs(inverse) @ (terms @ X + in_b)
     return float(np.linalg.norm(size)), max(n, 1) * EPS * float(np.linalg.norm(error))
 
 

@@ -65,8 +65,15 @@ def test_mu_below_the_inverse_of_the_largest_float():
     assert run_case(case)["outcome"] == "held"
 
 
-def test_gain_of_a_member_whose_response_loses_digits():
-    assert run_case(make_case(3, 429))["outcome"] == "held"
+@pytest.mark.parametrize(("seed", "index"), [(3, 429), (41, 5)])
+def test_gain_of_a_member_whose_response_loses_digits(seed, index):
+    # The second: the pole of the member 1e-10 from the unit circle took 1.4e-5 of the gain, the bound of it said 5.5e-5.
+    assert run_case(make_case(seed, index))["outcome"] == "held"
+
+
+def test_mu_next_to_a_double_root():
+    # Delta was singular to within 1.5e-8 of itself, where 1e-8 is stated: Newton's step there is half of the way.
+    assert run_case(make_case(41, 118))["outcome"] == "held"
 
 
 # --- the judge on closed forms ---------------------------------------------------------------------------------------

@@ -219,7 +219,8 @@ def _with_blocks(
     with np.errstate(all="ignore"):
         error = _rounding(known, uncertain)
     if not error <= QUIET * known.lower:
-        known.lower = max(known.lower - error, 0.0) if np.isfinite(error) else 0.0
+        # Twice: the norm was taken of the member in another basis, of which the matrices are rounded as well.
+        known.lower = max(known.lower - 2.0 * error, 0.0) if np.isfinite(error) else 0.0
     return _result(uncertain, nominal, known, budget, known.notes, grid, model, blocks, seed)
 
 
@@ -368,8 +369,15 @@ def _rounding(known: _Known, uncertain: UncertainModel) -> float:
     left = delta @ np.linalg.inv(np.eye(p) - M.D[:p, :q] @ delta)
     A, B = M.A + M.B[:, :q] @ left @ M.C[:p], M.B[:, q:] + M.B[:, :q] @ left @ M.D[:p, q:]
     C, D = M.C[p:] + M.D[p:, :q] @ left @ M.C[:p], M.D[p:, q:] + M.D[p:, :q] @ left @ M.D[:p, q:]
+    # What cancels in the member's matrices is rounded before it cancels.
+    across, onto = np.abs(M.B[:, :q]) @ np.abs(left), np.abs(M.D[p:, :q]) @ np.abs(left)
+    into, through = np.abs(M.C[:p]), np.abs(M.D[:p, q:])
+    sums = (
+        np.abs(M.A) + across @ into, np.abs(M.B[:, q:]) + across @ through,
+        np.abs(M.C[p:]) + onto @ into, np.abs(M.D[p:, q:]) + onto @ through,
+    )  # fmt: skip
     s = np.exp(1j * known.frequency * M.dt) if M.is_discrete else 1j * known.frequency
-    return gain_rounding(A, B, C, D, complex(s) if np.isfinite(known.frequency) else complex(np.inf))
+    return gain_rounding(A, B, C, D, complex(s) if np.isfinite(known.frequency) else complex(np.inf), sums)
 
 
 def _mapped(uncertain: UncertainModel, omega: float) -> float:
