@@ -67,7 +67,7 @@ def test_mu_below_the_inverse_of_the_largest_float():
 
 @pytest.mark.parametrize(("seed", "index"), [(3, 429), (41, 5)])
 def test_gain_of_a_member_whose_response_loses_digits(seed, index):
-    # The second: the pole of the member 1e-10 from the unit circle took 1.4e-5 of the gain, the bound of it said 5.5e-5.
+    # The second: a pole 1e-7 from the unit circle cost 6.9e-5 of the gain, of which 5.5e-5 were counted.
     assert run_case(make_case(seed, index))["outcome"] == "held"
 
 
