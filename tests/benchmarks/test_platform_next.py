@@ -15,7 +15,7 @@ from robustlab.identification.hypotheses.noise import first_noise, whitening
 from robustlab.identification.hypotheses.prepared_record import ports_of, prepare
 from robustlab.identification.tuning import TUNING
 
-WINDOW = 60
+WINDOW = 40  # samples, as a naming cuts a shaken leg whose sensor is late
 pytestmark = pytest.mark.slow
 
 
@@ -48,12 +48,11 @@ def opened():
 def test_the_path_that_is_proposed_tells_the_hidden_machine_and_another_does_not(opened, tmp_path):
     case, problem, pool, fits = opened
     asked = ("slow reversals", "shake", "leg 3 shake")
-    found = propose_path(problem, fits[0], fits[1:], only=asked, duration=3.0)
+    found = propose_path(problem, fits[0], fits[1:], only=asked)
     d = {t.name: t.separation for t in found.menu}
     assert found.name == "leg 3 shake"
-    assert d["slow reversals"] < 3.0 < d["shake"]
-    assert found.separates
-    assert found.now < 10.0 < found.separation
+    assert d["slow reversals"] < 3.0
+    assert d["leg 3 shake"] == found.separation > max(5.0, d["shake"])
     text = found.save(tmp_path / "next.csv").read_text().splitlines()
     table = np.loadtxt(text[1:], delimiter=",")
     assert text[0].split(",") == ["t", *(f"phi_{j}_ref" for j in range(1, 7)), "tx", "ty", "tz", "ax", "ay", "az"]
@@ -64,7 +63,8 @@ def test_the_path_that_is_proposed_tells_the_hidden_machine_and_another_does_not
     prepared = prepare(problem.plant, ports_of(problem.plant, record), record, WINDOW)
     there = problem.on([problem.records[0], prepared])
     late_sensor, late_input = fitted(there, pool, fits[0].noise)
-    assert late_input.cost - late_sensor.cost > 100.0  # d of 10
+    told = np.sqrt(late_input.cost - late_sensor.cost)  # what was predicted, and the first record beside it
+    assert 0.7 * found.separation < told < 2.5 * found.separation
     (candidate,) = late_sensor.hypothesis.candidates
     assert candidate.values(late_sensor.z[-1:])["d"] == pytest.approx(case.values[0]["d"], abs=1e-4)
 

@@ -32,7 +32,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.experiment.experiment_bench import SAFE, Pair, distances
 from robustlab.identification.experiment.next_experiment import NextExperiment, Tried, labels_of
 from robustlab.identification.experiment.path_menu import PathLimits, PosePath, paths
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem, predicted
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, NoiseModel, Problem, predicted
 from robustlab.identification.hypotheses.prepared_record import ports_of, prepare
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
@@ -264,16 +264,27 @@ def _asked(effect: Any, values: Mapping[str, float], needed: Array, dt: float) -
 
 def _distance(problem: Problem, truth: Fit, rival: Fit, record: Record) -> float:
     """Refit distance of the rival to what the truth predicts along the record."""
-    plant, first = problem.plant, problem.records[0]
-    model = ports_of(plant, record)
-    seen = [plant.outputs[k].name for k in first.columns]
-    prepared = prepare(plant, model, record, first.windows.length, None, seen, problem.tuning)
-    empty = problem.on([replace(prepared, thin=first.thin)])
+    empty = _in_windows(problem, record)
     noise = NoiseModel(truth.noise.std, truth.noise.ar)
-    none = tuple(np.zeros((len(c), len(plant.states))) for c in empty.chosen)
+    none = tuple(np.zeros((len(c), len(problem.plant.states))) for c in empty.chosen)
     there = predicted(empty, replace(truth, starts=none, noise=noise))
     cost = there.fit(rival.hypothesis, noise, rival.z, none, FitPlan(ITERATIONS)).cost
     return float(np.sqrt(max(0.0, cost - float(rival.z @ rival.z))))
+
+
+def _in_windows(problem: Problem, record: Record) -> Problem:
+    """The record in windows as a naming would cut it: halved until the plant as given keeps near the motion in them."""
+    plant, first, tuning = problem.plant, problem.records[0], problem.tuning
+    model, length = ports_of(plant, record), first.windows.length
+    seen, bare = [plant.outputs[k].name for k in first.columns], np.zeros(len(problem.nuisances))
+    while True:
+        prepared = replace(prepare(plant, model, record, length, None, seen, tuning), thin=first.thin)
+        cut = problem.on([prepared])
+        error = cut.errors(Hypothesis(()), bare, [np.zeros_like(prepared.x0)])[0]
+        off = float((np.sqrt(np.nanmean(error**2, axis=(0, 1))) / np.ptp(prepared.y, axis=0)).max())
+        if length <= tuning.shortest_window or off < tuning.most_deviation:
+            return cut
+        length = max(length // 2, tuning.shortest_window)
 
 
 # --- the answer ------------------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ LARGEST = 0.05  # m, with s = 1
 EDGE = 0.4  # s in which a path begins and ends
 HALVINGS = 14  # of the interval of s
 MARGIN = 0.9  # of each limit
+SLOW, WANDER = "slow reversals", 0.4  # the path of a pose that wanders, and what share of its size it then has
 
 
 @dataclass(frozen=True)
@@ -123,9 +124,9 @@ def menu() -> Mapping[str, tuple[str, Waves]]:
 
 
 def alone() -> Mapping[str, tuple[str, Waves]]:
-    """The same of a leg that moves alone."""
+    """The same of a leg that moves by itself."""
     return {
-        "slow": ("sines of 0.15 to 0.5 Hz", _sines(0.15, 0.5, 2)),
+        "usual": ("sines of 0.5 to 2 Hz", _sines(0.5, 2.0, 2, 3)),
         "quick": ("sines of 2 to 5 Hz", _sines(2.0, 5.0, 2, 5)),
         "shake": ("sines of 4 to 8 Hz", _sines(4.0, 8.0, 2)),
     }
@@ -134,27 +135,39 @@ def alone() -> Mapping[str, tuple[str, Waves]]:
 def paths(
     geometry: Geometry, about: Array, limits: PathLimits, n: int, dt: float, legs: Sequence[int] = ()
 ) -> list[PosePath]:
-    """The menu about a pose (6,), ``n`` samples of ``dt`` s each, and of each of the ``legs`` (0..5) its motion alone.
+    """The menu about a pose (6,), ``n`` samples of ``dt`` s each, and of each of the ``legs`` (0..5) its own motion.
 
     A path that no scale allows is left out.
     """
     t = np.arange(n) * dt
     edge = np.clip(np.minimum(t, t[-1] - t) / EDGE, 0.0, 1.0)[:, None]
     envelope = edge**3 * (10.0 - 15.0 * edge + 6.0 * edge**2)
-    centre, found = nut_angles(geometry, about[None])[0], []
+    found = []
     for name, (words, waves) in menu().items():
         shape = LARGEST * SIZES * envelope * waves(t)
         scale = _largest(lambda s, shape=shape: nut_angles(geometry, about + s * shape), geometry, limits, dt)
         poses = about + scale * shape
         found += [PosePath(name, words, poses, nut_angles(geometry, poses))] if scale > 0.0 else []
-    for leg in legs:
+    return [*found, *_of_legs(geometry, about, limits, t, envelope, legs)]
+
+
+def _of_legs(
+    geometry: Geometry, about: Array, limits: PathLimits, t: Array, envelope: Array, legs: Sequence[int]
+) -> list[PosePath]:
+    """Each leg by itself, while the pose wanders: where a joint stood still, its sensor would show noise alone."""
+    found, dt = [], float(t[1] - t[0])
+    wander = LARGEST * SIZES * envelope * menu()[SLOW][1](t)
+    scale = WANDER * _largest(lambda s: nut_angles(geometry, about + s * wander), geometry, limits, dt)
+    base = nut_angles(geometry, about + scale * wander)
+    for leg in legs if scale > 0.0 else ():
         for name, (words, waves) in alone().items():
-            shape = np.outer(LARGEST * geometry.turns * (envelope * waves(t))[:, leg], np.eye(6)[leg])
-            scale = _largest(lambda s, shape=shape: centre + s * shape, geometry, limits, dt)
-            angles = centre + scale * shape
-            if scale > 0.0:
+            shape = np.zeros_like(base)
+            shape[:, leg] = LARGEST * geometry.turns * (envelope * waves(t))[:, leg]
+            share = _largest(lambda s, shape=shape: base + s * shape, geometry, limits, dt)
+            if share > 0.0:
+                angles = base + share * shape
                 poses = direct_kinematics(geometry, geometry.home_lengths + angles / geometry.turns, about).poses
-                text = f"leg {leg + 1} moves alone: {words}"
+                text = f"leg {leg + 1} moves by itself, {words}, while the pose wanders slowly"
                 found.append(PosePath(f"leg {leg + 1} {name}", text, np.asarray(poses), angles))
     return found
 
