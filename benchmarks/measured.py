@@ -455,15 +455,16 @@ def peers() -> str:
 
 def platform() -> str:
     """Naming on the Stewart platform, in a sentence."""
-    right, of, there, cases, median, low, high = groups(
+    right, of, there, cases, wrong, silent, median, low, high = groups(
         "platform_discover.txt",
-        r"name and leg right (\d+) of (\d+).*?in the answer (\d+) of (\d+).*?CPU a case: (\d+) s median, (\d+) to (\d+) s",
+        r"kind and leg right (\d+) of (\d+).*?in the answer (\d+) of (\d+); sure and wrong (\d+).*?"
+        r"a name: (\d+ of \d+).*?CPU a case: (\d+) s median, (\d+) to (\d+) s",
     )
     return (
-        f"On the Stewart platform in closed loop, seeds run once: name and leg right in {right} of {of} cases (90 % of 60 wanted, "
-        f"more had no time) {MISSED}, the truth in\nthe answer in {there} of {cases}, none sure and wrong, nothing named where nothing "
-        f"is missing. Backlash is not found; a late sensor is not told from a late input of its leg.\n"
-        f"A case takes {low} to {high} s of CPU, {median} s in the median (120 wanted)"
+        f"On the Stewart platform in closed loop, seeds asked once: kind and leg right in {right} of {of} cases (93 % of 60 wanted, "
+        f"more had no time) {MISSED}, the truth in\nthe answer in {there} of {cases}, {wrong} sure and wrong, nothing missing told as "
+        f"a name: {silent}. A lateness is told of its leg where input and sensor cannot be told apart; a backlash where its gap opens "
+        f"for long.\nA case takes {low} to {high} s of CPU on a loaded machine, {median} s in the median (60 wanted {MISSED})"
         ". [Raw](../benchmarks/results/platform_discover.txt)"
     )
 

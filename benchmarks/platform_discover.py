@@ -78,7 +78,7 @@ def is_truth(said: Said, case: PlatformCase) -> bool:
 def kinds_are_truth(kinds: Said, case: PlatformCase) -> bool:
     """Whether the kinds that are told are that of the hidden effect, at its legs, and no more."""
     if case.name in ("none", *OUTSIDE):
-        return not kinds
+        return False
     own = {KIND_OF[name] for name in ACCEPTED.get(case.effect, (case.effect,))}
     if not kinds or any(kind not in own for kind, _ in kinds):
         return False

@@ -189,9 +189,9 @@ def hidden(name, *legs):
     return SimpleNamespace(name=name, effect=effect, legs=legs)
 
 
-def counts(case, verdict, named, complete=True, sets=()):
+def counts(case, verdict, named, complete=True, sets=(), kinds=()):
     said = pd.said_of(named)
-    line = pd.verdict_of(case, verdict, complete, said, [pd.said_of(s) for s in sets])
+    line = pd.verdict_of(case, verdict, complete, said, [pd.said_of(s) for s in sets], pd.said_of(kinds))
     return line["right"], line["in_answer"], line["sure_wrong"]
 
 
@@ -206,6 +206,19 @@ def test_name_and_leg_count_together():
     two = hidden("2x coulomb-friction", 2, 3)
     assert counts(two, "named", true + other) == (True, True, False)
     assert counts(two, "named", true) == (False, False, True)
+
+
+def test_a_kind_at_its_leg_counts_as_the_effect():
+    late, here = hidden("input-delay", 4), [("lateness", "torque_4 to phi_4")]
+    either = [[("input-delay", "torque_4")], [("sensor-delay", "phi_4")]]
+    assert counts(late, "named", [("sensor-delay", "phi_4")], kinds=here) == (True, True, False)
+    assert counts(late, "named", either[0], kinds=here) == (True, True, False)
+    assert counts(late, "ambiguous", [], sets=either, kinds=here) == (False, True, False)
+    assert counts(late, "named", either[1], kinds=[("lateness", "torque_3 to phi_3")]) == (False, False, True)
+    assert counts(late, "named", either[1], kinds=[*here, ("load", "phidot_1")]) == (False, False, True)
+    line = pd.verdict_of(late, "named", True, pd.said_of(either[1]), [], pd.said_of(here))
+    assert (line["right"], line["by_name"]) == (True, False)
+    assert counts(hidden("none"), "named", either[0], kinds=here) == (False, False, True)
 
 
 def test_what_is_nowhere_and_what_is_nothing():

@@ -55,7 +55,7 @@ def test_mu_closes_the_loop_as_the_file_says(run):
     assert text.startswith("loop  u = K (r - y), as strong.h5 says\n")
     assert "robust stability margin  3.18" in text
     weak = json.loads(run("mu", "osc.h5", "-k", "weak.h5", "--json"))
-    assert weak["lower"] == pytest.approx(3.407, abs=1e-3)  # 3.123 is proved of the other sign
+    assert 3.4 < weak["lower"] <= weak["upper"] < 3.5  # 3.123 is proved of the other sign
     assert weak["loop"] == "u = K (r - y), as the controller says"
     same = json.loads(run("mu", "osc.h5", "-k", "old.h5", "--json"))
     assert same["lower"] == pytest.approx(weak["lower"], rel=1e-9)
