@@ -87,10 +87,16 @@ def runs(folder: Path) -> dict[str, Run]:
     return found
 
 
+TITLE = (
+    "SIMULATED: the machine of platform.h5 under two controllers of platform-discover; benchmarks/platform_redesign.py"
+)
+
+
 def write(found: dict[str, Run], file: Path) -> None:
     """The records: clock, torques, what the encoders read, references."""
     asked = path()[1]
     with h5py.File(file, "w") as out:
+        out.attrs["title"] = TITLE
         for word in ("before", "after"):
             group, one = out.create_group(word), found[word]
             columns = {"t": (one.t, "s")}

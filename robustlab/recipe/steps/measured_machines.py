@@ -165,7 +165,7 @@ class TryMachineStep(Step):
 
 @step
 class RecordedRunStep(Step):
-    """A run that the machine itself made under a controller of this recipe, judged from its record.
+    """A run of the machine under a controller of this recipe, judged from its record.
 
     The record has what the controller saw (references as OUTPUT_ref) and asked for. What of that this controller with
     its feed-forward does not explain is a number: a requirement can ask that the run was made with what stands here.
