@@ -464,7 +464,7 @@ def test_a_class_without_facts_of_its_own_counts_what_is_long():
 def test_a_margin_was_18_kilobytes_long(make):
     assert len(repr(make("Margin"))) < 400
     assert re.match(
-        r"Margin \(certified\)\n  robust stability margin: 1\.484 \(proved\) \.\. 1\.487 \(attained\)",
+        r"Margin \(certified\)\n  robust stability margin: 1\.485 \(proved\) \.\. 1\.487 \(attained\)",
         repr(make("Margin")),
     )
 
