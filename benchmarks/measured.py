@@ -455,15 +455,15 @@ def peers() -> str:
 
 def platform() -> str:
     """Naming on the Stewart platform, in a sentence."""
-    right, of, there, cases, wrong, silent, median, low, high = groups(
+    right, of, there, cases, wrong, pairs, silent, median, low, high = groups(
         "platform_discover.txt",
         r"kind and leg right (\d+) of (\d+).*?in the answer (\d+) of (\d+); sure and wrong (\d+).*?"
-        r"a name: (\d+ of \d+).*?CPU a case: (\d+) s median, (\d+) to (\d+) s",
+        r"two legs: (\d+ of \d+).*?a name: (\d+ of \d+).*?CPU a case: (\d+) s median, (\d+) to (\d+) s",
     )
     return (
         f"On the Stewart platform in closed loop, seeds asked once: kind and leg right in {right} of {of} cases (93 % of 60 wanted, "
-        f"more had no time) {MISSED}, the truth in\nthe answer in {there} of {cases}, {wrong} sure and wrong, nothing missing told as "
-        f"a name: {silent}. A lateness is told of its leg where input and sensor cannot be told apart; a backlash where its gap opens "
+        f"more had no time) {MISSED}, the truth in\nthe answer in {there} of {cases}, {wrong} sure and wrong; two legs {pairs}, the "
+        f"other one sure of one of its two ripples {MISSED}; nothing missing told as a name: {silent}. A lateness is told of its leg where input and sensor cannot be told apart; a backlash where its gap opens "
         f"for long.\nA case takes {low} to {high} s of CPU on a loaded machine, {median} s in the median (60 wanted {MISSED})"
         ". [Raw](../benchmarks/results/platform_discover.txt)"
     )
