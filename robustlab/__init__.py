@@ -118,7 +118,6 @@ _PUBLIC = {
     "d2c": "synthesis.sampled.resampling",
     "d2d": "synthesis.sampled.resampling",
     "sampled_data_norm": "synthesis.sampled.sampled_norm",
-    "sampled_robustness": "synthesis.sampled.sampled_robustness",
     # measurements
     "compare": "identification.comparison.comparison",
     "discover": "identification.naming.discovery",

@@ -76,7 +76,6 @@ from robustlab.synthesis.sampled.resampling import d2c as d2c
 from robustlab.synthesis.sampled.resampling import d2d as d2d
 from robustlab.synthesis.sampled.sampled_controller import discretise as discretise
 from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
-from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness as sampled_robustness
 from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel as LPVModel
 from robustlab.synthesis.specifications.loop_functions import loop_functions as loop_functions
@@ -213,7 +212,6 @@ __all__ = [
     "d2c",
     "d2d",
     "sampled_data_norm",
-    "sampled_robustness",
     "compare",
     "discover",
     "watch",

@@ -194,13 +194,6 @@ def mixsyn() -> Any:
     return rl.mixsyn(lag(), W1, 0.1)
 
 
-def robust_sampled_controller() -> Any:
-    from robustlab.synthesis.sampled.sampled_robustness import RobustSampledController
-
-    judged = {"before": made("PerformanceMargin"), "after": made("SampledRobustness")}
-    return RobustSampledController(**vars(made("SampledController")), **judged)
-
-
 def performance_comparison() -> Any:
     from robustlab.analysis.performance_comparison import compare_performance
 
@@ -336,9 +329,7 @@ OBJECTS: dict[str, Any] = {
     "ReducedModel": lambda: rl.reduce_model((spring().nominal @ lag().renamed([("F", "N")], [("F", "N")])), 2),
     "ReducedController": lambda: rl.reduce_controller(mixsyn().plant, mixsyn().K),
     "SampledController": lambda: rl.discretise(mixsyn(), dt=0.01),
-    "RobustSampledController": robust_sampled_controller,
     "SampledDataNorm": lambda: rl.sampled_data_norm(problem(), digital()),
-    "SampledRobustness": lambda: rl.sampled_robustness(first_order(), digital()),
     "Comparison": comparison,
     "Discovery": discovery,
     "Validation": validation,

@@ -212,7 +212,7 @@ OWN = {"progress", "exact", "loop", "metric", "parts"}
 # With a number that is very small or large these take seconds and answer: (function, argument).
 LONG = {
     *(("classical_margins of delays", "K"), ("disk_margin of delays", "K"), ("discretise of a loop", "delay")),
-    *(("sampled_robustness", "delay"), ("sampled_data_norm", "delay"), ("worst_case", "workers")),
+    *(("sampled_data_norm", "delay"), ("worst_case", "workers")),
     ("violation_probability", "workers"),
 }
 
@@ -249,7 +249,7 @@ def test_every_public_function_that_takes_milliseconds_is_attacked():
     """What is left out searches for seconds, makes files, or takes anything by name."""
     apart = {
         *("data_cover", "discover", "dk", "reduce_controller", "tune", "watch"),
-        *("sampled_robustness", "robust_performance"),
+        *("robust_performance",),
         *("load", "save", "export_controller", "plant", "trim", "PlantEquations"),
         *("beside", "stacked", "uncertain_from", "Signal", "Status"),
         *("RobustlabError", "InputError", "NoTrustworthyNumber"),
