@@ -510,12 +510,7 @@ NATURES = (
 
 
 def natures_case(rng: Rng, kind: str) -> Case | None:
-    """iqc-gain and iqc-size: a small set with blocks of all natures, or a loop with anti-windup."""
-    if kind == "iqc-gain" and rng.random() < 0.1:
-        plant = rl.StateSpaceModel([[-rng.uniform(0.1, 1)]], [[1.0]], [[1.0]], [[0.0]])
-        pi = rl.StateSpaceModel([[0.0]], [[-1.0]], [[rng.uniform(0.5, 3)]], [[-rng.uniform(1, 3)]])
-        claims = claims_of(rl.anti_windup(plant, pi, order=int(rng.integers(0, 3))))
-        return Case(kind, dict(claims[0].numbers)) if claims else None
+    """iqc-gain and iqc-size: a small set with blocks of all natures."""
     rows = STRUCTURES[rng.integers(len(STRUCTURES))]
     q, p = (sum(row[k] for row in rows) for k in (1, 2))
     G = model(rng, int(rng.integers(1, 4)), q + 1, p + 1, 0.0)

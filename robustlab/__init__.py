@@ -113,7 +113,6 @@ _PUBLIC = {
     "hankel_singular_values": "synthesis.reduction.model_reduction",
     "reduce_model": "synthesis.reduction.model_reduction",
     "reduce_controller": "synthesis.reduction.controller_reduction",
-    "anti_windup": "synthesis.windup.static_anti_windup",
     "discretise": "synthesis.sampled.sampled_controller",
     "d2c": "synthesis.sampled.resampling",
     "d2d": "synthesis.sampled.resampling",

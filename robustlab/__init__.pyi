@@ -86,7 +86,6 @@ from robustlab.synthesis.specifications.weight_design import design_weights as d
 from robustlab.synthesis.specifications.weight_design import makeweight as makeweight
 from robustlab.synthesis.specifications.weight_design import noise_weight as noise_weight
 from robustlab.synthesis.specifications.weight_design import performance_weight as performance_weight
-from robustlab.synthesis.windup.static_anti_windup import anti_windup as anti_windup
 from robustlab.uncertainty.algebra import beside as beside
 from robustlab.uncertainty.algebra import stacked as stacked
 from robustlab.uncertainty.algebra import star as star
@@ -207,7 +206,6 @@ __all__ = [
     "hankel_singular_values",
     "reduce_model",
     "reduce_controller",
-    "anti_windup",
     "discretise",
     "d2c",
     "d2d",

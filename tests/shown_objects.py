@@ -290,7 +290,6 @@ OBJECTS: dict[str, Any] = {
     "IqcGain": lambda: rl.peak_gain(loop(), natures={"k": rl.Varying(0.1)}),
     "IqcStability": lambda: rl.robust_stability(first_order(), natures={"pole": rl.Varying()}, order=0),
     "EffectGain": effect_gain,
-    "AntiWindup": lambda: rl.anti_windup(lag().select(), rl.StateSpaceModel([[0.0]], [[-1.0]], [[2.0]], [[-3.0]])),
     "LinearSolution": lambda: rl.lyap([[-0.5]], [[2.0]]),
     "RiccatiSolution": lambda: rl.care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
     "Resampled": lambda: rl.d2c(rl.discretise(lag(), 0.1)),

@@ -1,4 +1,4 @@
-"""``robustlab iqc``: proved gain with nonlinear, time-varying and uncertain blocks; static anti-windup."""
+"""``robustlab iqc``: proved gain with nonlinear, time-varying and uncertain blocks."""
 
 from __future__ import annotations
 

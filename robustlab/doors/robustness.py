@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Numbers, Table, Thing, Whole
+from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Table, Thing, Whole
 from robustlab.doors.words import (
     Band,
     Controller,
@@ -387,55 +386,3 @@ def effect_gain(
         plant, controller, outputs=outputs, amplitude=amplitude, stick_speed=stick_speed, sign=sign, order=order,
         **search.options,
     )  # fmt: skip
-
-
-@door("iqc anti-windup", "anti-windup", result="synthesis.windup.static_anti_windup.AntiWindup")
-def anti_windup(
-    plant: Annotated[Model, "The plant; u and y are its last inputs and outputs.", Named(key="of")],
-    controller: Annotated[Any, Thing(("controller", "any"), model=True), "Controller u = K y."],
-    limits: Annotated[
-        dict[str, tuple[float, float]] | None,
-        Table(Numbers(count=2), words="NAME=LOW:HIGH"),
-        "Limits of each control signal; -1:1 where left out.",
-        Named(option="--saturation"),
-    ] = None,
-    reach: Annotated[
-        float, Number(above=1), "Bound of the demanded signal as a multiple of its limit; where the plant is unstable."
-    ] = math.inf,
-    direct: Annotated[
-        bool, Flag(), "Correct the outputs too, an algebraic loop.", Named(option="--correct-outputs")
-    ] = False,
-    dt: Annotated[
-        float | None, Number(above=0), "With --code: sample time in s of what is written.", Named(only="command")
-    ] = None,
-    code: Annotated[
-        str | None, Kind(), "C file to write: the controller held, with its gain.", Named(only="command")
-    ] = None,
-    order: FilterOrder = 2,
-    search: Search = USUAL,
-) -> Any:
-    """Static anti-windup gain of least proved L2 gain, beside back-calculation and none.
-
-    Example: robustlab iqc anti-windup motor.h5 pi.h5 --saturation u=-10:10 --out windup.h5
-    """
-    from robustlab.signals import law
-
-    unknown = [name for name in limits or {} if name not in controller.output_names]
-    if unknown:
-        expected = f"one of {', '.join(controller.output_names)}"
-        raise UsageError(f"--saturation {unknown[0]}", "no such control signal", expected)
-    if (code is None) != (dt is None):
-        raise UsageError("iqc anti-windup", "one of --code and --dt", "both, or none")
-    pairs = [(limits or {}).get(name, (-1.0, 1.0)) for name in controller.output_names]
-    found = rl.anti_windup(plant, controller, pairs, reach, direct, order=order, **search.options)
-    words = (
-        f"{law(controller.inputs)}, as the controller says"
-        if law(controller.inputs)
-        else "u = K y; nothing else is said of it"
-    )
-    if code is not None and dt is not None:
-        held, back = found.sampled(dt)
-        saturation = dict(zip(controller.output_names, pairs, strict=True))
-        rl.export_controller(code, held, saturation=saturation, anti_windup=back)
-        return InLoop(found, words, beside={"written": code})
-    return InLoop(found, words)

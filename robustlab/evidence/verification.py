@@ -48,7 +48,6 @@ CLAIMS: Mapping[str, str] = {
     "IqcGain": "multipliers.gain_claims",
     "IqcStability": "multipliers.size_claims",
     "EffectGain": "multipliers.effect_claims",
-    "AntiWindup": "multipliers.windup_claims",
     "LPVGain": "scheduling.gain_claims",
     "LPVSynthesis": "scheduling.design_claims",
 }

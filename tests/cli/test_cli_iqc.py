@@ -24,17 +24,6 @@ nature = { k = "varying:0.2" }
 do = "iqc-stability"
 of = "loop"
 nature = { k = "varying" }
-[step.plant]
-do = "load"
-path = "lag.h5"
-[step.pi]
-do = "load"
-path = "pi.h5"
-[step.windup]
-do = "anti-windup"
-of = "plant"
-controller = "pi"
-limits = { u = [-1.0, 1.0] }
 [step.axis]
 do = "load"
 path = "axis.h5"
@@ -62,8 +51,6 @@ def files(tmp_path, monkeypatch):
     rl.save("spring.h5", rl.parametric([[0, 1], ["-k", "-c"]], [[0], [1]], [[1, 0]], [[0]], ranges))
     loop = rl.StateSpaceModel([[-1.0]], [[-1.0, 1.0]], [[1.0]], [[0.0, 0.0]], 0, ["v", "d"], ["y"])
     rl.save("loop.h5", loop)
-    rl.save("lag.h5", rl.StateSpaceModel([[-0.1]], [[1.0]], [[1.0]], [[0.0]]))
-    rl.save("pi.h5", rl.StateSpaceModel([[0.0]], [[-1.0]], [[2.0]], [[-3.0]], outputs=["u"]))
     rl.save("gain.h5", rl.StateSpaceModel([], [], [], [[30.0]]))
     rl.save("axis.h5", rl.with_effects(rl.plant("servo-axis"), {"input-saturation": {"u_max": 10.0}}))
     return tmp_path
@@ -102,17 +89,6 @@ def test_a_plant_with_effects(files, capfd):
     assert "without --controller" in capfd.readouterr().err
 
 
-def test_anti_windup(files, capfd):
-    words = ["iqc", "anti-windup", "lag.h5", "pi.h5", "--limit", "u=-1:1", "--code", "k.c", "--dt", "0.01"]
-    assert run([*words, "--out", "w.h5"]) == 0
-    text = capfd.readouterr().out
-    assert "2.365 (proved)" in text
-    assert "written  k.c" in text
-    assert text.startswith("loop  u = K y; nothing else is said of it\n")
-    assert "L was given" in (files / "k.c").read_text()
-    assert rl.load("w.h5").type == "AntiWindup"
-
-
 @pytest.mark.parametrize(
     ("words", "code", "text"),
     [
@@ -125,22 +101,11 @@ def test_anti_windup(files, capfd):
         (["gain", "loop.h5", "--nature", "y:v=saturation", "--nature", "y:v=dead-zone"], 2, "'y:v' is given twice"),
         (["gain", "loop.h5"], 3, "no block at all"),
         (["gain", "loop.h5", "--nature", "y:v=slope:-9:0"], 4, "unstable with all blocks at their middles"),
-        (["anti-windup", "lag.h5", "pi.h5", "--limit", "w=-1:1"], 2, "one of u"),
-        (["anti-windup", "lag.h5", "pi.h5", "--dt", "0.1"], 2, "both, or none"),
     ],
 )
 def test_what_is_refused(files, capfd, words, code, text):
     assert run(["iqc", *words]) == code
     assert text in capfd.readouterr().err
-
-
-def test_anti_windup_says_the_loop(files, capfd):
-    K = rl.StateSpaceModel([[0.0]], [[1.0]], [[2.0]], [[3.0]], inputs=["y1"], outputs=["u1"])
-    rl.save("says.h5", rl.Controller(K, takes="r - y"))
-    assert run(["iqc", "anti-windup", "lag.h5", "says.h5", "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
-    assert found["loop"] == "u = K (r - y), as the controller says"
-    assert found["proved"]["upper"] == pytest.approx(2.3646, rel=1e-3)  # the loop of pi.h5, whose minus is in K
 
 
 def test_the_steps_of_a_recipe(files):
@@ -150,6 +115,4 @@ def test_the_steps_of_a_recipe(files):
     assert steps["slow"]["upper"] == pytest.approx(3.4019, rel=1e-3)
     assert steps["fast"]["stable"] is True
     assert steps["fast"]["margin"] == pytest.approx(1.744, rel=2e-3)
-    assert steps["windup"]["upper"] == pytest.approx(2.3646, rel=1e-3)
-    assert steps["windup"]["without"] == "inf"
     assert steps["effects"]["lower"] <= steps["effects"]["upper"]

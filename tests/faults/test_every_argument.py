@@ -33,10 +33,6 @@ def delayed() -> Any:
 
 # A call of each function that takes milliseconds; every argument of it is replaced in turn.
 CALLS: dict[str, Any] = {
-    "anti_windup": lambda: {
-        "plant": made.lag().select(),
-        "controller": rl.StateSpaceModel([[0.0]], [[-1.0]], [[2.0]], [[-3.0]]),
-    },
     "care": lambda: {"A": [[0.0]], "B": ONE, "Q": ONE, "R": ONE},
     "check_weights": lambda: {"W1": rl.performance_weight(1.0, 0.01, 2.0), "W2": 0.1},
     "classical_margins": lambda: {"plant": made.lag(), "K": GAIN},
@@ -218,7 +214,7 @@ LONG = {
 
 
 # Designs and searches of a tenth of a second and more, some fifty times each argument.
-SLOW = {"anti_windup", "fixed_structure", "robust_stability of natures", "disk_margin of a set"}
+SLOW = {"fixed_structure", "robust_stability of natures", "disk_margin of a set"}
 
 
 @pytest.mark.filterwarnings("error")

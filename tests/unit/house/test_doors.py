@@ -38,7 +38,6 @@ ONE_DOOR: dict[str, str] = {
 # Defaults of a door that differ from Python's, and why.
 OTHER_DEFAULTS = {
     **{(name, "starts"): "a command is waited for" for name in ("dk", "fixed_structure", "tune")},
-    ("anti_windup", "limits"): "by name; what is left out is -1 to 1 here, too",
 }
 
 

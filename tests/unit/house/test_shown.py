@@ -33,7 +33,7 @@ PLAIN = {
 }  # fmt: skip
 # Nothing to draw: a few numbers.
 NUMBERS = {
-    "AntiWindup", "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
+    "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
     "DelayStability", "DelayedDesign", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence",
     "IqcGain", "IqcStability", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap",
     "Passivity", "PassivityIndex", "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result", "Verified",
