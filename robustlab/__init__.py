@@ -84,7 +84,6 @@ _PUBLIC = {
     # synthesis
     "hinf": "analysis.synthesis",
     "h2": "synthesis.h2.h2_synthesis",
-    "h2_hinf": "synthesis.h2.mixed_h2_hinf",
     "loop_functions": "synthesis.specifications.loop_functions",
     "lqr": "synthesis.h2.state_feedback",
     "lqg": "synthesis.h2.gaussian_regulator",

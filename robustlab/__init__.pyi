@@ -61,7 +61,6 @@ from robustlab.synthesis.h2.gaussian_regulator import lqg as lqg
 from robustlab.synthesis.h2.h2_synthesis import h2 as h2
 from robustlab.synthesis.h2.integral_feedback import lqi as lqi
 from robustlab.synthesis.h2.kalman_filter import kalman as kalman
-from robustlab.synthesis.h2.mixed_h2_hinf import h2_hinf as h2_hinf
 from robustlab.synthesis.h2.state_feedback import lqr as lqr
 from robustlab.synthesis.h2.state_feedback import place as place
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
@@ -179,7 +178,6 @@ __all__ = [
     "Nonlinearity",
     "hinf",
     "h2",
-    "h2_hinf",
     "loop_functions",
     "lqr",
     "lqg",

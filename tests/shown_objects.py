@@ -300,9 +300,6 @@ OBJECTS: dict[str, Any] = {
     "HinfSynthesis": mixsyn,
     "DelayedDesign": lambda: rl.hinf(rl.with_delays(problem(), inputs={"u": 0.1}), 1, 1),
     "H2Synthesis": lambda: rl.h2(problem(), 1, 1),
-    "MixedSynthesis": lambda: rl.h2_hinf(
-        problem(), 1, 1, gamma=1.3, h2_outputs=["x", "effort"], hinf_outputs=["x", "effort"]
-    ),
     "NcfSynthesis": lambda: rl.ncf(lag()),
     "DKSynthesis": lambda: rl.dk(problem(), [rl.ComplexScalar("gain")], 1, 1, direct=False),
     "TunedSynthesis": lambda: rl.tune(

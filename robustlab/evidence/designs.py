@@ -19,7 +19,6 @@ from robustlab.norms import H2Norm, hinf_norm
 from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.fixed.fixed_structure import FixedSynthesis
 from robustlab.synthesis.fixed.goal_tuning import TunedSynthesis
-from robustlab.synthesis.h2.mixed_h2_hinf import MixedSynthesis
 from robustlab.synthesis.hinf.loop_shaping import NcfSynthesis
 from robustlab.synthesis.hinf.two_degree import TwoDegreeSynthesis
 from robustlab.synthesis.problem.design import Synthesis
@@ -36,12 +35,6 @@ def hinf_claims(found: Synthesis) -> list[Claim]:
 def h2_claims(found: Synthesis) -> list[Claim]:
     """That plant and controller make a stable loop with an H2 norm of at most ``gamma``."""
     return h2_loop_claims(found.plant.model, found.K, found.gamma)
-
-
-def mixed_claims(found: MixedSynthesis) -> list[Claim]:
-    """Both norms, each of its own channel."""
-    hinf = loop_claims(found.hinf_plant.model, found.K, found.hinf_norm.upper)
-    return h2_loop_claims(found.h2_plant.model, found.K, found.gamma) + hinf
 
 
 def ncf_claims(found: NcfSynthesis) -> list[Claim]:

@@ -26,7 +26,6 @@ CLAIMS: Mapping[str, str] = {
     "TwoDegreeSynthesis": "designs.two_degree_claims",
     "H2Synthesis": "designs.h2_claims",
     "LqgSynthesis": "designs.h2_claims",
-    "MixedSynthesis": "designs.mixed_claims",
     "FixedSynthesis": "designs.fixed_claims",
     "TunedSynthesis": "designs.tuned_claims",
     "DKSynthesis": "designs.dk_claims",

@@ -9,28 +9,20 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError
-from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.box import Box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region
-from robustlab.mu_analysis.matrix.certificate import certified_in_balls
-from robustlab.mu_analysis.matrix.decomposition import entries
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Bracket
-from robustlab.shown import Facts, Part, Shown, bracket, listed, member, number
+from robustlab.shown import Facts, Part, bracket, listed, member, number
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
     "PERFORMANCE",
-    "BallCheck",
     "Margin",
     "PerformanceMargin",
     "StabilityMargin",
     "delta_rows",
-    "margin_in_balls",
 ]
 
 SHOWN_BLOCKS = 40  # rows of a table
@@ -202,51 +194,3 @@ def delta_rows(
     if len(order) > SHOWN_BLOCKS:
         rows.append((f"... and {len(order) - SHOWN_BLOCKS} more blocks", *([""] * (3 if shares else 2))))
     return rows
-
-
-@dataclass(frozen=True)
-class BallCheck(Shown):
-    """How many of the inequalities that were tried hold in ball arithmetic."""
-
-    proved: int
-    tried: int
-
-    def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
-        return [("proved", f"{self.proved} of {self.tried} inequalities")]
-
-    def to_json(self) -> dict[str, int]:
-        """Both numbers."""
-        return {"proved": self.proved, "tried": self.tried}
-
-
-def margin_in_balls(uncertain: UncertainModel, margin: Margin) -> BallCheck:
-    """Confirm the D-G inequality of each proved interval at five frequencies in it, in ball arithmetic.
-
-    The response M at a frequency is taken as the doubles that it is computed to; from there on the proof is free of
-    rounding. It does not cover what lies between the frequencies: that is the Hamiltonian's part, in floating point.
-
-    Raises
-    ------
-    InputError
-        The margin was proved by branch and bound, or ranges are asymmetric: then D, G belong to boxes of parameters.
-    DependencyMissing
-        python-flint is not installed.
-    """
-    if not all(isinstance(piece, Piece) for piece in margin.proof):
-        hint = "repeat with tolerance=inf: the margin that D, G alone prove"
-        raise InputError("margin_in_balls", "a margin proved by branch and bound", "one proved by scalings", hint)
-    if not all(b.is_symmetric for b in uncertain.blocks):
-        raise InputError("margin_in_balls", "asymmetric ranges", "symmetric ones")
-    model = continuous(uncertain.delta_channels)
-    proved = tried = 0
-    for piece in margin.proof:
-        assert isinstance(piece, Piece)
-        members = range(len(uncertain.blocks)) if piece.members is None else piece.members
-        w, z = entries(uncertain.blocks, members)
-        top = piece.high if np.isfinite(piece.high) else 1e3 * max(piece.low, 1.0)
-        for M in frequency_response(model, np.linspace(piece.low, top, TUNING.ball_points)):
-            part = M[z[:, None], w]
-            tried += 1
-            proved += certified_in_balls(part, piece.bound.Dw, piece.bound.G, piece.beta, piece.bound.Dz)
-    return BallCheck(proved, tried)

@@ -6,7 +6,6 @@ kalman_filter        kalman
 integral_feedback    lqi
 disturbance_models   constant, sinusoidal and shaped disturbances beside the plant, and what cancels them
 gaussian_regulator   lqg: the first two together, with such disturbances
-common_lyapunov      H2 and H-infinity conditions with one Lyapunov matrix, as LMIs
-mixed_h2_hinf        h2_hinf: the smallest H2 norm under that bound
+
 tuning               numbers that choose speed and accuracy
 """

@@ -53,7 +53,6 @@ def two_plants() -> list[rl.StateSpaceModel]:
 RESULTS = {
     "lqg": lambda: rl.lqg(UNSTABLE, SQUARE, [[1.0]], SQUARE, [[0.1]]),
     "lqg discrete": lambda: rl.lqg(SAMPLED, [[1.0]], [[1.0]], [[1.0]], [[1.0]], disturbance="constant"),
-    "mixed": lambda: rl.h2_hinf(NOISY, 1, 1, gamma=1.45, h2_outputs=["x", "effort"], hinf_outputs=["x", "effort"]),
     "ncf with weights": lambda: rl.ncf(OSCILLATOR, SHAPE, 2.0),
     "ncf discrete": lambda: rl.ncf(SAMPLED, 5.0),
     "two degrees": lambda: rl.ncf(OSCILLATOR, SHAPE, reference_model=INTO),
