@@ -15,6 +15,7 @@ _PUBLIC = {
     "Signal": "statespace",
     "ss": "realisations",
     "tf": "realisations",
+    "zpk": "realisations",
     "descriptor": "dynamics.descriptor_elimination",
     "Record": "record",
     "load": "storage",
@@ -111,6 +112,7 @@ _PUBLIC = {
     # reduction and discretisation
     "hankel_singular_values": "synthesis.reduction.model_reduction",
     "reduce_model": "synthesis.reduction.model_reduction",
+    "minimal": "synthesis.reduction.minimal_realisation",
     "reduce_controller": "synthesis.reduction.controller_reduction",
     "discretise": "synthesis.sampled.sampled_controller",
     "d2c": "synthesis.sampled.resampling",

@@ -47,6 +47,7 @@ from robustlab.norms import h2_norm as h2_norm
 from robustlab.norms import passivity as passivity
 from robustlab.realisations import ss as ss
 from robustlab.realisations import tf as tf
+from robustlab.realisations import zpk as zpk
 from robustlab.record import Record as Record
 from robustlab.result import Status as Status
 from robustlab.statespace import Signal as Signal
@@ -69,6 +70,7 @@ from robustlab.synthesis.problem.controller import Controller as Controller
 from robustlab.synthesis.problem.partition import generalized_plant as generalized_plant
 from robustlab.synthesis.problem.performance_limits import performance_limits as performance_limits
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce_controller
+from robustlab.synthesis.reduction.minimal_realisation import minimal as minimal
 from robustlab.synthesis.reduction.model_reduction import hankel_singular_values as hankel_singular_values
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
 from robustlab.synthesis.sampled.resampling import d2c as d2c
@@ -115,6 +117,7 @@ __all__ = [
     "Signal",
     "ss",
     "tf",
+    "zpk",
     "descriptor",
     "Record",
     "load",
@@ -203,6 +206,7 @@ __all__ = [
     "lpv_model",
     "hankel_singular_values",
     "reduce_model",
+    "minimal",
     "reduce_controller",
     "discretise",
     "d2c",

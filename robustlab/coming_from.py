@@ -93,8 +93,7 @@ MATLAB = {
     "G.poles()": "pole damp",
     "G.zeros(), rl.zeros": "zero",
     "G.dc_gain()": "dcgain",
-    "not there; rl.controllability, rl.observability name what is hidden, rl.reduce_model takes it away": "minreal",
-    "rl.ss of python-control's or scipy's": "zpk",
+    "rl.minimal": "minreal",
     "rl.tf": "tf2ss pid pid2",
     "not there; control.ss2tf of G.to_control()": "ss2tf ss2zp",
     "rl.frequency_data": "frd",
@@ -105,7 +104,6 @@ PYTHON_CONTROL = {
     "rl.ss, rl.StateSpaceModel": "StateSpace",
     "rl.frequency_data": "frd FrequencyResponseData",
     "rl.tf": "TransferFunction tf2ss",
-    "rl.ss of python-control's or scipy's": "zpk",
     "not there; control.ss2tf of G.to_control()": "ss2tf",
     "G2 @ G1": "series",
     "G1 + G2": "parallel",
@@ -135,9 +133,7 @@ PYTHON_CONTROL = {
     'not there; G.step() is the record, rl.worst_case(set, "overshoot") the worst of a set': "step_info",
     "not there; rl.simulate with x0= the input's column of B": "impulse_response",
     "G(1j * w)": "evalfr",
-    "not there; rl.controllability, rl.observability name what is hidden, rl.reduce_model takes it away": (
-        "minreal minimal_realization"
-    ),
+    "rl.minimal": "minreal minimal_realization",
     "rl.linearise": "linearize",
     "rl.trim": "find_operating_point",
     'G.plot("bode")': "bode_plot bode",

@@ -251,6 +251,7 @@ def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[
     """
     from robustlab.closing import fed_back
     from robustlab.errors import NoTrustworthyNumber, UsageError
+    from robustlab.linear_analysis.structural import with_hidden
     from robustlab.statespace import StateSpaceModel
 
     if controller is None:
@@ -263,7 +264,7 @@ def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[
     if isinstance(nominal, StateSpaceModel) and not nominal.is_stable():
         poles = nominal.poles()
         worst = poles[(abs(poles) if nominal.is_discrete else poles.real).argmax()]
-        found = f"the nominal loop {words} is unstable (pole {worst:.4g})"
+        found = with_hidden(f"the nominal loop {words} is unstable (pole {worst:.4g})", nominal)
         hint = "was this controller designed for this plant? --feedback negative or positive closes it otherwise"
         raise NoTrustworthyNumber(where, found, "a stable loop", hint)
     return loop, words

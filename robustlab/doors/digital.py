@@ -157,6 +157,23 @@ def reduce_model(
     )  # fmt: skip
 
 
+@door("model minimal", "minimal", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
+      made="model", foretell="of")  # fmt: skip
+def minimal(
+    system: Of,
+    tolerance: Annotated[
+        float | None, Number(above=0), "Singular values of the scaled staircase up to this count as zero."
+    ] = None,
+) -> Any:
+    """The model without modes that no input moves or no output shows, unstable ones too; with the certified error.
+
+    Exit code 4: the order depends on rounding.
+
+    Example: robustlab model minimal plant.h5 --out minimal.h5
+    """
+    return rl.minimal(system, tolerance=tolerance)
+
+
 Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between the samples."]
 RESAMPLED = "synthesis.sampled.resampling.Resampled"
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
-from robustlab.linear_analysis.structural import strong_components
+from robustlab.linear_analysis.structural import strong_components, with_hidden
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
@@ -41,7 +41,7 @@ def check_nominal(uncertain: UncertainModel, where: str) -> None:
     worst = poles[np.abs(poles).argmax() if uncertain.M.is_discrete else poles.real.argmax()]
     raise NoTrustworthyNumber(
         where,
-        f"nominal closed loop unstable (pole {worst.real:.6g}{worst.imag:+.6g}j)",
+        with_hidden(f"nominal closed loop unstable (pole {worst.real:.6g}{worst.imag:+.6g}j)", uncertain.M),
         "a stable nominal model",
         "close the loop first (UncertainModel.close), or drop an integrator that feeds nothing back",
     )

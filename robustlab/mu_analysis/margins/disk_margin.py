@@ -329,6 +329,7 @@ def disk_channels(
         plant.dt,
         [*inputs, *(f"u{i}" for i in range(m))],
         [*inputs[:0], *(f"z{i}" for i in range(r)), *inputs[q:], *(f"y{i}" for i in range(p))],
+        plant.states,
     )
     loop = lower_lft(general, signed(K, sign))
     places = channel_places(m, p, at)
