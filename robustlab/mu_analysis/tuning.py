@@ -65,6 +65,7 @@ class MuTuning(Tuning):
     # --- intervals of the axis (intervals, stability, worst_gain) ---
     slack: float = 1e-5  # the Hamiltonian is that of a beta smaller by this: a blurred double root costs far less
     frequencies: int = 8  # at which D, G are sought together
+    creeping: float = 0.97  # share of what is open that a round may leave open before the level is raised
     probes: int = 12  # frequencies at which a sign is tested to find an end, or what the eigenvalues have missed
     coarse: float = 4e-3  # accuracy of the first cover, which tells whether branch and bound has to follow
     sharpened: tuple[float, ...] = (0.1, 0.02, 0.004, 8e-4)

@@ -206,7 +206,8 @@ def _on_the_axis(
             if now is None or now[0].real <= 0:
                 break
             value, slope = now
-            if abs(value.imag) <= 1e-12 * abs(value):
+            # A frequency is a rounded number, too: of a light mode that moves the value by more.
+            if abs(value.imag) <= 1e-12 * abs(value) + 2 * EPS * abs(omega * slope):
                 exact = delta / value.real
                 found.append(Destabilising(delta_norm(blocks, exact), exact, complex(0.0, omega)))
                 break

@@ -46,6 +46,8 @@ __all__ = ["margin_within", "robust_stability"]
 
 # Bounds closer together than this are told apart by rounding alone.
 FINEST = 1e-9
+# Relative to the width of a box, a cover in it comes no closer to the narrower side.
+FINEST_SIDE = 1e-5
 
 
 @dataclass
@@ -270,26 +272,30 @@ def _cover_symmetric(found: _Found, first: Array, budget: Budget, accuracy: floa
 
 def _cover_asymmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
     """The largest size of the set, about the nominal point, that a cover with the box's own centre proves."""
-    size = 1 / found.attained / (1 + accuracy) if found.attained else found.expected or found.tuning.large
+    # What the size changes by moves the narrower side of a range by so much less of the width of the box.
+    low = -lowest(found.blocks)
+    stretch = float(np.max((1 + low) / 2 / np.minimum(1.0, low)))
+    fine = max(accuracy / stretch, FINEST_SIDE)
+    room = fine * stretch
+    size = 1 / found.attained / (1 + room) if found.attained else found.expected or found.tuning.large
     failed = 1 / found.attained if found.attained else np.inf
     for _ in range(found.tuning.sizes):
         inside = box_model(found.model, found.blocks, root_box(found.blocks, size))
         if inside is None or not inside.is_stable():
             failed, size = size, size / 2
             continue
-        fine = accuracy / 2
         cover = cover_axis(inside, found.blocks, 1 / (1 + fine), first=first, budget=budget, accuracy=fine)
         if cover.open:
             found.cover = cover if not found.proof else found.cover
             break
         if cover.beta > 1 + 1e-12:
-            failed, size = size, size / (cover.beta * (1 + fine))
+            failed, size = size, size / (1 + stretch * (cover.beta * (1 + fine) - 1))
             continue
         found.level, found.proof = 1 / size, tuple(cover.pieces)
         # Inside the box the level is one; what it says of the set is one over the size of the box.
         found.cover = AxisCover([replace(p, beta=found.level) for p in cover.pieces], [], found.level, cover.points)
         if failed < np.inf:
-            if failed < size * (1 + 3 * accuracy):
+            if failed < size * (1 + max(2 * room, found.tuning.coarse)):
                 break
             size = float(np.sqrt(size * failed))
         elif found.expected is None:
