@@ -68,8 +68,9 @@ class MuTuning(Tuning):
     creeping: float = 0.97  # share of what is open that a round may leave open before the level is raised
     probes: int = 12  # frequencies at which a sign is tested to find an end, or what the eigenvalues have missed
     coarse: float = 4e-3  # accuracy of the first cover, which tells whether branch and bound has to follow
-    sharpened: tuple[float, ...] = (0.1, 0.02, 0.004, 8e-4)
-    # half widths, in log frequency, of the neighbourhoods in which a smaller complex Delta is sought
+    sharpened: tuple[float, float, float] = (0.1, 5.0, 8e-4)
+    # half width, in log frequency, of the first neighbourhood in which a smaller complex Delta is sought, the factor by
+    # which the next are smaller, and the last one in shares of the distance of the nearest pole
     sizes: int = 12  # of an asymmetric set, tried for the largest one that D, G prove ...
     large: float = 1e3  # ... the first of them where nothing is known
     members: int = 6  # of the set that are followed to a peak of their own

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
+from robustlab.linear_analysis.narrow_peaks import modes_apart, narrow_frequencies
 from robustlab.linear_analysis.structural import strong_components, with_hidden
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
@@ -50,7 +51,8 @@ def check_nominal(uncertain: UncertainModel, where: str) -> None:
 
 
 def continuous(model: StateSpaceModel) -> StateSpaceModel:
-    """The model balanced by powers of two; a discrete one mapped by ``s = (z - 1) / (z + 1)``."""
+    """The model balanced, narrow peaks in states of their own; a discrete one mapped by ``s = (z - 1) / (z + 1)``."""
+    model = modes_apart(model)
     A, B, C, D = model.A, model.B, model.C, model.D
     n = model.n_states
     if not n:
@@ -130,15 +132,12 @@ def frequencies(omega: ArrayLike | None, where: str) -> Array:
 
 
 def seed_frequencies(model: StateSpaceModel) -> Array:
-    """Frequencies where something may happen: the poles' own."""
+    """Frequencies where something may happen in a continuous model: the poles' own."""
     poles = model.poles()
     found = np.abs(np.concatenate([poles, poles.imag]))
-    found = found[found > 0]
-    if not len(found):
-        return found
-    # One of those closer together than 2 %.
-    marks = np.unique(np.round(np.log(found) / 0.02))
-    return np.exp(marks * 0.02)
+    # One of those closer together than 2 %, and every peak that is narrower.
+    marks = np.unique(np.round(np.log(found[found > 0]) / 0.02))
+    return np.unique(np.concatenate([np.exp(marks * 0.02), narrow_frequencies(poles)]))
 
 
 def typical_speed(model: StateSpaceModel) -> float:

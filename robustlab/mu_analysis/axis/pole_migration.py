@@ -199,23 +199,25 @@ def _on_the_axis(
         return []
     # A pole of a real model that is small beside the others may be real, whatever its eigenvalue says.
     slow = abs(pole) <= 1e-6 * np.abs(model.A).max()
-    found = []
+    real, found = any(b.interval for b in blocks), []
     for omega in dict.fromkeys([pole.imag, 0.0] if slow else [pole.imag]):
+        met: list[tuple[float, Destabilising]] = []
         for _ in range(12):
             now = _loop_eigenvalue(model, delta, omega)
             if now is None or now[0].real <= 0:
                 break
             value, slope = now
-            # A frequency is a rounded number, too: of a light mode that moves the value by more.
-            if abs(value.imag) <= 1e-12 * abs(value) + 2 * EPS * abs(omega * slope):
-                exact = delta / value.real
-                found.append(Destabilising(delta_norm(blocks, exact), exact, complex(0.0, omega)))
-                break
-            if slope.imag == 0:
+            off = abs(value.imag / value)
+            # In a narrow peak no floating-point frequency is the one of the crossing.
+            if off <= min(1e-12 + 8 * model.n_states * EPS * abs(omega * slope.imag / value), 1e-5):
+                exact = delta / (value.real if real else value)
+                met.append((off, Destabilising(delta_norm(blocks, exact), exact, complex(0.0, omega))))
+            if off <= 1e-12 or slope.imag == 0:
                 break
             omega -= value.imag / slope.imag
             if not np.isfinite(omega):
                 break
+        found += [crossing for _, crossing in sorted(met, key=lambda pair: pair[0])[:1]]
     return found
 
 

@@ -241,11 +241,17 @@ def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
 def _sharpened(
     model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising, seed: int, tuning: MuTuning
 ) -> Destabilising:
-    """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around."""
+    """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around.
+
+    Down to a small part of the distance of the nearest pole: in a narrow peak mu changes as fast as that.
+    """
     omega = worst.pole.imag
     if not np.isfinite(worst.pole) or omega <= 0 or all(b.interval for b in blocks):
         return worst
-    for reach in tuning.sharpened:
+    distance = np.abs(1j * omega - model.poles()).min(initial=omega)
+    first, step, last = tuning.sharpened
+    for k in range(int(np.ceil(np.log(first / last * omega / distance) / np.log(step))) + 1):
+        reach = first / step**k
         points = omega * np.exp(np.linspace(-reach, reach, 9))
         found = lower_bounds(frequency_response(model, points), blocks, seed, restarts=4, steps=24)
         k = int(np.argmax([value for value, _ in found]))
