@@ -45,7 +45,7 @@ class Trial:
         A = rng.normal(size=(n, n))
         A -= (np.linalg.eigvals(A).real.max() + rng.uniform(0.05, 1.0) - (rng.uniform() < 0.2) * 1.2) * np.eye(n)
         self.A, self.B, self.C = A, rng.normal(size=(n, 1)), rng.normal(size=(self.p, n))
-        self.kind = str(rng.choice(["mixsyn", "ncf", "lqg", "hinf", "by hand", "plain", "old", "unsaid"]))
+        self.kind = str(rng.choice(["mixsyn", "ncf", "hinf", "by hand", "plain", "old", "unsaid"]))
         self.takes = "y"
         self.K = self.controller()
         self.wrong: list[str] = []
@@ -68,9 +68,6 @@ class Trial:
                 outputs=[*(f"z{k}" for k in range(self.p)), "cost", *self.names],
             )  # fmt: skip
             K, self.method = rl.hinf(noisy, self.p, 1).K, "hinf"
-        elif self.kind == "lqg":
-            n = len(G.A)
-            K, self.method = rl.lqg(G, np.eye(n), [[1.0]], np.eye(n), np.eye(self.p)).K, "lqg"
         else:
             K, self.method = rl.ncf(G, float(rng.uniform(0.5, 4.0))).K, "ncf"
             if self.kind == "by hand":

@@ -29,6 +29,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 from campaign_kill import _children, _wait_for_end
 
@@ -50,7 +51,7 @@ def platform_loop() -> rl.UncertainModel:
     ranges = {name: (exact.parameters[name].value, share) for name, share in TOLERANCES.items()}
     uncertain = rl.plant("stewart-platform", preset="physical", motors=True, **ranges).uncertain()
     weights = np.diag([1e3] * 6 + [0.1] * 6 + [0.01] * 6)
-    gain = np.asarray(rl.lqr(uncertain.nominal, weights, np.eye(6)).K)
+    gain = np.asarray(control.lqr(uncertain.nominal.to_control(), weights, np.eye(6))[0])
     return uncertain.feedback(gain[:, :12])  # the currents, which follow within 0.3 ms, are not measured
 
 
