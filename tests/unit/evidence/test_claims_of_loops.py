@@ -7,6 +7,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from lqg import lqg
 
 import robustlab as rl
 from robustlab.cli.ending import main_guard
@@ -14,7 +15,6 @@ from robustlab.cli.verify import app
 from robustlab.errors import InputError
 from robustlab.evidence import claims_of
 from robustlab.synthesis import MarginGoal, TrackingGoal, VarianceGoal
-from lqg import lqg
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 SAMPLED = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)

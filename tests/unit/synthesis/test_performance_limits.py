@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from lqg import lqg
 
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
@@ -13,7 +14,6 @@ from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.problem.performance_limits import performance_limits
 from robustlab.synthesis.specifications.loop_functions import loop_functions
 from robustlab.synthesis.specifications.weight_design import performance_weight
-from lqg import lqg
 
 # (s - 3) / ((s - 1)(s + 5)) up to a gain: zero at 3, pole at 1.
 ZERO_AND_POLE = StateSpaceModel([[1.0, 0.0], [1.0, -5.0]], [[1.0], [0.0]], [[-1.0, 8.0]], [[0.0]])
