@@ -59,10 +59,6 @@ model d2c digital.h5 --out back.h5
 model d2d digital.h5 --dt 0.002 --out slow.h5
 synth mixsyn {models}/motor_nominal.h5 --outputs omega --w1 bandwidth=150,error=0.001 --w2 limit=0.4 --out mixed.h5
 synth ncf {models}/motor_nominal.h5 --outputs omega --w1 0.5 --out ncf.h5
-synth lqg {models}/motor_nominal.h5 --outputs omega --q 1 --r 0.1 --out lqg.h5
-synth lqr motor.h5 --state-weight omega=100 --control-weight u=0.1 --out lqr.h5
-synth lqi motor.h5 --integral omega=100 --control-weight u=0.1 --out lqi.h5
-synth kalman {models}/motor_nominal.h5 --process-noise u=0.04 --measurement-noise phi=1 --measurement-noise omega=1
 synth hinf {models}/motor_nominal.h5 --measurements 1 --controls 1
 synth discretise plant1.h5 mixed1.h5 --dt 0.001
 model margins {models}/motor_nominal.h5 -k mixed.h5

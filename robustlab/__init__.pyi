@@ -30,11 +30,6 @@ from robustlab.iqc import Nonlinearity as Nonlinearity
 from robustlab.iqc import Varying as Varying
 from robustlab.linear_analysis.frequency import frequency_response as frequency_response
 from robustlab.linear_analysis.invariant_zeros import zeros as zeros
-from robustlab.linear_analysis.linear_matrix_equations import dlyap as dlyap
-from robustlab.linear_analysis.linear_matrix_equations import lyap as lyap
-from robustlab.linear_analysis.linear_matrix_equations import sylvester as sylvester
-from robustlab.linear_analysis.matrix_equations import care as care
-from robustlab.linear_analysis.matrix_equations import dare as dare
 from robustlab.linear_analysis.structural import controllability as controllability
 from robustlab.linear_analysis.structural import observability as observability
 from robustlab.mu_analysis import mu as mu
@@ -58,12 +53,7 @@ from robustlab.storage.controller_export import export_controller as export_cont
 from robustlab.synthesis.dk.dk_iteration import dk as dk
 from robustlab.synthesis.fixed.fixed_structure import fixed_structure as fixed_structure
 from robustlab.synthesis.fixed.goal_tuning import tune as tune
-from robustlab.synthesis.h2.gaussian_regulator import lqg as lqg
 from robustlab.synthesis.h2.h2_synthesis import h2 as h2
-from robustlab.synthesis.h2.integral_feedback import lqi as lqi
-from robustlab.synthesis.h2.kalman_filter import kalman as kalman
-from robustlab.synthesis.h2.state_feedback import lqr as lqr
-from robustlab.synthesis.h2.state_feedback import place as place
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.problem.controller import Controller as Controller
@@ -168,11 +158,6 @@ __all__ = [
     "coprime_margin",
     "h2_norm",
     "passivity",
-    "lyap",
-    "dlyap",
-    "sylvester",
-    "care",
-    "dare",
     "zeros",
     "controllability",
     "observability",
@@ -182,11 +167,6 @@ __all__ = [
     "hinf",
     "h2",
     "loop_functions",
-    "lqr",
-    "lqg",
-    "place",
-    "kalman",
-    "lqi",
     "mixsyn",
     "ncf",
     "dk",

@@ -55,22 +55,19 @@ MATLAB = {
     "rl.robust_stability(set, natures=...), rl.peak_gain(G, natures=...)": "popov quadstab pdlstab quadperf",
     "not there; branch and bound handles purely real problems": "complexify",
     "rl.hinf": "hinfsyn",
-    "rl.h2": "h2syn",
+    "rl.h2": "h2syn lqg",
     "rl.hinf of an rl.LPVModel, rl.lpv_model": "hinfgs psys aff2pol",
     "rl.h2_hinf": "h2hinfsyn",
     "not there; rl.mixsyn builds it; rl.generalized_plant names the channels of a plant of your own": "augw",
     "rl.ncf": "ncfsyn",
     "not there; rl.ncf with shaping weights comes nearest": "loopsyn",
-    "not there; rl.lqg": "ltrsyn",
+    "not there; rl.h2 gives LQG without the recovery": "ltrsyn",
     "rl.dk": "musyn dksyn",
     "arguments of rl.dk": "dkitopt",
     "rl.fixed_structure": "hinfstruct",
     "rl.tune": "systune TuningGoal",
     "rl.discretise of a design": "sdhinfsyn",
     "rl.sampled_data_norm": "sdhinfnorm",
-    "rl.kalman": "lqe estim",
-    "rl.care": "icare",
-    "rl.dare": "idare",
     "not there; cvxpy": "lmireg msfsyn feasp mincx",
     "rl.reduce_model": "reduce balancmr balred",
     'rl.reduce_model(..., method="coprime")': "ncfmr",
@@ -99,6 +96,8 @@ MATLAB = {
     "rl.frequency_data": "frd",
     "G.A, G.B, G.C, G.D": "ssdata",
     "rl.descriptor": "dss",
+    "not there; python-control has them, and its gains are taken; rl.h2 is LQG": "lqr lqi place kalman lqe estim",
+    "not there; python-control and scipy have them": "icare care idare dare lyap dlyap sylvester",
 }
 PYTHON_CONTROL = {
     "rl.ss, rl.StateSpaceModel": "StateSpace",
@@ -115,9 +114,6 @@ PYTHON_CONTROL = {
     "rl.delay(tau).pade(n)": "pade",
     "rl.hinf": "hinfsyn",
     "rl.h2": "h2syn",
-    "rl.lqr": "dlqr",
-    "rl.place": "acker",
-    "rl.kalman": "lqe dlqe create_estimator_iosystem",
     'rl.peak_gain(G, norm="linf")': "linfnorm",
     "rl.peak_gain, rl.h2_norm": "system_norm norm",
     "rl.passivity": "ispassive get_input_ff_index get_output_fb_index",
@@ -140,9 +136,16 @@ PYTHON_CONTROL = {
     'G.plot("sigma")': "singular_values_plot",
     'G.plot("pzmap")': "pole_zero_plot",
     "not there; rl.disk_margin says how near a loop comes to -1": "nyquist_plot nyquist",
-    "not there; use python-control": "root_locus_map root_locus describing_function_response flatsys optimal",
+    "not there; use python-control: its gains are taken as matrices": (
+        "lqr dlqr place acker lqe dlqe create_estimator_iosystem"
+    ),
+    "not there; use python-control": (
+        "root_locus_map root_locus describing_function_response flatsys optimal lyap dlyap care dare"
+    ),
 }
 
+# Of python-control, which is always installed.
+LQ = "control.{}: robustlab takes its results, a gain K too"
 # Names of earlier versions -> what asks the same now.
 EARLIER = {
     "delay_gain": "rl.peak_gain(model)",
@@ -170,6 +173,16 @@ EARLIER = {
     "skew_mu": "rl.mu(M, blocks, fixed=...)",
     "uncertain_delays": "rl.with_delays(G, inputs={name: (shortest, longest)})",
     "verify_delayed_loop": "rl.peak_gain(P.close(K)), rl.robust_stability(P.close(K))",
+    "lqr": LQ.format("lqr"),
+    "lqi": LQ.format("lqr, with integral_action="),
+    "place": LQ.format("place"),
+    "kalman": LQ.format("lqe"),
+    "lqg": "rl.h2(P, n_meas, n_con)",
+    "care": LQ.format("care"),
+    "dare": LQ.format("dare"),
+    "lyap": LQ.format("lyap"),
+    "dlyap": LQ.format("dlyap"),
+    "sylvester": "scipy.linalg.solve_sylvester",
     "DataCover": "what rl.data_cover gives",
     "FmuPlant": 'rl.plant("machine.fmu")',
     "LPVController": "robustlab.synthesis.LPVController; rl.hinf of an LPVModel gives one",

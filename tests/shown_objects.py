@@ -10,6 +10,7 @@ import numpy as np
 
 import robustlab as rl
 from robustlab import result
+from robustlab.linear_analysis.matrix_equations import care
 from robustlab.synthesis import Damping, MarginGoal, TrackingGoal
 
 OMEGA = np.geomspace(0.01, 100.0, 60)
@@ -290,8 +291,7 @@ OBJECTS: dict[str, Any] = {
     "IqcGain": lambda: rl.peak_gain(loop(), natures={"k": rl.Varying(0.1)}),
     "IqcStability": lambda: rl.robust_stability(first_order(), natures={"pole": rl.Varying()}, order=0),
     "EffectGain": effect_gain,
-    "LinearSolution": lambda: rl.lyap([[-0.5]], [[2.0]]),
-    "RiccatiSolution": lambda: rl.care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
+    "RiccatiSolution": lambda: care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
     "Resampled": lambda: rl.d2c(rl.discretise(lag(), 0.1)),
     "Passivity": lambda: rl.passivity(lag()),
     "PassivityIndex": lambda: rl.passivity(lag()).input_index,
@@ -315,10 +315,6 @@ OBJECTS: dict[str, Any] = {
     "ControlledRuns": controlled_runs,
     "Story": story,
     "LoopFunctions": lambda: rl.loop_functions(spring().nominal, INTEGRAL),
-    "KalmanFilter": lambda: rl.kalman(spring().nominal, np.eye(2), [[1.0]]),
-    "IntegralFeedback": lambda: rl.lqi(spring().nominal, np.eye(3), [[1.0]]),
-    "LqgSynthesis": lambda: rl.lqg(lag(), [[1.0]], [[1.0]], [[1.0]], [[1.0]], disturbance="constant"),
-    "StateFeedback": lambda: rl.lqr(spring().nominal, np.eye(2), [[1.0]]),
     "PerformanceLimits": lambda: rl.performance_limits(spring().nominal),
     "DesignWeights": lambda: rl.design_weights(bandwidth=10.0, control_limit=5.0, noise_from=2.0),
     "Conflict": lambda: rl.design_weights(bandwidth=10.0, noise_from=2.0).conflicts[0],

@@ -56,7 +56,6 @@ _METRIC = {"--input": "--input-value", "--output": "--outputs", "--from": "--inp
 _FIGURES = {"--figures": "--figure"}
 _CHANNELS = {"--disturbances": "--disturbance-inputs", "--performance": "--performance-outputs"}
 _COUNTS = {"--n-meas": "--measurements", "--n-con": "--controls"}
-_WEIGHTS = {"--state": "--state-weight", "--control": "--control-weight"}
 FORMER = {
     "model plot": _SIDES,
     "model connect": _SIDES,
@@ -71,10 +70,7 @@ FORMER = {
     "iqc gain": {"--order": "--filter-order"},
     "iqc anti-windup": {"--order": "--filter-order", "--limit": "--saturation", "--direct": "--correct-outputs"},
     **{f"synth {method}": {**_CHANNELS, **_COUNTS} for method in ("hinf", "h2", "dk", "fixed")},
-    "synth lqg": {"--at": "--disturbance-at"},
     "synth tune": {"--limit": "--pole-limit"},
-    **{f"synth {method}": _WEIGHTS for method in ("lqr", "lqi")},
-    "synth kalman": {"--process": "--process-noise", "--measurement": "--measurement-noise"},
     **{f"lpv {word}": {"--points": "--grid", **_COUNTS} for word in ("build", "gain", "hinf")},
     "data compare": {**_SIDES, **_FIGURES},
     "data discover": {**_SIDES, **_FIGURES},

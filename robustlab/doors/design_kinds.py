@@ -1,12 +1,12 @@
-"""Kinds of values of designs: channels by number or by name, weights, costs, disturbances, goals."""
+"""Kinds of values of designs: channels by number or by name, weights, goals."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from robustlab.doors.kinds import Given, Kind, Thing
+from robustlab.doors.kinds import Given, Kind
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.units import amount
 
@@ -94,49 +94,6 @@ class Weight(Kind):
     def of_field(self, given: Any) -> Any:
         """The same."""
         return given if given is None or isinstance(given, float) else self._made(given.model_dump())
-
-
-@dataclass(frozen=True)
-class Diagonal(Kind):
-    """A cost or intensity: one number for all, or one for each."""
-
-    @property
-    def metavar(self) -> str | None:
-        """One or several."""
-        return "NUMBER,..."
-
-    def read(self, option: str, given: Any) -> Any:
-        """A list of numbers."""
-        return given if given is None else [number(option, part) for part in given.split(",") if part.strip()]
-
-    def field(self) -> Any:
-        """A number or a list."""
-        from pydantic import Field
-
-        from robustlab.doors.vocabulary import Positive
-
-        return Positive | list[Annotated[float, Field(ge=0)]]
-
-
-@dataclass(frozen=True)
-class Disturbance(Thing):
-    """``constant``, the frequency of a sinusoid in rad/s, or a model of a filter."""
-
-    gives: tuple[str, ...] = ("model", "any")
-    model: bool = True
-    number: bool = True
-    words: tuple[str, ...] = ("constant",)
-
-    @property
-    def metavar(self) -> str | None:
-        """A word of its own."""
-        return "WEIGHT"
-
-    def field(self) -> Any:
-        """The word, or a frequency."""
-        from robustlab.doors.vocabulary import Positive
-
-        return Literal["constant"] | Positive
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ CLAIMS: Mapping[str, str] = {
     "NcfSynthesis": "designs.ncf_claims",
     "TwoDegreeSynthesis": "designs.two_degree_claims",
     "H2Synthesis": "designs.h2_claims",
-    "LqgSynthesis": "designs.h2_claims",
     "FixedSynthesis": "designs.fixed_claims",
     "TunedSynthesis": "designs.tuned_claims",
     "DKSynthesis": "designs.dk_claims",

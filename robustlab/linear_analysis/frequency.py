@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -99,9 +100,19 @@ def solved_response(model: StateSpaceModel, omega: Array) -> ComplexArray:
         response[where] = _solved(model, point)
     except np.linalg.LinAlgError:
         raise NoTrustworthyNumber(
-            "frequency_response", "a frequency hits a pole exactly", None, "leave that frequency out"
+            "frequency_response", *at_pole(omega[where], point, lambda s: _solved(model, s))
         ) from None
     return response
+
+
+def at_pole(omega: Array, point: ComplexArray, solved: Callable[[ComplexArray], object]) -> tuple[str, str]:
+    """Return what was found and what is expected for the first frequency at which ``solved`` has a pole."""
+    for k, w in enumerate(omega):
+        try:
+            solved(point[k : k + 1])
+        except np.linalg.LinAlgError:
+            return f"{w:g} rad/s hits a pole exactly", "frequencies that are no poles"
+    return "a frequency hits a pole exactly", "frequencies that are no poles"
 
 
 def _solved(model: StateSpaceModel, point: ComplexArray) -> ComplexArray:

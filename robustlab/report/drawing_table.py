@@ -57,7 +57,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "CampaignResult": {"exceedance": "result_figures.campaign_figure", "delta": "result_figures.delta_figure"},
     # designs
     **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis", "TwoDegreeSynthesis"), _LOOP),
-    **dict.fromkeys(("LqgSynthesis", "FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
+    **dict.fromkeys(("FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
     "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture", "history": "design_figures.history_picture"},
     "Story": {"story": "design_figures.story_figure"},
     "PerformanceComparison": {"mu": "design_figures.performance_picture"},
@@ -65,9 +65,6 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "TrackingLoop": {"functions": "design_figures.tracking_picture"},
     "SampledController": _SAMPLED,
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
-    "StateFeedback": {"pzmap": "result_figures.feedback_figure"},
-    "KalmanFilter": {"pzmap": "result_figures.estimator_figure"},
-    "IntegralFeedback": {"pzmap": "result_figures.estimator_figure"},
     "DesignWeights": {"weights": "result_figures.weights_figure"},
     # measurements
     "Comparison": {

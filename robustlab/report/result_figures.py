@@ -33,9 +33,6 @@ from robustlab.report.figures import (
     zero_line,
 )
 from robustlab.report.robustness_figures import exceedance_figure, response_figure
-from robustlab.synthesis.h2.integral_feedback import IntegralFeedback
-from robustlab.synthesis.h2.kalman_filter import KalmanFilter
-from robustlab.synthesis.h2.state_feedback import StateFeedback
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.synthesis.sampled.sampled_norm import SampledDataNorm
 from robustlab.synthesis.specifications.weight_design import DesignWeights
@@ -197,21 +194,6 @@ def small_gain_figure(found: SmallGain) -> Figure:
         axes.set_ylabel("largest singular value")
         legend_below(figure, (axes,), 2)
     return figure
-
-
-def feedback_figure(found: StateFeedback, dt: float = 0.0) -> Figure:
-    """Closed-loop poles of a state feedback; ``dt`` in s where the loop is discrete."""
-    from robustlab.report.model_figures import poles_figure
-
-    return poles_figure(np.asarray(found.poles), np.zeros(0), dt)
-
-
-def estimator_figure(found: KalmanFilter | IntegralFeedback) -> Figure:
-    """Poles of a filter, or of a loop with integral action."""
-    from robustlab.report.model_figures import poles_figure
-
-    model = found.estimator if isinstance(found, KalmanFilter) else found.closed_loop
-    return poles_figure(np.asarray(found.poles), np.zeros(0), model.dt)
 
 
 def hankel_figure(found: ReducedModel) -> Figure:

@@ -1,17 +1,15 @@
-"""``robustlab synth lqg``, and its step in a recipe: through the real commands."""
+"""``robustlab synth ncf | dk | tune`` and their steps in a recipe: through the real commands."""
 
 from __future__ import annotations
 
 import json
 
-import numpy as np
 import pytest
 
 import robustlab as rl
 from robustlab.cli.ending import main_guard
 from robustlab.cli.main import run as whole
 from robustlab.cli.synth import app
-from robustlab.statespace import lower_lft
 
 LAG = rl.StateSpaceModel([[-1.0, 1.0], [0.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], inputs=["u"], outputs=["y"])
 
@@ -25,43 +23,6 @@ def lag(tmp_path):
     path = tmp_path / "lag.h5"
     rl.save(path, LAG)
     return path
-
-
-def held(K, plant=LAG):
-    """Steady-state gain from a constant force on the control to y."""
-    disturbed = rl.StateSpaceModel(plant.A, np.hstack([plant.B] * 2), np.vstack([plant.C] * 2), np.zeros((2, 2)))
-    return abs(lower_lft(disturbed, K).dc_gain()[0, 0])
-
-
-def test_lqg_with_a_constant_disturbance(lag, tmp_path, capsys):
-    out = tmp_path / "k.h5"
-    assert run("lqg", lag, "--q", "1,2", "--r", "0.5", "--disturbance", "constant", "--out", out, "--json") == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["status"] == "converged"
-    assert found["offsets"][0]["modelled"] < 1e-9
-    K = rl.load(out).K
-    assert held(K) < 1e-9
-    assert K.n_states == 3
-    same = rl.lqg(LAG, np.diag([1.0, 2.0]), [[0.5]], np.eye(2), np.eye(1), disturbance="constant")
-    assert found["gamma"] == pytest.approx(same.gamma, rel=1e-9)
-    assert run("lqg", lag, "--disturbance", "2.0", "--disturbance-at", "output") == 0
-    assert "left at 2 rad/s" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("options", "code", "text"),
-    [
-        (["--q", "1,2,3"], 2, "q: 3 numbers"),
-        (["--q", "x"], 2, "'x'"),
-        (["--disturbance-at", "middle"], 2, "middle"),
-        (["--r", "0"], 3, "costs nothing"),
-        (["--disturbance", "-2"], 3, "frequency -2"),
-        (["--disturbance", "nowhere.h5"], 3, "nowhere.h5"),
-    ],
-)
-def test_what_is_wrong_is_said(lag, capsys, options, code, text):
-    assert run("lqg", lag, *options) == code
-    assert text in capsys.readouterr().err
 
 
 RECIPE = """\
@@ -83,15 +44,6 @@ def steps_of(recipe, tmp_path, monkeypatch):
     (tmp_path / "r.toml").write_text(RECIPE + recipe)
     assert whole(["run", "r.toml", "--out", "o"]) == 0
     return {s["name"]: s for s in json.loads((tmp_path / "o" / "result.json").read_text())["steps"]}
-
-
-def test_a_recipe_with_lqg(tmp_path, monkeypatch):
-    k = '[step.k]\ndo = "lqg"\nof = "model"\nQ = [1.0, 2.0]\nR = 0.5\ndisturbance = "constant"\n'
-    found = steps_of(k, tmp_path, monkeypatch)["k"]
-    assert found["numbers"]["stable"] is True
-    mass = rl.StateSpaceModel([[0, 1], [-1, -0.2]], [[0], [1]], [[1, 0]], [[0]])
-    same = rl.lqg(mass, np.diag([1.0, 2.0]), [[0.5]], np.eye(2), np.eye(1), disturbance="constant")
-    assert found["numbers"]["gamma"] == pytest.approx(same.gamma, rel=1e-9)
 
 
 def test_ncf_with_a_reference_model(lag, tmp_path, monkeypatch, capsys):

@@ -322,8 +322,7 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
             )
     for i, plant in enumerate(plants, start=1):
         place = WHERE if len(plants) == 1 else f"{WHERE}: plant {i}"
-        bare = UncertainModel(plant.model, plant.blocks).nominal  # what Delta needs is no performance
-        require_performance(GeneralizedPlant(bare, plant.n_meas, plant.n_con), place)
+        require_performance(plant, place)
         continuous = plant.continuous()
         scaling = common_scaling([continuous])[0]
         require_stabilisable(scaling.apply(continuous.matrices()), plant.model.state_names, place, scaling.rate)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from lqg import lqg
 
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.statespace import StateSpaceModel, series
-from robustlab.synthesis.h2.gaussian_regulator import lqg
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.problem.performance_limits import performance_limits
 from robustlab.synthesis.specifications.loop_functions import loop_functions
