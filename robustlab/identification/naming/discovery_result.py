@@ -50,7 +50,8 @@ class Discovery(Tabular, Evidence):
     Attributes
     ----------
     status
-        CONVERGED, or INCONCLUSIVE where the verdict is ambiguous or unknown (a finding, no failure).
+        CONVERGED, or INCONCLUSIVE where the verdict is ambiguous or unknown, or where the named effects leave more of
+        the error on held-out data than they explain.
     verdict
         ``"no missing effect"`` (``rivals`` has what the records do not exclude all the same), ``"named"``,
         ``"ambiguous"`` (named, but some name has rivals that these records cannot exclude), ``"unknown"`` (something is
@@ -76,7 +77,8 @@ class Discovery(Tabular, Evidence):
     free_run, free_run_on
         The same errors of one simulation from the record's start to its end, without restarts; the records.
     model
-        The updated plant (an `ExtendedPlant` or `LinearPlant`), ready for trim, linearise, save.
+        The updated plant (an `ExtendedPlant` or `LinearPlant`), ready for trim, linearise, save; None where its free
+        run on held-out data is worse than that of the plant as given.
     next_experiment
         What to measure next to separate the rivals; None where there are none.
     posterior
@@ -89,7 +91,9 @@ class Discovery(Tabular, Evidence):
         The force that the updated model still lacks over speed, position, time and input; the one that the refitted
         nominal model lacked; where something remains, the spline map of the first.
     structure
-        Cross-validated share of the residual force that a smooth map explains, its p-value, and over what.
+        ``explained``: share of the mean-square error as given on held-out data that the updated model removes, noise
+        not counted; the cross-validated share of the residual force that a smooth map explains, its p-value, and over
+        what.
     noise_floor, floor_excess
         Model-free noise floor where the record repeats, and F of the updated model against it (1: nothing left).
     findings
