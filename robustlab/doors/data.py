@@ -82,9 +82,9 @@ def discover(
 ) -> Any:  # fmt: skip
     """Name the effect that a model lacks, from measured records, and update the model with it.
 
-    Exit code 0: the verdict is "named" or "no missing effect"; 4: it is "ambiguous" or "unknown", or "named, incomplete"
-    with more than half of the error unexplained, or the records are too poor for any verdict; 3: a record is wrong;
-    130: Ctrl-C ended the search, and the result has what was known by then.
+    Exit code 0: the verdict is "named" or "no missing effect"; 4: it is "ambiguous" or "unknown", or more than half of
+    the error remains unexplained, or the records are too poor for any verdict; 3: a record is wrong; 130: Ctrl-C ended
+    the search, and the result has what was known by then.
 
     Example: robustlab data discover servo-axis emps.h5#train --held-out emps.h5#test --outputs q --out out/emps
     """

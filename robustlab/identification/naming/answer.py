@@ -84,9 +84,7 @@ class _Judgement(NamedTuple):
 
     def status(self, explained: float) -> Status:
         """INCONCLUSIVE without a sure name, or where what remains is larger than what the names explain."""
-        sure = self.verdict == "no missing effect" or (
-            self.verdict == "named" and (self.complete or explained >= 0.5)
-        )
+        sure = self.verdict == "no missing effect" or (self.verdict == "named" and (self.complete or explained >= 0.5))
         return Status.CONVERGED if sure else Status.INCONCLUSIVE
 
 
@@ -276,8 +274,10 @@ def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
 
 
 def _on_held_out(judged: _Judgement, gaps: Gaps, strained: bool, material: float) -> _Judgement:
-    """Return "unknown" where the updated model is worse on held-out data than as given (free run), or clearly worse than
-    refitted (windows), "ambiguous" where the latter may be chance.
+    """Judge the names on held-out data.
+
+    "unknown" where the updated model is worse than as given (free run), or clearly worse than refitted (windows);
+    "ambiguous" where the latter may be chance.
 
     A refit that has left its tolerances (``strained``) is no model to be compared with but where its error is smaller
     by the share ``material``: its parameters do what the names say.

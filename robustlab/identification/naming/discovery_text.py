@@ -289,7 +289,9 @@ def _remaining_lines(d: Any, details: bool) -> list[str]:
     if d.complete:
         told = "nothing systematic was found"
     elif d.effects and "explained" in d.structure:
-        told = f"the named effects explain {percent(100.0 * d.structure['explained'])} of the mean-square error as given"
+        told = (
+            f"the named effects explain {percent(100.0 * d.structure['explained'])} of the mean-square error as given"
+        )
     else:
         told = "the named effects do not explain everything" if d.effects else "unexplained"
     force = d.residual_force
