@@ -381,18 +381,6 @@ SETS = [
         "campaign_scale.txt",
         r"^  CPU +([\d.]+) s of all.*?at most +main (\d+) MB",
     ),
-    Row(
-        "cost of a sample: one thread, streamed",
-        "{0} us; scipy model by model {1} us",
-        "sampling.txt",
-        r"^streamed statistics, 1 thread +100000 .*? ([\d.]+)$.*?^scipy.signal, model by model .*? ([\d.]+)$",
-    ),
-    Row(
-        "10 000 samples streamed by two threads, in turns with the version before",
-        "{1} s of CPU, before {0} (wanted: half of it)",
-        "sampling.txt",
-        r"^2 threads, cpu s +([\d.]+) +([\d.]+) +",
-    ),
 ]
 
 

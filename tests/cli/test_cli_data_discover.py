@@ -180,7 +180,7 @@ def backlash_record(seed):
 
 
 def test_a_name_that_makes_the_free_run_worse_than_as_given_is_not_named(run, tmp_path):
-    """No effect that is tried is the true one; a softer shaft lowers the error in windows, and raises it in free run."""
+    """No effect that is tried is the true one; a softer shaft lowers the error in windows only."""
     paths = [rl.save(tmp_path / f"b{seed}.h5", backlash_record(seed)) for seed in (1, 2)]
     excluded = [word for name in catalogue() if name != "stiffness" for word in ("--exclude", name)]
     code, text, _ = run("discover", "two-mass", paths[0], "--held-out", paths[1], *excluded, "--json")
