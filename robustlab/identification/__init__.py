@@ -36,7 +36,6 @@ _WORDS = {
     "join_clocks": "record_check.resampling",
     "validate": "validation.model_validation",
     "Validation": "validation.validation_result",
-    "ValidationTuning": "validation.tuning",
 }
 
 __all__ = list(_WORDS)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -190,8 +190,8 @@ def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
     for part in (
         "Coulomb (dry) friction, coulomb-friction at v: probability 98.5 %",
         "20.39 N (95 %: 20.31 to 20.47)  friction level",
-        "windows of 0.4 s  0.06 m (3 %)  0.018 m (0.9 %)  0.002 m (0.1 %)  30 times smaller than as given, 9 times smaller",
-        "free run          0.5 m (25 %)  0.2 m (10 %)     0.01 m (0.5 %)   50 times smaller than as given, 20 times smaller",
+        "windows of 0.4 s  0.06 m (3 %)  0.018 m (0.9 %)  0.002 m (0.1 %)  30 times smaller than as given, 9 times",
+        "free run          0.5 m (25 %)  0.2 m (10 %)     0.01 m (0.5 %)   50 times smaller than as given, 20 times",
         "next: use the updated plant",
     ):
         assert part in text
