@@ -116,7 +116,7 @@ def watch(
 ) -> Any:
     """Say when a model stops explaining a running log, and what has changed since.
 
-    Exit code 0: the model explains the log from beginning to end; 1: an alarm, whether what changed has a name or not;
+    Exit code 0: the model explains the log from beginning to end; 1: an alarm;
     3: a record is wrong; 4: the log says too little for a test.
 
     Example: robustlab data watch axis.h5 monday.csv tuesday.csv --every 60 --inputs u --outputs q --false-alarm 0.001

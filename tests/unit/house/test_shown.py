@@ -38,7 +38,7 @@ NUMBERS = {
     "IqcGain", "IqcStability", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap",
     "Passivity", "PassivityIndex", "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result", "Verified",
     "RiccatiSolution", "RobustGain", "TrackingProblem", "Trim", "WellPosedness", "Zeros",
-    "Growth", "Watch", "WatchedPiece",
+    "Watch", "WatchedPiece",
 }  # fmt: skip
 
 
