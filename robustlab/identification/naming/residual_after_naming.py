@@ -236,9 +236,9 @@ def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Par
         return None
     least = _least(problem, k)
     try:
-        smoothed = smooth_disturbance(linear, push[:, None], t, known, y, jumps=False)
+        smoothed = smooth_disturbance(linear, push[:, None], t, known, y)
         if smoothed.bandwidth[0] < least:
-            smoothed = smooth_disturbance(linear, push[:, None], t, known, y, bandwidth=least, jumps=False)
+            smoothed = smooth_disturbance(linear, push[:, None], t, known, y, bandwidth=least)
     except NoTrustworthyNumber:
         return None
     x = smoothed.x
