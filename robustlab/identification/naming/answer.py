@@ -153,13 +153,11 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         rivals = []  # nothing was named, and nothing is missing no longer stands beside them
     names = tuple(r.name for r in case.records)
     force = left.force
-    unsettled = force if force and not judged.complete else None
     explained = _explained_on_held_out(gaps, posterior.noise_ratio)
     structure = {"noise_ratio": posterior.noise_ratio, "explained": explained}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
     curves = stages.run("residual force", force.curves, None) if force else None
     missing = stages.run("missing force", lambda: _missing_force(found, bare), None) if named else None
-    unnamed = stages.run("unnamed force", unsettled.unnamed, None) if unsettled else None
     sure = stages.run("kinds", lambda: kinds.named(problem, left.remains), ()) if judged.verdict != "unknown" else ()
     source = f"fitted to {', '.join(names)}"
     model = None if refuted else stages.run("updated plant", lambda: updated_plant(problem, fit, source, sure), None)
@@ -191,10 +189,9 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         search=_entries(found),
         clocks=_clocks(problem, fit),
         candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
-        structure=structure | (vars(force.structure) | {"found": force.structure.found} if force else {}),
+        structure=structure,
         residual_force=curves,
         missing_force=missing,
-        unnamed=unnamed,
         noise_floor=left.floor,
         floor_excess=left.excess,
         remaining_lines=left.lines,

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
     from robustlab.identification.experiment.next_experiment import NextExperiment
     from robustlab.identification.record_check.suitability import Finding
-    from robustlab.identification.unnamed.unnamed_effect import ResidualForce, UnnamedForce
+    from robustlab.identification.unnamed.unnamed_effect import ResidualForce
     from robustlab.uncertainty.lft import UncertainModel
 
 LINEAR = "linear about the recorded motion"  # said of the records of such runs
@@ -87,13 +87,12 @@ class Discovery(Tabular, Evidence):
         Hold and time shift of each input, as the records tell them.
     search
         Every set that the search visited.
-    residual_force, missing_force, unnamed
+    residual_force, missing_force
         The force that the updated model still lacks over speed, position, time and input; the one that the refitted
-        nominal model lacked; where something remains, the spline map of the first.
+        nominal model lacked.
     structure
-        ``explained``: share of the mean-square error as given on held-out data that the updated model removes, noise
-        not counted; the cross-validated share of the residual force that a smooth map explains, its p-value, and over
-        what.
+        ``noise_ratio``: error over noise and random force; ``explained``: share of the mean-square error as given on
+        held-out data that the updated model removes, noise not counted.
     noise_floor, floor_excess
         Model-free noise floor where the record repeats, and F of the updated model against it (1: nothing left).
     findings
@@ -137,7 +136,6 @@ class Discovery(Tabular, Evidence):
     next_experiment: NextExperiment | None = None
     residual_force: ResidualForce | None = None
     missing_force: ResidualForce | None = None
-    unnamed: UnnamedForce | None = None
     noise_floor: NoiseFloor | None = None
     floor_excess: Mapping[str, float] = field(default_factory=dict)
     series: Mapping[str, Any] = field(default_factory=dict)

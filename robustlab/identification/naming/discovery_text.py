@@ -305,9 +305,6 @@ def _remaining_lines(d: Any, details: bool) -> list[str]:
     if force is not None:
         shares = [f"{100 * c.share:.3g} % follow {c.coordinate}" for c in force.curves.values()]
         lines.append(_row("force", f"rms {_sized(force.rms, force.unit)}; {', '.join(shares)} (of held-out variance)"))
-    if d.unnamed is not None:
-        over = _in_a_row(f"{c.kind} in {c.coordinate}" for c in d.unnamed.components) or "a constant alone"
-        lines.append(_row("unnamed map", f"{over} removes {100 * d.unnamed.gain:.3g} % of the held-out variance"))
     lines += [
         _row("noise", f"{name}: F {_sized(F)} of the updated model against the noise floor (1: nothing is left)")
         for name, F in d.floor_excess.items()

@@ -28,7 +28,7 @@ from robustlab.identification.naming.named_effects import (
     wave_amplitude,
 )
 from robustlab.identification.record_check.suitability import Finding
-from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
+from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.recipe.schema import Requirement, judge
 from robustlab.report.discovery import discovery_figures, facts, stretch_figure, write_page
@@ -127,7 +127,6 @@ def unknown(**changes):
         "complete": False,
         "effects": (),
         "residual_force": force,
-        "unnamed": UnnamedForce("unnamed", "N", 0.0, (ForceTable("speed", "speed", x, x**3),), "speed", 0.38),
     }
     return made(**{**fields, **changes})
 
