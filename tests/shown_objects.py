@@ -254,7 +254,6 @@ OBJECTS: dict[str, Any] = {
     "Samples": lambda: rl.sample(spring(), 20, 1, 8),
     "PlantSamples": lambda: rl.sample(rl.plant("stewart-platform", c=(0.01, 0.1)), 3),
     "Responses": lambda: rl.sample(spring(), 20, 1, 8).respond(np.linspace(0.0, 20.0, 201)),
-    "StreamedResponses": lambda: rl.sample(spring(), 50).stream(np.linspace(0.0, 20.0, 51)),
     "Reduction": lambda: rl.reduce_model(spring() + spring()),
     "WellPosedness": lambda: rl.well_posedness(spring()),
     "Cover": lambda: rl.cover(four_models(), "output-multiplicative"),

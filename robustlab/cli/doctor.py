@@ -95,7 +95,6 @@ def _responses() -> None:
     t = np.linspace(0.0, 0.05, 20_001)  # what is shorter is not compiled
     members = rl.sample(motors, 4)
     members.respond(t, {"u": np.full(t.size, 42.0)})
-    members.stream(t[:101], {"u": np.full(101, 42.0)})
 
 
 def _discovery() -> None:

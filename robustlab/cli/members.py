@@ -56,7 +56,7 @@ class MetricOptions:
 
     outputs: Annotated[str | None, typer.Option(help="The one output to look at.")] = None
     inputs: Annotated[
-        str | None, typer.Option(help="For norms and controllability: the one input to look from; all if left out.")
+        str | None, typer.Option(help="For norms: the one input to look from; all if left out.")
     ] = None
     values: InputOption = None
     t_end: EndOption = None

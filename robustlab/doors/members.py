@@ -13,7 +13,6 @@ from robustlab.errors import UnitMismatch, UsageError
 
 METRICS = (
     "peak-deviation", "peak", "rms", "overshoot", "settling-time", "hinf", "h2", "spectral-abscissa", "damping",
-    "controllability", "hankel",
 )  # fmt: skip
 OF_A_RESPONSE = METRICS[:5]
 
@@ -25,7 +24,7 @@ Output = Annotated[
 FromInput = Annotated[
     str | None,
     Names("inputs", one=True),
-    "For norms and controllability: the one input to look from; all if left out.",
+    "For norms: the one input to look from; all if left out.",
     Named(option="--inputs", key="from_input"),
 ]
 Drive = Annotated[

@@ -98,13 +98,13 @@ def recognised(path: str, plant: Any = None, clock: str | None = None, dt: float
         texts, units, stated = (ins, outs), {}, {name: found.unit(name) for name in (*ins, *outs)}
         taken = {}
     else:
-        mapping = propose_columns(found, plant.inputs, plant.outputs, {clock, guess}, plant)
+        mapping = propose_columns(found, plant.inputs, plant.outputs, {clock, guess})
         guessed += mapping.lines()
         if mapping.missing or not mapping.outputs:
             missing = ", ".join(mapping.missing) or ", ".join(s.name for s in plant.outputs)
             raise InputError(
                 path, f"no channel for {missing} of {plant.name}; there are {', '.join(names)}",
-                "a column of that name, in its unit, or of a name that says what it is",
+                "a column of that name, or the only one in its unit",
                 "write the recipe without --plant, and name the channels in it: inputs = [\"u=COLUMN\"]",
             )  # fmt: skip
         texts, units = (mapping.texts("inputs"), mapping.texts("outputs")), dict(mapping.units)

@@ -104,7 +104,7 @@ def test_names_of_channels_stay_names(robustlab, motion, tmp_path):
 def test_the_unit_to_decide_on_is_one_of_the_signal(robustlab, motion, tmp_path):
     """A voltage was asked about in degrees."""
     t, u, q = motion
-    write(tmp_path / "a.csv", "time,voltage,position", t, u, q)
+    write(tmp_path / "a.csv", "time,U,Q", t, u, q)
     robustlab("recipe", "new", "--from-data", "a.csv", "--plant", "servo-axis")
     written = (tmp_path / "a.toml").read_text()
     assert 'taken as V. If they are not: units = { "u" = "mV" }' in written

@@ -334,7 +334,7 @@ def _smoothed(
     inputs = np.vstack([halves.mean(axis=2), halves[:, :, 1] - halves[:, :, 0]]).T
     b, d = np.hstack([bare.B, rising(bare.A, bare.B, dt)]), np.hstack([bare.D, -bare.D])
     kinds = [(bare, u), (StateSpaceModel(bare.A, b, bare.C, d), inputs)]
-    found = [(smooth_disturbance(model, push, t, seen, y, jumps=False), model, seen) for model, seen in kinds]
+    found = [(smooth_disturbance(model, push, t, seen, y), model, seen) for model, seen in kinds]
     return max(found, key=lambda f: f[0].log_likelihood)
 
 
@@ -350,7 +350,7 @@ def _told(
     def changed(j: int, output: Array) -> Array:
         other = y.copy()
         other[:, j] = output
-        there = smooth_disturbance(bare, push, t, u, other, smoothed.noise_std, smoothed.bandwidth, jumps=False)
+        there = smooth_disturbance(bare, push, t, u, other, smoothed.noise_std, smoothed.bandwidth)
         return there.x - smoothed.x
 
     shares = [-2.0 * changed(j, 0.5 * y[:, j]) for j in range(y.shape[1])]

@@ -82,6 +82,11 @@ class _Judgement(NamedTuple):
     verdict: Verdict
     complete: bool
 
+    def status(self, explained: float) -> Status:
+        """INCONCLUSIVE without a sure name, or where what remains is larger than what the names explain."""
+        sure = self.verdict == "no missing effect" or (self.verdict == "named" and (self.complete or explained >= 0.5))
+        return Status.CONVERGED if sure else Status.INCONCLUSIVE
+
 
 class _Left(NamedTuple):
     """What the best set leaves: whether it matters, whether all was looked at and nothing does, and what it is.
@@ -137,33 +142,35 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise, 0)
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
     judged = _Judgement(verdict, left.complete and verdict != "unknown")
+    findings = [*case.findings, *_search_findings(found)]
     if named:
         judged = _on_held_out(judged, gaps, bool(strained(problem, bare)), problem.tuning.material)
+    if refuted := bool(named) and gaps.worse_than_given:
+        findings.append(_refuted(fit, gaps))
+        fit = bare  # nothing of it is reported as found
     rivals = [a for a in posterior.alternatives() if a.candidate.key not in kinds.ignored]
     if judged.verdict == "unknown" and not named:
         rivals = []  # nothing was named, and nothing is missing no longer stands beside them
     names = tuple(r.name for r in case.records)
     force = left.force
-    unsettled = force if force and not judged.complete else None
-    structure = {"noise_ratio": posterior.noise_ratio}
+    explained = _explained_on_held_out(gaps, posterior.noise_ratio)
+    structure = {"noise_ratio": posterior.noise_ratio, "explained": explained}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
     curves = stages.run("residual force", force.curves, None) if force else None
     missing = stages.run("missing force", lambda: _missing_force(found, bare), None) if named else None
-    unnamed = stages.run("unnamed force", unsettled.unnamed, None) if unsettled else None
     sure = stages.run("kinds", lambda: kinds.named(problem, left.remains), ()) if judged.verdict != "unknown" else ()
     source = f"fitted to {', '.join(names)}"
-    model = stages.run("updated plant", lambda: updated_plant(problem, fit, source, sure), None)
-    findings = [*case.findings, *_search_findings(found), *stages.findings]
+    model = None if refuted else stages.run("updated plant", lambda: updated_plant(problem, fit, source, sure), None)
 
     def told(fit: Fit, keys: Sequence[str]) -> tuple[NamedEffect, ...]:
         own = [k for k, c in enumerate(fit.hypothesis.candidates) if c.key in keys]
         return tuple(_named(found, posterior, fit, k, rivals, matters) for k in own)
 
     return Discovery(
-        status=Status.CONVERGED if judged.verdict in ("named", "no missing effect") else Status.INCONCLUSIVE,
+        status=judged.status(explained),
         verdict=judged.verdict,
         complete=judged.complete,
-        effects=told(fit, [c.key for c in named]),
+        effects=told(fit, [c.key for c in fit.hypothesis.candidates]),
         kinds=sure,
         also_detectable=told(whole, list(slight)),
         rivals=tuple(_rival(problem, a) for a in rivals),
@@ -182,14 +189,13 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         search=_entries(found),
         clocks=_clocks(problem, fit),
         candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
-        structure=structure | (vars(force.structure) | {"found": force.structure.found} if force else {}),
+        structure=structure,
         residual_force=curves,
         missing_force=missing,
-        unnamed=unnamed,
         noise_floor=left.floor,
         floor_excess=left.excess,
         remaining_lines=left.lines,
-        findings=tuple(findings),
+        findings=(*findings, *stages.findings),
         series=gaps.series,
         model=model,
         next_experiment=experiment,
@@ -265,11 +271,16 @@ def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
 
 
 def _on_held_out(judged: _Judgement, gaps: Gaps, strained: bool, material: float) -> _Judgement:
-    """Names do not stand where the updated model is clearly further from held-out data than the refitted one.
+    """Judge the names on held-out data.
 
-    Where it is further by what may be chance, they are not sure. A refit that has left its tolerances (``strained``) is
-    no model to be compared with but where it is nearer by the share ``material``: its parameters do what the names say.
+    "unknown" where the updated model is worse than as given (free run), or clearly worse than refitted (windows);
+    "ambiguous" where the latter may be chance.
+
+    A refit that has left its tolerances (``strained``) is no model to be compared with but where its error is smaller
+    by the share ``material``: its parameters do what the names say.
     """
+    if gaps.worse_than_given:
+        return _Judgement("unknown", False)
     updated, refitted = (overall(gaps.windows, model) for model in ("updated", "refitted"))
     if strained and updated <= (1.0 + material) * refitted:
         return judged
@@ -285,6 +296,22 @@ def _explained(found: Found, fit: Fit) -> float:
     points = float(sum(np.isfinite(e).sum() for e in found.problem.errors(fit.hypothesis, fit.z, fit.starts)))
     points /= fit.noise.excess  # V of noise alone: the model of it says a larger variance than the errors have
     return 1.0 if bare <= points else (bare - now) / (bare - points)
+
+
+def _refuted(fit: Fit, gaps: Gaps) -> Finding:
+    """The finding that the best set makes the held-out free run worse than the model as given."""
+    given, updated = (overall(gaps.free_run, model) for model in ("nominal", "updated"))
+    text = f"free run on held-out data {updated:.3g} % of the range, worse than as given ({given:.3g} %): not named"
+    hint = "the records lack what would show the effect, or the catalogue lacks it"
+    evidence: dict[str, object] = {"given": given, "updated": updated}
+    return Finding("refuted", ", ".join(_places(fit)), text, "", hint, False, evidence)
+
+
+def _explained_on_held_out(gaps: Gaps, noise_ratio: float) -> float:
+    """Share of the mean-square error of the model as given that the updated model removes, noise not counted."""
+    given, updated = (overall(gaps.windows, model) ** 2 for model in ("nominal", "updated"))
+    noise = updated / noise_ratio**2 if noise_ratio > 1.0 else 0.0
+    return float(np.clip((given - updated) / (given - noise), 0.0, 1.0)) if given > noise else 1.0
 
 
 def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None, dict[str, float]]:

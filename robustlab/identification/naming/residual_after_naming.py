@@ -56,11 +56,7 @@ from robustlab.identification.unnamed.block_regression import (
 )
 from robustlab.identification.unnamed.unnamed_effect import (
     ResidualForce,
-    StructureTest,
-    UnnamedForce,
-    fit_unnamed,
     residual_force,
-    structure_left,
 )
 from robustlab.statespace import StateSpaceModel
 
@@ -132,15 +128,10 @@ class LeftOver:
     std: Array
     coordinates: dict[str, Array]
     blocks: NDArray[np.int_]
-    structure: StructureTest  # whether anything systematic remains
 
     def curves(self) -> ResidualForce:
         """The force over each coordinate."""
         return residual_force(self.force, self.std, self.coordinates, self.units, unit=self.unit, blocks=self.blocks)
-
-    def unnamed(self) -> UnnamedForce:
-        """Its spline map."""
-        return fit_unnamed(self.force, self.std, self.coordinates, self.blocks, unit=self.unit)
 
 
 def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
@@ -166,11 +157,11 @@ def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
     coordinates = {name: np.concatenate([p[4][name][::step] for p in known]) for name in known[0][4]}
     labels = np.concatenate([b[::step] for b in blocks])
     try:
-        structure = structure_left(force, std, coordinates, labels)
+        moving_samples(force, std, coordinates, labels)
     except InputError:  # hardly any motion
         return None
     port = known[0][0]
-    return LeftOver(port, known[0][1], known[0][5], force, std, coordinates, labels, structure)
+    return LeftOver(port, known[0][1], known[0][5], force, std, coordinates, labels)
 
 
 _Part = tuple[str, str, Array, Array, dict[str, Array], dict[str, str]]
@@ -236,9 +227,9 @@ def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Par
         return None
     least = _least(problem, k)
     try:
-        smoothed = smooth_disturbance(linear, push[:, None], t, known, y, jumps=False)
+        smoothed = smooth_disturbance(linear, push[:, None], t, known, y)
         if smoothed.bandwidth[0] < least:
-            smoothed = smooth_disturbance(linear, push[:, None], t, known, y, bandwidth=least, jumps=False)
+            smoothed = smooth_disturbance(linear, push[:, None], t, known, y, bandwidth=least)
     except NoTrustworthyNumber:
         return None
     x = smoothed.x

@@ -129,12 +129,10 @@ class MetricStep(DrivenStep):
         "h2",
         "spectral-abscissa",
         "damping",
-        "controllability",
-        "hankel",
     ] = "peak-deviation"
     output: Annotated[str, Names("outputs")] | None = None
     from_input: Annotated[str, Names("inputs")] | None = Field(
-        None, description="Input of a norm or of controllability; all where left out."
+        None, description="Input of a norm; all where left out."
     )
     t_end: Positive | None = None
     points: Points = 401

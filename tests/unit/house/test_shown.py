@@ -37,8 +37,8 @@ NUMBERS = {
     "DelayStability", "DelayedDesign", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence",
     "IqcGain", "IqcStability", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap",
     "Passivity", "PassivityIndex", "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result", "Verified",
-    "RiccatiSolution", "RobustGain", "StreamedResponses", "TrackingProblem", "Trim", "WellPosedness", "Zeros",
-    "Growth", "Watch", "WatchedPiece",
+    "RiccatiSolution", "RobustGain", "TrackingProblem", "Trim", "WellPosedness", "Zeros",
+    "Watch", "WatchedPiece",
 }  # fmt: skip
 
 

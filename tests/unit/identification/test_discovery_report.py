@@ -28,7 +28,7 @@ from robustlab.identification.naming.named_effects import (
     wave_amplitude,
 )
 from robustlab.identification.record_check.suitability import Finding
-from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
+from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.recipe.schema import Requirement, judge
 from robustlab.report.discovery import discovery_figures, facts, stretch_figure, write_page
@@ -127,7 +127,6 @@ def unknown(**changes):
         "complete": False,
         "effects": (),
         "residual_force": force,
-        "unnamed": UnnamedForce("unnamed", "N", 0.0, (ForceTable("speed", "speed", x, x**3),), "speed", 0.38),
     }
     return made(**{**fields, **changes})
 
@@ -181,7 +180,7 @@ def test_the_first_line_is_the_verdict_in_a_sentence():
     assert beyond.startswith("servo-axis lacks something beyond Coulomb (dry) friction that no effect")
     none = sentence(made(verdict="no missing effect", effects=(), gap_after=0.9))
     assert none.startswith("servo-axis lacks no effect that these records show")
-    assert sentence(made(complete=False)).endswith("; something else remains.")
+    assert sentence(made(complete=False)).endswith("; incomplete: something else remains.")
 
 
 def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
@@ -190,8 +189,8 @@ def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
     for part in (
         "Coulomb (dry) friction, coulomb-friction at v: probability 98.5 %",
         "20.39 N (95 %: 20.31 to 20.47)  friction level",
-        "windows of 0.4 s  0.06 m (3 %)  0.018 m (0.9 %)  0.002 m (0.1 %)  9 times smaller than refitted",
-        "free run          0.5 m (25 %)  0.2 m (10 %)     0.01 m (0.5 %)   20 times smaller than refitted",
+        "windows of 0.4 s  0.06 m (3 %)  0.018 m (0.9 %)  0.002 m (0.1 %)  30 times smaller than as given, 9 times",
+        "free run          0.5 m (25 %)  0.2 m (10 %)     0.01 m (0.5 %)   50 times smaller than as given, 20 times",
         "next: use the updated plant",
     ):
         assert part in text

@@ -125,6 +125,16 @@ def test_what_the_names_explain_is_measured_against_the_noise_that_they_were_jud
     assert share == pytest.approx(0.5, abs=0.05)
 
 
+def test_names_that_explain_less_than_what_remains_are_not_conclusive():
+    cases = {(True, 0.1): Status.CONVERGED, (False, 0.6): Status.CONVERGED, (False, 0.48): Status.INCONCLUSIVE}
+    assert {key: module._Judgement("named", key[0]).status(key[1]) for key in cases} == cases
+
+
+def test_names_that_worsen_the_free_run_are_refuted():
+    gaps = Gaps({"q": Gap("q", "m", 1.0, 5.0, 1.0, 0.5)}, {"q": Gap("q", "m", 1.0, 2.0, 3.0, 2.1)}, "test", False, {})
+    assert module._on_held_out(module._Judgement("named", True), gaps, True, 0.05) == ("unknown", False)
+
+
 @pytest.mark.parametrize(
     ("updated", "worse", "strained", "verdict"),
     [

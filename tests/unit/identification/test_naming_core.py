@@ -172,8 +172,6 @@ def test_with_the_true_effect_nothing_is_left_and_without_it_something_is():
     bare = left_over(problem, fitted(problem), noise_of(problem))
     assert named is not None
     assert bare is not None
-    assert not named.structure.found
-    assert bare.structure.found
     assert (bare.port, bare.unit) == ("v", "N")
     assert np.sqrt(np.mean(named.force**2)) < 0.2 * np.sqrt(np.mean(bare.force**2))
 
@@ -186,13 +184,6 @@ def test_what_is_left_without_friction_is_the_friction():
     v = left.coordinates["speed"]
     fast = np.abs(v) > 0.3 * np.abs(v).max()
     assert np.mean(-left.force[fast] * np.sign(v[fast])) == pytest.approx(20.0, rel=0.05)
-
-
-def test_a_complete_model_leaves_nothing():
-    problem, _ = problem_of(plain())
-    left = left_over(problem, fitted(problem), noise_of(problem))
-    assert left is not None
-    assert not left.structure.found
 
 
 # --- noise and held-out data ------------------------------------------------------------------------------------------
