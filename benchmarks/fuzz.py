@@ -143,9 +143,9 @@ def readers(folder: Path) -> list[Reader]:
         rl.save(folder / "x.h5", thing)
         raw = (folder / "x.h5").read_bytes()
         found.append(Reader(f"HDF5 {kind}", (("x.h5", raw),), read_stored, (*BYTES, *[hdf5_object] * 4), hashed=True))
-    plain = (("x.h5", _plain()), ("x.h5", _pair()), ("x.h5", _octave()), ("x.mat", _matlab73()))
-    found.append(Reader("HDF5 plain, Octave", plain[:3], read_stored, (*BYTES, *[hdf5_object] * 4)))
-    found.append(Reader("MATLAB 7.3", plain[3:], read_stored, (*BYTES, *[hdf5_object] * 4)))
+    plain = (("x.h5", _plain()), ("x.h5", _pair()), ("x.mat", _matlab73()))
+    found.append(Reader("HDF5 plain", plain[:2], read_stored, (*BYTES, *[hdf5_object] * 4)))
+    found.append(Reader("MATLAB 7.3", plain[2:], read_stored, (*BYTES, *[hdf5_object] * 4)))
     matlab = (("x.mat", _matlab5(True)), ("x.mat", _matlab5(False)))
     found.append(Reader("MATLAB 5", matlab, read_stored, (*BYTES, *BYTES, matlab_variables)))
     tables = tuple(("x.csv", text.encode()) for text in TABLES)
@@ -243,18 +243,6 @@ def _pair() -> bytes:
     return _image(
         lambda f: [f.create_dataset(f"{g}/{n}", data=v) for g in ("nominal", "perturbed") for n, v in MATRICES.items()]
     )
-
-
-def _octave() -> bytes:
-    def fill(file: Any) -> None:
-        for name, value in {**MATRICES, "Ts": 0.1}.items():
-            group = file.create_group(name)
-            group.attrs["OCTAVE_NEW_FORMAT"] = np.uint8(1)
-            kind = "matrix" if np.ndim(value) else "scalar"
-            group.create_dataset("type", data=np.bytes_(kind), dtype=f"S{len(kind) + 1}")
-            group["value"] = np.array(value).T.copy()
-
-    return _image(fill)
 
 
 def _matlab73() -> bytes:

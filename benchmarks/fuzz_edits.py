@@ -185,7 +185,7 @@ def _hostile(rng: random.Random) -> list[Any]:
 
 
 def _attribute(rng: random.Random, thing: Any) -> None:
-    name = rng.choice([*thing.attrs, "dt", "Ts", "sequence", "null", "MATLAB_class", "OCTAVE_NEW_FORMAT", "format"])
+    name = rng.choice([*thing.attrs, "dt", "Ts", "sequence", "null", "MATLAB_class", "format"])
     value = rng.choice(
         (0, -1, 1e400, np.nan, 2**62, "", "x" * 3000, "robustlab", "9.9", np.ones(3), np.zeros(0), b"\xff")
     )

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -84,46 +83,6 @@ def summarise_clock(t: Array) -> ClockSummary:
     k = int(np.argmax(steps))
     near = steps[steps <= NEAR * np.median(steps)]
     return ClockSummary(len(t), float(near.mean()), float(near.std()), float(steps[k]), float(t[k]))
-
-
-class Drift(NamedTuple):
-    """``rate`` by which a clock gains on a reference and its standard ``deviation`` (both s/s); see `clock_drift`."""
-
-    rate: float
-    deviation: float
-    delay: float
-    scatter: float
-
-    def text(self) -> str:
-        """In words, in parts in a million, with two standard deviations."""
-        rate, sure = 1e6 * self.rate, 2e6 * self.deviation
-        known = abs(rate) > max(sure, LEAST_DRIFT)
-        drift = f"drift {rate:+.3g} ppm (± {sure:.2g})" if known else f"no drift above {max(sure, LEAST_DRIFT):.2g} ppm"
-        return f"{drift}, delay {self.delay:.3g} s, scatter {self.scatter:.2g} s rms"
-
-
-def clock_drift(stamps: Array, reference: Array) -> Drift | None:
-    r"""How a clock runs against another that shows the same events later, by a straight line through their difference.
-
-    .. math:: r_k - s_k = d + \rho\,(r_k - r_0) + e_k, \qquad s \text{ gains } -\rho \text{ on } r
-
-    ``stamps``, ``reference``: the same events on both clocks in s, shape (n,).
-    Returns: ``rate`` is -rho (positive: the stamps run fast), ``deviation`` its standard deviation for white e;
-    ``delay`` the median of r - s in s, ``scatter`` the standard deviation of e. None of fewer than 10 events.
-
-    Examples
-    --------
-    >>> r = np.arange(1000) * 0.01
-    >>> round(1e6 * clock_drift(r * (1 + 50e-6) - 2e-3, r).rate, 6)
-    50.0
-    """
-    if len(stamps) < FEWEST_PAIRS or not np.ptp(reference):
-        return None
-    late, x = reference - stamps, reference - reference.mean()
-    slope = float(x @ (late - late.mean()) / (x @ x))
-    rest = late - late.mean() - slope * x
-    scatter = float(np.sqrt(rest @ rest / (len(x) - 2)))
-    return Drift(-slope, scatter / float(np.sqrt(x @ x)), float(np.median(late)), scatter)
 
 
 def common_clock(where: str, clocks: Mapping[str, Array], dt: float | None = None) -> tuple[Array, str]:

@@ -24,7 +24,6 @@ from robustlab.statespace import real_array
 
 if TYPE_CHECKING:
     import pandas
-    import xarray
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -157,21 +156,21 @@ class Record(Shown, Traced):
         dt: float | None = None,
         **options: Any,
     ) -> Record:
-        """Read a measured record: HDF5 (format 1 or plain), MATLAB ``.mat``, Parquet, ROS 2 bag in MCAP, CSV/TXT.
+        """Read a measured record: HDF5 (format 1 or plain), MATLAB ``.mat``, CSV/TXT.
 
         Parameters
         ----------
         path
             The file; its kind is told by its content.
         group
-            HDF5 group, MATLAB struct or topic of a bag that holds the signals.
+            HDF5 group or MATLAB struct that holds the signals.
         inputs, outputs
             Names of the signals to take; ``"u=SIGNAL"`` takes SIGNAL and calls it u. With neither given, all are
-            outputs; with inputs only, all others are. Of a bag: ``"/joint_states.position[0]"``.
+            outputs; with inputs only, all others are.
         dt
-            Sample time in s; wins over what the file says. Signals of several clocks (topics of a bag, logs of
-            Simulink) are brought on one of this sample time, or on the coarsest of theirs: inputs held, outputs
-            interpolated, and ``meaning["t"]`` says how much.
+            Sample time in s; wins over what the file says. Signals of several clocks (logs of Simulink) are brought on
+            one of this sample time, or on the coarsest of theirs: inputs held, outputs interpolated, and
+            ``meaning["t"]`` says how much.
         **options
             ``clock``, ``units``, ``delimiter``, ``decimal``, ``allow_gaps``, ``no_verify``; see
             `robustlab.files.records.RecordOptions`. ``limits``, ``isolate``; see `robustlab.files.hdf5.read_tree`.
@@ -185,8 +184,6 @@ class Record(Shown, Traced):
         ------
         InputError
             What is wrong with the file: signals that are missing or no columns of numbers, no clock, missing samples.
-        DependencyMissing
-            The package that reads such files is not installed: extras ``parquet``, ``ros``.
         """
         from robustlab.files.records import RecordOptions, read_record
 
@@ -260,64 +257,6 @@ class Record(Shown, Traced):
         from robustlab.files.frames import keywords_of_frame
 
         return cls(**keywords_of_frame(frame, inputs, outputs, units))
-
-    def to_xarray(self) -> xarray.Dataset:
-        """The record as a data set of xarray (extra ``frames``).
-
-        Returns
-        -------
-        xarray.Dataset
-            A variable for each signal over the coordinate ``t`` in s; attributes ``units``, ``meaning``, ``side`` of
-            each, ``name`` of the data set; with them `from_xarray` gives the same record, bit for bit.
-
-        Raises
-        ------
-        InputError
-            A signal is called ``t``.
-        DependencyMissing
-            xarray is not installed.
-
-        Examples
-        --------
-        >>> data = Record([0.0, 0.1], {"u": [0, 1]}, {"q": [0.0, 0.3]}, {"q": "m"}).to_xarray()
-        >>> dict(data.sizes), data.q.attrs
-        ({'t': 2}, {'units': 'm', 'side': 'output'})
-        """
-        from robustlab.files.frames import dataset_of
-
-        return dataset_of(vars(self))
-
-    @classmethod
-    def from_xarray(
-        cls,
-        dataset: xarray.Dataset,
-        inputs: Sequence[str] | None = None,
-        outputs: Sequence[str] | None = None,
-        units: Mapping[str, str] | None = None,
-    ) -> Record:
-        """A record of the variables of a data set, all over one axis: that of time (extra ``frames``).
-
-        Parameters
-        ----------
-        dataset
-            Its coordinate holds the times: numbers in s (or in what its attribute ``units`` says), durations, or dates.
-        inputs, outputs, units
-            As in `from_pandas`; ``units`` and ``side`` of a variable's attributes where left out.
-
-        Raises
-        ------
-        InputError, DependencyMissing
-            As `from_pandas`; variables over several axes.
-
-        Examples
-        --------
-        >>> r = Record([0.0, 0.1], {"u": [0, 1]}, {"q": [0.0, 0.3]}, {"q": "m"})
-        >>> Record.from_xarray(r.to_xarray())
-        Record('record': 2 samples, 0.1 s, [u] -> [q])
-        """
-        from robustlab.files.frames import keywords_of_dataset
-
-        return cls(**keywords_of_dataset(dataset, inputs, outputs, units))
 
     def to_json(self) -> dict[str, object]:
         """All samples as plain types."""

@@ -1,4 +1,4 @@
-"""Results that are tables: columns with units over one index, as pandas and xarray take them."""
+"""Results that are tables: columns with units over one index, as pandas takes them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 
 if TYPE_CHECKING:
     import pandas
-    import xarray
 
 
 @dataclass(frozen=True)
@@ -48,25 +47,3 @@ class Tabular:
         frame = pandas.DataFrame(dict(table.columns), index=pandas.Index(values, name=name))
         frame.attrs = {"units": dict(table.units)}
         return frame
-
-    def to_xarray(self) -> xarray.Dataset:
-        """The result as a data set of xarray (extra ``frames``); units are an attribute of each variable.
-
-        Raises
-        ------
-        DependencyMissing
-            xarray is not installed.
-        """
-        from robustlab.files.record_source import need
-
-        need(f"{type(self).__name__}.to_xarray", "xarray", "frames")
-        import xarray
-
-        table = self.table()
-        name, values = table.index
-
-        def variable(key: str, data: Any) -> tuple[str, np.ndarray, dict[str, str]]:
-            return name, np.asarray(data), {"units": table.units[key]} if key in table.units else {}
-
-        columns = {key: variable(key, data) for key, data in table.columns.items()}
-        return xarray.Dataset(columns, {name: variable(name, values)})

@@ -6,9 +6,9 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from oracle.stick_slip import stick_slip
 
 import robustlab as rl
-from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Problem
@@ -37,7 +37,7 @@ def noisy(outputs, seed, size=1e-3):
 def machine(friction=0.0, load=0.0, seed=0, seen=("q", "v")) -> rl.Record:
     """The axis with dry friction, and a load in N, which is an offset of its input."""
     u = U - load / GAIN
-    run = simulate_with_friction(AXIS, DryFriction("v", friction), T, u).record if friction else rl.simulate(AXIS, T, u)
+    run = stick_slip(AXIS, "v", friction, T, u).record if friction else rl.simulate(AXIS, T, u)
     return rl.Record(T, {"u": U}, noisy({k: run[k] for k in seen}, seed), name="run")
 
 

@@ -1,56 +1,9 @@
-"""Record files as other programs write them: bags of ROS 2 through mcap's writer, objects and structs of MATLAB."""
+"""Record files as other programs write them: objects and structs of MATLAB."""
 
-import io
 import struct
 
 import h5py
 import numpy as np
-
-T0 = 1_700_000_000_000_000_000  # ns
-LINE = "=" * 80
-HEADER = f"""
-{LINE}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{LINE}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-JOINTS = "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort" + HEADER
-WRENCH = (
-    f"geometry_msgs/Vector3 force\nbool valid\nstring note\n{LINE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\n"
-)
-TYPES = {
-    "joints": ("sensor_msgs/msg/JointState", JOINTS),
-    "number": ("std_msgs/msg/Float64", "float64 data\n"),
-    "wrench": ("my_msgs/msg/Wrench", WRENCH),
-}
-
-
-def joints(stamp, position, names=("a", "b"), frame="base"):
-    """A JointState; ``stamp`` in ns."""
-    header = {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": frame}
-    return {"header": header, "name": list(names), "position": list(position), "velocity": [], "effort": []}
-
-
-def bag(path, events, **options):
-    """Write (topic, type, log time in ns, message) in this order."""
-    from mcap.writer import Writer as McapWriter
-    from mcap_ros2.writer import Writer
-
-    with path.open("wb") as stream:
-        writer = Writer(io.BytesIO())
-        writer._writer = McapWriter(stream, **options)  # the ROS writer hands on no options
-        writer._writer.start(profile="ros2")
-        schemas = {}
-        for topic, kind, log, message in events:
-            if kind not in schemas:
-                schemas[kind] = writer.register_msgdef(*TYPES[kind])
-            writer.write_message(topic, schemas[kind], message, log, log)
-        writer.finish()
-    return path
 
 
 def matlab73(path, variables):

@@ -38,7 +38,7 @@ add_commands(app, "data", "data")
 @grouped
 def convert(
     *,
-    source: Annotated[str, typer.Argument(help="HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="IN")],
+    source: Annotated[str, typer.Argument(help="HDF5, MATLAB, CSV or TXT file.", metavar="IN")],
     target: Annotated[str, typer.Argument(help="HDF5 file to write.", metavar="OUT")],
     options: RecordOptions,
     progress: ProgressOptions,

@@ -232,13 +232,13 @@ COLUMN = "u=voltage takes the column voltage as u."
 class RecordOptions(TableOptions):
     """How the file of a record is to be read."""
 
-    group: Annotated[str | None, typer.Option(help="HDF5 group, MATLAB struct or topic of a bag.")] = None
+    group: Annotated[str | None, typer.Option(help="HDF5 group or MATLAB struct.")] = None
     inputs: Annotated[
         str | None, typer.Option(help=f"Inputs: u or u,w; beside a model its own if left out. {COLUMN}")
     ] = None
     outputs: Annotated[str | None, typer.Option(help="Outputs likewise, q,i=current; all others if left out.")] = None
     dt: Annotated[float | None, typer.Option(help="Sample time in s.")] = None
-    clock: Annotated[str | None, typer.Option(help="Signal with the times; of a bag: stamp or log.")] = None
+    clock: Annotated[str | None, typer.Option(help="Signal with the times.")] = None
     allow_gaps: Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples.")] = False
 
     def read(self, file: str, inputs: str | None, group: str | None = None, *, tell: bool = True) -> rl.Record:

@@ -133,7 +133,7 @@ def frequency_response(
 @grouped
 def plot_record(
     *,
-    file: Annotated[str, typer.Argument(help="HDF5, MATLAB, Parquet, MCAP, CSV or TXT file.", metavar="FILE")],
+    file: Annotated[str, typer.Argument(help="HDF5, MATLAB, CSV or TXT file.", metavar="FILE")],
     options: RecordOptions,
     figure: FigureOption = None,
     progress: ProgressOptions,

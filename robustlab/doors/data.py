@@ -25,14 +25,14 @@ Column = Annotated[str | None, Names("outputs", "record", one=True)]
 
 @door("data check", "check-record", result="identification.record_check.suitability.RecordCheck")
 def check_record(
-    record: Annotated[Any, RecordFile(remarks=False), Named(key="of"), "HDF5, MATLAB, Parquet, MCAP, CSV or TXT file."],
+    record: Annotated[Any, RecordFile(remarks=False), Named(key="of"), "HDF5, MATLAB, CSV or TXT file."],
     model: Annotated[Any, Machine(), "A model, too: is the record fit for naming what that lacks?"] = None,
 ) -> Any:
     """Read a record and say what is in it and what is odd about it.
 
     Example: robustlab data check run3.csv --inputs u --outputs q
     Example: robustlab data check run3.csv --model servo-axis
-    Example: robustlab data check bag.mcap --inputs u=/command.data --outputs q=/joint_states.position[0]
+    Example: robustlab data check run.csv --inputs u=command --outputs q=position
     """
     from robustlab.identification.record_check.suitability import check_record as check
 

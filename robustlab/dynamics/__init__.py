@@ -5,7 +5,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.parameters import Parameter, overridden
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Descriptor",
-    "DryFriction",
     "LinearPlant",
     "NonlinearPlant",
     "Parameter",
@@ -31,7 +29,6 @@ __all__ = [
     "plant",
     "plant_names",
     "simulate",
-    "simulate_with_friction",
     "trim",
 ]
 

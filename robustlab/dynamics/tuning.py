@@ -27,25 +27,6 @@ class DynamicsTuning(Tuning):
     # Local error of a nonlinear simulation where none was asked for.
     rtol: float = 1e-8
 
-    # --- dry friction, event by event --------------------------------------------------------------------------------
-    # A change between sticking and sliding is located to this many halvings of a step: more is finer and slower.
-    halvings: int = 46
-    # A step is divided until a mode turns or decays by no more than this (rad or powers of e) in a piece. Larger:
-    # quicker, but a velocity may turn twice unseen.
-    piece: float = 0.5
-    # More pieces than this in a step are refused: the samples are too coarse for the plant.
-    most_pieces: int = 2**12
-    # A sticking joint holds forces up to F_s (1 + this), above the rounding of the force that is asked for.
-    hold_rounding: float = 1e-12
-    # The exponential's series to this order is exact to rounding for a matrix whose rows sum up to ``small``:
-    # 0.01^8/8! = 2e-21. Both are to be changed together.
-    small: float = 1e-2
-    series: int = 7
-    # More changes than this within one step are no mechanics and end the run.
-    most_changes: int = 1000
-    # Sweeps of the platform's box programme; the nuts' own inertia dominates, so that a sweep gains about two digits.
-    platform_sweeps: int = 200
-
     # --- one law at one instant --------------------------------------------------------------------------------------
     # Length of the step in s in which a law is asked; positions move through their value by v times this.
     instant: float = 1e-5

@@ -6,9 +6,8 @@ This room knows nothing of models; `robustlab.storage` maps trees to objects. In
     isolation, reader_process           a child process opens it and sends what it holds
     hdf5_reader, matlab                 binary formats, brought to one form
     text_table, document                tables of numbers; JSON and TOML
-    optional_formats                    tables and bags of others, by optional packages
     tree                                the form: groups, datasets, attributes; the header and hash of format 1
     hdf5, atomic                        the front of all trees, and writing them
     record_source                       what any of these holds of signals and clocks
-    records, frames                     measured records, from any of these, and from tables of pandas and xarray
+    records, frames                     measured records, from any of these, and from tables of pandas
 """

@@ -11,7 +11,7 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.atomic import atomic_write
 from robustlab.files.isolation import read_isolated
-from robustlab.files.matlab import from_matlab73, from_octave, read_matlab5
+from robustlab.files.matlab import from_matlab73, read_matlab5
 from robustlab.files.signature import MIB, Limits, content_of
 from robustlab.files.tree import Dataset, Tree, Unread, canonical
 
@@ -31,9 +31,8 @@ def read_tree(path: str | Path, group: str | None = None, limits: Limits | None 
     """
     limits = limits or Limits()
     kind = content_of(path, limits)
-    if kind in ("text", "parquet", "mcap"):
-        found = {"text": "a text file", "parquet": "a Parquet file", "mcap": "an MCAP file"}[kind]
-        raise InputError(str(path), found, "an HDF5 or MATLAB file")
+    if kind == "text":
+        raise InputError(str(path), "a text file", "an HDF5 or MATLAB file")
     if isolate:
         tree = read_isolated(kind, path, limits, group)
     elif kind == "hdf5":
@@ -42,7 +41,7 @@ def read_tree(path: str | Path, group: str | None = None, limits: Limits | None 
         tree = read_hdf5(str(path), limits, group)
     else:
         tree = read_matlab5(str(path), limits)
-    return from_octave(from_matlab73(tree)) if kind == "hdf5" else tree
+    return from_matlab73(tree) if kind == "hdf5" else tree
 
 
 def write_tree(path: str | Path, tree: Tree) -> Path:

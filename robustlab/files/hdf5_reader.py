@@ -32,7 +32,6 @@ MAX_PROBLEMS = 20
 MAX_TEXTS = 100_000
 MAX_REFERENCES = 1000
 TEXTS_AT_A_TIME = 16
-OCTAVE_RANGE = "compound (base, limit, increment)"
 DAMAGED = "copy or export the file again; if it was made by robustlab, run the command that made it again"
 
 
@@ -199,8 +198,6 @@ def _dataset(walk: _Walk, did: h5d.DatasetID, path: str) -> Dataset:
     shape, kind = did.shape, _kind(did.get_type())
     if shape is None:
         return Dataset(Unread("no values (null dataspace)", ()), attrs)
-    if kind == OCTAVE_RANGE and not shape and "OCTAVE_RANGE_NELEM" in attrs:
-        return Dataset(np.array(h5py.Dataset(did)[()].tolist(), np.float64), attrs)
     if kind == "reference" and 0 < math.prod(shape) <= MAX_REFERENCES and walk.is_wanted(path):
         paths = _references(did)
         if paths is not None:

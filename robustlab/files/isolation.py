@@ -263,9 +263,9 @@ class ReaderServer:
 
 
 def read_isolated(kind: str, path: str | Path, limits: Limits, group: str | None = None, **options: Any) -> Tree:
-    """Read a file of kind ``hdf5``, ``matlab5``, ``parquet``, ``mcap`` or ``table`` in a process of its own.
+    """Read a file of kind ``hdf5``, ``matlab5`` or ``table`` in a process of its own.
 
-    ``options`` go to the reader: of a table ``delimiter``, ``decimal``; of Parquet and MCAP ``wanted``.
+    ``options`` go to the reader: of a table ``delimiter``, ``decimal``.
 
     Raises InputError: what is wrong with the file; a reader that crashed, hung, or ran out of memory. EnvironmentFault:
     the reader could not be started.

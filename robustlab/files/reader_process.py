@@ -1,6 +1,6 @@
 """The processes that read untrusted files: a server, which forks for each file, or a fresh interpreter for one.
 
-It is told a JSON table: kind (``hdf5``, ``matlab5``, ``parquet``, ``mcap``, ``table``, ``json``, ``toml``), the limits,
+It is told a JSON table: kind (``hdf5``, ``matlab5``, ``table``, ``json``, ``toml``), the limits,
 what messages call the file, and its path, or the number of bytes of the document that follow on stdin. It answers on
 stdout with a tree, a document or an error; a crash or a hang is seen by the parent. Without an argument it is the
 server (`robustlab.files.isolation` tells what it is asked), which never sees a file's content but to hand it on.
@@ -47,7 +47,7 @@ def _limit_resources(kind: str, limits: Limits, size: int) -> None:
     except ImportError:  # Windows: the parent's time limit remains
         return
     seconds, memory = int(limits.seconds) + 1, BASE_ADDRESS_SPACE + 4 * limits.total
-    if kind not in ("matlab5", "mcap"):
+    if kind != "matlab5":
         seconds = min(seconds, BASE_SECONDS + size // BYTES_PER_SECOND)
     if kind in ("json", "toml", "table"):
         base, growth = (BASE_TABLE, GROWTH_OF_TABLE) if kind == "table" else (BASE_DOCUMENT, GROWTH_OF_DOCUMENT)
@@ -121,14 +121,6 @@ def _tree(kind: str, request: dict[str, Any], limits: Limits) -> Any:
         from robustlab.files.hdf5_reader import read_hdf5
 
         return read_hdf5(path, limits, request["group"], shown, _more_time(limits))
-    if kind == "parquet":
-        from robustlab.files.optional_formats import parquet_tree
-
-        return parquet_tree(path, request["wanted"], limits, shown, _more_time(limits))
-    if kind == "mcap":
-        from robustlab.files.optional_formats import bag_tree
-
-        return bag_tree(path, request["group"], request["wanted"], limits, shown)
     if kind == "matlab5":
         from robustlab.files.matlab import read_matlab5
 

@@ -1,4 +1,4 @@
-"""What a file holds before anything is chosen: named channels, each on a clock; of text, trees, Parquet and bags.
+"""What a file holds before anything is chosen: named channels, each on a clock; of text, trees and frames.
 
 Logs in trees are structs with times and values, as Simulink and MATLAB's timeseries have them when saved as structs.
 Three forms, at any depth below the group that is read::
@@ -14,16 +14,14 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.clocks import clock_drift
-from robustlab.errors import DependencyMissing, InputError, did_you_mean
-from robustlab.files.isolation import read_isolated
+from robustlab.errors import DependencyMissing, InputError
 from robustlab.files.signature import Limits
 from robustlab.files.text_table import read_table
 from robustlab.files.tree import Dataset, Tree, Unread, text_attr, type_name
@@ -156,9 +154,6 @@ def _text(node: Tree, name: str) -> str:
 
 
 CLOCK_NAMES = ("t", "time", "Time", "TIME", "T", "timestamp", "tout", "zeit", "Zeit")
-BAG_CLOCKS = ("stamp", "log")
-# Bags are decoded message by message; tables are not.
-TIME_OF_BAGS = 4.0
 
 
 @dataclass
@@ -191,7 +186,6 @@ class Source:
     # inputs, outputs: where the file states them; empty otherwise
     inputs: list[str] = field(default_factory=list)
     outputs: list[str] = field(default_factory=list)
-    listing: str = ""  # what messages show of the file's signals; their names where it is empty
 
     def label(self, name: str) -> str:
         """What messages call a channel."""
@@ -199,7 +193,7 @@ class Source:
 
     def shown(self) -> str:
         """The signals there are, for messages."""
-        return self.listing or one_of("one of", list(self.channels))
+        return one_of("one of", list(self.channels))
 
 
 def one_of(word: str, names: Sequence[str]) -> str:
@@ -274,135 +268,3 @@ def _sample_time(attrs: Mapping[str, Any]) -> float:
             number = float(value.flat[0])
             return 1.0 / number if name == "fs" else number
     return 0.0
-
-
-# --- Parquet ---------------------------------------------------------------------------------------------------------
-
-
-def from_parquet(
-    path: str | Path, group: str | None, wanted: list[str] | None, limits: Limits, isolate: bool
-) -> Source:
-    """The columns of a Parquet file; of those not in ``wanted`` the clock is read, and no other."""
-    where = str(path)
-    _no_group(where, group, "a Parquet file")
-    need(where, "pyarrow", "parquet")
-    if isolate:
-        tree = read_isolated("parquet", path, limits, wanted=wanted)
-    else:
-        from robustlab.files.optional_formats import parquet_tree
-
-        tree = parquet_tree(where, wanted, limits)
-    name = text_attr(tree.attrs, "name") or Path(path).stem
-    source = Source(where, name, "", _datasets(tree), clock=text_attr(tree.attrs, "clock") or "")
-    source.notes += (text_attr(tree.attrs, "meaning") or "").splitlines()
-    for side in ("inputs", "outputs"):
-        stated = np.asarray(tree.attrs.get(side, np.array([], np.str_))).tolist()
-        getattr(source, side).extend(name for name in stated if name in source.channels)
-    return source
-
-
-# --- bags ------------------------------------------------------------------------------------------------------------
-
-
-def from_bag(
-    path: str | Path, group: str | None, wanted: list[str] | None, clock: str | None, limits: Limits, isolate: bool
-) -> Source:
-    """The fields of a ROS 2 bag, as ``/topic.field[0]``, or as ``field[0]`` of the topic ``group``.
-
-    Every topic is a clock. Its times are the stamps of the messages' headers (``clock="stamp"``) or the times at which
-    they were logged (``"log"``); left out, the stamps where every topic has them and they run forwards.
-    """
-    where = str(path)
-    if clock not in (None, *BAG_CLOCKS):
-        raise InputError(where, f"clock {clock!r}", "stamp or log: the two clocks of a bag", "--clock log")
-    for package in ("mcap", "mcap_ros2"):
-        need(where, package, "ros")
-    limits = replace(limits, seconds=TIME_OF_BAGS * limits.seconds)
-    if isolate:
-        tree = read_isolated("mcap", path, limits, group, wanted=wanted)
-    else:
-        from robustlab.files.optional_formats import bag_tree
-
-        tree = bag_tree(where, group, wanted, limits, None)
-    listing = _listing(tree)
-    if group is not None and group not in tree.groups:
-        hint = did_you_mean(group, list(tree.groups))
-        raise InputError(where, f"missing topic {group}", listing or "a bag with messages", hint)
-    if group is None and wanted is None:
-        raise InputError(where, "no signals chosen", listing or "a bag with numeric fields", _example(tree))
-    source = Source(where, Path(path).stem, "", {}, groups=list(tree.groups), listing=listing)
-    taken: dict[str, Tree] = {}
-    for topic, node in tree.groups.items():
-        encoding = text_attr(node.attrs, "encoding")
-        if encoding and (group == topic or any(text.startswith(f"{topic}.") for text in wanted or [])):
-            raise InputError(f"{where}: {topic}", f"messages in {encoding}", "cdr with ros2msg schema (ROS 2)")
-        if group not in (None, topic):
-            continue
-        if "log" in node.datasets:
-            taken[topic] = node
-        for name, dataset in node.datasets.items():
-            if name not in BAG_CLOCKS:
-                full = name if group else f"{topic}.{name}"
-                source.channels[full] = Channel(dataset.values, clock=topic)
-    _bag_clocks(source, taken, clock)
-    return source
-
-
-def _listing(tree: Tree) -> str:
-    """Topics with rates and numeric fields, one after the other."""
-    told = []
-    for topic, node in tree.groups.items():
-        fields = [str(name) for name in np.asarray(node.attrs["fields"]).tolist()]
-        if fields:
-            rate = (
-                f"{float(node.attrs['rate']):.4g} Hz"
-                if "rate" in node.attrs
-                else f"{int(node.attrs['count'])} messages"
-            )
-            told.append(f"{topic} ({rate}): {', '.join(fields[:12])}{', ...' if len(fields) > 12 else ''}")
-    return "numeric fields of " + "; ".join(told[:20]) + ("; ..." if len(told) > 20 else "") if told else ""
-
-
-def _example(tree: Tree) -> str | None:
-    for topic, node in tree.groups.items():
-        for name in node.datasets:
-            return f"--outputs {topic}.{name}, or --outputs q={topic}.{name} to call it q"
-    return None
-
-
-def _stamps(taken: dict[str, Tree], key: str) -> dict[str, AnyArray]:
-    """Times in ns of the topics that have them."""
-    found = {topic: node.datasets[key].values for topic, node in taken.items() if key in node.datasets}
-    return {topic: values for topic, values in found.items() if isinstance(values, np.ndarray)}
-
-
-def _bag_clocks(source: Source, taken: dict[str, Tree], clock: str | None) -> None:
-    """Times of the topics in s from the first message on, and what is to be said about them."""
-    log, stamp = (_stamps(taken, key) for key in ("log", "stamp"))
-    reason = ""
-    for topic in taken:
-        if topic not in stamp:
-            reason = f"{topic} has no stamps"
-        elif not np.all(stamp[topic] > 0):
-            reason = f"{topic} has empty stamps"
-        elif (back := np.flatnonzero(np.diff(stamp[topic]) <= 0)).size:
-            reason = f"the stamps of {topic} stand still or run backwards at message {int(back[0]) + 1}"
-        if reason:
-            break
-    if clock == "stamp" and reason:
-        raise InputError(source.where, reason, "stamps that run forwards", "--clock log")
-    chosen, word = (log, "log") if clock == "log" or reason else (stamp, "stamp")
-    if not chosen:
-        return
-    first = min(int(times[0]) for times in chosen.values())
-    why = f" ({reason})" if reason and clock is None else ""
-    source.notes.append(
-        f"times are those of the {'log' if word == 'log' else 'message stamps'}{why}, from {first} ns on"
-    )
-    for topic, times in chosen.items():
-        source.clocks[topic] = (times - first) / 1e9
-        if topic in stamp and np.all(stamp[topic] > 0):
-            origin = int(log[topic][0])
-            drift = clock_drift((stamp[topic] - origin) / 1e9, (log[topic] - origin) / 1e9)
-            if drift is not None:
-                source.notes.append(f"{topic}: stamps against log times: {drift.text()}")

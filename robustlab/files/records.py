@@ -1,4 +1,4 @@
-"""Measured records from HDF5, MATLAB, Parquet, MCAP and text files, as the arguments of `robustlab.record.Record`.
+"""Measured records from HDF5, MATLAB and text files, as the arguments of `robustlab.record.Record`.
 
 What is done to a record's clock is told in its meaning of ``t``, a line each: stamps that count from the first one, a
 sample time given against what the file's clock says, signals of several clocks brought on one.
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,6 @@ from robustlab.files.hdf5 import read_tree
 from robustlab.files.record_source import (
     CLOCK_NAMES,
     Source,
-    from_bag,
-    from_parquet,
     from_text,
     from_tree,
     one_of,
@@ -123,10 +121,10 @@ SAME_RATE = 1e-6
 class RecordOptions:
     """What is taken of a file, and how it is understood."""
 
-    group: str | None = None  # HDF5 group, MATLAB struct or topic of a bag that holds the signals
+    group: str | None = None  # HDF5 group or MATLAB struct that holds the signals
     # inputs, outputs: names of the signals to take; `"u=SIGNAL"` takes SIGNAL and calls it u. With neither given, all
     # signals are outputs, because only the user knows which are inputs (a format 1 record knows). With inputs only,
-    # all others are outputs. Of a bag the outputs are to be named, or its topic.
+    # all others are outputs.
     inputs: Sequence[str] | None = None
     outputs: Sequence[str] | None = None
     # Sample time in s; wins over what the file says. Without it and without a clock, the attribute `Ts` (or `dt`, in
@@ -134,7 +132,6 @@ class RecordOptions:
     # brought on one of this sample time, or on the coarsest of theirs.
     dt: float | None = None
     # Name of the signal with the times; `t` or `time` where left out. A unit of ms, us, ns or min is converted to s.
-    # Of a bag: `stamp` or `log`.
     clock: str | None = None
     # Name -> unit that the numbers in the file are in. They are converted to the SI unit of the same kind (deg to
     # rad, rpm to rad/s, mm to m), a unit that is in no table of `robustlab.units` is kept as it is. Signals that are
@@ -152,25 +149,16 @@ def read_record(
 ) -> dict[str, Any]:
     """Read one record; the result holds the keyword arguments of `robustlab.record.Record`.
 
-    ``path``: HDF5 (format 1 or plain), MATLAB 5 or 7.3, Parquet, MCAP (ROS 2), or a text file; told by content.
+    ``path``: HDF5 (format 1 or plain), MATLAB 5 or 7.3, or a text file; told by content.
     ``options``: what to take of it.
     ``limits``, ``isolate``: see `robustlab.files.hdf5.read_tree`.
     Raises InputError: signals that are missing (all of them, with the nearest names), are not columns of numbers,
     differ in length; no clock; missing samples; clocks that do not overlap; a unit for no signal, or another one than
-    the file states. DependencyMissing: the package that reads such files is not installed.
+    the file states.
     """
     group, content = options.group, content_of(path, limits)
     if content == "text":
         return choose(from_text(path, group, options.delimiter, options.decimal, limits, isolate), options)
-    if content == "parquet":
-        return choose(from_parquet(path, group, _wanted(options), limits or Limits(), isolate), options)
-    if content == "mcap":
-        source = from_bag(path, group, _wanted(options, bool(group)), options.clock, limits or Limits(), isolate)
-        if group is None and options.outputs is None:
-            raise InputError(
-                str(path), "no outputs chosen", source.listing, "--outputs, or --group TOPIC for all of one"
-            )
-        return choose(source, replace(options, clock=None))
     tree = read_tree(path, group, limits, isolate)
     if is_stamped(tree):
         return _stored(_record_of_format_1(str(path), tree, options), str(path), options)
@@ -183,19 +171,6 @@ def read_record(
     if {"inputs", "outputs"} & set(node.groups):
         return _stored(node, str(path), options)
     return choose(from_tree(path, tree, node, group), options)
-
-
-def _wanted(options: RecordOptions, others: bool = True) -> list[str] | None:
-    """The signals that may be meant: each text, and what stands behind its sign of equality; None for all."""
-    if options.outputs is None and (others or options.inputs is None):
-        return None
-    texts = [
-        *_texts(options.inputs),
-        *_texts(options.outputs),
-        *([options.clock] if options.clock else []),
-        *CLOCK_NAMES,
-    ]
-    return list(dict.fromkeys(part for text in texts for part in (text, text.partition("=")[2].strip()) if part))
 
 
 def _texts(given: Sequence[str] | None) -> list[str]:
@@ -392,7 +367,7 @@ def _no_signals(source: Source, found: str) -> InputError:
     return InputError(
         source.where,
         found,
-        source.listing or one_of("signals in the group given; groups are", source.groups),
+        one_of("signals in the group given; groups are", source.groups),
         f"--group {source.groups[0] if len(source.groups) == 1 else 'NAME'}",
     )
 

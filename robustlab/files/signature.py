@@ -14,16 +14,13 @@ from typing import Literal, NamedTuple
 from robustlab.errors import InputError, did_you_mean
 
 MIB = 1 << 20
-Content = Literal["hdf5", "matlab5", "parquet", "mcap", "text"]
+Content = Literal["hdf5", "matlab5", "text"]
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-PARQUET_MAGIC, MCAP_MAGIC = b"PAR1", b"\x89MCAP0\r\n"
 BINARY_SUFFIXES = {
     **dict.fromkeys((".h5", ".hdf5", ".hdf", ".he5"), "an HDF5 file"),
     ".mat": "a MATLAB file of version 5 or 7.3",
-    ".parquet": "a Parquet file",
-    ".mcap": "an MCAP file",
 }
-_FORMATS = "HDF5, MATLAB (.mat), Parquet, MCAP or text (.csv, .txt)"
+_FORMATS = "HDF5, MATLAB (.mat) or text (.csv, .txt)"
 
 
 @dataclass(frozen=True)
@@ -85,8 +82,7 @@ def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
 
 def _check_state(state: os.stat_result, where: str, limits: Limits) -> None:
     if stat.S_ISDIR(state.st_mode):
-        bags = sorted(str(file) for file in Path(where).glob("*.mcap"))  # a bag of ROS 2 is a folder
-        raise InputError(where, "is a directory", "a file", bags[0] if bags else None)
+        raise InputError(where, "is a directory", "a file")
     if not stat.S_ISREG(state.st_mode):
         raise InputError(where, "is not a regular file (a device, a pipe or a socket)", "a file")
     if state.st_size == 0:
@@ -121,15 +117,10 @@ def content_of(path: str | Path, limits: Limits | None = None) -> Content:
         return "hdf5"
     if head[126:128] in (b"IM", b"MI") and (head[124:126] in (b"\x00\x01", b"\x01\x00")):
         return "matlab5"
-    if head.startswith(PARQUET_MAGIC):
-        return "parquet"
-    if head.startswith(MCAP_MAGIC):
-        return "mcap"
     if path.suffix.lower() in BINARY_SUFFIXES:
         raise InputError(where, f"not {BINARY_SUFFIXES[path.suffix.lower()]} (first bytes {head[:4].hex(' ')})")
     if head.startswith(b"SQLite format 3\x00"):
-        hint = "ros2 bag convert writes a ROS 2 bag of this kind (.db3) as MCAP"
-        raise InputError(where, "an SQLite database", _FORMATS, hint)
+        raise InputError(where, "an SQLite database", _FORMATS)
     if head.startswith(b"PK\x03\x04"):
         raise InputError(
             where, "a zip archive (npz, xlsx, ...) is refused: it can hide any amount of data or code", _FORMATS
@@ -203,10 +194,10 @@ _NPY = Foreign(
 )
 _PICKLE = Foreign(
     _CODE,
-    ".parquet",
+    ".csv",
     (
         "import pandas; d = pandas.read_pickle({file!r})  # runs what is in it: only files of your own",
-        "d.to_parquet({made!r})",
+        "d.to_csv({made!r})",
     ),
 )
 _JOBLIB = _PICKLE._replace(
@@ -227,7 +218,23 @@ _SIMULINK = Foreign(
     "MATLAB",
 )
 _FEATHER = Foreign(
-    "a Feather file", ".parquet", ("import pandas; d = pandas.read_feather({file!r})", "d.to_parquet({made!r})")
+    "a Feather file",
+    ".csv",
+    ("import pandas; d = pandas.read_feather({file!r})", "d.to_csv({made!r}, index=False)"),
+)
+_PARQUET = _FEATHER._replace(
+    why="a Parquet file", lines=("import pandas; d = pandas.read_parquet({file!r})", _FEATHER.lines[1])
+)
+_MCAP = Foreign(
+    "a ROS 2 bag",
+    ".csv",
+    (
+        "from mcap_ros2.reader import read_ros2_messages as read; import numpy",
+        (
+            "numpy.savetxt({made!r}, [(m.log_time_ns / 1e9, m.ros_msg.data) for m in read({file!r}, '/TOPIC')], "
+            "delimiter=',', header='t,u', comments='')"
+        ),
+    ),
 )
 _TDMS = Foreign(
     "a LabVIEW file",
@@ -260,6 +267,8 @@ UNREAD = {
     **dict.fromkeys((".xlsx", ".xlsm", ".xls", ".ods"), _SHEET),
     **dict.fromkeys((".slx", ".mdl"), _SIMULINK),
     **dict.fromkeys((".feather", ".arrow"), _FEATHER),
+    ".parquet": _PARQUET,
+    ".mcap": _MCAP,
     ".tdms": _TDMS,
     **dict.fromkeys((".mf4", ".mdf"), _MDF),
 }

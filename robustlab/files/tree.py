@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -189,12 +189,6 @@ def text_attr(attrs: dict[str, Any], name: str) -> str | None:
     """The text attribute ``name``, or None where it is absent or no text."""
     value = np.asarray(attrs[name]) if name in attrs else np.zeros(0)
     return str(value.flat[0]) if value.dtype.kind == "U" and value.size == 1 else None
-
-
-def table_of(told: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """The entry ``name`` where it is a table, else an empty one: what others wrote need not be what we expect."""
-    value = told.get(name)
-    return value if isinstance(value, dict) else {}
 
 
 def stamp(tree: Tree, kind: str, provenance: Provenance) -> None:

@@ -160,8 +160,8 @@ def read(
     """Like `load`, but with what is known about the file, and for a pair file with both models."""
     where = str(path)
     content = content_of(path, limits)
-    if content in ("text", "parquet", "mcap"):
-        if content == "text" and is_json(path):
+    if content == "text":
+        if is_json(path):
             from robustlab.storage.controllers import read_controller_json
 
             if group or transpose:

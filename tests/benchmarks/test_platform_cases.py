@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics import DryFriction
-from robustlab.dynamics.stewart import simulate_platform_with_friction
 
 pytest.importorskip("pinocchio")
 
@@ -54,20 +52,18 @@ def test_without_effects_it_moves_as_the_plant(motors, size, crooked):
         np.testing.assert_allclose(found.rates[:, i], expected[f"phidot_{i + 1}"], rtol=0, atol=2e-6)
 
 
-def test_dry_friction_agrees_with_another_scheme():
-    """robustlab's own stepping of sets (Moreau) is of first order across events: its miss shrinks with its step."""
+def test_dry_friction_agrees_with_the_package():
     plant, of = machine(False)
     t, u = inputs(plant, 80, 0.01)
     of = replace(of, drives=of.drives.at(2, coulomb=0.03).at(4, coulomb=0.07))
     found = run(of, u)
     assert found.stuck[:, 4].mean() > 0.1, found.stuck.mean(axis=0)
-    friction = [DryFriction("phidot_3", 0.03), DryFriction("phidot_5", 0.07)]
-    misses = []
-    for step in (1e-3, 2.5e-4):
-        other = simulate_platform_with_friction(plant, friction, t, u, rl.trim(plant, pose=POSE), step=step)
-        misses.append(np.abs(other.x[:, :6] - found.phi).max())
-    assert misses[1] < 0.6 * misses[0]
-    assert misses[1] < 5e-3 * np.ptp(found.phi[:, 2])
+    rubbing = rl.with_effects(
+        plant, {"coulomb-friction@phidot_3": {"Fc": 0.03}, "coulomb-friction@phidot_5": {"Fc": 0.07}}
+    )
+    other = rl.simulate(rubbing, t, u, x0=rl.trim(plant, pose=POSE), step=1e-4)
+    for i in range(6):
+        np.testing.assert_allclose(found.phi[:, i], other[f"phi_{i + 1}"], rtol=0, atol=2e-3 * np.ptp(found.phi[:, 2]))
 
 
 def test_what_is_held_stays_and_what_is_not_moves():

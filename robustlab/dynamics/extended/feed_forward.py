@@ -16,25 +16,21 @@ the wrong sign until it does.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.checks import number as checked
 from robustlab.errors import InputError
 from robustlab.shown import Facts, number
 from robustlab.signals import Signal
 from robustlab.statespace import real_array
 
 ALONG = 1e-9  # share of a force that may point elsewhere than the input's: rounding of the plant's matrices
-
-WHOLE = 0.1  # of a wave, by which a fitted number of waves may be off
 
 
 class Wave(NamedTuple):
@@ -100,28 +96,6 @@ class FeedForward:
     def largest(self) -> float:
         """A bound of its magnitude, in the unit of the input."""
         return sum(math.hypot(c, s) for c, s, _ in self.waves) + sum(abs(level) + abs(b) for level, b, _ in self.dry)
-
-    def periodic(self, period: float, about: float) -> FeedForward:
-        """The same with whole numbers of waves a period, such as a turn, 2 pi.
-
-        A fit tells the number of waves no better than the records are long. What repeats by nature holds everywhere
-        only as a whole number; far from the records the fitted one is out of phase.
-
-        ``period``: in units of the position. ``about``: where the waves keep their phase, the middle of the records.
-
-        Raises InputError: a period that is not positive; a wave further than a tenth from a whole number, or slower.
-        """
-        where = "feed-forward: period"
-        period = checked(where, period, "a positive number", above=0)
-        found = []
-        for c, s, k in self.waves:
-            count = k * period / (2.0 * math.pi)
-            if abs(count - round(count)) > WHOLE or (k and not round(count)):
-                raise InputError(where, f"{count:.4g} waves in {period:g}", "a whole number of them, within 0.1")
-            whole = 2.0 * math.pi * round(count) / period
-            turned = complex(c, -s) * cmath.exp(1j * (k - whole) * about)  # c cos + s sin = Re (c - i s) e^(i k q)
-            found.append(Wave(turned.real, -turned.imag, whole))
-        return replace(self, waves=tuple(found))
 
     def facts(self) -> Facts:
         """What it is made of."""

@@ -137,7 +137,7 @@ def linear_actuator(**given: Any) -> LinearPlant:
         = K_m i - K_f \omega, \qquad L \frac{di}{dt} = u - R i - K_b \omega, \qquad h = \frac{\mathrm{lead}}{2 \pi n}
 
     The nut turns, the screw and the cart slide, the wheels of the gear are massless, the axis lies level (no gravity),
-    and the only friction is the motor's viscous one; dry friction is added by `robustlab.dynamics.dry_friction`.
+    and the only friction is the motor's viscous one; dry friction is added by `rl.with_effects`.
 
     Plant with input u [V], outputs and states phi [rad], omega [rad/s], i [A], all of the motor.
 

@@ -22,7 +22,6 @@ from robustlab.dynamics.stewart.rigid_body import (
     kinetic_energy,
     mass_matrix,
     potential_energy,
-    simulate_platform_with_friction,
     trim_torque,
 )
 from robustlab.dynamics.stewart.stewart_platform import LinearModels, StewartPlatform, linear_models, stewart_platform
@@ -45,7 +44,6 @@ __all__ = [
     "mass_matrix",
     "nut_angles",
     "potential_energy",
-    "simulate_platform_with_friction",
     "singularity",
     "stewart_platform",
     "trim_torque",

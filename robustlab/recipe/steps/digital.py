@@ -1,13 +1,14 @@
-"""The step that takes a controller out of the computer: files for other programs."""
+"""Steps for the controller on the machine: files for other programs, and feed-forward of named effects."""
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.doors.vocabulary import RefersTo, ToController
+from robustlab.doors.vocabulary import RefersTo, ToController, ToPlantOrFile
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, step
 
@@ -68,3 +69,26 @@ class ExportStep(Step):
         numbers = {"order": K.n_states, "dt": K.dt, "sha256": digests}
         names = ", ".join(f"{work.step}{suffix}" for suffix in FORMATS)
         return Outcome(work.folder / f"{work.step}.h5", f"{self.of} written to {names}.", numbers, facts)
+
+
+@step
+class FeedForwardStep(Step):
+    """The input that a motion needs because of named effects, from its reference."""
+
+    gives: ClassVar[str] = "feed-forward"
+    leaves: ClassVar[Any] = {"largest": float, "waves": [float], "counts": ["1"], "dry": float, "left": float}
+    do: Literal["feed-forward"]
+    of: ToPlantOrFile = Field(description="A discover step, or a plant with effects.")
+
+    def run(self, work: Workspace) -> Outcome:
+        """Numbers in units of the input: ``largest``, a bound; ``waves`` (amplitudes) with ``counts`` in 2 pi of the
+        position, ``dry``, the level of the dry friction, ``left``, what fitted intervals leave open of the largest.
+        """
+        from robustlab.dynamics.extended.feed_forward import feed_forward
+
+        found = feed_forward(work.values[self.of])
+        numbers = {
+            "largest": found.largest, "waves": [math.hypot(w.c, w.s) for w in found.waves],
+            "counts": [w.k for w in found.waves], "dry": sum(d.level for d in found.dry), "left": found.left,
+        }  # fmt: skip
+        return Outcome(found, f"Feed-forward of {self.of}.", numbers, facts_of(found))

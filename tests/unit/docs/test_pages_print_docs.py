@@ -42,16 +42,6 @@ def test_the_page_prints_what_it_says(name, capsys):
             assert differing(capsys.readouterr().out, parts[k + 1][1]) == []
 
 
-def test_the_page_of_the_measured_motor_prints_what_it_says(tmp_path, monkeypatch, capsys):
-    page = (DOCS / "measured-motor.md").read_text(encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    names: dict = {}
-    for code in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
-        exec(code, names)
-    said = "".join(re.findall(r"```text\n(.*?)```", page, flags=re.DOTALL))
-    assert differing(capsys.readouterr().out, said) == []
-
-
 def test_the_figures_of_gain_scheduling_are_those_of_its_benchmark():
     page = (DOCS / "gain-scheduling.md").read_text(encoding="utf-8")
     results = (DOCS.parent / "benchmarks" / "results" / "scheduling.txt").read_text(encoding="utf-8")

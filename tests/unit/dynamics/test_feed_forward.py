@@ -71,20 +71,6 @@ def test_the_exact_feed_forward_keeps_the_machine_on_its_reference():
     assert np.abs(without - way).max() > 0.5
 
 
-def test_whole_waves_a_turn_keep_their_phase_where_the_records_are():
-    """k = 6.9977 at 3000 rad and 7 there are the same; far from there only the second is what repeats every turn."""
-    fitted = feed_forward(motor(cogging={"Ac": 0.013, "As": -0.05, "k": 6.9977}))
-    whole = fitted.periodic(2 * math.pi, 3000.0)
-    near = 3000.0 + np.linspace(-0.5, 0.5, 7)
-    np.testing.assert_allclose(whole(near, 0 * near), fitted(near, 0 * near), atol=0.0023 * 0.5 * whole.largest)
-    assert whole(0.3, 0.0) == pytest.approx(float(whole(0.3 + 400 * math.pi, 0.0)), abs=1e-10)
-    assert whole.largest == pytest.approx(fitted.largest)
-    with pytest.raises(InputError, match="whole number"):
-        feed_forward(motor(cogging={"Ac": 0.01, "As": 0.0, "k": 6.5})).periodic(2 * math.pi, 0.0)
-    with pytest.raises(InputError):
-        fitted.periodic(-1.0, 0.0)
-
-
 @pytest.mark.parametrize(
     ("plant", "says"),
     [

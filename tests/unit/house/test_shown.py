@@ -401,21 +401,19 @@ def test_the_callers_settings_stay(make):
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in ("Record", "Trim")])
-def test_tables_become_frames_and_data_sets(name, make):
+def test_tables_become_frames(name, make):
     shown = make(name)
     if not isinstance(shown, Tabular):
         assert not hasattr(shown, "to_pandas")
         return
     table = shown.table()
-    frame, data = shown.to_pandas(), shown.to_xarray()
+    frame = shown.to_pandas()
     assert list(frame.columns) == list(table.columns)
-    assert frame.index.name == table.index[0] == next(iter(data.dims))
+    assert frame.index.name == table.index[0]
     assert frame.attrs["units"] == dict(table.units)
     assert set(table.units) <= {*table.columns, table.index[0]}
     for key, values in table.columns.items():
         np.testing.assert_array_equal(np.asarray(frame[key]), np.asarray(values))
-        np.testing.assert_array_equal(data[key].values, np.asarray(values))
-        assert data[key].attrs.get("units", "") == table.units.get(key, "")
 
 
 def test_the_table_of_a_margin_is_its_curves(make):
@@ -439,10 +437,9 @@ def test_a_full_block_has_a_column_for_each_entry():
 
 def test_without_pandas_it_is_said_how_to_get_it(make, monkeypatch):
     monkeypatch.setattr(record_source.importlib.util, "find_spec", lambda name: None)
-    for ask in (make("Margin").to_pandas, make("Margin").to_xarray):
-        with pytest.raises(DependencyMissing, match="needs the package") as error:
-            ask()
-        assert "robustlab[frames]" in str(error.value)
+    with pytest.raises(DependencyMissing, match="needs the package") as error:
+        make("Margin").to_pandas()
+    assert "robustlab[frames]" in str(error.value)
 
 
 # --- words ------------------------------------------------------------------------------------------------------------

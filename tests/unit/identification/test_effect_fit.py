@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle.stick_slip import stick_slip
 
 import robustlab as rl
-from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.experiment.experiment_bench import _told_by_output
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
@@ -359,7 +359,7 @@ def test_tied_parameters_of_a_motor_are_found():
 @cache
 def with_friction():
     true = AXIS.with_parameters(M=1.03 * AXIS.values["M"])
-    return simulate_with_friction(true, DryFriction("v", 20.0), T, U).record
+    return stick_slip(true, "v", 20.0, T, U).record
 
 
 def test_coulomb_friction_is_found_in_an_event_driven_simulation():

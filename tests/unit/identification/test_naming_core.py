@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from oracle.stick_slip import stick_slip
 
 import robustlab as rl
-from robustlab.dynamics.dry_friction import DryFriction, simulate_with_friction
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import port_model
@@ -54,7 +54,7 @@ def plain(**kwargs):
 @cache
 def rubbing(seed=0, u_sign=1.0):
     """The axis with 20 N of Coulomb friction, by an event-driven integrator."""
-    return noisy(simulate_with_friction(AXIS, DryFriction("v", 20.0), T, u_sign * U).record, seed=seed)
+    return noisy(stick_slip(AXIS, "v", 20.0, T, u_sign * U).record, seed=seed)
 
 
 def problem_of(record, length=100) -> tuple[Problem, dict[str, Candidate]]:
@@ -342,7 +342,7 @@ def test_a_record_of_gaps_alone_is_refused():
 
 def test_a_record_with_a_jittering_clock_is_named():
     t = T + 0.2 * DT * np.random.default_rng(6).uniform(-1, 1, N)
-    run = noisy(simulate_with_friction(AXIS, DryFriction("v", 20.0), t, U).record, name="jitter")
+    run = noisy(stick_slip(AXIS, "v", 20.0, t, U).record, name="jitter")
     assert not run.is_uniform
     found = discovered(run)
     assert found.names[:1] == ("coulomb-friction",)

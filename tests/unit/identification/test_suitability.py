@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracle.stick_slip import stick_slip
 
 import robustlab as rl
-from robustlab.dynamics import DryFriction, simulate_with_friction
 from robustlab.identification.record_check.channel_identity import derivative_pairs, derivative_slope, unit_factors
 from robustlab.identification.record_check.suitability import quantisation_step, suitability
 
@@ -34,7 +34,7 @@ MOTOR, AXIS = rl.plant("dc-motor"), rl.plant("servo-axis")
 
 def measured(plant, u, friction=None, outputs=None, noise=2e-3, t=T):
     """A record of the plant, with dry friction that the plant does not know, and noise of 0.2 % of the range."""
-    run = simulate_with_friction(plant, friction, t, u).record if friction else rl.simulate(plant, t, u)
+    run = stick_slip(plant, *friction, t, u).record if friction else rl.simulate(plant, t, u)
     rng = np.random.default_rng(1)
     names = outputs or tuple(run.outputs)
     channels = {n: run[n] + noise * np.ptp(run[n]) * rng.standard_normal(len(t)) for n in names}
@@ -69,7 +69,7 @@ def wrong(plant, record):
 @pytest.mark.parametrize("kind", INPUTS)
 @pytest.mark.parametrize(
     ("plant", "friction", "amplitude"),
-    [(MOTOR, None, 12.0), (MOTOR, DryFriction("omega", 0.02), 12.0), (AXIS, DryFriction("v", 10.0), 1.5)],
+    [(MOTOR, None, 12.0), (MOTOR, ("omega", 0.02), 12.0), (AXIS, ("v", 10.0), 1.5)],
 )
 def test_a_motion_measured_with_the_wrong_sign_or_name_contradicts_its_own_derivative(plant, friction, amplitude, kind):
     record = measured(plant, INPUTS[kind](amplitude), friction)
@@ -80,7 +80,7 @@ def test_a_motion_measured_with_the_wrong_sign_or_name_contradicts_its_own_deriv
     assert wrong(plant, swapped(record, position, speed)) == [("swapped-outputs", f"{position}, {speed}")]
 
 
-@pytest.mark.parametrize("friction", [None, DryFriction("omega", 0.02)])
+@pytest.mark.parametrize("friction", [None, ("omega", 0.02)])
 @pytest.mark.parametrize(
     ("factors", "kind", "channel", "unit"),
     [
@@ -105,7 +105,7 @@ def test_the_channel_and_its_unit_are_named(factors, kind, channel, unit, fricti
 @pytest.mark.parametrize("kind", INPUTS)
 @pytest.mark.parametrize(("factor", "found"), [(-1.0, "sign"), (DEGREES, "unit"), (1e3, "unit")])
 def test_with_one_output_the_record_cannot_say_which_of_the_two_is_wrong(kind, factor, found):
-    record = measured(MOTOR, INPUTS[kind](12.0), DryFriction("omega", 0.02), ("phi",))
+    record = measured(MOTOR, INPUTS[kind](12.0), ("omega", 0.02), ("phi",))
     assert wrong(MOTOR, record) == []
     assert wrong(MOTOR, changed(record, phi=factor)) == [(found, "phi, u")]
 
@@ -138,7 +138,7 @@ def test_inputs_swapped_or_turned():
 @pytest.mark.parametrize("outputs", [("phi",), ("phi", "omega", "i")])
 def test_gain_errors_are_no_units(kind, gain, outputs):
     """The user's model has the wrong gain from voltage to everything."""
-    record = measured(MOTOR, INPUTS[kind](12.0), DryFriction("omega", 0.01), outputs)
+    record = measured(MOTOR, INPUTS[kind](12.0), ("omega", 0.01), outputs)
     assert wrong(MOTOR, changed(record, u=gain)) == []
 
 
@@ -146,7 +146,7 @@ def test_gain_errors_are_no_units(kind, gain, outputs):
 @pytest.mark.parametrize("share", [0.6, 0.9, 1.2])
 def test_friction_up_to_sticking(kind, share):
     """Dry friction of up to more than the input can overcome; the voltage still goes where the model says."""
-    friction = DryFriction("v", share * 1.5 * 35.15)
+    friction = ("v", share * 1.5 * 35.15)
     for outputs in (("q",), ("q", "v")):
         record = measured(AXIS, INPUTS[kind](1.5), friction, outputs, noise=0.0)
         noise = 1e-6 * np.random.default_rng(2).standard_normal((len(outputs), record.n))
@@ -168,12 +168,12 @@ def test_a_spring_that_the_model_lacks_is_no_turned_sign():
 def test_a_delay_is_no_turned_sign(samples):
     u = levels(12.0)
     late = np.concatenate([np.zeros(samples), u[:-samples]])
-    record = measured(MOTOR, late, DryFriction("omega", 0.01))
+    record = measured(MOTOR, late, ("omega", 0.01))
     assert wrong(MOTOR, rl.Record(T, {"u": u}, record.outputs, record.units, "late")) == []
 
 
 def test_a_sensor_gain_of_8_percent_and_a_bias_are_left_to_naming():
-    record = measured(MOTOR, levels(12.0), DryFriction("omega", 0.02))
+    record = measured(MOTOR, levels(12.0), ("omega", 0.02))
     biased = {**changed(record, phi=1.08, omega=0.92).outputs}
     biased["omega"] = biased["omega"] + 5.0
     assert wrong(MOTOR, rl.Record(T, record.inputs, biased, record.units, "biased")) == []
