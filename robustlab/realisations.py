@@ -26,6 +26,8 @@ from robustlab.linear_analysis.structural import hidden_unstable, least_order
 from robustlab.signals import SignalLike, is_constant, real_array
 from robustlab.statespace import StateSpaceModel, as_model, parallel
 
+Part = tuple[Array, Array, Array]  # A, B, C
+
 # A pole is sensitive where one rounding of each coefficient moves it by more than the first share of its modulus, or
 # the second share of its distance to the stability boundary. Poles nearer than the third share count as on it.
 SENSITIVE, NEARER, ON_IT = 1e-3, 0.1, 1e-6
@@ -101,17 +103,15 @@ def tf(
     ]
     for a in {tuple(a): a for row in entries for _, a in row}.values():
         _warn_of_sensitive_poles(a, dt)
+    D = [[b[0] for b, _ in row] for row in entries]
     by_column = _of_columns(entries)
-    by_row = _of_columns([list(column) for column in zip(*entries, strict=True)])
-    if len(by_row[0]) < len(by_column[0]):
-        A, B, C, D = by_row[0].T, by_row[2].T, by_row[1].T, by_row[3].T
-    else:
-        A, B, C, D = by_column
-    model = StateSpaceModel(A, B, C, D, dt, inputs, outputs, where="tf")
     if not several:
-        return model
+        A, B, C = by_column[0] if by_column else (np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)))
+        return StateSpaceModel(A, B, C, D, dt, inputs, outputs, where="tf")
+    by_row = [(A.T, C.T, B.T) for A, B, C in _of_columns([list(column) for column in zip(*entries, strict=True)])]
+    parts = min(by_column, by_row, key=lambda parts: sum(len(A) for A, _, _ in parts))
     alone = {(i, j): _of_columns([[entry]]) for i, row in enumerate(entries) for j, entry in enumerate(row)}
-    return _without_copies(model, {at: StateSpaceModel(*parts, dt) for at, parts in alone.items()}, "tf")
+    return _least(parts, D, alone, dt, inputs, outputs, "tf")
 
 
 @told_as("zpk")
@@ -169,12 +169,11 @@ def zpk(
             for i, row in enumerate(zip(*rows, strict=True))
             for j, (z, p) in enumerate(zip(*row, strict=True))
         }
-        total = StateSpaceModel([], [], [], 0 * k, dt)
+        D, parts = np.zeros(k.shape), list[Part]()
         for (i, j), entry in entries.items():
-            into, of = np.eye(k.shape[1])[[j]], np.eye(k.shape[0])[:, [i]]
-            total = parallel(total, StateSpaceModel(entry.A, entry.B @ into, of @ entry.C, of @ entry.D @ into, dt))
-        named = StateSpaceModel(total.A, total.B, total.C, total.D, dt, inputs, outputs, where="zpk")
-        return _without_copies(named, entries, "zpk")
+            D[i, j] = entry.D.item()
+            parts.append((entry.A, entry.B * np.eye(k.shape[1])[j], entry.C * np.eye(k.shape[0])[:, [i]]))
+        return _least(parts, D, {at: [(m.A, m.B, m.C)] for at, m in entries.items()}, dt, inputs, outputs, "zpk")
     if max(levels) > 1:
         found = f"zeros nested {levels[0]} deep, poles {levels[1]} deep"
         raise InputError("zpk", found, "two lists of numbers, or of several channels zeros[i][j] and poles[i][j]")
@@ -276,19 +275,28 @@ def _check_rows(names: str, first: list[list[Any]], second: list[list[Any]]) -> 
         raise InputError(where, f"rows of {names} of different lengths", "as many entries in each row as inputs")
 
 
-def _without_copies(
-    model: StateSpaceModel, entries: dict[tuple[int, int], StateSpaceModel], where: str
-) -> StateSpaceModel:
-    """Reduce a model that is made of its entries to least order, and warn of what an entry itself cancels."""
-    found = least_order(model).model
+def _least(
+    parts: list[Part], D: Any, entries: dict[tuple[int, int], list[Part]], dt: float, inputs: Any, outputs: Any,
+    where: str,
+) -> StateSpaceModel:  # fmt: skip
+    """Sum up parts of a transfer matrix, pair by pair, each sum in least order; warn of what an entry itself cancels.
+
+    ``entries``: the realisation of each entry alone.
+    """
+    zero = np.zeros(np.shape(D))
+    models = [StateSpaceModel(*part, zero, dt) for part in parts] or [StateSpaceModel([], [], [], zero, dt)]
+    while len(models) > 1:
+        pairs = [models[k : k + 2] for k in range(0, len(models), 2)]
+        models = [least_order(parallel(*pair)).model if len(pair) > 1 else pair[0] for pair in pairs]
+    found = least_order(models[0]).model
     for (i, j), entry in entries.items():
-        near = LOST * float(np.linalg.norm(entry.A)) if entry.n_states else 0.0
-        for mode in hidden_unstable(entry):
+        for mode in (mode for part in entry for mode in hidden_unstable(StateSpaceModel(*part, [[0.0]], dt))):
+            near = LOST * sum(float(np.linalg.norm(A)) for A, _, _ in entry)
             if not (np.abs(found.poles() - mode.eigenvalue) <= near).any():
                 words = mode.meaning.partition(" in ")[0]
                 text = f"{where}: [{i}][{j}]: a zero cancels the {words}: the model is without it"
                 warnings.warn(text, stacklevel=4)  # the caller of rl.tf
-    return StateSpaceModel(found.A, found.B, found.C, found.D, model.dt, model.inputs, model.outputs, where=where)
+    return StateSpaceModel(found.A, found.B, found.C, D, dt, inputs, outputs, where=where)
 
 
 def _warn_of_sensitive_poles(den: Array, dt: float) -> None:
@@ -401,13 +409,10 @@ def _proper(num: Any, den: Any, where: str) -> tuple[Array, Array]:
     return b, a
 
 
-def _of_columns(entries: list[list[tuple[Array, Array]]]) -> tuple[Array, Array, Array, Array]:
-    """A, B, C, D of entries [i][j]: in each column one controllable form for each denominator."""
-    from scipy.linalg import block_diag
-
+def _of_columns(entries: list[list[tuple[Array, Array]]]) -> list[Part]:
+    """Realise entries [i][j] without their direct terms: in each column one controllable form for each denominator."""
     p, m = len(entries), len(entries[0])
-    D = np.array([[b[0] for b, _ in row] for row in entries])
-    As, Bs, Cs = [np.zeros((0, 0))], [np.zeros((0, m))], [np.zeros((p, 0))]
+    parts = list[Part]()
     for j in range(m):
         column = [row[j] for row in entries]
         for a in {tuple(a): a for _, a in column if len(a) > 1}.values():
@@ -422,7 +427,5 @@ def _of_columns(entries: list[list[tuple[Array, Array]]]) -> tuple[Array, Array,
             t = balancing_factors(A)
             A, B, C = A * t / t[:, None], B / t[:, None], C * t
             even = np.exp2(np.round(0.5 * (np.log2(np.abs(B).max()) - np.log2(np.abs(C).max()))))
-            As.append(A)
-            Bs.append(B / even)
-            Cs.append(C * even)
-    return np.asarray(block_diag(*As)), np.vstack(Bs), np.hstack(Cs), D
+            parts.append((A, B / even, C * even))
+    return parts

@@ -162,7 +162,10 @@ def reduce_model(
 def minimal(
     system: Of,
     tolerance: Annotated[
-        float | None, Number(above=0), "Singular values of the scaled staircase up to this count as zero."
+        float | None,
+        Number(above=0, below=1),
+        "Singular values of the scaled staircase up to this count as zero.",
+        Named(option="--rank-tolerance"),
     ] = None,
 ) -> Any:
     """The model without modes that no input moves or no output shows, unstable ones too; with the certified error.

@@ -371,6 +371,7 @@ class _Reached:
         order = np.asarray(qr(v.T, mode="r", pivoting=True)[-1])
         kept, rest = np.sort(order[:rank]), np.sort(order[rank:])
         share = np.linalg.solve(v[kept].T, v[rest].T).T
+        share[np.abs(share) <= ROUNDING * len(v)] = 0.0
         short = np.ldexp(np.rint(np.ldexp(share, SHORT)), -SHORT)
         mixed = np.where(np.abs(share - short) <= ROUNDED, short, share)
         size = np.abs(self.b).max(axis=0, initial=0.0)
@@ -424,14 +425,22 @@ def least_order(model: StateSpaceModel, tolerance: float | None = None) -> Least
     first = _Reached.of(model.A, model.B, tolerance)
     t, kept = first.basis()
     names = [model.states[k] for k in kept]
-    reached = replace(model, A=(model.A @ t)[kept], B=model.B[kept], C=model.C @ t, states=names, operating_point=None)
+    A, C = _product(model.A[kept], t), _product(model.C, t)
+    reached = replace(model, A=A, B=model.B[kept], C=C, states=names, operating_point=None)
     second = _Reached.of(reached.A.T, reached.C.T, tolerance)
     s, kept = second.basis()
-    least = replace(reached, A=(s.T @ reached.A)[:, kept], B=s.T @ reached.B, C=reached.C[:, kept],
-                    states=[reached.states[k] for k in kept] if np.count_nonzero(s) == len(kept) else None)  # fmt: skip
+    names = [reached.states[k] for k in kept] if np.count_nonzero(s) == len(kept) else None
+    A, B = _product(reached.A[:, kept].T, s).T, _product(reached.B.T, s).T
+    least = replace(reached, A=A, B=B, C=reached.C[:, kept], states=names)
     hidden = first.modes(model, "controllability") + second.modes(reached, "observability")
     dropped = max(first.stairs.largest_dropped, second.stairs.largest_dropped)
     return LeastOrder(least, model, reached, t, s.T, hidden, dropped, first.clear and second.clear)
+
+
+def _product(a: Array, t: Array) -> Array:
+    """Multiply, with zeros where the terms cancel: no scaling shall take their rounding for a connection."""
+    found = a @ t
+    return np.where(np.abs(found) <= ROUNDING * (np.abs(a) @ np.abs(t)), 0.0, found)
 
 
 def hidden_unstable(model: StateSpaceModel) -> tuple[HiddenMode, ...]:

@@ -96,6 +96,7 @@ CALLS: dict[str, Any] = {
     "performance_weight": lambda: {"bandwidth": 1.0},
     "RealScalar": lambda: {"name": "a"},
     "Record": lambda: {"t": [0.0, 0.1], "inputs": {"u": [0.0, 1.0]}, "outputs": {"y": [0.0, 1.0]}},
+    "minimal": lambda: {"model": TWO},
     "reduce_model": lambda: {"model": TWO, "order": 1},
     "reduce_model of a set": lambda: {"model": made.spring(), "tolerance": 1e-9},
     "robust_gain": lambda: {"uncertain": made.first_order(), "level": 4.0},
@@ -149,6 +150,7 @@ CALLS: dict[str, Any] = {
     "robust_stability of natures": lambda: {
         "system": made.first_order(), "natures": {"pole": rl.Varying(0.1)}, "order": 0,
     },
+    "zpk": lambda: {"zeros": [], "poles": [-1.0], "gain": 2.0},
 }  # fmt: skip
 # What nothing is: no number, word, list, mapping, array or model can stand for all arguments.
 BAD: tuple[Any, ...] = (
