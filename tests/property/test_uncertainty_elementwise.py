@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.elementwise import STRUCTURES, elementwise, endpoint_residual
 
-pytestmark = pytest.mark.filterwarnings("ignore:elementwise")  # equal and unstable pairs
 SETTINGS = settings(max_examples=50, deadline=None, derandomize=True)
 
 sizes = st.tuples(st.integers(0, 6), st.integers(0, 3), st.integers(0, 3))

@@ -225,11 +225,13 @@ class Discovery(Tabular, Evidence):
             )
             for e in self.effects
         ]
+        refitted = [(p.name, with_interval(p)) for p in self.nominal if not self.effects]
         open_kinds = [(k.words, kind_words(k)) for k in self.kinds if not k.settled]
         return [
             ("verdict", self.verdict if self.complete else f"{self.verdict}, incomplete: structure remains"),
             *open_kinds,
             *named,
+            *refitted,
             ("not told apart from", listed(r.title for r in self.rivals)),
             ("also detectable", listed(f"{e.title} at {e.site}" for e in self.also_detectable)),
             ("error on held-out data", f"{percent(self.gap_before)} -> {percent(self.gap_after)} of the range"),

@@ -75,7 +75,7 @@ def summary_of(d: Any, details: bool) -> str:
         lines += ["what the records leave open (3 noise sigmas tell):", *(_set_line(p) for p in shown)]
         lines += [f"  and {left} more" for left in [len(d.collection) - len(shown)] if left]
     lines += ["", *_gap_lines(d), "", *_remaining_lines(d, details)]
-    lines += [_nominal_line(p) for p in d.nominal if p.beyond and not details]
+    lines += [_nominal_line(p) for p in d.nominal if (p.beyond or not d.effects) and not details]
     if not details:
         rest = "all that it rests on: --details, summary(details=True)"
         return "\n".join([*lines, f"next: {_next(d)}", f"named in {d.seconds:.3g} s; {rest}"])

@@ -184,14 +184,15 @@ class ClassicalMargins(Shown):
 
     def facts(self) -> Facts:
         """What every loop alone tolerates, and the margins of each."""
-        told = [("loop", self.loop), ("at", AT[self.at]), ("closed loop", "stable" if self.stable else "unstable")]
-        if self.stable and self.phase is not None:
+        told = [("closed loop", "stable" if self.stable else "unstable")]
+        low, high = self.gain_low, self.gain_high
+        if self.stable and self.phase is not None and low is not None and high is not None:
             told += [
-                ("gain may rise", f"{number(self.gain_high)} times"),
-                ("gain may fall", f"to {number(self.gain_low)} of it"),
-                ("phase may change", f"{number(self.phase, 'rad')} ({in_degrees(self.phase)})"),
-                ("delay may grow", number(self.delay, "s")),
+                ("gain margin", f"factors {number(low)} .. {number(high)}{in_decibels(low, high)}"),
+                ("phase margin", f"{in_degrees(self.phase)} ({number(self.phase, 'rad')})"),
+                ("delay margin", number(self.delay, "s")),
             ]
+        told += [("loop", self.loop), ("at", AT[self.at])]
         every = [(name, "; ".join(f"{k} {v}" for k, v in margin.facts()[:3])) for name, margin in self.channels.items()]
         return [*told, *every]
 

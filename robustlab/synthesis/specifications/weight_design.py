@@ -21,6 +21,7 @@ from robustlab import checks
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, told_as
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
+from robustlab.norms import bilinear_to_discrete
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, append, as_model, real_array, series
 from robustlab.synthesis.problem.performance_limits import performance_limits
@@ -179,17 +180,22 @@ def complementary_weight(
 
 
 @told_as("makeweight")
-def makeweight(low_gain: float, through: tuple[float, float], high_gain: float, order: int = 1) -> StateSpaceModel:
-    r"""Weight with given gains at zero and infinite frequency and at one frequency between.
+def makeweight(
+    low_gain: float, through: float | tuple[float, float], high_gain: float, dt: float = 0.0, order: int = 1
+) -> StateSpaceModel:
+    r"""Weight with given gains at zero and infinite frequency and at one frequency between, as MATLAB's makeweight.
 
     .. math:: W(s) = \left(\frac{h^{1/k} s + l^{1/k} p}{s + p}\right)^k, \qquad |W(j\omega_c)| = c
 
     Parameters
     ----------
     low_gain, high_gain
-        l and h, positive.
+        l and h, positive; of a discrete weight h is the gain at the Nyquist frequency.
     through
-        ``(omega_c, c)``: frequency in rad/s and the gain there, between the other two.
+        ``omega_c``, the frequency in rad/s at which the gain is 1, or ``(omega_c, c)`` for the gain c there, between
+        the other two.
+    dt
+        Sample time in s of a discrete weight (Tustin's rule, exact at omega_c); 0 for a continuous one.
     order
         k: how steep.
 
@@ -201,26 +207,37 @@ def makeweight(low_gain: float, through: tuple[float, float], high_gain: float, 
     Raises
     ------
     InputError
-        Gains that are not positive, or the middle one not between the others.
+        Gains that are not positive, the middle one not between the others, a frequency not below pi / dt.
 
     Examples
     --------
     >>> W = makeweight(100.0, (2.0, 1.0), 0.1)
     >>> float(W.dc_gain()[0, 0]), round(float(abs(frequency_response(W, [2.0])[0, 0, 0])), 12), float(W.D[0, 0])
     (100.0, 1.0, 0.1)
+
+    MATLAB's form with the frequency at which the gain is 1:
+
+    >>> round(float(abs(makeweight(100.0, 1.0, 0.5)(1j)[0, 0])), 12)
+    1.0
     """
     where = "makeweight"
     try:
-        omega, gain = (float(x) for x in through)
+        omega, gain = (float(x) for x in (through if np.ndim(through) else (through, 1.0)))  # pyright: ignore
     except (TypeError, ValueError):
-        raise InputError(where, f"through is {through!r}", "a frequency and the gain there") from None
+        raise InputError(where, f"through is {through!r}", "a frequency, or a frequency and the gain there") from None
     _positive(where, low_gain=low_gain, high_gain=high_gain, frequency=omega, gain=gain)
     if not min(low_gain, high_gain) < gain < max(low_gain, high_gain):
         raise InputError(where, f"gain {gain:g} at {omega:g} rad/s", f"between {low_gain:g} and {high_gain:g}")
     _order(where, order)
+    if dt:
+        _positive(where, dt=dt)
+        if not omega * dt < np.pi:
+            raise InputError(where, f"frequency {omega:g} rad/s", f"below pi / dt = {np.pi / dt:g} rad/s")
+        omega = 2 / dt * np.tan(omega * dt / 2)
     low, middle, high = (x ** (1 / order) for x in (low_gain, gain, high_gain))
     pole = omega * np.sqrt((middle - high) / (low - middle) * ((middle + high) / (low + middle)))
-    return _repeated(_lag(high, (low - high) * pole, pole), order)
+    factor = _lag(high, (low - high) * pole, pole)
+    return _repeated(bilinear_to_discrete(factor, dt) if dt else factor, order)
 
 
 def _lead(gain: float, zero: float, pole: float) -> StateSpaceModel:

@@ -233,6 +233,14 @@ def test_a_parameter_beyond_its_tolerance_is_told_and_nothing_else_is_claimed():
     assert "0 -> 0.7 N s/m (95 %: 0.5 to 0.9): within its tolerance of 1 N s/m" in made(nominal=(zero,)).summary(True)
 
 
+def test_refitted_parameters_are_printed_where_no_effect_is_named():
+    refitted = NominalValue("M", 130.0, 128.0, "kg", 127.0, 129.0, 0.05, False)
+    alone = made(nominal=(refitted,), effects=())
+    assert "130 -> 128 kg (95 %: 127 to 129)" in alone.summary()
+    assert "M: 128 kg (95 %: 127 to 129)" in repr(alone)
+    assert "130 -> 128" not in made(nominal=(refitted,)).summary()
+
+
 def test_what_is_periodic_is_told_by_amplitude_and_period():
     values = {"Ac": (3.0, "N m"), "As": (-4.0, "N m"), "k": (7.0, "1/rad")}
     parts = tuple(EffectValue(name, x, unit, x - 0.1, x + 0.1, "") for name, (x, unit) in values.items())

@@ -89,7 +89,7 @@ def test_weights_on_several_channels():
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_makeweight_goes_through_its_point(order):
     for low, high in ((100.0, 0.1), (0.02, 5.0)):
-        W = makeweight(low, (3.0, 1.0), high, order)
+        W = makeweight(low, (3.0, 1.0), high, order=order)
         assert W.n_states == order
         assert W.is_stable()
         assert gain(W, 0.0) == pytest.approx(low)
@@ -97,6 +97,25 @@ def test_makeweight_goes_through_its_point(order):
         assert gain(W, np.inf) == pytest.approx(high)
         inverse = StateSpaceModel(W.A - W.B @ np.linalg.solve(W.D, W.C), W.B, W.C, W.D)
         assert inverse.is_stable()  # minimum phase
+
+
+@pytest.mark.parametrize(
+    ("arguments", "dt", "gains"),
+    [
+        ((100, 1, 0.5), 0.0, (100.0, 1.0, 0.5)),
+        ((100, [1, 3], 0.5), 0.0, (100.0, 3.0, 0.5)),
+        ((0.2, 2, 30, 0, 3), 0.0, (0.2, 1.0, 30.0)),
+        ((100, 1, 0.5, 0.1), 0.1, (100.0, 1.0, 0.5)),
+        ((100, (5, 2), 0.5, 0.1, 3), 0.1, (100.0, 2.0, 0.5)),
+    ],
+)
+def test_makeweight_as_in_matlab(arguments, dt, gains):
+    """Gains at zero frequency, at the given one, and at infinity or the Nyquist frequency."""
+    W = makeweight(*arguments)
+    assert W.dt == dt
+    frequency = np.ravel(arguments[1])[0]
+    z = (1, np.exp(1j * frequency * dt), -1) if dt else (0, 1j * frequency, 1e12)
+    assert [abs(complex(W(s)[0, 0])) for s in z] == pytest.approx(gains, rel=1e-9)
 
 
 def test_noise_weight_finds_the_filter_that_coloured_the_noise():
@@ -119,9 +138,11 @@ def test_noise_weight_finds_the_filter_that_coloured_the_noise():
         (lambda: design_weights(bandwidth=-1.0), "bandwidth"),
         (lambda: check_weights(StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])), "stable weight"),
         (lambda: makeweight(1.0, (1.0, 2.0), 0.1), "between"),
-        (lambda: makeweight(1.0, 2.0, 0.1), "through"),
+        (lambda: makeweight(1.0, (2.0, 0.5, 0.2), 0.1), "through"),
         (lambda: makeweight(-1.0, (1.0, 0.5), 0.1), "low_gain"),
-        (lambda: makeweight(1.0, (1.0, 0.5), 0.1, 0), "order"),
+        (lambda: makeweight(1.0, (1.0, 0.5), 0.1, order=0), "order"),
+        (lambda: makeweight(2.0, 4.0, 0.1, 1.0), "below pi / dt"),
+        (lambda: makeweight(2.0, 1.0, 1.5), "between"),
         (lambda: noise_weight(np.ones(5000), 0.1), "constant"),
         (lambda: noise_weight(np.arange(20.0), 0.1), "20 samples"),
         (lambda: noise_weight([np.nan] * 1000, 0.1), "NaN"),

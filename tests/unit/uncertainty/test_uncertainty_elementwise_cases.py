@@ -16,7 +16,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import generalized_plant
 from robustlab.uncertainty.elementwise import STRUCTURES, by_cause, elementwise, endpoint_residual
 
-pytestmark = pytest.mark.filterwarnings("ignore:elementwise")  # equal and unstable pairs
 A = np.array([[-6.0, 7200.0], [-84.0, -3300.0]])
 B, C, D = np.array([[0.0], [1600.0]]), np.eye(2), np.zeros((2, 1))
 SIGNALS = {
