@@ -1,9 +1,9 @@
 r"""Validation in the time domain, sample by sample: constants, systems, and both together.
 
 Systems are causal and may vary in time: cone programmes bound them from both sides. Constants are found by descent.
-From below every constant of a discrete model is allowed to be a time-varying system of the same size, a larger set, whose
-multipliers disprove a gamma; of a continuous model there is no lower bound. Where constants and systems stand side by
-side, the upper bound keeps the constants at nominal.
+From below every constant of a discrete model is allowed to be a time-varying system of the same size, a larger set,
+whose multipliers disprove a gamma; of a continuous model there is no lower bound. Where constants and systems stand
+side by side, the upper bound keeps the constants at nominal.
 """
 
 from __future__ import annotations
