@@ -1,6 +1,7 @@
 """What is said after a search: a stage that fails, an interruption and what remains never lose or inflate the names."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -88,7 +89,7 @@ def test_a_plain_listener_hears_each_part_of_the_search_once():
     texts = []
     discovered(machine(friction=20.0, seed=3), progress=texts.append)
     assert texts[-1] == "what remains"
-    assert all(a != b for a, b in zip(texts, texts[1:], strict=False))
+    assert all(a != b for a, b in pairwise(texts))
 
 
 def test_probabilities_of_a_result_sum_to_one():
