@@ -1,7 +1,7 @@
 """A campaign killed at random and resumed, against an unbroken one: the same result, and how much work was redone.
 
 ``python benchmarks/campaign_kill.py [SAMPLES] [KILLS]`` (default 100000 and 10) kills with ``kill -9``, each time at a
-random moment of the remaining work: the main process, a worker, or the main process and all workers. Every piece of
+random moment of the remaining work: the main process, or the main process and all workers. Every piece of
 work that a worker begins is written to a log (by a `sitecustomize` in its interpreter), which tells what was redone.
 Needs /proc.
 """
@@ -32,24 +32,23 @@ import os
 import sys
 import time
 
-if "robustlab.campaign.worker_process" in sys.orig_argv:
+if "--multiprocessing-fork" in sys.orig_argv:
     from robustlab.campaign import evaluation
 
-    original = evaluation.perform
+    original = evaluation.compute
 
     def open_below():
         with open(os.environ["PIECES_GATE"], encoding="utf-8") as gate:
             return int(gate.read() or 0)
 
-    def perform(evaluator, request):
-        if request["delta"] is None:
-            with open(os.environ["PIECES_LOG"], "a", encoding="utf-8") as log:
-                log.write(f"{request['first']} {request['last']}\\n")
-            while request["first"] >= open_below():
-                time.sleep(0.02)
-        return original(evaluator, request)
+    def compute(identity, model, first, last):
+        with open(os.environ["PIECES_LOG"], "a", encoding="utf-8") as log:
+            log.write(f"{first} {last}\\n")
+        while first >= open_below():
+            time.sleep(0.02)
+        return original(identity, model, first, last)
 
-    evaluation.perform = perform
+    evaluation.compute = compute
 '''
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -163,14 +162,12 @@ def _kill_and_resume(
         time.sleep(0.2 * rng.random())
         assert process.poll() is None, f"it ended before kill {number + 1} of {kills}"
         crew = _children(process.pid)
-        victim = ("main", "all", "worker")[number % 3]
+        victim = ("main", "all")[number % 2]
         outcome.kills.append(f"{victim} at {_saved(store)}")
-        for pid in {"main": [process.pid], "all": [process.pid, *crew], "worker": [rng.choice(crew)]}[victim]:
+        for pid in {"main": [process.pid], "all": [process.pid, *crew]}[victim]:
             _kill(pid)
         if gate is not None:
             gate.write_text(str(outcome.samples), encoding="utf-8")
-        if victim == "worker":
-            continue
         process.communicate()
         process = None
         _wait_for_end(crew)

@@ -443,7 +443,8 @@ def facts(d: Discovery) -> list[tuple[str, str, str]]:
     for gaps, how, on in ((d.gaps, "windows", d.held_out), (d.free_run, run_in_words(d), d.free_run_on)):
         for g in gaps.values():
             sizes = f"nominal {g.nominal:.4g}, refitted {g.refitted:.4g}, updated {g.updated:.4g} {g.unit}".rstrip()
-            change = f"{compared(g.nominal, g.updated, 'as given')}, {compared(g.refitted, g.updated, 'refitted')}"
+            pairs = ((g.nominal, "the given model"), (g.refitted, "refitted"))
+            change = ", ".join(compared(before, g.updated, name) for before, name in pairs)
             found.append((f"{g.output}: rms on held-out data, {how}", f"{sizes}; {change}", on))
     return found
 

@@ -188,7 +188,7 @@ def test_a_name_that_makes_the_free_run_worse_than_as_given_is_not_named(run, tm
     assert (code, result["verdict"], result["names"]) == (4, "unknown", [])
     errors = {m: sum((g[m] / g["range"]) ** 2 for g in result["free_run"].values()) for m in ("nominal", "updated")}
     assert errors["updated"] > errors["nominal"]
-    assert any("worse than as given" in f["message"] for f in result["findings"])
+    assert any("worse than as given" in f["found"] for f in result["findings"])
 
 
 def test_details_are_told_on_demand(run, files, answer, real):

@@ -310,7 +310,7 @@ def _proposal(
 
 def _description(entry: Entry, n: int, dt: float, plant: object, tried: Tried, noise: Mapping[str, float]) -> str:
     units = {s.name: s.unit for s in plant.outputs}  # type: ignore[attr-defined]
-    text = f"{entry.trial.excitation.text(n, dt)}. {n * dt:.3g} s in all, one sample every {1e3 * dt:.3g} ms; record "
+    text = f"{entry.trial.excitation.text}. {n * dt:.3g} s in all, one sample every {1e3 * dt:.3g} ms; record "
     text += ", ".join(tried.sensors)
     for name, std in noise.items():
         text += f" ({name} is new: a noise of {std:.2g} {units[name]} a sample is assumed)"

@@ -281,7 +281,7 @@ def _sizes(g: Gap) -> tuple[str, str, str, str]:
             return "diverges"
         return _sized(value, g.unit) + (f" ({percent(100 * value / g.range)})" if g.range > 0 else "")
 
-    changes = [compared(g.nominal, g.updated, "as given"), compared(g.refitted, g.updated, "refitted")]
+    changes = [compared(g.nominal, g.updated, "the given model"), compared(g.refitted, g.updated, "refitted")]
     return size(g.nominal), size(g.refitted), size(g.updated), ", ".join(changes)
 
 

@@ -104,8 +104,8 @@ def validate(
         ============================  =======================================  =====================================
         frequency domain              w by cone programmes, loop closed again  multipliers, re-checked line by line
         time-varying                  w by convex-concave procedure, replayed  multipliers, re-checked by a sweep
-        constant                      values by descent, replayed              that of all time-varying (relaxation)
-        constant and dynamic          constants at nominal                     that of all time-varying (relaxation)
+        constant                      values by descent, replayed              of time-varying ones, in discrete time
+        constant and dynamic          constants at nominal                     of time-varying ones, in discrete time
         none                          0 where noise alone explains the record  infinite elsewhere, weights re-checked
         ============================  =======================================  =====================================
 

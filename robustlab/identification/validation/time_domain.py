@@ -1,8 +1,9 @@
 r"""Validation in the time domain, sample by sample: constants, systems, and both together.
 
 Systems are causal and may vary in time: cone programmes bound them from both sides. Constants are found by descent.
-From below every constant is allowed to be a time-varying system of the same size, a larger set, whose multipliers
-disprove a gamma; where constants and systems stand side by side, the upper bound keeps the constants at nominal.
+From below every constant of a discrete model is allowed to be a time-varying system of the same size, a larger set,
+whose multipliers disprove a gamma; of a continuous model there is no lower bound. Where constants and systems stand
+side by side, the upper bound keeps the constants at nominal.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ SMALLEST, SLACK, MEET = 1e-6, 1e-9, 1e-4
 LONGEST_PROGRAMME, LONGEST_RELAXED = 8000, 4000
 RELAXED_SHARE = 0.5  # of the work, for the lower bound of constants
 RELAXATION = "lower bound with all blocks time-varying (relaxation)"
+NO_BOUND = "no lower bound (a constant in continuous time)"
 
 
 def _nothing() -> Array:
@@ -111,13 +113,15 @@ class _Job:
         return _Found(gamma, gamma, label, True, fit.whole(noise), excess, recheck=recheck)
 
     def relaxed(self, search: Search) -> tuple[float, Mapping[str, Array]]:
-        """Lower bound with every block a system that may vary in time, and its multipliers; valid for constants."""
-        blocks = self.recorded.uncertain.blocks
-        problem = sampled(self.recorded.part(0, LONGEST_RELAXED), self.recorded.uncertain.M, blocks)
-        try:
-            found = smallest_contractions(problem, replace(search, budget=search.budget.share(RELAXED_SHARE)))
-        except NoTrustworthyNumber:
+        """Lower bound with every block a system that may vary in time, and its multipliers.
+
+        Of constants in discrete time only: in continuous time a constant's w = delta z is not held between samples.
+        """
+        uncertain = self.recorded.uncertain
+        if not uncertain.dt:
             return 0.0, {}
+        problem = sampled(self.recorded.part(0, LONGEST_RELAXED), uncertain.M, uncertain.blocks)
+        found = smallest_contractions(problem, replace(search, budget=search.budget.share(RELAXED_SHARE)))
         return found.lower, {"energy": found.multipliers.D, "noise": found.multipliers.noise}
 
     def constant(self, search: Search) -> _Found:
@@ -129,8 +133,9 @@ class _Job:
         values: dict[str, float] = {}
         if np.isfinite(found.upper):
             values = {b.name: float(v) for b, v in zip(blocks, found.delta, strict=True)}
+        bound = RELAXATION if multipliers or not found.upper else NO_BOUND
         return _Found(
-            lower, found.upper, f"constants; upper bound by descent, replayed, {RELAXATION}", lower == found.upper,
+            lower, found.upper, f"constants; upper bound by descent, replayed, {bound}", lower == found.upper,
             found.noise, found.least_excess, values, sizes={n: abs(v) for n, v in values.items()},
             multipliers=multipliers,
         )  # fmt: skip
@@ -141,7 +146,8 @@ class _Job:
         lower, multipliers = self.relaxed(search)
         nominal = {b.name: 0.0 for b, constant in zip(blocks, real, strict=True) if constant}
         found = self.dynamic(nominal, replace(search, scaled=search.scaled[~real]))
-        label = f"constants and systems; upper bound with the constants at nominal, {RELAXATION}"
+        bound = RELAXATION if multipliers else NO_BOUND
+        label = f"constants and systems; upper bound with the constants at nominal, {bound}"
         if np.isinf(lower):
             found = replace(found, upper=np.inf, sizes={})
         return replace(found, lower=lower, label=label, multipliers=multipliers, recheck=None, certified=False)

@@ -132,6 +132,8 @@ class Validation(Tabular, Evidence):
             return f"invalidated: gamma is at least {self.lower:.4g}{known}"
         if self.upper <= 1:
             return f"not invalidated at gamma = {self.upper:.4g}"
+        if np.isinf(self.upper) and not self.lower:
+            return f"undecided: nothing was found that leaves less than {self.excess:.4g} times the noise bound"
         return f"undecided: the smallest gamma is between {self.lower:.4g} and {self.upper:.4g}"
 
     @property

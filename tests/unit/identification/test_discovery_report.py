@@ -189,8 +189,8 @@ def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
     for part in (
         "Coulomb (dry) friction, coulomb-friction at v: probability 98.5 %",
         "20.39 N (95 %: 20.31 to 20.47)  friction level",
-        "windows of 0.4 s  0.06 m (3 %)  0.018 m (0.9 %)  0.002 m (0.1 %)  30 times smaller than as given, 9 times",
-        "free run          0.5 m (25 %)  0.2 m (10 %)     0.01 m (0.5 %)   50 times smaller than as given, 20 times",
+        "windows of 0.4 s  0.06 m (3 %)  0.018 m (0.9 %)  0.002 m (0.1 %)  30 times smaller than the given model",
+        "free run          0.5 m (25 %)  0.2 m (10 %)     0.01 m (0.5 %)   50 times smaller than the given model",
         "next: use the updated plant",
     ):
         assert part in text
@@ -283,7 +283,7 @@ def test_the_collection_is_the_smallest_with_95_per_cent():
 def test_what_diverges_is_told_as_such():
     gap = Gap("q", "m", 2.0, math.inf, math.inf, 0.01)
     text = made(free_run={"q": gap}).summary()
-    assert "free run          diverges      diverges         0.01 m (0.5 %)   finite, unlike refitted" in text
+    assert "free run          diverges      diverges         0.01 m (0.5 %)   finite, unlike the given model" in text
     assert "in free run diverges -> diverges -> 0.5 %" in text
     assert overall({"q": gap}, "updated") == pytest.approx(0.5)
     assert overall({"q": gap, "v": replace(gap, updated=0.02)}, "updated") == pytest.approx(math.sqrt(0.625))

@@ -41,9 +41,21 @@ def test_constants_of_known_size(seed, blocks):
     model, record, noise, options = benchmark.constant_case(seed, 120, blocks, 0.6)
     found = rl.validate(model, record, noise, precision=0.005, **options)
     assert found.upper == pytest.approx(0.6, rel=0.012)
-    assert found.lower <= 0.6 * (1 + 1e-6)
-    assert (found.status, found.replay_error < 1e-6) == (rl.Status.CONVERGED, True)
-    assert "relaxation" in found.label
+    assert (found.lower, found.status, found.replay_error < 1e-6) == (0.0, rl.Status.CONVERGED, True)
+    assert "no lower bound" in found.label
+
+
+def test_a_constant_of_a_discrete_model_has_bounds_on_both_sides():
+    # y = (2 + k) u with y = 2.5 u and noise of 0.1: k is 0.4 at least.
+    gain = rl.UncertainModel(rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 2.0]], dt=1.0), [rl.RealScalar("k")])
+    record = rl.Record(range(4), {"u2": [1, -1, 1, 1]}, {"y2": [2.5, -2.5, 2.5, 2.5]})
+    found = rl.validate(gain, record, {"y2": 0.1}, at_rest=True)
+    assert found.lower == pytest.approx(0.4, rel=0.01)
+    assert found.upper == pytest.approx(0.4, rel=0.01)
+    far = rl.validate(
+        gain, rl.Record(range(4), {"u2": [1, -1, 1, 1]}, {"y2": [4, -4, 4, 4]}), {"y2": 0.1}, at_rest=True
+    )
+    assert far.invalidated
 
 
 def test_a_system_in_the_loop_is_bracketed_too():
@@ -61,9 +73,10 @@ def test_a_true_model_is_never_invalidated(seed):
         assert not found.invalidated
 
 
-def test_a_wrong_constant_is_invalidated_and_missing_samples_can_hide_it():
+def test_a_wrong_constant_is_undecided_and_missing_samples_can_hide_it():
     model, record, noise, options = benchmark.constant_case(302, 120, 1, 1.5)
-    assert rl.validate(model, record, noise, **options).invalidated
+    found = rl.validate(model, record, noise, **options)
+    assert (found.status, found.upper) == (rl.Status.INCONCLUSIVE, pytest.approx(1.5, rel=0.02))
     hidden = rl.validate(model, record, noise, missing={"y0": np.arange(5, 120)}, **options)
     assert hidden.upper < 1.5
 
@@ -170,20 +183,9 @@ def test_the_command(files, capsys):
     assert command(capsys, files / "run.h5", files / "run.h5", "--noise", "y=0.1")[0] == 3
 
 
-def tall(x):
-    """The column Toeplitz matrix (n r, n) of a signal (n, r)."""
-    n, r = x.shape
-    T = np.zeros((n, r, n))
-    for k in range(n):
-        T[k:, :, k] = x[: n - k]
-    return T.reshape(n * r, n)
-
-
 @pytest.mark.parametrize(("r", "c"), [(1, 1), (2, 1), (1, 2), (2, 2)])
 def test_a_full_block_against_the_theorem(r, c):
-    """Poolla et al., theorem 3.1: without noise gamma^2 is the largest eigenvalue of Y'Y against U'U."""
-    from scipy.linalg import eigh
-
+    """Poolla et al., theorem 3.3: without noise gamma^2 is the largest ratio of the energies of y and u so far."""
     n, rng = 20, np.random.default_rng(3)
     u = rng.standard_normal((n, c)) + 3 * (np.arange(n) == 0)[:, None]
     D = np.block([[np.zeros((c, r)), np.eye(c)], [np.eye(r), np.zeros((r, c))]])
@@ -194,8 +196,7 @@ def test_a_full_block_against_the_theorem(r, c):
     record = rl.Record(np.arange(n) * 0.1, dict(zip(names[1], u.T, strict=True)), dict(zip(names[3], y.T, strict=True)))
     model, noise = rl.UncertainModel(M, [rl.FullBlock("d", r, c)]), dict.fromkeys(names[3], 1e-6)
     found = rl.validate(model, record, noise, at_rest=True, precision=0.005)
-    TY, TU = tall(y), tall(u)
-    gamma = np.sqrt(eigh(TY.T @ TY, TU.T @ TU, eigvals_only=True)[-1])
+    gamma = np.sqrt((np.cumsum((y**2).sum(axis=1)) / np.cumsum((u**2).sum(axis=1))).max())
     assert found.lower <= gamma * (1 + 1e-9)
     assert found.lower >= 0.995 * gamma
     assert found.upper == pytest.approx(gamma, rel=1e-3)
@@ -213,8 +214,7 @@ def test_constants_over_windows():
     assert 0.5 < found.upper <= 0.8 * 1.001
     assert found.replay_error < 1e-3
     far = rl.validate(model, rl.Record(t, {"u": u}, {"q": q + 0.01 * np.sin(9 * t)}), {"q": 1e-4}, window=1.0)
-    assert far.invalidated
-    assert far.excess > 10
+    assert (far.status, far.upper, far.excess > 10) == (rl.Status.INCONCLUSIVE, np.inf, True)
 
 
 @pytest.mark.parametrize(("norm", "bound"), [("peak", 0.01), ("rms", 0.006)])
@@ -233,22 +233,6 @@ def test_without_blocks_noise_alone_explains_a_record_or_nothing_does(norm, boun
     assert far.excess == pytest.approx(2 * near.excess, rel=1e-3)  # affine in the noise, free states included
     with pytest.raises(InputError, match="without blocks"):
         rl.validate(alone, far_record, {"y": bound}, domain="frequency")
-
-
-def test_a_state_that_only_a_constant_shows_is_free_in_the_relaxation_too():
-    # x2 is in no output of the nominal model; with d = 0.5 it is, and it does not start at zero.
-    M = rl.StateSpaceModel(
-        [[-1.0, 0.0], [0.0, -0.3]], [[1.0, 0.0, 1.0], [0.0, 0.0, 1.0]], [[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]],
-        [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.1, 0.0]], 0.0, ["w1", "w2", "u"], ["z1", "z2", "y"],
-    )  # fmt: skip
-    hidden = rl.UncertainModel(M, [rl.RealScalar("d"), rl.FullBlock("rest", 1, 1)])
-    t = np.arange(30) * 0.4
-    u = np.where(t > 6, 1.0, 0.0)
-    y = rl.simulate(hidden.evaluate({"d": 0.5, "rest": np.zeros((1, 1))}), t, u, [0.0, 1.0])["y"]
-    found = rl.validate(hidden, rl.Record(t, {"u": u}, {"y": y}), {"y": 0.01})
-    assert found.lower <= 0.5
-    assert found.upper <= 0.55
-    assert not found.invalidated
 
 
 def test_bounds_that_contradict_each_other_are_no_result(monkeypatch):
