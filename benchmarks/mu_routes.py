@@ -152,9 +152,8 @@ def main() -> None:
         truth = closed_form(uncertain) if len(uncertain.blocks) == 1 else np.nan
         gap = 0.0 if margin.upper == np.inf and margin.lower > 1e3 else margin.gap
         rows.append((gap, spent, work))
-        if not margin.lower <= truth * (1 + 1e-6) or not margin.upper >= truth * (1 - 1e-6):
-            if np.isfinite(truth) or (len(uncertain.blocks) == 1 and np.isfinite(margin.upper)):
-                wrong.append(f"{seed}: closed form {truth:.8g}, outside {margin.lower:.8g} .. {margin.upper:.8g}")
+        if margin.lower > truth * (1 + 1e-6) or margin.upper < truth * (1 - 1e-6):
+            wrong.append(f"{seed}: closed form {truth:.8g}, outside {margin.lower:.8g} .. {margin.upper:.8g}")
         if attacked(uncertain, min(0.9999 * margin.lower, 1e3), seed):
             wrong.append(f"{seed}: a member inside {margin.lower:.8g} is unstable")
         if given.each or gap > GAP or spent > SECONDS:
@@ -162,11 +161,9 @@ def main() -> None:
             ends = f"{margin.lower:.6g} .. {margin.upper:.6g} ({truth:.6g})"
             print(f"set {seed:4d} {sizes:38s} {ends:40s} gap {100 * gap:8.4f} % {spent:6.2f} s", flush=True)
     table = np.array(rows)
-    print(
-        f"{len(table)} random sets: gap % median {100 * np.median(table[:, 0]):.4f}, max {100 * table[:, 0].max():.4f};",
-        end=" ",
-    )
-    print(f"CPU s median {np.median(table[:, 1]):.3f}, max {table[:, 1].max():.3f}; outside the truth: {len(wrong)}")
+    middle, most = np.median(table, axis=0), table.max(axis=0)
+    print(f"{len(table)} random sets: gap median {100 * middle[0]:.4f} %, largest {100 * most[0]:.4f} %;", end=" ")
+    print(f"CPU median {middle[1]:.3f} s, largest {most[1]:.3f} s; outside the truth: {len(wrong)}")
     print("\n".join(wrong))
 
 

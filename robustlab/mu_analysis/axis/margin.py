@@ -65,7 +65,9 @@ class StabilityMargin(Bracket):
         """Whether the set as given is stable."""
         if self.stable is None:
             return "not proved stable over the whole set"
-        return "proved stable for every Delta of the set" if self.stable else "not stable for every Delta of the set"
+        if self.stable:
+            return "proved stable for every Delta of the set"
+        return f"not robust: the member at k = {number(self.upper)} is unstable"
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +131,7 @@ class Margin(Tabular, StabilityMargin):
         peak = bracket(1 / self.upper, 1 / self.lower, ("attained", "proved")) if self.upper and self.lower else ""
         ranked = sorted(self.shares.items(), key=lambda pair: -abs(pair[1]))
         return [
+            *([("the set as stated", self.headline())] if self.stable is False else []),
             (self.kind, bracket(self.lower, self.upper, ("proved", "attained"))),
             ("peak of mu", peak),
             ("critical member", member(self.delta, self.physical) or "none found"),
@@ -176,7 +179,9 @@ class PerformanceMargin(Margin):
 
     def headline(self) -> str:
         """Whether every member of the set as given performs."""
-        kept = "proved for every Delta of the set" if self.lower > 1 else "not proved over the whole set"
+        if self.stable is False:
+            return f"not robust: the member at k = {number(self.upper)} does not perform"
+        kept = "proved for every Delta of the set" if self.stable else "not proved over the whole set"
         return f"performance is {kept}"
 
 
