@@ -17,6 +17,7 @@ from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
+    "around",
     "check_nominal",
     "continuous",
     "coupled_blocks",
@@ -138,6 +139,15 @@ def seed_frequencies(model: StateSpaceModel) -> Array:
     # One of those closer together than 2 %, and every peak that is narrower.
     marks = np.unique(np.round(np.log(found[found > 0]) / 0.02))
     return np.unique(np.concatenate([np.exp(marks * 0.02), narrow_frequencies(poles)]))
+
+
+def around(model: StateSpaceModel, omega: float) -> Array:
+    """A frequency, others up to 5 % of it away, and others inside the narrow peak in which it may lie."""
+    if not 0 < omega < np.inf:
+        return np.array([omega])
+    distance = np.abs(1j * omega - model.poles()).min(initial=omega)
+    width = np.linspace(-1, 1, 21)
+    return np.concatenate([[omega], omega * np.exp(0.05 * width), omega + 0.5 * distance * width])
 
 
 def typical_speed(model: StateSpaceModel) -> float:

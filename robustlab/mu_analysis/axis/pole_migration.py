@@ -341,6 +341,8 @@ def _migrate(
     if not len(deltas):
         return best, best_norm
     speed = np.maximum(np.abs(poles), 1e-9 * np.abs(model.A).max())
+    # A pole next to the axis has not arrived before it has moved.
+    close = np.minimum(1e-6 * speed, np.maximum(1e-3 * np.abs(poles.real), 100 * EPS * speed))
     phase = np.arange(len(deltas)) * 0.754877666 % 1.0
     # The types are stated because inferring them around the loop takes pyright half a minute.
     pole: ComplexArray
@@ -362,7 +364,7 @@ def _migrate(
         except np.linalg.LinAlgError:
             break
         norms = layout.sizes(deltas).max(axis=1)
-        arrived = (np.abs(pole.real) <= 1e-6 * speed) & (norms < best_norm) & (norms > 0)
+        arrived = (np.abs(pole.real) <= close) & (norms < best_norm) & (norms > 0)
         best[arrived], best_norm[arrived] = deltas[arrived], norms[arrived]
         goal = pole.real * (1 - 1 / (TUNING.leading - step)) if step < TUNING.leading else np.zeros(len(pole))
         new = _least_move(layout, deltas, pole, row, x, goal=goal)
