@@ -392,7 +392,7 @@ def two_channels(rng: np.random.Generator) -> dict[str, Any]:
 
 def consumers_case(i: int) -> dict[str, Any]:
     rng = np.random.default_rng([13, i])
-    what = (limits_case, matched_case, cover_case, points_case)[i % 4]
+    what = (matched_case, cover_case, points_case)[i % 3]
     begun = time.perf_counter()
     record = {"family": what.__name__.removesuffix("_case"), "status": "converged", "reason": "", "wrong": ""}
     try:
@@ -400,23 +400,6 @@ def consumers_case(i: int) -> dict[str, Any]:
     except rl.RobustlabError as error:
         record |= {"status": "refused", "reason": error.found}
     return record | {"seconds": time.perf_counter() - begun}
-
-
-def limits_case(rng: np.random.Generator) -> dict[str, Any]:
-    maker = [nonnormal, stiff, mixed, nearly_triangular, tiny_direct_term][int(rng.integers(5))]
-    parts = maker(rng)
-    limits = rl.performance_limits(rl.StateSpaceModel(*parts))
-    zeros, rank = judge.invariant_zeros(*parts)
-    if rank < max(parts[3].shape):
-        return {"status": "refused", "reason": "not square"}
-    right = [z for z in zeros if z.real > 1e-8 * abs(z)]
-    said = [z.value for z in limits.zeros]
-    missing = [z for z in right if not said or min(abs(z - w) for w in said) > CLOSE * abs(z)]
-    # Zeros that rounding decides are near infinity, or on the boundary.
-    missing = [z for z in missing if not _moved(parts, np.array([z]), rng)]
-    trusted = limits.status.trustworthy
-    return {"status": str(limits.status), "reason": limits.reason,
-            "wrong": f"no zero at {missing[0]:.6g}" if missing and trusted else ""}  # fmt: skip
 
 
 def matched_case(rng: np.random.Generator) -> dict[str, Any]:

@@ -58,7 +58,6 @@ from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.problem.controller import Controller as Controller
 from robustlab.synthesis.problem.partition import generalized_plant as generalized_plant
-from robustlab.synthesis.problem.performance_limits import performance_limits as performance_limits
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce_controller
 from robustlab.synthesis.reduction.minimal_realisation import minimal as minimal
 from robustlab.synthesis.reduction.model_reduction import hankel_singular_values as hankel_singular_values
@@ -70,12 +69,9 @@ from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sample
 from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel as LPVModel
 from robustlab.synthesis.specifications.loop_functions import loop_functions as loop_functions
-from robustlab.synthesis.specifications.weight_design import check_weights as check_weights
 from robustlab.synthesis.specifications.weight_design import complementary_weight as complementary_weight
 from robustlab.synthesis.specifications.weight_design import control_weight as control_weight
-from robustlab.synthesis.specifications.weight_design import design_weights as design_weights
 from robustlab.synthesis.specifications.weight_design import makeweight as makeweight
-from robustlab.synthesis.specifications.weight_design import noise_weight as noise_weight
 from robustlab.synthesis.specifications.weight_design import performance_weight as performance_weight
 from robustlab.uncertainty.algebra import beside as beside
 from robustlab.uncertainty.algebra import stacked as stacked
@@ -173,14 +169,10 @@ __all__ = [
     "fixed_structure",
     "tune",
     "generalized_plant",
-    "performance_limits",
     "performance_weight",
     "control_weight",
     "complementary_weight",
-    "design_weights",
-    "check_weights",
     "makeweight",
-    "noise_weight",
     "Controller",
     "LPVModel",
     "lpv_model",

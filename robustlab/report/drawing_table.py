@@ -65,7 +65,6 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "TrackingLoop": {"functions": "design_figures.tracking_picture"},
     "SampledController": _SAMPLED,
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
-    "DesignWeights": {"weights": "result_figures.weights_figure"},
     # measurements
     "Comparison": {
         name: f"comparison_figures.{name}_figure"

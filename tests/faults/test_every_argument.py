@@ -33,7 +33,6 @@ def delayed() -> Any:
 
 # A call of each function that takes milliseconds; every argument of it is replaced in turn.
 CALLS: dict[str, Any] = {
-    "check_weights": lambda: {"W1": rl.performance_weight(1.0, 0.01, 2.0), "W2": 0.1},
     "classical_margins": lambda: {"plant": made.lag(), "K": GAIN},
     "compare": lambda: {"plant": made.lag(), "record": run()},
     "complementary_weight": lambda: {"bandwidth": 10.0},
@@ -50,7 +49,6 @@ CALLS: dict[str, Any] = {
     "delay": lambda: {"tau": 0.1},
     "DelayedModel": lambda: {"H": delayed().H, "delays": delayed().delays},
     "descriptor": lambda: {"A": [[-1.0]], "B": ONE, "C": ONE, "D": [[0.0]], "E": [[2.0]]},
-    "design_weights": lambda: {"bandwidth": 10.0, "control_limit": 5.0, "noise_from": 200.0},
     "discretise": lambda: {"model": made.lag(), "dt": 0.1},
     "discretise of a loop": lambda: {"model": made.mixsyn(), "dt": 0.1, "method": "tustin"},
     "disk_margin": lambda: {"plant": made.lag(), "K": GAIN},
@@ -83,7 +81,6 @@ CALLS: dict[str, Any] = {
     "ncf": lambda: {"G": made.lag()},
     "neglected_dynamics": lambda: {"delay": 0.1},
     "neglected_dynamics of a lag": lambda: {"lag": 0.1},
-    "noise_weight": lambda: {"samples": np.random.default_rng(0).normal(size=400), "dt": 0.1},
     "Nonlinearity": lambda: {"sector": (0.0, 1.0)},
     "nu_gap": lambda: {"P1": made.lag(), "P2": 2.0 * made.lag()},
     "observability": lambda: {"model": TWO},
@@ -92,7 +89,6 @@ CALLS: dict[str, Any] = {
     "parametric": lambda: {"A": [["-a"]], "B": ONE, "C": ONE, "D": [[0.0]], "parameters": {"a": (1.0, 0.5, 2.0)}},
     "passivity": lambda: {"model": TWO},
     "peak_gain": lambda: {"system": TWO},
-    "performance_limits": lambda: {"G": made.lag()},
     "performance_weight": lambda: {"bandwidth": 1.0},
     "RealScalar": lambda: {"name": "a"},
     "Record": lambda: {"t": [0.0, 0.1], "inputs": {"u": [0.0, 1.0]}, "outputs": {"y": [0.0, 1.0]}},

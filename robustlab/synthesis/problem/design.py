@@ -14,7 +14,7 @@ from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, number
+from robustlab.shown import Facts, Shown, number
 from robustlab.signals import law
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.controller import Controller
@@ -148,16 +148,6 @@ class Synthesis(Design):
             ("how", self.reason),
         ]
 
-    def details(self) -> list[Part]:
-        """What limits any controller of this plant, and the floors of gamma of a mixed-sensitivity design."""
-        lines = self._limits_of_any_controller()
-        return [Part("What limits any controller of this plant", (), [(line,) for line in lines])]
-
-    def _limits_of_any_controller(self) -> list[str]:
-        from robustlab.synthesis.problem.performance_limits import limits_in_words
-
-        return limits_in_words(self.plant, getattr(self, "weights", {}))
-
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""
         return {
@@ -170,7 +160,6 @@ class Synthesis(Design):
             "closed_loop_abscissa": self.closed_loop_abscissa,
             "limit": self.limit,
             "reason": self.reason,
-            "limits": self._limits_of_any_controller(),
             "K": self.K.to_json(),
             "closed_loop": self.closed_loop.to_json(),
         }

@@ -33,10 +33,10 @@ PLAIN = {
 }  # fmt: skip
 # Nothing to draw: a few numbers.
 NUMBERS = {
-    "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
+    "ClassicalMargins", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
     "DelayStability", "DelayedDesign", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence",
     "IqcGain", "IqcStability", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap",
-    "Passivity", "PassivityIndex", "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result", "Verified",
+    "Passivity", "PassivityIndex", "PlantSamples", "Reduction", "Resampled", "Result", "Verified",
     "RiccatiSolution", "RobustGain", "TrackingProblem", "Trim", "WellPosedness", "Zeros",
     "Watch", "WatchedPiece",
 }  # fmt: skip

@@ -129,4 +129,3 @@ def test_one_that_cannot_be_negative_is_not_found_with_the_wrong_sign():
             test.add(piece(J, G, r - sign * (p >= 5) * 0.4 * G[:, 0], U))
     right, wrong = (log_sum(t.alternatives().named[:, :, 2]) for t in tests)
     assert wrong < 0.0 < 10.0 < right
-
