@@ -51,7 +51,7 @@ def verify(
             found[str(path)] = rl.verify(path, effort=effort)
     rows: list[str] = []
     for name, one in found.items():
-        rows += [f"{name}: {one.headline()}", *(f"  {label}: {text}" for label, text in one.facts())]
+        rows += [f"{name}: {one.headline()}", *(f"  {label}: {text}" for label, text in one.facts() if text)]
     rows += [f"{path}: no claims" for path in chosen if path not in holding]
     rows += [f"written: {export}"] if export is not None else []
     emit("verify", {"files": {name: one.to_json() for name, one in found.items()}}, "\n".join(rows), as_json)
