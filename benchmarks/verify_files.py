@@ -76,18 +76,13 @@ def edited(rng: Rng, tree: Tree) -> str:
     groups = [x for p, x in tree.walk() if isinstance(x, Tree) and p.split("/")[1] not in KEPT]
     node = groups[int(rng.integers(len(groups)))]
     names, held = list(node.datasets), [k for k in node.attrs if k != "content_sha256"]
-    what = str(
-        rng.choice(["number", "number", "number", "attribute", "shape", "left out", "exchange", "rename", "add"])
-    )
+    what = str(rng.choice(["number"] * 3 + ["attribute", "shape", "left out", "exchange", "rename", "add"]))
     if what == "attribute" and held:
         key = str(rng.choice(held))
         value = node.attrs.pop(key)
         node.attrs |= {key: changed(rng, value)} if rng.random() < 0.8 else {}
     elif what == "add" or not names:
-        node.group("proof" if rng.random() < 0.3 else "").put(
-            str(rng.choice(["upper", "gamma", "E", "dt"])), rng.normal()
-        )
-        node.datasets |= node.groups.pop("", Tree()).datasets
+        node.put(str(rng.choice(["upper", "gamma", "E", "dt"])), rng.normal())
         return "add"
     elif what == "left out" and rng.random() < 0.3 and set(node.groups) - set(KEPT):
         del node.groups[str(rng.choice(sorted(set(node.groups) - set(KEPT))))]
@@ -115,6 +110,8 @@ def made_anew(rng: Rng, tree: Tree) -> str:
     top = tree if controller else tree.groups["data"]
     # How far inside a cover's set a model is, no claim says; and a gain that is attained may be told lower.
     found = [(r, x) for path, r in rules.items() if r != "inside" for _, x in places_at(top, path)]
+    if not found:
+        return edited(rng, tree)
     rule, thing = found[int(rng.integers(len(found)))]
     step = 10 ** rng.uniform(np.log10(3 * ROUNDING), 0) * (1 if rule == "gain" else rng.choice([-1, 1]))
     if isinstance(thing, Tree):
@@ -133,7 +130,7 @@ def mutant(rng: Rng, tree: Tree) -> tuple[str, Tree]:
         what = made_anew(rng, new) if rng.random() < 0.1 else edited(rng, new)
         if content_sha256(new) != tree.attrs["content_sha256"]:
             break
-    treatment = "anew" if what == "digest made anew" else rng.choice(["anew", "absent", "old"])
+    treatment = "anew" if what == "digest made anew" else str(rng.choice(["anew", "absent", "old"]))
     if treatment != "old":
         new.attrs.pop("content_sha256", None)
     if treatment == "anew":

@@ -28,7 +28,8 @@ def verify(
 ) -> None:
     """Prove what a result says once more, from its file alone: in exact and ball arithmetic, for all frequencies.
 
-    Exit code 0: all claims were proved. 4: one was not. 1: one was refuted by a counterexample.
+    Exit code 0: all claims were proved, and what the file displays is what they say. 4: something was not proved, or
+    the file is not the one that its claims were written with. 1: a claim was refuted by a counterexample.
 
     Example: robustlab verify out/first-light
     """
