@@ -49,7 +49,7 @@ def encode_controller(tree: Tree, controller: Controller) -> None:
         tree.attrs["gamma"] = controller.gamma
     claims = claims_of(controller.design)
     own = {f"K_{letter}": getattr(controller.K, letter) for letter in "ABCD"}
-    if any(all(np.array_equal(claim.numbers.get(name), X) for name, X in own.items()) for claim in claims):
+    if any(all(np.array_equal(claim.numbers.get(name, np.nan), X) for name, X in own.items()) for claim in claims):
         encode_claims(tree, claims)
 
 

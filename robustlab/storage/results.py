@@ -144,8 +144,9 @@ def _attribute(value: Any) -> Any:
         rest = {name: x for name, x in value.items() if name not in ("type", "status")}
         return restored(str(value["type"]), Status(value["status"]), rest)
     if {"A", "B", "C", "D", "dt", "inputs", "outputs", "states"} <= set(value):
-        signals = [[tuple(pair) for pair in value[side]] for side in ("inputs", "outputs", "states")]
-        return StateSpaceModel(*(value[letter] for letter in "ABCD"), value["dt"], *signals)
+        A, B, C, D = (value[letter] for letter in "ABCD")
+        u, y, x = ([tuple(pair) for pair in value[side]] for side in ("inputs", "outputs", "states"))
+        return StateSpaceModel(A, B, C, D, value["dt"], u, y, x)
     return {name: _attribute(x) for name, x in value.items()}
 
 

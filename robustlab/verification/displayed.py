@@ -36,8 +36,9 @@ ANY = "peak h2 1/peak"
 SHOWN: Mapping[str, Rules] = {
     "HinfNorm": {**GAIN, "lower": "gain", "value": "gain"},
     **dict.fromkeys(("WorstCaseGain", "DelayGain", "IqcGain", "EffectGain", "LPVGain", "Passivity"), GAIN),
-    **dict.fromkeys(("SmallGain", "CoprimeMargin", "DiskMargin", "DiskMargins", "DelayDiskMargins", "DelayStability",
-                     "IqcStability"), MARGIN),
+    **dict.fromkeys(("SmallGain", "DiskMargin", "DiskMargins", "DelayDiskMargins", "DelayStability"), MARGIN),
+    "CoprimeMargin": {**MARGIN, "value": "1/peak"},
+    "IqcStability": {**MARGIN, "margin": "1/peak"},
     **dict.fromkeys(("Margin", "PerformanceMargin"), MARGIN_FOUND),
     "RobustGain": {**MARGIN, "level": "level"},
     **dict.fromkeys(("HinfSynthesis", "NcfSynthesis", "TwoDegreeSynthesis", "DKSynthesis", "DelayedDesign"), DESIGN),
@@ -146,7 +147,7 @@ def _compared(place: str, thing: Dataset | Tree, rule: str, proved: Sequence[Cla
         same = any(_same(thing, pattern, proved) for pattern in rule.split() if "{" in pattern)
         return [_row(f"{place} is {'the' if same else 'not the'} model of a claim that was proved", same)]
     if isinstance(thing.values, Unread) or thing.values.dtype.kind not in "fi" or not thing.values.size or "{" in rule:
-        return [_row(f"{place} is no number, and the claims prove one", False)]
+        return [_row(f"{place} is not what the claims prove: a {'model' if '{' in rule else 'number'}", False)]
     values = np.ravel(thing.values).tolist()
     names = [place] if len(values) == 1 else [f"{place}[{i}]" for i in range(len(values))]
     known = [v for word in rule.split() for claim in proved for v in _quantity(claim, word)]
@@ -214,12 +215,12 @@ def _sizes(claim: Claim) -> list[float]:
 
 def _same(node: Tree, pattern: str, claims: Sequence[Claim]) -> bool:
     """Whether a claim has the model in this group under the pattern's names, dt included."""
-    own = {letter: node.datasets[letter].values for letter in "ABCD" if letter in node.datasets}
-    dt = node.datasets["dt"].values if "dt" in node.datasets else node.attrs.get("dt", 0.0)
+    own: dict[str, Any] = {letter: node.datasets[letter].values for letter in "ABCD" if letter in node.datasets}
+    dt: Any = node.datasets["dt"].values if "dt" in node.datasets else node.attrs.get("dt", 0.0)
     if len(own) < 4 or any(isinstance(X, Unread) or X.ndim != 2 for X in own.values()):
         return False
     for claim in claims:
-        named = [claim.numbers.get(pattern.rstrip("+").format(letter)) for letter in "ABCD"]
+        named: list[Any] = [claim.numbers.get(pattern.rstrip("+").format(letter)) for letter in "ABCD"]
         if all(X is not None and X.ndim == 2 for X in named) and np.array_equal(dt, claim.numbers.get("dt", dt)):
             found = _in_parts(own, named) if pattern.endswith("+") else map(np.array_equal, own.values(), named)
             if all(found):
