@@ -1,4 +1,4 @@
-"""The table of what is as it was: ``python tests/characterisation [SUBJECT ...] [--all] [--case WORD] [--record | --noise]``.
+"""The table of what is as it was: ``python tests/characterisation [SUBJECT ...] [OPTIONS]``.
 
 Without options the fast cases are asked and compared, and a table is printed: subject, cases, equal, different, CPU s.
 ``--all``: the slow ones, too. ``--record`` writes what is answered now, for the cases that are asked; ``--noise`` asks
@@ -40,7 +40,7 @@ def main() -> int:
                 found, cpu = c.answer(case)
             spent, count = spent + cpu, count + 1
             if asked.record:
-                entries[name] = {"cpu": cpu, "slow": case.slow, "shared": case.shared, "answer": found}
+                entries[name] = c.entry_of(case, found, cpu)
             elif asked.noise:
                 moved = {k: by for k, (by, _) in c.differences(subject, entries[name], found, 0.0).items() if by < 1}
                 noise = entries[name].setdefault("noise", {})
@@ -49,8 +49,8 @@ def main() -> int:
             equal += not wrong
             told += [f"{subject}: {name}: {text}"[:300] for _, text in list(wrong.values())[:6]]
             print(f"{subject}: {name}: {cpu} s", file=sys.stderr, flush=True)
-            if asked.record or asked.noise:
-                c.store(subject, entries)
+            if asked.record or asked.noise:  # read again: another process may record other cases
+                c.store(subject, c.stored(subject) | {name: entries[name]})
         rows.append(f"{subject:16s}{count:7d}{equal:7d}{count - equal:11d}{spent:8.1f}")
     print("\n".join([*rows, *told]))
     return int(any(told))

@@ -40,12 +40,16 @@ WORK = 1.3
 
 @dataclass(frozen=True)
 class Case:
-    """A question with a name; ``run`` asks it. ``shared``: it needs the data beside the checkout."""
+    """A question with a name; ``run`` asks it.
+
+    ``shared``: it needs the data beside the checkout; ``rtol``: the least tolerance of its numbers.
+    """
 
     name: str
     run: Callable[[], Mapping[str, Any]]
     slow: bool = False
     shared: bool = False
+    rtol: float = 0.0
 
 
 def cases_of(subject: str) -> dict[str, Case]:
@@ -94,6 +98,11 @@ def _numeric(value: Any) -> bool:
         return np.asarray(value).dtype.kind in "fiuc" and np.asarray(value).size > 0
     except ValueError:  # rows of different lengths
         return False
+
+
+def entry_of(case: Case, found: Any, cpu: float) -> dict[str, Any]:
+    """What is recorded of a case."""
+    return {"cpu": cpu, "slow": case.slow, "shared": case.shared, "rtol": case.rtol, "answer": found}
 
 
 def stored(subject: str) -> dict[str, Any]:
@@ -173,7 +182,8 @@ def differences(
             if old != new:
                 wrong[path] = (math.inf, f"{path}: {old!r} -> {new!r}")
             continue
-        rtol = max(rtol, 3 * entry.get("noise", {}).get(path, 0.0)) if finest is None else finest
+        least = max(entry.get("rtol", 0.0), 3 * entry.get("noise", {}).get(path, 0.0))
+        rtol = max(rtol, least) if finest is None else finest
         if key == "work":
             apart = 0.0 if new <= WORK * old else new / old
         else:
