@@ -9,14 +9,18 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import robustlab as rl
+
 from .cases import ROOT, Case, kept
+from .robust_designs import oscillator
 
 RTOL = 1e-6
 RTOLS = {"gamma": 1e-3, "frequency": 1e-2, "level": 1e-3, "loss": 5e-3, "separation": 2e-2}
 # What takes more than some seconds.
-SLOW = {"designs", "sets", "naming"}
+SLOW = {"sets", "designs", "records", "searches", "naming"}
 CHAPTERS = {
     "models": """
 model build dc-motor --set R=2.1 --out motor.h5
@@ -37,6 +41,7 @@ model margins {models}/cascaded_tanks.h5 --at input --skew 0.5
 plant list
 plant show dc-motor
 plant show servo-axis
+plant new mine
 """,
     "sets": """
 uncertain build {models}/motor_nominal.h5 {models}/motor_perturbed.h5 --structure elements --out set.h5
@@ -62,12 +67,16 @@ worst-case motors.h5 --limit 20 --probability 0.05 --outputs omega --input-value
 campaign run motors.h5 --input-value u=42 --t-end 0.1 -n 200 --workers 1 --store motors.sqlite
 campaign show motors.sqlite --limit 34
 campaign replay motors.sqlite 17
+campaign resume motors.sqlite
 """,
     "designs": """
 synth mixsyn {models}/motor_nominal.h5 --outputs omega --w1 bandwidth=150,error=0.001 --w2 limit=0.4 --out mixed.h5
 synth ncf {models}/motor_nominal.h5 --outputs omega --w1 0.5 --out ncf.h5
-synth hinf {models}/motor_nominal.h5 --measurements 1 --controls 1 --out hinf.h5
-synth h2 {models}/motor_nominal.h5 --measurements 1 --controls 1
+synth hinf problem.h5 --measurements 1 --controls 1 --out hinf.h5
+synth h2 problem.h5 --measurements 1 --controls 1
+synth reduce problem.h5 hinf.h5 --measurements 1 --controls 1 --order 1
+synth discretise problem.h5 hinf.h5 --measurements 1 --controls 1 --dt 0.1 --out digital.h5
+model convert digital.h5 speed.c --prefix speed
 uncertain build --plant dc-motor --tolerance R=0.1 --tolerance Kf=0.35 --outputs omega --out speed.h5
 model margins {models}/motor_nominal.h5 -k mixed.h5
 model margins {models}/motor_nominal.h5 -k ncf.h5 --classical
@@ -76,12 +85,18 @@ mu speed.h5 -k mixed.h5 --gain
 model convert mixed.h5 mixed.mat
 verify mixed.h5
 """,
+    "searches": """
+synth dk problem.h5 --blocks "1,0;2,2" --measurements 1 --controls 1 --effort 0.02 --no-direct
+synth fixed problem.h5 --structure order:1 --measurements 1 --controls 1 --starts 1
+""",
     "records": """
 data check {recipes}/data/motor_record.csv --inputs u --outputs phi,i
 data convert {recipes}/data/motor_record.csv record.h5 --inputs u --outputs phi,i
 data compare dc-motor record.h5
 uncertain build --plant dc-motor --tolerance R=0.1 --tolerance Kf=0.35 --outputs phi --out angle.h5
 data validate angle.h5 {recipes}/data/jig_slow.csv --inputs u --outputs phi --noise phi=1e-3
+recipe new mine
+recipe check mine.toml
 recipe check {recipes}/first-light.toml
 recipe check {recipes}/flagship.toml
 recipe check {recipes}/robust-machine.toml
@@ -142,6 +157,7 @@ def answers(chapter: str) -> dict[str, Any]:
     lines = chapter.strip().splitlines()
     places = {"models": ROOT / "models", "recipes": ROOT / "recipes"}
     with tempfile.TemporaryDirectory() as folder:
+        rl.save(Path(folder, "problem.h5"), oscillator())
         done = robustlab([[word.format(**places) for word in shlex.split(line)] for line in lines], folder)
     found = {}
     for line, (code, text) in zip(lines, done, strict=True):

@@ -15,7 +15,7 @@ from .cases import SHARED, Case
 RTOL = 1e-6
 RTOLS = {"gamma": 1e-3, "smallest": 1e-3}
 # Larger plants take a second and more.
-SMALL = 4
+SMALL = 3
 
 
 def cases() -> Iterator[Case]:

@@ -20,7 +20,7 @@ def cases() -> Iterator[Case]:
     """Twenty models, each asked for its margin and its worst gain; loops; distances."""
     for plant, (output, ranges) in PLANTS.items():
         yield Case(plant, lambda p=plant, o=output, r=ranges: both(rl.plant(p, **r).uncertain(outputs=[o])),
-                   plant == "mass-spring-damper")  # fmt: skip
+                   plant in ("mass-spring-damper", "servo-axis"))  # fmt: skip
     yield Case("two masses, published", lambda: margin(two_mass()))
     for kind in ("real", "mixed", "mixed full", "complex", "full", "real x2"):
         for n, states in ((2, 4), (4, 6)):
