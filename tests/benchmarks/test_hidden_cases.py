@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from hidden import ANYWHERE, CURRENT_ONLY, FAMILIES, make_case, told
-from hidden.visibility import gap, refit
 
 import robustlab as rl
 
@@ -132,15 +131,3 @@ def test_parameters_may_be_set():
 def test_what_does_not_exist_is_refused(arguments, options):
     with pytest.raises(ValueError, match=r"\w"):
         make_case(*arguments, **options)
-
-
-@pytest.mark.parametrize("effect", ["coulomb-friction", "cogging", "input-dead-zone", "inertia", *MOTOR.outside[:2]])
-def test_every_effect_is_visible_on_the_motor(effect):
-    seen = gap(make_case(effect, 0, duration=2.4))
-    assert seen.peak > 10 or seen.windows > 3
-
-
-def test_nothing_hidden_is_nothing_seen():
-    case = make_case("none", 0, duration=2.4)
-    seen, after = gap(case), refit(case)
-    assert seen.run == seen.windows == seen.peak == after.rest == after.cost == 0
