@@ -284,11 +284,11 @@ def _least(
     ``entries``: the realisation of each entry alone.
     """
     zero = np.zeros(np.shape(D))
-    models = [StateSpaceModel(*part, zero, dt) for part in parts] or [StateSpaceModel([], [], [], zero, dt)]
+    models = [least_order(StateSpaceModel(*part, zero, dt)).model for part in parts]
     while len(models) > 1:
         pairs = [models[k : k + 2] for k in range(0, len(models), 2)]
         models = [least_order(parallel(*pair)).model if len(pair) > 1 else pair[0] for pair in pairs]
-    found = least_order(models[0]).model
+    found = models[0] if models else StateSpaceModel([], [], [], zero, dt)
     for (i, j), entry in entries.items():
         for mode in (mode for part in entry for mode in hidden_unstable(StateSpaceModel(*part, [[0.0]], dt))):
             near = LOST * sum(float(np.linalg.norm(A)) for A, _, _ in entry)

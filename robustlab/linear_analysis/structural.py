@@ -359,10 +359,11 @@ class _Reached:
             modes.append(_hidden_mode(moved, names[self.inner], model.is_discrete, kind))
         return tuple(modes)
 
-    def basis(self) -> tuple[Array, Indices]:
+    def basis(self) -> tuple[Array, Indices, float]:
         r"""Return T and rows ``kept``, where it is the identity, with ``A T = T (A T)[kept]`` and ``B = T B[kept]``.
 
         Entries become short binary fractions where these fit no worse: exact cancellations leave no rounding.
+        Last, the largest entry of what these equations miss, scaled.
         """
         from scipy.linalg import qr
 
@@ -384,7 +385,8 @@ class _Reached:
             off = [np.ldexp(m - t[inner] @ m[kept], -exponent[:, None]) for m in moved]
             off[0] = np.ldexp(off[0], exponent[None, kept]) / self.rate
             found.append((max(float(np.abs(m).max(initial=0.0)) for m in off), t))
-        return min(found, key=lambda pair: pair[0])[1], inner[kept]
+        missed, t = min(found, key=lambda pair: pair[0])
+        return t, inner[kept], missed
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,24 +425,27 @@ def least_order(model: StateSpaceModel, tolerance: float | None = None) -> Least
     Singular values up to ``tolerance`` count as zero, relative to the scaled model; None: what is clear of rounding.
     """
     first = _Reached.of(model.A, model.B, tolerance)
-    t, kept = first.basis()
+    t, kept, missed = first.basis()
     names = [model.states[k] for k in kept]
-    A, C = _product(model.A[kept], t), _product(model.C, t)
+    A, C = _product(model.A[kept], t, missed), _product(model.C, t, missed)
     reached = replace(model, A=A, B=model.B[kept], C=C, states=names, operating_point=None)
     second = _Reached.of(reached.A.T, reached.C.T, tolerance)
-    s, kept = second.basis()
+    s, kept, missed = second.basis()
     names = [reached.states[k] for k in kept] if np.count_nonzero(s) == len(kept) else None
-    A, B = _product(reached.A[:, kept].T, s).T, _product(reached.B.T, s).T
+    A, B = _product(reached.A[:, kept].T, s, missed).T, _product(reached.B.T, s, missed).T
     least = replace(reached, A=A, B=B, C=reached.C[:, kept], states=names)
     hidden = first.modes(model, "controllability") + second.modes(reached, "observability")
     dropped = max(first.stairs.largest_dropped, second.stairs.largest_dropped)
     return LeastOrder(least, model, reached, t, s.T, hidden, dropped, first.clear and second.clear)
 
 
-def _product(a: Array, t: Array) -> Array:
-    """Multiply, with zeros where the terms cancel: no scaling shall take their rounding for a connection."""
+def _product(a: Array, t: Array, missed: float) -> Array:
+    """Multiply, with zeros where the terms cancel: no scaling shall take their rounding for a connection.
+
+    ``missed``: how far t is off.
+    """
     found = a @ t
-    return np.where(np.abs(found) <= ROUNDING * (np.abs(a) @ np.abs(t)), 0.0, found)
+    return np.where(np.abs(found) <= max(ROUNDING, 10 * missed) * (np.abs(a) @ np.abs(t)), 0.0, found)
 
 
 def hidden_unstable(model: StateSpaceModel) -> tuple[HiddenMode, ...]:

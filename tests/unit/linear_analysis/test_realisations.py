@@ -158,7 +158,7 @@ def test_a_sample_time_is_kept_and_an_unknown_one_is_refused():
         rl.ss([[1.0]], [[1.0]])
 
 
-# --- a transfer matrix has each pole as often as it must; a loop around it is the one that was meant
+# --- a pole that entries share: the loop is the one that was meant ------------------------------
 
 SHARED = {  # num, den, the gains of u = -K y, and of the loop: states, peak gain, disk margin at the input
     "an integrator": ([[[1]], [[1]]], [[[1, 0]], [[1, 1, 0]]], [2, 1], 2, 0.482720, 1.664101),
@@ -205,7 +205,7 @@ def test_a_root_that_one_entry_cancels_is_told():
     rl.tf([[[1]], [[1, 0]]], [1, 0, 0])  # the common denominator of 1/s^2 and 1/s: nothing is lost
 
 
-# --- zeros, poles, gain
+# --- zeros, poles, gain --------------------
 
 
 def test_a_narrow_band_pass_keeps_its_poles():
