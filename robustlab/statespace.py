@@ -559,9 +559,9 @@ def _check_shapes(a: Array, b: Array, c: Array, d: Array, where: str) -> None:
     hint = None
     if a.shape == (n, n) and d.shape != d.T.shape == (c.shape[0], b.shape[1]):
         wrong = [f"D is {d.shape}, expected {d.T.shape}"]
-        hint = "D looks transposed (column-major file?): use --transpose"
+        hint = "D looks transposed (column-major file?): use transpose=True"
     elif b.shape != b.T.shape == (n, n_u) or c.shape != c.T.shape == (n_y, n):
-        hint = "B or C looks transposed (column-major file?): use --transpose"
+        hint = "B or C looks transposed (column-major file?): use transpose=True"
     raise InputError(where, "; ".join(wrong), None, hint)
 
 

@@ -30,8 +30,8 @@ FromInput = Annotated[
 Drive = Annotated[
     dict[str, Any] | None,
     Table(Quantity(), "inputs"),
-    "Constant input, u=42 or u=42V; repeatable. A unit step where left out.",
-    Named(option="--input-value"),
+    "Constant input, u=42 or u=42V; repeatable. A unit step on the only input where left out.",
+    Named(argument="u", option="--input-value"),
 ]
 Sine = Annotated[dict[str, Any] | None, Table(Quantity(), "inputs"), "Amplitude of a sine on an input, likewise."]
 Frequency = Annotated[float | None, Number("Hz", above=0), "Of the sine, in Hz.", Named(option="--sine-frequency")]

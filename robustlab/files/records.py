@@ -368,7 +368,7 @@ def _no_signals(source: Source, found: str) -> InputError:
         source.where,
         found,
         one_of("signals in the group given; groups are", source.groups),
-        f"--group {source.groups[0] if len(source.groups) == 1 else 'NAME'}",
+        f"group={source.groups[0]!r}" if len(source.groups) == 1 else "group=...",
     )
 
 
@@ -433,7 +433,7 @@ def _times(source: Source, names: list[str], n: int, dt: float | None, clock: st
     if not dt:
         columns = one_of("a column t, or one of", names)
         raise InputError(
-            source.where, "no clock and no sample time", columns + " as clock=", "--dt SECONDS, or --clock NAME"
+            source.where, "no clock and no sample time", columns + " as clock=", "dt=..., in s, or clock=..."
         )
     if not np.isfinite(dt) or dt < 0:
         raise InputError(source.where, f"dt is {dt}", "a positive sample time in s")
@@ -482,7 +482,7 @@ def _refuse_gaps(where: str, label: str, t: Array) -> None:
             f"{label}: {lost} samples missing between t[{k}] = {t[k]:.9g} s and t[{k + 1}] = {t[k + 1]:.9g} s "
             f"({len(holes)} gaps in all)",
             f"a sample every {median:.6g} s",
-            "cut the record there, or allow_gaps=True (--allow-gaps)",
+            "cut the record there, or allow_gaps=True",
         )
 
 

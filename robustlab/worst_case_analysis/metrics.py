@@ -132,7 +132,7 @@ def _of_a_response(uncertain: UncertainModel, request: MetricRequest, where: str
     names = [s.name for s in uncertain.outputs]
     output = request.output
     if output is None and len(names) != 1:
-        expected, hint = f"output: one of {', '.join(names)}", f"name one: output={names[0]!r}, or --outputs {names[0]}"
+        expected, hint = f"output: one of {', '.join(names)}", f"name one: output={names[0]!r}"
         raise UsageError(where, f"{len(names)} outputs and none named", expected, hint)
     u: Any = {request.input: 1.0} if request.u is None and request.input is not None else request.u
     clock = default_clock(uncertain.nominal, where) if request.t is None else request.t

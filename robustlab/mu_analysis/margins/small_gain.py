@@ -164,7 +164,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
             "small_gain",
             with_hidden(f"nominal closed loop {'unstable' if norm.lower else 'not surely stable'} ({norm.reason})", M),
             "a stable nominal loop",
-            "check the sign of the feedback: sign=, or --feedback negative | positive",
+            "check the sign of the feedback: sign=-1 or sign=1",
         )
     if norm.lower == 0:
         lower, holds = _inverse(norm.upper), norm.upper < 1
