@@ -484,10 +484,11 @@ class _Search:
             climb.theta, climb.score = theta, float(scores[best])
 
     def _score_and_slope(self, theta: Array, climb: _Climb) -> tuple[float, Array]:
-        """The score, and its difference quotients towards the middle of the box (at 0 upwards)."""
+        """The score, and its difference quotients on the same side of 0 (at 0 upwards), within the box."""
         if climb.budget.over:
             raise _Over
-        step = np.where(theta > 0.0, -STEP, STEP)
+        step = np.where(theta < 0.0, -STEP, STEP)
+        step = np.where(np.abs(theta + step) > 1.0, -step, step)
         points = np.vstack([theta, theta + np.diag(step)])
         climb.budget.spend(self.judge.work(len(points)))
         scores = self.judge.sense * self._measure(points)
