@@ -215,16 +215,6 @@ def controlled_runs() -> Any:
     return follow_sine(motor(), {"gain": K}, ["omega"], ["omega"], sine, Judged(limits={"u": 42.0}))
 
 
-def story() -> Any:
-    from robustlab.analysis.story import Story, simulated_gap
-
-    t = np.arange(200) * 1e-3
-    run = rl.simulate(motor(), t, np.full(200, 10.0))
-    gap = simulated_gap(run, "omega", [("before", motor()), ("after", motor())], "simulated")
-    margins = [made("Margin")] * 2
-    return Story(gap, (0.3, 0.02), None, margins, (0.8, 0.5), t, [t, 0.5 * t], (1.0, 0.5), "rad")
-
-
 def tracking_loop() -> Any:
     from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, tracking_problem
 
@@ -324,7 +314,6 @@ OBJECTS: dict[str, Any] = {
     "TrackingProblem": lambda: tracking_loop().problem,
     "PerformanceComparison": performance_comparison,
     "ControlledRuns": controlled_runs,
-    "Story": story,
     "LoopFunctions": lambda: rl.loop_functions(spring().nominal, INTEGRAL),
     "KalmanFilter": lambda: rl.kalman(spring().nominal, np.eye(2), [[1.0]]),
     "IntegralFeedback": lambda: rl.lqi(spring().nominal, np.eye(3), [[1.0]]),
