@@ -209,16 +209,6 @@ def controlled_runs() -> Any:
     return follow_sine(motor(), {"gain": K}, ["omega"], ["omega"], sine, Judged(limits={"u": 42.0}))
 
 
-def story() -> Any:
-    from robustlab.analysis.story import Story, simulated_gap
-
-    t = np.arange(200) * 1e-3
-    run = rl.simulate(motor(), t, np.full(200, 10.0))
-    gap = simulated_gap(run, "omega", [("before", motor()), ("after", motor())], "simulated")
-    margins = [made("Margin")] * 2
-    return Story(gap, (0.3, 0.02), None, margins, (0.8, 0.5), t, [t, 0.5 * t], (1.0, 0.5), "rad")
-
-
 def tracking_loop() -> Any:
     from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, tracking_problem
 
@@ -312,7 +302,6 @@ OBJECTS: dict[str, Any] = {
     "TrackingProblem": lambda: tracking_loop().problem,
     "PerformanceComparison": performance_comparison,
     "ControlledRuns": controlled_runs,
-    "Story": story,
     "LoopFunctions": lambda: rl.loop_functions(spring().nominal, INTEGRAL),
     "ReducedModel": lambda: rl.reduce_model((spring().nominal @ lag().renamed([("F", "N")], [("F", "N")])), 2),
     "ReducedController": lambda: rl.reduce_controller(mixsyn().plant, mixsyn().K),

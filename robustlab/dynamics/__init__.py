@@ -63,11 +63,10 @@ def plant(name: str, **parameters: Any) -> Plant:
     ----------
     name
         One of `plant_names`; or ``"path/to/file.py:name"``, a plant of your own or a function that returns one; or
-        ``"path/to/machine.fmu"``, a functional mock-up unit (`robustlab.dynamics.fmu`): that file is run.
+        ``"path/to/machine.fmu"``, a functional mock-up unit for co-simulation: that file is run.
     **parameters
         Name -> value (the published tolerance stays) or name -> ``(value, relative tolerance)``. The Stewart platform
-        also takes ``preset="thesis"`` or ``"physical"`` and ``motors=True`` or ``False``; a unit what
-        `robustlab.dynamics.fmu.FmuPlant` takes.
+        also takes ``preset="thesis"`` or ``"physical"`` and ``motors=True`` or ``False``; a unit ``time_limit``.
 
     Returns
     -------

@@ -59,7 +59,6 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis", "TwoDegreeSynthesis"), _LOOP),
     **dict.fromkeys(("FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
     "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture", "history": "design_figures.history_picture"},
-    "Story": {"story": "design_figures.story_figure"},
     "PerformanceComparison": {"mu": "design_figures.performance_picture"},
     "ControlledRuns": {"runs": "design_figures.runs_picture"},
     "TrackingLoop": {"functions": "design_figures.tracking_picture"},

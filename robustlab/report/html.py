@@ -223,12 +223,7 @@ def in_words(value: Any, limits: Sequence[float | None] | None = None) -> str:
 
 
 def leading_figures(result: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
-    """Stem -> heading of its step and figure, of the first figures of the steps that requirements are about.
-
-    None where the run tells its story in one picture, which then leads.
-    """
-    if any(step["do"] == "story" and step["figures"] for step in result["steps"]):
-        return {}
+    """Stem -> heading of its step and figure, of the first figures of the steps that requirements are about."""
     steps = {step["name"]: step for step in result["steps"]}
     asked = (steps.get(q["that"].partition(".")[0]) for q in result["requirements"])
     found = {s["figures"][0]["stem"]: (heading(s), s["figures"][0]) for s in asked if s is not None and s["figures"]}

@@ -15,8 +15,8 @@ import numpy as np
 from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
-from robustlab.dynamics.fmu.fmu_plant import FmuCoSimulation
-from robustlab.dynamics.fmu.fmu_plant import FreeRun as RunOfUnit
+from robustlab.dynamics.fmu import FmuPlant
+from robustlab.dynamics.fmu import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import NoTrustworthyNumber, UsageError, told_as
 from robustlab.identification.comparison.additions import additions, additions_that_tell
@@ -106,7 +106,7 @@ def compare(
     Returns
     -------
     Comparison
-        A large gap is a result, not an error. Of a co-simulation unit what `FmuCoSimulation.compare` gives.
+        A large gap is a result, not an error. Of a co-simulation unit what `FmuPlant.compare` gives.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def compare(
     (0.1, 9.09)
     """
     checks.whole("compare: lags", lags, 1)
-    if isinstance(plant, FmuCoSimulation):
+    if isinstance(plant, FmuPlant):
         if repeats or (window, start, lags, speed, position, period) != (None, None, LAGS, None, None, None):
             found = f"options for the windows of {plant.name}"
             expected = "none: a co-simulation unit runs from its own initial state"

@@ -1,8 +1,7 @@
-"""Steps from records and models to sets that hold them, and the way to a better controller in one picture."""
+"""Steps from records and models to sets that hold them."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
@@ -17,17 +16,14 @@ from robustlab.doors.vocabulary import (
     Feedback,
     Names,
     Positive,
-    RefersTo,
-    Text,
     TimeLimit,
     ToController,
     Tolerance,
     ToOneModel,
     ToPlantOrFile,
     ToRecord,
-    ToUncertain,
 )
-from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.recipe.steps.contract import (
     Ahead,
     Fact,
@@ -38,18 +34,11 @@ from robustlab.recipe.steps.contract import (
     facts_of,
     quantity,
     step,
-    told,
 )
 from robustlab.recipe.steps.leaves import leaves_of
 
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import NoiseInput
-
-ToPerformance = Annotated[str, RefersTo(("performance",))]
-
-ToRuns = Annotated[str, RefersTo(("runs",))]
-
-BeforeAfter = Field(min_length=2, max_length=2)
 
 
 @step
@@ -120,74 +109,6 @@ class DataCoverStep(Step):
         )
         summary = f"The set of models around {self.of} that explains {', '.join(self.records)}."
         return Outcome(found.model, summary, found.numbers(), facts, found.status, found.notes, found.summary())
-
-
-@step
-class StoryStep(Step):
-    """One picture from the gap to the better controller, before and after an effect was named; first in the report.
-
-    Every list holds two entries: before and after.
-    """
-
-    do: Literal["story"]
-    record: ToRecord | None = Field(None, description="Record that both plants are simulated against, from rest.")
-    output: Annotated[Text, Names("outputs", "record")] = Field(
-        "", description="Output of the record to draw; the first where left out."
-    )
-    plants: Annotated[list[ToPlantOrFile], BeforeAfter] | None = None
-    covers: Annotated[list[ToUncertain], BeforeAfter] | None = Field(None, description="data-cover steps.")
-    performance: Annotated[list[ToPerformance], BeforeAfter] = Field(description="robust-performance steps.")
-    controllers: Annotated[list[ToController], BeforeAfter]
-    runs: ToRuns = Field(description="simulate-control or follow-trajectory step with both controllers.")
-
-    def foretell(self, ahead: Ahead) -> Foretold:
-        """The names of both controllers must be among those that the steps before were given."""
-        asked = zip((*self.performance, self.runs, self.runs), (*self.controllers, *self.controllers), strict=True)
-        for name, controller in asked:
-            rows = ahead[name].leaves
-            if rows is not ... and controller not in rows["controllers"]:
-                known = rows["controllers"]
-                raise unknown_name(f"step {name!r}", f"does not have {controller!r}", controller, known)
-        from robustlab.analysis.story import Story
-
-        leaves: dict[str, Any] = {"mu": {"before": "1", "after": "1", "fall_percent": "%"}, "error": Story.PAIR}
-        leaves |= {"gap": Story.PAIR} if self.record is not None else {}
-        leaves |= {"radius": Story.PAIR, "held_out": Story.PAIR} if self.covers is not None else {}
-        return Foretold(leaves=leaves)
-
-    @model_validator(mode="after")
-    def _together(self) -> Self:
-        if (self.record is None) != (self.plants is None):
-            raise PydanticCustomError("together", "record and plants belong together")
-        return self
-
-    def run(self, work: Workspace) -> Outcome:
-        from robustlab.analysis.story import Story, pair, simulated_gap
-
-        both = list(zip(self.performance, self.controllers, strict=True))
-        mu = [_of_controller(work, p, k, "mu_upper") for p, k in both]
-        errors = [_of_controller(work, self.runs, k, "worst_error") for k in self.controllers]
-        gap = radii = held_out = None
-        if self.record is not None and self.plants is not None:
-            plants = [(name, work.values[name]) for name in self.plants]
-            gap = simulated_gap(work.record(self.record), self.output, plants, work.origin(self.record))
-        if self.covers is not None:
-            for name in self.covers:
-                if "radius" not in work.numbers[name]:
-                    raise InputError(f"covers: {name}", "no radius", "a data-cover step")
-            radii, needed = ([work.numbers[name][key] for name in self.covers] for key in ("radius", "held_out"))
-            held_out = pair(*needed) if all(isinstance(v, float) and math.isfinite(v) for v in needed) else None
-        runs, margins = work.values[self.runs], [work.values[p][k] for p, k in both]
-        curves = [runs.errors[k] for k in self.controllers]
-        found = Story(gap, radii, held_out, margins, mu, runs.t, curves, errors, runs.unit, runs.after)
-        return told(found, None, f"{found.headline()}.", work)
-
-
-def _of_controller(work: Workspace, step: str, controller: str, key: str) -> float:
-    rows = work.numbers[step]["controllers"]
-    if controller not in rows:
-        raise InputError(f"story: {step}", f"does not have {controller!r}", f"one of {', '.join(rows)}")
-    return float(rows[controller][key])
 
 
 Pose = Annotated[list[float], Field(min_length=6, max_length=6)]

@@ -80,7 +80,7 @@ def test_every_public_result_is_among_the_examples_and_shows_itself(make):
     assert [kind.__name__ for kind in kinds if not issubclass(kind, Shown)] == []
     made = [type(make(name)) for name in NAMES]
     missing = {kind.__name__ for kind in kinds if not any(issubclass(one, kind) for one in made)}
-    assert missing == {"FreeRun"}  # tests/dynamics/fmu/test_fmu_co_simulation.py has a unit for it
+    assert missing == {"FreeRun"}  # tests/dynamics/test_fmu.py has a unit for it
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from robustlab.analysis.story import Story
 from robustlab.dynamics.control.controlled_runs import TimePanel
 from robustlab.report.design_figures import (
     FunctionPanel,
@@ -16,7 +12,6 @@ from robustlab.report.design_figures import (
     history_figure,
     loop_figure,
     runs_figure,
-    story_figure,
 )
 from robustlab.report.figures import save_figure
 from robustlab.statespace import StateSpaceModel
@@ -61,24 +56,6 @@ def test_history_marks_the_smallest_and_keeps_infinite_levels_out_of_the_span():
     low, high = figure.axes[0].get_ylim()
     assert low < 0.8 < 1.0 < high < 10
     assert {"start: proved", "D-K: proved", "smallest"} <= labels(figure)
-
-
-@pytest.mark.parametrize(
-    ("told", "panel", "title"),
-    [
-        ({}, 0, "15 times smaller"),
-        ({"radii": (0.3, 0.0)}, 0, "none is left"),
-        ({"radii": (0.0, 0.0)}, 0, "none is left"),
-        ({}, 1, "μ 37.5 % lower"),
-        ({"mu": (np.inf, 0.5)}, 1, "μ not to be compared"),  # and no fall of 100 %
-        ({"mu": (0.0, 0.0)}, 1, "μ not to be compared"),
-    ],
-)
-def test_the_story_tells_what_was_found_also_where_it_is_nothing(told, panel, title):
-    margin, t = SimpleNamespace(omega=OMEGA, mu_upper=0.4 + 0 * OMEGA), np.linspace(0.0, 1.0, 5)
-    story = Story(None, (0.3, 0.02), None, (margin, margin), (0.8, 0.5), t, (t, 0.5 * t), (1.0, 0.5), "m")
-    figure = story_figure(replace(story, **told))
-    assert figure.axes[panel].get_title("left").endswith(title)
 
 
 def test_a_limit_far_from_the_curves_is_named():

@@ -1,0 +1,333 @@
+"""Functional mock-up units for co-simulation (FMI 2.0 and 3.0) as plants, run by FMPy in a child process.
+
+A unit is a program. The child (this module as a program) is started for each request, told by a file what to do, and
+ended by its end or the time limit; what it prints reaches nobody. The unit brings its own solver and shows outputs
+alone, so a plant made of it has no states, no linear model and no rest.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.arrays import Array
+from robustlab.budget import NOT_REPEATABLE, child_environment
+from robustlab.checks import number
+from robustlab.dynamics.parameters import Parameter, overridden
+from robustlab.dynamics.plant_contract import SteppedPlant, Trim
+from robustlab.dynamics.simulation import simulate
+from robustlab.errors import DependencyMissing, InputError, NativeTimeout, NoTrustworthyNumber, UnitMismatch
+from robustlab.provenance import BY_UNIT, Provenance, file_sha256
+from robustlab.record import Record
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown
+from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.units import same_unit
+
+MOST_BYTES = 1 << 31  # of the unpacked archive
+EVEN = 1e-6  # share by which steps of a unit that takes no others may differ
+SHOWS_NONE = "a co-simulation unit steps itself: it shows no rates, and no state of it can be set"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FreeRun(Shown):
+    """A record beside the simulation of its inputs from the unit's own initial state.
+
+    Attributes
+    ----------
+    record, simulated
+        Measured, and simulated.
+    gaps
+        Output -> "rms", "peak" in its unit, and "fit" in %, 100 where they are equal.
+    status
+        CONVERGED: the unit ran to the end; what its own solver is good for is not known.
+    """
+
+    record: Record
+    simulated: Record
+    gaps: Mapping[str, Mapping[str, float]]
+    status: Status = Status.CONVERGED
+
+    def facts(self) -> Facts:
+        """One an output."""
+        told = [("", f"{self.simulated.name} against {self.record.name}: free run from the unit's own initial state")]
+        for name, gap in self.gaps.items():
+            unit = self.simulated.unit(name)
+            rms, peak = (f"{gap[key]:.4g} {unit}".rstrip() for key in ("rms", "peak"))
+            told.append((name, f"rms {rms}, peak {peak}, fit {gap['fit']:.4g} %"))
+        return told
+
+    def to_json(self, *, series: bool = True) -> dict[str, Any]:
+        """The gaps and the names of both; with ``series`` the simulated outputs over time."""
+        gaps = {name: dict(gap) for name, gap in self.gaps.items()}
+        found = {"record": self.record.name, "model": self.simulated.name, "gaps": gaps, "status": self.status}
+        over_time = {"t": self.simulated.t, "simulated": dict(self.simulated.outputs)}
+        return {**found, **over_time} if series else found
+
+
+def fmu(path: str | Path, *, time_limit: float = 60.0, **parameters: Any) -> FmuPlant:
+    """The unit in a file as a plant; see `FmuPlant`."""
+    shown = str(path)
+    number(f"{shown}: time_limit", time_limit, "a time in s", above=0)
+    if not Path(path).is_file():
+        raise InputError(shown, "no such file", "a functional mock-up unit (.fmu)")
+    if find_spec("fmpy") is None:
+        raise DependencyMissing("fmpy", "not installed", "the package FMPy", "pip install 'robustlab[fmi]'")
+    about, _ = _asked(path, {"op": "describe"}, time_limit)
+    defaults = []
+    for p in about["parameters"]:
+        sign: Any = "positive" if p["low"] > 0 else "nonnegative" if p["low"] == 0 else "any"
+        source = "the unit's description"
+        defaults.append(Parameter(p["name"], p["start"], p["unit"], 0.0, source, p["meaning"], sign))
+    sides = {side: tuple(Signal(v["name"], v["unit"]) for v in about[side]) for side in ("inputs", "outputs")}
+    made = FmuPlant(
+        about["name"], overridden(defaults, parameters, about["name"]), **sides, states=(),
+        path=Path(path).absolute(), sha256=file_sha256(path), time_limit=time_limit, about=about,
+    )  # fmt: skip
+    made.traced(Provenance.now(BY_UNIT, {shown: made.sha256}))
+    return made
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FmuPlant(SteppedPlant):
+    """A functional mock-up unit for co-simulation as a plant without states of ours.
+
+    It can be simulated (inputs are held between the samples, each a communication step, or ``step=`` shorter ones),
+    compared with a record (`compare`), and sampled over its parameters.
+
+    Attributes
+    ----------
+    path, sha256
+        File of the unit, and its hash when the plant was made; another file is not run.
+    time_limit
+        Seconds that the unit may take for one request.
+    about
+        What the unit's description says.
+    """
+
+    path: Path
+    sha256: str
+    time_limit: float
+    about: Mapping[str, Any]
+
+    def with_parameters(self, **given: Any) -> FmuPlant:
+        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
+        made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
+        made.traced(Provenance.now(BY_UNIT, {str(self.path): self.sha256}))
+        return made
+
+    def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
+        """No states (n, 0), and outputs (n, n_y), at the times t for inputs (n, n_u) held between them."""
+        steps = np.diff(t)
+        if not self.about["variable_step"] and len(steps) and np.ptp(steps) > EVEN * steps.mean():
+            raise InputError(f"simulate {self.name}", "steps that differ", "equal ones: the unit takes no others")
+        if file_sha256(self.path) != self.sha256:
+            raise InputError(str(self.path), "is not the file that it was", None, "make the plant anew")
+        request = {"op": "step", "longest": step, "values": self.values}
+        _, y = _asked(self.path, request, self.time_limit, np.column_stack([t, u]))
+        assert y is not None
+        if not np.isfinite(y).all():
+            k, j = np.argwhere(~np.isfinite(y))[0]
+            raise NoTrustworthyNumber(self.name, f"{self.outputs[j].name} is {y[k, j]:g} at t = {t[k]:.9g} s")
+        return np.zeros((len(t), 0)), y
+
+    def compare(self, record: Record) -> FreeRun:
+        """The record's inputs simulated from the unit's own initial state, beside its outputs; nothing is fitted.
+
+        Raises
+        ------
+        InputError
+            An input that the record has not got, no output in common.
+        UnitMismatch
+            Different units of a signal.
+        """
+        where = f"compare {record.name}"
+        missing = [s.name for s in self.inputs if s.name not in record.inputs]
+        shared = [s for s in self.outputs if s.name in record.outputs]
+        if missing:
+            raise InputError(where, f"no input {missing[0]!r} in the record", "every input of the unit")
+        if not shared:
+            raise InputError(where, "no output in common", f"one of {', '.join(s.name for s in self.outputs)}")
+        for name, unit in (*self.inputs, *shared):
+            measured = record.unit(name)
+            if unit and measured and not same_unit(unit, measured):
+                raise UnitMismatch(f"{where}: {name}", f"recorded in {measured}", f"{unit} as in the unit")
+        simulated = simulate(self, record.t, {s.name: record.inputs[s.name] for s in self.inputs})
+        gaps = {}
+        for name, _ in shared:
+            error, spread = record.outputs[name] - simulated.outputs[name], float(np.std(record.outputs[name]))
+            rms = float(np.sqrt(np.mean(error**2)))
+            fit = 100.0 * (1.0 - rms / spread) if spread else float("nan")
+            gaps[name] = {"rms": rms, "peak": float(np.abs(error).max()), "fit": fit}
+        return FreeRun(record, simulated, gaps)
+
+    def _refused(self, *_: Any, **__: Any) -> NoReturn:
+        raise InputError(self.name, SHOWS_NONE, "a plant with equations", "identify a model from rl.simulate")
+
+    def linear_model(
+        self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
+    ) -> StateSpaceModel:
+        """Refused."""
+        self._refused()
+
+    def left_out(self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0) -> tuple[Any, ...]:
+        """Nothing that is known."""
+        return ()
+
+    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """Refused."""
+        self._refused()
+
+    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """Refused."""
+        self._refused()
+
+    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        """Refused."""
+        self._refused()
+
+    def equilibrium(self, **where: Any) -> Trim:
+        """Refused."""
+        self._refused()
+
+
+def _asked(
+    path: str | Path, request: Mapping[str, Any], time_limit: float, array: Array | None = None
+) -> tuple[dict[str, Any], Array | None]:
+    """The child's answer to a request: a table, and an array where one is asked for.
+
+    Raises NativeTimeout: it gave none in time; InputError, NoTrustworthyNumber: a unit that fails, crashes, or is none.
+    """
+    shown, running = str(path), request["op"] == "step"
+    fault = NoTrustworthyNumber if running else InputError
+    with tempfile.TemporaryDirectory(prefix="robustlab-fmu-") as name:
+        folder = Path(name)
+        whole = {**request, "path": str(Path(path).absolute()), "seconds": time_limit}
+        (folder / "request.json").write_text(json.dumps(whole), encoding="utf-8")
+        if array is not None:
+            np.save(folder / "given.npy", array)
+        # -P: the folder the user happens to be in must not lend modules to the child.
+        command = [sys.executable, "-P", "-m", __name__, name]
+        try:
+            done = subprocess.run(  # noqa: S603  our own interpreter with our own module
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                env=child_environment(), timeout=time_limit, check=False,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            found = f"the unit gave no answer in its {time_limit:g} s; its process was ended"
+            raise NativeTimeout(shown, found, None, f"{NOT_REPEATABLE}; time_limit= gives it longer") from None
+        if done.returncode < 0:
+            raise fault(shown, f"the unit crashed (signal {-done.returncode})")
+        if not (folder / "answer.json").is_file():
+            raise fault(shown, f"the unit's process ended with {done.returncode} and without an answer")
+        answer = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
+        if "error" in answer:
+            raise fault(shown, answer["error"], "a functional mock-up unit (FMI 2.0 or 3.0) for co-simulation")
+        return answer, np.load(folder / "found.npy", allow_pickle=False) if running else None
+
+
+# --- in the child -----------------------------------------------------------------------------------------------------
+
+
+def _answer(folder: Path) -> None:
+    """Do what request.json asks for, and write answer.json (and found.npy)."""
+    request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
+    if hasattr(signal, "alarm"):
+        signal.alarm(math.ceil(request["seconds"]) + 5)  # where the parent has died
+    answer: dict[str, Any] = {}
+    try:
+        import fmpy
+
+        description = fmpy.read_model_description(request["path"], validate=False)
+        if request["op"] == "describe":
+            answer = _described(description)
+        else:
+            np.save(folder / "found.npy", _stepped(request, description, folder))
+    except Exception as error:  # noqa: BLE001  whatever the unit or its reader raise is a finding about the unit
+        answer = {"error": " ".join(f"{error}".split())[:300] or type(error).__name__}
+    (folder / "answer.json").write_text(json.dumps(answer), encoding="utf-8")
+
+
+def _described(description: Any) -> dict[str, Any]:
+    """Name, real signals and parameters, and whether steps may differ; raises ValueError where it cannot be run."""
+    if description.coSimulation is None:
+        raise ValueError("a unit for model exchange alone: export it for co-simulation with its own solver")
+    real = [v for v in description.modelVariables if v.type in ("Real", "Float64")]
+    of = {cause: [v for v in real if v.causality == cause] for cause in ("input", "output", "parameter")}
+    for v in (*of["input"], *of["output"]):
+        if v.dimensions:
+            raise ValueError(f"{v.name} is an array: export the unit with scalars")
+    if not of["output"]:
+        raise ValueError("no output that is a real number")
+
+    def stated(v: Any, key: str) -> Any:
+        return getattr(v, key) or getattr(v.declaredType, key, None)
+
+    signals = {
+        side: [{"name": v.name, "unit": stated(v, "unit") or ""} for v in of[cause]]
+        for side, cause in (("inputs", "input"), ("outputs", "output"))
+    }
+    parameters = [
+        {
+            "name": v.name, "unit": stated(v, "unit") or "", "start": float(v.start), "meaning": v.description or "",
+            "low": float(stated(v, "min") or -math.inf),
+        }
+        for v in of["parameter"]
+        if v.variability in ("fixed", "tunable") and v.start is not None and not v.dimensions
+    ]  # fmt: skip
+    variable = bool(description.coSimulation.canHandleVariableCommunicationStepSize)
+    name = description.modelName or "unit"
+    return {"name": name, **signals, "parameters": parameters, "variable_step": variable}
+
+
+def _stepped(request: Mapping[str, Any], description: Any, folder: Path) -> Array:
+    """Outputs (n, n_y) at the times of the given table (t, u), with the inputs held between them."""
+    import fmpy
+    from fmpy.simulation import instantiate_fmu
+
+    with zipfile.ZipFile(request["path"]) as archive:
+        if sum(info.file_size for info in archive.infolist()) > MOST_BYTES:
+            raise ValueError(f"an archive of more than {MOST_BYTES} bytes unpacked")
+    unit: Any = instantiate_fmu(fmpy.extract(request["path"], folder / "unit"), description, "CoSimulation")
+    two = description.fmiVersion.startswith("2")
+    put, get = (unit.setReal, unit.getReal) if two else (unit.setFloat64, unit.getFloat64)
+    known = {v.name: v.valueReference for v in description.modelVariables}
+    about, given = _described(description), np.load(folder / "given.npy", allow_pickle=False)
+    ins, outs = ([known[v["name"]] for v in about[side]] for side in ("inputs", "outputs"))
+    t, u, longest = given[:, 0].tolist(), given[:, 1:].tolist(), request["longest"] or math.inf
+    if two:
+        unit.setupExperiment(startTime=t[0])
+    put([known[name] for name in request["values"]], list(request["values"].values()))
+    if two:
+        unit.enterInitializationMode()
+    else:
+        unit.enterInitializationMode(startTime=t[0])
+    put(ins, u[0])
+    unit.exitInitializationMode()
+    found = np.empty((len(t), len(outs)))
+    for k, time in enumerate(t):
+        put(ins, u[k])
+        found[k] = get(outs)
+        if k + 1 < len(t):
+            length = t[k + 1] - time
+            pieces = max(math.ceil(length / longest - 1e-9), 1)
+            for piece in range(pieces):
+                unit.doStep(time + piece * length / pieces, length / pieces)
+    return found
+
+
+if __name__ == "__main__":
+    _answer(Path(sys.argv[1]))
