@@ -286,8 +286,9 @@ def _least(
     zero = np.zeros(np.shape(D))
     models = [least_order(StateSpaceModel(*part, zero, dt)).model for part in parts]
     while len(models) > 1:
-        pairs = [models[k : k + 2] for k in range(0, len(models), 2)]
-        models = [least_order(parallel(*pair)).model if len(pair) > 1 else pair[0] for pair in pairs]
+        pairs = zip(models[::2], models[1::2], strict=False)
+        odd = models[-1:] if len(models) % 2 else []
+        models = [least_order(parallel(first, second)).model for first, second in pairs] + odd
     found = models[0] if models else StateSpaceModel([], [], [], zero, dt)
     for (i, j), entry in entries.items():
         for mode in (mode for part in entry for mode in hidden_unstable(StateSpaceModel(*part, [[0.0]], dt))):

@@ -452,11 +452,9 @@ def hidden_unstable(model: StateSpaceModel) -> tuple[HiddenMode, ...]:
     """Return the modes that do not decay and that no input moves or no output shows, one of each conjugate pair."""
     if model.is_stable():
         return ()
-    return tuple(
-        mode
-        for kind, a, b in (("controllability", model.A, model.B), ("observability", model.A.T, model.C.T))
-        for mode in _Reached.of(a, b).modes(model, kind) if not mode.stable and mode.eigenvalue.imag >= 0
-    )  # fmt: skip
+    modes = _Reached.of(model.A, model.B).modes(model, "controllability")
+    modes += _Reached.of(model.A.T, model.C.T).modes(model, "observability")
+    return tuple(mode for mode in modes if not mode.stable and mode.eigenvalue.imag >= 0)
 
 
 def with_hidden(text: str, *models: StateSpaceModel) -> str:

@@ -14,7 +14,7 @@ from robustlab.result import Status
 from robustlab.statespace import as_model
 from robustlab.synthesis.reduction.balancing import lost_at_least_order
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
-from robustlab.synthesis.reduction.split_error import SplitError
+from robustlab.synthesis.reduction.split_error import NEAR, SplitError
 
 __all__ = ["minimal"]
 
@@ -65,7 +65,8 @@ def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
         number("minimal: tolerance", tolerance, "a number between 0 and 1", above=0, below=1)
     found = least_order(full, tolerance)
     poles = full.poles()
-    stable = np.abs(poles) < 1 if full.is_discrete else poles.real < 0
+    inside = 1 - np.abs(poles) if full.is_discrete else -poles.real
+    stable = inside > NEAR * np.abs(poles).max(initial=0.0)
     lost = SplitError(lost_at_least_order(found), poles[~stable], poles[stable], full.dt).bound(0.0)
     unclear = f"the order depends on rounding: a singular value of {found.dropped:.1e} counted as zero; tolerance="
     reason = lost.reason or ("" if found.clear else unclear)

@@ -343,7 +343,8 @@ def _balanced_reduction(
         else:
             way = _plain_way(stable, Balancing.of(*gramian_factors(stable, split.form)), ordinary, projection)
     apart = split.apart.n_states
-    removed = () if split.least is None else tuple(mode.meaning for mode in split.least.hidden)
+    hidden = () if split.least is None else split.least.hidden
+    removed = tuple(mode.meaning for mode in hidden)
 
     def candidate(order: int) -> ReducedModel:
         small = way.reduced(order - apart)
@@ -602,7 +603,7 @@ def _coprime_reduction(full: StateSpaceModel) -> Candidates:
         found = _checked(full, way.reduced(order), "coprime", way, _Evidence(error), promised, 0)
         if reduction.lost is None:
             return replace(found, removed=reduction.removed)
-        reason = f"without what is not exactly hidden: {reduction.removed[0]}"
+        reason = f"what was removed before is not exactly hidden: {', '.join(reduction.removed)}"
         return replace(found, removed=reduction.removed, status=Status.INACCURATE, reason=found.reason or reason)
 
     return candidate, 0, way.most, np.append(way.values, 0.0)
