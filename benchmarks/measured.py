@@ -113,6 +113,13 @@ CERTIFICATES = [
         date="first",
     ),
     Row(
+        "files edited everywhere but in their claims: 10^4, none accepted",
+        "0 accepted, {0} not proved, {1} refused",
+        "verify_files.txt",
+        r"^all +0 +(\d+) +(\d+)",
+        date="first",
+    ),
+    Row(
         "zeros in exact arithmetic, 0 wrong",
         "{0} models, {1} vouched for, {2} said to be inaccurate, 0 wrong",
         "attack_zeros.txt",

@@ -162,10 +162,10 @@ def main() -> int:
         for i in range(given.mutants):
             kind = str(rng.choice(list(trees)))
             what, tree = mutant(rng, trees[kind])
-            if i % 10 == 0:  # one of ten goes through a file, which takes most of the time
-                tree = read_tree(write_tree(path, tree), isolate=False)
-            reading.read_tree = lambda _, tree=tree: tree
             try:
+                if i % 10 == 0:  # one of ten goes through a file, which takes most of the time
+                    tree = read_tree(write_tree(path, tree), isolate=False)
+                reading.read_tree = lambda _, tree=tree: tree
                 answer = "accepted" if rl.verify(path).proved else "not proved"
             except rl.InputError:
                 answer = "refused"
