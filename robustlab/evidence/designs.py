@@ -52,9 +52,9 @@ def two_degree_claims(found: TwoDegreeSynthesis) -> list[Claim]:
 def fixed_claims(found: FixedSynthesis) -> list[Claim]:
     """The norm of every plant's loop; of a set the worst-case gain."""
     if found.worst is not None:
-        if found.gamma != found.worst.upper:
+        if found.gamma != found.worst.upper or found.uncertain is None:
             return []
-        numbers = loop_numbers(found.plant.model, found.K)
+        numbers = loop_numbers(found.uncertain.M, found.K)
         return [
             _of_loop(claim, numbers) if claim.kind != "delay-weight" else claim for claim in gain_claims(found.worst)
         ]
