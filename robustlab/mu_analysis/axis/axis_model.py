@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
 from robustlab.linear_analysis.narrow_peaks import modes_apart, narrow_frequencies
@@ -89,7 +89,7 @@ def _even(model: StateSpaceModel) -> StateSpaceModel:
     return StateSpaceModel(A, B, C @ T, model.D) if np.linalg.norm(A) * np.linalg.cond(T) < room else model
 
 
-def _half(gramian: Array) -> Array:
+def _half(gramian: AnyArray) -> AnyArray:
     """A square root of a Gramian in which hidden directions have a small share of the others."""
     sizes, vectors = np.linalg.eigh(gramian)
     return vectors * np.sqrt(np.maximum(sizes, HIDDEN * sizes[-1]))

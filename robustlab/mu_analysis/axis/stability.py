@@ -285,6 +285,8 @@ def _cover_asymmetric(found: _Found, first: Array, budget: Budget, accuracy: flo
     room = fine * stretch
     size = 1 / found.attained / (1 + room) if found.attained else found.expected or found.tuning.large
     failed = 1 / found.attained if found.attained else np.inf
+    before: tuple[float, float] | None = None  # the last size that was too large, and the logarithm of its level
+    ratio, near = 1.0, 1 + max(2 * room, found.tuning.coarse)
     for _ in range(found.tuning.sizes):
         inside = box_model(found.model, found.blocks, root_box(found.blocks, size))
         if inside is None or not inside.is_stable():
@@ -295,15 +297,21 @@ def _cover_asymmetric(found: _Found, first: Array, budget: Budget, accuracy: flo
             found.cover = cover if not found.proof else found.cover
             break
         if cover.beta > 1 + 1e-12:
-            failed, size = size, size / (1 + stretch * (cover.beta * (1 + fine) - 1))
+            over, failed = float(np.log(cover.beta * (1 + fine))), size
+            if before:  # a secant: how much the level falls with the size depends on the side that it is met on
+                ratio = float(np.clip(np.log(before[0] / size) / max(before[1] - over, 1e-12), 0.5, stretch))
+            if found.proof and failed * found.level < near:
+                break
+            before = size, over
+            size = max(size * float(np.exp(-ratio * over)), float(np.sqrt(size / found.level)) if found.proof else 0.0)
             continue
         found.level, found.proof = 1 / size, tuple(cover.pieces)
         # Inside the box the level is one; what it says of the set is one over the size of the box.
         found.cover = AxisCover([replace(p, beta=found.level) for p in cover.pieces], [], found.level, cover.points)
         if failed < np.inf:
-            if failed < size * (1 + max(2 * room, found.tuning.coarse)):
+            if failed < size * near:
                 break
-            size = float(np.sqrt(size * failed))
+            size = min(float(np.sqrt(size * failed)), size * near if before else np.inf)
         elif found.expected is None:
             break
         else:
