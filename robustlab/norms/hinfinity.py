@@ -214,14 +214,14 @@ def bracketed_norm(
         doubtful = 2 / m.dt * np.arctan(rate * doubtful * m.dt / 2) / rate
     attained = float(largest_gains(m, np.array([omega]))[0])
     reason = "" if trusted else "the level test and a direct search disagreed; digits were lost"
-    if abs(attained - lower) > 10 * rtol * lower and lower > upper - lower:
+    error = worst = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega))
+    if abs(attained - lower) > 10 * rtol * lower + min(error, LOUD * lower) and lower > upper - lower:
         trusted = False
         reason = f"scaled and original realisation differ at the peak: {lower:.9g} against {attained:.9g}"
     if blind:
         at = f"{ordinary.frequency(omega):.6g} rad/s"
         trusted, reason = False, f"the peak at {at} is narrower than the spacing of floating-point numbers"
     lower, upper = attained, max(upper, attained)
-    error = worst = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega))
     for at, gain in zip(rate * doubtful, largest_gains(m, rate * doubtful) if len(doubtful) else [], strict=True):
         beside = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, float(at)))
         worst, upper = max(worst, beside), max(upper, float(gain) + beside)

@@ -240,7 +240,10 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     if not high_holds:
         far = high if np.isfinite(high) else 1e6 * float(middles[-1])
         high = _edge(model, bound, tested, bad=far, good=float(middles[last]))
-    low, high = _between_failures(model, bound, tested, low * (1 + 1e-9), high * (1 - 1e-9), omega)
+    # Inside by a small share of the frequency, or of the piece where that is narrower.
+    low += 1e-9 * min(low, omega - low)
+    high -= 1e-9 * min(high, high - omega) if np.isfinite(high) else 0.0
+    low, high = _between_failures(model, bound, tested, low, high, omega)
     return Piece(low, high, beta, bound) if low < high else None
 
 
