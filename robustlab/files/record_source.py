@@ -314,7 +314,7 @@ def from_bag(
     """
     where = str(path)
     if clock not in (None, *BAG_CLOCKS):
-        raise InputError(where, f"clock {clock!r}", "stamp or log: the two clocks of a bag", "--clock log")
+        raise InputError(where, f"clock {clock!r}", "stamp or log: the two clocks of a bag", "clock='log'")
     for package in ("mcap", "mcap_ros2"):
         need(where, package, "ros")
     limits = replace(limits, seconds=TIME_OF_BAGS * limits.seconds)
@@ -366,7 +366,7 @@ def _listing(tree: Tree) -> str:
 def _example(tree: Tree) -> str | None:
     for topic, node in tree.groups.items():
         for name in node.datasets:
-            return f"--outputs {topic}.{name}, or --outputs q={topic}.{name} to call it q"
+            return f"outputs=['{topic}.{name}'], or outputs=['q={topic}.{name}'] to call it q"
     return None
 
 
@@ -390,7 +390,7 @@ def _bag_clocks(source: Source, taken: dict[str, Tree], clock: str | None) -> No
         if reason:
             break
     if clock == "stamp" and reason:
-        raise InputError(source.where, reason, "stamps that run forwards", "--clock log")
+        raise InputError(source.where, reason, "stamps that run forwards", "clock='log'")
     chosen, word = (log, "log") if clock == "log" or reason else (stamp, "stamp")
     if not chosen:
         return

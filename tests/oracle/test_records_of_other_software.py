@@ -64,7 +64,7 @@ def test_stamps_in_nanoseconds_keep_their_digits(tmp_path):
     pq.write_table(pa.table({"timestamp": stamps, "q": U}), tmp_path / "r.parquet")
     record = read(tmp_path / "r.parquet", units={"timestamp": "ns"})
     np.testing.assert_array_equal(record.t, 1_000_001 * np.arange(101) / 1e9)
-    with pytest.raises(InputError, match=r"no unit, expected times in s\nhint: --unit timestamp=ns"):
+    with pytest.raises(InputError, match=r"no unit, expected times in s\nhint: units=\{.timestamp.: .ns.\}"):
         read(tmp_path / "r.parquet")
 
 
