@@ -192,15 +192,15 @@ def in_toml(value: str) -> str:
     given = _literal(value)
     if isinstance(given, dict):
         return f"{{ {', '.join(f'{key} = {json.dumps(one)}' for key, one in given.items())} }}"
-    return value if given is value else json.dumps(given)
+    return value if given == value else json.dumps(given)
 
 
 def _literal(value: str) -> Any:
+    """Return what a value in Python syntax is; ``...`` and what is no literal as text."""
     try:
-        found = ast.literal_eval(value)
+        return ast.literal_eval(value.replace("...", "'...'"))
     except (SyntaxError, ValueError):
         return value
-    return value if found is ... else found
 
 
 def _worded(kind: Kind, value: str) -> str:
