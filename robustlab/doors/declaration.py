@@ -163,12 +163,17 @@ class Door:
         return found if isinstance(found, InLoop) else InLoop(found)
 
 
-READING = ("transpose", "group", "clock", "dt", "unit", "decimal", "delimiter", "allow_gaps", "no_verify")
+# Arguments of reading a file -> the options that commands have for them.
+READING = {
+    **{name: f"--{name.replace('_', '-')}" for name in ("transpose", "group", "clock", "dt", "decimal", "delimiter")},
+    **{name: f"--{name.replace('_', '-')}" for name in ("allow_gaps", "no_verify", "inputs", "outputs")},
+    "units": "--unit",
+}
 
 
 def reading_option(name: str, value: str) -> str | None:
     """Return an argument of reading a file as the option that every command has for it; None of another."""
-    return as_option(f"--{name.replace('_', '-')}", value) if name in READING else None
+    return as_option(READING[name], value) if name in READING else None
 
 
 def as_option(option: str, value: str) -> str:
@@ -187,15 +192,15 @@ def in_toml(value: str) -> str:
     given = _literal(value)
     if isinstance(given, dict):
         return f"{{ {', '.join(f'{key} = {json.dumps(one)}' for key, one in given.items())} }}"
-    return value if given is value else json.dumps(given)
+    return value if given == value else json.dumps(given)
 
 
 def _literal(value: str) -> Any:
+    """Return what a value in Python syntax is; ``...`` and what is no literal as text."""
     try:
-        found = ast.literal_eval(value)
+        return ast.literal_eval(value.replace("...", "'...'"))
     except (SyntaxError, ValueError):
         return value
-    return value if found is ... else found
 
 
 def _worded(kind: Kind, value: str) -> str:

@@ -114,7 +114,7 @@ def classical_margins(
 ) -> Any:
     """Gain, phase and delay margin of each loop alone, with all crossings."""
     if isinstance(plant, rl.UncertainModel):
-        hint = "leave --classical out for its disk margin"
+        hint = "rl.disk_margin is that of the worst member"
         raise UsageError("--classical", "an uncertain plant", "one model", hint)
     given: Any = at
     loop, K, sign, words = _loop(plant, around)
@@ -311,7 +311,7 @@ def iqc_gain(
         return effect_gain(*found, around.sign, order, search)
     if amplitude or stick_speed:
         found, expected = f"--amplitude or --stick-speed for a {type(system).__name__}", "a plant with effects"
-        raise UsageError("iqc gain", found, expected, "--nature says what a block is")
+        raise UsageError("iqc gain", found, expected, "nature=... says what a block is")
     loop, words = around.around(system, "iqc gain")
     found = rl.peak_gain(
         loop, natures=_natures(nature, loop), inputs=signals.inputs, outputs=signals.outputs, order=order,

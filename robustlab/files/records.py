@@ -159,6 +159,7 @@ def read_record(
     group, content = options.group, content_of(path, limits)
     if content == "text":
         return choose(from_text(path, group, options.delimiter, options.decimal, limits, isolate), options)
+            raise InputError(str(path), "no outputs chosen", source.listing, "outputs=..., or group=... for all of one")
     tree = read_tree(path, group, limits, isolate)
     if is_stamped(tree):
         return _stored(_record_of_format_1(str(path), tree, options), str(path), options)
@@ -357,7 +358,7 @@ def _agree(where: str, name: str, stated: str, given: str) -> None:
             f"{where}: {name}",
             f"the file states {stated}, the unit given is {given}",
             "the unit that the numbers in the file are in",
-            f"--unit {name}={stated} converts from it; where the file is wrong, correct it there",
+            f"units={{{name!r}: {stated!r}}} converts from it; where the file is wrong, correct it there",
         )
 
 
@@ -451,14 +452,14 @@ def _clock(source: Source, name: str, tell: bool) -> Array:
     channel, where = source.channels[name], f"{source.where}: {source.label(name)}"
     if channel.unit not in SECONDS:
         raise InputError(
-            where, f"unit {channel.unit!r}", f"one of {', '.join(filter(None, SECONDS))}", f"--unit {name}=ms"
+            where, f"unit {channel.unit!r}", f"one of {', '.join(filter(None, SECONDS))}", f"units={{{name!r}: 'ms'}}"
         )
     t, factor = _numbers(source, name), SECONDS[channel.unit]
     raw = channel.values
     if factor == 1.0 and len(t) and np.abs(t).max() > TOO_LATE:
         unit = next(u for u, most in (("ms", 1e14), ("us", 1e17), ("ns", np.inf)) if np.abs(t).max() <= most)
         found = f"times of {t[0]:.4g} {channel.unit or 'and no unit'}"
-        raise InputError(where, found, "times in s", f"--unit {name}={unit}, if it is {unit}")
+        raise InputError(where, found, "times in s", f"units={{{name!r}: {unit!r}}}, if it is {unit}")
     if isinstance(raw, np.ndarray) and raw.dtype.kind == "i" and len(raw) and abs(float(raw[0])) * factor > LONG:
         if tell:
             source.notes.append(f"t counts from {name} = {int(raw[0])} {channel.unit or 's'} on")

@@ -283,7 +283,7 @@ def _check_hash(tree: Tree, no_verify: bool) -> list[str]:
             tree.file,
             "/: checksum mismatch (content_sha256): the content was changed after it was written",
             None,
-            "make the file again, or look at it with --no-verify",
+            "make the file again, or look at it with no_verify=True",
         )
     return []
 

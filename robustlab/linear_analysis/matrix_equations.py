@@ -321,9 +321,12 @@ def _nearest_to_circle(equation: _Equation) -> str:
         [[np.eye(n), zero((n, n + m))], [zero((n, n)), a.T, zero((n, m))], [zero((m, n)), -b.T, zero((m, m))]]
     )
     alpha, beta = np.abs(eigvals(left, right, homogeneous_eigvals=True))
-    nearest = np.abs(alpha - beta).argmin() if len(alpha) else 0
-    modulus = float(alpha[nearest] / beta[nearest])
-    return f"the eigenvalue of the pencil nearest to the unit circle has the modulus {modulus:.9g}"
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moduli = alpha / beta  # infinite ones are part of a pencil, 0 / 0 makes it singular
+        far = np.abs(np.log(moduli))
+    if np.isnan(far).any():
+        return "the pencil is singular"
+    return f"the eigenvalue of the pencil nearest to the unit circle has the modulus {moduli[far.argmin()]:.9g}"
 
 
 def _stable_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:

@@ -25,7 +25,6 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, told_as
-from robustlab.norms.hinfinity import unstable_norm
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import RealScalar
@@ -132,6 +131,8 @@ def elementwise(
 
 def pair_remarks(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> list[str]:
     """Return what a nominal and a perturbed model hint at: instability, no difference, or a scale beyond doubles."""
+    from robustlab.norms.hinfinity import unstable_norm
+
     remarks = []
     unstable = unstable_norm(perturbed)
     if unstable is not None and unstable_norm(nominal) is None:
