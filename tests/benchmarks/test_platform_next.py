@@ -8,12 +8,12 @@ pytest.importorskip("pinocchio")
 import platform_cases as pc
 import platform_next
 
+from robustlab.identification import tuning
 from robustlab.identification.experiment.path_experiment import propose_path
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Clock, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import first_noise, whitening
 from robustlab.identification.hypotheses.prepared_record import ports_of, prepare
-from robustlab.identification.tuning import TUNING
 
 WINDOW = 40  # samples, as a naming cuts a shaken leg whose sensor is late
 pytestmark = pytest.mark.slow
@@ -39,7 +39,7 @@ def opened():
     model = ports_of(plant, case.record)
     tolerances = nuisance_parameters(plant, stated_tolerances(plant, None))
     record = prepare(plant, model, case.record, WINDOW)
-    problem = Problem(plant, [record], tolerances, clock=Clock(TUNING.least_steps))
+    problem = Problem(plant, [record], tolerances, clock=Clock(tuning.LEAST_STEPS))
     pool = candidates(plant, model, problem.records)
     noise = whitening(problem, fitted(problem, pool, first_noise(problem))[0])
     return case, problem, pool, fitted(problem, pool, noise)
