@@ -30,7 +30,6 @@ _WORDS = {
     "Discovery": "naming.discovery_result",
     "watch": "monitoring.watch",
     "Watch": "monitoring.watch_result",
-    "NamingTuning": "tuning",
     "check_record": "record_check.suitability",
     "suitability": "record_check.suitability",
     "join_clocks": "record_check.resampling",

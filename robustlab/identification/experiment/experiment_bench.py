@@ -14,6 +14,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, predicted, refit_distance
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
@@ -157,7 +158,7 @@ def trials_of(problem: Problem, fits: Sequence[Fit], limits: Limits) -> list[Tri
     """All signals that the plant can take, with shorter beats where the travel asks for them."""
     dt = problem.records[0].record.dt
     warm = any(c.effect.long_memory for f in fits for c in f.hypothesis.candidates)
-    several, shorter = len(problem.plant.inputs) > 1, problem.tuning.shorter_beats
+    several, shorter = len(problem.plant.inputs) > 1, tuning.SHORTER_BEATS
     found: list[Trial] = []
     for k, signal in enumerate(problem.plant.inputs):
         lowest, highest = limits.ranges[signal.name]
@@ -201,7 +202,7 @@ def _tried_out(problem: Problem, fits: Sequence[Fit], entry: Excitation, u: Arra
 def noise_of(problem: Problem, present: NoiseModel, trials: Sequence[Trial]) -> tuple[NoiseModel, dict[str, float]]:
     """Noise of all outputs of the plant, averaged: as found where recorded, else assumed, and what it is per sample."""
     spans = np.max([np.ptp(t.outputs, axis=0) for t in trials], axis=0)
-    std = problem.tuning.assumed_noise * np.where(spans > 0.0, spans, 1.0)
+    std = tuning.ASSUMED_NOISE * np.where(spans > 0.0, spans, 1.0)
     assumed = {s.name: float(v) for s, v in zip(problem.plant.outputs, std, strict=True)}
     std /= np.sqrt(problem.records[0].thin)
     ar = np.zeros((len(present.ar), len(std)))
@@ -294,13 +295,13 @@ class Bench:
             return 0, len(entry.added), entry.count, -entry.separation
         if entry.named >= SAFE:
             return 1, len(entry.added), 0, -entry.separation
-        return 2, 0, 0, -entry.separation / (1.0 + self.problem.tuning.sensor_worth * len(entry.added))
+        return 2, 0, 0, -entry.separation / (1.0 + tuning.SENSOR_WORTH * len(entry.added))
 
     def screened(self, trial: Trial, limits: Limits) -> list[Entry]:
         """The experiment with the present sensors and with each new one, whole and half as long, linearised."""
         present = self.problem.records[0].columns
         whole = len(trial.u) // self.problem.records[0].windows.length
-        counts = [whole] if trial.long or whole < 2 * self.problem.tuning.fewest_windows else [whole // 2, whole]
+        counts = [whole] if trial.long or whole < 2 * tuning.FEWEST_WINDOWS else [whole // 2, whole]
         choices = [(present, ()), *((tuple(sorted((*present, k))), (k,)) for k in limits.addable)]
         everything = range(len(self.problem.plant.outputs))
         smallest, named = np.full((2, len(choices), len(counts)), np.inf)
@@ -351,7 +352,7 @@ class Bench:
             smallest = min(p.separation for p in pairs)
             named = min((p.separation for p in pairs if p.truth == self.labels[0]), default=smallest)
             done.append((replace(entry, named=named, separation=smallest, refitted=True), pairs))
-            if done[-1][0].separation >= SAFE or len(done) >= self.problem.tuning.refitted_entries:
+            if done[-1][0].separation >= SAFE or len(done) >= tuning.REFITTED_ENTRIES:
                 break
         chosen, pairs = min(done, key=lambda d: self.preference(d[0]))
         return chosen, pairs, [e for e, _ in done]
@@ -381,7 +382,7 @@ class Bench:
 
 def _proper_distance(there: Problem, rival: Fit, z: Array) -> float:
     """Distance of the rival, refitted from z to predicted outputs."""
-    cost = there.fit(rival.hypothesis, rival.noise, z, rival.starts, FitPlan(there.tuning.refit_iterations)).cost
+    cost = there.fit(rival.hypothesis, rival.noise, z, rival.starts, FitPlan(tuning.REFIT_ITERATIONS)).cost
     return float(np.sqrt(max(0.0, cost - float(rival.z @ rival.z))))
 
 
@@ -418,7 +419,7 @@ def _products(problem: Problem, rival: Fit, noise: NoiseModel) -> Array:
     n_x, n_y = len(problem.plant.states), len(problem.records[0].columns)
     simulators = problem.simulators(rival.hypothesis)
     rest = np.zeros((len(problem.chosen[0]), n_x))
-    step, start_step = problem.tuning.step, problem.tuning.start_step
+    step, start_step = tuning.STEP, tuning.START_STEP
 
     def residual(z: Array, start: Array) -> Array:
         errors = problem.errors(rival.hypothesis, z, [start], simulators)

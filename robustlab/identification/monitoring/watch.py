@@ -23,6 +23,7 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as, unknown_name
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.candidates import (
     candidates,
     nuisance_parameters,
@@ -42,7 +43,6 @@ from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.set_search import clock_nuisances, held_inputs
 from robustlab.identification.record_check.resampling import clock_step, uniform
 from robustlab.identification.response.response import with_units
-from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
@@ -66,7 +66,6 @@ def watch(
     exclude: Sequence[str] = (),
     window: float | None = None,
     progress: Callable[[str], None] | None = None,
-    tuning: NamingTuning = TUNING,
 ) -> Watch:
     r"""Detect when a model stops explaining a running log, and report what it lacks since then.
 
@@ -99,8 +98,6 @@ def watch(
         Length of the windows in s, as `discover` chooses it where left out.
     progress
         Called with a line of text for each piece.
-    tuning
-        Numbers of the fits.
 
     Returns
     -------
@@ -130,7 +127,7 @@ def watch(
     stated = stated_tolerances(plant, tolerances)
     plant = with_absolute_tolerances(plant, stated)
     left_out = {effect(name).id for name in exclude}
-    settings = _Settings(plant, attached, stated, noise, false_alarm, left_out, window, tuning)
+    settings = _Settings(plant, attached, stated, noise, false_alarm, left_out, window)
     given = [records] if isinstance(records, Record) else records
     watched: _Watched | None = None
     log_limit = -np.log(false_alarm)
@@ -162,7 +159,6 @@ class _Settings:
     false_alarm: float
     left_out: set[str]
     window: float | None
-    tuning: NamingTuning
 
 
 def _parts_of(model: Any) -> tuple[AnyPlant, tuple[AttachedEffect, ...]]:
@@ -211,23 +207,23 @@ class _Watched:
     """The log so far: the model as learned from its first piece, the test, and the prepared pieces."""
 
     def __init__(self, settings: _Settings, first: Record) -> None:
-        self.settings, tuning = settings, settings.tuning
+        self.settings = settings
         plant = settings.plant
         self.dt = clock_step(first.t)
         self.seen = {s.name for s in plant.outputs} & set(first.outputs)
         record = self._uniform(first)
         self.model: PortModel = ports_of(plant, record)
         window = settings.window
-        least = tuning.fewest_windows * tuning.shortest_window // 2
+        least = tuning.FEWEST_WINDOWS * tuning.SHORTEST_WINDOW // 2
         if window is None and record.n < least:
             raise InputError(f"watch {first.name}", f"{record.n} samples", f"at least {least} in a piece")
-        self.length = window_length(plant, [record], tuning, self.model) if window is None else round(window / self.dt)
+        self.length = window_length(plant, [record], self.model) if window is None else round(window / self.dt)
         prepared = self._prepared(first)
         self.thin = prepared.thin
         nuisances = nuisance_parameters(plant, settings.stated)
-        nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), self.dt, tuning)
-        problem = Problem(plant, [prepared], nuisances, tuning=tuning, clock=Clock(tuning.least_steps))
-        pool = candidates(plant, self.model, [prepared], tuning)
+        nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), self.dt)
+        problem = Problem(plant, [prepared], nuisances, clock=Clock(tuning.LEAST_STEPS))
+        pool = candidates(plant, self.model, [prepared])
         self.problem, learned = self._learned(problem, Hypothesis(tuple(_own(e, pool) for e in settings.attached)))
         self.hypothesis, self.z, self.noise = learned.hypothesis, learned.z, learned.noise
         sizes, directions = np.linalg.eigh(np.linalg.inv(learned.hessian))
@@ -262,20 +258,20 @@ class _Watched:
 
     def _prepared(self, piece: Record) -> PreparedRecord:
         found = uniform(piece, None if piece.is_uniform else self.dt)
-        record, tuning = with_units(found.record, self._signals), self.settings.tuning
-        return prepare(self.settings.plant, self.model, record, self.length, dict(found.valid), self.seen, tuning)
+        record = with_units(found.record, self._signals)
+        return prepare(self.settings.plant, self.model, record, self.length, dict(found.valid), self.seen)
 
     def _learned(self, problem: Problem, hypothesis: Hypothesis) -> tuple[Problem, Fit]:
         """The model refitted within its tolerances to the first piece; clock, steps and noise of the watch."""
-        tuning, stated = problem.tuning, self.settings.noise
+        stated = self.settings.noise
         noise = first_noise(problem) if stated is None else self._stated(problem, stated)
         z = np.zeros(problem.size(hypothesis))
-        fit = problem.fit(hypothesis, noise, z, plan=FitPlan(tuning.base))
+        fit = problem.fit(hypothesis, noise, z, plan=FitPlan(tuning.BASE))
         fit, problem = held_inputs(problem, fit)
         for _ in range(2):
             if stated is None:
                 noise = careful(problem, fit, _noise_left(problem, fit))
-            fit = problem.fit(hypothesis, noise, fit.z, fit.starts, FitPlan(tuning.base, 1e-3))
+            fit = problem.fit(hypothesis, noise, fit.z, fit.starts, FitPlan(tuning.BASE, 1e-3))
             problem = fine_steps(problem, fit)
         return problem, fit
 

@@ -17,6 +17,7 @@ from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import NoTrustworthyNumber, RobustlabError
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
 from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
 from robustlab.identification.hypotheses.prepared_record import start_std
@@ -144,7 +145,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     judged = _Judgement(verdict, left.complete and verdict != "unknown")
     findings = [*case.findings, *_search_findings(found)]
     if named:
-        judged = _on_held_out(judged, gaps, bool(strained(problem, bare)), problem.tuning.material)
+        judged = _on_held_out(judged, gaps, bool(strained(problem, bare)), tuning.MATERIAL)
     if refuted := bool(named) and gaps.worse_than_given:
         findings.append(_refuted(fit, gaps))
         fit = bare  # nothing of it is reported as found
@@ -207,15 +208,14 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
 
 def _what_is_left(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Left:
     """What the best set leaves; a line too weak to matter is told and leaves the answer complete."""
-    tuning = found.problem.tuning
     force = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
-    lines = stages.run("lines", lambda: remaining_lines(force, tuning) if force else (), ())
+    lines = stages.run("lines", lambda: remaining_lines(force) if force else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
     moving = max((c.scales.force for c in case.pool if force and c.site.name == force.port), default=0.0)
-    remains = any(float(line["amplitude"]) > tuning.remark * moving for line in lines)
-    remains = remains or any(f > tuning.repeatable for f in excess.values())
-    remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
-    remains = remains or posterior.random_share > tuning.most_random or not posterior.generalises
+    remains = any(float(line["amplitude"]) > tuning.REMARK * moving for line in lines)
+    remains = remains or any(f > tuning.REPEATABLE for f in excess.values())
+    remains = remains or posterior.noise_ratio > tuning.MOST_NOISE or posterior.best.unnamed is not None
+    remains = remains or posterior.random_share > tuning.MOST_RANDOM or not posterior.generalises
     remains = remains or bool(late_clocks(found.problem, fit))
     # What was not looked at (no motion, a stage that failed, records in pieces) is not known to be nothing.
     complete = not remains and force is not None and bool(np.isfinite(posterior.noise_ratio))
@@ -232,7 +232,7 @@ def _matters(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None
     told = {}
     for k, key in asked:
         less = without_effects(problem, fit, {key})
-        needed = force_share(problem, fit, k) >= problem.tuning.material or bool(strained(problem, less) - already)
+        needed = force_share(problem, fit, k) >= tuning.MATERIAL or bool(strained(problem, less) - already)
         told[key] = matter_of(held, whole, errors_of(held, less, known), needed)
     return told
 
@@ -253,11 +253,11 @@ def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
     named = fit.hypothesis.candidates
     if not named:
         return "unknown" if remains else "no missing effect"
-    sure, tuning = all(kinds.told(c) for c in named), found.problem.tuning
+    sure = all(kinds.told(c) for c in named)
     explained = _explained(found, kinds.posterior.best.fit) if remains or kinds.coarse else 1.0
-    if kinds.coarse and sure and explained >= tuning.mostly:
+    if kinds.coarse and sure and explained >= tuning.MOSTLY:
         return "named"  # against a misfit that counts as much as it does; what else is open is part of what remains
-    if remains and explained < tuning.explained:
+    if remains and explained < tuning.EXPLAINED:
         return "unknown"
     return "named" if sure and found.settled and not kinds.open() else "ambiguous"
 
@@ -334,7 +334,7 @@ def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None
     starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
     windows = Windows(starts.astype(np.int64), length)
     s = first.smoothed
-    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows, problem.tuning))
+    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows))
     there = problem.on([cut])
     placed = held_out_fit(there, fit, white(found.noise))
     errors = cut.measured - simulated_outputs(there, placed)[0]

@@ -23,6 +23,7 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, parameter_groups
 from robustlab.errors import InputError, told_as
+from robustlab.identification import tuning
 from robustlab.identification.experiment.shut_gaps import shut_gaps
 from robustlab.identification.hypotheses.candidates import (
     FEWEST_PERIODS,
@@ -42,7 +43,6 @@ from robustlab.identification.naming.set_search import clock_nuisances, search_s
 from robustlab.identification.record_check.resampling import UniformRecord, clock_step, uniform
 from robustlab.identification.record_check.suitability import Finding, suitability
 from robustlab.identification.response.response import converted, with_units
-from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel, as_model
 
@@ -142,7 +142,6 @@ def discover(
     repeats: Sequence[Record] = (),
     exclude: Sequence[str] = (),
     progress: Callable[[str], None] | None = None,
-    tuning: NamingTuning = TUNING,
 ) -> Discovery:
     """Name what a model lacks.
 
@@ -167,8 +166,6 @@ def discover(
         Effect ids that are not to be tried.
     progress
         Called with a line of text now and then.
-    tuning
-        Numbers that choose speed and accuracy, and how much evidence a name needs.
 
     Returns
     -------
@@ -204,8 +201,8 @@ def discover(
     stated = stated_tolerances(known, tolerances)
     known = with_absolute_tolerances(known, stated)
     model = ports_of(known, _uniform(measured)[0].record)
-    problem, held, held_text = _problems(known, model, measured, kept_out, stated, window, tuning)
-    pool = [c for c in candidates(known, model, problem.records, tuning) if c.effect.id not in left_out]
+    problem, held, held_text = _problems(known, model, measured, kept_out, stated, window)
+    pool = [c for c in candidates(known, model, problem.records) if c.effect.id not in left_out]
     if any(c.effect.id == "backlash" for c in pool):
         findings += shut_gaps(known, problem.records)
     case = Case(known, measured, repeats, period, stated, findings, held_text, pool)
@@ -270,33 +267,32 @@ def _problems(
     held_out: Sequence[Record],
     stated: Mapping[str, tuple[float, bool]],
     window: float | None,
-    tuning: NamingTuning,
 ) -> tuple[Problem, Problem, str]:
     """The windows to fit, those to judge on, and what the latter are."""
     uniformed = _uniform([*records, *held_out])
     everything, dt = [u.record for u in uniformed], uniformed[0].record.dt
-    length = window_length(plant, everything, tuning, model) if window is None else max(8, round(window / dt))
+    length = window_length(plant, everything, model) if window is None else max(8, round(window / dt))
     # A record may lack a sensor that another has, as the proposed experiments do which add one.
     seen = {name for r in records for name in r.outputs}
 
     def cut(length: int) -> list[PreparedRecord]:
-        return alike([prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed])
+        return alike([prepare(plant, model, u.record, length, dict(u.valid), seen) for u in uniformed])
 
-    prepared, clock = cut(length), Clock(tuning.least_steps)
-    while isinstance(plant, NonlinearPlant) and window is None and length > tuning.shortest_window:
-        if _deviation(Problem(plant, prepared[: len(records)], (), clock=clock)) < tuning.most_deviation:
+    prepared, clock = cut(length), Clock(tuning.LEAST_STEPS)
+    while isinstance(plant, NonlinearPlant) and window is None and length > tuning.SHORTEST_WINDOW:
+        if _deviation(Problem(plant, prepared[: len(records)], (), clock=clock)) < tuning.MOST_DEVIATION:
             break
-        length = max(length // 2, tuning.shortest_window)
+        length = max(length // 2, tuning.SHORTEST_WINDOW)
         prepared = cut(length)
     fitted, judged = prepared[: len(records)], prepared[len(records) :]
     nuisances: tuple[Nuisance, ...] = nuisance_parameters(plant, stated)
-    nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), dt, tuning)
+    nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), dt)
     if judged:
-        problem = Problem(plant, fitted, nuisances, tuning=tuning, clock=clock)
+        problem = Problem(plant, fitted, nuisances, clock=clock)
         return problem, problem.on(judged), ", ".join(r.name for r in held_out)
-    every = tuning.held_out_every
+    every = tuning.HELD_OUT_EVERY
     apart = [np.arange(r.count) % every == every // 2 for r in fitted]
-    problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], tuning, clock)
+    problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], clock)
     held = problem.on(fitted, [np.flatnonzero(a) for a in apart])
     return problem, held, f"every {every}th window of the records, kept from the fit"
 
@@ -322,11 +318,11 @@ def _uniform(records: Sequence[Record]) -> list[UniformRecord]:
 
 def _most_windows(problem: Problem) -> tuple[int, int]:
     """Windows that the search fits and judges on; of a nonlinear plant, whose steps are dear, fewer long ones."""
-    tuning, length = problem.tuning, problem.records[0].windows.length
+    length = problem.records[0].windows.length
     if isinstance(problem.plant, LinearPlant):
-        return tuning.most_windows, tuning.most_held
-    most = min(tuning.most_windows, max(2 * tuning.fewest_windows, tuning.most_samples // length))
-    return most, min(tuning.most_held, max(tuning.fewest_windows, most // 2))
+        return tuning.MOST_WINDOWS, tuning.MOST_HELD
+    most = min(tuning.MOST_WINDOWS, max(2 * tuning.FEWEST_WINDOWS, tuning.MOST_SAMPLES // length))
+    return most, min(tuning.MOST_HELD, max(tuning.FEWEST_WINDOWS, most // 2))
 
 
 def _spread(problem: Problem, most: int) -> Problem:
