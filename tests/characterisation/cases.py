@@ -160,13 +160,8 @@ def _gap(bracket: tuple[float, float]) -> float:
     return 1.0 if math.isinf(high) else (high - low) / max(abs(high), 1e-300)
 
 
-def differences(
-    subject: str, entry: Mapping[str, Any], found: Any, finest: float | None = None
-) -> dict[str, tuple[float, str]]:
-    """Path -> (by how much, in words) of every leaf of the record that is no longer so.
-
-    ``finest``: this tolerance for all numbers, instead of the subject's: so the noise is learned.
-    """
+def differences(subject: str, entry: Mapping[str, Any], found: Any) -> dict[str, tuple[float, str]]:
+    """Path -> (by how much, in words) of every leaf of the record that is no longer so."""
     module = import_module(f"characterisation.{subject}")
     now, wrong = dict(leaves(found)), {}
     for path, old in leaves(entry["answer"]):
@@ -183,7 +178,7 @@ def differences(
                 wrong[path] = (math.inf, f"{path}: {old!r} -> {new!r}")
             continue
         least = max(entry.get("rtol", 0.0), 3 * entry.get("noise", {}).get(path, 0.0))
-        rtol = max(rtol, least) if finest is None else finest
+        rtol = max(rtol, least)
         if key == "work":
             apart = 0.0 if new <= WORK * old else new / old
         else:
