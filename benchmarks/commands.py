@@ -112,7 +112,6 @@ campaign replay motors.sqlite 17
 plant list
 plant show dc-motor
 plant show servo-axis
-effects list
 data check {recipes}/data/motor_record.csv --inputs u --outputs phi,i
 data convert {recipes}/data/motor_record.csv record.h5 --inputs u --outputs phi,i
 data compare dc-motor {recipes}/data/motor_record.csv --inputs u --outputs phi,i

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from robustlab.cli.groups import GROUPS, TYPED, parser
-from robustlab.cli.vocabulary import of_today
 
 # One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
 # several times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded.
@@ -60,7 +59,7 @@ What one can do first:
   robustlab data compare --help           how far a model is off a record
   robustlab recipe new my-project         a commented recipe to start from
 
-robustlab --help lists the commands; robustlab explain WORD says what a word of a result means.
+robustlab --help lists the commands; docs/words.md says what the words of a result mean.
 """
 
 
@@ -102,9 +101,6 @@ def run(arguments: Sequence[str]) -> int:
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     command = parser(name)
-    rest, renamed = of_today(name, rest)
-    for remark in renamed:
-        print(f"note: {remark}", file=sys.stderr)
     TYPED[:] = [name, *rest]
 
     # Not command.main(): the parser's own frame turns a reader of stdout that went away into exit code 1.
