@@ -34,9 +34,8 @@ _FOOT = """
 Options:
   --version  Print the version and leave.
   --help     Show this message and leave; COMMAND --help shows that command's.
-  --install-completion [SHELL]  Words completed by TAB: bash, zsh or fish; the
-                                shell of $SHELL if left out.
-  --show-completion [SHELL]     Print what that shell would load.
+  --install-completion  Words completed by TAB, in the shell that you use.
+  --show-completion     Print what that shell would load.
 
 Start with:
   robustlab run first-light
@@ -85,9 +84,9 @@ def run(arguments: Sequence[str]) -> int:
         print(robustlab_version())
         return 0
     if name in ("--install-completion", "--show-completion"):
-        from robustlab.cli.completion import install, show
+        from robustlab.cli.completion import install_or_show
 
-        return (install if name == "--install-completion" else show)(rest)
+        return install_or_show(name)
     if name not in GROUPS:
         from robustlab.errors import UsageError, did_you_mean
 

@@ -92,7 +92,7 @@ def run(
             result = run_recipe(loaded, folder, begin, latest=not out, png=png)
         except BaseException:
             with suppress(InputError):  # none was written
-                if ending_of(read_result(folder, isolate=False))["how"] != "finished":
+                if ending_of(read_result(folder))["how"] != "finished":
                     note(f"report of what was run: {folder.resolve() / 'report.html'}")
             raise
         ended()

@@ -46,7 +46,7 @@ from robustlab.errors import (
     RobustlabError,
 )
 from robustlab.files.atomic import atomic_write
-from robustlab.files.document import parse_document, read_document
+from robustlab.files.document import parse_document
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
 from robustlab.recipe.check import at_step, look_through
@@ -446,8 +446,8 @@ def _files_of_previous_run(target: Path) -> set[str]:
         return set()  # no earlier run, or not one of ours: nothing to remove
 
 
-def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
-    """Content of ``result.json`` of a finished run; it is parsed in the reader process (or here, without ``isolate``).
+def read_result(folder: str | Path) -> dict[str, Any]:
+    """Content of ``result.json`` of a finished run.
 
     Raises InputError: no such file, or not the result of a run.
     """
@@ -458,7 +458,7 @@ def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
     except OSError as error:
         raise InputError(str(path), f"not readable: {error}", "the JSON that robustlab run wrote") from None
     where = str(path)
-    data = read_document("json", raw, where) if isolate else parse_document("json", raw, where)
+    data = parse_document("json", raw, where)
     if not isinstance(data, dict) or data.get("schema") != "robustlab.result/1" or data.get("command") != "run":
         raise InputError(where, "not the result of a run", "the result.json that robustlab run wrote")
     _check_parts({"ending": ending_of(data), **data}, RESULT_PARTS, "", where)
