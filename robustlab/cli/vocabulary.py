@@ -25,7 +25,7 @@ VALUES = {
     "--nature": "NAME=WORD",
     # files
     **dict.fromkeys(("--controller", "--input-weight", "--output-weight", "--reference-model", "--cover"), FILE),
-    **dict.fromkeys(("--expressions", "--code", "--store", "--model-out", "--from-data"), FILE),
+    **dict.fromkeys(("--expressions", "--code", "--store", "--model-out"), FILE),
     **dict.fromkeys(("--held-out", "--repeat"), FILE),
     **dict.fromkeys(("--out", "--figure", "--discovery"), "PATH"),
     **dict.fromkeys(("--plant", "--model"), "PLANT"),
