@@ -48,7 +48,6 @@ from robustlab.recipe.load import load_recipe
 from robustlab.recipe.run import read_result, write_report
 from robustlab.result import Result
 from robustlab.storage import interchange
-from robustlab.storage.controller_export import export_controller
 from robustlab.storage.expression_files import load_parametric
 
 ROOT = Path(__file__).parents[1]
@@ -150,9 +149,6 @@ def readers(folder: Path) -> list[Reader]:
     found.append(Reader("MATLAB 5", matlab, read_stored, (*BYTES, *BYTES, matlab_variables)))
     tables = tuple(("x.csv", text.encode()) for text in TABLES)
     found.append(Reader("CSV", tables, read_stored, TEXT))
-    export_controller(folder / "x.json", controller)
-    exported = (("x.json", (folder / "x.json").read_bytes()),)
-    found.append(Reader("JSON controller", exported, read_stored, (*TEXT, *[json_node] * 6)))
     result = (("result.json", json.dumps(RESULT, indent=1).encode()),)
     found.append(Reader("result.json", result, read_report, (*TEXT, *[json_node] * 6)))
     recipes = tuple(("x.toml", (ROOT / "recipes" / f"{n}.toml").read_bytes()) for n in RECIPES)

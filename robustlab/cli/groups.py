@@ -16,7 +16,6 @@ GROUPS = {
     "campaign": ("robustlab.cli.campaign", "Run samples and searches of any size, resumable."),
     "mu": ("robustlab.cli.mu", "Robust stability margin with proved mu bounds."),
     "iqc": ("robustlab.cli.iqc", "Proved gain with nonlinear and time-varying blocks."),
-    "effects": ("robustlab.cli.effects", "List the effects that a model may lack."),
     "synth": ("robustlab.cli.synth", "Design a controller and verify its loop."),
     "lpv": ("robustlab.cli.lpv", "Gain scheduling: LPV models, gains, controllers."),
     "data": ("robustlab.cli.data", "Check and compare records; name what a model lacks."),
@@ -24,7 +23,6 @@ GROUPS = {
     "recipe": ("robustlab.cli.recipe", "Check a recipe, list the kinds of steps, start a new one."),
     "report": ("robustlab.cli.report", "Write the report of a finished run again; compare two runs."),
     "verify": ("robustlab.cli.verify", "Have results proved once more, from their files alone."),
-    "explain": ("robustlab.cli.explain", "Say what a word of a result means."),
     "doctor": ("robustlab.cli.doctor", "Say whether this installation can work."),
 }
 

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from robustlab.cli.groups import GROUPS, TYPED, parser
-from robustlab.cli.vocabulary import of_today
 
 # One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
 # several times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded.
@@ -35,9 +34,8 @@ _FOOT = """
 Options:
   --version  Print the version and leave.
   --help     Show this message and leave; COMMAND --help shows that command's.
-  --install-completion [SHELL]  Words completed by TAB: bash, zsh or fish; the
-                                shell of $SHELL if left out.
-  --show-completion [SHELL]     Print what that shell would load.
+  --install-completion  Words completed by TAB, in the shell that you use.
+  --show-completion     Print what that shell would load.
 
 Start with:
   robustlab run first-light
@@ -60,7 +58,7 @@ What one can do first:
   robustlab data compare --help           how far a model is off a record
   robustlab recipe new my-project         a commented recipe to start from
 
-robustlab --help lists the commands; robustlab explain WORD says what a word of a result means.
+robustlab --help lists the commands; docs/words.md says what the words of a result mean.
 """
 
 
@@ -86,9 +84,9 @@ def run(arguments: Sequence[str]) -> int:
         print(robustlab_version())
         return 0
     if name in ("--install-completion", "--show-completion"):
-        from robustlab.cli.completion import install, show
+        from robustlab.cli.completion import install_or_show
 
-        return (install if name == "--install-completion" else show)(rest)
+        return install_or_show(name)
     if name not in GROUPS:
         from robustlab.errors import UsageError, did_you_mean
 
@@ -102,9 +100,6 @@ def run(arguments: Sequence[str]) -> int:
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     command = parser(name)
-    rest, renamed = of_today(name, rest)
-    for remark in renamed:
-        print(f"note: {remark}", file=sys.stderr)
     TYPED[:] = [name, *rest]
 
     # Not command.main(): the parser's own frame turns a reader of stdout that went away into exit code 1.

@@ -84,7 +84,7 @@ def convert(
     target: Annotated[
         str,
         typer.Argument(
-            help="File to write: .h5 (format 1), .mat (MATLAB version 5), .json, or .c (a discrete controller as C99).",
+            help="File to write: .h5 (format 1), .mat (MATLAB version 5), or .c (a discrete controller as C99).",
             metavar="OUT",
         ),
     ],
@@ -92,7 +92,7 @@ def convert(
     transpose: TransposeOption = False,
     prefix: Annotated[str, typer.Option(help="Of the names in a .c file.")] = "controller",
     saturation: Annotated[
-        list[str] | None, typer.Option(help="Limits of a control signal in .c or .json, NAME=LOW:HIGH; repeatable.")
+        list[str] | None, typer.Option(help="Limits of a control signal in .c, NAME=LOW:HIGH; repeatable.")
     ] = None,
     anti_windup: Annotated[
         float | None,
@@ -113,7 +113,7 @@ def convert(
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
     origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
     limits = ends("--saturation", saturation) or None
-    if limits is not None or anti_windup is not None or target.lower().endswith((".c", ".json")):
+    if limits is not None or anti_windup is not None or target.lower().endswith(".c"):
         rl.export_controller(
             target, loaded.object, prefix=prefix, saturation=limits, anti_windup=anti_windup, provenance=origin
         )

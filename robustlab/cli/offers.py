@@ -25,7 +25,7 @@ PLANTS = {  # with a line on each
 }
 NORMS = ("hinf", "linf", "h2", "passivity")
 FORMULAS = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
-_PLANT_FILES = (".h5", ".mat", ".json", ".py", ".fmu")
+_PLANT_FILES = (".h5", ".mat", ".py", ".fmu")
 
 
 def one_of(*words: str) -> Offer:

@@ -45,7 +45,7 @@ def run(
 ) -> None:
     """Run a recipe, judge its requirements, and write report.html, result.json, junit.xml and the figures.
 
-    Without --out each recipe and each choice of settings has a folder of its own; out/latest is the last one. The
+    Without --out each recipe and each choice of settings has a folder of its own. The
     report is written however the run ends; until then it says that the run has not finished.
 
     Exit code 0: all requirements met; 1: one is not; 3: the recipe asks for what is not there; 4: a step ended without
@@ -61,16 +61,12 @@ def run(
         _tell_recipes(listed, as_json)
         return
     from robustlab.errors import InputError
-    from robustlab.recipe.load import load_recipe, recipe_path, split_overrides
-    from robustlab.recipe.run import default_folder, outdate, read_result, replaced, run_recipe
+    from robustlab.recipe.load import load_recipe, recipe_path
+    from robustlab.recipe.run import default_folder, read_result, replaced, run_recipe
     from robustlab.report.html import ending_of
 
     path = recipe_path(recipe)
-    try:
-        loaded = load_recipe(path, changes or [])
-    except InputError as error:
-        outdate(path, split_overrides(changes or []), out, error)
-        raise
+    loaded = load_recipe(path, changes or [])
     folder = Path(out) if out else default_folder(loaded)
     replacing = replaced(folder, loaded)
     count = len(loaded.recipe.step)
@@ -89,10 +85,10 @@ def run(
             display.step(len(begun) - 1, begun[-1])
 
         try:
-            result = run_recipe(loaded, folder, begin, latest=not out, png=png)
+            result = run_recipe(loaded, folder, begin, png=png)
         except BaseException:
             with suppress(InputError):  # none was written
-                if ending_of(read_result(folder, isolate=False))["how"] != "finished":
+                if ending_of(read_result(folder))["how"] != "finished":
                     note(f"report of what was run: {folder.resolve() / 'report.html'}")
             raise
         ended()

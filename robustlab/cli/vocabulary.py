@@ -1,4 +1,4 @@
-"""One word for one thing: how the value of each option is written, in all commands, and what options were called.
+"""How the value of each option is written, in all commands.
 
 A parser of words knows texts, numbers and flags; that ``--inputs`` takes names and ``--input-value`` a value is told
 here once, and shown by the help of every command that has the option.
@@ -6,7 +6,6 @@ here once, and shown by the help of every command that has the option.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 NAMES, VALUE, FILE, WORD, NUMBERS = "NAME,...", "NAME=VALUE", "FILE", "WORD", "NUMBER,..."
@@ -26,7 +25,7 @@ VALUES = {
     "--nature": "NAME=WORD",
     # files
     **dict.fromkeys(("--controller", "--input-weight", "--output-weight", "--reference-model", "--cover"), FILE),
-    **dict.fromkeys(("--expressions", "--code", "--store", "--model-out", "--from-data"), FILE),
+    **dict.fromkeys(("--expressions", "--code", "--store", "--model-out"), FILE),
     **dict.fromkeys(("--held-out", "--repeat"), FILE),
     **dict.fromkeys(("--out", "--figure", "--discovery"), "PATH"),
     **dict.fromkeys(("--plant", "--model"), "PLANT"),
@@ -48,62 +47,6 @@ VALUES = {
     "--delimiter": "SIGN",
     "--decimal": "SIGN",
 }
-
-# Command -> what an option was called, and is called; the old word still works, with a note.
-_SIDES = {"--input": "--inputs", "--output": "--outputs"}
-_DELAYS = {"--input": "--input-delay", "--output": "--output-delay"}
-_METRIC = {"--input": "--input-value", "--output": "--outputs", "--from": "--inputs", "--band": "--settling-band"}
-_FIGURES = {"--figures": "--figure"}
-_CHANNELS = {"--disturbances": "--disturbance-inputs", "--performance": "--performance-outputs"}
-_COUNTS = {"--n-meas": "--measurements", "--n-con": "--controls"}
-FORMER = {
-    "model plot": _SIDES,
-    "model connect": _SIDES,
-    "model delay": _DELAYS,
-    "model reduce": {"--tolerance": "--max-error"},
-    "uncertain build": {"--noise": "--rtol", "--order": "--weight-order"},
-    "uncertain sample": {"--input": "--input-value"},
-    "uncertain delays": {**_DELAYS, "--order": "--pade"},
-    "uncertain neglected": {"--order": "--weight-order"},
-    "worst-case": _METRIC,
-    "campaign run": _METRIC,
-    "iqc gain": {"--order": "--filter-order"},
-    "iqc anti-windup": {"--order": "--filter-order", "--limit": "--saturation", "--direct": "--correct-outputs"},
-    **{f"synth {method}": {**_CHANNELS, **_COUNTS} for method in ("hinf", "h2", "dk", "fixed")},
-    "synth tune": {"--limit": "--pole-limit"},
-    **{f"lpv {word}": {"--points": "--grid", **_COUNTS} for word in ("build", "gain", "hinf")},
-    "data compare": {**_SIDES, **_FIGURES},
-    "data discover": {**_SIDES, **_FIGURES},
-    "data validate": {"--output": "--outputs", "--cover": "--envelope", **_FIGURES},
-    "report compare": {"--tolerance": "--rtol"},
-}
-_EVERYWHERE = {"--timeout": "--time-limit"}
-
-
-def of_today(group: str, words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The words behind ``robustlab GROUP`` with today's names of their options, and a note for each that was changed.
-
-    Examples
-    --------
-    >>> of_today("uncertain", ["sample", "set.h5", "--input", "u=42"])[0]
-    ['sample', 'set.h5', '--input-value', 'u=42']
-    """
-    command = f"{group} {words[0]}" if words and f"{group} {words[0]}" in FORMER else group
-    table = {**_EVERYWHERE, **FORMER.get(command, {})}
-    found: list[str] = []
-    notes: dict[str, None] = {}
-    is_folder = False
-    for k, word in enumerate(words):
-        option, equals, value = word.partition("=")
-        if "--" in found or option not in table:
-            found.append(f"{word}/" if is_folder else word)
-            is_folder = False
-            continue
-        notes[f"{option} is called {table[option]}; the old word will go"] = None
-        folder = option == "--figures"  # it took a folder, and nothing else
-        found.append(f"{table[option]}{equals}{value}{'/' * (folder and bool(equals))}")
-        is_folder = folder and not equals and k + 1 < len(words)
-    return found, list(notes)
 
 
 def told(command: Any) -> Any:

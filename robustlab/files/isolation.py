@@ -1,10 +1,9 @@
 """Untrusted files are opened in a child process only: what crashes or hangs there is a finding about the file.
 
-The reader process sends a JSON header (a document, an error), then a tree's arrays. No pickle. One process serves a
+The reader process sends a JSON header (a tree or an error), then the tree's arrays. No pickle. One process serves a
 whole run: it loads numpy and h5py once, and forks for each file; a crash or a hang in a fork ends nothing else. It is
-asked with a line of JSON: what the reader is told, the seconds that it is waited for, and the number of bytes of a
-document that follow; it answers with one, the exit status and the lengths of stdout and stderr, and these. Where a
-system cannot fork, each file gets a fresh interpreter.
+asked with a line of JSON: what the reader is told, and the seconds that it is waited for; it answers with the exit
+status and the lengths of stdout and stderr, and these. Where a system cannot fork, each file gets a fresh interpreter.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import sys
 import threading
 from contextlib import suppress
 from dataclasses import asdict
-from datetime import date, datetime, time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
@@ -33,8 +31,6 @@ if TYPE_CHECKING:
 
     from robustlab.files.tree import Tree
 
-
-# A document of JSON or TOML needs no arrays, and its reader no numpy: that one is loaded where trees are sent.
 
 # The reader's own limit is processor time, which a busy machine does not use up; this many times as long is waited for
 # one that sleeps.
@@ -55,12 +51,6 @@ def send_tree(stream: BinaryIO, tree: Tree) -> None:
     stream.flush()
 
 
-def send_document(stream: BinaryIO, data: Any) -> None:
-    """Write a document, as `robustlab.files.document.parse_document` gives it, to ``stream``; it is used up by this."""
-    _header(stream, _packed(data))
-    stream.flush()
-
-
 def send_error(stream: BinaryIO, error: InputError) -> None:
     """Write an error to ``stream`` in the place of a tree."""
     _header(stream, {"error": [error.where, error.found, error.expected, error.hint, list(error.more)]})
@@ -76,11 +66,6 @@ def receive(data: bytes, file: str) -> Tree:
     return _Received(memoryview(data)[end:], file).tree(header["tree"], "/")
 
 
-def receive_document(data: bytes) -> Any:
-    """Inverse of `send_document` and `send_error`; raises as `receive`."""
-    return _unpacked(_header_of(data)[0])
-
-
 def _header_of(data: bytes) -> tuple[dict[str, Any], int]:
     """The JSON header and where it ends. Raises InputError: the error that was sent; ValueError: there is no header."""
     start = len(MAGIC) + 8
@@ -92,32 +77,6 @@ def _header_of(data: bytes) -> tuple[dict[str, Any], int]:
         where, found, expected, hint, more = header["error"]
         raise InputError(where, found, expected, hint, tuple(more))
     return header, end
-
-
-def _packed(data: Any) -> dict[str, Any]:
-    """The document as JSON types: dates and times, which only TOML has, stand beside it with their places."""
-    root, times = [data], []
-    pending: list[tuple[Any, list[str | int]]] = [(root, [])]
-    while pending:
-        node, path = pending.pop()
-        for key, value in list(node.items() if isinstance(node, dict) else enumerate(node)):
-            if isinstance(value, (dict, list)):
-                pending.append((value, [*path, key]))
-            elif isinstance(value, (date, time)):
-                times.append([[*path, key], type(value).__name__, value.isoformat()])
-                node[key] = None
-    return {"document": root[0], "times": times}
-
-
-def _unpacked(content: dict[str, Any]) -> Any:
-    """Inverse of `_packed`."""
-    root = [content["document"]]
-    for path, name, text in content["times"]:
-        node: Any = root
-        for key in path[:-1]:
-            node = node[key]
-        node[path[-1]] = {"date": date, "time": time, "datetime": datetime}[name].fromisoformat(text)
-    return root[0]
 
 
 def _header(stream: BinaryIO, content: dict[str, Any]) -> None:
@@ -204,16 +163,16 @@ class ReaderServer:
         self._owner = 0
         atexit.register(self.close)
 
-    def ask(self, request: dict[str, Any], given: bytes, wait: float) -> Ended:
+    def ask(self, request: dict[str, Any], wait: float) -> Ended:
         """Have a file read. Raises OSError: the server cannot be started, or died while it was asked."""
         with self._lock:
             try:
-                return self._asked(json.dumps({"reader": request, "wait": wait, "size": len(given)}), given, wait)
+                return self._asked(json.dumps({"reader": request, "wait": wait}), wait)
             except BaseException:  # an answer that is half read would be taken for the next one's
                 self.close()
                 raise
 
-    def _asked(self, line: str, given: bytes, wait: float) -> Ended:
+    def _asked(self, line: str, wait: float) -> Ended:
         process = self._running()
         stdin, stdout = process.stdin, process.stdout
         assert stdin is not None
@@ -221,7 +180,7 @@ class ReaderServer:
         watch = threading.Timer(wait + OVERDUE, process.kill)
         watch.start()
         try:
-            stdin.write(line.encode() + b"\n" + given)
+            stdin.write(line.encode() + b"\n")
             stdin.flush()
             head = stdout.readline()
             answer: dict[str, Any] = json.loads(head) if head.endswith(b"\n") else {"out": 1, "err": 0}
@@ -272,42 +231,33 @@ def read_isolated(kind: str, path: str | Path, limits: Limits, group: str | None
     """
     where = str(path)
     request = _request(kind, limits, path=str(Path(path).absolute()), shown=where, group=group, **options)
-    return _taken(_ended(request, where, limits), where, limits, lambda data: receive(data, where))
-
-
-def document_isolated(kind: str, raw: bytes, where: str, limits: Limits) -> Any:
-    """Parse a document of JSON or TOML in a process of its own, which gets its bytes and not its name.
-
-    Raises InputError, EnvironmentFault: as `read_isolated`.
-    """
-    request = _request(kind, limits, shown=where, size=len(raw))
-    return _taken(_ended(request, where, limits, raw), where, limits, receive_document)
+    return _taken(_ended(request, where, limits), where, limits)
 
 
 def run_reader(command: list[str], where: str, limits: Limits) -> Tree:
     """Start ``command``, and take a tree or an error from its stdout."""
-    return _taken(_fresh(command, where, limits), where, limits, lambda data: receive(data, where))
+    return _taken(_fresh(command, where, limits), where, limits)
 
 
 def _request(kind: str, limits: Limits, **arguments: Any) -> dict[str, Any]:
     return {"kind": kind, "limits": asdict(limits), **arguments}
 
 
-def _ended(request: dict[str, Any], where: str, limits: Limits, given: bytes = b"") -> Ended:
+def _ended(request: dict[str, Any], where: str, limits: Limits) -> Ended:
     """Have the file read by a fork of the server, or by a fresh interpreter where there can be none."""
     if hasattr(os, "fork"):
         with suppress(OSError):  # it could not be started, or died: a fresh interpreter tells why
-            return _SERVER.ask(request, given, PATIENCE * limits.seconds)
+            return _SERVER.ask(request, PATIENCE * limits.seconds)
     # -P: the folder the user happens to be in must not lend modules to the reader.
     command = [sys.executable, "-P", "-m", READER, json.dumps(request)]
-    return _fresh(command, where, limits, given)
+    return _fresh(command, where, limits)
 
 
-def _fresh(command: list[str], where: str, limits: Limits, given: bytes = b"") -> Ended:
+def _fresh(command: list[str], where: str, limits: Limits) -> Ended:
     try:
         done = subprocess.run(  # noqa: S603  our own interpreter with our own module
             command,
-            input=given,
+            stdin=subprocess.DEVNULL,
             capture_output=True,
             env=_environment(),
             timeout=PATIENCE * limits.seconds,
@@ -321,7 +271,7 @@ def _fresh(command: list[str], where: str, limits: Limits, given: bytes = b"") -
     return Ended(done.returncode, done.stdout, done.stderr)
 
 
-def _taken(done: Ended, where: str, limits: Limits, take: Callable[[bytes], Any]) -> Any:
+def _taken(done: Ended, where: str, limits: Limits) -> Tree:
     """What the reader sent. Raises InputError, EnvironmentFault: it crashed, hung, failed, or sent nonsense."""
     if done.late:
         raise _no_answer(where, f"{PATIENCE * limits.seconds:g} s")
@@ -336,7 +286,7 @@ def _taken(done: Ended, where: str, limits: Limits, take: Callable[[bytes], Any]
             raise InputError(where, "needs more memory than the reader may use")
         raise EnvironmentFault(where, f"the reader process failed ({last[0][:200]})", None, "robustlab doctor")
     try:
-        return take(done.out)
+        return receive(done.out, where)
     except InputError:
         raise
     except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:

@@ -1,8 +1,7 @@
 """The processes that read untrusted files: a server, which forks for each file, or a fresh interpreter for one.
 
-It is told a JSON table: kind (``hdf5``, ``matlab5``, ``table``, ``json``, ``toml``), the limits,
-what messages call the file, and its path, or the number of bytes of the document that follow on stdin. It answers on
-stdout with a tree, a document or an error; a crash or a hang is seen by the parent. Without an argument it is the
+It is told a JSON table: kind (``hdf5``, ``matlab5``, ``table``), the limits, what messages call the file, and its path.
+It answers on stdout with a tree or an error; a crash or a hang is seen by the parent. Without an argument it is the
 server (`robustlab.files.isolation` tells what it is asked), which never sees a file's content but to hand it on.
 """
 
@@ -20,13 +19,11 @@ from importlib import import_module
 from typing import Any, BinaryIO
 
 from robustlab.errors import InputError
-from robustlab.files.isolation import Ended, send_document, send_error, send_tree
+from robustlab.files.isolation import Ended, send_error, send_tree
 from robustlab.files.signature import MIB, Limits
 
 # What Python, numpy and h5py (or scipy) take of the address space before a file is opened, with room to spare.
 BASE_ADDRESS_SPACE = 2048 * MIB
-# The same without numpy, for documents, and what a document may take beyond it for each byte of its text.
-BASE_DOCUMENT, GROWTH_OF_DOCUMENT = 256 * MIB, 20
 # Each byte of a table: a line of one digit becomes a text, a pair with its number, and a float.
 BASE_TABLE, GROWTH_OF_TABLE = 1024 * MIB, 64
 # Processor time: honest files are read at many times these rates. Values of HDF5 add theirs when they are reached, so
@@ -36,7 +33,7 @@ BASE_SECONDS, BYTES_PER_SECOND, VALUES_PER_SECOND = 4, 4 * MIB, 32 * MIB
 
 LOADED = {  # kind of file -> what its reader needs; loaded before the first fork for one
     "hdf5": "robustlab.files.hdf5_reader", "matlab5": "robustlab.files.matlab",
-    "table": "robustlab.files.text_table", "json": "robustlab.files.document", "toml": "robustlab.files.document",
+    "table": "robustlab.files.text_table",
 }  # fmt: skip
 STDERR = 1 << 16  # bytes of a reader's complaints that are kept
 
@@ -49,9 +46,8 @@ def _limit_resources(kind: str, limits: Limits, size: int) -> None:
     seconds, memory = int(limits.seconds) + 1, BASE_ADDRESS_SPACE + 4 * limits.total
     if kind != "matlab5":
         seconds = min(seconds, BASE_SECONDS + size // BYTES_PER_SECOND)
-    if kind in ("json", "toml", "table"):
-        base, growth = (BASE_TABLE, GROWTH_OF_TABLE) if kind == "table" else (BASE_DOCUMENT, GROWTH_OF_DOCUMENT)
-        memory = min(memory, base + growth * size)
+    if kind == "table":
+        memory = min(memory, BASE_TABLE + GROWTH_OF_TABLE * size)
     memory += _mapped()  # a fork begins with all that the server has loaded
     wanted = {
         resource.RLIMIT_AS: memory,
@@ -68,7 +64,7 @@ def _limit_resources(kind: str, limits: Limits, size: int) -> None:
 def _mapped() -> int:
     """Address space that this process has already, in bytes; 0 where the system does not tell."""
     try:
-        with open("/proc/self/statm", encoding="ascii") as told:  # noqa: PTH123 - no pathlib for documents
+        with open("/proc/self/statm", encoding="ascii") as told:  # noqa: PTH123
             return int(told.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, IndexError):
         return 0
@@ -93,17 +89,11 @@ def _more_time(limits: Limits) -> Callable[[int], None]:
     return allow
 
 
-def answered(request: dict[str, Any], answer: BinaryIO, given: bytes | None = None) -> int:
-    """Read one file and send it; the exit code. ``given``: the document; None: it is on stdin."""
+def answered(request: dict[str, Any], answer: BinaryIO) -> int:
+    """Read one file and send it; the exit code."""
     kind, shown, limits = request["kind"], request["shown"], Limits(**request["limits"])
-    size = request["size"] if "size" in request else os.stat(request["path"]).st_size  # noqa: PTH116
-    _limit_resources(kind, limits, size)
+    _limit_resources(kind, limits, os.stat(request["path"]).st_size)  # noqa: PTH116
     try:
-        if kind in ("json", "toml"):
-            from robustlab.files.document import parse_document
-
-            send_document(answer, parse_document(kind, sys.stdin.buffer.read() if given is None else given, shown))
-            return 0
         tree = _tree(kind, request, limits)
     except InputError as error:
         send_error(answer, error)
@@ -137,21 +127,20 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests until there are no more."""
     while line := requests.readline():
         job = json.loads(line)
-        given = requests.read(job["size"])
         needed = LOADED.get(job["reader"]["kind"])
         if needed is not None:
             import_module(needed)
-        ended = _read_in_a_fork(job["reader"], given, job["wait"])
+        ended = _read_in_a_fork(job["reader"], job["wait"])
         head = {"status": ended.status, "out": len(ended.out), "err": len(ended.err), "late": ended.late}
         answers.write(json.dumps(head).encode() + b"\n" + ended.out + ended.err)
         answers.flush()
 
 
-def _read_in_a_fork(request: dict[str, Any], given: bytes, wait: float) -> Ended:
+def _read_in_a_fork(request: dict[str, Any], wait: float) -> Ended:
     pipes = os.pipe(), os.pipe()
     child = os.fork()
     if child == 0:
-        _be_the_reader(request, given, pipes)
+        _be_the_reader(request, pipes)
     for _, end in pipes:
         os.close(end)
     found, late = _collected([start for start, _ in pipes], time.monotonic() + wait)
@@ -161,7 +150,7 @@ def _read_in_a_fork(request: dict[str, Any], given: bytes, wait: float) -> Ended
     return Ended(os.waitstatus_to_exitcode(status), found[0], found[1][-STDERR:], late)
 
 
-def _be_the_reader(request: dict[str, Any], given: bytes, pipes: tuple[tuple[int, int], tuple[int, int]]) -> None:
+def _be_the_reader(request: dict[str, Any], pipes: tuple[tuple[int, int], tuple[int, int]]) -> None:
     """The child: nothing of the server's is open in it; it does not come back."""
     status = 1
     try:
@@ -171,7 +160,7 @@ def _be_the_reader(request: dict[str, Any], given: bytes, pipes: tuple[tuple[int
             os.dup2(source, target)
         os.closerange(3, max(64, *(end for pipe in pipes for end in pipe)) + 1)
         with os.fdopen(1, "wb", closefd=False) as stream:
-            status = answered(request, stream, given)
+            status = answered(request, stream)
     except BaseException as error:  # noqa: BLE001 - whatever it was, this process ends here, and the parent is told
         with suppress(OSError):
             os.write(2, f"{type(error).__name__}: {error}\n".encode(errors="replace"))

@@ -268,6 +268,3 @@ def _sample_time(attrs: Mapping[str, Any]) -> float:
             number = float(value.flat[0])
             return 1.0 / number if name == "fs" else number
     return 0.0
-        raise InputError(where, f"clock {clock!r}", "stamp or log: the two clocks of a bag", "clock='log'")
-            return f"outputs=['{topic}.{name}'], or outputs=['q={topic}.{name}'] to call it q"
-        raise InputError(source.where, reason, "stamps that run forwards", "clock='log'")

@@ -159,7 +159,6 @@ def read_record(
     group, content = options.group, content_of(path, limits)
     if content == "text":
         return choose(from_text(path, group, options.delimiter, options.decimal, limits, isolate), options)
-            raise InputError(str(path), "no outputs chosen", source.listing, "outputs=..., or group=... for all of one")
     tree = read_tree(path, group, limits, isolate)
     if is_stamped(tree):
         return _stored(_record_of_format_1(str(path), tree, options), str(path), options)

@@ -135,14 +135,6 @@ def content_of(path: str | Path, limits: Limits | None = None) -> Content:
     return "text"
 
 
-def is_json(path: str | Path) -> bool:
-    """Whether a text file is meant to be JSON: by its name, or because it begins with a brace."""
-    if Path(path).suffix.lower() == ".json":
-        return True
-    with Path(path).open("rb") as stream:
-        return stream.read(64).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{")
-
-
 def _is_hdf5(path: Path, head: bytes) -> bool:
     """HDF5's signature stands at 0, 512, 1024, ...: a user block (MATLAB writes one of 512 bytes) may come first."""
     if head.startswith(HDF5_MAGIC):

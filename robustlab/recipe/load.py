@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from robustlab.doors.vocabulary import RefersTo
 from robustlab.errors import InputError, UsageError, did_you_mean
-from robustlab.files.document import parse_document, read_document
+from robustlab.files.document import parse_document
 from robustlab.recipe.schema import Recipe, Requirement, recipe_model
 from robustlab.recipe.shipped import shipped_folder, shipped_recipes
 from robustlab.recipe.steps.contract import KINDS, Step
@@ -49,12 +49,11 @@ class LoadedRecipe:
     overrides: dict[str, str]  # dotted key -> text of the value, as given with `--set`
 
 
-def load_recipe(path: str | Path, overrides: Sequence[str] = (), isolate: bool = True) -> LoadedRecipe:
+def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe:
     """Read and check a recipe file.
 
     ``path``: a ``.toml`` file of at most 1 MiB.
     ``overrides``: ``"a.b=value"`` items: a is a top-level key or a step's name.
-    ``isolate``: False parses the text in this process, with the same checks.
     Raises InputError: the file is missing, too large, not TOML, or not a recipe; all faults are listed. UsageError: an
     override that has no ``=`` or names no step.
     """
@@ -74,7 +73,7 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = (), isolate: bool =
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8", "a text file in UTF-8") from None
     given = split_overrides(overrides)
-    data = read_document("toml", raw, str(path)) if isolate else parse_document("toml", raw, str(path))
+    data = parse_document("toml", raw, str(path))
     return LoadedRecipe(_checked(data, str(path), given), file.resolve(), text, given)
 
 

@@ -9,8 +9,7 @@
     out/NAME/evidence/      results with what is needed to check them again, as HDF5
     out/NAME/*.h5           what save steps wrote
 
-Where nobody says where, each recipe and each choice of settings has a folder of its own, and ``out/latest`` is the
-last.
+Where nobody says where, each recipe and each choice of settings has a folder of its own.
 
 A report is there from the beginning: first one that says that the run has not finished, which takes the place of an
 earlier run's, and in its place the run's own, however that ends. So no old report can be taken for that of this run.
@@ -18,22 +17,17 @@ earlier run's, and in its place the run's own, however that ends. So no old repo
 
 from __future__ import annotations
 
-import glob
 import hashlib
 import json
-import os
 import re
 import shutil
-import stat
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-from filelock import FileLock
 
 from robustlab.errors import (
     EXIT_BUG,
@@ -46,7 +40,7 @@ from robustlab.errors import (
     RobustlabError,
 )
 from robustlab.files.atomic import atomic_write
-from robustlab.files.document import parse_document, read_document
+from robustlab.files.document import parse_document
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
 from robustlab.recipe.check import at_step, look_through, step_hint
@@ -60,8 +54,6 @@ from robustlab.shown import Facts, Shown, listed
 
 DONE, NOT_RUN = "done", "not run"
 FINISHED, RUNNING = "finished", "running"
-LOCK = ".running"  # held by the run that writes the folder
-STRAY_AGE = 3600.0  # s
 REPORT_FILES = ("report.html", "junit.xml", "result.json")
 
 NUMBER = (int, float)
@@ -121,40 +113,17 @@ class RunResult(Shown):
 
 @contextmanager
 def _workplace(target: Path, out: str | Path) -> Iterator[Path]:
-    """A hidden folder beside ``target``, where the results lie until the run is through; it vanishes with the run.
-
-    What a killed run left there more than an hour ago is removed.
-    """
+    """A hidden folder beside ``target``, where the results lie until the run is through; it vanishes with the run."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        _sweep(target)
         folder = Path(tempfile.mkdtemp(prefix=f".{target.name}-running-", dir=target.parent))
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise EnvironmentFault(str(out), f"cannot be made ({reason})", "a folder to write results into") from error
-    lock = FileLock(folder / LOCK, timeout=0)  # of the operating system: a dead process cannot keep it
     try:
-        with suppress(OSError, NotImplementedError):  # a file system without locks: then nobody can take it either
-            lock.acquire()
         yield folder
     finally:
-        lock.release()
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _sweep(target: Path) -> None:
-    """Remove the hidden folders of runs into ``target`` that were killed; never a link, nor one that is locked."""
-    for stray in target.parent.glob(f".{glob.escape(target.name)}-running-*"):
-        try:
-            found = stray.lstat()
-            if not stat.S_ISDIR(found.st_mode) or time.time() - found.st_mtime < STRAY_AGE:
-                continue
-            if (stray / LOCK).is_file() and not (stray / LOCK).is_symlink():
-                with FileLock(stray / LOCK, timeout=0):
-                    pass
-            shutil.rmtree(stray)  # removes links in it, not what they point to
-        except (OSError, NotImplementedError):
-            continue  # in use, or not ours to remove: a stray folder does no harm
 
 
 @dataclass
@@ -170,7 +139,6 @@ def run_recipe(
     loaded: LoadedRecipe,
     out: str | Path,
     report: Callable[[str, str], None] = lambda _name, _kind: None,
-    latest: bool = False,
     png: bool = False,
 ) -> RunResult:
     """Run a recipe and write its results into ``out``.
@@ -180,7 +148,6 @@ def run_recipe(
 
     ``out``: the folder; files in it that are no result of an earlier run stay.
     ``report``: called with name and kind of each step before it runs.
-    ``latest``: the link ``latest`` beside the folder is to point to it.
     ``png``: figures are drawn as PNG beside the SVG, too.
     Raises InputError, EnvironmentFault: the recipe or a step cannot be done as it is; all that is known before the
     first step is told at once. (A step that is done, but ends without a trustworthy number, is no error: the run goes
@@ -195,8 +162,6 @@ def run_recipe(
         workspace.png = png
         steps: list[dict[str, Any]] = []
         _announce(loaded, workspace, target)
-        if latest:
-            point_latest(target)
         ending = Ending(FINISHED)
         try:
             workspace.ahead = look_through(loaded)
@@ -241,33 +206,7 @@ def _announce(loaded: LoadedRecipe, workspace: Workspace, target: Path) -> None:
     data = _result(loaded, workspace, [], 0.0, Ending(RUNNING, f"begun {began}"))
     data["files"] = sorted({*data["files"], *_files_of_previous_run(target)})
     target.mkdir(parents=True, exist_ok=True)
-    try:
-        _write_result(data, target)
-    except BaseException:
-        for name in REPORT_FILES:
-            (target / name).unlink(missing_ok=True)
-        raise
-
-
-def outdate(path: Path, overrides: Mapping[str, str], out: str | Path | None, error: InputError) -> None:
-    """Say in the report of an earlier run of a recipe that its file can no longer be read.
-
-    ``out``: the folder to write; where nobody says it, the one named as the file, and the one of the last run, if they
-    hold the report of that file with the same settings.
-    """
-    for folder in [Path(out)] if out else [Path("out") / path.stem, Path("out") / LATEST]:
-        earlier = _earlier(folder)
-        if not earlier:
-            continue
-        recipe = earlier["recipe"]
-        if not out and (recipe.get("origin"), recipe["overrides"]) != (_origin(path), overrides):
-            continue
-        ending = Ending("bad input", str(error), error.exit_code)
-        provenance = {**earlier["provenance"], **Provenance.now("robustlab run").to_json()}
-        _write_result(
-            {**earlier, "ending": vars(ending), "exit_code": ending.exit_code, "requirements": [], "steps": [],
-             "seconds": 0.0, "provenance": provenance}, folder,
-        )  # fmt: skip
+    _write_result(data, target)
 
 
 def _write_result(data: Mapping[str, Any], folder: Path) -> None:
@@ -429,7 +368,7 @@ def _write(path: Path, text: str) -> None:
 
 def _publish(folder: Path, target: Path) -> None:
     """Move the files of a finished run to their place, ``result.json`` last; remove what only the previous run had."""
-    fresh = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file() and path.name != LOCK)
+    fresh = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     fresh.sort(key=lambda path: path.name == "result.json")
     stale = _files_of_previous_run(target)
     for path in fresh:
@@ -447,8 +386,8 @@ def _files_of_previous_run(target: Path) -> set[str]:
         return set()  # no earlier run, or not one of ours: nothing to remove
 
 
-def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
-    """Content of ``result.json`` of a finished run; it is parsed in the reader process (or here, without ``isolate``).
+def read_result(folder: str | Path) -> dict[str, Any]:
+    """Content of ``result.json`` of a finished run.
 
     Raises InputError: no such file, or not the result of a run.
     """
@@ -459,7 +398,7 @@ def read_result(folder: str | Path, isolate: bool = True) -> dict[str, Any]:
     except OSError as error:
         raise InputError(str(path), f"not readable: {error}", "the JSON that robustlab run wrote") from None
     where = str(path)
-    data = read_document("json", raw, where) if isolate else parse_document("json", raw, where)
+    data = parse_document("json", raw, where)
     if not isinstance(data, dict) or data.get("schema") != "robustlab.result/1" or data.get("command") != "run":
         raise InputError(where, "not the result of a run", "the result.json that robustlab run wrote")
     _check_parts({"ending": ending_of(data), **data}, RESULT_PARTS, "", where)
@@ -478,7 +417,6 @@ def _check_parts(data: Any, parts: Any, at: str, where: str) -> None:
         _check_parts(item, parts[0], f"{at}.{i}", where)
 
 
-LATEST = "latest"
 LONGEST_SLUG = 40  # characters; longer settings are told by their hash
 
 
@@ -515,20 +453,6 @@ def replaced(folder: Path, loaded: LoadedRecipe) -> str:
     settings = ", ".join(f"{key}={value}" for key, value in recipe["overrides"].items()) or "no changed settings"
     what = "an earlier text of the recipe" if _same(earlier, loaded) else f"recipe {recipe['name']} with {settings}"
     return f"{folder} held the report of {what}; this run replaced it"
-
-
-def point_latest(folder: Path) -> None:
-    """Make the link ``latest`` beside ``folder`` point to it; a file or folder of that name, or a system without
-    links, is left as it is.
-    """
-    link = folder.parent / LATEST
-    if folder.name == LATEST or (link.exists() and not link.is_symlink()):
-        return
-    fresh = folder.parent / f".{LATEST}-{os.getpid()}"
-    with suppress(OSError, NotImplementedError):  # a convenience: the run itself is written
-        fresh.unlink(missing_ok=True)
-        fresh.symlink_to(folder.name, target_is_directory=True)
-        fresh.replace(link)
 
 
 def _earlier(folder: Path) -> Mapping[str, Any] | None:

@@ -1,4 +1,4 @@
-r"""Controllers for other programs: C99 source, JSON, MATLAB; robustlab's own format is `robustlab.storage.save`.
+r"""Controllers for other programs: C99 source, MATLAB; robustlab's own format is `robustlab.storage.save`.
 
 In C99 it is one struct of state, an init and a step function, nothing allocated.
 
@@ -16,7 +16,6 @@ text itself is the template ``controller.c.j2``.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,7 +31,6 @@ from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance
 from robustlab.signals import Taken, law
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
-from robustlab.storage.controllers import controller_to_json
 from robustlab.storage.interchange import save
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.windup.back_calculation import back_calculation
@@ -262,7 +260,7 @@ def _comment(text: str) -> str:
     return plain.replace("*/", "* /").replace("/*", "/ *").replace("\\", "<U+005C>").replace("??", "? ?")
 
 
-EXPORTS = (".c", ".json", ".mat", ".h5", ".hdf5")
+EXPORTS = (".c", ".mat", ".h5", ".hdf5")
 
 
 @told_as("export_controller")
@@ -282,9 +280,6 @@ def export_controller(
         C99 without allocation: a struct of state, ``<prefix>_init`` and ``<prefix>_step``. The sample time, the names,
         units and signs of all signals, and what the first samples must be, stand in the comment at the top; every
         number is exact (hexadecimal).
-    ``.json``
-        Matrices, sample time, signals with units, what was verified, provenance; numbers as their shortest exact
-        decimals. `robustlab.load` reads it back.
     ``.mat``, ``.h5``
         As `robustlab.save` writes them.
 
@@ -332,8 +327,8 @@ def export_controller(
     if isinstance(given, (UncertainModel, Plant)):
         raise InputError(str(path), f"a {type(given).__name__}", "a controller or a model")
     held = given if isinstance(given, Controller) else Controller(as_model(given, "export_controller"))
-    if saturation is not None and suffix not in (".c", ".json"):
-        raise UsageError(str(path), f"a saturation in a {suffix} file", "a .c or .json file")
+    if saturation is not None and suffix != ".c":
+        raise UsageError(str(path), f"a saturation in a {suffix} file", "a .c file")
     if anti_windup is not None and (saturation is None or suffix != ".c"):
         found = "an anti-windup time " + (f"in a {suffix} file" if suffix != ".c" else "without a saturation")
         raise UsageError(str(path), found, "a .c file with a saturation")
@@ -344,9 +339,6 @@ def export_controller(
     if suffix == ".c":
         text = c_source(held.K, prefix, limits, _notes(held, origin), anti_windup, feed_forward)
         return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="ascii"))
-    if suffix == ".json":
-        text = json.dumps(controller_to_json(held, limits, origin), indent=1, allow_nan=False, ensure_ascii=True)
-        return atomic_write(path, lambda temporary: temporary.write_text(text + "\n", encoding="ascii"))
     return save(path, held, origin)
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from robustlab.errors import InputError, did_you_mean
-from robustlab.files.document import parse_document, read_document
+from robustlab.files.document import parse_document
 from robustlab.uncertainty.blocks import ParameterRange
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.parametric import parametric
@@ -31,16 +31,15 @@ KEYS = (*MATRICES, "parameters", "dt", "inputs", "outputs", "states")
 RANGE = ("nominal", "low", "high", "unit")
 
 
-def load_parametric(path: str | Path, isolate: bool = True) -> UncertainModel:
+def load_parametric(path: str | Path) -> UncertainModel:
     """The uncertain model that a file of expressions describes; see `robustlab.uncertainty.parametric.parametric`.
 
-    The text is parsed in the reader process; with ``isolate = False`` in this one, with the same checks.
 
     Raises InputError: the file is missing, larger than 1 MiB, not TOML; keys that are unknown or missing; all that
     `parametric` refuses. Every message begins with the file's name. NoTrustworthyNumber: a denominator vanishes inside
     the ranges.
     """
-    data = _read(Path(path), isolate)
+    data = _read(Path(path))
     unknown = [key for key in data if key not in KEYS]
     if unknown:
         hint = did_you_mean(unknown[0], KEYS)
@@ -62,14 +61,14 @@ def load_parametric(path: str | Path, isolate: bool = True) -> UncertainModel:
         raise type(error)(str(path), found, error.expected, error.hint, error.more) from None
 
 
-def _read(file: Path, isolate: bool) -> dict[str, Any]:
+def _read(file: Path) -> dict[str, Any]:
     where = str(file)
     if not file.is_file():
         raise InputError(where, "no such file", "a .toml file with matrices of expressions")
     if file.stat().st_size > MAX_BYTES:
         raise InputError(where, f"{file.stat().st_size} bytes", f"at most {MAX_BYTES}")
     raw = file.read_bytes()
-    return read_document("toml", raw, where) if isolate else parse_document("toml", raw, where)
+    return parse_document("toml", raw, where)
 
 
 def _range(name: str, given: Any) -> Any:

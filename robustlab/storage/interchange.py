@@ -16,7 +16,7 @@ from robustlab.errors import InputError, UsageError, told_as
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.matlab import write_matlab5
-from robustlab.files.signature import Limits, content_of, is_json
+from robustlab.files.signature import Limits, content_of
 from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp, text_attr
 from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced, code_of
 from robustlab.signals import Taken
@@ -161,14 +161,6 @@ def read(
     where = str(path)
     content = content_of(path, limits)
     if content == "text":
-        if is_json(path):
-            from robustlab.storage.controllers import read_controller_json
-
-            if group or transpose:
-                raise InputError(where, "group or transpose with a JSON file", "neither: it holds one controller")
-            held = read_controller_json(path, limits, isolate)
-            warnings = (*held.warnings, *_unit_warnings("controller", held.controller))
-            return Loaded(held.controller, "controller", where, False, warnings, held.provenance)
         from robustlab.storage.records import record_from
 
         return Loaded(record_from(path, group, limits, isolate), "record", where, False)

@@ -46,7 +46,7 @@ printf '%s\\n' "${COMPREPLY[@]}"
 @pytest.fixture(scope="module")
 def script(tmp_path_factory):
     path = tmp_path_factory.mktemp("bash") / "robustlab.sh"
-    path.write_text(called("--show-completion", "bash").stdout)
+    path.write_text(called(_ROBUSTLAB_COMPLETE="source_bash").stdout)
     return path
 
 
@@ -134,59 +134,6 @@ def test_tab_loads_no_numerical_library_and_only_the_group_that_is_named():
 
 
 # --- installing ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("shell", "files"),
-    [
-        ("bash", [".bash_completions/robustlab.sh", ".bashrc"]),
-        ("zsh", [".zfunc/_robustlab", ".zshrc"]),
-        ("fish", [".config/fish/completions/robustlab.fish"]),
-    ],
-)
-def test_install_writes_only_what_it_says_and_the_second_time_nothing(shell, files, tmp_path):
-    first = called("--install-completion", shell, home=tmp_path)
-    assert first.returncode == 0, first.stderr
-    expected = [f"written: {tmp_path / file}" for file in files]
-    assert first.stdout.splitlines() == [*expected, f"completion takes effect in a new {shell}"]
-    made = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    assert set(made) == {tmp_path / file for file in files}
-    again = called("--install-completion", shell, home=tmp_path)
-    assert again.stdout.count("unchanged: ") == len(files)
-    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == made
-
-
-def test_what_stands_in_the_users_file_stays_and_a_link_stays_a_link(tmp_path):
-    (tmp_path / "dotfiles").mkdir()
-    kept = tmp_path / "dotfiles" / "bashrc"
-    kept.write_bytes(b"alias \xe9=ls")  # not UTF-8, and no line break at the end
-    (tmp_path / ".bashrc").symlink_to(kept)
-    assert called("--install-completion", home=tmp_path).returncode == 0  # the shell of $SHELL
-    assert (tmp_path / ".bashrc").is_symlink()
-    script = tmp_path / ".bash_completions" / "robustlab.sh"
-    assert kept.read_bytes() == b"alias \xe9=ls\nsource " + str(script).encode() + b"\n"
-
-
-@needs_bash
-def test_a_new_bash_completes_after_installing(tmp_path):
-    called("--install-completion", "bash", home=tmp_path)
-    environment = {**os.environ, "HOME": str(tmp_path)}
-    done = subprocess.run(
-        ["bash", "--rcfile", str(tmp_path / ".bashrc"), "-ic", "complete -p robustlab"],
-        env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.stdout == "complete -o default -F _robustlab_completion robustlab\n"
-
-
-@pytest.mark.parametrize("option", ["--install-completion", "--show-completion"])
-@pytest.mark.parametrize(("shell", "words"), [("/bin/tcsh", []), ("", []), ("/bin/bash", ["csh"])])
-def test_an_unknown_shell_is_one_line_and_exit_code_2(option, shell, words, tmp_path):
-    done = called(option, *words, home=tmp_path, shell=shell)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert len(done.stderr.splitlines()) == 1
-    assert "expected one of bash, zsh, fish" in done.stderr
-    assert not list(tmp_path.iterdir())
 
 
 def test_no_group_has_a_completion_of_its_own():

@@ -113,8 +113,8 @@ def test_a_controller_as_c_and_json(call, tmp_path):
     assert "u [V], held in [-12.0, 12.0]" in source
     assert "hinf" in source
     assert "sha256" in source
-    assert call("model", "convert", k, tmp_path / "k.json")[0] == 0
-    assert json.loads((tmp_path / "k.json").read_text())["D"] == [[-2.0]]
+    assert call("model", "convert", k, tmp_path / "k.mat")[0] == 0
+    assert rl.load(tmp_path / "k.mat").D.tolist() == [[-2.0]]
     rl.save(k, rl.Controller(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], np.zeros((1, 1)))))
     code, _, err = call("model", "convert", k, c)
     assert code == 3

@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numba import njit
 
 from robustlab.cli import doctor
@@ -64,7 +63,6 @@ def test_doctor_says_where_cvxpy_lacks_clarabel(capsys, monkeypatch):
 
 
 def test_doctor_ends_with_5_where_something_is_missing(capsys, monkeypatch):
-    from robustlab.cli import doctor
 
     def missing() -> str:
         raise ImportError("No module named 'h5py'")
@@ -75,31 +73,6 @@ def test_doctor_ends_with_5_where_something_is_missing(capsys, monkeypatch):
 
 
 # --- warm ------------------------------------------------------------------------------------------------------------
-
-
-def test_warm_tells_times_place_and_what_was_left_out(capsys, monkeypatch, tmp_path):
-    used = []
-    parts = {"one": (2, lambda: used.append(1), ""), "two": (1, lambda: used.append(2), "no_such_library")}
-    monkeypatch.setattr(doctor, "_PARTS", parts)
-    assert robustlab("doctor", "--warm", "--json", "--progress", "json") == 0
-    out, err = capsys.readouterr()
-    told = json.loads(out)["warm"]
-    assert used == [1]
-    assert list(told["seconds"]) == ["one"]
-    assert told["left_out"] == {"two": "needs no_such_library: pip install 'robustlab[no_such_library]'"}
-    steps = [json.loads(line)["progress"] for line in err.splitlines()]
-    assert next(step["text"] for step in steps if step["text"]) == "compiling: one"
-    assert steps[-1]["ended"]
-    assert robustlab("doctor", "--warm", "--progress", "none") == 0
-    out, err = capsys.readouterr()
-    assert "compiled code is kept in " in out
-    assert not err
-
-
-def test_warm_without_a_compiler_ends_with_5():
-    done = in_shell("doctor", "--warm", NUMBA_DISABLE_JIT="1")
-    assert done.returncode == 5
-    assert done.stderr == "error: doctor --warm: nothing is compiled, expected NUMBA_DISABLE_JIT unset\n"
 
 
 def test_no_place_for_compiled_code_is_one_line_and_5(capsys):
@@ -129,33 +102,3 @@ def test_where_nothing_can_be_kept_code_is_compiled_for_this_command_alone(monke
     assert not place.exists()
     assert "compiled each time: export NUMBA_CACHE_DIR=" in capsys.readouterr().err
     monkeypatch.delenv("NUMBA_CACHE_DIR")
-
-
-@pytest.mark.slow
-def test_what_warm_has_compiled_is_not_compiled_again(tmp_path):
-    def kept():
-        return {path.relative_to(tmp_path): path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nbc")}
-
-    place = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    first = in_shell("doctor", "--warm", "--json", **place)
-    assert first.returncode == 0, first.stderr
-    assert json.loads(first.stdout)["warm"]["cache"] == place["NUMBA_CACHE_DIR"]
-    after_first = kept()
-    assert {path.name.partition(".")[0] for path in after_first} > {"primal_dual_kernels", "motion_kernels"}
-    assert in_shell("doctor", "--warm", **place).returncode == 0
-    built = tmp_path / "motors.h5"
-    in_shell(
-        "uncertain",
-        "build",
-        "--plant",
-        "dc-motor",
-        "--outputs",
-        "omega",
-        "--tolerance",
-        "Km=5%",
-        "--out",
-        str(built),
-        **place,
-    )
-    assert in_shell("mu", str(built), "--gain", **place).returncode == 0
-    assert kept() == after_first

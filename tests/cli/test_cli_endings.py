@@ -229,40 +229,6 @@ def test_a_warning_is_one_line_without_our_source(folder):
     assert all(line.startswith("warning: m.h5: the file carries no content_sha256") for line in lines)
 
 
-def test_a_run_sweeps_what_killed_runs_left_more_than_an_hour_ago(folder):
-    from filelock import FileLock
-
-    (folder / "short.toml").write_text(SHORT)
-    out = folder / "out"
-    kept = folder / "precious"
-    kept.mkdir(parents=True)
-    (kept / "data.csv").write_text("1")
-    names = ["short-running-old", "short-running-live", "short-running-young", "other-running-old", "short-runningold"]
-    strays = {name: out / f".{name}" for name in names}
-    for stray in strays.values():
-        (stray / "figures").mkdir(parents=True)
-        (stray / "figures" / "a.svg").write_text("x")
-    (strays["short-running-old"] / "link").symlink_to(kept, target_is_directory=True)
-    (out / ".short-running-link").symlink_to(kept, target_is_directory=True)
-    hour_ago = time.time() - 3700
-    for name, stray in strays.items():
-        if "young" not in name:
-            os.utime(stray, (hour_ago, hour_ago))
-    os.utime(kept, (hour_ago, hour_ago))
-    live = FileLock(strays["short-running-live"] / ".running")
-    with live:
-        os.utime(strays["short-running-live"], (hour_ago, hour_ago))
-        assert robustlab("run", "short.toml", cwd=folder).returncode == 0
-        assert not strays["short-running-old"].exists()
-        assert all(stray.exists() for name, stray in strays.items() if name != "short-running-old")
-    os.utime(strays["short-running-live"], (hour_ago, hour_ago))
-    assert robustlab("run", "short.toml", cwd=folder).returncode == 0
-    assert not strays["short-running-live"].exists()
-    assert (out / ".short-running-link").is_symlink()
-    assert (kept / "data.csv").read_text() == "1"
-    assert not [path for path in (out / "short").rglob("*") if path.name == ".running"]
-
-
 def test_a_record_without_a_hash_is_read_with_the_same_warning(folder):
     t = [0.0, 0.1, 0.2]
     rl.save(folder / "r.h5", rl.Record(t=t, inputs={"u": [1.0, 2.0, 1.0]}, outputs={"y": [0.0, 1.0, 2.0]}))

@@ -133,7 +133,7 @@ def test_a_search_tells_the_work_it_may_take_at_most(robustlab):
 # Commands that are done in a second, whatever they are given, or write a line of their own (a platform's equations).
 QUICK = {
     *("plant list", "plant new", "plant show", "model show", "model convert", "uncertain show", "campaign show"),
-    *("effects list", "recipe check", "recipe steps", "recipe schema", "report write", "report compare", "explain"),
+    *("recipe check", "recipe steps", "recipe schema", "report write", "report compare"),
 }
 
 

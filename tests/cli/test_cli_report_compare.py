@@ -50,17 +50,14 @@ def result(folder) -> dict:
 # --- the default folder ----------------------------------------------------------------------------------------------
 
 
-def test_other_settings_have_a_folder_of_their_own_and_latest_is_the_last(recipe):
+def test_other_settings_have_a_folder_of_their_own(recipe):
     assert robustlab("run", "steady.toml") == 0
     first = (recipe / "out/steady/report.html").read_bytes()
     assert robustlab("run", "steady.toml", "--set", "seed=7") == 0
     assert (recipe / "out/steady/report.html").read_bytes() == first
     assert result("out/steady-seed-7")["seed"] == 7
-    assert (recipe / "out/latest").is_symlink()
-    assert result("out/latest")["seed"] == 7
     assert robustlab("run", "steady.toml") == 0
-    assert result("out/latest")["seed"] == 0
-    assert {p.name for p in (recipe / "out").iterdir()} == {"steady", "steady-seed-7", "latest"}
+    assert {p.name for p in (recipe / "out").iterdir()} == {"steady", "steady-seed-7"}
 
 
 def test_another_recipe_of_the_same_name_has_a_folder_of_its_own(recipe):
@@ -84,13 +81,6 @@ def test_an_edited_recipe_and_a_named_folder_replace_a_report_aloud(recipe, caps
     assert "held the report of an earlier text of the recipe" in capsys.readouterr().err
     robustlab("run", "steady.toml", "--set", "seed=3", "--out", "out/steady")
     assert "held the report of recipe steady with no changed settings" in capsys.readouterr().err
-
-
-def test_a_folder_called_latest_stays(recipe):
-    (recipe / "out/latest").mkdir(parents=True)
-    (recipe / "out/latest/notes.txt").write_text("mine")
-    assert robustlab("run", "steady.toml") == 0
-    assert (recipe / "out/latest/notes.txt").read_text() == "mine"
 
 
 # --- compare ---------------------------------------------------------------------------------------------------------

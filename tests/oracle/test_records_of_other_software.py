@@ -16,7 +16,6 @@ def read(path, *args, **kwargs):
     return rl.Record.read(path, *args, isolate=False, **kwargs)
 
 
-    with pytest.raises(InputError, match=r"no unit, expected times in s\nhint: units=\{.timestamp.: .ns.\}"):
 # --- MATLAB, Simulink ------------------------------------------------------------------------------------------------
 
 

@@ -12,12 +12,12 @@ from robustlab.doors.vocabulary import RefersTo, ToController, ToPlantOrFile
 from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, step
 
-FORMATS = (".c", ".json", ".mat", ".h5")
+FORMATS = (".c", ".mat", ".h5")
 
 
 @step
 class ExportStep(Step):
-    """A controller for other programs: STEP.c (C99), STEP.json, STEP.mat and STEP.h5 in the output folder."""
+    """A controller for other programs: STEP.c (C99), STEP.mat and STEP.h5 in the output folder."""
 
     gives: ClassVar[str] = "saved"
     leaves: ClassVar[Any] = {"order": "1", "dt": "s", "sha256": {"*": str}}
@@ -50,7 +50,7 @@ class ExportStep(Step):
         digests: dict[str, str] = {}
         for suffix in FORMATS:
             path = work.folder / f"{work.step}{suffix}"
-            options: dict[str, Any] = {"prefix": self.prefix, "saturation": limits} if suffix in (".c", ".json") else {}
+            options: dict[str, Any] = {"prefix": self.prefix, "saturation": limits} if suffix == ".c" else {}
             if suffix == ".c" and self.feed_forward is not None:
                 options["feed_forward"] = work.values[self.feed_forward]
             rl.export_controller(path, given, provenance=origin, **options)
