@@ -14,7 +14,7 @@ from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, loop_numbers
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import cover_axis
 from robustlab.mu_analysis.axis.margin import Margin
-from robustlab.mu_analysis.tuning import TUNING
+from robustlab.mu_analysis.constants import WORK
 from robustlab.norms import H2Norm, hinf_norm
 from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.fixed.fixed_structure import FixedSynthesis
@@ -102,7 +102,7 @@ def dk_claims(found: DKSynthesis) -> list[Claim]:
     pieces = found.pieces
     if not pieces:
         first = np.append(seed_frequencies(mapped), found.frequency if not loop.is_discrete else [])
-        budget = search_budget("verify", TUNING.work, 1.0, None)
+        budget = search_budget("verify", WORK, 1.0, None)
         cover = cover_axis(mapped, found.blocks, found.gamma, first=first, budget=budget, accuracy=0.5e-6)
         if cover.open or cover.beta > level:
             return []

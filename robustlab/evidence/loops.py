@@ -9,9 +9,9 @@ from robustlab.evidence.axis import margin_claims
 from robustlab.evidence.norms import above, gramian_claims, norm_claims, proof_of_norm
 from robustlab.evidence.numbers import loop_numbers
 from robustlab.mu_analysis.axis.stability import margin_within
+from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
 from robustlab.mu_analysis.margins.small_gain import SmallGain
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import HinfNorm
 from robustlab.norms.positive_real import Passivity
 from robustlab.statespace import StateSpaceModel, lower_lft
@@ -77,6 +77,6 @@ def one_disk_claims(found: DiskMargin) -> list[Claim]:
     if len(uncertain.blocks) == 1:
         norm = HinfNorm(0.0, 1 / found.lower, np.nan, found.status, system=uncertain.delta_channels)
         return norm_claims(norm)
-    budget = search_budget("verify", TUNING.work, 1.0, None)
+    budget = search_budget("verify", WORK, 1.0, None)
     margin = margin_within(uncertain, budget, accuracy=1e-4)
     return [claim for claim in margin_claims(margin) if claim.kind == "mu-axis"]

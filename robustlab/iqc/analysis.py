@@ -25,11 +25,17 @@ import numpy as np
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, told_as
 from robustlab.iqc.problem import IqcProof, Natures, Posed, posed
-from robustlab.iqc.tuning import TUNING
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.norms import PeakGain
 from robustlab.result import Status
 from robustlab.shown import Facts, listed, member, number
+
+# shares above the solver's least gain at which the proof is tried in turn; smaller: closer, with less slack
+# relative distance of a margin from a size that was not proved, of a gain from one attained; smaller: more work
+CLOSE = 1e-3
+NEAR = 0.05  # the same, from which on only the best basis so far is tried; smaller: closer, more work
+LEAST = 1e-3  # size of the set below which no margin is looked for
+LARGEST = 64.0  # and beyond which
 
 __all__ = ["IqcGain", "IqcStability", "iqc_gain", "iqc_stability"]
 
@@ -170,7 +176,7 @@ def iqc_gain(
     with one_thread():
         lower, delta = problem.worst_member()
         best: tuple[float, IqcProof] | None = None
-        enough = lower * (1 + problem.tuning.close)
+        enough = lower * (1 + CLOSE)
         for basis in problem.bases if np.isfinite(lower) else ():
             found = problem.least_gain(basis, budget, enough)
             if found is not None and (best is None or found[0] < best[0]):
@@ -203,8 +209,8 @@ def iqc_stability(
     low, high, size = 0.0, math.inf, 1.0  # the largest that is proved, the smallest that is not, the next
     proof: IqcProof | None = None
     with one_thread():
-        while not budget.over and low < TUNING.largest and TUNING.least < high > low * (1 + TUNING.close):
-            found = problem.proved_stable(size, budget, thorough=not low or high > low * (1 + TUNING.near))
+        while not budget.over and low < LARGEST and LEAST < high > low * (1 + CLOSE):
+            found = problem.proved_stable(size, budget, thorough=not low or high > low * (1 + NEAR))
             if found is None:
                 high = size
             else:

@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.budget import Budget, search_budget
+from robustlab.budget import MILLION, Budget, search_budget
 from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.iqc.filtered_model import FilteredModel
 from robustlab.iqc.inequality import Channels, Inequality, Judgement, Point
 from robustlab.iqc.multipliers import POPOV, Basis, Term, nonlinear_terms, rate_terms, repeated_terms
 from robustlab.iqc.nature import Nature, Nonlinearity, Varying
-from robustlab.iqc.tuning import TUNING, IqcTuning
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.norms.level_set import balancing_units, well_scaled
@@ -32,6 +31,17 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.algebra import centred, upper
 from robustlab.uncertainty.blocks import Block, ParameterRange, RealScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
+
+WORK = 60 * MILLION  # the usual work of a proof at effort 1
+POLES = (1.0, 4.0, 0.25)
+# Times that a least gain is looked for at most, each in states measured by the P before; again while it falls below
+# this share of the one before.
+BALANCINGS = 4
+BETTER = 0.98
+# of the multipliers, in terms of the model's typical speed, tried in turn; more: closer bounds, more work
+BACK_OFFS = (1e-5, 1e-4, 1e-3, 1e-2, 5e-2, 0.2)
+MEMBERS = 64  # linear members at the ends of all ranges that bound the gain from below
+STATES = 60  # of the model with its filters; more unknowns than that are not begun
 
 __all__ = ["IqcProof", "Natures", "Posed", "Problem", "posed", "with_nonlinearities"]
 
@@ -155,7 +165,7 @@ def posed(
         raise InputError(f"{where}: order", f"{order!r}", f"a whole number from 0 to {MOST_ORDER}")
     if pole is not None:
         number(f"{where}: pole", pole, "a positive number in rad/s", above=0)
-    budget = search_budget(where, TUNING.work, effort, time_limit)
+    budget = search_budget(where, WORK, effort, time_limit)
     if nature is not None and not isinstance(nature, Mapping):
         raise InputError(f"{where}: nature", f"{nature!r}", "block -> what it is, such as {'k': rl.Varying(0.2)}")
     given = dict(nature or {})
@@ -211,9 +221,8 @@ class Problem:
 
     def __init__(
         self, where: str, middle: UncertainModel, nature: Mapping[str, Nature], order: int, pole: float | None,
-        tuning: IqcTuning = TUNING,
-    ) -> None:  # fmt: skip
-        self.where, self.middle, self.nature, self.tuning = where, middle, nature, tuning
+        ) -> None:  # fmt: skip
+        self.where, self.middle, self.nature = where, middle, nature
         M, (self.q, self.p) = middle.M, middle.delta_shape
         poles = M.poles()
         if len(poles) and not M.is_stable():
@@ -229,7 +238,7 @@ class Problem:
         speed = np.abs(poles[np.abs(poles) > 0])
         typical = float(np.median(speed)) if len(speed) else 1.0
         filtered = order and any(not isinstance(n, Varying) or np.isfinite(n.rate) for n in self.laws.values())
-        tried = tuning.poles if filtered else (1.0,)
+        tried = POLES if filtered else (1.0,)
         self.bases = [Basis(pole, order)] if pole is not None else [Basis(typical * t, order) for t in tried]
 
     # --- from below ---------------------------------------------------------------------------------------------------
@@ -244,9 +253,7 @@ class Problem:
                 reach[b.name] = max(-1.0, m), min(1.0, k)
             elif b.is_scalar:
                 reach[b.name] = (-1.0, 1.0)
-        every = (
-            product(*reach.values()) if 2 ** len(reach) <= self.tuning.members else self._drawn(list(reach.values()))
-        )
+        every = product(*reach.values()) if 2 ** len(reach) <= MEMBERS else self._drawn(list(reach.values()))
         worst, at = hinf_norm(self.middle.nominal).lower, dict.fromkeys(reach, 0.0)
         for values in every:
             delta = dict(zip(reach, values, strict=True))
@@ -263,7 +270,7 @@ class Problem:
 
     def _drawn(self, ends: list[tuple[float, float]]) -> list[tuple[float, ...]]:
         rng = np.random.default_rng(0)
-        return [tuple(pair[rng.integers(2)] for pair in ends) for _ in range(self.tuning.members)]
+        return [tuple(pair[rng.integers(2)] for pair in ends) for _ in range(MEMBERS)]
 
     # --- from above ---------------------------------------------------------------------------------------------------
 
@@ -277,11 +284,11 @@ class Problem:
             return None
         unit, states = 2.0 ** round(math.log2(size)), np.ones(self.middle.M.n_states)
         best: tuple[float, IqcProof] | None = None
-        for _ in range(self.tuning.balancings):
+        for _ in range(BALANCINGS):
             found, states = self._least_gain(basis, budget, unit, states)
             if found is None:
                 break
-            settled = best is not None and found[0] >= self.tuning.better * best[0]
+            settled = best is not None and found[0] >= BETTER * best[0]
             if best is None or found[0] < best[0]:
                 best = found
             if settled or best[0] <= enough or budget.over:
@@ -303,7 +310,7 @@ class Problem:
         size = np.abs(np.diag(least.P))[: len(states)]
         with np.errstate(divide="ignore"):
             again = states * 2.0 ** np.where(size > 0, np.clip(np.rint(-0.5 * np.log2(size)), -20, 20), 0.0)
-        for share in self.tuning.back_offs:
+        for share in BACK_OFFS:
             point = inequality.solve(budget, least.square * (1 + share) ** 2)
             if point is None:
                 continue
@@ -359,7 +366,7 @@ class Problem:
         for block, d, (w, z) in zip(self.middle.blocks, balance, block_slices(self.middle.blocks), strict=True):
             terms += self._terms(model, block, w, z, own, size, rate)
             units = np.append(units, np.full(model.n - len(units), d))
-        if model.n > self.tuning.states:
+        if model.n > STATES:
             return None, terms
         seen = model.outputs(slice(p, p + n_z)) if n_z else None
         voice = _GivenLoop(self.middle, model.m, size, unit, balance, rate, units)

@@ -14,5 +14,5 @@ covering/       sets that hold given models: weights above a bound, hulls, ellip
 distances/      coprime factors, their margin, gap and nu-gap
 
 Beneath them: upper_lft (a constant Delta closed in), reduction (Kalman reduction), interconnection (operands and
-wires, weights of unmodelled dynamics), tuning.
+wires, weights of unmodelled dynamics).
 """

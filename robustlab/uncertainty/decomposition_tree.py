@@ -41,7 +41,9 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.uncertainty.laurent import Laurent, Monomial, times
-from robustlab.uncertainty.tuning import TUNING
+
+# Orders of the variables in which a decomposition is tried: more find smaller LFTs, in as many times the work.
+VARIABLE_ORDERS = 24
 
 # A matrix of polynomials: monomial -> {(row, column): coefficient}.
 Terms = dict[Monomial, dict[tuple[int, int], Fraction]]
@@ -105,7 +107,7 @@ def plans(matrix: Sequence[Sequence[Laurent]], weight: Callable[[str], int], sha
                 terms.setdefault(monomial, {})[i, j] = c
     variables = sorted({name for monomial in terms for name, _ in monomial})
     found = [_plan(terms, shape, weight, None)]
-    for order in islice(permutations(variables), TUNING.variable_orders):
+    for order in islice(permutations(variables), VARIABLE_ORDERS):
         if found[0].size > sum(weight(v) for v in variables):
             found.append(_plan(terms, shape, weight, order))
     distinct = {(plan.size, len(plan.steps)): plan for plan in reversed(found)}
@@ -306,7 +308,7 @@ def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float)
 def _orders(count: int) -> list[Sequence[int]]:
     """Orders of the variables: all, or forwards and backwards with each one put first and last."""
     every = range(count)
-    if math.factorial(min(count, 20)) <= TUNING.variable_orders:
+    if math.factorial(min(count, 20)) <= VARIABLE_ORDERS:
         return list(permutations(every))
     turned: list[Sequence[int]] = [list(every), list(reversed(every))]
     moved = [made for k in every for made in ([k, *(j for j in every if j != k)], [*(j for j in every if j != k), k])]

@@ -23,7 +23,12 @@ from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.decomposition_tree import ConstantLft, assemble, plans
 from robustlab.uncertainty.laurent import Algebra, Laurent, number_arithmetic, parsed, walk
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.tuning import TUNING
+
+# Boxes and vertices in which a zero of a denominator is looked for: fewer refuse more ranges that are good.
+DENOMINATOR_BOXES = 4000
+DENOMINATOR_VERTICES = 4096
+# So many of the smallest decompositions are assembled and reduced; the smallest result is taken.
+DECOMPOSITIONS = 3
 
 # The LFT must give every entry at random parameter values to this share of the largest value that it takes there.
 EXACT = 1e-9
@@ -247,7 +252,7 @@ def _exclude_zero(name: str, algebra: Algebra, ranges: Mapping[str, ParameterRan
 
     start = value(nominal)
     corners = [np.array(c) for c in vertices_of(*zip(low, high, strict=True))] if len(variables) <= 12 else []
-    for corner in [nominal, *corners[: TUNING.denominator_vertices]]:
+    for corner in [nominal, *corners[:DENOMINATOR_VERTICES]]:
         if start * value(corner) <= 0:
             inside, outside = nominal, corner
             for _ in range(60):
@@ -255,7 +260,7 @@ def _exclude_zero(name: str, algebra: Algebra, ranges: Mapping[str, ParameterRan
                 inside, outside = (middle, outside) if start * value(middle) > 0 else (inside, middle)
             raise NoTrustworthyNumber("parametric", f"denominator {name} vanishes at {_point(variables, outside)}")
     boxes = [(low, high)]
-    for _ in range(TUNING.denominator_boxes):
+    for _ in range(DENOMINATOR_BOXES):
         if not boxes:
             return
         lower, upper = boxes.pop()
@@ -333,7 +338,7 @@ def _candidates(
     n, n_u, n_y = shapes
     gains = _Gains(algebra, ranges)
     found: list[UncertainModel] = []
-    for plan in plans(expressions, gains.weight, (n + n_y, n + n_u))[: TUNING.decompositions]:
+    for plan in plans(expressions, gains.weight, (n + n_y, n + n_u))[:DECOMPOSITIONS]:
         used = {(s.variable, s.inverted) for s in plan.steps}
         lft = assemble(plan, {key: gains.of(*key) for key in used})
         model = _as_model(lft, ranges, shapes, _Signals(*signals))

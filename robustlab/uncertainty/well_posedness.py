@@ -31,7 +31,13 @@ from robustlab.result import Status
 from robustlab.shown import AllFields, Facts, Shown, member, number
 from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.tuning import TUNING
+
+# Boxes that a proof may cut the real ranges into: fewer leave more questions open.
+BOXES = 2000
+# Vertices of the real ranges on whose rays a singular Delta is looked for; beyond it so many random ones.
+VERTICES = 1024
+# Random complex Deltas that are turned and aligned for the same purpose.
+RANDOM_DELTAS = 60
 
 Matrix = NDArray[Any]
 
@@ -189,7 +195,7 @@ def _perron(d11: Matrix, blocks: Sequence[Block], radius: Array) -> float:
 def _cut(d11: Array, blocks: Sequence[Block], low: Array, high: Array, rays: _RaySearch) -> tuple[float, int, bool]:
     """Boxes of real entries, each proved around its centre or cut in two; (largest bound, boxes, is any left open)."""
     boxes, largest = [(low, high)], 0.0
-    for count in range(1, TUNING.boxes + 1):
+    for count in range(1, BOXES + 1):
         lower, upper = boxes.pop()
         centre, radius = 0.5 * (lower + upper), 0.5 * (upper - lower)
         delta = rays.real_delta(centre)
@@ -206,7 +212,7 @@ def _cut(d11: Array, blocks: Sequence[Block], low: Array, high: Array, rays: _Ra
             boxes += [(lower, left), (right, upper)]
         if not boxes:
             return largest, count, False
-    return largest, TUNING.boxes, True
+    return largest, BOXES, True
 
 
 # --- refutation ------------------------------------------------------------------------------------------------------
@@ -230,15 +236,15 @@ class _RaySearch:
         """Vertices of the real blocks, each with random complex blocks turned into every phase."""
         rng = np.random.default_rng(seed)
         k = len(self.real)
-        if 2**k <= TUNING.vertices:
+        if 2**k <= VERTICES:
             signs = np.array(list(product((-1.0, 1.0), repeat=k))).reshape(2**k, k)
         else:
-            signs = rng.choice([-1.0, 1.0], (TUNING.vertices, k))
+            signs = rng.choice([-1.0, 1.0], (VERTICES, k))
         for sign in signs:
             self.along(self.real_delta(np.where(sign > 0, self.high[self.real], self.low[self.real])), 1.0)
         if k == len(self.blocks):
             return
-        for _ in range(TUNING.random_deltas):
+        for _ in range(RANDOM_DELTAS):
             share = np.append(rng.uniform(-1, 1, k), 0.0)[:k] if rng.random() < 0.8 else np.zeros(k)
             base = self.real_delta(np.where(share > 0, self.high[self.real], -self.low[self.real]) * share)
             self._turned(base, self._complex_delta(rng))

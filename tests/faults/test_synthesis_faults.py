@@ -165,7 +165,7 @@ def test_interrupt_passes_through_the_solver_guard(monkeypatch):
 def test_lmi_steps_in_where_the_riccati_equations_give_nothing(monkeypatch):
     """With every Riccati trial taken away the LMIs still give a verified controller, and the reason says so."""
 
-    def nothing(matrices, scalings, deadline, floor=0.0, D22=None, tuning=None):
+    def nothing(matrices, scalings, deadline, floor=0.0, D22=None):
         return Portfolio(*(Search(matrices, scaling, deadline, floor) for scaling in scalings), float("nan"))
 
     monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)
@@ -186,7 +186,7 @@ def test_lmi_is_not_tried_on_large_plants_nor_without_time():
 
 
 def test_no_controller_at_all_is_an_error_with_both_reasons(monkeypatch):
-    def nothing(matrices, scalings, deadline, floor=0.0, D22=None, tuning=None):
+    def nothing(matrices, scalings, deadline, floor=0.0, D22=None):
         return Portfolio(*(Search(matrices, scaling, deadline, floor) for scaling in scalings), float("nan"))
 
     monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)

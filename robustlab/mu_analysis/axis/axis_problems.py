@@ -16,13 +16,18 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import typical_speed
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, extend_work
 from robustlab.mu_analysis.axis.mode_ascent import ascended, is_stable_member, shrunk
+from robustlab.mu_analysis.constants import ASCENT_REACH
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights
 from robustlab.mu_analysis.matrix.gain import ascend_corners, gain_at
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
-from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
+
+INSIDE = 0.98  # level aimed at in a region; smaller: wider intervals, more cuts
+PROVED = 0.9999  # a level below this proves the point
+MISSES = 3  # frequencies in a row that cannot be proved cut a region; more: less is proved twice, more in vain
+NEAR_MISS = 0.01  # log width around a missed frequency in which no other is tried before the cut
 
 __all__ = ["GainMarginProblem", "GainProblem", "MarginProblem", "SkewedProblem"]
 
@@ -31,9 +36,12 @@ class _AxisProblem:
     """Regions of a stable continuous model's Delta channels over [0, inf]."""
 
     def __init__(
-        self, model: StateSpaceModel, blocks: Sequence[Block], hot: float | None, tuning: MuTuning = TUNING
+        self,
+        model: StateSpaceModel,
+        blocks: Sequence[Block],
+        hot: float | None,
     ) -> None:
-        self.model, self.blocks, self.hot, self.tuning = model, tuple(blocks), hot, tuning
+        self.model, self.blocks, self.hot = model, tuple(blocks), hot
         self.scale = typical_speed(model)
         # Each box with an interval that was proved in it: what the proof of all of them rests on.
         self.proved: list[tuple[Box, Piece]] = []
@@ -59,10 +67,10 @@ class _AxisProblem:
         if not sound:
             return result
         responses = np.concatenate([frequency_response(m, np.array([places[k]])) for k, m in sound.items()])
-        bounds = points_below(responses, self.blocks, self.tuning.inside, thorough=False)
+        bounds = points_below(responses, self.blocks, INSIDE, thorough=False)
         for (k, model), M, bound in zip(sound.items(), responses, bounds, strict=True):
             region, result[k] = regions[k], None
-            piece = extend(model, bound, 1.0, places[k]) if bound.beta < self.tuning.proved else None
+            piece = extend(model, bound, 1.0, places[k]) if bound.beta < PROVED else None
             if piece is not None and piece.low <= places[k] <= piece.high:
                 cover = AxisCover(open=region.open)
                 cover.add(piece)
@@ -71,7 +79,7 @@ class _AxisProblem:
             else:
                 region.missed.append((bound.beta, places[k], block_weights(M, bound, self.blocks)))
                 region.in_a_row += 1
-            if region.open and (region.in_a_row == self.tuning.misses or not self._worth_a_look(region)):
+            if region.open and (region.in_a_row == MISSES or not self._worth_a_look(region)):
                 _, region.hot, result[k] = max(region.missed, key=lambda miss: miss[0])
         return result
 
@@ -79,7 +87,7 @@ class _AxisProblem:
         """What is open between the frequencies that were missed, where that is wide enough."""
         cover = AxisCover(open=region.open)
         for _, omega, _ in region.missed:
-            near = np.exp(self.tuning.near_miss)
+            near = np.exp(NEAR_MISS)
             cover.open = [
                 part
                 for low, high in cover.open
@@ -106,11 +114,11 @@ class MarginProblem(_AxisProblem):
         """From the centre along the mode next to where the region was missed, inside a box below the size known."""
         values, blocks, aim = region.box.centre, self.blocks, 1j * (region.hot or 0.0)
         if is_stable_member(self.model, blocks, values):
-            found = ascended(self.model, blocks, values, self.tuning.ascent_reach / level, aim, self.tuning)
+            found = ascended(self.model, blocks, values, ASCENT_REACH / level, aim)
             if found is None or found.pole.real <= 0:
                 return None
             values = found.values
-        values = shrunk(self.model, blocks, values, Budget(), self.tuning)
+        values = shrunk(self.model, blocks, values, Budget())
         size = gauge(blocks, values)
         return Improved(1 / size, values) if size > 0 else None
 
@@ -139,9 +147,13 @@ class GainMarginProblem(_AxisProblem):
     """The largest gain over the axis stays ``gain``: levels are one over the size of the set."""
 
     def __init__(
-        self, model: StateSpaceModel, blocks: Sequence[Block], gain: float, hot: float | None, tuning: MuTuning = TUNING
+        self,
+        model: StateSpaceModel,
+        blocks: Sequence[Block],
+        gain: float,
+        hot: float | None,
     ) -> None:
-        super().__init__(model, blocks, hot, tuning)
+        super().__init__(model, blocks, hot)
         self.gain = gain
 
     def root(self, level: float) -> Region:
@@ -172,9 +184,13 @@ class SkewedProblem(_AxisProblem):
     """The largest level at which blocks ``sought``, of size one over it, are singular with the unit set of others."""
 
     def __init__(
-        self, model: StateSpaceModel, blocks: Sequence[Block], sought: Mask, hot: float | None, tuning: MuTuning
+        self,
+        model: StateSpaceModel,
+        blocks: Sequence[Block],
+        sought: Mask,
+        hot: float | None,
     ) -> None:
-        super().__init__(model, blocks, hot, tuning)
+        super().__init__(model, blocks, hot)
         self.sought = sought
 
     def root(self, level: float) -> Region:

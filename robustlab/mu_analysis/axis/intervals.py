@@ -22,13 +22,17 @@ from robustlab.budget import Budget
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.mu_analysis.axis.axis_model import model_frequency, typical_speed
+from robustlab.mu_analysis.constants import FREQUENCIES
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.shown import Facts, Shown, in_words, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
+
+SLACK = 1e-5  # the Hamiltonian is that of a beta smaller by this: a blurred double root costs far less
+CREEPING = 0.97  # share of what is open that a round may leave open before the level is raised
+PROBES = 12  # frequencies at which a sign is tested to find an end, or what the eigenvalues have missed
 
 __all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
 
@@ -189,7 +193,7 @@ def cover_axis(
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
     while cover.open and not budget.over:
         fresh, before = not pending, cover.open_share(scale)
-        omega = cover.take_points(pending, scale, TUNING.frequencies)
+        omega = cover.take_points(pending, scale, FREQUENCIES)
         target = beta / (1 + accuracy / 2)
         bounds = points_below(frequency_response(model, omega), blocks, target)
         budget.spend(points_work(blocks, len(omega)))
@@ -197,7 +201,7 @@ def cover_axis(
         missed = [b.beta for b in bounds if target < b.beta < np.inf]
         beta = max(beta, max(missed, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
         cover.grow(model, omega, bounds, beta, budget)
-        if fresh and cover.open_share(scale) > TUNING.creeping * before:
+        if fresh and cover.open_share(scale) > CREEPING * before:
             accuracy *= 2
             beta *= 1 + accuracy
     return cover
@@ -211,14 +215,14 @@ def _size(model: StateSpaceModel, omega: Array) -> float:
 def extend_work(model: StateSpaceModel) -> int:
     """Work of `extend`, as measured: the eigenvalues of H, and the signs at some of them and at the probes."""
     n, p = model.n_states, max(model.n_inputs, model.n_outputs)
-    return 600 + (2 * n) ** 3 // 100 + 3 * TUNING.probes * (2 + p**2 // 20 + p**3 // 400)
+    return 600 + (2 * n) ** 3 // 100 + 3 * PROBES * (2 + p**2 // 20 + p**3 // 400)
 
 
 def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float) -> Piece | None:
     """The interval around ``omega`` on which D and G of ``bound`` prove beta; None where they do not at ``omega``."""
     if not bound.beta < beta:
         return None
-    stricter = max(beta * (1 - TUNING.slack), (bound.beta + beta) / 2)
+    stricter = max(beta * (1 - SLACK), (bound.beta + beta) / 2)
     candidates = _candidates(model, bound, stricter)
     if candidates is None:
         return None
@@ -268,10 +272,10 @@ def _segments_proved(
 def _edge(model: StateSpaceModel, bound: UpperBound, beta: float, *, bad: float, good: float) -> float:
     """Where the sign changes between a frequency at which it is wrong and one at which it is right; a right one."""
     for _ in range(4):
-        points = np.linspace(good, bad, TUNING.probes + 2)[1:-1]
+        points = np.linspace(good, bad, PROBES + 2)[1:-1]
         wrong = np.flatnonzero(~_negative(model, bound, beta, points))
-        stop = int(wrong[0]) if len(wrong) else TUNING.probes
-        good, bad = float(points[stop - 1]) if stop else good, float(points[stop]) if stop < TUNING.probes else bad
+        stop = int(wrong[0]) if len(wrong) else PROBES
+        good, bad = float(points[stop - 1]) if stop else good, float(points[stop]) if stop < PROBES else bad
     return good
 
 
@@ -284,7 +288,7 @@ def _between_failures(
     """
     top = high if np.isfinite(high) else 1e3 * max(low, _speed(model))
     bottom = low if low > 0 else 1e-6 * top
-    probes = np.unique(np.concatenate([np.linspace(low, top, TUNING.probes), np.geomspace(bottom, top, TUNING.probes)]))
+    probes = np.unique(np.concatenate([np.linspace(low, top, PROBES), np.geomspace(bottom, top, PROBES)]))
     right = _negative(model, bound, beta, probes)
     if right.all():
         return low, high

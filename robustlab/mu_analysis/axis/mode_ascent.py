@@ -33,11 +33,23 @@ from robustlab.mu_analysis.axis.pole_migration import (
     first_crossing,
     perturbed_state_matrix,
 )
+from robustlab.mu_analysis.constants import ASCENT_REACH
 from robustlab.mu_analysis.matrix.box import block_entries, centre_matrix, gauge, lowest
 from robustlab.mu_analysis.matrix.delta_layout import delta_layout
-from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
+
+ASCENT_LEAST = 0.25  # the smallest box looked into, in sizes of the smallest member known at first ...
+ASCENTS_IN_VAIN = 5  # as many ascents there, for each mode, without anything smaller end a chain of them ...
+ASCENT_CHAINS = 3  # ... and so many chains in a row the search
+ASCENT_MEMBERS = 100  # of the box, looked at for starts ...
+ASCENT_MODES = 5  # ... of so many least damped modes, and as many others; twice as many go on from their best
+ASCENT_THROWN = 3  # so many parameters at most are thrown anew for that
+ASCENT_FIRST = 0.3  # share of the way to its own corner at which a nominal mode begins
+ASCENT_STEP = 0.05  # share by which the box shrinks around a mode that was led across the axis ...
+ASCENT_LAST_STEP = 0.01  # ... and at the end
+ASCENTS_OF_MODE = 30  # quasi-Newton steps of one ascent
+ASCENT_HALVINGS = 20  # of the way from the nominal model to an unstable member
 
 __all__ = ["Ascent", "Mode", "ascended", "is_stable_member", "mode_next_to", "shrunk", "smaller_destabilising"]
 
@@ -91,7 +103,11 @@ def is_stable_member(model: StateSpaceModel, blocks: Sequence[Block], values: Ar
 
 
 def ascended(
-    model: StateSpaceModel, blocks: Sequence[Block], start: Array, size: float, aim: complex, tuning: MuTuning = TUNING
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    start: Array,
+    size: float,
+    aim: complex,
 ) -> Ascent | None:
     """Where quasi-Newton steps end, in a box of this size, that follow the pole next to the imaginary aim.
 
@@ -114,17 +130,20 @@ def ascended(
         return -now.pole.real / unit, -now.slopes * size / unit
 
     bounds = [(float(low), 1.0) for low in lowest(blocks)]
-    options = {"maxiter": tuning.ascents_of_mode}
+    options = {"maxiter": ASCENTS_OF_MODE}
     found = minimize(damping, start / size, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return Ascent(found.x * size, complex(-found.fun * unit, abs(place.imag)), 1 + found.nfev)
 
 
 def shrunk(
-    model: StateSpaceModel, blocks: Sequence[Block], values: Array, budget: Budget, tuning: MuTuning = TUNING
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    values: Array,
+    budget: Budget,
 ) -> Array:
     """Entries (n_blocks,) of the smallest member that the unstable mode of this one leads to, a pole on the axis."""
     delta = centre_matrix(blocks, values).astype(complex)
-    search = _Search(model, tuple(blocks), Destabilising(gauge(blocks, values), delta, complex(np.inf)), budget, tuning)
+    search = _Search(model, tuple(blocks), Destabilising(gauge(blocks, values), delta, complex(np.inf)), budget)
     search.follow(values)
     return block_entries(blocks, search.best.delta)
 
@@ -135,7 +154,6 @@ def smaller_destabilising(
     worst: Destabilising,
     budget: Budget,
     seed: int = 0,
-    tuning: MuTuning = TUNING,
     proved: float = 0.0,
 ) -> Destabilising:
     """A destabilising Delta of real blocks alone that is smaller than ``worst``, or ``worst`` where none was found.
@@ -153,7 +171,7 @@ def smaller_destabilising(
     proved
         Size of a set in which none destabilises, where one is known: it need not be looked at.
     """
-    return _Search(model, tuple(blocks), worst, budget, tuning).run(seed, proved)
+    return _Search(model, tuple(blocks), worst, budget).run(seed, proved)
 
 
 class _Search:
@@ -165,9 +183,8 @@ class _Search:
         blocks: tuple[Block, ...],
         worst: Destabilising,
         budget: Budget,
-        tuning: MuTuning,
     ) -> None:
-        self.model, self.blocks, self.budget, self.tuning = model, blocks, budget, tuning
+        self.model, self.blocks, self.budget = model, blocks, budget
         self.best, self.low = worst, lowest(blocks)
         self.size, self.all_real = gauge(blocks, block_entries(blocks, worst.delta)), all(b.interval for b in blocks)
         nominal = model.poles()
@@ -181,16 +198,16 @@ class _Search:
         rng = np.random.default_rng(seed)
         if np.isfinite(self.best.pole):
             self.follow(block_entries(self.blocks, self.best.delta) * (1 + 1e-9))
-        empty, chains, in_vain = max(proved, self.tuning.ascent_least * self.size), 0, 0
-        while chains < self.tuning.ascent_chains and self._may_go_on():
-            before, largest = self.size, self.size * self.tuning.ascent_reach
+        empty, chains, in_vain = max(proved, ASCENT_LEAST * self.size), 0, 0
+        while chains < ASCENT_CHAINS and self._may_go_on():
+            before, largest = self.size, self.size * ASCENT_REACH
             size = min(float(np.sqrt(empty * self.size)), largest)
             ascents = self._ascents_within(size, size == largest, rng)
             if self.size < before:
                 chains = in_vain = 0
             elif size < largest:
                 empty = size
-            elif (in_vain := in_vain + max(ascents, 1)) >= self.tuning.ascents_in_vain * len(self.frequencies):
+            elif (in_vain := in_vain + max(ascents, 1)) >= ASCENTS_IN_VAIN * len(self.frequencies):
                 chains, in_vain, self.box = chains + 1, 0, 0.0  # what modes were led to is forgotten
         return self.best
 
@@ -224,13 +241,13 @@ class _Search:
         for mode, aim in enumerate(1j * self.frequencies):
             now = mode_next_to(self.model, self.blocks, np.zeros(len(self.blocks)), aim)
             slopes = np.zeros(len(self.blocks)) if now is None else now.slopes
-            starts.append((mode, self.tuning.ascent_first * np.where(slopes < 0, self.low, 1.0)))
+            starts.append((mode, ASCENT_FIRST * np.where(slopes < 0, self.low, 1.0)))
         return starts
 
     def _least_damped(self, rng: np.random.Generator) -> list[tuple[int, Array]]:
         """Of random corners and points, those that damp a mode least: of the least damped modes, and of some others."""
         best: dict[int, tuple[float, Array]] = {}
-        for turn in range(self.tuning.ascent_members):
+        for turn in range(ASCENT_MEMBERS):
             share = rng.random(len(self.blocks))
             point = self.low + (1 - self.low) * (np.round(share) if turn % 2 else share)
             for mode, pole in enumerate(self._modes(point)):
@@ -238,21 +255,21 @@ class _Search:
                 if mode not in best or damping < best[mode][0]:
                     best[mode] = damping, point
         met = [(mode, best[mode][1]) for mode in sorted(best, key=lambda mode: best[mode][0])]
-        least, others = met[: self.tuning.ascent_modes], met[self.tuning.ascent_modes :]
-        return least + [others[k] for k in rng.permutation(len(others))[: self.tuning.ascent_modes]]
+        least, others = met[:ASCENT_MODES], met[ASCENT_MODES:]
+        return least + [others[k] for k in rng.permutation(len(others))[:ASCENT_MODES]]
 
     def _thrown(self, rng: np.random.Generator) -> Iterator[tuple[int, Array]]:
         """Where modes have come to in this box, with a few parameters thrown anew; less damped ones more often.
 
         Each is told when it is asked for: what the one before has led to counts.
         """
-        for _ in range(2 * self.tuning.ascent_modes):
+        for _ in range(2 * ASCENT_MODES):
             order = sorted(self.led, key=lambda mode: self.led[mode][0])
             if not order:
                 return
-            mode = order[min(int(rng.exponential(self.tuning.ascent_modes)), len(order) - 1)]
+            mode = order[min(int(rng.exponential(ASCENT_MODES)), len(order) - 1)]
             point = self.led[mode][1].copy()
-            thrown = rng.permutation(len(point))[: rng.integers(1, self.tuning.ascent_thrown + 1)]
+            thrown = rng.permutation(len(point))[: rng.integers(1, ASCENT_THROWN + 1)]
             point[thrown] = rng.uniform(self.low[thrown], 1.0)
             yield mode, point
 
@@ -275,13 +292,13 @@ class _Search:
 
     def _ascent(self, start: Array, size: float, aim: complex) -> Ascent | None:
         """`ascended` inside the box of this size, counted."""
-        found = ascended(self.model, self.blocks, start, size, aim, self.tuning)
+        found = ascended(self.model, self.blocks, start, size, aim)
         self._count(1 if found is None else found.looks)
         return found
 
     def follow(self, values: Array) -> None:
         """Ever smaller members along the mode that was led across the axis, then to the axis exactly."""
-        step = self.tuning.ascent_step
+        step = ASCENT_STEP
         values = self._at_crossing(values)
         while self._may_go_on():
             size = gauge(self.blocks, values)
@@ -291,11 +308,11 @@ class _Search:
             found = self._ascent(np.clip(values, smaller * self.low, smaller), smaller, aim)
             if found is not None and found.pole.real > 0:
                 values = self._at_crossing(found.values)
-            elif step == self.tuning.ascent_step and size < self.size / (1 - step):
-                step = self.tuning.ascent_last_step
+            elif step == ASCENT_STEP and size < self.size / (1 - step):
+                step = ASCENT_LAST_STEP
             else:
                 break
-        if gauge(self.blocks, values) > self.size * (1 + self.tuning.ascent_last_step):
+        if gauge(self.blocks, values) > self.size * (1 + ASCENT_LAST_STEP):
             return
         delta = centre_matrix(self.blocks, values).astype(complex)
         lower = [descended(self.model, delta_layout(self.blocks), delta[None])[0]] if self.all_real else []
@@ -309,7 +326,7 @@ class _Search:
     def _at_crossing(self, values: Array) -> Array:
         """The part of an unstable member, up to the whole, at which a pole crosses, by bisection."""
         stable, unstable = 0.0, 1.0
-        for _ in range(self.tuning.ascent_halvings):
+        for _ in range(ASCENT_HALVINGS):
             middle = (stable + unstable) / 2
             self._count()
             beyond = not is_stable_member(self.model, self.blocks, middle * values)

@@ -22,13 +22,21 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.mu_analysis.constants import SINGULAR
 from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.minimum_norm import FRACTIONS, unit_rows
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
+
+LEADING = 15  # steps that lead a pole to the axis; more: smaller ones
+FOLLOWING = 30  # steps along the axis
+SCALING = 6  # steps at the end that change the size of Delta alone
+CROSSINGS = 8  # candidates that are taken to the axis exactly
+PEAKS = 6  # of mu on the grid that paths start from
+AXIS_ROUNDS = 15  # of descent along the axis at most ...
+LEAST_AXIS_DESCENT = 1e-5  # ... each of which has to lower the norm by this share
 
 __all__ = [
     "Destabilising",
@@ -80,7 +88,7 @@ def smallest_destabilising(
         crossing = first_crossing(model, blocks, delta, best)
         if crossing is not None:
             crossings.append(crossing)
-    if ill_posed is not None and singularity(model.D.astype(complex), ill_posed) <= TUNING.singular * 1e3:
+    if ill_posed is not None and singularity(model.D.astype(complex), ill_posed) <= SINGULAR * 1e3:
         crossings.append(Destabilising(delta_norm(blocks, ill_posed), ill_posed, complex(np.inf)))
     return min(crossings, key=lambda c: c.norm, default=None)
 
@@ -99,7 +107,7 @@ def _matrix_candidates(
     # A purely real Delta reaches isolated frequencies only: trying others would find nothing.
     if len(omega) and not all(b.interval for b in blocks):
         others = lower_bounds(frequency_response(model, np.asarray(omega, dtype=float)), blocks, seed, 4, 24)
-        found += sorted(others, key=lambda pair: -pair[0])[: TUNING.peaks]
+        found += sorted(others, key=lambda pair: -pair[0])[:PEAKS]
     return [delta for _, delta in found if delta is not None], ill_posed
 
 
@@ -288,7 +296,7 @@ def _migrated(
     norm = np.concatenate(
         [norm, more_norm, _unstable_norm(model, layout, again), [delta_norm(blocks, g) for g in given]]
     )
-    chosen = pool[_distinct(pool, norm, TUNING.crossings + len(given))]
+    chosen = pool[_distinct(pool, norm, CROSSINGS + len(given))]
     lower = descended(model, layout, chosen)
     return [*lower[np.argsort(layout.sizes(lower).max(axis=1))], *chosen[:2], *given]
 
@@ -354,10 +362,10 @@ def _migrate(
     u: ComplexArray = np.zeros((len(deltas), model.n_states), dtype=complex)
     v: ComplexArray = u
     first: Array = np.zeros(len(deltas))
-    for step in range(TUNING.leading + TUNING.following):
+    for step in range(LEADING + FOLLOWING):
         try:
             # On their way poles meet, and leave the real axis in pairs: only all eigenvalues tell which is next.
-            if step <= TUNING.leading:
+            if step <= LEADING:
                 pole, u, v, row, x = _by_eigenvalues(model, deltas, poles)
             else:
                 pole, u, v, row, x = _by_inverse_iteration(model, deltas, poles, u, v)
@@ -366,12 +374,12 @@ def _migrate(
         norms = layout.sizes(deltas).max(axis=1)
         arrived = (np.abs(pole.real) <= close) & (norms < best_norm) & (norms > 0)
         best[arrived], best_norm[arrived] = deltas[arrived], norms[arrived]
-        goal = pole.real * (1 - 1 / (TUNING.leading - step)) if step < TUNING.leading else np.zeros(len(pole))
+        goal = pole.real * (1 - 1 / (LEADING - step)) if step < LEADING else np.zeros(len(pole))
         new = _least_move(layout, deltas, pole, row, x, goal=goal)
-        if TUNING.leading <= step < TUNING.leading + TUNING.following - TUNING.scaling:
+        if LEADING <= step < LEADING + FOLLOWING - SCALING:
             gain = 0.3 + 0.7 * ((phase + step * 0.569840291) % 1.0)
             new = deltas + gain[:, None, None] * (new - deltas)
-        elif step >= TUNING.leading + TUNING.following - TUNING.scaling:
+        elif step >= LEADING + FOLLOWING - SCALING:
             new = _scaled_to_axis(deltas, pole, row, x)
         size = layout.sizes(new).max(axis=1)
         first = size if step == 0 else first
@@ -406,7 +414,7 @@ def descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray)
     aims = np.where(np.isfinite(aims), aims, 0.0)
     try:
         pole, u, v, row, x = _by_eigenvalues(model, deltas, aims)
-        for _ in range(TUNING.axis_rounds):
+        for _ in range(AXIS_ROUNDS):
             now = deltas[going]
             aim = _least_move(layout, now, pole, row, x, goal=np.zeros(len(now)))
             tried = (now[:, None] + FRACTIONS[None, :, None, None] * (aim - now)[:, None]).reshape(-1, *now.shape[1:])
@@ -419,7 +427,7 @@ def descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray)
             close = np.abs(pole.real) <= 1e-7 * np.maximum(np.abs(start), 1e-9 * np.abs(model.A).max())
             reached = np.where(close, layout.sizes(tried).max(axis=1), np.inf).reshape(-1, trials)
             best = reached.argmin(axis=1) + trials * np.arange(len(going))
-            better = reached.min(axis=1) < norm[going] * (1 - TUNING.least_axis_descent)
+            better = reached.min(axis=1) < norm[going] * (1 - LEAST_AXIS_DESCENT)
             best, going = best[better], going[better]
             if not len(going):
                 break

@@ -30,11 +30,11 @@ from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, delta_rows
 from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
 from robustlab.mu_analysis.axis.worst_gain import performance_inputs, skewed_cover
+from robustlab.mu_analysis.constants import COARSE, MEMBERS, WORK
 from robustlab.mu_analysis.matrix.box import Box, block_entries, centre_matrix, gauge, root_box, widest
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
 from robustlab.mu_analysis.matrix.gain import gain_at, largest_gain
 from robustlab.mu_analysis.matrix.upper import compile_kernels
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import hinf_norm
 from robustlab.result import Bracket, Status
 from robustlab.shown import Facts, Part, bracket, member, number
@@ -170,7 +170,7 @@ def robust_gain(
     if not (np.isfinite(level) and level > 0 and tolerance > 0):
         raise InputError("robust_gain", f"level {level}, tolerance {tolerance}", "both positive, the level finite")
     compile_kernels()
-    budget = search_budget("robust_gain", TUNING.work, effort, time_limit)
+    budget = search_budget("robust_gain", WORK, effort, time_limit)
     nominal = hinf_norm(uncertain.nominal)
     if nominal.lower >= level:
         return RobustGain(0.0, 0.0, nominal.frequency, nominal.status, level, {}, {}, ())
@@ -241,7 +241,7 @@ class _Search:
             for w, M in zip(omega, frequency_response(self.model, omega), strict=True)
             if (gain := largest_gain(M, self.blocks, box, rng, STARTS)) is not None and gain.value >= self.level
         ]
-        for gain, w in sorted(met, key=lambda pair: -pair[0].value)[: TUNING.members]:
+        for gain, w in sorted(met, key=lambda pair: -pair[0].value)[:MEMBERS]:
             self.take(gain.delta, w)
 
     def take(self, delta: AnyArray, omega: float) -> None:
@@ -298,13 +298,13 @@ class _Search:
         found = np.inf
         # The performance block alone leaves no more than this to what D, G may miss.
         room = max(0.5 * (self.level / self.nominal - 1), 1e-9) if self.nominal else np.inf
-        for accuracy in (min(TUNING.coarse, room), min(1e-4, room)):
+        for accuracy in (min(COARSE, room), min(1e-4, room)):
             cover, upper = skewed_cover(
                 sized, self.blocks, max(lower, 1 / LARGEST), varying, first=first, budget=self.budget, accuracy=accuracy
             )
             if upper < found:
                 found, self.proof = upper, tuple(cover.pieces)
-            if found > lower * (1 + 2 * TUNING.coarse):
+            if found > lower * (1 + 2 * COARSE):
                 break
         if found > lower * (1 + tolerance) and lower and any(b.interval for b in self.blocks):
             problem = GainMarginProblem(self.model, self.blocks, self.level, hot)

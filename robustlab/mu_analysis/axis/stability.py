@@ -30,17 +30,25 @@ from robustlab.mu_analysis.axis.pole_migration import (
     first_crossing,
     smallest_destabilising,
 )
+from robustlab.mu_analysis.constants import COARSE, SINGULAR, WORK
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, lowest, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
-from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, delta_values
 from robustlab.uncertainty.lft import UncertainModel
+
+FIRST_BRANCHES = 0.02  # share of the work for it before a smaller Delta is sought by modes
+SHARPENED = (0.1, 5.0, 8e-4)
+# half width, in log frequency, of the first neighbourhood in which a smaller complex Delta is sought, the factor by
+# which the next are smaller, and the last one in shares of the distance of the nearest pole
+SIZES = 12  # of an asymmetric set, tried for the largest one that D, G prove ...
+LARGE = 1e3  # ... the first of them where nothing is known
+ASCENT_SHARE = 0.25  # of the work left, for all of it
 
 __all__ = ["margin_within", "robust_stability"]
 
@@ -61,7 +69,6 @@ class _Found:
     cover: AxisCover
     proof: tuple[Piece, ...] | tuple[Region, ...] = ()
     expected: float | None = None
-    tuning: MuTuning = TUNING
     boxes: tuple[tuple[Box, Piece], ...] = ()
 
     @property
@@ -133,7 +140,7 @@ def robust_stability(
     Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
     """
     compile_kernels()
-    budget = search_budget("robust_stability", TUNING.work, effort, time_limit)
+    budget = search_budget("robust_stability", WORK, effort, time_limit)
     with one_thread():
         return margin_within(uncertain, budget, omega, accuracy, seed, tolerance, expected)
 
@@ -146,7 +153,6 @@ def margin_within(
     seed: int = 0,
     tolerance: float = 0.01,
     expected: float | None = None,
-    tuning: MuTuning = TUNING,
 ) -> Margin:
     """`robust_stability` within the budget of a search that it is a part of."""
     check_nominal(uncertain, "robust_stability")
@@ -161,7 +167,7 @@ def margin_within(
         zero = np.zeros(len(grid))
         nothing = _Found(continuous(uncertain.delta_channels), blocks, None, 0.0, AxisCover(open=[]))
         return _margin(uncertain, nothing, budget, grid, zero, zero.copy(), ("no uncertainty: mu = 0",))
-    found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, budget, seed, expected, tuning)
+    found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, budget, seed, expected)
     response = frequency_response(uncertain.delta_channels, grid)
     mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
     mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
@@ -182,7 +188,6 @@ def _bounds(
     budget: Budget,
     seed: int,
     expected: float | None,
-    tuning: MuTuning,
 ) -> _Found:
     seeds = seed_frequencies(model)
     symmetric = bool((lowest(blocks) == -1).all())
@@ -191,13 +196,13 @@ def _bounds(
         worst = _smallest_asymmetric(model, blocks, worst, seeds, seed)
     worst = worst and _as_seen(model, worst)
     if worst and symmetric:  # the search below measures entries of Delta, not their share of each side of a range
-        worst = _sharpened(model, blocks, worst, seed, tuning)
-    found = _Found(model, blocks, worst, 0.0, AxisCover(), expected=expected, tuning=tuning)
+        worst = _sharpened(model, blocks, worst, seed)
+    found = _Found(model, blocks, worst, 0.0, AxisCover(), expected=expected)
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
     cover = _cover_symmetric if symmetric else _cover_asymmetric
-    cover(found, first, budget, max(accuracy, tuning.coarse))
-    near = found.level <= found.attained * (1 + tolerance) * (1 + 2 * tuning.coarse)
-    if not found.cover.open and accuracy < tuning.coarse and (near or (symmetric and not found.attained)):
+    cover(found, first, budget, max(accuracy, COARSE))
+    near = found.level <= found.attained * (1 + tolerance) * (1 + 2 * COARSE)
+    if not found.cover.open and accuracy < COARSE and (near or (symmetric and not found.attained)):
         again = replace(found)
         middles = [p.low + 0.5 * (p.high - p.low) for p in found.cover.pieces if np.isfinite(p.high)]
         cover(again, np.append(first, np.unique(middles)), budget, accuracy)
@@ -205,7 +210,7 @@ def _bounds(
     if not any(b.interval for b in blocks):
         return found
     if _apart(found, tolerance):  # most gaps are closed soon
-        first = budget.apart(tuning.first_branches * max(budget.left, 0.0))
+        first = budget.apart(FIRST_BRANCHES * max(budget.left, 0.0))
         _branch_and_bound(found, tolerance, first)
         if first.struck:
             budget.strike()
@@ -224,14 +229,14 @@ def _apart(found: _Found, tolerance: float) -> bool:
 def _led_to_the_axis(found: _Found, budget: Budget, seed: int) -> None:
     """A smaller Delta where the gap may be that of the search: only modes that meet inside the box tell of it."""
     if found.worst is not None and all(b.interval for b in found.blocks):
-        part, proved = budget.share(found.tuning.ascent_share), 1 / found.level
-        better = smaller_destabilising(found.model, found.blocks, found.worst, part, seed, found.tuning, proved)
+        part, proved = budget.share(ASCENT_SHARE), 1 / found.level
+        better = smaller_destabilising(found.model, found.blocks, found.worst, part, seed, proved)
         found.worst = _as_seen(found.model, better)
 
 
 def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
     """The pole in the upper half plane, with the Delta that belongs to it; at infinity where the loop is ill-posed."""
-    if singularity(model.D.astype(complex), worst.delta) <= TUNING.singular * 1e3:
+    if singularity(model.D.astype(complex), worst.delta) <= SINGULAR * 1e3:
         return Destabilising(worst.norm, worst.delta, complex(np.inf))
     if np.isfinite(worst.pole) and worst.pole.imag < 0:
         return Destabilising(worst.norm, np.conj(worst.delta), np.conj(worst.pole))
@@ -239,7 +244,10 @@ def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
 
 
 def _sharpened(
-    model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising, seed: int, tuning: MuTuning
+    model: StateSpaceModel,
+    blocks: Sequence[Block],
+    worst: Destabilising,
+    seed: int,
 ) -> Destabilising:
     """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around.
 
@@ -249,7 +257,7 @@ def _sharpened(
     if not np.isfinite(worst.pole) or omega <= 0 or all(b.interval for b in blocks):
         return worst
     distance = np.abs(1j * omega - model.poles()).min(initial=omega)
-    first, step, last = tuning.sharpened
+    first, step, last = SHARPENED
     for k in range(int(np.ceil(np.log(first / last * omega / distance) / np.log(step))) + 1):
         reach = first / step**k
         points = omega * np.exp(np.linspace(-reach, reach, 9))
@@ -283,11 +291,11 @@ def _cover_asymmetric(found: _Found, first: Array, budget: Budget, accuracy: flo
     stretch = float(np.max((1 + low) / 2 / np.minimum(1.0, low)))
     fine = max(accuracy / stretch, FINEST_SIDE)
     room = fine * stretch
-    size = 1 / found.attained / (1 + room) if found.attained else found.expected or found.tuning.large
+    size = 1 / found.attained / (1 + room) if found.attained else found.expected or LARGE
     failed = 1 / found.attained if found.attained else np.inf
     before: tuple[float, float] | None = None  # the last size that was too large, and the logarithm of its level
-    ratio, near = 1.0, 1 + max(2 * room, found.tuning.coarse)
-    for _ in range(found.tuning.sizes):
+    ratio, near = 1.0, 1 + max(2 * room, COARSE)
+    for _ in range(SIZES):
         inside = box_model(found.model, found.blocks, root_box(found.blocks, size))
         if inside is None or not inside.is_stable():
             failed, size = size, size / 2
@@ -349,8 +357,8 @@ def _branch_and_bound(found: _Found, tolerance: float, budget: Budget) -> None:
     """Close the gap that D, G leave, by boxes of the real parameters."""
     assert found.worst is not None
     hot = abs(found.worst.pole.imag) if np.isfinite(found.worst.pole) else None
-    problem = MarginProblem(found.model, found.blocks, hot, found.tuning)
-    proof = tighten(problem, found.attained, found.level, tolerance, budget, found.tuning)
+    problem = MarginProblem(found.model, found.blocks, hot)
+    proof = tighten(problem, found.attained, found.level, tolerance, budget)
     if proof.values is not None:
         delta = centre_matrix(found.blocks, proof.values).astype(complex)
         crossing = first_crossing(found.model, found.blocks, delta)

@@ -28,12 +28,12 @@ from robustlab.mu_analysis.axis.intervals import AxisCover, Piece
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin
 from robustlab.mu_analysis.axis.pole_migration import Destabilising, smallest_destabilising
 from robustlab.mu_analysis.axis.stability import robust_stability
+from robustlab.mu_analysis.constants import COARSE, FREQUENCIES, MEMBERS, WORK
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
 from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gain
 from robustlab.mu_analysis.matrix.skew import divided, skew_upper
 from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, points_work
-from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.norms import QUIET, PeakGain, gain_rounding, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Part, in_words, member, number
@@ -41,6 +41,8 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
+
+SKEWED = 4  # bounds of mu that one skewed bound costs: counts work only
 
 __all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gain"]
 
@@ -166,7 +168,7 @@ def worst_case_gain(
     Raises NoTrustworthyNumber: the nominal model is unstable.
     """
     compile_kernels()
-    budget = search_budget("worst_case_gain", TUNING.work, effort, time_limit)
+    budget = search_budget("worst_case_gain", WORK, effort, time_limit)
     with one_thread():
         return gain_within(uncertain, budget, omega, tolerance, seed)
 
@@ -177,7 +179,6 @@ def gain_within(
     omega: ArrayLike | None = None,
     tolerance: float = 0.01,
     seed: int = 0,
-    tuning: MuTuning = TUNING,
 ) -> WorstCaseGain:
     """`worst_case_gain` within the budget of a search that it is a part of."""
     check_nominal(uncertain, "worst_case_gain")
@@ -194,7 +195,7 @@ def gain_within(
         found = _result(uncertain, nominal.value, known, budget, notes, grid)
         return found if nominal.status is Status.CERTIFIED else replace(found, status=nominal.status)
     blocks = (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y))
-    return _with_blocks(uncertain, blocks, nominal.value, grid, tolerance, budget, seed, tuning)
+    return _with_blocks(uncertain, blocks, nominal.value, grid, tolerance, budget, seed)
 
 
 def _with_blocks(
@@ -205,7 +206,6 @@ def _with_blocks(
     tolerance: float,
     budget: Budget,
     seed: int,
-    tuning: MuTuning,
 ) -> WorstCaseGain:
     model = continuous(uncertain.M)
     seeds = seed_frequencies(model)
@@ -215,8 +215,8 @@ def _with_blocks(
         at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
         known = _Known(np.inf, np.inf, delta_values(uncertain.blocks, unstable.delta), at)
         return _result(uncertain, nominal, known, budget, ("a member of the set is unstable",), grid)
-    known = _largest_member(uncertain, model, blocks, seeds, seed, tuning)
-    _prove(known, model, blocks, seeds, tolerance, budget, uncertain, tuning)
+    known = _largest_member(uncertain, model, blocks, seeds, seed)
+    _prove(known, model, blocks, seeds, tolerance, budget, uncertain)
     with np.errstate(all="ignore"):
         error = _rounding(known, uncertain)
     if not error <= QUIET * known.lower:
@@ -301,7 +301,6 @@ def _largest_member(
     blocks: Sequence[Block],
     seeds: Array,
     seed: int,
-    tuning: MuTuning,
 ) -> _Known:
     """The member of largest gain found: ascents at many frequencies, the best ones followed to their own peaks."""
     rng = np.random.default_rng(seed)
@@ -315,7 +314,7 @@ def _largest_member(
         if (gain := largest_gain(M, blocks, box, rng, 4)) is not None
     ]
     best = _Known(0.0, float("inf"))
-    for gain, w in sorted(met, key=lambda pair: -pair[0].value)[: tuning.members]:
+    for gain, w in sorted(met, key=lambda pair: -pair[0].value)[:MEMBERS]:
         found = _followed(uncertain, model, blocks, gain, w, box)
         if found.lower > best.lower:
             best = found
@@ -396,7 +395,6 @@ def _prove(
     tolerance: float,
     budget: Budget,
     uncertain: UncertainModel,
-    tuning: MuTuning,
 ) -> None:
     """Cover the axis with D, G; then cut the set into boxes where they leave more than the tolerance."""
     peak = _mapped(uncertain, known.frequency or 0.0)
@@ -406,16 +404,16 @@ def _prove(
         known.cover, known.upper = AxisCover(), float("inf")
     else:
         known.cover, known.upper = skewed_cover(
-            centred, blocks, known.lower, varying, first=first, budget=budget, accuracy=tuning.coarse
+            centred, blocks, known.lower, varying, first=first, budget=budget, accuracy=COARSE
         )
-    if centred is not None and known.upper <= known.lower * (1 + 2 * tuning.coarse):
+    if centred is not None and known.upper <= known.lower * (1 + 2 * COARSE):
         cover, level = skewed_cover(centred, blocks, known.lower, varying, first=first, budget=budget, accuracy=1e-4)
         if level < known.upper:
             known.cover, known.upper = cover, level
     known.proof = tuple(known.cover.pieces)
     if any(b.interval for b in blocks) and 0 < known.lower * (1 + tolerance) < known.upper:
-        problem = GainProblem(model, blocks, peak, tuning)
-        proof = tighten(problem, known.lower, known.upper, tolerance, budget, tuning)
+        problem = GainProblem(model, blocks, peak)
+        proof = tighten(problem, known.lower, known.upper, tolerance, budget)
         if proof.values is not None:
             _take_member(known, uncertain, blocks, proof.values)
         if proof.upper < known.upper:
@@ -466,7 +464,7 @@ def skewed_cover(
     level = lower * (1 + accuracy)
     pending = list(first)
     while cover.open and not budget.over:
-        omega = cover.take_points(pending, scale, TUNING.frequencies)
+        omega = cover.take_points(pending, scale, FREQUENCIES)
         response = frequency_response(model, omega)
         level = max(level, 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290)))
         bounds = points_below(divided(response, varying, level), blocks, 1 / (1 + accuracy / 2))
@@ -479,7 +477,7 @@ def skewed_cover(
             idle = idle + 1 if raised <= level else 0
             level = max(level, raised)
             again = points_below(divided(response[over], varying, level), blocks, 1 / (1 + accuracy / 2))
-            budget.spend((TUNING.skewed + 1) * points_work(blocks, len(over)))
+            budget.spend((SKEWED + 1) * points_work(blocks, len(over)))
             for k, bound in zip(over, again, strict=True):
                 bounds[k] = bound
         closed = StateSpaceModel(model.A, divided(model.B, varying, level), model.C, divided(model.D, varying, level))

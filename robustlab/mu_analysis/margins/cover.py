@@ -22,7 +22,6 @@ import numpy as np
 from robustlab.budget import NOT_REPEATABLE, USED_UP, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, is_function, told_as
 from robustlab.mu_analysis.axis.worst_gain import worst_case_gain
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Part, Shown, bracket, number
@@ -36,6 +35,8 @@ from robustlab.uncertainty.elementwise import check_pair
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import FORMS
 from robustlab.uncertainty.unstructured import Form as UnstructuredForm
+
+EXACT = 1e-12  # what rounding may take from a member of a cover that is met exactly
 
 __all__ = ["COVER_FORMS", "Conservatism", "Cover", "conservatism", "cover"]
 
@@ -329,7 +330,7 @@ def _parametric(
     sizes = tuple(max((abs(v) for v in d.values()), default=0.0) for d in made.deltas)
     worst = max(made.misses)
     inside = max(sizes) <= 1.0
-    status = Status.CERTIFIED if inside and worst <= max(2.0 * tolerance, TUNING.exact) else Status.INACCURATE
+    status = Status.CERTIFIED if inside and worst <= max(2.0 * tolerance, EXACT) else Status.INACCURATE
     reason = "" if status.trustworthy else f"model {int(np.argmax(made.misses)) + 1} is missed by {worst:.2g}"
     number = 0 if nominal is None else None
     return Cover(

@@ -30,17 +30,21 @@ from robustlab.errors import InputError, told_as
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.linear_analysis.narrow_peaks import modes_apart
 from robustlab.mu_analysis.axis.stability import margin_within
+from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.margins.small_gain import replayed_pole, signed, small_gain
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.upper import compile_kernels
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Bracket, Status
 from robustlab.shown import Facts, Part, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
+
+DISK_CLOSE = 1e-5  # bounds of several loops that are farther apart get a closer search along the axis
+DISK_SINGULAR = 1e-7  # relative smallest singular value of a loop that a critical disk closes
+AT_END = 1e-12  # the same at an end of the axis, where a pole runs off to infinity
 
 __all__ = [
     "AT",
@@ -262,7 +266,7 @@ def disk_margin(
     loop, names = disk_channels(found.plant, found.K, (0, 0), at, skew, found.sign)
     if len(names) > 1:
         compile_kernels()
-    budget = search_budget("disk_margin", TUNING.work, effort, time_limit)
+    budget = search_budget("disk_margin", WORK, effort, time_limit)
     with one_thread():
         channels = {
             name: disk_margin_of(loop.select([loop.input_names[i]], [loop.output_names[i]]), [name], skew, budget)
@@ -372,7 +376,7 @@ def _many_loops(M: StateSpaceModel, names: Sequence[str], skew: float, budget: B
     upper, frequency, values = margin.upper, margin.frequency, margin.delta
     if margin.pole is not None and margin.pole.imag < 0:  # the same crossing seen at the positive frequency
         values = {name: np.conj(value) for name, value in values.items()}
-    if upper > margin.lower * (1 + TUNING.disk_close):
+    if upper > margin.lower * (1 + DISK_CLOSE):
         found = _largest_on_the_axis(uncertain, frequency)
         if found is not None and found[0] < upper:
             upper, frequency, values = found
@@ -392,7 +396,7 @@ def _crossing(uncertain: UncertainModel, delta: Mapping[str, complex], frequency
     matrix = delta_matrix(uncertain.blocks, delta).astype(complex)
     ends = np.array([0.0, np.pi / M.dt if M.is_discrete else np.inf])
     for omega, response in zip(ends, frequency_response(M, ends), strict=True):
-        if singularity(response, matrix) <= TUNING.at_end:
+        if singularity(response, matrix) <= AT_END:
             return float(omega)
     return frequency
 
@@ -429,7 +433,7 @@ def _result(
     perturbation, pole, notes = {}, None, list(remarks)
     if frequency is not None:
         loop = frequency_response(uncertain.delta_channels, [frequency])[0]
-        seen = singularity(loop, delta_matrix(uncertain.blocks, delta).astype(complex)) <= TUNING.disk_singular
+        seen = singularity(loop, delta_matrix(uncertain.blocks, delta).astype(complex)) <= DISK_SINGULAR
         try:
             pole, on_axis = replayed_pole(uncertain, delta, frequency)
             made = realise_delta(uncertain.blocks, delta, frequency, uncertain.dt)

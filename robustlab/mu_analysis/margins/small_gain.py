@@ -35,14 +35,16 @@ from robustlab.closing import closing
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.structural import with_hidden
+from robustlab.mu_analysis.constants import SINGULAR
 from robustlab.mu_analysis.matrix.certificate import singularity
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Bracket, Status
 from robustlab.shown import Facts, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+
+NORM_WIDTH = 1e-9  # relative width of the bracket of the small-gain test's norm
 
 __all__ = ["SmallGain", "peak_response", "replayed_pole", "signed", "small_gain"]
 
@@ -158,7 +160,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
         system, law, said = found.plant, signed(as_model(found.K), found.sign), found.said
     closed = system if law is None else system.close(law)
     M = closed.delta_channels
-    norm = hinf_norm(M, rtol=TUNING.norm_width)
+    norm = hinf_norm(M, rtol=NORM_WIDTH)
     if not np.isfinite(norm.upper):
         raise NoTrustworthyNumber(
             "small_gain",
@@ -176,7 +178,7 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     name = blocks[0].name
     delta.setflags(write=False)
     pole, on_axis = replayed_pole(closed, {name: delta}, frequency)
-    found = singularity(response, delta) <= TUNING.singular and on_axis
+    found = singularity(response, delta) <= SINGULAR and on_axis
     status = norm.status if found else Status.INACCURATE
     stable = True if norm.upper < 1 else False if norm.lower >= 1 else None
     upper = 1 / float(sigma[0])
@@ -190,7 +192,7 @@ def peak_response(M: StateSpaceModel, norm: HinfNorm) -> tuple[float, NDArray[np
     end = np.pi / M.dt if M.is_discrete else np.inf
     for omega in (0.0, end):
         response = frequency_response(M, [omega])[0]
-        if np.linalg.norm(response, 2) >= norm.lower * (1 - TUNING.norm_width):
+        if np.linalg.norm(response, 2) >= norm.lower * (1 - NORM_WIDTH):
             return omega, response
     return norm.frequency, frequency_response(M, [norm.frequency])[0]
 

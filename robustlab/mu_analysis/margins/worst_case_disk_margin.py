@@ -31,6 +31,7 @@ from robustlab.mu_analysis.axis.margin import Margin, delta_rows
 from robustlab.mu_analysis.axis.pole_migration import search_work
 from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.axis.worst_gain import skewed_cover
+from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.margins.disk_margin import (
     DiskBounds,
     DiskMargin,
@@ -44,13 +45,17 @@ from robustlab.mu_analysis.margins.disk_margin import (
 from robustlab.mu_analysis.matrix.box import widest
 from robustlab.mu_analysis.matrix.branch_and_bound import tighten
 from robustlab.mu_analysis.matrix.upper import compile_kernels
-from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.result import Status
 from robustlab.shown import Facts, Part, bracket, member
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+
+ALONE = 0.2  # share of the work for the question whether a member is unstable without any disk
+MARGIN_ACCURACY = 2e-4  # of the scaled set's margin: it changes less than the size of the disks does
+ON_THE_AXIS = 1e-9  # a pole this close to the stability boundary, beside the fastest, is not stable
+MARGINS = 25  # after which a search ends whose bounds no longer move
 
 __all__ = ["WorstCaseDiskMargin", "worst_case_disk_margin"]
 
@@ -116,7 +121,7 @@ def worst_case_disk_margin(
     if not 0 < accuracy < 1:
         raise InputError("worst_case_disk_margin", f"accuracy {accuracy}", "0 < accuracy < 1")
     compile_kernels()
-    budget = search_budget("worst_case_disk_margin", TUNING.work, effort, time_limit)
+    budget = search_budget("worst_case_disk_margin", WORK, effort, time_limit)
     with one_thread():
         search = _Search(uncertain, K, at, channel, skew, sign, budget, seed)
         search.run(accuracy)
@@ -136,13 +141,12 @@ class _Search:
         sign: Literal[-1, 1] | None,
         budget: Budget,
         seed: int,
-        tuning: MuTuning = TUNING,
     ) -> None:
         closed = closed_around(uncertain, K, sign, "worst_case_disk_margin")
         uncertain, self.said = closed.plant, closed.said
         self.at: Place = at
         self.blocks, self.skew, self.budget, self.seed = uncertain.blocks, skew, budget, seed
-        self.uncertain, self.tuning = uncertain, tuning
+        self.uncertain = uncertain
         loop, self.names = disk_channels(uncertain.M, closed.K, uncertain.delta_shape, at, skew, closed.sign)
         q, p = uncertain.delta_shape
         if channel is not None:
@@ -167,7 +171,7 @@ class _Search:
             self.lower = self.nominal.lower
             return
         alone = margin_within(
-            UncertainModel(self.loop.delta_channels, self.blocks), self.budget.share(self.tuning.alone), seed=self.seed
+            UncertainModel(self.loop.delta_channels, self.blocks), self.budget.share(ALONE), seed=self.seed
         )
         if alone.upper <= 1:  # a member on the stability boundary, if not beyond
             self._take(alone, alone.delta)
@@ -179,9 +183,7 @@ class _Search:
         while self.upper > self.lower * (1 + accuracy) and not self.budget.over:
             before = self.lower, self.upper
             self._step(self._next(accuracy))
-            if len(self.asked) >= self.tuning.margins or (
-                before == (self.lower, self.upper) and self._closed_in(accuracy)
-            ):
+            if len(self.asked) >= MARGINS or (before == (self.lower, self.upper) and self._closed_in(accuracy)):
                 return
 
     def _from_below(self, accuracy: float, room: float) -> None:
@@ -206,9 +208,9 @@ class _Search:
                 break
         if self.lower * (1 + accuracy) < self.upper < np.inf and any(b.interval for b in self.blocks):
             sought = np.array([block in blocks[len(self.blocks) :] for block in blocks])
-            problem = SkewedProblem(m, blocks, sought, None, self.tuning)
-            part = self.budget.share(self.tuning.alone)
-            self._proved(tighten(problem, 1 / self.upper, level, accuracy, part, self.tuning).upper)
+            problem = SkewedProblem(m, blocks, sought, None)
+            part = self.budget.share(ALONE)
+            self._proved(tighten(problem, 1 / self.upper, level, accuracy, part).upper)
 
     def _proved(self, level: float) -> None:
         """Disks of size ``1 / level`` leave every member's loop stable."""
@@ -256,7 +258,7 @@ class _Search:
         scaled = StateSpaceModel(m.A, m.B * scale, m.C, m.D * scale, m.dt)
         loop = UncertainModel(scaled, [*self.blocks, *self._disks()])
         self.budget.spend(search_work(m.n_states, loop.blocks))
-        return margin_within(loop, self.budget, accuracy=self.tuning.margin_accuracy, seed=self.seed)
+        return margin_within(loop, self.budget, accuracy=MARGIN_ACCURACY, seed=self.seed)
 
     def _take(self, margin: Margin, found: Mapping[str, Any]) -> None:
         """Take the member at ``found``, and at the ends of the set in its direction, as candidates for the worst."""
@@ -284,7 +286,7 @@ class _Search:
             return disk_margin_of(model, self.names, self.skew, self.budget, self.seed)
         except NoTrustworthyNumber:
             speed = float(np.abs(model.poles()).max(initial=0.0))
-            if model.spectral_abscissa() > -self.tuning.on_the_axis * speed:
+            if model.spectral_abscissa() > -ON_THE_AXIS * speed:
                 return None
             return self.member or self.nominal  # stable, only without a number: no candidate
 

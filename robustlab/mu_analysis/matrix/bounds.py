@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import ComplexArray
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.matrix.box import Box
 from robustlab.mu_analysis.matrix.branch_and_bound import MatrixProblem, tighten
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.skew import skewed
 from robustlab.mu_analysis.matrix.upper import UpperBound, compile_kernels, upper_bounds
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, listed
 from robustlab.tables import Table, Tabular
@@ -189,7 +189,7 @@ def mu(
         compile_kernels()
     if len(fixed) and tolerance is not None:
         raise InputError("mu: tolerance", "given with fixed blocks", "no tolerance with them")
-    budget, proof = search_budget("mu", TUNING.work, effort, time_limit), ()
+    budget, proof = search_budget("mu", WORK, effort, time_limit), ()
     with one_thread():
         parts, status = skewed(stack, structure, fixed, seed) if len(fixed) else _bounds(stack, structure, seed)
         if tolerance is not None:

@@ -23,14 +23,19 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.budget import Budget
+from robustlab.mu_analysis.constants import SINGULAR
 from robustlab.mu_analysis.matrix.box import Box, box_matrices, centre_matrix, root_box
 from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
 from robustlab.mu_analysis.matrix.lower import lower_bound
 from robustlab.mu_analysis.matrix.scalings import relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
-from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.shown import Shown
 from robustlab.uncertainty.blocks import Block, block_slices
+
+REGIONS = 16  # solved together; more: quicker each, more of them in vain where a Delta is met
+SEARCHED = 2  # regions of a batch in which a Delta is searched for, where the problem is one matrix
+KEPT = 0.0625  # share of the work kept for a smaller set, and spent before a set is judged out of reach
+NARROW = 1e-7  # relative width below which a box is not cut again: rounding decides there
 
 
 @dataclass(frozen=True)
@@ -103,7 +108,11 @@ class Problem(Protocol):
 
 
 def tighten(
-    problem: Problem, lower: float, upper: float, tolerance: float, budget: Budget, tuning: MuTuning = TUNING
+    problem: Problem,
+    lower: float,
+    upper: float,
+    tolerance: float,
+    budget: Budget,
 ) -> Proof:
     """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows.
 
@@ -119,7 +128,7 @@ def tighten(
             budget.use_up()
             break
         before = budget.left
-        if not _Descent(problem, proof, tolerance, budget, tuning).run():
+        if not _Descent(problem, proof, tolerance, budget).run():
             break
         last = before - budget.left
     return proof
@@ -133,8 +142,14 @@ def by_regions(count: int) -> str:
 class _Descent:
     """One proof of a set that may get smaller on the way: what is open of it, a stack, and what is proved."""
 
-    def __init__(self, problem: Problem, proof: Proof, tolerance: float, budget: Budget, tuning: MuTuning) -> None:
-        self.problem, self.proof, self.tolerance, self.budget, self.tuning = problem, proof, tolerance, budget, tuning
+    def __init__(
+        self,
+        problem: Problem,
+        proof: Proof,
+        tolerance: float,
+        budget: Budget,
+    ) -> None:
+        self.problem, self.proof, self.tolerance, self.budget = problem, proof, tolerance, budget
         self.real = real_blocks(problem.blocks)
         self.regions: list[Region] = []
         self.leaves: list[Region] = []
@@ -158,8 +173,8 @@ class _Descent:
 
     def _look(self) -> bool:
         """Take some regions off the stack, put back what is left of them; False where one has come to rounding size."""
-        chosen = self.regions[-self.tuning.regions :]
-        del self.regions[-self.tuning.regions :]
+        chosen = self.regions[-REGIONS:]
+        del self.regions[-REGIONS:]
         before = [list(r.open) for r in chosen]
         self.proof.solves += len(chosen)
         weights = self.problem.examine(chosen)
@@ -173,7 +188,7 @@ class _Descent:
                 self.regions.append(region)
                 continue
             self._take(self.problem.attack(region, self.proof.lower))
-            index = _where_to_cut(region.box, weight, self.real, self.root.box, self.tuning.narrow)
+            index = _where_to_cut(region.box, weight, self.real, self.root.box, NARROW)
             if index is None:
                 self.regions.append(region)
                 sound = False
@@ -212,8 +227,8 @@ class _Descent:
         """
         if begun_with == np.inf:
             return False
-        done = (1 - max(there, 0.0) / begun_with) / (1 - self.tuning.kept) if begun_with > 0 else 1.0
-        return done >= 1 or (done >= self.tuning.kept and done**2 * left > (1 - done) * (1 - left))
+        done = (1 - max(there, 0.0) / begun_with) / (1 - KEPT) if begun_with > 0 else 1.0
+        return done >= 1 or (done >= KEPT and done**2 * left > (1 - done) * (1 - left))
 
     def _give_way(self) -> bool:
         """A quarter of the way back to what is proved already; False where that is next to it."""
@@ -260,8 +275,12 @@ def block_weights(M: ComplexArray, bound: UpperBound, blocks: Sequence[Block]) -
 class MatrixProblem:
     """mu of one matrix M (p, q)."""
 
-    def __init__(self, M: ComplexArray, blocks: Sequence[Block], tuning: MuTuning = TUNING) -> None:
-        self.M, self.blocks, self.tuning = M, tuple(blocks), tuning
+    def __init__(
+        self,
+        M: ComplexArray,
+        blocks: Sequence[Block],
+    ) -> None:
+        self.M, self.blocks = M, tuple(blocks)
         self._found: Improved | None = None
         self._batches = 0
 
@@ -293,7 +312,7 @@ class MatrixProblem:
         # The lower bound that was given is good nearly always: looks at batch 1, 2, 4, 8, ... cost little.
         self._batches += 1
         if self._batches & (self._batches - 1) == 0:
-            for _, k in sorted(failed)[: self.tuning.searched]:
+            for _, k in sorted(failed)[:SEARCHED]:
                 self._search(stack[k], regions[k].box)
         return result
 
@@ -305,7 +324,7 @@ class MatrixProblem:
         half = np.repeat(box.half, [b.rows for b in self.blocks])
         whole = centre_matrix(self.blocks, box.centre) + half[:, None] * delta
         size = delta_norm(self.blocks, whole)
-        if singularity(self.M, whole) <= self.tuning.singular and (self._found is None or 1 / size > self._found.level):
+        if singularity(self.M, whole) <= SINGULAR and (self._found is None or 1 / size > self._found.level):
             self._found = Improved(1 / size, whole)
 
     def attack(self, region: Region, level: float) -> Improved | None:

@@ -16,8 +16,10 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.box import Box, centre_matrix
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.uncertainty.blocks import Block, block_slices
+
+ASCENTS = 40  # steps of an ascent
+RISE = 1e-7  # an ascent ends where a step gains less than this share
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ def ascend(M: ComplexArray, blocks: Sequence[Block], start: ComplexArray, box: B
     A step that does not raise the gain is shortened; the set is convex, so that what lies between stays inside.
     """
     best = gain_at(M, blocks, start)
-    for _ in range(TUNING.ascents if best is not None else 0):
+    for _ in range(ASCENTS if best is not None else 0):
         assert best is not None
         aim = _aligned(blocks, best, box)
         step, better = 1.0, None
@@ -80,7 +82,7 @@ def ascend(M: ComplexArray, blocks: Sequence[Block], start: ComplexArray, box: B
             return best
         rise = better.value / best.value - 1 if best.value > 0 else 1.0
         best = better
-        if rise < TUNING.rise and step == 1.0:
+        if rise < RISE and step == 1.0:
             break
     return best
 

@@ -34,7 +34,13 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.mu_analysis.matrix.scalings import ScalingSpace, hermitian, relative, supply
-from robustlab.mu_analysis.tuning import TUNING
+
+# of D between one component and the next, tried in turn; smaller: their coupling costs less, digits are lost
+START = 1.3  # t at which a path begins, for M of norm 1: D = I, G = 0 is feasible there
+RHO = 0.3  # weight of the barrier that keeps D away from singular; larger: safer, farther from the optimum
+NEAR = 0.3  # squared Newton decrement below which a point counts as centred; smaller: more steps, safer ones
+STEP = 0.9  # part of the way to the boundary that a predictor step goes; larger: fewer steps, less centred
+NEGATIVE = -1.0  # t below this, of a matrix of norm 1, cannot make a proof of mu = 0 any firmer
 
 
 def primal_dual(
@@ -69,7 +75,7 @@ def primal_dual(
         V[kernels.AT, :size], V[kernels.TRACE, :size] = space.identity, trace
         V[kernels.SHORT, :size] = kernels.SHORT_G * space.scales_with_m
         m = M[k] / scale[k]
-        settled[k] = kernels.descend(W, J, H, V, m, c, entries, orders, TUNING.start, tol, goal[k], max_steps, sure)
+        settled[k] = kernels.descend(W, J, H, V, m, c, entries, orders, START, tol, goal[k], max_steps, sure)
         x[k] = V[kernels.BEST, :size]
     return _in_own_unit(x, space, scale), settled
 
@@ -126,7 +132,7 @@ class _Path:
         eye = np.broadcast_to(np.eye(self.m, dtype=complex), (k, self.m, self.m))
         self.U = np.concatenate([eye, hermitian(M)], axis=2)  # (k, q, q + p)
         self.x = np.tile(space.identity, (k, 1))
-        self.t = np.full(k, TUNING.start)
+        self.t = np.full(k, START)
         self.best_t = np.ones(k)
         self.best_x = self.x.copy()
         self.calm = np.zeros(k, dtype=int)
@@ -148,7 +154,7 @@ class _Path:
         gradient, hessian, drift, P = self._derivatives(i, F, Dw, t)
         dx, tangent = _solve(hessian, -gradient, -drift)
         decrement = -(gradient * dx).sum(axis=1)
-        near = decrement < TUNING.near
+        near = decrement < NEAR
         x = x + self._line(i, dx, t, F, Dw)[:, None] * dx
         gap = 3 * self.m / np.maximum(np.einsum("kij,kji->k", P, Dw).real, 1e-300)
         x, t = self._predict(i, x, t, tangent, near)
@@ -162,7 +168,7 @@ class _Path:
         beyond = self.t[i] - gap > goal[i]
         calm = near & ((gap < tol * np.abs(t)) | (np.isfinite(goal[i]) & beyond))
         self.calm[i] = np.where(calm, self.calm[i] + 1, 0)
-        return (self.calm[i] >= 2) | (best <= 0) | (self.t[i] < TUNING.negative) | (best <= goal[i])
+        return (self.calm[i] >= 2) | (best <= 0) | (self.t[i] < NEGATIVE) | (best <= goal[i])
 
     def _forms(self, i: Indices, x: Array, t: Array) -> tuple[ComplexArray, ComplexArray]:
         """``F_t(x)`` and ``D_w(x)``."""
@@ -184,15 +190,15 @@ class _Path:
         inverse[:, : self.m, : self.m] = np.linalg.inv(Dw)
         c = s.coefficients * np.where(s.in_w > 0, t[:, None], 1.0)
         r, k = s.rows, s.cols
-        entry = -c * W[:, k, r] - TUNING.rho * s.in_w * s.coefficients * inverse[:, k, r]
-        entry += (1 + TUNING.rho) * s.in_w * s.coefficients * (r == k)
+        entry = -c * W[:, k, r] - RHO * s.in_w * s.coefficients * inverse[:, k, r]
+        entry += (1 + RHO) * s.in_w * s.coefficients * (r == k)
         drift = c * V[:, k, r] - s.in_w * s.coefficients * W[:, k, r]
         # tr(W E_a W E_b) for unit entries (r, k): W[k_b, r_a] W[k_a, r_b].
         cross = W[:, k[None, :], r[:, None]]
         cross = cross * np.swapaxes(cross, 1, 2) * (c[:, :, None] * c[:, None, :])
         own = inverse[:, k[None, :], r[:, None]]
         cw = s.in_w * s.coefficients
-        cross += TUNING.rho * own * np.swapaxes(own, 1, 2) * (cw[:, None] * cw[None, :])
+        cross += RHO * own * np.swapaxes(own, 1, 2) * (cw[:, None] * cw[None, :])
         hessian = np.real(np.add.reduceat(np.add.reduceat(cross, s.first, axis=1), s.first, axis=2))
         return (
             np.real(np.add.reduceat(entry, s.first, axis=1)),
@@ -205,14 +211,14 @@ class _Path:
         """Step lengths that minimise the barrier along dx, by safeguarded Newton steps on its eigenvalue form."""
         dF, dD = self._forms(i, dx, t)
         e, d = _eigenvalues(F, dF), _eigenvalues(Dw, dD)
-        slope = (1 + TUNING.rho) * np.einsum("kii->k", dD).real
+        slope = (1 + RHO) * np.einsum("kii->k", dD).real
         high = 0.999 / np.maximum(np.maximum(-e[:, 0], -d[:, 0]), 1e-3)
         low = np.zeros(len(high))
         a = np.minimum(1.0, 0.9 * high)
         for _ in range(10):
             qe, qd = e / (1 + a[:, None] * e), d / (1 + a[:, None] * d)
-            g = slope - qe.sum(axis=1) - TUNING.rho * qd.sum(axis=1)
-            h = (qe**2).sum(axis=1) + TUNING.rho * (qd**2).sum(axis=1)
+            g = slope - qe.sum(axis=1) - RHO * qd.sum(axis=1)
+            h = (qe**2).sum(axis=1) + RHO * (qd**2).sum(axis=1)
             low, high = np.where(g < 0, a, low), np.where(g < 0, high, a)
             newton = a - g / np.maximum(h, 1e-300)
             a = np.where((newton > low) & (newton < high), newton, (low + high) / 2)
@@ -224,8 +230,8 @@ class _Path:
         vF, vD = self._forms(i, tangent, t)
         e = _eigenvalues(F, Dw + vF)  # F(t - s, x - s v) = F - s (D_w + F(v)) + s^2 D_w(v)
         d = _eigenvalues(Dw, vD)
-        reach = TUNING.step / np.maximum(np.maximum(e[:, -1], d[:, -1]), 1e-12)
-        own = TUNING.step * 0.5 / np.maximum(_eigenvalues(F, Dw)[:, -1], 1e-12)
+        reach = STEP / np.maximum(np.maximum(e[:, -1], d[:, -1]), 1e-12)
+        own = STEP * 0.5 / np.maximum(_eigenvalues(F, Dw)[:, -1], 1e-12)
         step = np.where(near, reach, 0.0)
         good = np.zeros(len(i), dtype=bool)
         for _ in range(6):

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
+from robustlab.mu_analysis.constants import SINGULAR
 from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.matrix.decomposition import Component, components, entries, expand
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout, positive
@@ -37,8 +38,19 @@ from robustlab.mu_analysis.matrix.minimum_norm import (
 )
 from robustlab.mu_analysis.matrix.starting_points import gain_ascent, power_directions, vertex_rays, vertex_search
 from robustlab.mu_analysis.matrix.upper import UpperBound
-from robustlab.mu_analysis.tuning import TUNING, MuTuning
 from robustlab.uncertainty.blocks import Block, structure_size
+
+# Share of the norm of a Delta that attains its bound, within which an exactly singular one is seen to first order;
+# near a double root that is half of the way.
+NEARBY = 5e-9
+CHOSEN = 6  # candidates per matrix that are taken to rounding and verified
+WIDER = 3  # so many times the paths asked for begin where blocks are real; the most promising go on
+DESCENDING = 2  # candidates per matrix that go down along the singular set ...
+ROUNDS = 12  # ... in so many rounds
+FEW = 5  # structures of so few real blocks alone get scattered starts as well ...
+SCATTERED = 48  # ... so many
+FARTHEST = 2.0**500  # to which rows and columns are scaled; two such factors must not overflow
+STACK = 4_000_000  # numbers that one stack of paths may hold: memory, not the answer
 
 Found = tuple[float, ComplexArray | None]
 
@@ -65,7 +77,6 @@ def lower_bounds(
     seed: int = 0,
     restarts: int = 12,
     steps: int = 40,
-    tuning: MuTuning = TUNING,
     upper: Sequence[UpperBound] = (),
 ) -> list[Found]:
     """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time.
@@ -91,13 +102,13 @@ def lower_bounds(
     for members, group in jobs.items():
         part = [blocks[i] for i in members]
         layout = delta_layout(part)
-        chunk = max(1, tuning.stack // (max(restarts, 1) * layout.p * max(layout.q, layout.p)))
+        chunk = max(1, STACK // (max(restarts, 1) * layout.p * max(layout.q, layout.p)))
         for first in range(0, len(group), chunk):
             some = group[first : first + chunk]
             matrices = np.stack([component.matrix / size for _, component, size in some])
             # A path that leads nowhere may overflow; its end does not verify.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                candidates = _candidates(matrices, layout, seed, max(restarts, 1), steps, tuning)
+                candidates = _candidates(matrices, layout, seed, max(restarts, 1), steps)
             for (k, component, size), found in zip(some, candidates, strict=True):
                 with np.errstate(over="ignore", invalid="ignore"):  # a Delta that overflows does not verify
                     back = [c for c in (c / size for c in found) if np.isfinite(c).all()]
@@ -141,8 +152,8 @@ def _verified(
         if 1 / norm <= best[0]:
             break
         delta = _embed(candidate, blocks, component)
-        close = singularity(component.matrix, candidate) <= TUNING.singular
-        close = close and singularity(M, delta) <= 1e3 * TUNING.singular
+        close = singularity(component.matrix, candidate) <= SINGULAR
+        close = close and singularity(M, delta) <= 1e3 * SINGULAR
         if close and _singular_nearby(component.matrix, part, candidate):
             return 1 / delta_norm(blocks, delta), delta
     return best
@@ -185,7 +196,7 @@ def _led_back(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> 
         delta = delta + parts[0] * moves[0] + parts[1] * moves[1]
         if not np.isfinite(delta).all():
             return None
-    return delta if singularity(M, delta) <= TUNING.singular else None
+    return delta if singularity(M, delta) <= SINGULAR else None
 
 
 def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> bool:
@@ -199,9 +210,9 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
     scale_rows, scale_cols = np.ones(len(loop)), np.ones(len(loop))
     for _ in range(3):
         scale_rows /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=1))
-        scale_rows = np.clip(scale_rows, 1 / TUNING.farthest, TUNING.farthest)
+        scale_rows = np.clip(scale_rows, 1 / FARTHEST, FARTHEST)
         scale_cols /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=0))
-        scale_cols = np.clip(scale_cols, 1 / TUNING.farthest, TUNING.farthest)
+        scale_cols = np.clip(scale_cols, 1 / FARTHEST, FARTHEST)
     u, sigma, vh = np.linalg.svd(loop * scale_rows[:, None] * scale_cols)
     y, x, smallest = scale_rows * u[:, -1], scale_cols * np.conj(vh[-1]), sigma[-1]
     rounding = 4 * len(M) * EPS * np.abs(y) @ (np.eye(len(M)) + np.abs(M) @ np.abs(delta)) @ np.abs(x)
@@ -214,7 +225,7 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
     with np.errstate(over="ignore", invalid="ignore"):
         step = smallest_step(gains, real)
         reached = (np.where(real, gains * step, np.abs(gains * step))).sum()
-    return bool(abs(reached - 1) < 0.1 and np.abs(step).max() <= TUNING.nearby * delta_norm(blocks, delta))
+    return bool(abs(reached - 1) < 0.1 and np.abs(step).max() <= NEARBY * delta_norm(blocks, delta))
 
 
 def _within_reach(
@@ -235,7 +246,7 @@ def _within_reach(
     off = float(np.abs((gains * along).imag).sum())
     if off > 1e-6 * size:
         return True
-    reach = TUNING.nearby * float(layout.sizes(delta[None]).max())
+    reach = NEARBY * float(layout.sizes(delta[None]).max())
     residual = _exact_residual(M, delta, x, y) * along
     last_places = EPS * float(np.abs(y) @ np.abs(M) @ np.abs(delta) @ np.abs(x))
     return abs(residual.imag) <= max(off * reach, last_places) and abs(residual.real) <= max(size * reach, last_places)
@@ -271,28 +282,32 @@ def _power_of_two(size: Array) -> Array:
 
 
 def _candidates(
-    M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int, tuning: MuTuning
+    M: ComplexArray,
+    layout: DeltaLayout,
+    seed: int,
+    restarts: int,
+    steps: int,
 ) -> list[list[ComplexArray]]:
     """For each balanced matrix (k, p, q) Deltas of about its structure, most of them singular to rounding."""
     if layout.real.any():
-        x, y, near = _promising(M, layout, *_starts(M, layout, seed, tuning.wider * restarts, steps), restarts)
+        x, y, near = _promising(M, layout, *_starts(M, layout, seed, WIDER * restarts, steps), restarts)
         x_more, y_more = _ascended(M, layout, near, seed, max(restarts // 3, 1))
         x, y = np.concatenate([x, x_more], axis=1), np.concatenate([y, y_more], axis=1)
     else:
         x, y = _starts(M, layout, seed, restarts, steps)
     delta, norm = _follow(M, layout, x, y, steps=10 + steps // 3)
-    few = layout.real.all() and layout.n <= tuning.few
+    few = layout.real.all() and layout.n <= FEW
     if few:
-        more, more_norm = _scattered(M, layout, norm.min(axis=1), seed, tuning.scattered)
+        more, more_norm = _scattered(M, layout, norm.min(axis=1), seed, SCATTERED)
         delta, norm = np.concatenate([delta, more], axis=1), np.concatenate([norm, more_norm], axis=1)
-    of, chosen = _chosen(norm, tuning.chosen)
+    of, chosen = _chosen(norm, CHOSEN)
     sharp = sharpened(M[of], layout, delta[of, chosen])
     if layout.real.any():
         # The best of each matrix go down to the minimum of their valley.
         sizes = np.where(_residuals(M[of], sharp) <= 1e-10, layout.sizes(sharp).max(axis=1), np.inf)
-        count = 2 * tuning.descending if few else tuning.descending
+        count = 2 * DESCENDING if few else DESCENDING
         best = np.array([j for k in range(len(M)) for j in _first(np.flatnonzero(of == k), sizes, count)], dtype=int)
-        lower = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], tuning.rounds))
+        lower = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
         sharp, of = np.concatenate([sharp, lower]), np.concatenate([of, of[best]])
     found = [list(sharp[of == k]) for k in range(len(M))]
     if layout.real.all():

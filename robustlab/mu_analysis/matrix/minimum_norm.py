@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout
-from robustlab.mu_analysis.tuning import TUNING
+
+FREE = 6  # undamped steps at the beginning of a path; more: faster where few blocks lie inside, or cycles
+RESTORING = 5  # steps at its end that restore singularity
+PATH_RESIDUAL = 1e-7  # below which a Delta of a path is kept; it is taken to rounding later
+LEAST_ROOM = 0.02  # share of the norm by which every real block may move where singularity is restored
+LEAST_DESCENT = 1e-4  # relative fall of the norm that descent goes on for
+HUGE = 1e9  # entries of Delta beyond this lead nowhere; M is of order one
 
 # Shares of the way to the smallest step that descent tries.
 FRACTIONS = 0.5 ** np.arange(7)
@@ -39,22 +45,22 @@ def minimum_norm_paths(
     phase, averaging = index * 0.754877666 % 1.0, index % 2 == 1
     for step in range(steps):
         row = rows(M, x, y)
-        if step >= steps - TUNING.restoring and delta is not None:
+        if step >= steps - RESTORING and delta is not None:
             delta = restored(layout, delta, row, x)
         else:
             new = layout.deltas(smallest_step(layout.gains(row, x), layout.real), row, x)
-            if delta is None or step < TUNING.free:
+            if delta is None or step < FREE:
                 delta = new
             else:
                 gain = 0.5 + 0.5 * ((phase + step * 0.569840291) % 1.0)
-                gain = np.where(averaging, 2.0 / (step - TUNING.free + 3.0), gain)
+                gain = np.where(averaging, 2.0 / (step - FREE + 3.0), gain)
                 delta = delta + gain[:, None, None] * (new - delta)
         delta = _limited(delta)
         x, y, residual = null_directions(M, delta, x, y)
-        if step >= min(TUNING.free, steps - TUNING.restoring) - 1:
+        if step >= min(FREE, steps - RESTORING) - 1:
             norm = layout.sizes(delta).max(axis=1)
             lower = norm < best_norm * (1 - 1e-6 * (residual > 1e-12))
-            better = (residual <= TUNING.path_residual) & lower & (norm > 0)
+            better = (residual <= PATH_RESIDUAL) & lower & (norm > 0)
             best[better], best_norm[better] = delta[better], norm[better]
     return best, best_norm
 
@@ -107,11 +113,11 @@ def descended(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, rounds:
             x, y, _ = null_directions(m, tried, x, y)
             tried = _limited(restored(layout, tried, rows(m, x, y), x))
         x, y, residual = null_directions(m, tried, x, y)
-        reached = np.where(residual <= TUNING.path_residual, layout.sizes(tried).max(axis=1), np.inf)
+        reached = np.where(residual <= PATH_RESIDUAL, layout.sizes(tried).max(axis=1), np.inf)
         reached = reached.reshape(-1, trials)
         best = reached.argmin(axis=1)
         reached = reached[np.arange(len(going)), best]
-        better = reached < norm[going] * (1 - TUNING.least_descent)
+        better = reached < norm[going] * (1 - LEAST_DESCENT)
         chosen = tried.reshape(-1, trials, layout.q, layout.p)[np.arange(len(going)), best]
         delta[going[better]], norm[going[better]] = chosen[better], reached[better]
         going = going[better]
@@ -155,7 +161,7 @@ def restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: Com
     parts = layout.contributions(delta, row, x)
     sizes = layout.sizes(delta)
     norm = np.maximum(sizes.max(axis=1, keepdims=True), 1e-300)
-    room = np.where(layout.real, np.maximum(norm - sizes, TUNING.least_room * norm), 0.0)
+    room = np.where(layout.real, np.maximum(norm - sizes, LEAST_ROOM * norm), 0.0)
     gains = layout.gains(row, x)
     total = parts.sum(axis=1)
     columns: ComplexArray = np.concatenate([total[:, None], np.where(layout.real, gains * room, 1j * parts)], axis=1)
@@ -187,11 +193,11 @@ def unit_rows(v: ComplexArray, instead: ComplexArray | None = None) -> ComplexAr
 
 def _limited(delta: ComplexArray) -> ComplexArray:
     size = np.abs(delta).max(axis=(1, 2))
-    wild = ~(size <= TUNING.huge)
+    wild = ~(size <= HUGE)
     if not wild.any():
         return delta
     delta = np.where(np.isfinite(delta), delta, 0.0)
-    return np.clip(delta.real, -TUNING.huge, TUNING.huge) + 1j * np.clip(delta.imag, -TUNING.huge, TUNING.huge)
+    return np.clip(delta.real, -HUGE, HUGE) + 1j * np.clip(delta.imag, -HUGE, HUGE)
 
 
 def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:

@@ -28,9 +28,13 @@ from robustlab.mu_analysis.matrix.gain import largest_gain
 from robustlab.mu_analysis.matrix.lower import lower_bound
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, upper_bounds
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Status
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
+
+SKEW_ROUNDS = 14  # levels of skewed mu one after the other
+INFLATIONS = (0.0, *(10.0**-k for k in range(13, 2, -1)))
+# by which a level is raised until its D, G prove it
+LARGEST_LEVEL = 1e8  # above it, for M of norm one, the fixed blocks alone count as at the edge of singular
 
 
 def skewed(
@@ -90,11 +94,11 @@ def skew_upper(M: ComplexArray, blocks: Sequence[Block], varying: Mask, tol: flo
     if not M[:, varying].any():
         return _when_nothing_varies(M, blocks, plain)
     level, best, proof = max(size, 1e-300), float("inf"), plain
-    for _ in range(TUNING.skew_rounds):
+    for _ in range(SKEW_ROUNDS):
         bound = upper_bounds(divided(M, varying, level)[None], blocks, tol)[0]
         reached = level * _level_of(divided(M, varying, level), bound, varying)
         if not np.isfinite(reached):
-            if np.isfinite(best) or level > TUNING.largest_level * size:
+            if np.isfinite(best) or level > LARGEST_LEVEL * size:
                 break
             level *= 8
             continue
@@ -201,7 +205,7 @@ def _level_of(M: ComplexArray, bound: UpperBound, varying: Mask) -> float:
 
 def _certified(M: ComplexArray, varying: Mask, level: float, bound: UpperBound) -> float:
     """The level, raised until D, G prove it with their rounding errors; inf where they never do."""
-    for inflation in TUNING.inflations:
+    for inflation in INFLATIONS:
         raised = level * (1 + inflation)
         G = _carried(bound.G, varying, 1 / (1 + inflation))
         # M / level carries one rounding more a entry, far inside the allowance of `proves`.

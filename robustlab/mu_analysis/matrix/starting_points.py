@@ -30,7 +30,9 @@ import numpy as np
 from robustlab.arrays import Array, ComplexArray
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, positive
 from robustlab.mu_analysis.matrix.minimum_norm import unit_rows
-from robustlab.mu_analysis.tuning import TUNING
+
+SWEEPS = 2  # of coordinate ascent over the real blocks
+EXHAUSTIVE = 7  # vertices of so many real parameters are all tried; one more doubles them
 
 
 def power_directions(
@@ -99,7 +101,7 @@ def gain_ascent(
 
     Only real blocks move, inside [-radius, radius] (k,).
     """
-    for _ in range(TUNING.sweeps):
+    for _ in range(SWEEPS):
         for i in np.flatnonzero(layout.real):
             w, z = np.flatnonzero(layout.of_w == i), np.flatnonzero(layout.of_z == i)
             now = delta[:, w[0], z[0]].real
@@ -131,7 +133,7 @@ def vertex_search(M: Array, signs: Array, rounds: int = 40) -> list[tuple[float,
     it negative, a smaller singular vertex has been passed, and the size shrinks to it.
     """
     n = len(M)
-    if n <= TUNING.exhaustive:
+    if n <= EXHAUSTIVE:
         bits = (np.arange(2 ** (n - 1))[:, None] >> np.arange(n)) & 1
         return vertex_rays(M, 1.0 - 2.0 * bits)
     found = vertex_rays(M, signs)

@@ -13,9 +13,10 @@ from robustlab.mu_analysis.matrix.certificate import certified_level, certified_
 from robustlab.mu_analysis.matrix.decomposition import Component, balancing_exponents, components, entries, expand
 from robustlab.mu_analysis.matrix.interior_point import path_following, primal_dual
 from robustlab.mu_analysis.matrix.scalings import scaling_space
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.shown import Shown
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, structure_size
+
+RATIOS = (2.0**-10, 2.0**-20, 2.0**-40, 2.0**-80)
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], 
     """
     floor = max((b.beta for b in parts), default=0.0)
     best: UpperBound | None = None
-    for ratio in TUNING.ratios if max((c.depth for c in found), default=0) else (1.0,):
+    for ratio in RATIOS if max((c.depth for c in found), default=0) else (1.0,):
         Dw, Dz, G = _placed(blocks, found, parts, ratio)
         beta = certified_level(M, Dw, Dz, G)
         if best is None or beta < best.beta:

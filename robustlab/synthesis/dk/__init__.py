@@ -8,5 +8,4 @@ structured_problem   the same with controllers of a given structure
 direct_minimisation  the level minimised over the scalings themselves, in growing order
 dk_design            the result
 dk_iteration         the stages, and the proof at the end
-tuning               numbers that choose speed and accuracy
 """

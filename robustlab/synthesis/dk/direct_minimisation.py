@@ -24,17 +24,29 @@ from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings
 from robustlab.synthesis.dk.riccati_level import Branches, Level
 from robustlab.synthesis.dk.robust_problem import RobustProblem
 
+DECREASE = 1e-3  # share of the promised decrease that a step has to bring (Armijo)
+LINE_STEPS = 10  # trials of one line search
+FIRST_SCALE = 1.0  # of the inverse Hessian before the first update
+STEPS = 60  # of one minimisation
+STEP_PROGRESS = 2e-5  # relative progress in ...
+PATIENCE = 5  # ... so many steps below which a minimisation ends
+LARGEST_MOVE = 1.0  # of a logarithmic parameter in one step
+LARGEST_RANGE = 16.0  # logarithmic parameters further from the start are refused: they would run away
+PLACES = 9  # places of a new section over frequency
+SHORT = 10  # steps by which a candidate for a new section is followed ...
+PURSUED = 4  # ... and so many of the steepest candidates
+
 
 class _Objective:
     """``log beta`` by theta, for scalings of one form, as the largest of several smooth branches."""
 
     def __init__(self, problem: RobustProblem, scalings: DynamicScalings) -> None:
-        self.budget, self.tuning = problem.budget, problem.tuning
+        self.budget = problem.budget
         self.search, self.centre = problem.search(scalings), scalings.parameters()
 
     def level(self, theta: AnyArray, guess: float) -> Level | None:
         """The smallest level; None outside the range, or where there is none."""
-        if np.abs(theta - self.centre).max(initial=0.0) > self.tuning.largest_range:
+        if np.abs(theta - self.centre).max(initial=0.0) > LARGEST_RANGE:
             return None
         return self.search.smallest(theta, guess)
 
@@ -48,20 +60,20 @@ def minimised(
     H by BFGS updates of the Lagrangian: where two eigenvalues of X Y meet the level has a kink, and a descent that
     knows one of them only gets stuck.
     """
-    objective, tuning = _Objective(problem, scalings), problem.tuning
+    objective = _Objective(problem, scalings)
     x = scalings.parameters()
     level = objective.level(x, guess)
     if level is None:
         return None
     local = objective.search.branches(x, level)
-    start = H = np.eye(len(x)) * tuning.first_scale
+    start = H = np.eye(len(x)) * FIRST_SCALE
     levels = [float(np.log(level.beta))]
-    for _ in range(tuning.steps if steps is None else steps):
+    for _ in range(STEPS if steps is None else steps):
         if local is None or not len(x) or problem.budget.over:
             break
         multipliers, predicted = _multipliers(local, H)
         direction = -H @ (multipliers @ local.slopes)
-        shrink = min(1.0, tuning.largest_move / max(float(np.abs(direction).max()), 1e-300))
+        shrink = min(1.0, LARGEST_MOVE / max(float(np.abs(direction).max()), 1e-300))
         step = _line_search(objective, x, level, shrink * direction, shrink * predicted)
         if step is None:
             if H is start:
@@ -74,7 +86,7 @@ def minimised(
             H = _updated(start if len(levels) == 1 else H, s, _change(local, after, multipliers), len(levels) == 1)
         x, local = x + s, after
         levels.append(float(np.log(level.beta)))
-        if len(levels) > tuning.patience and levels[-1 - tuning.patience] - levels[-1] < tuning.step_progress:
+        if len(levels) > PATIENCE and levels[-1 - PATIENCE] - levels[-1] < STEP_PROGRESS:
             break
     return scalings.with_parameters(x), level.beta
 
@@ -111,11 +123,11 @@ def _line_search(
 ) -> tuple[AnyArray, Level] | None:
     """The longest step of a falling sequence that reaches a share of the promised decrease; None where none does."""
     start, t = float(np.log(level.beta)), 1.0
-    for _ in range(objective.tuning.line_steps):
+    for _ in range(LINE_STEPS):
         if objective.budget.over:
             return None
         found = objective.level(x + t * direction, level.beta)
-        if found is not None and np.log(found.beta) <= start + objective.tuning.decrease * t * predicted - 1e-9:
+        if found is not None and np.log(found.beta) <= start + DECREASE * t * predicted - 1e-9:
             return t * direction, found
         t *= 0.35
     return None
@@ -154,7 +166,7 @@ def grown(
     (low, high); they leave the level as it is. The steepest ones are followed for a few steps, and the best is kept.
     """
     candidates: list[tuple[float, DynamicScalings]] = []
-    for trial in _candidates(scalings, np.linspace(np.log(omega[0]), np.log(omega[1]), problem.tuning.places)):
+    for trial in _candidates(scalings, np.linspace(np.log(omega[0]), np.log(omega[1]), PLACES)):
         if problem.budget.over:
             return None
         if trial.n_states > max_states:
@@ -163,12 +175,12 @@ def grown(
         reached = objective.level(trial.parameters(), level)
         local = None if reached is None else objective.search.branches(trial.parameters(), reached)
         if local is not None:
-            _, promised = _multipliers(local, np.eye(local.slopes.shape[1]) * problem.tuning.first_scale)
+            _, promised = _multipliers(local, np.eye(local.slopes.shape[1]) * FIRST_SCALE)
             candidates.append((promised / (trial.n_states - scalings.n_states), trial))
     candidates.sort(key=lambda pair: pair[0])
     best: tuple[DynamicScalings, float] | None = None
-    for _, trial in candidates[: problem.tuning.pursued]:
-        found = minimised(problem, trial, level, problem.tuning.short)
+    for _, trial in candidates[:PURSUED]:
+        found = minimised(problem, trial, level, SHORT)
         if found is not None and (best is None or found[1] < best[1]):
             best = found
     return best

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.budget import Budget, one_thread
+from robustlab.budget import MILLION, Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import default_grid
 from robustlab.mu_analysis.axis.axis_model import continuous
@@ -20,6 +20,7 @@ from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.synthesis.dk.constants import FIRST_POINTS
 from robustlab.synthesis.dk.direct_minimisation import grown, minimised
 from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis
 from robustlab.synthesis.dk.dynamic_scalings import (
@@ -32,13 +33,37 @@ from robustlab.synthesis.dk.dynamic_scalings import (
 from robustlab.synthesis.dk.mu_floor import mu_floor, why_not_less
 from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, StructuredProblem, nominal_start
 from robustlab.synthesis.dk.scalings_fit import MuCurve, as_complex, fitted_scalings, mu_curve
-from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.stability import proved_stable
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_values, structure_size
+
+WORK = 120 * MILLION  # the usual work at effort 1
+START_SHARE = 0.25  # for the H-infinity start; larger: a better first controller, less time for the rest
+CLASSICAL_END = 0.5  # where D-K iteration has to end when direct minimisation follows
+SEARCH_END = 0.8  # where the whole search has to end; the rest is for the proof
+SOFTENING_END = 0.85  # where the search for slower controllers has to end
+LEAST_SEARCH = 0.3  # the search keeps this much even where the last curve of mu would need more
+ITERATIONS = 60  # of D-K; it usually settles long before
+FIT_LOSS = 0.002  # loss at single frequencies that a fit of D may have; smaller: higher orders
+FIRST_LOSS = 0.2  # the same where direct minimisation starts: a rough D of few states
+PROGRESS = 5e-4  # relative progress below which a stage ends; smaller: longer, hardly better
+ROUGH_PROGRESS = 2e-2  # the same for D-K iteration where direct minimisation follows
+FALLS = 2  # enlargements of the scalings in a row below `progress` that end the search
+CLEARLY = 0.9  # share of the peak of mu at which the nominal start is preferred
+FEW_BLOCKS = 6  # above this many the direct search starts at constants fitted: from D = I the way is long
+MANY_BLOCKS = 30  # from this many on the lower bound is sought at one frequency instead of four
+BAND_LEVEL = 0.3  # new sections are placed where mu is above this share of its peak ...
+BEYOND = 30.0  # ... and so many times beyond; larger: slower and faster sections
+LAST_CURVES = 1.5  # work kept for the end, in curves of mu ...
+CURVE_POINTS = 112  # ... of so many frequencies
+PROOF_ACCURACY = 1e-3  # of the proof by intervals; smaller: more intervals
+ALONE_SHARE = 0.02  # of the work for the level of one block of one member alone
+START_POINTS = 16  # frequencies of the first loop at which mu of real blocks is computed
+ROUGH = 0.1  # share of the loop's gain that regularisation may cost while iterating; smaller: stiffer
+FINE = 0.03  # the same at the end
 
 
 @told_as("synth dk")
@@ -59,7 +84,6 @@ def dk(
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
-    tuning: DKTuning = TUNING,
 ) -> DKSynthesis:
     r"""Controller ``u = K y`` (positive feedback) that makes the peak of mu of the closed loop small.
 
@@ -107,8 +131,6 @@ def dk(
         ends the same way everywhere; ``reason`` says where it might have gone on.
     progress
         Called with one line at each iterate.
-    tuning
-        Numbers that choose speed and accuracy of the search, for those who measure them.
 
     Returns
     -------
@@ -141,7 +163,7 @@ def dk(
     plant, all_blocks = structure_with_performance(P, blocks, n_meas, n_con)
     if not 0 <= order_rel < 1:
         raise InputError("synth dk", f"order_rel is {order_rel}", "a number in [0, 1)")
-    budget = design_budget("synth dk", tuning.work, effort, time_limit)
+    budget = design_budget("synth dk", WORK, effort, time_limit)
     n = plant.model.n_states
     if max_order is None:
         max_order = max(3 * n, n + 24)
@@ -149,9 +171,9 @@ def dk(
         raise InputError("synth dk", f"max_order is {max_order!r}", f"at least {n}, the number of states of P")
     with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is found is verified on its own
         compile_kernels()
-        search = _Search(plant, all_blocks, budget, int(max_order), mixed, progress, tuning)
+        search = _Search(plant, all_blocks, budget, int(max_order), mixed, progress)
         if structure is not None:
-            search.problem = StructuredProblem(plant, structure, starts, seed, search.search, tuning)
+            search.problem = StructuredProblem(plant, structure, starts, seed, search.search)
             search.start_structured(K0)
             search.alternate(False)
             return search.finished(order_rel)
@@ -208,17 +230,15 @@ class _Search:
         max_order: int,
         mixed: bool,
         progress: Callable[[str], None] | None,
-        tuning: DKTuning = TUNING,
     ) -> None:
-        self.tuning = tuning
         self.budget, self.whole = budget, budget.left
         self.plant, self.max_order, self.progress = plant, max_order, progress
         some_real = any(b.g_basis() for b in blocks)
         self.mixed = mixed and some_real
         self.real, self.blocks = blocks, as_complex(blocks)
-        self.curve_work = points_work(self.real if self.mixed else self.blocks, tuning.curve_points)
-        self.problem: RobustProblem = RobustProblem(plant, budget, tuning)
-        self.problem.budget = self.search = self._until(tuning.search_end)
+        self.curve_work = points_work(self.real if self.mixed else self.blocks, CURVE_POINTS)
+        self.problem: RobustProblem = RobustProblem(plant, budget)
+        self.problem.budget = self.search = self._until(SEARCH_END)
         self.iterates: list[Iterate] = []
         self.history: list[DKStep] = []
         self.curve: MuCurve | None = None
@@ -228,8 +248,8 @@ class _Search:
 
     def _until(self, end: float) -> Budget:
         """A budget that is over when this share of the whole is spent, and enough for a last curve of mu is left."""
-        needed = self.tuning.last_curves * self.curve_work
-        end = min(end, max(1 - needed / self.whole, self.tuning.least_search))
+        needed = LAST_CURVES * self.curve_work
+        end = min(end, max(1 - needed / self.whole, LEAST_SEARCH))
         left = self.budget.left
         return self.budget.share(max(1 - (1 - end) * self.whole / left, 0.0) if left > 0 else 0.0)
 
@@ -254,7 +274,7 @@ class _Search:
         """
         scalings = unit_scalings(self.blocks)
         if K0 is None:
-            K = synthesize(self.plant, "hinf", 1.0, self.search.share(self.tuning.start_share)).K
+            K = synthesize(self.plant, "hinf", 1.0, self.search.share(START_SHARE)).K
         else:
             K = _controller(K0, self.plant)
             if isinstance(K0, DKSynthesis) and K0.scalings.blocks in (self.blocks, self.real):
@@ -266,8 +286,8 @@ class _Search:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
         if K0 is None and self.blocks[-1].name == PERFORMANCE and not self._late():
-            last, part = self.blocks[-1], self.search.share(self.tuning.start_share)
-            K = nominal_start(self.plant, last.rows, last.cols, part, self.tuning)
+            last, part = self.blocks[-1], self.search.share(START_SHARE)
+            K = nominal_start(self.plant, last.rows, last.cols, part)
             other = None if K is None else self.problem.proved(K, scalings, 1.0)
             if other is not None:
                 self._prefer(other, found)
@@ -277,41 +297,41 @@ class _Search:
         assert isinstance(self.problem, StructuredProblem)
         if K0 is not None and not isinstance(K0, Mapping):
             raise InputError("synth dk: K0", f"a {type(K0).__name__}", "values by parameter name, beside a structure")
-        self.problem.budget = self.search.share(self.tuning.start_share)
+        self.problem.budget = self.search.share(START_SHARE)
         found = self.problem.first(K0, unit_scalings(self.blocks))
         self.problem.budget = self.search
         if not found:
             hint = "not found is no proof that there is none: try more starts, or a richer structure"
             raise NoTrustworthyNumber("synth dk", "no start stabilised the plant with this structure", hint=hint)
-        best = min(found, key=lambda iterate: mu_curve(iterate.loop, self.blocks, self.search, tuning=self.tuning).peak)
+        best = min(found, key=lambda iterate: mu_curve(iterate.loop, self.blocks, self.search).peak)
         self.problem.follow(best)
         self._keep(best, "start")
 
     def _prefer(self, other: Iterate, found: Iterate) -> None:
         """Go on from the other start where its mu is clearly smaller."""
         before = self._followed(found)
-        if self._followed(other).peak < self.tuning.clearly * before.peak:
+        if self._followed(other).peak < CLEARLY * before.peak:
             self._keep(other, "nominal start")
         else:
             self.curve, self.curved = before, found
 
     def alternate(self, rough: bool) -> None:
         """D-K iteration until two in a row gain little; ``rough``: direct minimisation goes on from there."""
-        progress = self.tuning.rough_progress if rough else self.tuning.progress
+        progress = ROUGH_PROGRESS if rough else PROGRESS
         if rough:
-            self.problem.budget = self._until(self.tuning.classical_end)
+            self.problem.budget = self._until(CLASSICAL_END)
         now, stuck = self.iterates[-1], 0
-        for _ in range(self.tuning.iterations):
+        for _ in range(ITERATIONS):
             if self._late() or stuck == 2:
                 break
             self.curve = self._followed(now)
             before = self.best.level
-            scalings = self._fitted(self.curve, self.tuning.fit_loss, self.problem.budget)
+            scalings = self._fitted(self.curve, FIT_LOSS, self.problem.budget)
             refitted = self.problem.proved(now.K, scalings, now.level)
             refitted = refitted and replace(refitted, p=now.p)
             if refitted is not None and refitted.level < before:
                 self._keep(refitted, "D-K", self.curve.peak)
-            self.problem.regularise(refitted or now, self.tuning.rough)
+            self.problem.regularise(refitted or now, ROUGH)
             found = self.problem.solve(scalings, min(now.level, 1.1 * self.curve.peak))
             if found is None:
                 break
@@ -326,12 +346,12 @@ class _Search:
 
         Where blocks are real, then over D and G from a D of low order; that gets two thirds of the work.
         """
-        self.problem.regularise(self.best, self.tuning.fine)
+        self.problem.regularise(self.best, FINE)
         starts = [unit_scalings(self.blocks) if self.warm is None else _without_g(self.warm, self.blocks)]
         if self.curve is not None and self.warm is None:
-            if len(self.blocks) > self.tuning.few_blocks:  # the way from D = I is long then
+            if len(self.blocks) > FEW_BLOCKS:  # the way from D = I is long then
                 starts = [self._fitted(self.curve, np.inf, self.search)]
-            fitted = self._fitted(self.curve, self.tuning.first_loss, self.search)
+            fitted = self._fitted(self.curve, FIRST_LOSS, self.search)
             starts += [fitted] if fitted.n_states and not self.mixed else []
         share = 1 / 3 if self.mixed else 1 / len(starts)
         for k, scalings in enumerate(starts):
@@ -345,8 +365,8 @@ class _Search:
 
     def _few_states(self) -> DynamicScalings:
         """A rough D: that of the iterate of lowest order, or a fit to the best loop where that has fewer states."""
-        known = self._chosen(self.tuning.first_loss).scalings
-        fitted = self._fitted(self._followed(self.best), self.tuning.first_loss, self.search)
+        known = self._chosen(FIRST_LOSS).scalings
+        fitted = self._fitted(self._followed(self.best), FIRST_LOSS, self.search)
         return min(known, fitted, key=lambda scalings: scalings.n_states)
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
@@ -364,20 +384,20 @@ class _Search:
             iterate = (self.problem.at_level if self._late() else self.problem.solve)(scalings, level)
             if iterate is not None:
                 self._keep(iterate, stage)
-            falls = falls + 1 if level > before * (1 - self.tuning.progress) else 0
-            if falls == self.tuning.falls or self._late():
+            falls = falls + 1 if level > before * (1 - PROGRESS) else 0
+            if falls == FALLS or self._late():
                 break
             before = level
             larger = grown(self.problem, scalings, level, band, self.max_states)
             found = None if larger is None else minimised(self.problem, *larger)
 
     def _fitted(self, curve: MuCurve, loss: float, budget: Budget) -> DynamicScalings:
-        return fitted_scalings(curve, self.blocks, loss, self.max_states, budget, self.tuning)
+        return fitted_scalings(curve, self.blocks, loss, self.max_states, budget)
 
     def _followed(self, iterate: Iterate) -> MuCurve:
         """The curve of complex mu of an iterate; it is not computed again for the same one."""
         if self.curve is None or self.curved is not iterate:
-            self.curve = mu_curve(iterate.loop, self.blocks, self.problem.budget, tuning=self.tuning)
+            self.curve = mu_curve(iterate.loop, self.blocks, self.problem.budget)
             self.curved = iterate
             if iterate is self.iterates[0]:
                 self.start_mu = self._mu_of_start(self.curve)
@@ -387,15 +407,15 @@ class _Search:
         """The peak; where blocks are real, that of their mu at the frequencies where complex mu is largest."""
         if not self.mixed:
             return curve.peak
-        top = np.sort(curve.omega[np.argsort(-curve.levels)[: self.tuning.start_points]])
-        return mu_curve(self.iterates[0].loop, self.real, Budget(0.0), top, self.tuning).peak
+        top = np.sort(curve.omega[np.argsort(-curve.levels)[:START_POINTS]])
+        return mu_curve(self.iterates[0].loop, self.real, Budget(0.0), top).peak
 
     def _band(self) -> tuple[float, float]:
         """Frequencies in rad/s over which sections are placed: those at which mu is of the order of its peak."""
         if self.curve is None:
             self.curve = self._followed(self.best)
-        high = self.curve.omega[self.curve.levels >= self.tuning.band_level * self.curve.peak]
-        return float(high[0] / self.tuning.beyond), float(high[-1] * self.tuning.beyond)
+        high = self.curve.omega[self.curve.levels >= BAND_LEVEL * self.curve.peak]
+        return float(high[0] / BEYOND), float(high[-1] * BEYOND)
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
         self.iterates.append(iterate)
@@ -417,17 +437,17 @@ class _Search:
     def finished(self, order_rel: float) -> DKSynthesis:
         """The iterate of lowest order close to the best, proved once more by intervals where these are tighter."""
         chosen = self._chosen(order_rel)
-        self.problem.budget = self._until(self.tuning.softening_end)
+        self.problem.budget = self._until(SOFTENING_END)
         chosen = self.problem.softened(chosen, self.best.level * (1 + order_rel))
         blocks = self.real if self.mixed else self.blocks
         # All that costs work comes before the proof by intervals, which takes whatever is left.
         norm = proved_level(chosen.loop, chosen.scalings, chosen.level)[1]
         curve = self._last_curve(chosen, blocks, norm.frequency)
-        lower, delta, omega = _lower(curve, blocks, 4 if len(blocks) < self.tuning.many_blocks else 1)
+        lower, delta, omega = _lower(curve, blocks, 4 if len(blocks) < MANY_BLOCKS else 1)
         loop = self.plant.close(chosen.K)
         stable = proved_stable(loop.A, loop.is_discrete)
         cover = AxisCover()
-        accuracy = self.tuning.proof_accuracy
+        accuracy = PROOF_ACCURACY
         if curve.peak * (1 + accuracy) < chosen.level:
             peaks = curve.omega[np.argsort(-curve.levels)[:8]]
             cover = cover_axis(
@@ -443,7 +463,7 @@ class _Search:
         smallest = min(gamma, self.best.level)
         floor = mu_floor(self.problem.bare, blocks, smallest, delta, loop.dt)
         start_mu = self.start_mu if np.isfinite(self.start_mu) else self.iterates[0].level
-        alone = floor.nominal_level(self.budget.apart(self.tuning.alone_share * self.whole), self.tuning)
+        alone = floor.nominal_level(self.budget.apart(ALONE_SHARE * self.whole))
         why = why_not_less(smallest, start_mu, self.iterates[0].level, floor.bound.value, alone, blocks)
         heard, doubt = self.problem.heard(chosen, loop, norm, cover.pieces if proved else ())
         doubts = _doubts(stable, None if proved else norm) + [doubt] * bool(doubt)
@@ -479,10 +499,10 @@ class _Search:
     def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...], peak: float) -> MuCurve:
         """The curve of mu, or, where little work is left, around the peak of the scaled loop alone (rad/s)."""
         around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
-        if self.budget.left < 0.6 * self.tuning.last_curves * self.curve_work or self.budget.over:
-            return mu_curve(chosen.loop, blocks, Budget(0.0), around, self.tuning)
-        first = np.unique(np.concatenate([default_grid(chosen.loop, self.tuning.first_points, 1.0), around]))
-        return mu_curve(chosen.loop, blocks, self.budget.share(0.5), first, self.tuning)
+        if self.budget.left < 0.6 * LAST_CURVES * self.curve_work or self.budget.over:
+            return mu_curve(chosen.loop, blocks, Budget(0.0), around)
+        first = np.unique(np.concatenate([default_grid(chosen.loop, FIRST_POINTS, 1.0), around]))
+        return mu_curve(chosen.loop, blocks, self.budget.share(0.5), first)
 
     def _reasons(self, chosen: Iterate, by_intervals: bool, order_rel: float) -> list[str]:
         how = "constant D, G on intervals that cover the axis" if by_intervals else "the norm of the scaled loop"

@@ -23,7 +23,6 @@ from robustlab.budget import Budget
 from robustlab.mu_analysis.matrix.box import centre_matrix
 from robustlab.synthesis.dk.dynamic_scalings import unit_scalings
 from robustlab.synthesis.dk.robust_problem import RobustProblem
-from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.problem.gamma_bounds import GammaBound, pointwise_bound
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
@@ -41,7 +40,10 @@ class MuFloor:
     # The plant with the channels of that block and member alone; None where nothing bounds mu.
     channels: PlantMatrices | None
 
-    def nominal_level(self, budget: Budget, tuning: DKTuning = TUNING) -> float:
+    def nominal_level(
+        self,
+        budget: Budget,
+    ) -> float:
         """The smallest level of the Riccati equations for ``channels``: what these alone need, an estimate.
 
         NaN where that plant is singular, or where the budget was over before.
@@ -50,7 +52,7 @@ class MuFloor:
             return float("nan")
         block = FullBlock("all", self.channels.B1.shape[1], self.channels.C1.shape[0])
         scalings = unit_scalings((block,))
-        search = RobustProblem(self.channels.plant(), budget, tuning).search(scalings)
+        search = RobustProblem(self.channels.plant(), budget).search(scalings)
         level = search.smallest(scalings.parameters(), self.bound.value, 1e-4)
         return float("nan") if level is None else float(level.beta)
 

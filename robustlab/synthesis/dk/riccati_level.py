@@ -28,10 +28,18 @@ from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, care
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
+
+RESIDUAL = 1e-7  # of a solution after Newton's steps; at 1e-3 levels passed that nothing could prove
+STEP = 1e-5  # of logarithmic parameters in derivatives of the frozen forms, which are smooth
+NEGLIGIBLE = 1e-6  # eigenvalues of X Y below this share of the largest are noise
+STEEPEST = 1e6  # logarithmic derivatives beyond this are rounding
+LEVEL_RTOL = 1e-7  # of the smallest level
+MAX_TESTS = 40  # pairs of Riccati equations to bracket and find a level
+WITHIN = 0.5  # branches so far (log beta) below the level belong to the model of a step ...
+MOST = 5  # ... and at most so many; more: kinks are seen earlier, each step costs more
 
 # Work of a test and of a pair of frozen forms beside that of their factorisations, as measured.
 TEST_WORK, FORM_WORK = 300, 250
@@ -89,9 +97,8 @@ class LevelSearch:
         plant: Callable[[AnyArray, float], PlantMatrices],
         scaling: Scaling,
         budget: Budget | None = None,
-        tuning: DKTuning = TUNING,
     ) -> None:
-        self._plant, self.scaling, self.tuning = plant, scaling, tuning
+        self._plant, self.scaling = plant, scaling
         self.budget = Budget() if budget is None else budget
 
     def smallest(self, theta: AnyArray, start: float, rtol: float | None = None) -> Level | None:
@@ -99,12 +106,12 @@ class LevelSearch:
 
         Above it rho(X Y) < 1. It is bracketed by growing steps, and found by false position (Illinois) on log rho.
         """
-        rtol = self.tuning.level_rtol if rtol is None else rtol
+        rtol = LEVEL_RTOL if rtol is None else rtol
         high = low = None  # (log beta, log rho) with rho < 1; with rho > 1, or rho None where the test fails
         best: tuple[float, _Pair] | None = None
         log_beta, step = float(np.log(max(start, 1e-300))), 1e-4
         side = 0
-        for _ in range(self.tuning.max_tests):
+        for _ in range(MAX_TESTS):
             pair = self._test(theta, float(np.exp(log_beta)))
             value = None if pair is None else float(np.log(max(pair.coupling, 1e-300)))
             if pair is not None and value is not None and value < 0:
@@ -132,7 +139,7 @@ class LevelSearch:
         """The largest eigenvalues of X Y, at and little below the level, by theta; None: no smooth level."""
         if not level.smooth:
             return None
-        n, most, step = len(self.scaling.states), self.tuning.most, self.tuning.step
+        n, most, step = len(self.scaling.states), MOST, STEP
         self.budget.spend(dense(n, 2 * most) + 2 * (len(theta) + 1) * (FORM_WORK + n**3 // 100))
         forms = self._frozen(theta, level)
         log_beta = float(np.log(level.beta))
@@ -142,8 +149,8 @@ class LevelSearch:
         if not below[0] > -np.inf:
             return None
         # Of an eigenvalue at the level of rounding both the logarithm and the slope are noise.
-        near = (below - below[0] > -self.tuning.within) & np.isfinite(below)
-        kept = np.flatnonzero(near & (size > self.tuning.negligible * size[0]))
+        near = (below - below[0] > -WITHIN) & np.isfinite(below)
+        kept = np.flatnonzero(near & (size > NEGLIGIBLE * size[0]))
         slopes = np.zeros((len(slope), len(theta)))
         for i in range(len(theta)):
             e = np.zeros(len(theta))
@@ -151,7 +158,7 @@ class LevelSearch:
             slopes[:, i] = (forms(theta + e, log_beta) - forms(theta - e, log_beta)) / (2 * step)
         relative = slopes[kept] / -slope[kept, None]
         # An eigenvalue at the level of rounding has no derivative worth the name.
-        sound = np.abs(relative).max(axis=1, initial=0.0) < self.tuning.steepest
+        sound = np.abs(relative).max(axis=1, initial=0.0) < STEEPEST
         found = Branches(log_beta + below[kept][sound] - below[0], relative[sound])
         return found if len(sound) and sound[0] else None
 
@@ -199,7 +206,7 @@ class LevelSearch:
         if int((np.linalg.eigvalsh(R) < 0).sum()) != n_w:
             return None
         try:
-            found = care(A, B, Q, R, S, tolerance=self.tuning.residual)
+            found = care(A, B, Q, R, S, tolerance=RESIDUAL)
         except NoTrustworthyNumber:
             return None
         B_2, S_2 = B[:, n_w:], S[:, n_w:]
@@ -214,7 +221,7 @@ class LevelSearch:
         p = self._scaled(theta, level.beta)
         A_X, A_Y = p.A + np.hstack([p.B1, p.B2]) @ pair.F, p.A.T + np.vstack([p.C1, p.C2]).T @ pair.L
         weights = []
-        for rho, direction in zip(pair.eigenvalues[: self.tuning.most], pair.directions.T, strict=False):
+        for rho, direction in zip(pair.eigenvalues[:MOST], pair.directions.T, strict=False):
             # With Y = S S^T and q an eigenvector of S^T X S: u = X S q, Y u = rho S q, u^T Y u = rho^2.
             seen = pair.X @ direction / np.sqrt(rho * gain**2)
             weights.append((_adjoint(A_X, pair.F, direction), _adjoint(A_Y, pair.L, seen)))

@@ -29,11 +29,11 @@ from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discre
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, plant_at_level, proved_level
 from robustlab.synthesis.dk.riccati_level import LevelSearch
-from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.search import Search, soften
 from robustlab.synthesis.laws.controller_laws import Law, model_of
 from robustlab.synthesis.laws.controller_structures import as_structure
+from robustlab.synthesis.nonsmooth.constants import BARRIER_KNOWN
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import central_path, multi_start, polished
 from robustlab.synthesis.problem.independent_check import AGREEMENT, hinf_voice, separate_responses
@@ -41,15 +41,31 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrice
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import common_scaling, equilibrated, paths_first
 
+STRUCTURED_ENDS = 3  # ends of the search for a controller of given structure whose mu is looked at
+# A central controller at the smallest level itself is ill-conditioned: the level is backed off by these shares
+# until the proof agrees. The last ones are for plants of such spread that digits are lost in the controller.
+BACKOFF = (1e-4, 1e-3, 1e-2, 5e-2, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0)
+ACCEPTED = 1e-2  # loss against the Riccati level above which the other numerical scaling is tried as well
+SOFTER = (0.999, 0.8, 0.5)  # shares (of a logarithm) of the slack for slower controllers
+CALMEST = 4  # so many of the slowest controllers found are tried
+REGULAR = 1e-6  # D12, D21 below this size in scaled units need regularisation
+STATE_SHARE = 0.3  # of it for penalties and noises on the states
+NOMINAL_SHARE = 0.03  # disturbance on the control of the nominal start, of what the control does without it
+NOMINAL_GAMMA_REL = 1.1  # factor above the smallest gamma that the nominal start's controllers may cost
+NOMINAL_POINTS = 80  # frequencies for the size of that control
+
 
 def nominal_start(
-    plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget, tuning: DKTuning = TUNING
+    plant: GeneralizedPlant,
+    n_w: int,
+    n_z: int,
+    budget: Budget,
 ) -> StateSpaceModel | None:
     """H-infinity controller of the last ``n_w`` w and ``n_z`` z with a small disturbance on every control.
 
     None where no controller was verified, or where the control has nothing to do.
     """
-    m, n_u, n_y, gamma_rel = plant.model, plant.n_con, plant.n_meas, tuning.nominal_gamma_rel
+    m, n_u, n_y, gamma_rel = plant.model, plant.n_con, plant.n_meas, NOMINAL_GAMMA_REL
     into = np.arange(m.n_inputs - n_u - n_w, m.n_inputs)
     out = np.arange(m.n_outputs - n_y - n_z, m.n_outputs)
     B, C, D = m.B[:, into], m.C[out], m.D[out][:, into]
@@ -57,7 +73,7 @@ def nominal_start(
         bare = GeneralizedPlant(StateSpaceModel(m.A, B, C, D, m.dt), n_y, n_u)
         first = synthesize(bare, "hinf", gamma_rel, budget.share(0.5))
         # eta times what the control does without the disturbance
-        size = tuning.nominal_share * _effort(m.A, B, C[n_z:], D[n_z:], first.K, tuning.nominal_points)
+        size = NOMINAL_SHARE * _effort(m.A, B, C[n_z:], D[n_z:], first.K, NOMINAL_POINTS)
         if not (np.isfinite(size).all() and size.any()):
             return None
         more_B, more_D = B[:, n_w:] * size, D[:, n_w:] * size
@@ -101,8 +117,12 @@ class RobustProblem:
     None: no limit.
     """
 
-    def __init__(self, plant: GeneralizedPlant, budget: Budget | None = None, tuning: DKTuning = TUNING) -> None:
-        self.plant, self.budget, self.tuning = plant, Budget() if budget is None else budget, tuning
+    def __init__(
+        self,
+        plant: GeneralizedPlant,
+        budget: Budget | None = None,
+    ) -> None:
+        self.plant, self.budget = plant, Budget() if budget is None else budget
         self._continuous = GeneralizedPlant(_mapped(plant.model), plant.n_meas, plant.n_con)
         self.bare = self._continuous.matrices()
         self.matrices = self.bare
@@ -111,7 +131,7 @@ class RobustProblem:
         _, n_w, n_u, n_z, n_y = p.sizes
         u_size = np.linalg.svd(p.D12, compute_uv=False).min() if n_z >= n_u else 0.0
         y_size = np.linalg.svd(p.D21, compute_uv=False).min() if n_w >= n_y else 0.0
-        self._regular = bool(min(u_size, y_size) > tuning.regular)
+        self._regular = bool(min(u_size, y_size) > REGULAR)
 
     def search(self, scalings: DynamicScalings, alternative: bool = False) -> LevelSearch:
         """Search for the smallest level of scalings of this form; ``alternative``: with another numerical scaling."""
@@ -121,7 +141,7 @@ class RobustProblem:
 
         scaled = at(scalings.parameters(), 1.0)
         units = equilibrated(scaled) if alternative else paths_first(scaled)
-        return LevelSearch(at, units, self.budget, self.tuning)
+        return LevelSearch(at, units, self.budget)
 
     def solve(self, scalings: DynamicScalings, start: float) -> Iterate | None:
         """The controller of smallest proved level for given scalings; None where none was found."""
@@ -134,7 +154,7 @@ class RobustProblem:
             found = self._backed_off(search, scalings, level.beta)
             if found is not None and (best is None or found.level < best.level):
                 best = found
-            if best is not None and best.level <= level.beta * (1 + self.tuning.accepted):
+            if best is not None and best.level <= level.beta * (1 + ACCEPTED):
                 return best
         return best
 
@@ -147,7 +167,7 @@ class RobustProblem:
     ) -> Iterate | None:
         """The controller of smallest proved level among those a little above the level ``beta``."""
         best: Iterate | None = None
-        for share in self.tuning.backoff[:most]:
+        for share in BACKOFF[:most]:
             if best is not None and best.level <= beta * (1 + share):
                 break  # a higher level promises nothing better
             K = search.controller(scalings.parameters(), beta * (1 + share))
@@ -170,7 +190,7 @@ class RobustProblem:
         search = self.search(iterate.scalings)
         theta = iterate.scalings.parameters()
         best, middle = iterate, None
-        for share in self.tuning.softer:
+        for share in SOFTER:
             K = search.controller(theta, iterate.level * (limit / iterate.level) ** share)
             middle = K if K is not None else middle
             best = self._slower(K, best, limit)
@@ -182,7 +202,7 @@ class RobustProblem:
         if start is not None:
             soften(trials, start, 1.0)
         calm = sorted((c for c in trials.candidates if c.gamma <= 1.0), key=lambda c: c.pace)
-        for candidate in calm[: self.tuning.calmest]:
+        for candidate in calm[:CALMEST]:
             best = self._slower(StateSpaceModel(*candidate.K), best, limit)
         return best
 
@@ -279,7 +299,7 @@ class RobustProblem:
         out = float(size(response[:, n_z + n_u :, :n_w], 2, axis=(1, 2)).max(initial=0.0)) if n else 0.0
         back = float(size(response[:, :n_z, n_w + n_y :], 2, axis=(1, 2)).max(initial=0.0)) if n else 0.0
         level = share * iterate.level
-        state_level = self.tuning.state_share * level
+        state_level = STATE_SHARE * level
         least = level  # no channel heavier than one in these units
         self.matrices = self.bare.with_channels(
             level / np.maximum(u, least) / np.sqrt(n_u),
@@ -300,15 +320,20 @@ def _mapped(model: StateSpaceModel) -> StateSpaceModel:
 class StructuredProblem(RobustProblem):
     """See `RobustProblem`; an `Iterate` has the parameters of its controller, too.
 
-    ``plant``, ``budget``, ``tuning``: as there.
+    ``plant``, ``budget``: as there.
     ``structure``: as for `robustlab.fixed_structure`.
     ``starts``, ``seed``: random starts of the first search, for D = I.
     """
 
     def __init__(
-        self, plant: GeneralizedPlant, structure: Any, starts: int, seed: int, budget: Budget, tuning: DKTuning
+        self,
+        plant: GeneralizedPlant,
+        structure: Any,
+        starts: int,
+        seed: int,
+        budget: Budget,
     ) -> None:
-        super().__init__(plant, budget, tuning)
+        super().__init__(plant, budget)
         rate = common_scaling([plant])[0].rate
         self.law: Law = as_structure(structure, rate).law(plant.measurements, plant.controls, plant.model.dt)
         self.starts, self.seed = starts, seed
@@ -326,7 +351,7 @@ class StructuredProblem(RobustProblem):
         else:
             problem = DesignProblem([self.plant], self.law, "hinf", (), self.budget)
             ends = multi_start(problem, [], self.starts, self.seed, lambda _: None)
-            found = [end.p for end in ends if np.isfinite(end.gamma)][: self.tuning.structured_ends]
+            found = [end.p for end in ends if np.isfinite(end.gamma)][:STRUCTURED_ENDS]
         proved = [self._proved(p, scalings, 1.0) for p in found]
         return [iterate for iterate in proved if iterate is not None]
 
@@ -344,7 +369,7 @@ class StructuredProblem(RobustProblem):
         problem = DesignProblem([scaled], self.law, "hinf", (), self.budget)
         v = problem.variables(self._last)
         if np.isfinite(problem.norm(v)[0]):
-            v, _ = central_path(problem, v, problem.tuning.barrier_known)
+            v, _ = central_path(problem, v, BARRIER_KNOWN)
             p, _ = polished(problem, problem.parameters(v)[0])
             found = self._proved(p, scalings, start)
             if found is not None:

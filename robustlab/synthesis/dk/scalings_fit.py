@@ -17,6 +17,7 @@ from robustlab.budget import Budget, dense
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_work, upper_bounds
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.dk.constants import FIRST_POINTS
 from robustlab.synthesis.dk.dynamic_scalings import (
     BlockScaling,
     DynamicScalings,
@@ -24,8 +25,19 @@ from robustlab.synthesis.dk.dynamic_scalings import (
     reference_block,
     unit_scalings,
 )
-from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
+
+ROUNDS = 3  # rounds of refinement ...
+ADDED = 24  # ... and frequencies added in each; more: fewer peaks missed, more work
+CHUNK = 8  # frequencies between two looks at the budget
+MU_TOLERANCE = 1e-4  # of the upper bounds
+MAX_FACTOR_ORDER = 5  # of one factor of D
+SHARPNESS = 24  # exponent of the mean that stands for the peak: smaller rewards lowering other peaks too
+ROOM = 0.1  # error of log d at the peak that counts as one where mu is lower by e; larger: even weights
+TRIED = 6  # factors tried in a round, those whose fit is worst
+COUNTED = 0.04  # zeros and poles lie where the weight is above this share of the largest one ...
+REACH = 2.3  # ... and so far (logarithm) beyond: farther ones cost the synthesis digits, bring nothing
+FIT_EVALUATIONS = 60  # of one least-squares fit
 
 FIT_WORK = 6000  # of a fit of first order, as measured; it rises with the square of the order
 
@@ -62,7 +74,6 @@ def mu_curve(
     blocks: Sequence[Block],
     budget: Budget,
     first: AnyArray | None = None,
-    tuning: DKTuning = TUNING,
 ) -> MuCurve:
     """The curve of a stable continuous loop on frequencies that follow it.
 
@@ -70,15 +81,15 @@ def mu_curve(
     intervals in which mu is close to its peak or the entries of D change most, the most urgent ones first. Where
     the budget is over after some of them, it is left at those (the first ones are spread over all).
     """
-    grid = default_grid(loop, tuning.first_points, 1.0) if first is None else first
+    grid = default_grid(loop, FIRST_POINTS, 1.0) if first is None else first
     # Every so-many-th frequency first, as far as the budget goes.
-    stride = max(1, len(grid) // tuning.chunk)
+    stride = max(1, len(grid) // CHUNK)
     order = np.concatenate([np.arange(start, len(grid), stride) for start in range(stride)])
-    response, bounds = _until(loop, blocks, grid[order], budget, tuning)
+    response, bounds = _until(loop, blocks, grid[order], budget)
     done = order[: len(bounds)]
     back = np.argsort(done)
     omega, response, bounds = grid[done[back]], response[back], [bounds[i] for i in back]
-    for _ in range(tuning.rounds):
+    for _ in range(ROUNDS):
         if budget.over:
             break
         levels = np.array([b.beta for b in bounds])
@@ -87,12 +98,12 @@ def mu_curve(
         height = np.maximum(levels[1:], levels[:-1]) / max(levels.max(), 1e-300)
         change = np.abs(np.diff(d, axis=0)).max(axis=1) + np.abs(np.diff(levels)) / max(levels.max(), 1e-300)
         urgency = height**4 * change * (np.diff(np.log(omega)) > 1e-3)
-        chosen = np.argsort(-urgency)[: tuning.added]
+        chosen = np.argsort(-urgency)[:ADDED]
         chosen = chosen[urgency[chosen] > 0.02]
         if not len(chosen):
             break
         new = np.sqrt(omega[chosen]) * np.sqrt(omega[chosen + 1])
-        more, found = _until(loop, blocks, new, budget, tuning)
+        more, found = _until(loop, blocks, new, budget)
         new = new[: len(found)]
         order = np.argsort(np.concatenate([omega, new]), kind="stable")
         omega = np.concatenate([omega, new])[order]
@@ -102,18 +113,21 @@ def mu_curve(
 
 
 def _until(
-    loop: StateSpaceModel, blocks: Sequence[Block], omega: AnyArray, budget: Budget, tuning: DKTuning
+    loop: StateSpaceModel,
+    blocks: Sequence[Block],
+    omega: AnyArray,
+    budget: Budget,
 ) -> tuple[AnyArray, list[UpperBound]]:
     """Responses and bounds at the first of the frequencies, as far as the budget goes, and at some of them always."""
     responses: list[AnyArray] = []
     bounds: list[UpperBound] = []
-    for begin in range(0, len(omega), tuning.chunk):
+    for begin in range(0, len(omega), CHUNK):
         if bounds and budget.over:
             break
-        chunk = omega[begin : begin + tuning.chunk]
+        chunk = omega[begin : begin + CHUNK]
         budget.spend(points_work(blocks, len(chunk)) + dense(loop.n_states))
         responses.append(frequency_response(loop, chunk))
-        bounds += upper_bounds(responses[-1], blocks, tuning.mu_tolerance)
+        bounds += upper_bounds(responses[-1], blocks, MU_TOLERANCE)
     return np.concatenate(responses), bounds
 
 
@@ -121,7 +135,11 @@ def _until(
 
 
 def fitted_scalings(
-    curve: MuCurve, blocks: Sequence[Block], loss: float, max_states: int, budget: Budget, tuning: DKTuning = TUNING
+    curve: MuCurve,
+    blocks: Sequence[Block],
+    loss: float,
+    max_states: int,
+    budget: Budget,
 ) -> DynamicScalings:
     """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be.
 
@@ -129,13 +147,13 @@ def fitted_scalings(
     it costs, or all of them where no single one does: a block that drifts away from all others needs that. At most
     ``max_states`` states are spent.
     """
-    fit = _Fit(curve, blocks, budget, tuning)
+    fit = _Fit(curve, blocks, budget)
     scalings = fit.constants()
     score = fit.score(scalings)
     while score[1] > curve.peak * (1 + loss) and not budget.over:
         best: tuple[float, tuple[float, float], DynamicScalings] | None = None
         for trial in fit.larger(scalings):
-            if max(_orders(trial)) > tuning.max_factor_order or trial.n_states > max_states:
+            if max(_orders(trial)) > MAX_FACTOR_ORDER or trial.n_states > max_states:
                 continue
             budget.spend(_peaks_work(curve, trial))
             reached = fit.score(trial)
@@ -144,7 +162,7 @@ def fitted_scalings(
                 best = (gain, reached, trial)
         if best is None or best[0] <= 0:
             trial = fit.all_larger(scalings)
-            if trial.n_states > max_states or max(_orders(trial), default=0) > tuning.max_factor_order:
+            if trial.n_states > max_states or max(_orders(trial), default=0) > MAX_FACTOR_ORDER:
                 break
             reached = fit.score(trial)
             if reached[0] >= score[0]:
@@ -157,10 +175,15 @@ def fitted_scalings(
 class _Fit:
     """Factors of every order fitted to a curve, each of them once."""
 
-    def __init__(self, curve: MuCurve, blocks: Sequence[Block], budget: Budget, tuning: DKTuning) -> None:
-        self.curve, self.blocks, self.budget, self.tuning = curve, blocks, budget, tuning
+    def __init__(
+        self,
+        curve: MuCurve,
+        blocks: Sequence[Block],
+        budget: Budget,
+    ) -> None:
+        self.curve, self.blocks, self.budget = curve, blocks, budget
         # A factor may be off by as much (in logarithms) as mu lies below its peak.
-        room = tuning.room
+        room = ROOM
         self.weights = room / (room + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
         self.targets, self.mixings = _targets(curve, blocks)
         self.known: dict[tuple[int, int, int], Factor] = {}
@@ -171,7 +194,7 @@ class _Fit:
             before = self.factor(i, k, order - 1) if order else None
             self.budget.spend(FIT_WORK * order**2)
             target, omega = self.targets[i][k], self.curve.omega
-            self.known[i, k, order] = _fit_factor(omega, target, self.weights, before, self.tuning)
+            self.known[i, k, order] = _fit_factor(omega, target, self.weights, before)
         return self.known[i, k, order]
 
     def constants(self) -> DynamicScalings:
@@ -189,7 +212,7 @@ class _Fit:
             for i, part in enumerate(scalings.parts)
             for k, factor in enumerate(part.factors)
         ]
-        for _, i, k in sorted(errors, reverse=True)[: self.tuning.tried]:
+        for _, i, k in sorted(errors, reverse=True)[:TRIED]:
             part = scalings.parts[i]
             one = self.factor(i, k, part.factors[k].order + 1)
             yield scalings.with_part(i, part.with_factor(k, one))
@@ -206,7 +229,7 @@ class _Fit:
         left = frequency_response(StateSpaceModel(*scalings.on_outputs()), self.curve.omega)
         right = frequency_response(StateSpaceModel(*scalings.on_inputs()), self.curve.omega)
         peaks = np.linalg.svd(left @ self.curve.response @ right, compute_uv=False)[:, 0]
-        top, power = max(float(peaks.max(initial=0.0)), 1e-300), self.tuning.sharpness
+        top, power = max(float(peaks.max(initial=0.0)), 1e-300), SHARPNESS
         return float(np.log(top) + np.log(max(np.mean((peaks / top) ** power), 1e-300)) / power), top
 
 
@@ -220,7 +243,12 @@ def _orders(scalings: DynamicScalings) -> list[int]:
     return [f.order for part in scalings.parts for f in part.factors]
 
 
-def _fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Factor | None, tuning: DKTuning) -> Factor:
+def _fit_factor(
+    omega: AnyArray,
+    log_d: AnyArray,
+    weights: AnyArray,
+    before: Factor | None,
+) -> Factor:
     r"""Factor with ``log |d(j omega)|`` close to the given values, by weighted least squares.
 
     A constant where ``before`` is None; else of one order more than ``before``, with the better of two starts: the new
@@ -231,8 +259,8 @@ def _fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Fac
     if before is None:
         return Factor(float(np.average(log_d, weights=weights)))
     log_omega = np.log(omega)
-    heard = log_omega[weights > tuning.counted * weights.max()]
-    low, high = heard[0] - tuning.reach, heard[-1] + tuning.reach
+    heard = log_omega[weights > COUNTED * weights.max()]
+    low, high = heard[0] - REACH, heard[-1] + REACH
     error = weights * (log_d - before.log_modulus(omega))
     best: tuple[float, Factor] | None = None
     for at in (float(log_omega[np.argmax(np.abs(error))]), float(log_omega.mean())):
@@ -243,7 +271,7 @@ def _fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Fac
         def residual(x: AnyArray, form: Factor = start) -> AnyArray:
             return weights * (form.with_parameters(iter(x)).log_modulus(omega) - log_d)
 
-        found = least_squares(residual, values, bounds=(bottom, top), max_nfev=tuning.fit_evaluations)
+        found = least_squares(residual, values, bounds=(bottom, top), max_nfev=FIT_EVALUATIONS)
         if best is None or found.cost < best[0]:
             best = (float(found.cost), start.with_parameters(iter(found.x)))
     assert best is not None

@@ -4,5 +4,4 @@ structure_starts  starts from the best static gain and from the full-order desig
 fixed_structure   fixed_structure: search, verification, scenarios of an uncertain set; the result
 design_goals      tracking, sensitivity, gains, variances, margins, overshoot as norms of weighted loops
 goal_tuning       tune: hard goals met, soft ones made small, over several plants; what was reached of each
-tuning            numbers that choose speed and accuracy
 """

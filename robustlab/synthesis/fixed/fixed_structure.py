@@ -19,8 +19,8 @@ from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.synthesis.fixed.constants import VERIFIED, WORK
 from robustlab.synthesis.fixed.structure_starts import informed_starts
-from robustlab.synthesis.fixed.tuning import TUNING, FixedTuning
 from robustlab.synthesis.laws.controller_laws import Law, RelabelledLaw, model_of
 from robustlab.synthesis.laws.controller_structures import as_structure
 from robustlab.synthesis.nonsmooth.design_limits import Limit
@@ -34,6 +34,14 @@ from robustlab.synthesis.problem.scaling import common_scaling
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
+
+# Most scenarios.
+ROUNDS = 12
+# Worst-case gain over the scenarios' gain at which the scenarios count as enough. Smaller: more rounds.
+ENOUGH = 1.01
+# Shares of the work that remains: for one design, and for one search for the worst member with its proof.
+DESIGN_SHARE = 0.5
+SEARCH_SHARE = 0.3
 
 WHERE = "synth fixed"
 # A limit that is met up to this share counts as kept: the search stays strictly inside.
@@ -270,7 +278,7 @@ def fixed_structure(
     (2.4142, -2.414)
     """
     _check(objective, limits, starts)
-    budget = design_budget(WHERE, TUNING.work, effort, time_limit)
+    budget = design_budget(WHERE, WORK, effort, time_limit)
     plants = _plants(P, n_meas, n_con)
     say = progress or (lambda _: None)
     with one_thread():
@@ -392,12 +400,11 @@ class _Search:
     starts: int
     seed: int
     say: Callable[[str], None]
-    tuning: FixedTuning = TUNING
 
     def result(self, problem: DesignProblem, given: Sequence[tuple[str, AnyArray]]) -> FixedSynthesis:
         """The best verified design; ``given`` are pairs of a kind and parameters to start from as well."""
         found = multi_start(problem, given, self.starts, self.seed, self.say)
-        best_first = [start for start in found[: self.tuning.verified] if np.isfinite(start.gamma)]
+        best_first = [start for start in found[:VERIFIED] if np.isfinite(start.gamma)]
         kept = [design for start in best_first if (design := _verified(problem, start)) is not None]
         if not kept:
             raise not_found(problem, found)
@@ -420,11 +427,11 @@ class _Search:
         members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
         best: FixedSynthesis | None = None
         last: list[tuple[str, AnyArray]] = []
-        for number in range(self.tuning.rounds):
+        for number in range(ROUNDS):
             if best is not None and budget.over:
                 break
             try:
-                part = budget.share(self.tuning.design_share)
+                part = budget.share(DESIGN_SHARE)
                 found = self.result(DesignProblem(members, law, "hinf", limits, part), [*last, *given])
             except NoTrustworthyNumber:
                 if best is None:
@@ -432,13 +439,13 @@ class _Search:
                 break
             last = [("given", np.array([p.value for p in found.parameters]))]
             loop = UncertainModel(lower_lft(uncertain.M, found.K), uncertain.blocks)
-            worst = gain_within(loop, budget.share(self.tuning.search_share), tolerance=0.02)
+            worst = gain_within(loop, budget.share(SEARCH_SHARE), tolerance=0.02)
             found = replace(found, worst=worst, scenarios=tuple(deltas), uncertain=uncertain)
             gains = f"gain {found.gamma:.5g}, worst member {worst.lower:.5g}"
             self.say(f"round {number + 1}: {len(members)} scenarios, {gains}")
             if best is None or _order(found) < _order(best):
                 best = found
-            if worst.lower <= self.tuning.enough * found.gamma:
+            if worst.lower <= ENOUGH * found.gamma:
                 break
             member = _member(uncertain, worst)
             if member is None:

@@ -21,6 +21,7 @@ from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, number
 from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.synthesis.fixed.constants import VERIFIED, WORK
 from robustlab.synthesis.fixed.design_goals import Goal, OvershootGoal, StandardLoop
 from robustlab.synthesis.fixed.fixed_structure import (
     KEPT,
@@ -32,9 +33,9 @@ from robustlab.synthesis.fixed.fixed_structure import (
     not_found,
     require_finite_h2,
 )
-from robustlab.synthesis.fixed.tuning import TUNING, FixedTuning
 from robustlab.synthesis.laws.controller_laws import Law, model_of
 from robustlab.synthesis.laws.controller_structures import as_structure
+from robustlab.synthesis.nonsmooth.constants import BARRIER_CLOSER
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import central_path, multi_start, polished
@@ -44,6 +45,15 @@ from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.scaling import common_scaling, equilibrated, paths_first
 from robustlab.tables import Table, Tabular
+
+# Factor of hard goals in the search, so that they hold after it; most rounds, and the gain that is worth another.
+HARDER = 1 + 1e-5
+GOAL_ROUNDS = 12
+# Share of the work for the first search, from many starts.
+GOAL_START = 0.6
+# Weights of the soft goals, in turn, until the hard ones are met.
+GOAL_SHARES = (0.5, 0.2, 0.05, 0.01, 0.0)
+GOAL_PROGRESS = 1e-3
 
 
 @dataclass(frozen=True)
@@ -227,7 +237,7 @@ def tune(
     if not wanted:
         raise InputError(f"{where}: goals", "none", "at least one goal beside the limits")
     check_starts(where, starts)
-    budget = design_budget(where, TUNING.work, effort, time_limit)
+    budget = design_budget(where, WORK, effort, time_limit)
     loops = [StandardLoop.of(g) for g in _plants(G)]
     with one_thread():
         first = loops[0].plant
@@ -269,7 +279,6 @@ class _GoalSearch:
     law: Law
     budget: Budget
     say: Callable[[str], None]
-    tuning: FixedTuning = TUNING
 
     def _problem(self, alpha: float, soft: bool = True, part: float = 1.0) -> DesignProblem:
         """``max(g, alpha f)`` over all plants; without ``soft`` of the hard goals alone. Hard ones a little harder."""
@@ -277,7 +286,7 @@ class _GoalSearch:
         kinds: list[str] = []
         for goal in self.goals:
             if goal.hard or soft:
-                share = self.tuning.harder if goal.hard else alpha
+                share = HARDER if goal.hard else alpha
                 plants += [_times(goal.channel(loop), share) for loop in self.loops]
                 kinds += [goal.norm] * len(self.loops)
         inner = [loop.plant for loop in self.loops] if self.limits else []
@@ -294,24 +303,24 @@ class _GoalSearch:
         self, given: Sequence[tuple[str, AnyArray]], starts: int, seed: int
     ) -> tuple[AnyArray, tuple[float, ...]]:
         """Parameters, and the largest soft goal of every round (none where all goals are hard)."""
-        everything = self._problem(1.0, part=self.tuning.goal_start)
+        everything = self._problem(1.0, part=GOAL_START)
         require_finite_h2(everything)
         ends = multi_start(everything, given, starts, seed, self.say)
-        stable = [end for end in ends if np.isfinite(end.gamma)][: self.tuning.verified]
+        stable = [end for end in ends if np.isfinite(end.gamma)][:VERIFIED]
         if not stable:
             raise not_found(everything, ends)
         p, (hard, soft) = min(
             ((end.p, self._reached(everything, end.p)) for end in stable),
             key=lambda pair: (max(pair[1][0], 1.0), pair[1][1]),
         )
-        for alpha in self.tuning.goal_shares:
+        for alpha in GOAL_SHARES:
             if hard <= 1 or self.budget.over:
                 break
             p = self._improved(self._problem(alpha, soft=alpha > 0), p)
             hard, soft = self._reached(everything, p)
         some_soft = not all(goal.hard for goal in self.goals)
         history = [soft] * some_soft
-        rounds = self.tuning.goal_rounds if some_soft and hard and hard <= 1 else 0
+        rounds = GOAL_ROUNDS if some_soft and hard and hard <= 1 else 0
         for k in range(rounds):
             if self.budget.over or soft <= 0:
                 break
@@ -319,7 +328,7 @@ class _GoalSearch:
             other = self._reached(everything, q)
             if not (other[0] <= 1 and other[1] < soft):
                 break
-            settled = other[1] > soft * (1 - self.tuning.goal_progress)
+            settled = other[1] > soft * (1 - GOAL_PROGRESS)
             p, soft = q, other[1]
             history.append(soft)
             self.say(f"round {k + 1}: hard goals {other[0]:.5g}, soft goals {soft:.5g}")
@@ -328,7 +337,7 @@ class _GoalSearch:
         return p, tuple(history)
 
     def _improved(self, problem: DesignProblem, p: AnyArray) -> AnyArray:
-        v, _ = central_path(problem, problem.variables(p), problem.tuning.barrier_closer)
+        v, _ = central_path(problem, problem.variables(p), BARRIER_CLOSER)
         q, value = polished(problem, problem.parameters(v)[0])
         return q if value < problem.norm(problem.variables(p))[0] else p
 

@@ -11,10 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from robustlab.arrays import AnyArray, Mask
-from robustlab.budget import Budget
+from robustlab.budget import MILLION, Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.fixed.tuning import TUNING, FixedTuning
 from robustlab.synthesis.h2.h2_synthesis import synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.laws.controller_laws import AffineLaw
@@ -24,9 +23,24 @@ from robustlab.synthesis.nonsmooth.parameter_search import law_around, multi_sta
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.reduction.model_reduction import reduce_model
 
+# Random starts of the search for the best static gain.
+STATIC_STARTS = 6
+# Shares of the work left for it and for the full order, and most for that.
+STATIC_SHARE = 0.3
+FULL_SHARE = 0.2
+FULL_WORK = 10 * MILLION
+# The full-order design may be so much worse than the best one: it is calmer then, and easier to reduce.
+FULL_HINF_REL = 1.05
+FULL_H2_REL = 1.0005
+# First and last pole of the states beside a static gain, in units of the plant's rate (discrete: in the z-plane).
+POLES = (0.3, 3.0)
+DISCRETE_POLES = (0.2, 0.8)
+
 
 def informed_starts(
-    problem: DesignProblem, seed: int, progress: Callable[[str], None], tuning: FixedTuning = TUNING
+    problem: DesignProblem,
+    seed: int,
+    progress: Callable[[str], None],
 ) -> list[tuple[str, AnyArray]]:
     """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws.
 
@@ -40,14 +54,14 @@ def informed_starts(
         return []
     found: list[tuple[str, AnyArray]] = []
     if _free(law)[law.sizes[0] :, law.sizes[0] :].any():
-        D = _static_gain(problem, law, seed, progress, tuning)
+        D = _static_gain(problem, law, seed, progress)
         if D is not None:
-            found.append(("static", _held(law, _extended(problem, law, D, 0, seed, tuning))))
-    part = budget.share(min(tuning.full_share, tuning.full_work / max(budget.left, 1.0)))
-    K = _reduced(problem.plants[0], law.sizes[0], problem.objective, part, tuning)
+            found.append(("static", _held(law, _extended(problem, law, D, 0, seed))))
+    part = budget.share(min(FULL_SHARE, FULL_WORK / max(budget.left, 1.0)))
+    K = _reduced(problem.plants[0], law.sizes[0], problem.objective, part)
     if K is not None:
         around, q = law_around(K)
-        found.append(("reduced", _held(law, _extended(problem, law, around.packed(q), K.n_states, seed, tuning))))
+        found.append(("reduced", _held(law, _extended(problem, law, around.packed(q), K.n_states, seed))))
     return found
 
 
@@ -76,33 +90,36 @@ def _held(law: AffineLaw, theta: AnyArray) -> AnyArray:
 
 
 def _static_gain(
-    problem: DesignProblem, law: AffineLaw, seed: int, progress: Callable[[str], None], tuning: FixedTuning
+    problem: DesignProblem,
+    law: AffineLaw,
+    seed: int,
+    progress: Callable[[str], None],
 ) -> AnyArray | None:
     """The best static gain with the law's free entries of D_K; None where none stabilises all plants."""
     k, plants = law.sizes[0], problem.plants
     static = StaticGain(_free(law)[k:, k:]).law(plants[0].measurements, plants[0].controls, problem.dt)
-    part = problem.budget.share(tuning.static_share)
+    part = problem.budget.share(STATIC_SHARE)
     alone = DesignProblem(plants, static, problem.objective, (), part)
 
     def say(line: str) -> None:
         progress(f"static gain: {line}")
 
-    best = multi_start(alone, [], tuning.static_starts, seed, say)[0]
+    best = multi_start(alone, [], STATIC_STARTS, seed, say)[0]
     return static.packed(best.p) if np.isfinite(best.gamma) else None
 
 
 def _extended(
-    problem: DesignProblem, law: AffineLaw, theta: AnyArray, order: int, seed: int, tuning: FixedTuning
+    problem: DesignProblem,
+    law: AffineLaw,
+    theta: AnyArray,
+    order: int,
+    seed: int,
 ) -> AnyArray:
     """Packed matrices of a controller of a lower order with further stable states that act on nothing yet."""
     k, n_u, n_y = law.sizes
     more = k - order
     rng = np.random.default_rng(seed)
-    poles = (
-        np.linspace(*tuning.discrete_poles, more)
-        if problem.dt
-        else -problem.scaling.rate * np.geomspace(*tuning.poles, more)
-    )
+    poles = np.linspace(*DISCRETE_POLES, more) if problem.dt else -problem.scaling.rate * np.geomspace(*POLES, more)
     full = np.zeros((k + n_u, k + n_y))
     full[:order, :order], full[:order, k:] = theta[:order, :order], theta[:order, order:]
     full[k:, :order], full[k:, k:] = theta[order:, :order], theta[order:, order:]
@@ -112,16 +129,19 @@ def _extended(
 
 
 def _reduced(
-    plant: GeneralizedPlant, order: int, objective: str, budget: Budget, tuning: FixedTuning
+    plant: GeneralizedPlant,
+    order: int,
+    objective: str,
+    budget: Budget,
 ) -> StateSpaceModel | None:
     """The full-order controller for the objective reduced to this order; None where either fails."""
     if budget.over:
         return None
     try:
         if objective == "hinf":
-            K = synthesize(plant, objective, tuning.full_hinf_rel, budget).K
+            K = synthesize(plant, objective, FULL_HINF_REL, budget).K
         else:
-            K = synthesize_h2(plant, objective, tuning.full_h2_rel, budget).K
+            K = synthesize_h2(plant, objective, FULL_H2_REL, budget).K
     except (InputError, NoTrustworthyNumber):
         return None
     if K.n_states <= order:

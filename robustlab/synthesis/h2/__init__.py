@@ -2,5 +2,4 @@
 
 h2_synthesis         h2: two Riccati equations on a regularised plant
 
-tuning               numbers that choose speed and accuracy
 """

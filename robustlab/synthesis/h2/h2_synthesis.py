@@ -9,14 +9,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.budget import NOT_REPEATABLE, Budget, dense, one_thread
+from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.matrix_equations import care, dare
 from robustlab.norms import H2Norm, h2_by_channels, h2_by_gramians
 from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.h2.tuning import TUNING, H2Tuning
 from robustlab.synthesis.problem.assumptions import require_stabilisable
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
 from robustlab.synthesis.problem.independent_check import first_confirmed, norm_doubt
@@ -29,6 +28,19 @@ from robustlab.synthesis.problem.partition import (
 )
 from robustlab.synthesis.problem.rebuilt_loop import rebuilt_loop, separated_modes
 from robustlab.synthesis.problem.scaling import Scaling, by_magnitude, equilibrated, paths_first
+
+# Work of a design at effort 1.
+WORK = 60 * MILLION
+# Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum, K faster.
+LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+# Singular values of D12 or D21, scaled, above which that side needs no help. Smaller: digits are lost.
+REGULAR = 1e-6
+# The regularised optimum falls with the regularisation; two steps that gain less than this end the ladder.
+SETTLED = 1e-4
+# Controllers, best first, that the second voice is asked about. More: fewer unconfirmed results, slower.
+HEARD = 6
+# Largest residual of a Riccati solution: those of singular plants lose digits; the rebuilt loop decides.
+RESIDUAL = 1e-3
 
 __all__ = ["H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
 
@@ -154,7 +166,7 @@ def h2(
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth h2")
     require_performance(plant, "synth h2")
-    return synthesize_h2(plant, "h2", gamma_rel, design_budget("synth h2", TUNING.work, effort, time_limit), progress)
+    return synthesize_h2(plant, "h2", gamma_rel, design_budget("synth h2", WORK, effort, time_limit), progress)
 
 
 def synthesize_h2(
@@ -163,13 +175,12 @@ def synthesize_h2(
     gamma_rel: float,
     budget: Budget,
     progress: Callable[[str], None] | None = None,
-    tuning: H2Tuning = TUNING,
 ) -> H2Synthesis:
     """The search behind `h2`; see there."""
     if not 1 <= gamma_rel <= 1e6:
         raise InputError(f"synth {method}", f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
     with one_thread():
-        return _Search(plant, method, budget, progress or (lambda _: None), tuning).result(gamma_rel)
+        return _Search(plant, method, budget, progress or (lambda _: None)).result(gamma_rel)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,9 +201,13 @@ class _Search:
     """One search; every trial is judged by the loop rebuilt on the plant as given."""
 
     def __init__(
-        self, plant: GeneralizedPlant, method: str, budget: Budget, say: Callable[[str], None], tuning: H2Tuning
+        self,
+        plant: GeneralizedPlant,
+        method: str,
+        budget: Budget,
+        say: Callable[[str], None],
     ) -> None:
-        self.plant, self.method, self.budget, self.say, self.tuning = plant, method, budget, say, tuning
+        self.plant, self.method, self.budget, self.say = plant, method, budget, say
         self.where, self.dt, self.matrices = f"synth {method}", plant.model.dt, plant.matrices()
         # What the search is for is the rest of K beside the direct term that cancels D11.
         self.gain = cancelling_gain(self.matrices, self.dt, self.where)
@@ -220,7 +235,7 @@ class _Search:
             )
         allowed = [t for t in self.trials if t.norm.value <= gamma_rel * best.norm.value] if best.eps else [best]
         chosen = max(allowed, key=lambda t: t.eps)
-        others = sorted(self.trials, key=lambda t: t.norm.value)[: self.tuning.heard]
+        others = sorted(self.trials, key=lambda t: t.norm.value)[:HEARD]
         # A trial that is not confirmed is heard once more in coordinates of K's modes.
         candidates = (t for trial in (chosen, *others) for t in self._with_modes(trial))
         chosen, gamma, doubt = first_confirmed(candidates, lambda t: norm_doubt(self.plant, t.K, t.loop, t.norm))
@@ -230,9 +245,9 @@ class _Search:
         """Trials from no regularisation (where the plant allows it) or from a large one downwards; True where it
         settled: the regular problem was solved, or smaller regularisations gained next to nothing.
         """
-        scaled, regular = scaling.apply(self.shifted), self.tuning.regular
+        scaled, regular = scaling.apply(self.shifted), REGULAR
         size_u, size_y = _least_direct(scaled.D12, 1), _least_direct(scaled.D21, 0)
-        ladder = self.tuning.ladder if min(size_u, size_y) <= regular and not self.dt else (0.0, *self.tuning.ladder)
+        ladder = LADDER if min(size_u, size_y) <= regular and not self.dt else (0.0, *LADDER)
         best, idle = np.inf, 0
         for eps in ladder:
             if self.budget.over:
@@ -251,7 +266,7 @@ class _Search:
                 self.trials.append(trial)
                 if not eps:
                     return True
-                idle = idle + 1 if trial.norm.value > best * (1 - self.tuning.settled) else 0
+                idle = idle + 1 if trial.norm.value > best * (1 - SETTLED) else 0
                 best = min(best, trial.norm.value)
             if idle == 2:
                 return best < np.inf
@@ -259,7 +274,7 @@ class _Search:
 
     def _trial(self, scaling: Scaling, regularised: PlantMatrices, eps: float) -> _Trial | None:
         try:
-            bare = _controller(regularised, self.dt, self.tuning.residual)
+            bare = _controller(regularised, self.dt, RESIDUAL)
             K = scaling.controller_to_plant(Realisation.of(bare))
             K = StateSpaceModel(K.A, K.B, K.C, K.D + self.gain, self.dt)
         except (NoTrustworthyNumber, InputError):  # InputError: entries overflow when scaled back

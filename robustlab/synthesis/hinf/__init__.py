@@ -8,5 +8,4 @@ hinf_synthesis     hinf: all of these in order, and nonsmooth search behind them
 mixed_sensitivity  mixsyn: S, K S and T shaped by weights
 loop_shaping       ncf: the most robust controller of a shaped plant
 two_degree         ncf with a reference model: two degrees of freedom
-tuning             numbers that choose speed and accuracy
 """

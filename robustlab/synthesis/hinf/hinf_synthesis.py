@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.budget import NOT_REPEATABLE, Budget, dense, one_thread
+from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.hinf.constants import WORK
 from robustlab.synthesis.hinf.lmi_synthesis import lmi_controllers
 from robustlab.synthesis.hinf.search import Candidate, Portfolio, Search, portfolio, soften
-from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.laws.controller_laws import model_of
 from robustlab.synthesis.laws.controller_structures import FixedOrder
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
@@ -41,6 +41,31 @@ from robustlab.synthesis.problem.partition import (
 from robustlab.synthesis.problem.rebuilt_loop import moderate_states, named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 
+# What a certified norm may cost where the best loop is so stiff that its norm loses digits. Larger: calmer loops.
+CALMER = 1.001
+# Candidates that are verified before the search counts as failed, and where no norm of them is sure.
+TRIES = 8
+MOST_TRIES = 40
+# Verified over searched gamma above which the next candidate is tried, too. Larger: quicker, a little worse.
+LOSS = 1.0005
+# A rebuilt loop whose norm is farther (relative) from that of its plant and controller is built in other states.
+DRIFT = 1e-5
+# Difference (relative) of the two voices up to which an uncertified norm is credible.
+CREDIBLE = 0.05
+# How much more a certified norm may be than a credible one. Larger: worse gammas for the sake of certificates.
+CERTIFICATE_WORTH = 2.0
+# A gamma this far above the estimated optimum (or proved bound) is worth a descent. Smaller: more descents.
+POOR = 1.02
+# Scaled gains below it mean an infimum of zero, where ratios mean nothing.
+NEAR_ZERO = 1e-4
+# Share of the work left for a descent, and most of it: beyond that they creep.
+DESCENT_SHARE = 0.25
+DESCENT_WORK = 15 * MILLION
+# Weights of its barrier: larger ones than for a controller that is known to be good look further around.
+DESCENT_BARRIER = (3.0, 1.0, 0.3, 0.1, 0.03)
+# Random starts for each order where nothing stabilises yet.
+STABILISING_STARTS = 3
+
 
 @dataclass(frozen=True, eq=False)
 class Verified:
@@ -54,7 +79,6 @@ class Verified:
     loop: StateSpaceModel
     norm: HinfNorm
     voice: SecondVoice
-    tuning: HinfTuning = TUNING
 
     @property
     def gamma(self) -> float:
@@ -76,7 +100,7 @@ class Verified:
     @property
     def credible(self) -> bool:
         """Whether both voices give about the same norm: certified or not, it is not far from the truth."""
-        return self.drift <= self.tuning.credible and not self.voice.disagreement(0.0, np.inf)
+        return self.drift <= CREDIBLE and not self.voice.disagreement(0.0, np.inf)
 
     @property
     def drift(self) -> float:
@@ -92,8 +116,13 @@ class Verifier:
     ``budget``: verifications are counted there; once it is over no second candidate is verified.
     """
 
-    def __init__(self, plant: GeneralizedPlant, D22: Array, budget: Budget, tuning: HinfTuning = TUNING) -> None:
-        self.plant, self.D22, self.budget, self.tuning = plant, D22, budget, tuning
+    def __init__(
+        self,
+        plant: GeneralizedPlant,
+        D22: Array,
+        budget: Budget,
+    ) -> None:
+        self.plant, self.D22, self.budget = plant, D22, budget
         self._known: dict[int, Verified | None] = {}
 
     def __call__(self, candidate: Candidate) -> Verified | None:
@@ -106,28 +135,23 @@ class Verifier:
     def smallest(self, candidates: list[Candidate]) -> Verified | None:
         """The candidate of smallest verified norm; one without lost digits goes before others not much better."""
         found: list[Verified] = []
-        tuning = self.tuning
-        for tried, candidate in enumerate(sorted(candidates, key=lambda c: c.gamma)[: tuning.most_tries]):
-            if tried >= tuning.tries and any(verified.credible for verified in found):
+        for tried, candidate in enumerate(sorted(candidates, key=lambda c: c.gamma)[:MOST_TRIES]):
+            if tried >= TRIES and any(verified.credible for verified in found):
                 break
             verified = self(candidate)
             if verified is None:
                 continue
             found.append(verified)
-            if (verified.certified and verified.gamma <= tuning.loss * candidate.gamma) or self.budget.over:
+            if (verified.certified and verified.gamma <= LOSS * candidate.gamma) or self.budget.over:
                 break
         best = min(found, key=lambda v: (not v.certified, not v.credible, v.gamma), default=None)
         # A certificate is worth a larger gamma, but not any.
         near = min((v for v in found if v.credible), key=lambda v: v.gamma, default=best)
-        return (
-            near
-            if best is not None and near is not None and best.gamma > tuning.certificate_worth * near.gamma
-            else best
-        )
+        return near if best is not None and near is not None and best.gamma > CERTIFICATE_WORTH * near.gamma else best
 
     def _first(self, candidates: Iterable[Candidate], limit: float, certified: bool) -> Verified | None:
         """The first of few candidates that verifies with a gamma of at most the limit, and with a certificate."""
-        for candidate in islice(candidates, self.tuning.tries):
+        for candidate in islice(candidates, TRIES):
             verified = self(candidate)
             if verified is not None and verified.gamma <= limit and verified.certified >= certified:
                 return verified
@@ -175,7 +199,7 @@ class Verifier:
         # Large entries hide slow modes: in coordinates of its modes the same controller is the sounder one.
         states, other = moderate_states(model)
         found = self._judged(candidate, states)
-        if (found is not None and found.certified and found.drift <= self.tuning.drift) or other is None:
+        if (found is not None and found.certified and found.drift <= DRIFT) or other is None:
             return found
         again = self._judged(candidate, other)
         both = [verified for verified in (found, again) if verified is not None]
@@ -192,7 +216,7 @@ class Verifier:
             return None
         if not np.isfinite(norm.upper):
             return None
-        return Verified(candidate, named, loop, norm, hinf_voice(plant, named, loop, [norm.frequency]), self.tuning)
+        return Verified(candidate, named, loop, norm, hinf_voice(plant, named, loop, [norm.frequency]))
 
 
 @told_as("synth hinf")
@@ -210,7 +234,7 @@ def hinf(
     """`robustlab.hinf` of a rational plant, which see."""
     plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
     require_performance(plant, "synth hinf")
-    budget = design_budget("synth hinf", TUNING.work, effort, time_limit)
+    budget = design_budget("synth hinf", WORK, effort, time_limit)
     return synthesize(plant, "hinf", gamma_rel, budget, bandwidth=bandwidth, progress=progress)
 
 
@@ -222,7 +246,6 @@ def synthesize(
     weights: Mapping[str, StateSpaceModel] | None = None,
     bandwidth: float | None = None,
     progress: Callable[[str], None] | None = None,
-    tuning: HinfTuning = TUNING,
 ) -> HinfSynthesis:
     """The search behind `hinf` and `mixsyn`; see there."""
     where = f"synth {method}"
@@ -232,7 +255,7 @@ def synthesize(
         raise InputError(where, f"bandwidth is {bandwidth}", "a positive frequency in rad/s")
     with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is found is verified on its own
         say = progress or (lambda _: None)
-        return _Task(plant, method, gamma_rel, bandwidth, weights or {}, budget, say, tuning).result()
+        return _Task(plant, method, gamma_rel, bandwidth, weights or {}, budget, say).result()
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,18 +269,17 @@ class _Task:
     weights: Mapping[str, StateSpaceModel]
     budget: Budget
     say: Callable[[str], None]
-    tuning: HinfTuning
 
     def result(self) -> HinfSynthesis:
-        plant, budget, calmer = self.plant, self.budget, self.tuning.calmer
+        plant, budget, calmer = self.plant, self.budget, CALMER
         continuous = plant.continuous()
         matrices = continuous.matrices()
         scalings = (paths_first(matrices), equilibrated(matrices))
         scaled, rate = scalings[0].apply(matrices), scalings[0].rate
         require_stabilisable(scaled, plant.model.state_names, f"synth {self.method}", rate)
         lower = pointwise_bound(matrices, scalings, plant.model.dt)
-        verifier = Verifier(plant, continuous.D22, budget, self.tuning)
-        found = portfolio(matrices, scalings, budget, lower.value, continuous.D22, self.tuning)
+        verifier = Verifier(plant, continuous.D22, budget)
+        found = portfolio(matrices, scalings, budget, lower.value, continuous.D22)
         best, by = self._best_of_all_methods(matrices, found, verifier, lower.value)
         if best is None:
             raise NoTrustworthyNumber(
@@ -298,7 +320,7 @@ class _Task:
             best, by = verifier.smallest(found.candidates), f"{by}; {note}"
             self._say_of(note, best)
         scale = found.leader.scaling.gain
-        if best is None or not is_poor(best.gamma, optimum, lower, disagree, scale, self.tuning):
+        if best is None or not is_poor(best.gamma, optimum, lower, disagree, scale):
             return best, by
         descended = descend_from(matrices, found.leader, best.candidate, self.budget)
         again = None if descended is None else verifier.smallest(found.candidates)
@@ -312,7 +334,7 @@ class _Task:
 
     def _by_lmi(self, matrices: PlantMatrices, search: Search) -> str:
         """Add the controllers of the projection LMIs to the search, and refine the best of them; how it went."""
-        controllers, note = lmi_controllers(matrices, search.scaling, self.budget, self.tuning)
+        controllers, note = lmi_controllers(matrices, search.scaling, self.budget)
         for K in controllers:
             search.adopt(K)
         search.polish(search.best)
@@ -363,7 +385,11 @@ def _ended(budget: Budget) -> str:
 
 
 def is_poor(
-    gamma: float, optimum: float, lower: float, disagree: float, scale: float = 1.0, tuning: HinfTuning = TUNING
+    gamma: float,
+    optimum: float,
+    lower: float,
+    disagree: float,
+    scale: float = 1.0,
 ) -> bool:
     """Whether a verified gamma is so far above what is possible that a descent is worth its time.
 
@@ -373,9 +399,9 @@ def is_poor(
     ``disagree``: relative difference of what two scalings reached; NaN where one of them gave none.
     ``scale``: factor from gamma to the gain of the plant scaled to order one.
     """
-    if gamma <= tuning.poor * lower or gamma * scale <= tuning.near_zero:
+    if gamma <= POOR * lower or gamma * scale <= NEAR_ZERO:
         return False
-    return gamma > tuning.poor * optimum if np.isfinite(optimum) else not disagree <= tuning.poor - 1
+    return gamma > POOR * optimum if np.isfinite(optimum) else not disagree <= POOR - 1
 
 
 def descend_from(p: PlantMatrices, search: Search, start: Candidate, budget: Budget) -> Candidate | None:
@@ -385,10 +411,10 @@ def descend_from(p: PlantMatrices, search: Search, start: Candidate, budget: Bud
     """
     if budget.over:
         return None
-    part = budget.share(min(search.tuning.descent_share, search.tuning.descent_work / budget.left))
+    part = budget.share(min(DESCENT_SHARE, DESCENT_WORK / budget.left))
     K0 = StateSpaceModel(*start.K)
     try:
-        K = descend(p.plant(), K0, part, search.tuning.descent_barrier)
+        K = descend(p.plant(), K0, part, DESCENT_BARRIER)
     except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow on the way
         return None
     if K is K0:
@@ -403,7 +429,7 @@ def stabilise(p: PlantMatrices, search: Search, budget: Budget, say: Callable[[s
     Static gains first, then 2 states, then as many as the plant has: low orders are quick, and often enough.
     """
     plant = p.plant()
-    n, starts = p.sizes[0], search.tuning.stabilising_starts
+    n, starts = p.sizes[0], STABILISING_STARTS
     for order in sorted({0, min(2, n), n}):
         if budget.over:
             return "no work was left for a nonsmooth search"

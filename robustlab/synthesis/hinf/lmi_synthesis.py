@@ -24,10 +24,19 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import NOT_REPEATABLE, Budget
-from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling
 from robustlab.synthesis.problem.semidefinite import Inequalities, equal_rows, symmetric_basis
+
+# The programs have n (n + 1) unknowns: beyond this many states they outlast any patience.
+LMI_STATES = 30
+# Steps of the solver: three times what it ever needed.
+LMI_STEPS = 200
+# Back-offs from the optimum, and couplings t of [R tI; tI S] >= 0. Larger: better conditioned, worse gamma.
+LMI_BACKOFFS = (0.002, 0.02, 0.1)
+LMI_COUPLINGS = (1.5, 1.05)
+# Largest eigenvalue of R and S in the coordinates of the solver: without it many optima are not attained.
+LMI_BOUND = 1e5
 
 # Singular values below it, relative to the largest, span a null space.
 NULL = 1e-10
@@ -54,7 +63,11 @@ class LmiOutcome:
     text: str
 
 
-def solve_conic(problem: Any, budget: Budget, work: float = 0.0, tuning: HinfTuning = TUNING) -> LmiOutcome:
+def solve_conic(
+    problem: Any,
+    budget: Budget,
+    work: float = 0.0,
+) -> LmiOutcome:
     """Solve a cvxpy problem with Clarabel, counted as ``work``, and map every way in which it can end.
 
     Clarabel is Rust: where it panics, a ``PanicException`` comes up that is no ``Exception``.
@@ -67,7 +80,7 @@ def solve_conic(problem: Any, budget: Budget, work: float = 0.0, tuning: HinfTun
         return LmiOutcome(False, "no work was left for the LMI")
     budget.spend(work)
     # Its iterations end it; the clock is a guard that the user may have set.
-    limits: dict[str, Any] = {"max_iter": tuning.lmi_steps}
+    limits: dict[str, Any] = {"max_iter": LMI_STEPS}
     if np.isfinite(budget.seconds_left):
         limits["time_limit"] = max(budget.seconds_left, 1e-3)
     try:
@@ -83,7 +96,7 @@ def solve_conic(problem: Any, budget: Budget, work: float = 0.0, tuning: HinfTun
             raise
         return LmiOutcome(False, f"the LMI solver panicked ({str(error)[:120]})")
     late = problem.status == cp.USER_LIMIT and budget.over and budget.struck
-    limit = NOT_REPEATABLE if late else f"the LMI solver had no answer in {tuning.lmi_steps} steps"
+    limit = NOT_REPEATABLE if late else f"the LMI solver had no answer in {LMI_STEPS} steps"
     known = {
         cp.OPTIMAL: (True, "solved"),
         cp.OPTIMAL_INACCURATE: (True, "solved, not to full accuracy"),
@@ -97,7 +110,9 @@ def solve_conic(problem: Any, budget: Budget, work: float = 0.0, tuning: HinfTun
 
 
 def lmi_controllers(
-    p: PlantMatrices, scaling: Scaling, budget: Budget, tuning: HinfTuning = TUNING
+    p: PlantMatrices,
+    scaling: Scaling,
+    budget: Budget,
 ) -> tuple[list[Realisation], str]:
     """Controllers from the projection LMIs, unverified, in the units of the plant; and how it went in words.
 
@@ -108,21 +123,21 @@ def lmi_controllers(
     n = p.sizes[0]
     if not n:  # matrices without rows are no variables of an LMI
         return [], "the LMI was not tried: no states"
-    if n > tuning.lmi_states:
-        return [], f"the LMI was not tried: {n} states, at most {tuning.lmi_states}"
+    if n > LMI_STATES:
+        return [], f"the LMI was not tried: {n} states, at most {LMI_STATES}"
     scaled = scaling.apply(p)
-    gamma, _, outcome = projection([scaled], None, 1.0, budget, tuning)
+    gamma, _, outcome = projection([scaled], None, 1.0, budget)
     if gamma is None:
         return [], outcome.text
     found: list[Realisation] = []
-    for backoff in tuning.lmi_backoffs:
-        for coupling in tuning.lmi_couplings:
+    for backoff in LMI_BACKOFFS:
+        for coupling in LMI_COUPLINGS:
             level = gamma * (1 + backoff) + 1e-9
-            _, outer, outcome = projection([scaled], level, coupling, budget, tuning)
+            _, outer, outcome = projection([scaled], level, coupling, budget)
             X = None if outer is None else shared(outer.R[0], outer.S[0])
             if X is None:
                 continue
-            K = reconstructed(scaled, X, level * (1 + 0.5 * backoff), budget, tuning)
+            K = reconstructed(scaled, X, level * (1 + 0.5 * backoff), budget)
             if K is not None:
                 found.append(scaling.controller_to_plant(K))
                 break
@@ -134,7 +149,6 @@ def projection(
     level: float | None,
     coupling: float,
     budget: Budget,
-    tuning: HinfTuning = TUNING,
     varying: Literal["", "R", "S"] = "",
     slopes: Slopes = (),
     widest: bool = False,
@@ -170,7 +184,7 @@ def projection(
             across = np.kron([[0.0, coupling], [coupling, 0.0]], np.eye(n))
             conditions.add({at["R"]: corners[0], at["S"]: corners[1]}, across)
     for first in range(0, last, size):
-        conditions.add({first: -basis}, tuning.lmi_bound * np.eye(n))
+        conditions.add({first: -basis}, LMI_BOUND * np.eye(n))
     cost = np.zeros(last + 1)
     if level is None:
         cost[last] = 1.0
@@ -181,7 +195,7 @@ def projection(
         conditions.add({last: -np.ones((1, 1, 1))}, np.zeros((1, 1)))
     if level is not None:
         conditions.add({last: np.ones((1, 1, 1))}, np.zeros((1, 1)))
-    answer = conditions.least(cost, budget, tuning.lmi_steps)
+    answer = conditions.least(cost, budget, LMI_STEPS)
     if answer.x is None:
         return None, None, LmiOutcome(False, f"the LMI solver says {answer.text}")
     found = np.einsum("kb,bij->kij", answer.x[:last].reshape(-1, size), basis)
@@ -249,7 +263,6 @@ def reconstructed(
     X: AnyArray,
     gamma: float,
     budget: Budget,
-    tuning: HinfTuning = TUNING,
     motions: Sequence[AnyArray] = (),
 ) -> Realisation | None:
     """Controller of full order for a given X: the bounded real LMI, linear in it, at the largest margin.
@@ -291,7 +304,7 @@ def reconstructed(
             -unit[:, None] * (fixed + moving) * unit,
         )
     cost = np.append(np.zeros(len(parts)), -1.0)
-    answer = conditions.least(cost, budget, tuning.lmi_steps)
+    answer = conditions.least(cost, budget, LMI_STEPS)
     if answer.x is None:
         return None
     K = answer.x[:-1].reshape(n + n_u, n + n_y)

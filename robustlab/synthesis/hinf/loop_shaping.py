@@ -24,7 +24,6 @@ from robustlab.shown import Facts
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, series
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
-from robustlab.synthesis.hinf.tuning import TUNING
 from robustlab.synthesis.hinf.two_degree import TwoDegreeSynthesis, two_degree_design
 from robustlab.synthesis.problem.design import Synthesis, limiting_channels
 from robustlab.synthesis.problem.independent_check import hinf_voice
@@ -38,6 +37,9 @@ from robustlab.uncertainty.distances.coprime import (
     coprime_riccati,
     four_block,
 )
+
+# How much the verified gamma may exceed the one asked for before digits count as lost.
+SHAPED_LOSS = 1.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +243,7 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
     status, reason = margin.status, "loops of the shaped plant and of the plant as given were rebuilt and are stable"
     if status is not Status.CERTIFIED:
         reason = margin.reason
-    elif gamma > factor * gamma_min * TUNING.shaped_loss:
+    elif gamma > factor * gamma_min * SHAPED_LOSS:
         status, reason = Status.INACCURATE, f"gamma misses {factor:g} gamma_min = {factor * gamma_min:.6g}: digits lost"
     shaped_plant = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs)
     shaped_loop = shaped_plant.close(inner)

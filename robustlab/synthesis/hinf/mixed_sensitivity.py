@@ -10,8 +10,8 @@ import numpy as np
 from robustlab.errors import InputError, told_as
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
+from robustlab.synthesis.hinf.constants import WORK
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
-from robustlab.synthesis.hinf.tuning import TUNING
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
@@ -75,7 +75,7 @@ def mixsyn(
     ('certified', True)
     """
     plant, weights = mixed_sensitivity_plant(G, W1, W2, W3)
-    budget = design_budget("synth mixsyn", TUNING.work, effort, time_limit)
+    budget = design_budget("synth mixsyn", WORK, effort, time_limit)
     return synthesize(plant, "mixsyn", gamma_rel, budget, weights, progress=progress)
 
 

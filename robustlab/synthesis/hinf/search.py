@@ -16,11 +16,44 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues
-from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
+from robustlab.synthesis.hinf.constants import PROBES
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.rebuilt_loop import well_posed_neighbours
 from robustlab.synthesis.problem.scaling import Scaling, by_magnitude
+
+# Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum.
+LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+# A central controller at gamma itself is ill-conditioned: gamma is backed off until the gain of the loop agrees.
+# Coarse while gamma falls fast, fine where it counts. Smaller: less is lost, more controllers are numerically void.
+COARSE_BACKOFFS = (1e-2, 0.1)
+FINE_BACKOFFS = (1e-4, 1e-3, 1e-2, 3e-2, 0.1)
+# Shares of the loop's gain that the self-scaled regularisation may cost; the optimum rises by their squares.
+SHARES = (0.2, 0.1, 0.05, 0.02, 0.01)
+# Most trials of that kind. More: slower, and a little lower on plants that keep falling.
+SELF_SCALED_STEPS = 14
+# Relative gain of a trial that counts as one. Smaller: more trials for less.
+IMPROVEMENT = 5e-4
+# A gamma this near (relative) to a proved bound ends the search. Larger: sooner.
+PROVED = 3e-4
+# Singular values of D12 or D21, scaled, above which that side needs no help. Smaller: digits are lost.
+REGULAR = 1e-6
+# Scaled gains below it are zero for every purpose.
+NEGLIGIBLE = 1e-7
+# Relative difference of two scalings above which both are searched once more with care. Smaller: more often.
+DISAGREEMENT = 5e-4
+# Relative accuracy, and most steps towards it. Finer: better ranking, slower trials.
+GAIN_ACCURACY = 1e-5
+GAIN_LEVELS = 12
+# Frequencies per decade of the first look, and most of them.
+GRID_PER_DECADE = 4
+LARGEST_GRID = 60
+# Rounds of bisection that follow the loop found last; steps in the first and in the later ones. More: slower poles.
+SOFTEN_ROUNDS = 3
+SOFTEN_STEPS = 5
+SOFTEN_LATER_STEPS = 3
+# Share of the loop's gain from which the second softening starts.
+SOFTEN_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +104,10 @@ class Search:
         budget: Budget,
         floor: float = 0.0,
         D22: AnyArray | None = None,
-        tuning: HinfTuning = TUNING,
     ) -> None:
         self.D22 = None if D22 is None or not D22.any() else scaling.y[:, None] * D22 * scaling.u
-        self.scaling, self.plant, self.tuning = scaling, scaling.apply(plant), tuning
-        self.budget, self.floor, self.careful, self.probes = budget, floor, False, tuning.probes[:1]
+        self.scaling, self.plant = scaling, scaling.apply(plant)
+        self.budget, self.floor, self.careful, self.probes = budget, floor, False, PROBES[:1]
         self.candidates: list[Candidate] = []
         # Set where the plant needs no regularisation: the smallest gamma that passes its own Riccati test.
         self.regular_gamma: float | None = None
@@ -99,30 +131,30 @@ class Search:
 
     def proved(self, candidate: Candidate) -> bool:
         """True where no controller can be better by more than a few parts in ten thousand."""
-        return candidate.gamma <= (1 + self.tuning.proved) * self.floor
+        return candidate.gamma <= (1 + PROVED) * self.floor
 
     def take_care(self) -> None:
         """From now on solve in two ways, and probe far below every gamma found."""
-        self.careful, self.probes = True, self.tuning.probes
+        self.careful, self.probes = True, PROBES
 
     def negligible(self, candidate: Candidate) -> bool:
         """True for a gain that is zero for every purpose, in the plant scaled to order one."""
-        return candidate.gamma * self.scaling.gain <= self.tuning.negligible
+        return candidate.gamma * self.scaling.gain <= NEGLIGIBLE
 
     def ladder(self) -> None:
         """Regularisations of fixed size, from large to small, until gamma falls no more."""
         s_u = np.linalg.svd(self.plant.D12, compute_uv=False)
         s_y = np.linalg.svd(self.plant.D21, compute_uv=False)
         _, n_w, n_u, n_z, n_y = self.plant.sizes
-        regular, coarse = self.tuning.regular, self.tuning.coarse_backoffs
+        regular, coarse = REGULAR, COARSE_BACKOFFS
         size_u = float(s_u.min()) if n_z >= n_u else 0.0
         size_y = float(s_y.min()) if n_w >= n_y else 0.0
         if size_u > regular and size_y > regular:
-            self.regular_gamma, _ = self._trial(Regularisation(), 1.0, 1e-4, self.tuning.fine_backoffs)
+            self.regular_gamma, _ = self._trial(Regularisation(), 1.0, 1e-4, FINE_BACKOFFS)
             if self.settled:
                 return
         worse, best, start = 0, np.inf, 1.0
-        for eps in self.tuning.ladder:
+        for eps in LADDER:
             if self.budget.over:
                 return
             u = 0.0 if size_u > max(regular, eps) else eps
@@ -139,8 +171,8 @@ class Search:
 
     def polish(self, best: Candidate | None, shares: tuple[float, ...] | None = None) -> None:
         """Regularisations scaled by the best loop so far, smaller and smaller, until gamma falls no more."""
-        k, shares = 0, self.tuning.shares if shares is None else shares
-        for _ in range(self.tuning.self_scaled_steps):
+        k, shares = 0, SHARES if shares is None else shares
+        for _ in range(SELF_SCALED_STEPS):
             if best is None or k == len(shares) or self.budget.over:
                 return
             if self.negligible(best) or self.proved(best):
@@ -149,10 +181,10 @@ class Search:
             if regularisation is None:
                 return
             rtol = float(np.clip(0.2 * shares[k] ** 2, 5e-5, 5e-3))
-            gamma, found = self._trial(regularisation, best.gamma * self.scaling.gain, rtol, self.tuning.fine_backoffs)
+            gamma, found = self._trial(regularisation, best.gamma * self.scaling.gain, rtol, FINE_BACKOFFS)
             if gamma is not None:
                 self.optima.append((shares[k], gamma))
-            if found is None or found.gamma >= best.gamma * (1 - max(self.tuning.improvement, rtol)):
+            if found is None or found.gamma >= best.gamma * (1 - max(IMPROVEMENT, rtol)):
                 k += 1
             if found is not None and found.gamma < best.gamma:
                 best = found
@@ -160,7 +192,7 @@ class Search:
     def found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
         """The central controller of this regularisation at gamma, where it exists and its loop stays below gamma."""
         try:
-            problem = TwoRiccatiProblem(weights.apply(self.plant), self.careful, self.budget, self.tuning)
+            problem = TwoRiccatiProblem(weights.apply(self.plant), self.careful, self.budget)
         except NoTrustworthyNumber:
             return None
         return self._central(problem, gamma * self.scaling.gain * (1 - 1e-5), gamma)
@@ -187,7 +219,7 @@ class Search:
         loop = trial_loop(self.plant.with_channels(1.0, 1.0, 1.0, 1.0), self.scaling.controller_from_plant(candidate.K))
         if not all(np.isfinite(part).all() for part in loop):
             return None
-        omega = trial_frequencies(np.linalg.eigvals(loop.A) if loop.A.size else np.zeros(0), self.tuning)
+        omega = trial_frequencies(np.linalg.eigvals(loop.A) if loop.A.size else np.zeros(0))
         response = trial_responses(loop, omega)
         if not np.isfinite(response).all():
             return None
@@ -203,7 +235,7 @@ class Search:
     ) -> tuple[float | None, Candidate | None]:
         """Smallest gamma of the regularised problem in the plant's units, and the best controller found for it."""
         try:
-            problem = TwoRiccatiProblem(regularisation.apply(self.plant), self.careful, self.budget, self.tuning)
+            problem = TwoRiccatiProblem(regularisation.apply(self.plant), self.careful, self.budget)
         except NoTrustworthyNumber:
             return None, None
         gamma = problem.smallest_gamma(start, rtol, self.probes)
@@ -249,7 +281,7 @@ class Search:
         scale = self.scaling
         loop = trial_loop(self.plant, K)
         self.budget.spend(dense(len(loop.A), 3))  # its poles, responses on a grid, a few Hamiltonians of twice its size
-        gain = trial_norm(loop, limit * scale.gain, self.tuning)
+        gain = trial_norm(loop, limit * scale.gain)
         if not np.isfinite(gain):
             return None
         poles, modes = (np.linalg.eigvals(a) if a.size else np.zeros(0) for a in (K.A, loop.A))
@@ -305,14 +337,13 @@ def portfolio(
     budget: Budget,
     floor: float = 0.0,
     D22: Array | None = None,
-    tuning: HinfTuning = TUNING,
 ) -> Portfolio:
     """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma.
 
     ``floor`` is a proved lower bound of gamma: a search that meets it is done. ``D22`` is the direct term that was left
     out of the plant.
     """
-    one, two = (Search(matrices, scaling, budget, floor, D22, tuning) for scaling in scalings)
+    one, two = (Search(matrices, scaling, budget, floor, D22) for scaling in scalings)
     for search in (one, two):
         search.ladder()
         if search.best is not None and search.proved(search.best):
@@ -322,7 +353,7 @@ def portfolio(
             search.take_care()
             search.ladder()
     if one.best is None and two.best is None:  # a control or a measurement of quite another size than its cost
-        one = Search(matrices, by_magnitude(matrices), budget, floor, D22, tuning)
+        one = Search(matrices, by_magnitude(matrices), budget, floor, D22)
         one.ladder()
     leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
     if not leader.settled:
@@ -330,14 +361,14 @@ def portfolio(
     if leader.best is not None and leader.proved(leader.best):
         return Portfolio(leader, other, _difference(leader, _gamma(other.best)))
     # Settled or not (the Riccati test may have failed by rounding alone), one regularisation has to confirm it.
-    reached = min(_gamma(other.best), _confirmed(leader, other, tuning.shares[3:4]))
+    reached = min(_gamma(other.best), _confirmed(leader, other, SHARES[3:4]))
     if leader.best is not None and not _agree(leader.best, leader, reached):
         # One of them is stuck: go over both once more from the better loop, with every solver and all probes.
         for search in (leader, other):
             search.take_care()
         leader.polish(leader.best)
-        reached = min(reached, _confirmed(leader, other, tuning.shares[1:]))
-        if reached < _gamma(leader.best) * (1 - tuning.improvement):
+        reached = min(reached, _confirmed(leader, other, SHARES[1:]))
+        if reached < _gamma(leader.best) * (1 - IMPROVEMENT):
             leader, other = other, leader
             reached = _gamma(other.best)
     return Portfolio(leader, other, _difference(leader, reached))
@@ -356,7 +387,7 @@ def _confirmed(leader: Search, other: Search, shares: tuple[float, ...]) -> floa
 
 
 def _agree(best: Candidate, leader: Search, reached: float) -> bool:
-    return leader.negligible(best) or abs(reached - best.gamma) <= leader.tuning.disagreement * best.gamma
+    return leader.negligible(best) or abs(reached - best.gamma) <= DISAGREEMENT * best.gamma
 
 
 def _gamma(candidate: Candidate | None) -> float:
@@ -376,9 +407,9 @@ def soften(search: Search, start: Candidate, gamma: float) -> None:
     """
     _slowest_poles(search, start, gamma, 0.0)
     half = 0.5 * (start.gamma + gamma)
-    base = search.relative(start, search.tuning.soften_share, 0.0)
+    base = search.relative(start, SOFTEN_SHARE, 0.0)
     low, high, size = 1e-4, 1e2, 0.0
-    for _ in range(search.tuning.soften_steps):
+    for _ in range(SOFTEN_STEPS):
         if base is None or search.budget.over:
             return
         middle = float(np.sqrt(low * high))
@@ -392,8 +423,8 @@ def soften(search: Search, start: Candidate, gamma: float) -> None:
 
 def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> None:
     """Largest relative weights by bisection, repeated because their scale follows the loop found last."""
-    low, high, steps = 1e-2, 10.0, search.tuning.soften_steps
-    for _ in range(search.tuning.soften_rounds):
+    low, high, steps = 1e-2, 10.0, SOFTEN_STEPS
+    for _ in range(SOFTEN_ROUNDS):
         softest: Candidate | None = None
         for _ in range(steps):
             if search.budget.over:
@@ -409,7 +440,7 @@ def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> 
                 high = middle
         if softest is None or softest.pace > 0.7 * start.pace:
             return
-        start, low, high, steps = softest, low / 2, 3 * low, search.tuning.soften_later_steps
+        start, low, high, steps = softest, low / 2, 3 * low, SOFTEN_LATER_STEPS
 
 
 # --- the loop of a trial and its gain ---------------------------------------------------------------------------------
@@ -426,7 +457,10 @@ def trial_loop(p: PlantMatrices, K: Realisation) -> Realisation:
     )
 
 
-def trial_norm(loop: Realisation, limit: float = np.inf, tuning: HinfTuning = TUNING) -> float:
+def trial_norm(
+    loop: Realisation,
+    limit: float = np.inf,
+) -> float:
     """H-infinity norm of a loop to about 1e-5, from below; infinite for an unstable loop and above ``limit``.
 
     Quick, attained at a frequency, not proved: what leaves a search is verified by `robustlab.norms.hinf_norm`.
@@ -441,11 +475,11 @@ def trial_norm(loop: Realisation, limit: float = np.inf, tuning: HinfTuning = TU
     poles = np.linalg.eigvals(loop.A)
     if poles.real.max() >= 0 or gain > limit:
         return np.inf
-    gain = max(gain, _largest(loop, trial_frequencies(poles, tuning)))
-    for _ in range(tuning.gain_levels):
+    gain = max(gain, _largest(loop, trial_frequencies(poles)))
+    for _ in range(GAIN_LEVELS):
         if gain > limit or not np.isfinite(gain):
             return np.inf
-        level = gain * (1 + tuning.gain_accuracy)
+        level = gain * (1 + GAIN_ACCURACY)
         omega = _trial_crossings(loop, level)
         if not len(omega):
             break
@@ -465,14 +499,16 @@ def _largest(loop: Realisation, omega: AnyArray) -> float:
     return float(np.linalg.svd(response, compute_uv=False)[:, 0].max())
 
 
-def trial_frequencies(poles: AnyArray, tuning: HinfTuning) -> AnyArray:
+def trial_frequencies(
+    poles: AnyArray,
+) -> AnyArray:
     """Zero, the poles' frequencies and resonances, and a coarse grid around them."""
     size = np.abs(poles)
     size = size[size > 0]
     if not len(size):
         return np.array([0.0, 1.0])
     low, high = size.min() / 10, size.max() * 10
-    points = int(np.clip(tuning.grid_per_decade * np.log10(high / low), 8, tuning.largest_grid))
+    points = int(np.clip(GRID_PER_DECADE * np.log10(high / low), 8, LARGEST_GRID))
     upper: AnyArray = poles[np.imag(poles) >= 0]
     resonance = np.sqrt(np.maximum(np.imag(upper) ** 2 - np.real(upper) ** 2, 0.0))
     omega = np.sort(np.concatenate([np.abs(upper), np.imag(upper), resonance, np.geomspace(low, high, points)]))

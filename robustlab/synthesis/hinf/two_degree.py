@@ -27,9 +27,9 @@ from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, series
+from robustlab.synthesis.hinf.constants import WORK
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
-from robustlab.synthesis.hinf.tuning import TUNING
 from robustlab.synthesis.problem.design import Synthesis, design_budget
 from robustlab.synthesis.problem.independent_check import hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
@@ -180,7 +180,7 @@ def two_degree_design(
     shaped = series(series(before, bare), behind)
     problem = two_degree_plant(shaped, t, rho, followed)
     equations = coprime_riccati(bilinear_to_continuous(shaped) if g.dt else shaped)
-    solved = synthesize(problem, "hinf", factor, design_budget("synth ncf", TUNING.work, 1.0, None))
+    solved = synthesize(problem, "hinf", factor, design_budget("synth ncf", WORK, 1.0, None))
     plant = _plant_with_references(g, rows)
     K0 = _full(solved.K, np.eye(len(rows)), before, behind, plant)
     T0, wanted = (

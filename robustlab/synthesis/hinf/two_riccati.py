@@ -16,8 +16,16 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import care, hamiltonian_riccati
-from robustlab.synthesis.hinf.tuning import TUNING, HinfTuning
+from robustlab.synthesis.hinf.constants import PROBES
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+
+# An exact X = 0 comes out as noise of this size, scaled; it must not count as indefinite. Larger: false passes.
+SEMIDEFINITE = 1e-6
+# Largest residual of a Riccati solution: the loop is verified afterwards, so a poor one only costs a try.
+RESIDUAL = 1e-3
+# Range of gamma that is searched, scaled.
+SMALLEST_GAMMA = 1e-9
+LARGEST_GAMMA = 1e9
 
 # Smallest singular value of D12 or D21, relative to the largest, that is none.
 RANK = 1e-13
@@ -46,7 +54,10 @@ class TwoRiccatiProblem:
     """
 
     def __init__(
-        self, plant: PlantMatrices, careful: bool = False, budget: Budget | None = None, tuning: HinfTuning = TUNING
+        self,
+        plant: PlantMatrices,
+        careful: bool = False,
+        budget: Budget | None = None,
     ) -> None:
         _, n_w, n_u, n_z, n_y = plant.sizes
         if n_z < n_u or n_w < n_y:
@@ -55,7 +66,7 @@ class TwoRiccatiProblem:
         W, s21, Rt = np.linalg.svd(plant.D21)
         if min(s12.min(), s21.min()) <= RANK * max(1.0, s12.max(), s21.max()):
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 is rank deficient")
-        self.careful, self.budget, self.tuning = careful, Budget() if budget is None else budget, tuning
+        self.careful, self.budget = careful, Budget() if budget is None else budget
         self.u_back = Vt.T / s12  # u = u_back @ u_normalised
         self.y_into = W.T / s21[:, None]  # y_normalised = y_into @ y
         z_turn = np.hstack([U[:, n_u:], U[:, :n_u]])
@@ -72,7 +83,7 @@ class TwoRiccatiProblem:
         parts = (self.D11[: self.a], self.D11[:, : self.b])  # [D1111 D1112] and [D1111; D1121]: no gamma below them
         self.floor = max((float(np.linalg.norm(part, 2)) if part.size else 0.0) for part in parts)
         row, column = np.hstack([self.D11, D12]), np.vstack([self.D11, D21])
-        residual, least = tuning.residual, tuning.semidefinite
+        residual, least = RESIDUAL, SEMIDEFINITE
         self._control = _Equation(self.A, np.hstack([self.B1, self.B2]), self.C1, row, n_w, residual, least)
         self._filter = _Equation(self.A.T, np.vstack([self.C1, self.C2]).T, self.B1.T, column.T, n_z, residual, least)
 
@@ -105,13 +116,13 @@ class TwoRiccatiProblem:
         high, low = max(start, self.floor * 1.01 + 1e-12), self.floor
         while (at_high := self.solve(high)) is None:
             low, high = high, 4 * high
-            if high > self.tuning.largest_gamma or self.budget.over:
+            if high > LARGEST_GAMMA or self.budget.over:
                 return None
         while True:
             high = self._closed(low, at_high, rtol)
-            if high < self.tuning.smallest_gamma:
+            if high < SMALLEST_GAMMA:
                 return high
-            for share in self.tuning.probes if probes is None else probes:
+            for share in PROBES if probes is None else probes:
                 if self.budget.over:
                     return high
                 at_high = self.solve(high * share)
@@ -129,7 +140,7 @@ class TwoRiccatiProblem:
             high = at_high.gamma
             # rho(X Y) falls with gamma: below this one the coupling is 1 or more.
             low = max(low, high * float(np.sqrt(at_high.coupling)) * (1 - 1e-9), 1e-3 * high)
-            if high - low <= rtol * high or high < self.tuning.smallest_gamma:
+            if high - low <= rtol * high or high < SMALLEST_GAMMA:
                 return high
             if at_low is not None and at_high.coupling > 0:
                 slope = float(np.log(at_low.coupling / at_high.coupling))

@@ -6,5 +6,4 @@ design_limits     what a design must keep: poles, roll-off, a stable controller
 design_problem    a law on several plants, as functions of variables without units
 descent_methods   BFGS, and linear programs over all active peaks
 parameter_search  many starts, the central path, descent, polish; descent from one controller
-tuning            numbers that choose speed and accuracy
 """

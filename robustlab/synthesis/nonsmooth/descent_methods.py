@@ -17,7 +17,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
+
+# Weak Wolfe conditions: share of the predicted decrease that is enough, and of the slope that must have risen.
+DECREASE = 1e-4
+CURVATURE = 0.5
+# Most trials of a line search.
+LINE_STEPS = 25
+# Steps of next to no decrease in a row that end a descent. More: slower ends, rarely a little lower.
+STALL_STEPS = 8
+# Trust region at first, where it ends, and at most, relative to the parameters.
+RADIUS = 3e-2
+SMALLEST_RADIUS = 1e-8
+LARGEST_RADIUS = 0.5
+# Predicted decreases below this share of the value end the search. Smaller: more programs for less.
+WORTHWHILE = 1e-8
 
 # ``function(x, give_up_above)``: value and gradient; where the value is above that level neither need be exact.
 Function = Callable[[AnyArray, float], tuple[float, AnyArray | None]]
@@ -44,7 +57,6 @@ def bfgs(
     stop_below: float = -np.inf,
     inverse: AnyArray | None = None,
     late: Callable[[], bool] = lambda: False,
-    tuning: NonsmoothTuning = TUNING,
 ) -> Descent | None:
     """Descent from x; None where the function has no finite value there.
 
@@ -63,10 +75,10 @@ def bfgs(
     values = [value]
     fresh, stalled, steps = inverse is None, 0, 0
     inverse = _steepest(gradient, 1.0) if inverse is None else inverse
-    while steps < max_steps and value >= stop_below and stalled < tuning.stall_steps and not late():
+    while steps < max_steps and value >= stop_below and stalled < STALL_STEPS and not late():
         direction = -inverse @ gradient
         slope = float(gradient @ direction)
-        found = _line_search(function, x, value, direction, slope, stop_below, late, tuning) if slope < 0 else None
+        found = _line_search(function, x, value, direction, slope, stop_below, late) if slope < 0 else None
         if found is None:
             if fresh:
                 break
@@ -106,22 +118,21 @@ def _line_search(
     slope: float,
     stop_below: float,
     late: Callable[[], bool],
-    tuning: NonsmoothTuning,
 ) -> tuple[AnyArray, float, AnyArray] | None:
     """Algorithm 2.6 of Lewis, Overton: a point of sufficient decrease, and, where one is found, of a slope that has
     risen; None without decrease.
     """
     step, low, high = 1.0, 0.0, np.inf
     best: tuple[AnyArray, float, AnyArray] | None = None
-    for _ in range(tuning.line_steps):
+    for _ in range(LINE_STEPS):
         new = x + step * direction
-        level = value + tuning.decrease * step * slope
+        level = value + DECREASE * step * slope
         new_value, gradient = function(new, level)
         if gradient is None or not new_value <= level or not np.isfinite(gradient).all():
             high = step
         else:
             best = new, new_value, gradient
-            if float(gradient @ direction) >= tuning.curvature * slope or new_value < stop_below:
+            if float(gradient @ direction) >= CURVATURE * slope or new_value < stop_below:
                 break
             low = step
         step = 0.5 * (low + high) if np.isfinite(high) else 2 * step
@@ -151,7 +162,6 @@ def sequential_linear(
     *,
     max_steps: int = 60,
     late: Callable[[], bool] = lambda: False,
-    tuning: NonsmoothTuning = TUNING,
 ) -> tuple[AnyArray, float]:
     """The best point found from x within the bounds, and its value, by linear programs over all active pieces.
 
@@ -163,9 +173,9 @@ def sequential_linear(
     ----------
     Apkarian, Noll, "Nonsmooth H-infinity synthesis" (2006): every active frequency in one tangent program.
     """
-    value, radius = value_of(x), tuning.radius
+    value, radius = value_of(x), RADIUS
     for _ in range(max_steps):
-        if late() or radius < tuning.smallest_radius or not np.isfinite(value):
+        if late() or radius < SMALLEST_RADIUS or not np.isfinite(value):
             break
         size = np.maximum(np.abs(x), 1e-2 * max(float(np.median(np.abs(x))), 1e-12))
         pieces = pieces_of(x, value, radius)
@@ -174,12 +184,12 @@ def sequential_linear(
             radius *= 0.5
             continue
         d, predicted = step
-        if value - predicted < tuning.worthwhile * value:
+        if value - predicted < WORTHWHILE * value:
             break
         new_value = value_of(x + d)
         if new_value < value - 0.02 * (value - predicted):
             if value - new_value > 0.5 * (value - predicted):
-                radius = min(2 * radius, tuning.largest_radius)
+                radius = min(2 * radius, LARGEST_RADIUS)
             x, value = x + d, new_value
         else:
             radius *= 0.4

@@ -13,9 +13,11 @@ from robustlab.synthesis.laws.controller_laws import Law, Parameter
 from robustlab.synthesis.nonsmooth.descent_methods import Piece
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.loop_family import LoopFamily
-from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.scaling import common_scaling
+
+# Share of the range between two bounds that a start keeps away from them.
+INSIDE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -76,10 +78,9 @@ class DesignProblem:
         objective: str | Sequence[str],
         limits: Sequence[Limit],
         budget: Budget | None = None,
-        tuning: NonsmoothTuning = TUNING,
         limited: Sequence[GeneralizedPlant] = (),
     ) -> None:
-        self.tuning, self.budget = tuning, Budget() if budget is None else budget
+        self.budget = Budget() if budget is None else budget
         self.kinds = (objective,) * len(plants) if isinstance(objective, str) else tuple(objective)
         self.plants, self.law, self.objective, self.limits = tuple(plants), law, self.kinds[0], tuple(limits)
         self.dt = plants[0].model.dt
@@ -92,7 +93,7 @@ class DesignProblem:
         self._rows = np.concatenate([np.full(k, 1 / rate), 1 / u])[:, None]
         self._columns = np.concatenate([np.ones(k), 1 / y])[None, :]
         families = [
-            LoopFamily(s.apply(plant.matrices()), plant.D22 * y[:, None] * u, k, self.dt > 0, tuning)
+            LoopFamily(s.apply(plant.matrices()), plant.D22 * y[:, None] * u, k, self.dt > 0)
             for s, plant in zip(scalings, [*plants, *limited], strict=True)
         ]
         self.families = families[: len(self.plants)]
@@ -138,7 +139,7 @@ class DesignProblem:
         for j in self.free:
             q = everything[j]
             logarithmic = bool(np.isfinite(q.high) and q.low > 0 and q.high > 10 * q.low)
-            self.coordinates.append(_Coordinate(q, float(q.size or sizes[j]), logarithmic, self.tuning.inside))
+            self.coordinates.append(_Coordinate(q, float(q.size or sizes[j]), logarithmic, INSIDE))
         self.start = np.array([c.variable(float(start[j])) for c, j in zip(self.coordinates, self.free, strict=True)])
         self.centre = self.start + np.array([everything[j].centre for j in self.free])
 

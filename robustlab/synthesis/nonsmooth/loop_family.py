@@ -20,7 +20,6 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.linear_analysis.matrix_equations import lapack
 from robustlab.synthesis.nonsmooth.objectives import PeakFinder, bilinear, bilinear_pullback, entropy, resolvent_point
-from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
 # An I - D22 Theta with a larger condition number is no loop to look at.
@@ -62,7 +61,11 @@ class LoopFamily:
     """
 
     def __init__(
-        self, plant: PlantMatrices, D22: AnyArray, order: int, discrete: bool, tuning: NonsmoothTuning = TUNING
+        self,
+        plant: PlantMatrices,
+        D22: AnyArray,
+        order: int,
+        discrete: bool,
     ) -> None:
         n, n_w, n_u, n_z, n_y = plant.sizes
         k = order
@@ -82,7 +85,7 @@ class LoopFamily:
         if D22.any():
             self.D22 = zeros((k + n_y, k + n_u))
             self.D22[k:, k:] = D22
-        self.tuning, self._finder = tuning, PeakFinder(tuning)
+        self._finder = PeakFinder()
 
     # --- the loop ----------------------------------------------------------------------------------------------------
 
@@ -268,7 +271,7 @@ class LoopFamily:
         if member is None or not all(np.isfinite(part).all() for part in member.loop):
             return None
         continuous = self._continuous(member)
-        found = None if continuous is None else entropy(continuous, gamma, tuning=self.tuning)
+        found = None if continuous is None else entropy(continuous, gamma)
         if found is None:
             return None
         a, b, c, d = bilinear_pullback(member.loop, found.by_loop) if self.discrete else found.by_loop

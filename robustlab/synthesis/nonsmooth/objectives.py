@@ -19,8 +19,19 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.linear_analysis.matrix_equations import lapack
-from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import Realisation
+
+# Relative height above the largest value met at which the Hamiltonian is asked for crossings, and how often.
+PEAK_LEVEL = 1e-8
+PEAK_LEVELS = 12
+# Frequencies of the first look, beside those of the poles.
+PEAK_GRID = 28
+# Steps of the secant method at a peak.
+PEAK_REFINEMENTS = 8
+# Eigenvalues of the Hamiltonian count as crossings up to this ratio of real part to modulus; sigma decides.
+NEAR_AXIS = 1e-3
+# Residual of the entropy's Riccati equation, relative to its terms, above which a solution counts as none.
+ENTROPY_RESIDUAL = 1e-7
 
 # Real parts of poles above this share of the norm of A cannot be told from zero.
 BLUR = 1e-13
@@ -62,8 +73,9 @@ class PeakFinder:
     ``largest`` gives the norm; ``peaks`` all frequencies near the norm, for methods that need every active one.
     """
 
-    def __init__(self, tuning: NonsmoothTuning = TUNING) -> None:
-        self.tuning = tuning
+    def __init__(
+        self,
+    ) -> None:
         self._warm: list[float] = []
 
     def largest(self, loop: Realisation, give_up_above: float = np.inf) -> tuple[float, float]:
@@ -77,10 +89,10 @@ class PeakFinder:
             return direct, 0.0
         if not all(np.isfinite(m).all() for m in loop):
             return np.inf, np.nan
-        modal = _Modal(loop, self.tuning.peak_refinements)
+        modal = _Modal(loop, PEAK_REFINEMENTS)
         if not modal.stable:
             return np.inf, np.nan
-        omega = self._frequencies(modal, self.tuning.peak_grid)
+        omega = self._frequencies(modal, PEAK_GRID)
         sigma = modal.sigma(omega)
         if not np.isfinite(sigma).all():
             return np.inf, np.nan
@@ -100,9 +112,9 @@ class PeakFinder:
 
     def _above(self, loop: Realisation, modal: _Modal, value: float, at: float) -> tuple[float, float]:
         """Raise the value until the Hamiltonian shows no crossing above it."""
-        for _ in range(self.tuning.peak_levels):
-            level = value * (1 + self.tuning.peak_level)
-            crossing = crossings(loop, level, self.tuning.near_axis)
+        for _ in range(PEAK_LEVELS):
+            level = value * (1 + PEAK_LEVEL)
+            crossing = crossings(loop, level, NEAR_AXIS)
             if not len(crossing):
                 break
             points = np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:]), [0.5 * crossing[0]]])
@@ -121,11 +133,11 @@ class PeakFinder:
         """Frequencies of all local maxima above ``(1 - share) * value``, and of grid points above ``(1 - band)``."""
         if not loop.A.shape[0]:
             return [0.0]
-        modal = _Modal(loop, self.tuning.peak_refinements)
+        modal = _Modal(loop, PEAK_REFINEMENTS)
         direct = [np.inf] if loop.D.any() and np.linalg.norm(loop.D, 2) > (1 - share) * value else []
         if not modal.stable:
             return direct
-        omega = np.unique(np.concatenate([self._frequencies(modal, 2 * self.tuning.peak_grid), self._warm]))
+        omega = np.unique(np.concatenate([self._frequencies(modal, 2 * PEAK_GRID), self._warm]))
         sigma = modal.sigma(omega, (1 - share) * value)
         sigma = np.where(sigma > (1 - share) * value, sigma, 0.0)
         left, right = np.append(-1.0, sigma[:-1]), np.append(sigma[1:], -1.0)
@@ -214,7 +226,7 @@ class _Modal:
         return omega
 
 
-def crossings(loop: Realisation, level: float, near_axis: float = TUNING.near_axis) -> AnyArray:
+def crossings(loop: Realisation, level: float, near_axis: float = NEAR_AXIS) -> AnyArray:
     """Frequencies >= 0 at which a singular value of the loop may have this level, in order."""
     a, b, c, d = loop
     root = np.sqrt(level)
@@ -265,7 +277,11 @@ class Entropy:
     by_loop: Realisation
 
 
-def entropy(loop: Realisation, gamma: float, s0: float = 1.0, tuning: NonsmoothTuning = TUNING) -> Entropy | None:
+def entropy(
+    loop: Realisation,
+    gamma: float,
+    s0: float = 1.0,
+) -> Entropy | None:
     r"""The entropy with its derivatives; None where the loop is not stable or its norm not below gamma.
 
     With the stabilising solution of
@@ -300,7 +316,7 @@ def entropy(loop: Realisation, gamma: float, s0: float = 1.0, tuning: NonsmoothT
         by_gamma = -2 * gamma * float(np.trace(r_inv)) + 2 * m / gamma
         by_loop = Realisation(nothing((0, 0)), nothing((0, m)), nothing((len(c), 0)), 2 * d @ r_inv)
         return Entropy(value, by_gamma, by_loop)
-    x = _stabilising(loop, r_inv, tuning.entropy_residual)
+    x = _stabilising(loop, r_inv, ENTROPY_RESIDUAL)
     if x is None:
         return None
     f = r_inv @ (b.T @ x + d.T @ c)

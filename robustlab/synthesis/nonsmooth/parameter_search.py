@@ -21,10 +21,39 @@ from robustlab.budget import Budget
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.laws.controller_laws import AffineBuilder, AffineLaw, Parameter, model_of
+from robustlab.synthesis.nonsmooth.constants import BARRIER_CLOSER, BARRIER_KNOWN
 from robustlab.synthesis.nonsmooth.descent_methods import Descent, Function, bfgs, sequential_linear
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.tuning import TUNING, NonsmoothTuning
 from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+# The abscissa (scaled time) at which a start counts as stable, most steps to it, and those that go further inside.
+STABLE = -1e-6
+STABILISE_STEPS = 300
+DEEPER_STEPS = 15
+DEEP = -0.5
+# Steps down the norm that a round gives every start, and how many starts go on to the next round.
+ROUNDS = ((12, 8), (30, 4), (90, 3))
+ROUND_RTOL = 1e-5
+# Starts that are followed to the end of the path, and those of them that are polished. More: slower, seldom better.
+FOLLOWED = 3
+POLISHED = 2
+POLISH_ROUNDS = 8
+POLISH_STEPS = 40
+# Ends whose norms differ by less than this share count as the same optimum.
+SAME = 1e-4
+# Weights of the barrier: the first finds the middle of the feasible set, the last ends within about a percent.
+BARRIER = (3.0, 1.0, 0.3)
+BARRIER_STEPS = 60
+BARRIER_RTOL = 1e-5
+# Level over the norm at which the path begins.
+HEADROOM = 1.5
+# Steps of a descent on the norm itself.
+DESCENT_STEPS = 40
+DESCENT_RTOL = 1e-6
+# Condition number of the modes of A_K up to which they are taken as coordinates.
+MODES_WELL_APART = 1e6
+# Dense quasi-Newton steps are quick up to this number of parameters; of larger controllers A_K stays as it is.
+MANY = 700
 
 
 @dataclass(frozen=True)
@@ -70,11 +99,11 @@ def multi_start(
         best = min(runner.start.gamma for runner in field)
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
         progress(f"start {i + 1} of {total}: norm {field[-1].start.gamma:.6g}, {text}")
-    for steps, keep in problem.tuning.rounds:
-        field = _distinct_first(field, problem.tuning.same)
+    for steps, keep in ROUNDS:
+        field = _distinct_first(field, SAME)
         field = [_further(problem, r, steps) if i < keep else r for i, r in enumerate(field)]
-    found = [r.start for r in _distinct_first(field, problem.tuning.same)]
-    followed = [_followed(problem, s) if i < problem.tuning.followed else s for i, s in enumerate(found)]
+    found = [r.start for r in _distinct_first(field, SAME)]
+    followed = [_followed(problem, s) if i < FOLLOWED else s for i, s in enumerate(found)]
     return _best_polished(problem, sorted(followed, key=lambda s: s.gamma), progress)
 
 
@@ -102,7 +131,7 @@ def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> A
 def _entered(problem: DesignProblem, kind: str, v: AnyArray) -> _Runner:
     """A start made stable; with limits, or where it is not a random one, taken along the central path."""
     v, instability = stabilised(problem, v)
-    if instability >= problem.tuning.stable:
+    if instability >= STABLE:
         return _Runner(Start(kind, instability, np.inf, problem.parameters(v)[0], ()), v, np.inf, stands=True)
     value = problem.norm(v)[0]
     values = [value]
@@ -111,15 +140,14 @@ def _entered(problem: DesignProblem, kind: str, v: AnyArray) -> _Runner:
         value = min(values)
     gammas = tuple(x / problem.gain for x in values)
     start = Start(kind, instability, value / problem.gain, problem.parameters(v)[0], gammas)
-    return _further(problem, _Runner(start, v, value), problem.tuning.rounds[0][0])
+    return _further(problem, _Runner(start, v, value), ROUNDS[0][0])
 
 
 def _further(problem: DesignProblem, runner: _Runner, steps: int) -> _Runner:
     """A start some steps further down the norm."""
     if runner.stands or not np.isfinite(runner.value) or runner.value == 0 or problem.late():
         return runner
-    tuning = problem.tuning
-    found = _bfgs(problem, problem.norm, runner.v, max_steps=steps, rtol=tuning.round_rtol, inverse=runner.inverse)
+    found = _bfgs(problem, problem.norm, runner.v, max_steps=steps, rtol=ROUND_RTOL, inverse=runner.inverse)
     if found is None or not found.value < runner.value:
         return replace(runner, stands=True)
     p, gamma = problem.parameters(found.x)[0], found.value / problem.gain
@@ -141,7 +169,7 @@ def _followed(problem: DesignProblem, start: Start) -> Start:
     """A start taken along the path from where it is, and down the norm itself."""
     if not np.isfinite(start.gamma) or start.gamma == 0 or problem.late():
         return start
-    v, values = central_path(problem, problem.variables(start.p), problem.tuning.barrier_closer)
+    v, values = central_path(problem, problem.variables(start.p), BARRIER_CLOSER)
     v, value = _descended(problem, v)
     norms = (*start.values, *(x / problem.gain for x in (*values[1:], value)))
     gamma = value / problem.gain
@@ -152,11 +180,11 @@ def _followed(problem: DesignProblem, start: Start) -> Start:
 
 def _best_polished(problem: DesignProblem, found: list[Start], progress: Callable[[str], None]) -> list[Start]:
     done: list[Start] = []
-    same = problem.tuning.same
+    same = SAME
     ends: list[float] = []  # norms of the starts that were polished, before it: one of each optimum is enough
     for start in found:
         new = np.isfinite(start.gamma) and all(abs(end - start.gamma) > same * start.gamma for end in ends)
-        if len(ends) == problem.tuning.polished or not new or start.gamma == 0 or problem.late():
+        if len(ends) == POLISHED or not new or start.gamma == 0 or problem.late():
             done.append(start)
             continue
         ends.append(start.gamma)
@@ -169,7 +197,7 @@ def _best_polished(problem: DesignProblem, found: list[Start], progress: Callabl
 
 
 def _bfgs(problem: DesignProblem, function: Function, v: AnyArray, **steps: Any) -> Descent | None:
-    return bfgs(function, v, late=problem.late, tuning=problem.tuning, **steps)
+    return bfgs(function, v, late=problem.late, **steps)
 
 
 def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
@@ -185,20 +213,20 @@ def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
         return problem.violation(x)
 
     v, value = _below_zero(problem, loops, v)
-    if value >= problem.tuning.stable or not problem.limits:
+    if value >= STABLE or not problem.limits:
         return v, value
     return _below_zero(problem, limits, v)
 
 
 def _below_zero(problem: DesignProblem, function: Function, v: AnyArray) -> tuple[AnyArray, float]:
     """Descent until the function is negative, and a few steps further."""
-    tuning, value = problem.tuning, function(v, np.inf)[0]
-    if value < tuning.stable:
+    value = function(v, np.inf)[0]
+    if value < STABLE:
         return v, value
-    found = _bfgs(problem, function, v, max_steps=tuning.stabilise_steps, stop_below=10 * tuning.stable)
-    if found is None or found.value >= tuning.stable:
+    found = _bfgs(problem, function, v, max_steps=STABILISE_STEPS, stop_below=10 * STABLE)
+    if found is None or found.value >= STABLE:
         return (v, value) if found is None else (found.x, found.value)
-    deeper = _bfgs(problem, function, found.x, max_steps=tuning.deeper_steps, stop_below=tuning.deep)
+    deeper = _bfgs(problem, function, found.x, max_steps=DEEPER_STEPS, stop_below=DEEP)
     return (found.x, found.value) if deeper is None else (deeper.x, deeper.value)
 
 
@@ -206,18 +234,17 @@ def central_path(
     problem: DesignProblem, v: AnyArray, weights: Sequence[float] | None = None
 ) -> tuple[AnyArray, list[float]]:
     """Minimisers of ``ln gamma + mu * barrier`` for falling mu, from feasible variables; norms on the way."""
-    tuning = problem.tuning
     best, at = problem.norm(v)[0], v
     values = [best]
     if not np.isfinite(best) or best <= 0:
         return v, values
-    z = np.append(v, np.log(tuning.headroom * best))
-    for mu in tuning.barrier if weights is None else weights:
+    z = np.append(v, np.log(HEADROOM * best))
+    for mu in BARRIER if weights is None else weights:
 
         def function(x: AnyArray, _: float, mu: float = mu) -> tuple[float, AnyArray | None]:
             return problem.barrier(x, mu)
 
-        found = _bfgs(problem, function, z, max_steps=tuning.barrier_steps, rtol=tuning.barrier_rtol)
+        found = _bfgs(problem, function, z, max_steps=BARRIER_STEPS, rtol=BARRIER_RTOL)
         if found is None or problem.late():
             break
         z = found.x
@@ -229,30 +256,22 @@ def central_path(
 
 
 def _descended(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
-    tuning = problem.tuning
-    found = _bfgs(problem, problem.norm, v, max_steps=tuning.descent_steps, rtol=tuning.descent_rtol)
+    found = _bfgs(problem, problem.norm, v, max_steps=DESCENT_STEPS, rtol=DESCENT_RTOL)
     return (v, problem.norm(v)[0]) if found is None else (found.x, found.value)
 
 
 def polished(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
     """Parameters improved by sequential linear programs and descents in turn."""
-    free, tuning = problem.free, problem.tuning
+    free = problem.free
     low = np.array([c.parameter.low for c in problem.coordinates])
     high = np.array([c.parameter.high for c in problem.coordinates])
     p = p.copy()
     value = problem.value_at(p[free])
-    for _ in range(tuning.polish_rounds):
+    for _ in range(POLISH_ROUNDS):
         if problem.late():
             break
         q, reached = sequential_linear(
-            problem.value_at,
-            problem.pieces,
-            p[free],
-            low,
-            high,
-            max_steps=tuning.polish_steps,
-            late=problem.late,
-            tuning=tuning,
+            problem.value_at, problem.pieces, p[free], low, high, max_steps=POLISH_STEPS, late=problem.late
         )
         full = p.copy()
         full[free] = q
@@ -275,12 +294,11 @@ def descend(
     K0: StateSpaceModel,
     budget: Budget,
     weights: tuple[float, ...] | None = None,
-    tuning: NonsmoothTuning = TUNING,
 ) -> StateSpaceModel:
     """A controller of the order of K0 with a norm that is at most K0's, by descent from K0.
 
     K0 is written in modal coordinates (or keeps its own where the modes almost coincide) and all its entries move. Of
-    very many (`NonsmoothTuning.many`) only its inputs, outputs and direct term do.
+    very many (`MANY`) only its inputs, outputs and direct term do.
 
     ``plant``: the generalised plant.
     ``K0``: a stabilising controller, ``u = K y`` with positive feedback.
@@ -293,22 +311,24 @@ def descend(
     if (K0.n_inputs, K0.n_outputs) != (plant.n_meas, plant.n_con):
         found = f"K0 has {K0.n_inputs} inputs and {K0.n_outputs} outputs"
         raise InputError("descend", found, f"{plant.n_meas} and {plant.n_con}")
-    law, p = law_around(K0, tuning)
-    problem = DesignProblem([plant], law, "hinf", (), budget, tuning)
+    law, p = law_around(K0)
+    problem = DesignProblem([plant], law, "hinf", (), budget)
     v = problem.variables(p)
     before = problem.norm(v)[0]
     if not np.isfinite(before) or budget.over:
         return K0
-    v, _ = central_path(problem, v, tuning.barrier_known if weights is None else weights)
+    v, _ = central_path(problem, v, BARRIER_KNOWN if weights is None else weights)
     q, after = polished(problem, problem.parameters(v)[0])
     if not after < before:
         return K0
     return model_of(law, q, K0.dt, K0.inputs, K0.outputs)
 
 
-def law_around(K: StateSpaceModel, tuning: NonsmoothTuning = TUNING) -> tuple[AffineLaw, AnyArray]:
+def law_around(
+    K: StateSpaceModel,
+) -> tuple[AffineLaw, AnyArray]:
     """A law that contains K, in coordinates with few parameters, and its parameters for K."""
-    A, B, C = _modal(K, tuning.modes_well_apart)
+    A, B, C = _modal(K, MODES_WELL_APART)
     k, n_u, n_y = K.n_states, K.n_outputs, K.n_inputs
     builder = AffineBuilder(k, n_u, n_y)
     values: list[float] = []
@@ -316,7 +336,7 @@ def law_around(K: StateSpaceModel, tuning: NonsmoothTuning = TUNING) -> tuple[Af
     moves = (theta != 0) | (np.arange(k + n_u)[:, None] >= k) | (np.arange(k + n_y)[None, :] >= k)
     near = np.abs(np.subtract.outer(np.arange(k), np.arange(k))) <= 1
     moves[:k, :k] |= near
-    if moves.sum() > tuning.many:
+    if moves.sum() > MANY:
         builder.base[:k, :k], moves[:k, :k] = A, False
     for i, j in np.argwhere(moves):
         builder.parameter(Parameter(f"Theta[{i + 1},{j + 1}]"), (int(i), int(j), 1.0))

@@ -12,5 +12,4 @@ independent_check    the second voice: what that says of a norm
 performance_measure  what a loop is worth: a norm or mu, estimated and proved
 controller           what is kept of a design: K, what it takes, and what was proved of its loop
 design               the result of a design, and how its search ended
-tuning               numbers that choose speed and accuracy
 """

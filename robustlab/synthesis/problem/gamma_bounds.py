@@ -14,6 +14,7 @@ plane it is the price of that zero.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,7 +24,14 @@ from robustlab.arrays import AnyArray
 from robustlab.linear_analysis.magnitude import LARGEST, is_moderate
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
-from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
+
+# Points of the right half plane: radii and angles of a polar grid. More: a little higher bounds.
+RADII = 48
+ANGLES = (0.0, 0.5, 1.0, 1.35, 1.5, math.pi / 2)
+# Refinements around the best points, how many of them, and points that every scaling has to confirm.
+REFINEMENTS = 4
+REFINED = 3
+CONFIRMED = 12
 
 # Taken off every bound for rounding; an error of eps over CONDITION is far below it.
 MARGIN = 1e-7
@@ -47,7 +55,9 @@ class GammaBound:
 
 
 def pointwise_bound(
-    p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0.0, tuning: ProblemTuning = TUNING
+    p: PlantMatrices,
+    scalings: Sequence[Scaling],
+    dt: float = 0.0,
 ) -> GammaBound:
     """The largest of Parrott's bounds over points of the closed right half plane, refined around the best ones.
 
@@ -58,13 +68,13 @@ def pointwise_bound(
     """
     first = scalings[0]
     scaled = first.apply(p)
-    points = _points(scaled, tuning)
+    points = _points(scaled)
     values = _bounds(scaled, points)
-    for _ in range(tuning.refinements):
-        order = np.argsort(-values)[: tuning.refined]
+    for _ in range(REFINEMENTS):
+        order = np.argsort(-values)[:REFINED]
         around = np.concatenate([_around(complex(points[k]), points) for k in order])
         points, values = np.concatenate([points, around]), np.concatenate([values, _bounds(scaled, around)])
-    top = np.argsort(-values)[: tuning.confirmed]
+    top = np.argsort(-values)[:CONFIRMED]
     points, values = points[top], values[top] / first.gain
     for scaling in scalings[1:]:
         values = np.minimum(values, _bounds(scaling.apply(p), points * first.rate / scaling.rate) / scaling.gain)
@@ -95,12 +105,14 @@ def point_in_words(s: complex, dt: float = 0.0) -> str:
     return f"s = {text} rad/s: no stable loop can do better at this point of the right half plane"
 
 
-def _points(p: PlantMatrices, tuning: ProblemTuning) -> AnyArray:
+def _points(
+    p: PlantMatrices,
+) -> AnyArray:
     """Points of the closed right half plane: polar grid, mirror images and neighbours of the poles."""
     poles = np.linalg.eigvals(p.A) if p.A.size else np.zeros(0)
     size = np.abs(poles)[np.abs(poles) > AT_ZERO]
     low, high = (size.min() / 30, size.max() * 30) if len(size) else (1e-2, 1e2)
-    polar = np.geomspace(low, high, tuning.radii)[:, None] * np.exp(1j * np.array(tuning.angles))
+    polar = np.geomspace(low, high, RADII)[:, None] * np.exp(1j * np.array(ANGLES))
     near = np.abs(poles.real) * 1.001 + 1j * np.abs(poles.imag)
     return np.concatenate([polar.ravel(), near, 1j * np.abs(poles), [0.0]])
 

@@ -20,9 +20,20 @@ from robustlab.linear_analysis.magnitude import times_power
 from robustlab.norms import H2Norm, HinfNorm
 from robustlab.norms.axis_integral import AxisTuning, axis_integral
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.problem.constants import MODES, QUICK
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.separate_loop import ROUCHE, SeparateLoop, SeparateValues, frobenius
-from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
+
+# Zooms into the highest local maxima: how often, how many maxima, points in each, least height of one.
+ZOOMS = 2
+ZOOM_PEAKS = 3
+ZOOM_POINTS = 7
+PEAK_SHARE = 0.9
+# From so many states of the loop on the rebuilt loop's response is compared in its place.
+MANY_STATES = 30
+# Difference of the two rules in a panel (share of the whole) that ends it, most points.
+PANEL_CHANGE = 1e-6
+MOST_NODES = 20_000
 
 # Relative disagreement, and relative error bound, from which on a norm counts as not verified.
 AGREEMENT = 1e-3
@@ -126,7 +137,6 @@ def hinf_voice(
     K: StateSpaceModel,
     loop: StateSpaceModel,
     peaks: Iterable[float] = (),
-    tuning: ProblemTuning = TUNING,
 ) -> SecondVoice:
     """The H-infinity norm of the loop of P and K at 0, at infinity, at ``peaks``, at the frequencies of the poles of P,
     K and the rebuilt loop, on a grid between them, and between the highest of these.
@@ -135,12 +145,12 @@ def hinf_voice(
     ``loop``: the realisation that was rebuilt from them, of which the poles and the characteristic polynomial are used.
     ``peaks``: frequencies in rad/s at which the norm is claimed to be attained.
     """
-    separate = SeparateLoop(plant, K, loop, tuning)
+    separate = SeparateLoop(plant, K, loop)
     omega = separate.frequencies(times_power(np.asarray(list(peaks), dtype=float), -separate.rate))
     found = separate.values(omega, polynomial=True)
     rouche, stable = float(np.max(found.rouche, initial=0.0)), separate.proved_stable()
-    for _ in range(tuning.zooms):
-        between = _between(found.omega, found.gain, tuning)
+    for _ in range(ZOOMS):
+        between = _between(found.omega, found.gain)
         if not len(between):
             break
         found = found.joined(separate.values(between, scale=float(found.gain.max())))
@@ -155,17 +165,20 @@ def hinf_voice(
     return SecondVoice(low, high, value, error, frequency, rouche, stable, len(found.omega), floor)
 
 
-def _between(omega: AnyArray, gain: AnyArray, tuning: ProblemTuning) -> AnyArray:
+def _between(
+    omega: AnyArray,
+    gain: AnyArray,
+) -> AnyArray:
     """Frequencies between the highest local maxima and their neighbours."""
     if len(omega) < 3 or not np.isfinite(gain).all():
         return np.zeros(0)
     left, right = np.append(-np.inf, gain[:-1]), np.append(gain[1:], -np.inf)
-    high_enough = gain >= tuning.peak_share * gain.max()
+    high_enough = gain >= PEAK_SHARE * gain.max()
     peaks = np.flatnonzero((gain >= left) & (gain >= right) & high_enough & np.isfinite(omega))
-    peaks = peaks[np.argsort(-gain[peaks], kind="stable")][: tuning.zoom_peaks]
+    peaks = peaks[np.argsort(-gain[peaks], kind="stable")][:ZOOM_PEAKS]
     low, high = omega[np.maximum(peaks - 1, 0)], omega[np.minimum(peaks + 1, len(omega) - 1)]
     high = np.where(np.isfinite(high), high, 10 * omega[peaks] + 1)
-    share = np.arange(1, tuning.zoom_points + 1) / (tuning.zoom_points + 1)
+    share = np.arange(1, ZOOM_POINTS + 1) / (ZOOM_POINTS + 1)
     return np.setdiff1d(low[:, None] + (high - low)[:, None] * share, omega)
 
 
@@ -173,7 +186,10 @@ def _between(omega: AnyArray, gain: AnyArray, tuning: ProblemTuning) -> AnyArray
 
 
 def h2_voice(
-    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, claimed: float, tuning: ProblemTuning = TUNING
+    plant: GeneralizedPlant,
+    K: StateSpaceModel,
+    loop: StateSpaceModel,
+    claimed: float,
 ) -> SecondVoice:
     r"""The H2 norm of the loop of P and K.
 
@@ -186,7 +202,7 @@ def h2_voice(
     no modes. Infinite where a direct term of continuous time is more than rounding. Squares are taken in units of
     ``claimed``.
     """
-    separate = SeparateLoop(plant, K, loop, tuning)
+    separate = SeparateLoop(plant, K, loop)
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows in these units is no confirmation
         norm, blur, rouche, count = _h2_norm(separate, claimed)
     stable = separate.proved_stable()
@@ -195,7 +211,6 @@ def h2_voice(
 
 def _h2_norm(separate: SeparateLoop, claimed: float) -> tuple[float, float, float, int]:
     """The H2 norm, the bound of its error, Rouche's relative difference, and the number of frequencies."""
-    tuning = separate.tuning
     grid = separate.values(separate.frequencies(()), polynomial=True, everywhere=True)
     rouche = float(np.max(grid.rouche, initial=0.0))
     direct = np.zeros(grid.T.shape[1:])
@@ -213,9 +228,9 @@ def _h2_norm(separate: SeparateLoop, claimed: float) -> tuple[float, float, floa
     blur = _in_units_given(blur, unit, separate.gain, power)
     norm, error = _by_residues(separate)
     norm, error = (_in_units_given(x, 0, separate.gain, power) for x in (norm, error))
-    sure = error <= tuning.modes * norm
+    sure = error <= MODES * norm
     norm, blur = (norm, blur + error) if sure else (claimed, blur)
-    if separate.loop.n_states > tuning.many_states or (sure and blur <= tuning.modes * norm):
+    if separate.loop.n_states > MANY_STATES or (sure and blur <= MODES * norm):
         return norm, blur, rouche, len(grid.omega)
 
     def squares(omega: AnyArray) -> AnyArray:
@@ -224,7 +239,7 @@ def _h2_norm(separate: SeparateLoop, claimed: float) -> tuple[float, float, floa
         return times_power(sizes, -unit) ** 2
 
     poles = separate.poles[0] if len(separate.poles[0]) else -np.ones(1)
-    found = axis_integral(squares, poles, separate.dt, AxisTuning(rtol=tuning.panel_change, points=tuning.most_nodes))
+    found = axis_integral(squares, poles, separate.dt, AxisTuning(rtol=PANEL_CHANGE, points=MOST_NODES))
     value, error = (float(x) for x in found.values)
     norm = float(np.sqrt(scale * value))
     blur = float(np.sqrt(scale * error)) + (0.5 * found.open / value * norm if value > 0 else 0.0)
@@ -253,7 +268,7 @@ def _difference(grid: SeparateValues, direct: AnyArray, separate: SeparateLoop, 
     finite = np.isfinite(grid.omega) & (grid.omega > 0)
     omega, loop = grid.omega[finite], separate.loop
     try:
-        rebuilt, error = response_within(loop, separate.modes[0], omega, separate.tuning.quick)
+        rebuilt, error = response_within(loop, separate.modes[0], omega, QUICK)
     except NoTrustworthyNumber:
         return float("inf")
     difference = frobenius(grid.T[finite] - direct - rebuilt + (0.0 if loop.is_discrete else loop.D)) + error

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robustlab.budget import Budget, dense
+from robustlab.budget import MILLION, Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.margin import Margin
@@ -28,9 +28,13 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
 from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
+
+# Points of the grid on which candidates are compared before one of them is proved.
+MEASURE_GRID = 60
+# Most work of the proof of one candidate without scalings.
+MARGIN_WORK = 30 * MILLION
 
 MeasureName = Literal["hinf", "h2", "mu"]
 Evidence = HinfNorm | H2Norm | Margin
@@ -65,7 +69,6 @@ class PerformanceMeasure:
     # The plant with scalings, whose closed-loop norm bounds mu; None without scalings.
     scaled: GeneralizedPlant | None = None
     budget: Budget = field(default_factory=Budget)  # estimates and proofs are counted there
-    tuning: ProblemTuning = TUNING
 
     @property
     def text(self) -> str:
@@ -98,7 +101,7 @@ class PerformanceMeasure:
 
     def _margin(self, loop: StateSpaceModel, K: StateSpaceModel) -> Performance:
         try:
-            part = self.budget.share(min(1.0, self.tuning.margin_work / max(self.budget.left, 1.0)))
+            part = self.budget.share(min(1.0, MARGIN_WORK / max(self.budget.left, 1.0)))
             margin = margin_within(with_performance(UncertainModel(loop, self.blocks)), part, tolerance=1e-3)
         except NoTrustworthyNumber:  # the nominal loop is not stable
             norm = hinf_norm(loop)
@@ -116,7 +119,7 @@ class PerformanceMeasure:
                 return np.inf
             if self.name == "h2":
                 return h2_by_gramians(loop).value
-            omega = default_grid(loop, self.tuning.measure_grid)
+            omega = default_grid(loop, MEASURE_GRID)
             response = frequency_response(loop, omega)
         except (InputError, NoTrustworthyNumber):
             return np.inf

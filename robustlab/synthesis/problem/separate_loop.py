@@ -29,12 +29,24 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.linear_analysis.modal_response import ModalResponse
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.problem.constants import MODES, QUICK
 from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.rebuilt_loop import balanced_states
 from robustlab.synthesis.problem.scaling import in_ordinary_units
 from robustlab.synthesis.problem.stability import proved_stable
-from robustlab.synthesis.problem.tuning import TUNING, ProblemTuning
+
+QUICK_EVERYWHERE = 1e-5
+QUICK_ROUCHE = 2e-2
+# Frequencies per decade between the poles, and most of them.
+PER_DECADE = 5
+MOST_POINTS = 120
+# Frequencies that hit a pole move by this share of the distance to the loop's poles, which T cannot feel.
+ASIDE = 1e-6
+# Work with many digits that one check may do, in points times states cubed.
+CAREFUL_WORK = 2e6
+# Numbers of a stack that is kept in memory.
+CHUNK = 4_000_000
 
 # Share of the modulus of the rebuilt loop's characteristic polynomial by which the true one may differ.
 ROUCHE = 0.1
@@ -78,9 +90,11 @@ class SeparateLoop:
     """
 
     def __init__(
-        self, plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel, tuning: ProblemTuning = TUNING
+        self,
+        plant: GeneralizedPlant,
+        K: StateSpaceModel,
+        loop: StateSpaceModel,
     ) -> None:
-        self.tuning = tuning
         plant, K, loop, self.rate, self.gain = in_ordinary_units(plant, K, loop)
         self.dt = plant.model.dt
         self.P, self.K, self.loop = (balanced_states(m) for m in (plant.model, K, loop))
@@ -114,8 +128,7 @@ class SeparateLoop:
     def frequencies(self, peaks: Iterable[float]) -> AnyArray:
         """Increasing; infinity last where time is continuous, else the Nyquist frequency."""
         own = self.corners()
-        tuning = self.tuning
-        points = int(np.clip(tuning.per_decade * np.log10(own[-1] / own[0] * 1e3), 8, tuning.most_points))
+        points = int(np.clip(PER_DECADE * np.log10(own[-1] / own[0] * 1e3), 8, MOST_POINTS))
         grid = np.geomspace(own[0] / 30, own[-1] * 30, points)
         # Corners that lie closer than eigenvalues are known tell nothing new.
         own = own[np.append(True, np.diff(own) > 1e-9 * own[1:])]
@@ -134,18 +147,18 @@ class SeparateLoop:
 
         ``scale`` is the largest gain known so far: smaller ones need no digits, unless they are asked for everywhere.
         """
-        quick = self.tuning.quick
+        quick = QUICK
 
         def wide(found: SeparateValues) -> AnyArray:
             if everywhere:
-                return np.asarray(~(found.error <= self.tuning.quick_everywhere * found.gain))
+                return np.asarray(~(found.error <= QUICK_EVERYWHERE * found.gain))
             top = max(np.max(found.gain[np.isfinite(found.gain)], initial=0.0), scale)
             return np.asarray(~((found.error <= quick * top) | (found.gain + found.error < (1 - quick) * top)))
 
         with np.errstate(all="ignore"):
             found = self._evaluated(omega, _Modal, polynomial)
             for kind in (_Doubles, DoubleDouble):
-                apart = ~(found.rouche <= self.tuning.quick_rouche)
+                apart = ~(found.rouche <= QUICK_ROUCHE)
                 doubtful = wide(found) | apart
                 if not doubtful.any():
                     return found
@@ -169,7 +182,7 @@ class SeparateLoop:
     def _affordable(self, found: SeparateValues, which: AnyArray, polynomial: bool) -> AnyArray:
         """All of them; of too many those at the ends and those of the largest gains, the others are left out."""
         n = self.loop.n_states if polynomial else max(self.P.n_states, self.K.n_states)
-        most = int(max(self.tuning.careful_work / max(n, 1) ** 3, 12))
+        most = int(max(CAREFUL_WORK / max(n, 1) ** 3, 12))
         if len(which) <= most:
             return which
         omega, gain = found.omega[which], np.nan_to_num(found.gain[which], nan=np.inf)
@@ -179,14 +192,14 @@ class SeparateLoop:
     def _aside(self, omega: AnyArray) -> AnyArray:
         poles = self.poles[0]
         distance = np.abs(1j * omega[:, None] - poles).min(axis=1) if len(poles) else np.ones(len(omega))
-        moved = np.maximum(omega + self.tuning.aside * distance, omega * (1 + 1e-12))
-        return np.where(moved < np.pi / self.dt, moved, omega * (1 - self.tuning.aside)) if self.dt else moved
+        moved = np.maximum(omega + ASIDE * distance, omega * (1 + 1e-12))
+        return np.where(moved < np.pi / self.dt, moved, omega * (1 - ASIDE)) if self.dt else moved
 
     def _evaluated(
         self, omega: AnyArray, kind: type[_Doubles] | type[DoubleDouble], polynomial: bool
     ) -> SeparateValues:
         size = max(self.P.n_states, self.K.n_states, self.loop.n_states * polynomial, 1)
-        step = max(1, int(self.tuning.chunk / size**2))
+        step = max(1, int(CHUNK / size**2))
         parts = [self._chunk(omega[i : i + step], kind, polynomial) for i in range(0, len(omega), step)]
         return parts[0] if len(parts) == 1 else SeparateValues(*(np.concatenate(p) for p in zip(*parts, strict=True)))
 
@@ -222,7 +235,7 @@ class SeparateLoop:
         value, error = np.zeros(len(s), complex), np.full(len(s), np.inf)
         if kind is not DoubleDouble and self.modes[0] is not None:
             value, error = self.modes[0].log_determinant(s)
-        rest = ~(error <= self.tuning.modes)
+        rest = ~(error <= MODES)
         if rest.any():
             shifted = _shifted(self.loop, s[rest], kind)
             value[rest], error[rest] = _solved(shifted, abs(shifted), kind)[2]

@@ -27,7 +27,7 @@ from robustlab.budget import MILLION, Budget, dense, one_thread
 from robustlab.closing import wired
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
-from robustlab.shown import Facts, Tuning
+from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.nonsmooth.parameter_search import descend
@@ -53,25 +53,17 @@ from robustlab.synthesis.reduction.model_reduction import weighted_factors
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
-__all__ = ["OrderTried", "ReducedController", "ReductionTuning", "reduce_controller"]
+WORK = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
+PATIENCE = 3  # the loss is not monotone in the order: orders tried after the first that loses too much
+WORTH_IMPROVING = 10.0  # candidates up to this multiple of the loss allowed are worth an improvement ...
+IMPROVEMENT_SHARE = 0.25  # ... and each gets this share of the work left
+GAIN = 1e-3  # relative gain that makes another candidate of the same order worth a proof
+
+__all__ = ["OrderTried", "ReducedController", "reduce_controller"]
 
 WHERE = "reduce_controller"
 Improvement = Callable[[GeneralizedPlant, StateSpaceModel, Budget], StateSpaceModel]
 Found = tuple[str, StateSpaceModel, Performance]
-
-
-@dataclass(frozen=True)
-class ReductionTuning(Tuning):
-    """Numbers that choose how long the search takes and how low it comes; the measures are proved whatever they are."""
-
-    work: float = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
-    patience: int = 3  # the loss is not monotone in the order: orders tried after the first that loses too much
-    worth_improving: float = 10.0  # candidates up to this multiple of the loss allowed are worth an improvement ...
-    improvement_share: float = 0.25  # ... and each gets this share of the work left
-    gain: float = 1e-3  # relative gain that makes another candidate of the same order worth a proof
-
-
-TUNING = ReductionTuning()
 
 
 @dataclass(frozen=True)
@@ -194,7 +186,6 @@ def reduce_controller(
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
-    tuning: ReductionTuning = TUNING,
 ) -> ReducedController:
     r"""The controller of lowest order whose verified closed loop is at most ``1 + loss`` times as bad as the full one.
 
@@ -242,8 +233,6 @@ def reduce_controller(
         Multiple of the usual work. The search counts what it does, so that it ends the same way everywhere.
     progress
         Called with one line for each order.
-    tuning
-        Numbers that choose speed and accuracy, for those who measure them.
 
     Returns
     -------
@@ -274,7 +263,7 @@ def reduce_controller(
     plant, full = _plant_and_controller(design_or_plant, K, n_meas, n_con)
     if not 0 <= loss < np.inf:
         raise InputError(WHERE, f"loss is {loss}", "a number >= 0 (0.01: one per cent)")
-    budget = design_budget(WHERE, tuning.work, effort, time_limit)
+    budget = design_budget(WHERE, WORK, effort, time_limit)
     if order is not None and (
         isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not 0 <= order <= full.n_states
     ):
@@ -284,7 +273,7 @@ def reduce_controller(
     name = measure or _default_measure(design_or_plant, scalings, blocks)
     judge = make_measure(plant, name, blocks, scalings, WHERE, budget)
     with one_thread():
-        return _Descent(judge, full, loss, order, improve, progress or (lambda _: None), tuning).run()
+        return _Descent(judge, full, loss, order, improve, progress or (lambda _: None)).run()
 
 
 def _plant_and_controller(
@@ -343,9 +332,7 @@ class _Descent:
         order: int | None,
         improve: Improvement | None,
         progress: Callable[[str], None],
-        tuning: ReductionTuning,
     ) -> None:
-        self.tuning = tuning
         self.judge, self.full, self.allowed, self.order, self.budget = judge, full, allowed, order, judge.budget
         self.improve = improve if judge.name == "hinf" or judge.scaled is not None else None
         self.progress = progress
@@ -366,7 +353,7 @@ class _Descent:
         chosen, performance, failed = self.full, self.reference, 0
         stage = self.full  # the best of the order before: what matters in its loop is a second way down
         for n in range(self.full.n_states - 1, (self.order or 0) - 1, -1):
-            if (self.order is None and failed == self.tuning.patience) or self.budget.over:
+            if (self.order is None and failed == PATIENCE) or self.budget.over:
                 break
             again = stage is not self.full and stage.n_states > n
             self.budget.spend(dense(self.judge.gramian_plant.model.n_states + stage.n_states, 5 if again else 1))
@@ -414,7 +401,7 @@ class _Descent:
                 continue
             if best is None or _rank(value) < _rank(best[2]):
                 best = (name, K, value)
-            if best[2].value <= self.limit and best[2].value <= estimate * (1 + self.tuning.gain):
+            if best[2].value <= self.limit and best[2].value <= estimate * (1 + GAIN):
                 break  # what the others can gain is not worth a proof
         return best
 
@@ -429,12 +416,12 @@ class _Descent:
         if found is None or self.improve is None:
             return found
         name, K, value = found
-        most = (1 + self.tuning.worth_improving * self.allowed) * self.reference.value
+        most = (1 + WORTH_IMPROVING * self.allowed) * self.reference.value
         if order != self.order if self.order is not None else not self.limit < value.value <= most:
             return found
         if self.budget.over:
             return found
-        better = self.improve(self.judge.gramian_plant, K, self.budget.share(self.tuning.improvement_share))
+        better = self.improve(self.judge.gramian_plant, K, self.budget.share(IMPROVEMENT_SHARE))
         if better.n_states > K.n_states:
             return found
         named = StateSpaceModel(better.A, better.B, better.C, better.D, K.dt, K.inputs, K.outputs)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.budget import Budget, one_thread
+from robustlab.budget import MILLION, Budget, one_thread
 from robustlab.closing import wired
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.linear_analysis.frequency import frequency_response
@@ -38,7 +38,11 @@ from robustlab.synthesis.sampled.sampled_norm import (
     sampled_loop_norm,
     with_antialiasing,
 )
-from robustlab.synthesis.sampled.tuning import TUNING, SampledTuning
+
+CONTROLLER_WORK = 60 * MILLION  # the usual work at effort 1
+DESIGN_INTERVALS = 4  # of a period, on which the direct design sees disturbance and performance
+DESIGN_GAMMA_REL = 1.02  # allowed ratio of its gamma to the smallest: larger: slower poles
+MOST_DESIGN = 48  # lifted channels of the direct design at most
 
 WHERE = "discretise"
 
@@ -344,14 +348,14 @@ def sampled_controller(
         raise InputError(WHERE, f"method {method!r}", f"one of {', '.join(known)}", did_you_mean(str(method), known))
     if not 0 <= loss < np.inf:
         raise InputError(WHERE, f"loss {loss}", "a loss >= 0")
-    budget = design_budget(WHERE, TUNING.controller_work, effort, time_limit)
+    budget = design_budget(WHERE, CONTROLLER_WORK, effort, time_limit)
     judged = plant if scalings is None else plant_with_scalings(plant, given_scalings(scalings, 0.0, WHERE), WHERE)
     filtered = with_antialiasing(judged, antialiasing, WHERE)
     with one_thread():
         continuous = hinf_norm(judged.close(full))
         if not np.isfinite(continuous.upper):
             raise NoTrustworthyNumber(WHERE, f"the continuous loop is not stable ({continuous.reason})")
-        search = _Trials(filtered, full, float(dt), delay, continuous, budget, progress, TUNING)
+        search = _Trials(filtered, full, float(dt), delay, continuous, budget, progress)
         search.run(method, loss, prewarp)
     return _finished(search, plant, full, loss, antialiasing)
 
@@ -378,9 +382,7 @@ class _Trials:
         continuous: HinfNorm,
         budget: Budget,
         progress: Callable[[str], None] | None,
-        tuning: SampledTuning,
     ) -> None:
-        self.tuning = tuning
         self.plant, self.K, self.dt, self.delay, self.continuous = plant, K, dt, delay, continuous
         self.budget = budget
         self.progress = progress or (lambda _: None)
@@ -419,10 +421,10 @@ class _Trials:
     def _direct(self) -> None:
         """H-infinity synthesis on the lifted plant."""
         channels = max(self.plant.model.n_inputs - self.plant.n_con, self.plant.model.n_outputs - self.plant.n_meas)
-        n_intervals = int(np.clip(self.tuning.most_design // max(channels, 1), 1, self.tuning.design_intervals))
+        n_intervals = int(np.clip(MOST_DESIGN // max(channels, 1), 1, DESIGN_INTERVALS))
         lifted = lift(self.plant, self.dt, n_intervals, self.delay).generalized_plant()
         try:
-            design = synthesize(lifted, "hinf", self.tuning.design_gamma_rel, self.budget)
+            design = synthesize(lifted, "hinf", DESIGN_GAMMA_REL, self.budget)
         except NoTrustworthyNumber as error:
             named = [str(merged) for merged in self.merged if not merged.stable]
             self._none("direct", "; ".join([error.line, *named]))
@@ -440,7 +442,7 @@ class _Trials:
         sure = self.best is not None and self.best[2].status.trustworthy
         enough = self.best[2].upper if self.best is not None and sure else np.inf
         try:
-            norm = sampled_loop_norm(self.plant, K, self.delay, 1e-2, enough, self.tuning)
+            norm = sampled_loop_norm(self.plant, K, self.delay, 1e-2, enough)
         except (InputError, NoTrustworthyNumber) as error:  # the loop is not well posed
             self._none(name, error.line)
             return

@@ -33,7 +33,9 @@ from robustlab.synthesis.problem.independent_check import hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.reduction.balancing import triangular_root
 from robustlab.synthesis.sampled.lifting import LiftedPlant, lift
-from robustlab.synthesis.sampled.tuning import TUNING, SampledTuning
+
+INTERVALS = (2, 4, 8, 16, 32, 64)  # of a period, one after the other until the bracket is closed
+MOST_LIFTED = 256  # lifted disturbance or performance channels at most: norms cost their cube
 
 LONGEST_DELAY = 1000  # samples: each is a state of every control
 
@@ -102,7 +104,6 @@ def sampled_data_norm(
     n_meas: int | None = None,
     n_con: int | None = None,
     rtol: float = 1e-2,
-    tuning: SampledTuning = TUNING,
 ) -> SampledDataNorm:
     r"""H-infinity norm from w to z of a continuous plant with a digital controller, inter-sample behaviour included.
 
@@ -124,8 +125,6 @@ def sampled_data_norm(
         Numbers of measurements and controls, where a plain plant is given.
     rtol
         Relative width of the bracket that ends the refinement.
-    tuning
-        Numbers that choose speed and accuracy, for those who measure them.
 
     Returns
     -------
@@ -153,7 +152,7 @@ def sampled_data_norm(
     if not 0 < rtol < 1:
         raise InputError(where, f"rtol is {rtol}", "between 0 and 1")
     with one_thread():
-        return sampled_loop_norm(with_antialiasing(p, antialiasing, where), k, delay, rtol, tuning=tuning)
+        return sampled_loop_norm(with_antialiasing(p, antialiasing, where), k, delay, rtol)
 
 
 def plant_and_controller(
@@ -214,7 +213,6 @@ def sampled_loop_norm(
     delay: float,
     rtol: float,
     enough: float = np.inf,
-    tuning: SampledTuning = TUNING,
 ) -> SampledDataNorm:
     """`sampled_data_norm` for arguments that were checked; more and more intervals until the bracket is closed.
 
@@ -225,8 +223,8 @@ def sampled_loop_norm(
     history: list[tuple[int, float, float]] = []
     best: SampledDataNorm | None = None
     lifted: LiftedPlant | None = None
-    for n_intervals in tuning.intervals:
-        if best is not None and n_intervals * max(n_w, n_z) > tuning.most_lifted:
+    for n_intervals in INTERVALS:
+        if best is not None and n_intervals * max(n_w, n_z) > MOST_LIFTED:
             break
         lifted = lift(plant, K.dt, n_intervals, delay)
         found = _bracket(lifted, lower_lft(lifted.model, _plain(K)), min(1e-4, 0.1 * rtol))

@@ -7,5 +7,4 @@ lyapunov_inequality  the dissipation inequality over whole cells: its coefficien
 induced_gain         lpv_gain: a proved bound of the induced L2 gain
 scheduled_controller LPVController: K over the grid, and what was proved of its loop
 scheduled_synthesis  hinf of LPV models: a scheduled controller, its loop verified by lpv_gain
-tuning               numbers that choose speed and accuracy
 """

@@ -16,9 +16,21 @@ from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, number
 from robustlab.synthesis.problem.semidefinite import Inequalities, equal_rows, symmetric_basis
+from robustlab.synthesis.scheduling.constants import BALANCINGS, NEAR, WORK
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
-from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
+
+# Back-offs from the optimum of the LMIs at which the largest margin is looked for. Smaller: tighter bounds, more
+# of which rounding leaves unproved.
+GAIN_BACKOFFS = (1e-4, 1e-3, 1e-2, 0.1)
+# Smallest scaled gain that is told from zero.
+SMALLEST = 1e-5
+# Steps of the solver, at most.
+STEPS = 200
+# Bisections for the smallest gamma that a Lyapunov matrix still proves.
+GAIN_BISECTIONS = 12
+# Inequalities of one problem, at most: beyond it they outlast any patience.
+INEQUALITIES = 4000
 
 __all__ = ["LPVGain", "gain_from", "lpv_gain"]
 
@@ -141,7 +153,7 @@ def lpv_gain(
         raise InputError(
             "lpv_gain: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds)
         )
-    budget = search_budget("lpv_gain", TUNING.work, effort, time_limit)
+    budget = search_budget("lpv_gain", WORK, effort, time_limit)
     with one_thread():
         return gain_from(model, lyapunov, budget, progress or (lambda _: None))
 
@@ -152,7 +164,6 @@ def gain_from(
     budget: Budget,
     say: Callable[[str], None],
     guess: Array | None = None,
-    tuning: SchedulingTuning = TUNING,
 ) -> LPVGain:
     """`lpv_gain` on a budget; ``guess`` is a constant P to try first, and in whose states the LMIs are posed."""
     bounded = any(np.isfinite(p.rate) for p in model.parameters)
@@ -167,19 +178,19 @@ def gain_from(
     if doubt:
         return told(np.inf, nothing, Status.INCONCLUSIVE if np.isfinite(lower) else Status.INFEASIBLE, doubt)
     posed = Inequality(model, varying, lower)
-    if posed.count() > tuning.inequalities:
+    if posed.count() > INEQUALITIES:
         found = f"{posed.count()} inequalities"
-        raise InputError("lpv_gain", found, f"at most {tuning.inequalities}", "fewer points, or lyapunov='constant'")
+        raise InputError("lpv_gain", found, f"at most {INEQUALITIES}", "fewer points, or lyapunov='constant'")
     say(f"{len(posed.coefficients)} inequalities of size {sum(model.matrices.shape[-2:]) - posed.n}")
     best, how = None, "by the Lyapunov matrix of the synthesis"
     basis = np.eye(posed.n)
     if guess is not None:
         scaled = posed.scaled(0.5 * (guess + guess.T))
         basis = _basis(scaled, basis)
-        best = _level_of(posed, np.array(np.broadcast_to(scaled, (*posed.shape, *scaled.shape))), lower, tuning)
+        best = _level_of(posed, np.array(np.broadcast_to(scaled, (*posed.shape, *scaled.shape))), lower)
     # Only where that is far from the frozen norms is the solver worth its time.
-    if best is None or best[0] > (1 + tuning.near) * lower * posed.gain:
-        solved, text = _solved(posed, basis, lower, budget, say, tuning)
+    if best is None or best[0] > (1 + NEAR) * lower * posed.gain:
+        solved, text = _solved(posed, basis, lower, budget, say)
         if solved is not None and (best is None or solved[0] < best[0]):
             best, how = solved, text
         elif best is None:
@@ -216,40 +227,52 @@ def _basis(P: Array, before: Array) -> Array:
         return before
 
 
-def _level_of(posed: Inequality, P: Array, lower: float, tuning: SchedulingTuning) -> tuple[float, Array] | None:
+def _level_of(
+    posed: Inequality,
+    P: Array,
+    lower: float,
+) -> tuple[float, Array] | None:
     """The smallest level (scaled) that P proves, with it; None where none is found."""
-    level = _smallest(posed, P, max(lower * posed.gain, tuning.smallest), tuning)
+    level = _smallest(posed, P, max(lower * posed.gain, SMALLEST))
     return None if level is None else (level, P)
 
 
-def _smallest(posed: Inequality, P: Array, low: float, tuning: SchedulingTuning) -> float | None:
+def _smallest(
+    posed: Inequality,
+    P: Array,
+    low: float,
+) -> float | None:
     """The smallest level that P proves, from just above ``low`` on; None where not even a hundred times it is."""
     judged = posed.judged(P)
     high = next((low * f for f in (1.0001, 1.001, 1.01, 1.1, 2.0, 10.0, 100.0) if judged.proves(low * f)), None)
     if high is None:
         return None
-    for _ in range(tuning.gain_bisections):
+    for _ in range(GAIN_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if judged.proves(middle) else (middle, high)
     return high
 
 
 def _solved(
-    posed: Inequality, basis: Array, lower: float, budget: Budget, say: Callable[[str], None], tuning: SchedulingTuning
+    posed: Inequality,
+    basis: Array,
+    lower: float,
+    budget: Budget,
+    say: Callable[[str], None],
 ) -> tuple[tuple[float, Array] | None, str]:
     """Smallest proved level and its P by the LMIs, or None and why.
 
     They are posed again in the states in which the last P is the identity, until the optimum stands.
     """
     best, last, text = None, np.inf, ""
-    for _ in range(tuning.balancings):
+    for _ in range(BALANCINGS):
         turned = posed.turned(basis)
         gamma, _, text = _posed(turned, None, budget)
         if gamma is None:
             break
         say(f"LMIs: optimum {gamma / posed.gain:.6g}")
-        start, found = max(gamma, lower * posed.gain, tuning.smallest), None
-        for backoff in tuning.gain_backoffs:
+        start, found = max(gamma, lower * posed.gain, SMALLEST), None
+        for backoff in GAIN_BACKOFFS:
             level = start * (1 + backoff)
             _, found, text = _posed(turned, level, budget)
             if found is None:
@@ -258,11 +281,11 @@ def _solved(
             P = back.T @ found @ back
             P = 0.5 * (P + np.swapaxes(P, -1, -2))
             if posed.proves(P, level * (1 + 1e-9)):
-                smallest = _smallest(posed, P, start, tuning) or level * (1 + 1e-9)
+                smallest = _smallest(posed, P, start) or level * (1 + 1e-9)
                 if best is None or smallest < best[0]:
                     best = smallest, P
                 break
-        if gamma > last * (1 - 0.5 * tuning.near) or posed.n == 1 or start <= lower * posed.gain * (1 + tuning.near):
+        if gamma > last * (1 - 0.5 * NEAR) or posed.n == 1 or start <= lower * posed.gain * (1 + NEAR):
             break
         if found is None:
             break
@@ -313,7 +336,7 @@ def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[floa
         cost[gamma] = 1.0
     else:
         cost[margin], cost[size] = -1.0, 1e-6
-    answer = conditions.least(cost, budget, TUNING.steps)
+    answer = conditions.least(cost, budget, STEPS)
     if answer.x is None:
         return None, None, f"the LMI solver says {answer.text}"
     P = np.einsum("kb,bij->kij", answer.x[: m * count].reshape(count, m), basis)

@@ -35,7 +35,9 @@ from robustlab.synthesis.problem.double_double import close_sum_of_products, sum
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel
-from robustlab.synthesis.scheduling.tuning import TUNING
+
+# Entries of the deviation in a cell up to which every choice of signs is asked for: exact, but 2^n inequalities.
+SIGNED_ENTRIES = 3
 
 __all__ = ["Coefficient", "Inequality"]
 
@@ -152,7 +154,7 @@ class Inequality:
     def _signed(self, deviation: Array) -> tuple[list[Array], Array]:
         """The deviation with every choice of its signs, and what of it is only bounded: all where entries are many."""
         places = np.argwhere(deviation > 0)
-        if len(places) > TUNING.signed_entries:
+        if len(places) > SIGNED_ENTRIES:
             return [np.zeros_like(deviation)], deviation
         shifts = []
         for signs in product((1.0, -1.0), repeat=len(places)):

@@ -32,11 +32,23 @@ from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.design import Design
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
+from robustlab.synthesis.scheduling.constants import BALANCINGS, NEAR, WORK
 from robustlab.synthesis.scheduling.induced_gain import LPVGain, Lyapunov, gain_from
 from robustlab.synthesis.scheduling.lpv_loop import closed_loop, plant_matrices
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, LPVModel
 from robustlab.synthesis.scheduling.scheduled_controller import LPVController
-from robustlab.synthesis.scheduling.tuning import TUNING, SchedulingTuning
+
+# Back-offs of a synthesis. Larger: better conditioned controllers, worse gamma.
+SYNTHESIS_BACKOFFS = (0.005, 0.02, 0.1, 0.3)
+# Couplings t of [R tI; tI S] >= 0 beside one that follows the back-off. Larger: better conditioned, sooner
+# infeasible.
+COUPLINGS = (1.5, 1.05)
+# Channels added to the frozen plant whose Riccati equations give the first states: sizes in turn, from large to
+# small, and how many times its gamma they may cost at the first start, and at the second.
+ADDED = tuple(10.0 ** (-0.5 * k) for k in range(17))
+COSTS = (30.0, 3.0)
+# Points at which frozen loops are looked at beside the grid, and the seed of their places.
+FROZEN_POINTS = 20
 
 __all__ = ["LPVSynthesis", "scheduled_hinf"]
 
@@ -126,9 +138,9 @@ def scheduled_hinf(
     matrices = plant_matrices(plant, n_meas, n_con, "hinf")
     if not plant.n_states:
         raise InputError("hinf", "a plant without states", "one with states")
-    budget = search_budget("hinf", TUNING.work, effort, time_limit)
+    budget = search_budget("hinf", WORK, effort, time_limit)
     with one_thread():
-        return _Task(plant, matrices, lyapunov, budget, progress or (lambda _: None), TUNING).result()
+        return _Task(plant, matrices, lyapunov, budget, progress or (lambda _: None)).result()
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +174,6 @@ class _Task:
     lyapunov: Lyapunov | None
     budget: Budget
     say: Callable[[str], None]
-    tuning: SchedulingTuning
     known: list[tuple[_Conditioned | None, str]] = field(default_factory=list)
 
     def result(self) -> LPVSynthesis:
@@ -201,11 +212,11 @@ class _Task:
         optimum = gamma / scaling.gain
         self.say(f"{words}: LMIs with optimum {optimum:.6g}")
         best: LPVSynthesis | None = None
-        for backoff in self.tuning.synthesis_backoffs:
+        for backoff in SYNTHESIS_BACKOFFS:
             level = gamma * (1 + backoff) + 1e-9
             # Of the largest margin, or small: neither is always the better one.
             for widest in (True, False):
-                for coupling in (*self.tuning.couplings, 1 + 0.2 * backoff):
+                for coupling in (*COUPLINGS, 1 + 0.2 * backoff):
                     _, outer, _ = projection(
                         problem.plants, level, coupling, self.budget, varying=varying, slopes=slopes, widest=widest
                     )
@@ -223,7 +234,7 @@ class _Task:
                         best = found
                     break
                 # A larger back-off is for those that rounding, or the loop between the points, spoils.
-                if best is not None and best.gamma <= optimum * (1 + backoff + self.tuning.near):
+                if best is not None and best.gamma <= optimum * (1 + backoff + NEAR):
                     return best, f"{words}: optimum {optimum:.6g}"
         return best, f"{words}: optimum {optimum:.6g}" + (", no loop of it could be proved" if best is None else "")
 
@@ -259,7 +270,7 @@ class _Task:
         own: nearer to it the states that w does not move or z does not show are measured too differently.
         """
         found: list[tuple[float, TwoRiccatiProblem]] = []
-        for size in self.tuning.added:
+        for size in ADDED:
             try:
                 problem = TwoRiccatiProblem(p.with_channels(size, size, size, size), True, self.budget)
             except NoTrustworthyNumber:
@@ -271,7 +282,7 @@ class _Task:
             if len(found) > 2 and gamma > 0.9 * found[-3][0]:
                 break
         least, states = min((gamma for gamma, _ in found), default=0.0), []
-        for cost in self.tuning.costs:
+        for cost in COSTS:
             pair = next((q.solve(1.1 * gamma) for gamma, q in found if gamma <= cost * least), None)
             if pair is not None:
                 states.append((_balancing(np.linalg.inv(pair.X), np.linalg.inv(pair.Y)), least))
@@ -280,7 +291,7 @@ class _Task:
     def _balanced(self, scaling: Scaling, turn: Array) -> tuple[_Conditioned | None, bool, str]:
         """The best of the rounds from one start, whether its optimum stands, and what the solver said."""
         found, waited = None, 0
-        for _ in range(self.tuning.balancings):
+        for _ in range(BALANCINGS):
             plants = [_turned(scaling.apply(p), turn) for p in self.matrices]
             gamma, outer, outcome = projection(plants, None, 1.0, self.budget)
             if gamma is None or outer is None:
@@ -290,9 +301,9 @@ class _Task:
             if gamma < best:
                 found = _Conditioned(plants, scaling, turn, gamma)
             # The first rounds may go up: R and S of a bad start say little.
-            waited = 0 if gamma < best * (1 - 0.5 * self.tuning.near) else waited + 1
-            if waited == 2 or abs(gamma / best - 1) < 0.5 * self.tuning.near:
-                return found, abs(gamma / best - 1) < self.tuning.near, outcome.text
+            waited = 0 if gamma < best * (1 - 0.5 * NEAR) else waited + 1
+            if waited == 2 or abs(gamma / best - 1) < 0.5 * NEAR:
+                return found, abs(gamma / best - 1) < NEAR, outcome.text
             # Above the optimum R and S are moderate; where the solver has none there, those at the optimum serve.
             _, softer, _ = projection(plants, 1.05 * gamma + 1e-9, 1.5, self.budget)
             outer = outer if softer is None else softer
@@ -348,7 +359,7 @@ class _Task:
     def _verified(self, K: LPVModel, guess: Array, varying: str, optimum: float, how: str) -> LPVSynthesis | None:
         """The loop rebuilt from plant and controller, with its proved gain; None where there is none."""
         loop = closed_loop(self.plant, K, "hinf")
-        gain = gain_from(loop, "varying" if varying else "constant", self.budget, self.say, guess, self.tuning)
+        gain = gain_from(loop, "varying" if varying else "constant", self.budget, self.say, guess)
         if not np.isfinite(gain.upper):
             self.say(f"{how}: {gain.reason}")
             return None
@@ -364,7 +375,7 @@ class _Task:
         """Largest attained norm of frozen loops at random places, plant and controller evaluated there on their own."""
         rng = np.random.default_rng(0)
         low, high = (np.array([p.points[end] for p in K.parameters]) for end in (0, -1))
-        places = low + (high - low) * rng.uniform(size=(self.tuning.frozen_points, len(low)))
+        places = low + (high - low) * rng.uniform(size=(FROZEN_POINTS, len(low)))
         return max(hinf_norm(lower_lft(self.plant.at(at), K.at(at))).lower for at in places)
 
 

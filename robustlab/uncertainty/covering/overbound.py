@@ -44,7 +44,21 @@ from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, series
-from robustlab.uncertainty.tuning import TUNING
+
+# Bisection on log(gamma) ends here; far below the tolerances that weights are asked for.
+WEIGHT_LEVEL = 1e-3
+# Rounds in which the points where the weight came out below the bound are added to the programme.
+WEIGHT_ROUNDS = 8
+# The grid on which a weight is judged has so many points for one of the fit's: fewer miss peaks between them.
+FINER_GRID = 10
+# Bisections with new bases.
+WEIGHT_RESTARTS = 4
+# The smallest D, relative to its scale: keeps poles off the imaginary axis; larger ones cost sharpness.
+LEAST_DENOMINATOR = 1e-6
+# Ratio of neighbouring q of a basis, at least: closer ones are hardly independent.
+BASIS_RATIO = 2.0
+# Shifts of the ratio among which the one that alternates best is taken, as proof of the least excess.
+ALTERNATION_CENTRES = 101
 
 Bound = Callable[[Array], Array]
 
@@ -197,8 +211,8 @@ def _interpolated(w: Array, b: Array) -> Bound:
 
 
 def _refined(w: Array) -> Array:
-    """`TUNING.finer_grid` points for each step of the grid."""
-    steps = np.arange(TUNING.finer_grid) / TUNING.finer_grid
+    """`FINER_GRID` points for each step of the grid."""
+    steps = np.arange(FINER_GRID) / FINER_GRID
     return np.exp((np.log(w[:-1, None]) + np.diff(np.log(w))[:, None] * steps).ravel())
 
 
@@ -223,7 +237,7 @@ def _least_excess(ratio: Array, n: int) -> float:
     turns = ~((e > padded[:-2]) & (e < padded[2:])) & ~((e < padded[:-2]) & (e > padded[2:]))
     e = e[turns]
     best = 0.0
-    for centre in np.linspace(float(e.min()), float(e.max()), TUNING.alternation_centres + 2)[1:-1].tolist():
+    for centre in np.linspace(float(e.min()), float(e.max()), ALTERNATION_CENTRES + 2)[1:-1].tolist():
         off = e - centre
         low, high = best, min(-float(off.min()), float(off.max()))
         if high <= best or _alternations(off, best) < 2 * n + 2:
@@ -259,7 +273,7 @@ def _of_order(n: int, w: Array, b: Array, fine: Array, target: Array) -> StateSp
         return StateSpaceModel([], [], [], [[float(target.max())]])
     points, values = w, b
     best: tuple[float, StateSpaceModel] | None = None
-    for _ in range(TUNING.weight_rounds):
+    for _ in range(WEIGHT_ROUNDS):
         model = _minimax(n, points, values)
         if model is None:
             break
@@ -270,7 +284,7 @@ def _of_order(n: int, w: Array, b: Array, fine: Array, target: Array) -> StateSp
         new = _extremes(ratio)
         points, index = np.unique(np.concatenate([points, fine[new]]), return_index=True)
         values = np.concatenate([values, target[new]])[index]
-        if ratio.min() > 1.0 - 0.1 * TUNING.weight_level:
+        if ratio.min() > 1.0 - 0.1 * WEIGHT_LEVEL:
             break
     return None if best is None else best[1]
 
@@ -286,12 +300,12 @@ def _minimax(n: int, w: Array, b: Array) -> StateSpaceModel | None:
     """Bisection on gamma, again and again with the programme scaled by the last feasible N and D."""
     unit, mean = float(np.exp(0.5 * (np.log(w[0]) + np.log(w[-1])))), float(np.exp(np.log(b).mean()))
     x, square = (w / unit) ** 2, (b / mean) ** 2
-    near, reached = _corners(n, x, square), float(np.log(b.max() / b.min())) + TUNING.weight_level
+    near, reached = _corners(n, x, square), float(np.log(b.max() / b.min())) + WEIGHT_LEVEL
     best: _Factors | None = None
-    for _ in range(TUNING.weight_restarts):
+    for _ in range(WEIGHT_RESTARTS):
         low, high, before = 0.0, reached, reached
         trial = reached if best is None else 0.5 * reached
-        while high - low > TUNING.weight_level:
+        while high - low > WEIGHT_LEVEL:
             found = _programme(x, square, np.exp(2 * trial), near)
             if found is None:
                 low = trial
@@ -299,7 +313,7 @@ def _minimax(n: int, w: Array, b: Array) -> StateSpaceModel | None:
                 best, near, high = found, found, trial
             trial = 0.5 * (low + high)
         reached = high
-        if reached > 0.98 * before - TUNING.weight_level and best is not None:
+        if reached > 0.98 * before - WEIGHT_LEVEL and best is not None:
             break
     if best is None:
         return None
@@ -376,8 +390,8 @@ class _Basis(NamedTuple):
 def _basis(x: Array, roots: Any) -> _Basis:
     size = np.abs(roots)
     q = np.exp(np.linspace(np.log(size.min()), np.log(size.max()), len(size)))
-    if len(q) > 1 and q[-1] < TUNING.basis_ratio ** (len(q) - 1) * q[0]:
-        q = np.sqrt(q[0] * q[-1]) * TUNING.basis_ratio ** (np.arange(len(q)) - 0.5 * (len(q) - 1))
+    if len(q) > 1 and q[-1] < BASIS_RATIO ** (len(q) - 1) * q[0]:
+        q = np.sqrt(q[0] * q[-1]) * BASIS_RATIO ** (np.arange(len(q)) - 0.5 * (len(q) - 1))
     relative = np.exp(np.log(x[:, None] + q).sum(axis=1) - np.log(np.abs(x[:, None] - roots)).sum(axis=1))
     sums = np.hstack([np.ones((len(x), 1)), q / (x[:, None] + q)]) * relative[:, None]
     orthonormal, upper = np.linalg.qr(sums)
@@ -392,7 +406,7 @@ def _programme(x: Array, square: Array, level: float, near: _Factors) -> _Factor
     Where N or D turns out negative between the points, the place is added.
     """
     extra = np.zeros(0)
-    for _ in range(TUNING.weight_rounds):
+    for _ in range(WEIGHT_ROUNDS):
         points = np.concatenate([x, extra])
         n, d = _basis(points, near.zeros), _basis(points, near.poles)
         coefficients = _solved(n, d, square, level, _quotient(x, near) / square, len(x))
@@ -432,7 +446,7 @@ def _solved(n: _Basis, d: _Basis, square: Array, level: float, shape: Array, m: 
     )
     signs = np.vstack([positive, -ends])
     rows = np.vstack([above, under, np.hstack([signs, np.zeros((len(signs), 1))])])
-    right = np.concatenate([np.zeros(2 * m), np.full(len(signs), -TUNING.least_denominator)])
+    right = np.concatenate([np.zeros(2 * m), np.full(len(signs), -LEAST_DENOMINATOR)])
     norm = np.concatenate([np.zeros(k), d.values.mean(axis=0), [0.0]])[None]
     cost = np.append(np.zeros(2 * k), -1.0)
     limits = [(None, None)] * (2 * k) + [(-1.0, 1.0)]

@@ -32,7 +32,11 @@ from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, system_matrices
 from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.tuning import TUNING
+
+# Relative distance from the optimum at which Khachiyan's algorithm stops, and its steps at most; the box is fitted
+# to the cloud anyway, so that larger ones only turn it a little.
+ELLIPSOID_EXCESS = 1e-2
+ELLIPSOID_STEPS = 2000
 
 ParametricForm = Literal["elements", "pca", "ellipsoid"]
 PARAMETRIC_FORMS: tuple[ParametricForm, ...] = get_args(ParametricForm)
@@ -210,11 +214,11 @@ def least_ellipsoid(points: Array) -> tuple[Array, Array]:
     size = np.abs(points).max(axis=0)
     lifted = np.vstack([(points / size).T, np.ones(n)])
     u = np.full(n, 1.0 / n)
-    for _ in range(TUNING.ellipsoid_steps):
+    for _ in range(ELLIPSOID_STEPS):
         distance = np.einsum("in,in->n", lifted, np.linalg.solve(lifted * u @ lifted.T, lifted))
         j = int(distance.argmax())
         excess = distance[j] / (k + 1) - 1.0
-        if excess <= TUNING.ellipsoid_excess:
+        if excess <= ELLIPSOID_EXCESS:
             break
         step = (distance[j] - k - 1.0) / ((k + 1.0) * (distance[j] - 1.0))
         u *= 1.0 - step

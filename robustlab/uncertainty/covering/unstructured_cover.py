@@ -51,8 +51,14 @@ from robustlab.uncertainty.covering.axis_proof import crossing_points
 from robustlab.uncertainty.covering.overbound import Overbound, anonymous, overbound
 from robustlab.uncertainty.elementwise import check_pair
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.tuning import TUNING
 from robustlab.uncertainty.unstructured import Form, unstructured
+
+# The bound is taken as hypot(bound, this share of its largest value): a weight needs a positive one.
+BOUND_FLOOR = 1e-4
+# Points of a frequency grid between its ends and around resonances.
+GRID_POINTS = 150
+# Points of a circle on which Laurent coefficients around a pole are taken.
+CIRCLE_POINTS = 64
 
 
 def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[StateSpaceModel, ...]:
@@ -138,7 +144,7 @@ def unstructured_cover(
     nominal: StateSpaceModel | None = None,
     order: int = 4,
     tolerance: float = 0.1,
-    points: int = TUNING.grid_points,
+    points: int = GRID_POINTS,
 ) -> UnstructuredCover:
     """The cover of models with the same signals; their states may differ.
 
@@ -204,7 +210,7 @@ def _around(
     if not size.any():
         raise InputError("cover", "models that are all the same", "models that differ")
     _require_bounded(models, centre, form, omega, size)
-    floor = TUNING.bound_floor * float(size.max())
+    floor = BOUND_FLOOR * float(size.max())
 
     def exact(w: Array) -> Array:
         return np.hypot(_bound(models, centre, form, w), floor)
@@ -263,7 +269,7 @@ def _beyond(omega: Array, dt: float) -> Array:
     """Frequencies outside the grid; for a discrete model the last is that of Nyquist itself."""
     low, high = omega[0] / BEYOND, omega[-1] * BEYOND
     rest = np.pi / dt - omega[-1] if dt else 0.0
-    return np.concatenate([low, np.pi / dt - rest * np.linspace(0.9, 0.0, TUNING.grid_points) if dt else high])
+    return np.concatenate([low, np.pi / dt - rest * np.linspace(0.9, 0.0, GRID_POINTS) if dt else high])
 
 
 def _require_bounded(
@@ -451,7 +457,7 @@ def _pole_that_stays(model: StateSpaceModel, centre: StateSpaceModel, form: Form
     for p in singular[outside].tolist():
         far = np.concatenate([np.abs(kept - p), [max(abs(p), 1e-3 * scale)]])
         radius = 0.5 * float(far.min())
-        points = p + radius * np.exp(2j * np.pi * (np.arange(TUNING.circle_points) + 0.5) / TUNING.circle_points)
+        points = p + radius * np.exp(2j * np.pi * (np.arange(CIRCLE_POINTS) + 0.5) / CIRCLE_POINTS)
         turns = (points - p) / radius
         with np.errstate(all="ignore"):
             error = _error(model, centre, form, points)

@@ -37,7 +37,9 @@ from robustlab.uncertainty.distances.coprime import (
     coprime_factors,
     inverse_root,
 )
-from robustlab.uncertainty.tuning import TUNING
+
+# Relative width of the bracket of the gap.
+GAP_RTOL = 1e-8
 
 # A step of the bisection, and a distance, that cannot be told from zero.
 ROUNDING = 1e-13
@@ -321,7 +323,7 @@ def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
     from scipy.optimize import brentq
 
     distance = _distance(one, two)
-    norm: HinfNorm = hinf_norm(distance, rtol=TUNING.gap_rtol)
+    norm: HinfNorm = hinf_norm(distance, rtol=GAP_RTOL)
     low = min(norm.lower, 1.0)
     if low <= NOTHING:
         low = 0.0
@@ -329,7 +331,7 @@ def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
         difference = hinf_norm(parallel(one.right, two.right, -1))
         if difference.upper <= CLOSE:
             return low, difference.upper
-    first = min(norm.upper * (1 + TUNING.gap_rtol) + ROUNDING, 1.0)
+    first = min(norm.upper * (1 + GAP_RTOL) + ROUNDING, 1.0)
     if first == 1.0 or _hankel(one, two, distance, first) <= 1:
         return low, first
 
@@ -337,9 +339,9 @@ def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
         # Q = 0 reaches 1, where the spectral factor may not exist.
         return float(np.clip(np.log(_hankel(one, two, distance, gamma)), -1.0, 1.0)) if gamma < 1.0 else -1.0
 
-    root = float(brentq(excess, first, 1.0, xtol=ROUNDING, rtol=TUNING.gap_rtol))  # pyright: ignore[reportArgumentType]
+    root = float(brentq(excess, first, 1.0, xtol=ROUNDING, rtol=GAP_RTOL))  # pyright: ignore[reportArgumentType]
     # Each side of the root is asked by itself; rounding blurs it where the distance itself is next to nothing.
-    steps = (2 * TUNING.gap_rtol, 1e-6, 1e-4, 1e-2, 1.0, 10.0, 100.0)
+    steps = (2 * GAP_RTOL, 1e-6, 1e-4, 1e-2, 1.0, 10.0, 100.0)
     over = next((root * (1 + step) for step in steps if root * (1 + step) < 1 and excess(root * (1 + step)) <= 0), 1.0)
     under = next((root * (1 - step) for step in steps[:4] if excess(max(root * (1 - step), first)) > 0), low)
     return max(low, under), over

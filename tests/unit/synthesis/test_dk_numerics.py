@@ -17,8 +17,7 @@ from robustlab.synthesis.dk.dk_iteration import _Search, structure_with_performa
 from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, Factor, plant_at_level, unit_scalings
 from robustlab.synthesis.dk.riccati_level import LevelSearch
 from robustlab.synthesis.dk.robust_problem import RobustProblem, nominal_start
-from robustlab.synthesis.dk.scalings_fit import as_complex, mu_curve
-from robustlab.synthesis.dk.tuning import TUNING
+from robustlab.synthesis.dk.scalings_fit import CHUNK, as_complex, mu_curve
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 from robustlab.synthesis.specifications.tracking_problem import tracking_problem
@@ -150,9 +149,9 @@ def test_the_curve_of_mu_asks_the_budget_between_chunks() -> None:
     model = StateSpaceModel([[-0.01, 1.0], [-1.0, -0.01]], np.eye(2), np.eye(2), np.zeros((2, 2)))
     blocks = [ComplexScalar("a"), ComplexScalar("b")]
     whole = mu_curve(model, blocks, Budget())
-    chunk = points_work(blocks, TUNING.chunk) + dense(2)
+    chunk = points_work(blocks, CHUNK) + dense(2)
     for looks in (0, 1, 3, 6, 7):
         part = mu_curve(model, blocks, Budget((looks + 0.5) * chunk))
-        assert len(part.omega) <= min(TUNING.chunk * (looks + 1), len(whole.omega))
+        assert len(part.omega) <= min(CHUNK * (looks + 1), len(whole.omega))
         assert (np.diff(part.omega) > 0).all()
         assert len(part.bounds) == len(part.response) == len(part.omega)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,6 @@ from robustlab.synthesis.hinf import hinf_synthesis
 from robustlab.synthesis.hinf.hinf_synthesis import descend_from, hinf, is_poor, stabilise
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.hinf.search import Portfolio, Search
-from robustlab.synthesis.hinf.tuning import TUNING
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 from robustlab.synthesis.problem.scaling import paths_first
 
@@ -25,9 +22,10 @@ UNSTABLE = StateSpaceModel([[1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[
 
 @pytest.fixture
 def without_equations(monkeypatch):
-    def nothing(matrices, scalings, deadline, floor=0.0, D22=None, tuning=TUNING):
-        tuning = replace(tuning, stabilising_starts=0)
-        return Portfolio(*(Search(matrices, s, deadline, floor, D22, tuning) for s in scalings), float("nan"))
+    def nothing(matrices, scalings, deadline, floor=0.0, D22=None):
+        return Portfolio(*(Search(matrices, s, deadline, floor, D22) for s in scalings), float("nan"))
+
+    monkeypatch.setattr(hinf_synthesis, "STABILISING_STARTS", 0, raising=False)
 
     monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)
     monkeypatch.setattr(hinf_synthesis, "lmi_controllers", lambda *_: ([], "no LMI"))

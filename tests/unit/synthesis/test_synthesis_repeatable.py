@@ -17,7 +17,7 @@ from robustlab.budget import MILLION, NOT_REPEATABLE, Budget
 from robustlab.errors import InputError
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.dk.tuning import TUNING
+from robustlab.synthesis.dk.dk_iteration import WORK
 from robustlab.synthesis.problem.design import told
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
 
@@ -136,7 +136,7 @@ def test_effort_scales_the_work_and_what_it_brings() -> None:
         design = rl.dk(oscillator(), [RealScalar("k")], 1, 1, effort=effort, order_rel=0.0)
         works.append(design.history[-1].work)
         gammas.append(design.gamma)
-        assert design.history[-1].work <= 1.1 * effort * TUNING.work
+        assert design.history[-1].work <= 1.1 * effort * WORK
         assert USED_UP in design.reason
         assert all(a.work < b.work for a, b in zip(design.history, design.history[1:], strict=False))
     again = rl.dk(oscillator(), [RealScalar("k")], 1, 1, effort=0.002, order_rel=0.0)  # nothing is remembered
