@@ -601,9 +601,10 @@ def _coprime_reduction(full: StateSpaceModel) -> Candidates:
         promised = error_bound(way.values, order)
         error = _measured(way, parallel(factors, reduction.reduced_factors(order), -1), promised)
         found = _checked(full, way.reduced(order), "coprime", way, _Evidence(error), promised, 0)
+        found = replace(found, removed=reduction.removed)
         if reduction.lost is None:
-            return replace(found, removed=reduction.removed)
+            return found
         reason = f"what was removed before is not exactly hidden: {', '.join(reduction.removed)}"
-        return replace(found, removed=reduction.removed, status=Status.INACCURATE, reason=found.reason or reason)
+        return replace(found, status=Status.INACCURATE, reason=found.reason or reason)
 
     return candidate, 0, way.most, np.append(way.values, 0.0)

@@ -54,6 +54,8 @@ class SplitError:
         self._proved: dict[Band, tuple[float, str]] = {}
         apart, stable = _as_rates(apart, dt), _as_rates(stable, dt)
         slow = float(np.abs(stable).min(initial=np.inf))
+        if not len(stable):
+            slow = 1 / dt if dt else float(np.abs(apart).max(initial=0.0)) or 1.0
         at = np.abs(np.imag(apart))
         centre = np.where(at > 1e-3 * slow, at, 0.0)
         scale = np.where(centre > 0, centre, slow)

@@ -18,9 +18,9 @@ FILES = sorted((ROOT / "robustlab").rglob("*.py"))
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda f: str(f.relative_to(ROOT)))
-def test_a_file_has_at_most_600_lines_and_says_what_it_holds(file):
+def test_a_file_has_at_most_700_lines_and_says_what_it_holds(file):
     text = file.read_text()
-    assert len(text.splitlines()) <= 600
+    assert len(text.splitlines()) <= 700
     assert ast.get_docstring(ast.parse(text))
 
 

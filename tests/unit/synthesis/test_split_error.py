@@ -97,9 +97,13 @@ def test_what_is_not_rounded_is_proved_everywhere():
         found = rl.reduce_model(model, order)
         assert (found.status, found.left_out) == (Status.CERTIFIED, ())
     # A model without stable modes comes back as it is.
-    kept = rl.reduce_model(rl.StateSpaceModel(np.eye(2), [[1.0], [1e9]], [[1.0, 0.1]], [[0.0]]), 2)
-    assert np.array_equal(kept.model.A, np.eye(2))
+    kept = rl.reduce_model(rl.StateSpaceModel(np.diag([1.0, 2.0]), [[1.0], [1e9]], [[1.0, 0.1]], [[0.0]]), 2)
+    assert np.array_equal(kept.model.A, np.diag([1.0, 2.0]))
     assert kept.error.upper == 0.0
+    # Two copies of an unstable mode are one.
+    one = rl.reduce_model(rl.StateSpaceModel(np.eye(2), [[1.0], [1e9]], [[1.0, 0.1]], [[0.0]]), 2)
+    assert (one.model.A.tolist(), one.left_out, one.status) == ([[1.0]], (), Status.CERTIFIED)
+    assert one.error.upper <= 1e-15 * (1 + 1e8)
 
 
 def test_a_band_away_from_the_boundary_modes_has_all_its_frequencies():
