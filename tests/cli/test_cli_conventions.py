@@ -176,7 +176,7 @@ def test_a_recipe_asks_where_both_signs_are_stable(tmp_path, capsys):
     assert closed(tmp_path, G, K) == 3
     said = capsys.readouterr().err
     assert "both signs leave the loop stable" in said
-    assert "sign=-1 or 1" in said
+    assert "hint: say it: sign = -1 (u = -K y) or sign = 1 (u = K y)" in said
     for sign, pole in ((-1, -5.0), (1, -1.0)):
         assert closed(tmp_path, G, K, sign=f"sign = {sign}\n") == 0
         assert left(tmp_path)["numbers"]["spectral_abscissa"] == pytest.approx(pole)
