@@ -307,7 +307,7 @@ def _nearest_to_axis(equation: _Equation) -> str:
         poles = balanced_eigenvalues(np.block([[A, -G], [-Q, -A.T]]))
     if poles is None:
         return "the entries of the Hamiltonian overflow"
-    nearest = poles[np.abs(poles.real).argmin()]
+    nearest = poles[np.abs(np.real(poles)).argmin()]
     return f"the eigenvalue of the Hamiltonian nearest to the imaginary axis is {nearest:.3g} rad/s"
 
 

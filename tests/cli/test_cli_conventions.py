@@ -66,7 +66,7 @@ def test_a_sign_that_contradicts_the_file_stands_above_the_number(run):
     assert second == "loop  u = K y, as asked"
     said = run("mu", "osc.h5", "-k", "strong.h5", "--feedback", "positive", code=4)
     assert "the nominal loop u = K y, as asked is unstable" in said
-    assert "designed for this plant? --feedback negative or positive" in said
+    assert "designed for this plant? --feedback negative or --feedback positive" in said
     text = run("model", "margins", "nominal.h5", "-k", "weak.h5", "--feedback", "positive")
     assert text.startswith("note: weak.h5 says u = K (r - y); --feedback positive")
 
@@ -76,7 +76,7 @@ def test_a_sign_that_contradicts_the_file_stands_above_the_number(run):
 def test_a_controller_that_says_nothing_is_asked_about(run, command, file):
     said = run(*command.split(), "-k", file, code=3)
     assert "does not say its sign, and both signs leave the loop stable" in said
-    assert "--feedback negative (u = -K y) or positive" in said
+    assert "--feedback negative (u = -K y) or --feedback positive" in said
     assert "loop" in run(*command.split(), "-k", file, "--feedback", "negative")
 
 
@@ -173,7 +173,7 @@ def test_a_recipe_asks_where_both_signs_are_stable(tmp_path, capsys):
     assert closed(tmp_path, G, K) == 3
     said = capsys.readouterr().err
     assert "both signs leave the loop stable" in said
-    assert "sign=-1 or 1" in said
+    assert "hint: say it: sign = -1 (u = -K y) or sign = 1 (u = K y)" in said
     for sign, pole in ((-1, -5.0), (1, -1.0)):
         assert closed(tmp_path, G, K, sign=f"sign = {sign}\n") == 0
         assert left(tmp_path)["numbers"]["spectral_abscissa"] == pytest.approx(pole)

@@ -123,6 +123,10 @@ class Synthesis(Design):
     def _parts(self) -> tuple[StateSpaceModel, StateSpaceModel]:
         """The loop of K, and what of the plant lies outside: states that u does not reach or that do not reach y."""
         p, n_w, n_z = self.plant.model, self.plant.n_w, self.plant.n_z
+        if p.dt != self.K.dt and (
+            self.K.n_states or self.K.dt
+        ):  # a sampled loop: the plant as given is none of its parts
+            return self.closed_loop, StateSpaceModel([], [], [], np.zeros((0, 0)), self.K.dt)
         B, C = p.B[:, n_w:], p.C[n_z:]
         inside = np.flatnonzero(_reached(p.A, B) & _reached(p.A.T, C.T))
         outside = np.setdiff1d(np.arange(p.n_states), inside)
