@@ -36,40 +36,22 @@ model check msd.h5
 model diff {models}/motor_nominal.h5 {models}/motor_perturbed.h5
 model convert motor.h5 motor.mat
 model convert motor.mat again.h5
-model norm {models}/motor_nominal.h5
-model norm msd.h5
-model norm msd.h5 --kind h2
-model norm motor.h5 --kind linf --band 0.1,10
-model norm msd.h5 --kind passivity
-model zeros msd.h5
-model zeros platform.h5
-model gap {models}/motor_nominal.h5 {models}/motor_perturbed.h5
 model margins {models}/cascaded_tanks.h5
 model margins {models}/cascaded_tanks.h5 --classical
 model margins {models}/cascaded_tanks.h5 --frequency 0.01,0.1
 model margins {models}/cascaded_tanks.h5 --at input --skew 0.5
-model delay motor.h5 --input-delay u=0.01 --output-delay omega=0.002 --out late.h5
 model check late.h5
 model show late.h5
-model response motor.h5 --frequency 1,10,100
 model reduce platform.h5 --order 8 --out small.h5
 model reduce msd.h5 --order 1
-model discretise motor.h5 --dt 0.001 --method zoh --out digital.h5
-model d2c digital.h5 --out back.h5
-model d2d digital.h5 --dt 0.002 --out slow.h5
 synth mixsyn {models}/motor_nominal.h5 --outputs omega --w1 bandwidth=150,error=0.001 --w2 limit=0.4 --out mixed.h5
 synth ncf {models}/motor_nominal.h5 --outputs omega --w1 0.5 --out ncf.h5
-synth lqg {models}/motor_nominal.h5 --outputs omega --q 1 --r 0.1 --out lqg.h5
-synth lqr motor.h5 --state-weight omega=100 --control-weight u=0.1 --out lqr.h5
-synth lqi motor.h5 --integral omega=100 --control-weight u=0.1 --out lqi.h5
-synth kalman {models}/motor_nominal.h5 --process-noise u=0.04 --measurement-noise phi=1 --measurement-noise omega=1
 synth hinf {models}/motor_nominal.h5 --measurements 1 --controls 1
 synth discretise plant1.h5 mixed1.h5 --dt 0.001
 model margins {models}/motor_nominal.h5 -k mixed.h5
 model margins {models}/motor_nominal.h5 -k ncf.h5 --classical
 model margins late.h5 -k mixed.h5
 model margins late.h5 -k mixed.h5 --classical
-model connect motor.h5 mixed.h5 --inputs omega --outputs omega
 model convert mixed.h5 mixed.json
 uncertain build {models}/motor_nominal.h5 {models}/motor_perturbed.h5 --structure elements --out set.h5
 uncertain build {models}/motor_nominal.h5 {models}/motor_perturbed.h5 --structure columns --out columns.h5
@@ -81,9 +63,6 @@ uncertain build --cover {models}/motor_nominal.h5 --cover {models}/motor_perturb
 uncertain show set.h5
 uncertain show motors.h5
 uncertain sample motors.h5 -n 20 --seed 1 --vertices all --input-value u=42 --t-end 0.1
-uncertain delays {models}/motor_nominal.h5 --input-delay u=0.005:0.015 --out delays.h5
-uncertain neglected --delay 0.02 --out weight.h5
-uncertain neglected --lag 0.02
 mu set.h5
 mu motors.h5 --intervals
 mu motors.h5 --gain
@@ -100,12 +79,6 @@ worst-case motors.h5 --metric settling-time --outputs omega --input-value u=42 -
 worst-case motors.h5 --metric hinf
 worst-case motors.h5 --limit 20 --probability 0.05 --outputs omega --input-value u=42 --t-end 0.1
 worst-case motors.h5 --limit 9000 -n 100 --outputs omega --input-value u=42 --t-end 0.1
-iqc gain msd.h5 --nature q:f=sector:0:1
-iqc gain msd.h5 --nature q:f=sector:0:1 --stability
-iqc gain springs.h5
-lpv build springs.h5 --out lpv.h5
-lpv gain lpv.h5
-lpv at lpv.h5
 campaign run motors.h5 --input-value u=42 --t-end 0.1 -n 200 --workers 1 --store motors.sqlite
 campaign show motors.sqlite --limit 34
 campaign replay motors.sqlite 17
@@ -118,7 +91,6 @@ data compare dc-motor {recipes}/data/motor_record.csv --inputs u --outputs phi,i
 data validate speed.h5 {recipes}/data/motor_record.csv --inputs u --outputs phi --noise phi=1e-3
 mu motor.h5
 mu nothing.h5
-model norm motor.h5 --kind nothing
 model margins motor.h5 --at nowhere
 uncertain build
 synth hinf motor.h5

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from robustlab.doors.kinds import Given, Kind, Thing
+from robustlab.doors.kinds import Given, Kind
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.units import amount
 
@@ -116,27 +116,6 @@ class Diagonal(Kind):
         from robustlab.doors.vocabulary import Positive
 
         return Positive | list[Annotated[float, Field(ge=0)]]
-
-
-@dataclass(frozen=True)
-class Disturbance(Thing):
-    """``constant``, the frequency of a sinusoid in rad/s, or a model of a filter."""
-
-    gives: tuple[str, ...] = ("model", "any")
-    model: bool = True
-    number: bool = True
-    words: tuple[str, ...] = ("constant",)
-
-    @property
-    def metavar(self) -> str | None:
-        """A word of its own."""
-        return "WEIGHT"
-
-    def field(self) -> Any:
-        """The word, or a frequency."""
-        from robustlab.doors.vocabulary import Positive
-
-        return Literal["constant"] | Positive
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.design_kinds import ByNumber, Diagonal, Disturbance, Goals, Weight
+from robustlab.doors.design_kinds import ByNumber, Goals, Weight
 from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Table, Thing, Whole
 from robustlab.doors.words import Design, Model, Search, Seed, Signals
 from robustlab.errors import InputError, UsageError
@@ -352,55 +352,6 @@ def ncf(
 
 
 @dataclass(frozen=True)
-class LqgWeights:
-    """Costs and intensities."""
-
-    q: Annotated[Any, Diagonal(), "Cost of the states: a number, or one for each.", Named(key="Q")] = 1.0
-    r: Annotated[Any, Diagonal(), "Cost of the controls.", Named(key="R")] = 1.0
-    w: Annotated[Any, Diagonal(), "Intensity of the noise on the states.", Named(key="W")] = 1.0
-    v: Annotated[Any, Diagonal(), "Intensity of the noise on the measurements.", Named(key="V")] = 1.0
-
-
-ALL_ONE = LqgWeights()
-
-
-@door("synth lqg", "lqg", result="synthesis.h2.gaussian_regulator.LqgSynthesis", gives="controller", made="controller")
-def lqg(
-    system: Of,
-    weights: LqgWeights = ALL_ONE,
-    signals: Signals = ALL_SIGNALS,
-    disturbance: Annotated[
-        Any, Disturbance(), "constant, the frequency of a sinusoid in rad/s, or a file with a filter."
-    ] = None,
-    at: Annotated[
-        str, Choice(("input", "output")), "Where the disturbance adds.", Named(option="--disturbance-at")
-    ] = "input",
-    channels: Annotated[list[str] | None, Names("signals"), "On which inputs or outputs; all where left out."] = None,
-    disturbance_noise: Annotated[Any, Diagonal(), "The larger, the faster the disturbance is estimated."] = 1.0,
-    regulated: Annotated[list[str] | None, Names("outputs"), "Outputs that it must leave; all where left out."] = None,
-) -> Any:
-    """Linear-quadratic-Gaussian controller u = K y (positive feedback), with disturbances that its filter estimates.
-
-    Of a constant or sinusoidal disturbance nothing is left in the regulated outputs. The disk margins are beside it:
-    LQG guarantees none. Exit code 4: no controller could be vouched for.
-
-    Example: robustlab synth lqg motor.h5 --outputs omega --q 1 --r 0.1 --disturbance constant --out controller.h5
-    """
-    import numpy as np
-
-    model = signals.of(system)
-    sizes = {"q": model.n_states, "r": model.n_inputs, "w": model.n_states, "v": model.n_outputs}
-    diagonals = []
-    for name, size in sizes.items():
-        values = np.atleast_1d(np.asarray(getattr(weights, name), dtype=float))
-        if len(values) not in (1, size):
-            raise UsageError(name, f"{len(values)} numbers", f"one, or {size}")
-        diagonals.append(np.diag(np.broadcast_to(values, (size,))))
-    options: dict[str, Any] = {"disturbance": disturbance, "at": at, "channels": channels, "regulated": regulated}
-    return rl.lqg(model, *diagonals, disturbance_noise=disturbance_noise, **options)
-
-
-@dataclass(frozen=True)
 class Asked:
     """Goals: those that are made small, and those that must be met."""
 
@@ -448,118 +399,8 @@ class PoleLimits:
 NOTHING_ASKED, FREE_POLES = Asked(), PoleLimits()
 
 
-@door("synth tune", "tune", result="synthesis.fixed.goal_tuning.TunedSynthesis", gives="controller", made="controller")
-def tune(
-    system: Of,
-    also: Annotated[
-        list[Any] | None,
-        Thing(("plant", "model", "uncertain", "any"), model=True, many=True, positional=True),
-        "Further plants for the same controller.",
-    ] = None,
-    structure: Structure = "pid",
-    asked: Asked = NOTHING_ASKED,
-    poles: PoleLimits = FREE_POLES,
-    signals: Signals = ALL_SIGNALS,
-    tries: Tries = USUAL_TRIES,
-    search: Search = USUAL,
-    progress: Any = None,
-) -> Any:
-    """Controller u = K (r - y) of a given structure that meets hard goals and makes the others small.
-
-    Goals: tracking, sensitivity, gain, rejection, variance, margin, overshoot (by a proxy); each is met where its value
-    is at most 1. Exit code 4: a hard goal is missed, or no controller could be vouched for.
-
-    Example: robustlab synth tune motor.h5 --structure pi --outputs omega --goal tracking:response_time=0.1
-    """
-    from robustlab.synthesis.laws.controller_structures import structure_in_words
-    from robustlab.synthesis.problem.partition import GeneralizedPlant
-
-    models = [signals.of(model) for model in (system, *(also or []))]
-    first = models[0]
-    words = structure_in_words(structure, GeneralizedPlant(first, max(first.n_outputs, 1), max(first.n_inputs, 1)))
-    goals = [*(asked.goals or []), *(asked.hard or []), *poles.limits]
-    return rl.tune(models, words, goals, progress=progress, **vars(tries), **search.options)
-
-
 # --- state feedback and estimators ------------------------------------------------------------------------------------
 
 Weights = dict[str, float] | None
 States = Annotated[Weights, Table(Number(least=0)), "Weights on states by name; 0 where left out.",
                    Named(option="--state-weight", key="states")]  # fmt: skip
-ControlWeights = Annotated[Weights, Table(Number(above=0), "inputs"), "Weights on controls by name; 1 where left out.",
-                           Named(option="--control-weight", key="controls")]  # fmt: skip
-
-
-@door("synth lqr", "lqr", result="synthesis.h2.state_feedback.StateFeedback", gives="controller", made="controller")
-def lqr(
-    system: Of,
-    states: Annotated[States, Named(option="--state-weight", key="states", in_step=...)] = None,
-    controls: ControlWeights = None,
-) -> Any:
-    """State feedback u = -K x of least quadratic cost; all states are measured.
-
-    The controller takes the states, by their names. Exit code 4: no gain could be vouched for.
-
-    Example: robustlab synth lqr motor.h5 --state-weight omega=100 --control-weight u=0.1 --out k.h5
-    """
-    from robustlab.synthesis.h2.named_weights import integral_weights
-
-    if not states:
-        raise UsageError("lqr", "no state", "weights on states: which is to be small, and its weight")
-    return rl.lqr(system, *integral_weights(system, {}, states, controls or {}))
-
-
-@door("synth lqi", "lqi", result="synthesis.h2.integral_feedback.IntegralFeedback", gives="controller",
-      made="controller")  # fmt: skip
-def lqi(
-    system: Of,
-    integral: Annotated[
-        Weights,
-        Table(Number(above=0), "outputs"),
-        "Outputs that are to follow, with the weights on their integrated errors.",
-        Named(in_step=...),
-    ] = None,
-    states: States = None,
-    controls: ControlWeights = None,
-) -> Any:
-    """State feedback with integral action: outputs follow constant references without error; the loop is rebuilt.
-
-    All states are measured. The controller takes references, followed outputs and states; it is made for export, not
-    for `close-loop`. Exit code 4: no controller could be vouched for.
-
-    Example: robustlab synth lqi motor.h5 --integral omega=100 --control-weight u=0.1 --out k.h5
-    """
-    from robustlab.synthesis.h2.named_weights import integral_weights
-
-    if not integral:
-        raise UsageError("lqi", "no output", "integral: which output follows, and its weight")
-    Q, R = integral_weights(system, integral, states or {}, controls or {})
-    return rl.lqi(system, Q, R, outputs=list(integral))
-
-
-@door("synth kalman", "kalman", result="synthesis.h2.kalman_filter.KalmanFilter", gives="model", made="estimator")
-def kalman(
-    system: Of,
-    process: Annotated[
-        Weights,
-        Table(Number(least=0)),
-        "Intensities of the noise on states, or on inputs, by name.",
-        Named(option="--process-noise", key="process", in_step=...),
-    ] = None,
-    measurement: Annotated[
-        Weights,
-        Table(Number(least=0), "outputs"),
-        "Intensities of the noise on each output by name; discrete: variances.",
-        Named(option="--measurement-noise", key="measurement", in_step=...),
-    ] = None,
-) -> Any:
-    """Steady-state Kalman filter: from inputs and measured outputs to estimated states; checked by a second equation.
-
-    White noise; of a discrete model the numbers are variances. Exit code 4: no filter could be vouched for.
-
-    Example: robustlab synth kalman motor.h5 --process-noise u=0.04 --measurement-noise omega=1e-4 --out filter.h5
-    """
-    from robustlab.synthesis.h2.named_weights import diagonal_weight, process_noise
-
-    W = process_noise(system, process or {}, "process")
-    return rl.kalman(system, W, diagonal_weight(measurement or {}, system.output_names, "measurement"))
