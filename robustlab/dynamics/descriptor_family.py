@@ -39,13 +39,36 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.dynamics.descriptor_elimination import Channels, closed_descriptor, solved
-from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import SAMPLED, FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.decomposition_tree import Exponents, MatrixPolynomial, polynomial_lft
 from robustlab.uncertainty.elementwise import natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
+
+# A parameter is exact where the descriptor form is a polynomial of it over this share of its value to both sides
+# (of a value of 0 over so many half widths). Larger: a function that is none is told from one more surely, but
+# more plants have no linear model that far away.
+FAMILY_REACH = 0.5
+FAMILY_ZERO = 30.0
+# Chebyshev nodes along a parameter, the highest degree that is looked for, and the number of highest coefficients
+# that show the rounding. More nodes tell weak functions from polynomials more surely.
+FAMILY_NODES = 13
+FAMILY_DEGREE = 3
+FAMILY_TOP = 4
+# Products of parameters in a descriptor form at most.
+FAMILY_MONOMIALS = 600
+# Random values at which a form, and then the model, are checked against the plant.
+FAMILY_CHECKS = 12
+# Sampled parameters: corners of the box at most, and powers of two of inner points. More: a safer cover, slower.
+FAMILY_CORNERS = 64
+FAMILY_SOBOL = 8
+# A higher degree (up to the second number) is taken where more than this share of the effect is left.
+FAMILY_SHARE = 0.25
+FAMILY_COVER_DEGREE = 3
+# The block for the rest is so much larger than the samples ask for; fresh samples outside it widen it, so often.
+FAMILY_ROOM = 1.1
+FAMILY_ROUNDS = 5
 
 Values = Mapping[str, float]
 
@@ -79,7 +102,7 @@ def uncertain_family(
 
     ``where``: the plant's name, for messages.
     ``nominal``: its linear model with all parameters at ``values``.
-    ``ranges``: the parameters that are uncertain; of several thousand models each takes part in, see `TUNING`.
+    ``ranges``: the parameters that are uncertain; of several thousand models each takes part in, see `FAMILY_CHECKS`.
     ``outputs``: names of the outputs to keep, all where left out.
     Returns: one `RealScalar` for each parameter that has an effect, of its name; ``remainder``, a full block, where the
     values of a parameter are covered by samples. ``origin`` of each block says which it is, and on what evidence.
@@ -171,7 +194,7 @@ class _Family:
     def reach(self, name: str) -> tuple[float, float]:
         """Values far beyond the range of a parameter that keep its sign, about equally far on both sides."""
         r = self.ranges[self.names.index(name)]
-        far = max(TUNING.family_reach * abs(r.nominal), 0.0 if r.nominal else TUNING.family_zero * r.radius)
+        far = max(FAMILY_REACH * abs(r.nominal), 0.0 if r.nominal else FAMILY_ZERO * r.radius)
         return min(r.low, r.nominal - far), max(r.high, r.nominal + far)
 
 
@@ -191,7 +214,7 @@ def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, di
     nodes: dict[str, Array] = {}
     for name in family.names:
         low, high = family.reach(name)
-        nodes[name] = 0.5 * (low + high) + 0.5 * (high - low) * _chebyshev(TUNING.family_nodes)
+        nodes[name] = 0.5 * (low + high) + 0.5 * (high - low) * _chebyshev(FAMILY_NODES)
         try:
             scans[name] = np.array([family.raw({**base, name: float(v)}) for v in nodes[name]])
         except RobustlabError:
@@ -258,9 +281,9 @@ def _degree(scan: Array) -> int | None:
     count = len(scan)
     basis = np.polynomial.chebyshev.chebvander(_chebyshev(count), count - 1)
     sizes = np.abs(basis.T @ scan.reshape(count, -1)) * (2.0 / count)
-    rounding = np.maximum(CLEAR * sizes[-TUNING.family_top :].max(axis=0), ROUNDING)
+    rounding = np.maximum(CLEAR * sizes[-FAMILY_TOP:].max(axis=0), ROUNDING)
     degree = int(np.flatnonzero((sizes > rounding).any(axis=1)).max(initial=0))
-    return degree if degree <= TUNING.family_degree and rounding.max() <= SAME else None
+    return degree if degree <= FAMILY_DEGREE and rounding.max() <= SAME else None
 
 
 # --- the exact part --------------------------------------------------------------------------------------------------
@@ -283,14 +306,14 @@ def _exact_part(family: _Family, degrees: Mapping[str, int | None], scale: Array
         return np.array([family.at({names[k]: float(v) for k, v in zip(exact, p, strict=True)}) for p in points])
 
     monomials = _monomials([degrees[names[k]] or 0 for k in exact], _meetings(at, nominal, spans, scale))
-    if len(monomials) > TUNING.family_monomials:
+    if len(monomials) > FAMILY_MONOMIALS:
         found = f"{len(monomials)} products of {len(exact)} parameters"
-        raise InputError(family.where, found, f"at most {TUNING.family_monomials}", "fewer tolerances at once")
-    points = rng.uniform(spans[:, 0], spans[:, 1], (2 * len(monomials) + TUNING.family_checks, len(exact)))
+        raise InputError(family.where, found, f"at most {FAMILY_MONOMIALS}", "fewer tolerances at once")
+    points = rng.uniform(spans[:, 0], spans[:, 1], (2 * len(monomials) + FAMILY_CHECKS, len(exact)))
     t = (points - nominal) / half
     basis = np.array([np.prod(t**e, axis=1) for e in monomials]).T
     off = (at(points) - centre) / scale
-    fit, check = slice(TUNING.family_checks, None), slice(0, TUNING.family_checks)
+    fit, check = slice(FAMILY_CHECKS, None), slice(0, FAMILY_CHECKS)
     flat = off.reshape(len(off), -1)
     coefficients = np.linalg.lstsq(basis[fit], flat[fit], rcond=None)[0]
     miss = float(np.abs(basis[check] @ coefficients - flat[check]).max())
@@ -339,7 +362,7 @@ def _monomials(degrees: Sequence[int], meetings: set[tuple[int, int]]) -> list[E
         for powers in product(*(range(1, degrees[k] + 1) for k in clique)):
             by_place = dict(zip(clique, powers, strict=True))
             found.append(tuple(by_place.get(k, 0) for k in range(len(degrees))))
-            if len(found) > TUNING.family_monomials:
+            if len(found) > FAMILY_MONOMIALS:
                 return found
     return found
 
@@ -374,7 +397,7 @@ def _sampled_part(
     flat, t = off.reshape(len(off), -1), family.entries(s)
     whole = float(np.abs(flat).max())
     found: tuple[int, list[Exponents], Array, Array] | None = None
-    for degree in range(1, TUNING.family_cover_degree + 1):
+    for degree in range(1, FAMILY_COVER_DEGREE + 1):
         monomials = _with_one_of(sampled, moving, len(family.names), degree)
         if 3 * len(monomials) > len(s):
             break
@@ -382,7 +405,7 @@ def _sampled_part(
         coefficients = np.linalg.lstsq(basis, flat, rcond=None)[0]
         coefficients[np.abs(coefficients) <= ZERO] = 0.0
         found = degree, monomials, coefficients, flat - basis @ coefficients
-        if np.abs(found[3]).max() <= TUNING.family_share * whole:
+        if np.abs(found[3]).max() <= FAMILY_SHARE * whole:
             break
     if found is None:
         raise InputError(family.where, f"{len(moving)} tolerances to be sampled", "fewer at once")
@@ -424,13 +447,13 @@ def _box(family: _Family, moving: Sequence[int], seed: int) -> Array:
 
     count = len(moving)
     rng = np.random.default_rng(seed)
-    if 2**count <= TUNING.family_corners:
+    if 2**count <= FAMILY_CORNERS:
         corners = np.array(list(product((-1.0, 1.0), repeat=count)))
     else:
-        corners = rng.choice([-1.0, 1.0], (TUNING.family_corners, count))
+        corners = rng.choice([-1.0, 1.0], (FAMILY_CORNERS, count))
     # "seed" is what the oldest scipy that we take calls it, "rng" the newest.
     settings: dict[str, Any] = {"seed": rng}
-    inner = 2.0 * qmc.Sobol(count, **settings).random_base2(TUNING.family_sobol) - 1.0
+    inner = 2.0 * qmc.Sobol(count, **settings).random_base2(FAMILY_SOBOL) - 1.0
     s = np.zeros((len(corners) + len(inner) + 1, len(family.names)))
     s[1:, list(moving)] = np.vstack([corners, inner])
     return s
@@ -453,15 +476,15 @@ def _bounded(
     made = _Remainder(first * left, right * across, len(rest), 0, 0.0)
     largest = float(np.linalg.norm(made.delta(rest * scale), 2, axis=(1, 2)).max())
     count = len(rest)
-    for attempt in range(1, TUNING.family_rounds + 1):
-        bound = TUNING.family_room * largest
+    for attempt in range(1, FAMILY_ROUNDS + 1):
+        bound = FAMILY_ROOM * largest
         s = _box(family, moving, attempt)[1:]
         off = family.inside(s) - _values(polynomial, family.entries(s))
         size_there = float(np.linalg.norm(made.delta(off), 2, axis=(1, 2)).max())
         if size_there <= bound:
             return made._replace(left=bound * made.left, samples=count, fresh=len(s), fresh_size=size_there / bound)
         largest, count = size_there, count + len(s)
-    found = f"fresh samples still left the cover of {count} after {TUNING.family_rounds} rounds"
+    found = f"fresh samples still left the cover of {count} after {FAMILY_ROUNDS} rounds"
     raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
 
 
@@ -535,7 +558,7 @@ def _off(family: _Family, model: UncertainModel, polynomial: MatrixPolynomial, r
     rng = np.random.default_rng(1)
     worst = 0.0
     known = {b.name for b in model.blocks}
-    for s in rng.uniform(-1.0, 1.0, (TUNING.family_checks, len(family.names))):
+    for s in rng.uniform(-1.0, 1.0, (FAMILY_CHECKS, len(family.names))):
         there = family.at(family.point(s))
         delta = {name: float(v) for name, v in zip(family.names, s, strict=True) if name in known}
         if remainder is not None:

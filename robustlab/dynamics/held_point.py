@@ -24,9 +24,14 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor
-from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import Signal
+
+# Newton steps towards rest; it is where a rate is no more than the second number's share of the terms that make it up.
+REST_PASSES = 60
+STILL = 1e-11
+# Where parameters change, a Newton step that leads away is halved so often at most.
+REST_HALVINGS = 40
 
 Values = Mapping[str, float]
 # A state or input below it, in its unit, counts as zero where the size of a rate's terms is taken.
@@ -128,14 +133,14 @@ class _Rest:
         follow = list(self.follow)
         point = self.start.copy()
         off, local, size = self._looked(point, values)
-        for _ in range(TUNING.rest_passes if follow else 0):
+        for _ in range(REST_PASSES if follow else 0):
             if off == 0.0:
                 break
             weight = np.where(self.start[follow] == 0, 1.0, np.abs(self.start[follow]))
             slopes = np.hstack([local.A[0], local.B[0]])[:, follow] * weight / size[:, None]
             step = weight * np.linalg.lstsq(slopes, -local.rates[0] / size, rcond=None)[0]
             # at rounding a step is only tried as it is
-            for _ in range(1 if off <= TUNING.still else TUNING.rest_halvings):
+            for _ in range(1 if off <= STILL else REST_HALVINGS):
                 there = point.copy()
                 there[follow] += step
                 found = self._looked(there, values)
@@ -147,7 +152,7 @@ class _Rest:
             (off, local, size), point = found, there
         if not np.isfinite(off):
             raise NoTrustworthyNumber(self.plant.name, f"no finite linear model with what is held{label}")
-        if off > TUNING.still:
+        if off > STILL:
             fastest = self.plant.states[int(np.argmax(np.abs(local.rates[0] / size)))].name
             hint = "hold other states or inputs, so that the others can follow"
             raise NoTrustworthyNumber(self.plant.name, f"no rest with what is held: {fastest} moves{label}", None, hint)

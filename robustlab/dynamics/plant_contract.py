@@ -18,13 +18,16 @@ from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor, uncertain_family
 from robustlab.dynamics.held_point import held_descriptor
 from robustlab.dynamics.parameters import Parameter, parameter_ranges
-from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import AllFields, Facts, Shown, listed, number, with_units
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array, signals
 from robustlab.uncertainty.lft import UncertainModel
+
+# Slopes of a sampled input that differ by less than this share of the largest are one straight line. Larger: fewer
+# restarts of the integrator, at the price of its order where the input does bend.
+STRAIGHT = 1e-9
 
 NonlinearHold = Literal["zoh", "foh", "spline"]
 
@@ -66,7 +69,7 @@ def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
     elif hold == "foh":
         slope = np.diff(samples, axis=0) / np.diff(t)[:, None]
         coefficients[:, 0], coefficients[:, 1] = samples[:-1], slope
-        broken[1:] = (np.abs(np.diff(slope, axis=0)) > TUNING.straight * np.abs(slope).max(initial=0.0)).any(axis=1)
+        broken[1:] = (np.abs(np.diff(slope, axis=0)) > STRAIGHT * np.abs(slope).max(initial=0.0)).any(axis=1)
     elif hold == "spline":
         if len(t) < 6:
             raise InputError("simulate: hold", f"'spline' through {len(t)} samples", "at least 6")

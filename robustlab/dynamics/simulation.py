@@ -13,10 +13,18 @@ from robustlab.checks import number
 from robustlab.delays.model import DelayedModel
 from robustlab.delays.response import checked_rtol, delayed_response
 from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
-from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as, unknown_name
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
+
+# Steps of a clock that differ by less than this share of their mean are equal. Larger: fewer matrix exponentials,
+# but real jitter is passed over.
+CLOCK_ROUNDING = 1e-9
+# A discrete model's clock may jitter by this share of its sample time, and that of a plant with effects by this
+# share of the mean step. Larger: coarser records are taken as uniform.
+CLOCK_JITTER = 1e-6
+# Local error of a nonlinear simulation where none was asked for.
+RTOL = 1e-8
 
 Hold = Literal["zoh", "foh"]
 LOOK = 3  # order of the rational delays whose poles say how long to look
@@ -215,7 +223,7 @@ def _simulate_nonlinear(
     if isinstance(plant, SteppedPlant):
         x, force, y = _stepped(plant, clock, sampled_inputs(plant.inputs, u, len(clock)), start, hold, options)
     else:
-        x, y = plant.response(signal, start, **(options or {"rtol": TUNING.rtol}))
+        x, y = plant.response(signal, start, **(options or {"rtol": RTOL}))
         force = signal.samples
     _check_finite(np.hstack([x, y]), clock, plant.name)
     return recorded(plant, clock, force, y, name or plant.name)
@@ -274,7 +282,7 @@ def _states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold: Hold) -
     """States of a continuous model at the times t, shape (n, n_x); one matrix exponential for each length of step."""
     step = np.diff(t)
     mean = step.mean()
-    _, first, kind = np.unique(np.round(step / (TUNING.clock_rounding * mean)), return_index=True, return_inverse=True)
+    _, first, kind = np.unique(np.round(step / (CLOCK_ROUNDING * mean)), return_index=True, return_inverse=True)
     length = np.bincount(kind, weights=step) / np.bincount(kind)
     phi = np.empty((len(first), model.n_states, model.n_states))
     forced = np.empty((len(step), model.n_states))
@@ -295,7 +303,7 @@ def _discrete_states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold
             "simulate: hold", "'foh' for a discrete model", "'zoh': a discrete model sees the samples only"
         )
     step = np.diff(t)
-    wrong = np.abs(step - model.dt) > TUNING.clock_jitter * model.dt
+    wrong = np.abs(step - model.dt) > CLOCK_JITTER * model.dt
     if wrong.any():
         k = int(np.argmax(wrong))
         raise InputError(

@@ -20,9 +20,34 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Scales, Site
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
-from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, did_you_mean, unknown_name
 from robustlab.statespace import real_array
+
+# Length of the step in s in which a law is asked; positions move through their value by v times this.
+INSTANT = 1e-5
+# The compliance is chosen so that the force changes the velocity by this share: its rounding costs three digits.
+# Larger: fewer digits lost, slower to settle.
+COMPLIANCE_SHARE = 1e-3
+# Forces agree to this share, after so many passes at most.
+FORCE_AGREED = 1e-13
+FORCE_PASSES = 60
+# Velocity (rad/s, m/s, A) at which "just moving" is looked at; a law that rises faster counts as a jump.
+CREEP = 1e-9
+# First steps of the differences: in position (rad, m), as a share of the velocity, and at rest (rad/s, m/s).
+# Larger: farther from the point, less rounding; extrapolation takes the first two to the limit.
+POSITION_STEP = 1e-4
+VELOCITY_STEP = 1e-2
+REST_STEP = 1e-6
+# Each level of the extrapolation shrinks the step by this; so many levels at most.
+SHRINK = 1.4
+LEVELS = 10
+# A displacement (rad, m) at which no bristle or spring gives way, made slowly and quickly (s).
+DISPLACEMENT = 1e-12
+SLOW = 1e3
+QUICK = 1e-6
+# Share of the signal over which the slope of an input or output map is taken, and the least level for it.
+SIGNAL_STEP = 1e-3
+LEAST_LEVEL = 1e-3
 
 ANY_TIME = math.inf
 
@@ -38,24 +63,24 @@ def _asked(law: Law, seen: list[float], z: Array) -> tuple[float, Array]:
 
 def steady_force(law: Law, q: float, v: float) -> float:
     """Force at the position q while the port moves at the constant velocity ``v != 0``, memory settled."""
-    force, z, h = 0.0, np.zeros(max(1, law.memory)), TUNING.instant
+    force, z, h = 0.0, np.zeros(max(1, law.memory)), INSTANT
     g = 1e-12 * abs(v)
-    for _ in range(TUNING.force_passes):
+    for _ in range(FORCE_PASSES):
         half = 0.0 if law.memory else 0.5 * v * h
         gq = 0.5 * g * h
         found, z = _asked(law, [q - half, v, q + half - gq * force, v - g * force, gq, g, h, ANY_TIME], z)
-        settled = abs(found - force) <= TUNING.force_agreed * abs(found) and (not law.memory or h > 1e3)
+        settled = abs(found - force) <= FORCE_AGREED * abs(found) and (not law.memory or h > 1e3)
         force = found
         if settled:
             break
-        g = TUNING.compliance_share * abs(v) / max(abs(force), 1e-30)
+        g = COMPLIANCE_SHARE * abs(v) / max(abs(force), 1e-30)
         h = 4.0 * h if law.memory else h
     return force
 
 
 def rest_band(law: Law, q: float) -> tuple[float, float]:
     """Smallest and largest force with which the law may hold its port at rest at the position q."""
-    forward, backward = steady_force(law, q, TUNING.creep), steady_force(law, q, -TUNING.creep)
+    forward, backward = steady_force(law, q, CREEP), steady_force(law, q, -CREEP)
     return min(forward, backward), max(forward, backward)
 
 
@@ -64,7 +89,7 @@ def is_set_valued(law: Law, q: float) -> bool:
     if law.memory:
         return False
     low, high = rest_band(law, q)
-    slower = abs(steady_force(law, q, -1e-2 * TUNING.creep) - steady_force(law, q, 1e-2 * TUNING.creep))
+    slower = abs(steady_force(law, q, -1e-2 * CREEP) - steady_force(law, q, 1e-2 * CREEP))
     return high > low and slower > 0.5 * (high - low)
 
 
@@ -73,7 +98,7 @@ def holding_force(law: Law, q: float, acceleration: float, mobility: float) -> f
 
     ``acceleration``: of the port without this force. ``mobility``: acceleration per unit of the force.
     """
-    h = TUNING.instant
+    h = INSTANT
     seen = [q, 0.0, q, h * acceleration, 0.0, h * mobility, h, ANY_TIME]
     return _asked(law, seen, np.zeros(max(1, law.memory)))[0]
 
@@ -104,8 +129,8 @@ def slopes(law: Law, q: float, v: float) -> tuple[float, float]:
 
     if law.memory and v == 0.0:
         return _presliding(law, q)
-    damping = by_velocity(TUNING.rest_step) if v == 0.0 else extrapolated(by_velocity, TUNING.velocity_step * abs(v))
-    return extrapolated(by_position, TUNING.position_step), damping
+    damping = by_velocity(REST_STEP) if v == 0.0 else extrapolated(by_velocity, VELOCITY_STEP * abs(v))
+    return extrapolated(by_position, POSITION_STEP), damping
 
 
 def _presliding(law: Law, q: float) -> tuple[float, float]:
@@ -115,32 +140,32 @@ def _presliding(law: Law, q: float) -> tuple[float, float]:
     """
 
     def resisting(h: float, z: Array) -> tuple[float, Array]:
-        v, force, after = TUNING.displacement / h, 0.0, z
-        for _ in range(TUNING.force_passes):
-            g = TUNING.compliance_share * v / max(abs(force), 1e-30)
-            found, after = _asked(law, [q, v, q + TUNING.displacement, v - g * force, 0.0, g, h, ANY_TIME], z)
-            if abs(found - force) <= TUNING.force_agreed * abs(found):
+        v, force, after = DISPLACEMENT / h, 0.0, z
+        for _ in range(FORCE_PASSES):
+            g = COMPLIANCE_SHARE * v / max(abs(force), 1e-30)
+            found, after = _asked(law, [q, v, q + DISPLACEMENT, v - g * force, 0.0, g, h, ANY_TIME], z)
+            if abs(found - force) <= FORCE_AGREED * abs(found):
                 break
             force = found
         return force, after
 
     still = np.zeros(max(1, law.memory))
-    slow, displaced = resisting(TUNING.slow, still)
-    further, _ = resisting(TUNING.slow, displaced)
-    quick, _ = resisting(TUNING.quick, still)
-    return (further - slow) / TUNING.displacement, (quick - slow) * TUNING.quick / TUNING.displacement
+    slow, displaced = resisting(SLOW, still)
+    further, _ = resisting(SLOW, displaced)
+    quick, _ = resisting(QUICK, still)
+    return (further - slow) / DISPLACEMENT, (quick - slow) * QUICK / DISPLACEMENT
 
 
 def extrapolated(difference: Callable[[float], float], step: float) -> float:
     """Limit of a central difference with the step, by the row of Ridders' table with the smallest error."""
     row = [difference(step)]
     best, error = row[0], np.inf
-    for level in range(1, TUNING.levels):
-        step /= TUNING.shrink
-        next_row, factor = [difference(step)], TUNING.shrink**2
+    for level in range(1, LEVELS):
+        step /= SHRINK
+        next_row, factor = [difference(step)], SHRINK**2
         for k in range(level):
             next_row.append((next_row[k] * factor - row[k]) / (factor - 1.0))
-            factor *= TUNING.shrink**2
+            factor *= SHRINK**2
             found = max(abs(next_row[k + 1] - next_row[k]), abs(next_row[k + 1] - row[k]))
             if found <= error:
                 best, error = next_row[k + 1], found
@@ -258,7 +283,7 @@ class AttachedEffect:
 
     def slope(self, level: float) -> float:
         """Slope of `mapped` at a level."""
-        step = TUNING.signal_step * max(abs(level), TUNING.least_level)
+        step = SIGNAL_STEP * max(abs(level), LEAST_LEVEL)
         return extrapolated(lambda h: (self.mapped(level + h) - self.mapped(level - h)) / (2 * h), step)
 
     def gain(self, level: float, amplitude: Mapping[str, float]) -> float:

@@ -49,7 +49,6 @@ from robustlab.dynamics.extended.force_blocks import (
 )
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.structural import drop_unconnected
@@ -58,6 +57,9 @@ from robustlab.shown import Facts, Part, Shown, listed, number
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, product
+
+# The nominal member of a set must be the plant's own linear model to this share of its largest response.
+NOMINAL_EXACT = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -462,7 +464,7 @@ def _check(own: StateSpaceModel, name: str, made: EffectBlocks) -> None:
     omega = np.geomspace(max(size[size > 0].min(initial=1.0), 1e-6), max(size.max(initial=1.0), 1e-5), 7) * 1.0371
     a, b = (frequency_response(m, omega) for m in (found, own))
     off = float(np.abs(a - b).max() / max(float(np.abs(b).max()), 1e-300))
-    if off > TUNING.nominal_exact:
+    if off > NOMINAL_EXACT:
         raise NoTrustworthyNumber(
             f"{name}: effect_blocks", f"the nominal member is off the linear model by {off:.2g} of its response"
         )

@@ -30,11 +30,19 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.ports.port_model import Port, port_model
 from robustlab.dynamics.simulation import transition
-from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.record import Record
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
+
+# The simulated states must be those of the linear part under the loads to this share of their size.
+LOADS_EXACT = 1e-6
+# Points of a sample at which the response to a load is looked at.
+LOAD_POINTS = 16
+# Of what the laws at one port leave open, one that position and speed tell takes so much less than the others.
+TOLD_SHARE = 1e-3
+# Samples, those of the largest force, at which a law is asked with other values of its parameters.
+TOLD_SAMPLES = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +90,7 @@ class EffectLoads:
         u, states = self._motion(record)
         told, e = self._told(j, states), self.acts[j][0]
         if told is not None:  # for all its values, along the motion of the nominal ones
-            largest, port = states[np.argsort(-np.abs(told))[: TUNING.told_samples]], self._law(j)[1]
+            largest, port = states[np.argsort(-np.abs(told))[:TOLD_SAMPLES]], self._law(j)[1]
             laws = [law for values in e.corners(sigmas) for law in e.effect.laws(e.site, values)]
             return max(float(np.abs(_law_along(law, port, largest)).max()) for law in laws)
         signals, others = self._signals(record, u, states), self._sharing().get(j, [])
@@ -123,7 +131,7 @@ class EffectLoads:
         for j in self._sharing():
             told = self._told(j, states)
             if told is not None:
-                prior[:, j], share[j] = 0.5 * (told[1:] + told[:-1]) / self.loads[j].bound, TUNING.told_share
+                prior[:, j], share[j] = 0.5 * (told[1:] + told[:-1]) / self.loads[j].bound, TOLD_SHARE
         return prior, share
 
     def _signals(self, record: Record, u: Array, states: Array) -> Array:
@@ -153,7 +161,7 @@ class EffectLoads:
         reach = max(1.0, float(np.abs(signals).max(initial=0.0)))
         within = 2.0 * reach * _spread(nominal.A, nominal.B[:, :k], h)
         off = float(((np.abs(rest) - within) / size).max(initial=0.0))
-        if off > TUNING.loads_exact:
+        if off > LOADS_EXACT:
             raise NoTrustworthyNumber(where, f"they miss the simulated states by {off:.1e} of their size")
         return signals
 
@@ -328,8 +336,8 @@ def _spread(a: Array, b: Array, h: float) -> Array:
     """
     from scipy.linalg import expm
 
-    step, way = expm(a * (h / TUNING.load_points)), [b]
-    for _ in range(TUNING.load_points):
+    step, way = expm(a * (h / LOAD_POINTS)), [b]
+    for _ in range(LOAD_POINTS):
         way.append(step @ way[-1])
     path = np.array(way)
     return np.abs(path - path.mean(axis=0)).mean(axis=0).sum(axis=1) * h

@@ -45,13 +45,23 @@ from robustlab.dynamics.extended.attached_effect import (
 from robustlab.dynamics.extended.delays import HIGHEST_PADE, delayed, lagged
 from robustlab.dynamics.extended.nonlinear_steps import About, somewhere
 from robustlab.dynamics.extended.simulator import Simulator
+from robustlab.dynamics.held_point import REST_PASSES, STILL
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
-from robustlab.dynamics.tuning import TUNING
+from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
 from robustlab.result import Status
 from robustlab.shown import AllFields, listed
 from robustlab.statespace import OperatingPoint, StateSpaceModel, real_array
+
+# The laws' steps are laid out for samples of this length in s; longer samples are divided. Larger: quicker, and
+# reversals are located less well.
+NOMINAL_STEP = 1e-3
+# Sweeps over joints that rest together, and the share of the largest force at which they agree.
+REST_SWEEPS = 200
+REST_AGREED = 1e-13
+# Holding forces come before inputs and positions: in the shortest Newton step towards rest they weigh so much less.
+CHEAP = 1e4
 
 
 @dataclass(frozen=True)
@@ -94,7 +104,7 @@ def extended_model(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> PortMo
     if isinstance(plant, NonlinearPlant):
         return somewhere(plant, attached)
     none = np.zeros((1, len(plant.inputs)))
-    run = Simulator(plant, [(e.effect, e.site) for e in attached], none, TUNING.nominal_step)
+    run = Simulator(plant, [(e.effect, e.site) for e in attached], none, NOMINAL_STEP)
     return run.model({}, [e.values for e in attached])
 
 
@@ -199,7 +209,7 @@ class ExtendedEquations(SteppedPlant):
                 resting.append(j)
             else:
                 forces[j] = sum(rest_band(law, q)) / 2.0
-        for _ in range(TUNING.rest_sweeps if len(resting) > 1 else len(resting)):
+        for _ in range(REST_SWEEPS if len(resting) > 1 else len(resting)):
             before = forces.copy()
             for j in resting:
                 law, port = self.laws[j][1], ports[j]
@@ -207,7 +217,7 @@ class ExtendedEquations(SteppedPlant):
                 total = rates + sum(p.force * f for p, f in others)
                 mobility = float(port.velocity @ port.force)
                 forces[j] = holding_force(law, _motion(port, x)[0], float(port.velocity @ total), mobility)
-            if np.abs(forces - before).max() <= TUNING.rest_agreed * np.abs(forces).max():
+            if np.abs(forces - before).max() <= REST_AGREED * np.abs(forces).max():
                 break
         return about, ports, forces
 
@@ -224,8 +234,8 @@ class ExtendedEquations(SteppedPlant):
             Unequal steps of the clock, a start at which a state that an effect has added is not zero.
         """
         steps = np.diff(t)
-        dt = float(steps.mean()) if len(steps) else TUNING.nominal_step
-        if len(steps) and np.abs(steps - dt).max() > TUNING.clock_jitter * dt:
+        dt = float(steps.mean()) if len(steps) else NOMINAL_STEP
+        if len(steps) and np.abs(steps - dt).max() > CLOCK_JITTER * dt:
             k = int(np.argmax(np.abs(steps - dt)))
             raise InputError(
                 "simulate",
@@ -278,7 +288,7 @@ class ExtendedEquations(SteppedPlant):
         s, free, wanted = self._asked_rest(where)
         rows = list(wanted)
         residual = np.zeros(n)
-        for _ in range(TUNING.rest_passes):
+        for _ in range(REST_PASSES):
             residual = np.concatenate([self.derivative(s[:n], s[n:]), self.output(s[:n], s[n:])[rows]])
             residual[n:] -= list(wanted.values())
             if self._is_still(s, residual):
@@ -288,7 +298,7 @@ class ExtendedEquations(SteppedPlant):
             size = np.abs(matrix).max(axis=1, initial=0.0)
             scale = np.where(size > 0, size, 1.0)
             holding = self._holding_columns(s) / scale[:n, None]
-            held = np.vstack([TUNING.cheap * holding, np.zeros((len(rows), holding.shape[1]))])
+            held = np.vstack([CHEAP * holding, np.zeros((len(rows), holding.shape[1]))])
             step = np.linalg.lstsq(np.hstack([matrix / scale[:, None], held]), -residual / scale, rcond=1e-12)[0]
             step = step[: len(free)]
             # Newton's steps leave rates of rounding at joints whose rest is what lets them be held: those are zero.
@@ -336,7 +346,7 @@ class ExtendedEquations(SteppedPlant):
             if v != 0.0 or law.memory or not is_set_valued(law, q):
                 continue
             low, high = rest_band(law, q)
-            within = 1.0 if low < force < high else TUNING.cheap**-2
+            within = 1.0 if low < force < high else CHEAP**-2
             columns.append(within * (port.force / np.abs(port.force).max())[:, None])
         return np.hstack(columns)
 
@@ -349,7 +359,7 @@ class ExtendedEquations(SteppedPlant):
         for port, force in zip(ports, forces, strict=True):
             terms = terms + np.abs(port.force * force)
         size = np.full(len(residual) - n, 1.0 + float(np.abs(s).max(initial=0.0)))
-        return bool((np.abs(residual) <= TUNING.still * np.concatenate([terms, size])).all())
+        return bool((np.abs(residual) <= STILL * np.concatenate([terms, size])).all())
 
     # --- the linear model --------------------------------------------------------------------------------------------
 

@@ -22,8 +22,8 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.checks import number
-from robustlab.dynamics.extended.attached_effect import AttachedEffect, attach
-from robustlab.dynamics.extended.extended_equations import ExtendedEquations, extended_model
+from robustlab.dynamics.extended.attached_effect import POSITION_STEP, AttachedEffect, attach
+from robustlab.dynamics.extended.extended_equations import NOMINAL_STEP, ExtendedEquations, extended_model
 from robustlab.dynamics.extended.nonlinear_steps import (
     About,
     Drive,
@@ -39,12 +39,18 @@ from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import local_port_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
-from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
+
+# Of a nonlinear plant the steps are halved until the states change by no more than this share of their root mean
+# square, so many times at most. Larger: quicker, less exact.
+HALVED = 1e-4
+MOST_HALVINGS = 5
+# Entries of an exact form that differ by less than this share of their matrix' largest are equal.
+FORM_ROUNDING = 1e-9
 
 STILL = 1e-6  # rad, m, rad/s, m/s, A: a motion below it is none
 
@@ -70,7 +76,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         rows = carried(self.plant, self.effects)
         at = rows @ x
         here, n_u = self.changed.local_models(at[None], seen[None]), len(seen)
-        steps = TUNING.position_step * np.maximum(np.abs(at), 1.0)
+        steps = POSITION_STEP * np.maximum(np.abs(at), 1.0)
         shifts = np.concatenate([k * np.diag(steps) for k in (1.0, -1.0, 0.5, -0.5)])
         local = self.changed.local_models(at + shifts, np.tile(seen, (len(shifts), 1)))
         model = with_linear_parts(local_port_model(self.changed, local), self.effects)
@@ -94,7 +100,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         inputs, which are given for held ones).
 
         Without a step the steps are halved, from 1 ms or the samples', until the states at the samples change by no
-        more than ``TUNING.halved`` (1e-4), in root mean square, of the largest state of the same unit. What is left
+        more than `HALVED` (1e-4), in root mean square, of the largest state of the same unit. What is left
         then is a third of that or less.
 
         Raises NoTrustworthyNumber: steps that many times shorter still change the motion; a motion that leaves what the
@@ -104,19 +110,19 @@ class ExtendedNonlinearPlant(ExtendedEquations):
             raise InputError(
                 f"{self.name}: simulate", "inputs that are not held, with an effect on one", "hold = 'zoh'"
             )
-        parts = max(1, int(np.ceil(dt / (step or TUNING.nominal_step) - 1e-9)))
+        parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
         states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, None)
         if step is not None:
             return states[::parts], outputs[::parts]
         off = np.inf
-        for _ in range(TUNING.most_halvings):
+        for _ in range(MOST_HALVINGS):
             coarse, parts = states, 2 * parts
             between = np.arange(len(u) * parts) / 2.0
             guess = np.column_stack([np.interp(between, np.arange(len(coarse)), column) for column in coarse.T])
             states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, guess)
             found, before = states[::parts], coarse[:: parts // 2]
             off = self._difference(found, before)
-            if off <= TUNING.halved:
+            if off <= HALVED:
                 return found, outputs[::parts]
         raise NoTrustworthyNumber(
             f"{self.name}: simulate",
@@ -191,7 +197,7 @@ class ExtendedPlant(ExtendedEquations):
 
     def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
         """States and outputs, by `Simulator`."""
-        parts = max(1, int(np.ceil(dt / (step or TUNING.nominal_step) - 1e-9)))
+        parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
         held = np.repeat(u, parts, axis=0)
         run = Simulator(self.plant, [(e.effect, e.site) for e in self.effects], held, dt / parts, t0)
         whole = Windows(np.zeros(1, dtype=np.int64), len(held))
@@ -385,7 +391,7 @@ def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) ->
             if not std:
                 continue
             first, second = (_changed(plant, e, {parameter.name: share * value}) for share in (1.25, 1.5))
-            if not np.allclose(second, 2.0 * first, rtol=TUNING.form_rounding, atol=0.0):
+            if not np.allclose(second, 2.0 * first, rtol=FORM_ROUNDING, atol=0.0):
                 continue
             label = f"{e.key}.{parameter.name}"
             tolerance = width * std / abs(value)
@@ -499,7 +505,7 @@ def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel,
         found = whole.evaluate({block.name: delta for block in whole.blocks})
         for name in "ABCD":
             off = np.abs(getattr(found, name) - getattr(other, name)).max(initial=0.0)
-            if off > TUNING.form_rounding * np.abs(getattr(other, name)).max(initial=0.0):
+            if off > FORM_ROUNDING * np.abs(getattr(other, name)).max(initial=0.0):
                 raise NoTrustworthyNumber(
                     f"{plant.name}: uncertain",
                     f"the form is not exact: {name} is off by {off:.2g} at delta = {delta:g}",

@@ -34,9 +34,11 @@ from robustlab.dynamics.effects.contract import Footprint
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import Port
-from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, unknown_name
 from robustlab.shown import AllFields
+
+# Amplitudes at which a sector that is the same is taken for one of all amplitudes.
+STRETCHES = (0.5, 1.0, 2.0)
 
 Amplitude = float | tuple[float, float]
 Dry = Literal["gain", "load", "both"]
@@ -207,7 +209,7 @@ def _ways(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> t
     """Whether the law becomes a gain, and whether a bounded force."""
     has_gain = seen.signal == "force" or any(
         f is not None and f.gain_upper > f.gain_lower
-        for a in TUNING.stretches
+        for a in STRETCHES
         for f in [e.footprint(1e3 * a)]
     ) or seen.gain_upper > seen.gain_lower  # fmt: skip
     if not seen.offset:
@@ -221,7 +223,7 @@ def _ways(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> t
 
 
 def _same_everywhere(e: AttachedEffect) -> bool:
-    found = [e.footprint(a) for a in TUNING.stretches]
+    found = [e.footprint(a) for a in STRETCHES]
     return len({(f.gain_lower, f.gain_upper) for f in found if f is not None}) == 1 and found[0] is not None
 
 

@@ -46,8 +46,10 @@ from robustlab.dynamics.ports.motion_model import (
     with_factors,
 )
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
-from robustlab.dynamics.tuning import TUNING
 from robustlab.errors import InputError, unknown_name
+
+# Matrix exponentials and models that a simulator keeps.
+KEPT = 64
 
 Hold = Literal["zoh", "linear", "smooth"]
 DEGREE = 5
@@ -340,7 +342,7 @@ class Simulator:
         key = tuple(sorted(total.items()))
         model = self._models.get(key)
         if model is None:
-            if len(self._models) > TUNING.kept:
+            if len(self._models) > KEPT:
                 self._models.clear()
             assert isinstance(self.plant, LinearPlant)
             model = self._models[key] = port_model(self.plant, total)
@@ -499,7 +501,7 @@ class Simulator:
         """`exponential` of the present model, kept."""
         key = a.tobytes()
         if key not in self._exponentials:
-            if len(self._exponentials) > TUNING.kept:
+            if len(self._exponentials) > KEPT:
                 self._exponentials.clear()
             self._exponentials[key] = exponential(a, h)
         return self._exponentials[key]
