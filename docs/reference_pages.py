@@ -9,7 +9,6 @@ from __future__ import annotations
 import ast
 import enum
 import inspect
-import json
 import re
 import typing
 from collections.abc import Iterator
@@ -18,9 +17,9 @@ from typing import Any
 
 import robustlab as rl
 from robustlab.recipe.keys import keys_of
+from robustlab.recipe.schema import json_schema
 
 ROOT = Path(__file__).parents[1]
-SCHEMA = ROOT / "recipes" / "recipe.schema.json"
 
 
 def pages() -> dict[str, str]:
@@ -203,14 +202,14 @@ def _paragraph(text: str) -> str:
 
 def recipe_page() -> str:
     """Every key of a recipe, by the JSON Schema."""
-    schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    schema = json_schema()
     parts = schema["$defs"]
     steps = {p["properties"]["do"]["const"]: p for p in parts.values() if "const" in p["properties"].get("do", {})}
     text = heading("Recipes", "=") + plain(schema["description"]) + "\n\n"
     text += (
-        "A recipe is a TOML file. An editor that knows JSON Schema completes and checks it by\n"
-        "``recipes/recipe.schema.json``; ``robustlab recipe schema`` prints that, ``robustlab recipe check FILE``\n"
-        "checks a file, ``robustlab recipe new NAME`` starts one.\n\n"
+        "A recipe is a TOML file. An editor that knows JSON Schema completes and checks it by what\n"
+        "``robustlab recipe schema`` prints; ``robustlab recipe check FILE`` checks a file,\n"
+        "``robustlab recipe new NAME`` starts one.\n\n"
     )
     text += heading("The file", "-") + _keys(schema, parts)
     text += (

@@ -14,7 +14,6 @@ import robustlab as rl
 from robustlab.cli.console import FIGURE, SCHEMA, emit, note, save_figures
 from robustlab.cli.generated import DRAWN, OUT, Beyond, add_commands, command_of, options_of, provenance_of
 from robustlab.cli.options import JsonOption, RecordOptions, grouped
-from robustlab.cli.plots import plot_record
 from robustlab.cli.progress import ProgressOptions
 from robustlab.doors.declaration import COMMANDS
 from robustlab.errors import EXIT_INTERRUPTED, EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, NoTrustworthyNumber
@@ -30,7 +29,6 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
 )
-app.command("plot")(plot_record)
 add_commands(app, "data", "data")
 
 

@@ -16,7 +16,6 @@ from robustlab.cli.options import (
     ends,
     grouped,
 )
-from robustlab.cli.plots import frequency_response, plot_model
 from robustlab.errors import UsageError
 from robustlab.shown import text_table as table
 
@@ -122,9 +121,7 @@ def convert(
     emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
 
 
-add_commands(app, "model", "analysis", "digital", "models", "robustness")
-app.command("plot")(plot_model)
-app.command("response")(frequency_response)
+add_commands(app, "model", "digital", "models", "robustness")
 
 
 # --- reading and printing --------------------------------------------------------------------------------------------

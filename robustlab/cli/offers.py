@@ -23,8 +23,6 @@ PLANTS = {  # with a line on each
     "linear-actuator": "DC motor with a belt that drives a cart, linear",
     "stewart-platform": "platform on six legs, nonlinear; presets thesis and physical, with motors or without",
 }
-NORMS = ("hinf", "linf", "h2", "passivity")
-FORMULAS = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
 _PLANT_FILES = (".h5", ".mat", ".py", ".fmu")
 
 

@@ -8,7 +8,7 @@ Among them is how the file of a record is read.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
@@ -17,10 +17,9 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, require_trust
+from robustlab.cli.console import note
 from robustlab.cli.offers import recipe_or_file
 from robustlab.errors import InputError, UsageError
-from robustlab.shown import text_table as table
 from robustlab.units import amount, same_unit, share
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
@@ -36,7 +35,6 @@ TimeLimitOption = Annotated[
         help="Guard in s: where it strikes, the answer is not repeatable. No limit if left out.",
     ),
 ]
-OutOption = Annotated[str | None, typer.Option("--out", "-o", help="File to write.")]
 RecipeArgument = Annotated[
     str,
     typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", autocompletion=recipe_or_file),
@@ -85,41 +83,6 @@ class EffortOptions:
 
     effort: EffortOption = 1.0
     time_limit: TimeLimitOption = None
-
-
-@dataclass(frozen=True)
-class OutputOptions:
-    """Where the result goes."""
-
-    out: OutOption = None
-    as_json: JsonOption = False
-
-    def keep(self, result: Any) -> None:
-        """Write the result, with a note, where a file was named."""
-        if self.out is not None:
-            rl.save(self.out, result)
-            note(f"written: {self.out}")
-
-    def keep_made(self, command: str, thing: Any, files: Sequence[str]) -> list[tuple[str, str]]:
-        """Write what a command made of files, where one was named for it; the row that says so."""
-        if self.out is None:
-            return []
-        from robustlab.provenance import Provenance, file_sha256
-
-        rl.save(self.out, thing, Provenance.now(command, {file: file_sha256(file) for file in files}))
-        return [("written", self.out)]
-
-    def finish(self, command: str, result: Any, text: str, **more: Any) -> None:
-        """Write the result where a file was named, print it, and leave with the exit code of its status."""
-        self.keep(result)
-        emit(command, {**result.to_json(), **more}, text, self.as_json)
-        require_trust(result.status)
-
-    def finish_made(self, command: str, found: Any, thing: Any, files: Sequence[str]) -> None:
-        """The same of what was found of files: the thing made there is written, the facts are printed."""
-        rows = [*found.facts(), *self.keep_made(command, thing, files)]
-        emit(command, found.to_json(), table(rows), self.as_json)
-        require_trust(found.status)
 
 
 # --- texts of options ------------------------------------------------------------------------------------------------

@@ -191,7 +191,7 @@ def validate(
     )  # fmt: skip
 
 
-@door("data envelope", "cover", result="identification.comparison.envelope.EnvelopeCoverage")
+@door("", "cover", result="identification.comparison.envelope.EnvelopeCoverage")
 def cover(
     uncertain: Annotated[UncertainPlant, Named(key="of")],
     record: Measured,
@@ -207,10 +207,7 @@ def cover(
     ] = None,
     seed: Annotated[int | None, Whole(0, 2**63 - 1), "Seed of the members; in a recipe its own if left out."] = None,
 ) -> Any:
-    """Does the envelope of an uncertain model's members hold a record? Sampled, not proved.
-
-    Example: robustlab data envelope axis.h5 run3.csv --samples 50
-    """
+    """Does the envelope of an uncertain model's members hold a record? Sampled, not proved."""
     from robustlab.identification.comparison.envelope import cover as within
 
     return within(uncertain, record, n=n, vertices=vertices, seed=seed or 0, rate=rate, allowance=allowance)

@@ -343,4 +343,4 @@ def every_door() -> list[Door]:
 
 
 # The modules of doors.
-ALL = ("analysis", "data", "designs", "digital", "scheduling", "members", "models", "robustness", "sets")
+ALL = ("data", "designs", "digital", "members", "models", "robustness", "sets")

@@ -399,34 +399,3 @@ class PoleLimits:
 NOTHING_ASKED, FREE_POLES = Asked(), PoleLimits()
 
 
-@door("synth tune", "tune", result="synthesis.fixed.goal_tuning.TunedSynthesis", gives="controller", made="controller")
-def tune(
-    system: Of,
-    also: Annotated[
-        list[Any] | None,
-        Thing(("plant", "model", "uncertain", "any"), model=True, many=True, positional=True),
-        "Further plants for the same controller.",
-    ] = None,
-    structure: Structure = "pid",
-    asked: Asked = NOTHING_ASKED,
-    poles: PoleLimits = FREE_POLES,
-    signals: Signals = ALL_SIGNALS,
-    tries: Tries = USUAL_TRIES,
-    search: Search = USUAL,
-    progress: Any = None,
-) -> Any:
-    """Controller u = K (r - y) of a given structure that meets hard goals and makes the others small.
-
-    Goals: tracking, sensitivity, gain, rejection, variance, margin, overshoot (by a proxy); each is met where its value
-    is at most 1. Exit code 4: a hard goal is missed, or no controller could be vouched for.
-
-    Example: robustlab synth tune motor.h5 --structure pi --outputs omega --goal tracking:response_time=0.1
-    """
-    from robustlab.synthesis.laws.controller_structures import structure_in_words
-    from robustlab.synthesis.problem.partition import GeneralizedPlant
-
-    models = [signals.of(model) for model in (system, *(also or []))]
-    first = models[0]
-    words = structure_in_words(structure, GeneralizedPlant(first, max(first.n_outputs, 1), max(first.n_inputs, 1)))
-    goals = [*(asked.goals or []), *(asked.hard or []), *poles.limits]
-    return rl.tune(models, words, goals, progress=progress, **vars(tries), **search.options)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import robustlab as rl
-from robustlab.doors.declaration import InLoop, Named, door
+from robustlab.doors.declaration import Named, door
 from robustlab.doors.designs import Channels, Controls, K, Measured, Of, Order, Plant
 from robustlab.doors.kinds import Choice, Number, Thing
 from robustlab.doors.words import Band, SampleTime, Search, Sign
@@ -178,61 +178,6 @@ def minimal(
 
 
 Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between the samples."]
-RESAMPLED = "synthesis.sampled.resampling.Resampled"
-
-
-@door("model discretise", result="statespace.StateSpaceModel", gives="model")
-def discretise_by_formula(
-    system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file.", Named(key="of")],
-    dt: SampleTime,
-    method: Annotated[
-        str,
-        Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
-        "The formula.",
-    ] = "tustin",
-    prewarp: Annotated[
-        float | None, Number("rad/s", above=0), "Of tustin-prewarp: frequency in rad/s where it is exact."
-    ] = None,
-) -> Any:
-    """A discrete model of a continuous one, by formula.
-
-    A model with exact delays at inputs and outputs takes zoh, which is exact.
-    What a loop loses by it is what "synth discretise" computes.
-
-    Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
-    """
-    from robustlab.statespace import as_model
-    from robustlab.synthesis.sampled.discretisation import merged_modes
-
-    late = isinstance(system, rl.DelayedModel)
-    model: Any = system if late else as_model(system, "model discretise")
-    given: Any = method
-    found = rl.discretise(model, dt, given, prewarp=prewarp)
-    return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if late else model, dt)))
-
-
-@door("model d2c", result=RESAMPLED, gives="model", made="model")
-def d2c(system: Of, method: Hold = "zoh") -> Any:
-    """A continuous model of a discrete one, with the error with which discretising gives it back.
-
-    Exit code 4: there is none (a pole on the negative real axis), or digits were lost.
-
-    Example: robustlab model d2c sampled.h5 --out plant.h5
-    """
-    given: Any = method
-    return rl.d2c(system, given)
-
-
-@door("model d2d", result=RESAMPLED, gives="model", made="model")
-def d2d(system: Of, dt: SampleTime, method: Hold = "zoh") -> Any:
-    """A discrete model with another sample time; a whole multiple needs no continuous model on the way.
-
-    Exit code 4: there is none, or digits were lost.
-
-    Example: robustlab model d2d fast.h5 --dt 0.01 --out slow.h5
-    """
-    given: Any = method
-    return rl.d2d(system, dt, given)
 
 
 def _foretold_loop(step: Any, ahead: Any) -> Any:
@@ -244,17 +189,14 @@ def _foretold_loop(step: Any, ahead: Any) -> Any:
     return replace(ahead[None], inputs=references, outputs={**outputs, **inputs})
 
 
-@door("model close", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",
+@door("", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",
       made="model", foretell=_foretold_loop)  # fmt: skip
 def close_loop(
     system: Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file.", Named(key="of")],
     controller: Annotated[Any, Thing(("controller", "any")), "File with the controller."],
     sign: Annotated[Sign, Named(option="--feedback")] = None,
 ) -> Any:
-    """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out.
-
-    Example: robustlab model close motor.h5 k.h5 --out loop.h5
-    """
+    """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out."""
     from robustlab.synthesis.specifications.tracking_loop import close_loop as closed
 
     given: Any = sign

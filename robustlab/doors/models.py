@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.kinds import Names, Number, Numbers, Quantity, Table, Texts, Thing, Whole, in_units
+from robustlab.doors.kinds import Number, Numbers, Quantity, Table, Thing, Whole, in_units
 from robustlab.doors.words import Model, Outputs
 from robustlab.errors import UsageError
 
@@ -16,12 +15,6 @@ PLANT = "Name of the plant (dc-motor), file.py:name, or an HDF5 file with one."
 Plant = Annotated[Any, Thing(("plant",), settings=True), PLANT]
 Part = Annotated[
     list[Any], Thing(("plant", "model", "uncertain", "controller", "any"), many=True), "Files, nominal or uncertain."
-]
-PlantOrModel = Annotated[
-    Any,
-    Thing(("plant", "model", "uncertain", "any"), settings=True),
-    "Model file, name of a plant, or file.py:name.",
-    Named(key="of"),
 ]
 
 
@@ -137,7 +130,7 @@ def _foretold_steady_state(step: Any, ahead: Any) -> Any:
 
 
 @door(
-    "model steady-state",
+    "",
     "steady-state",
     result="linear_analysis.steady_state.SteadyState",
     foretell=_foretold_steady_state,
@@ -152,10 +145,7 @@ def steady_state(
     ],
     outputs: Outputs = None,
 ) -> Any:
-    """Outputs in steady state under constant inputs; inputs left out are zero.
-
-    Example: robustlab model steady-state speed.h5 --input-value u=42
-    """
+    """Outputs in steady state under constant inputs; inputs left out are zero."""
     from robustlab.linear_analysis.steady_state import steady_state as computed
 
     return computed(model, in_units("input", inputs, {s.name: s.unit for s in model.inputs}), outputs)
@@ -200,73 +190,3 @@ def two_models(first: Any, second: Any) -> tuple[Any, Any]:
     if second is None:
         raise UsageError("two models", "one model", "another file, or one that holds /nominal and /perturbed")
     return first, second
-
-
-def _foretold_connection(step: Any, ahead: Any) -> Any:
-    units: dict[str, str] = {}
-    for part in step.parts:
-        units |= {**(ahead[part].inputs or {}), **(ahead[part].outputs or {})}
-    inputs, outputs = ({name: units.get(name, "") for name in side} for side in (step.inputs, step.outputs))
-    return replace(ahead[None], inputs=inputs, outputs=outputs)
-
-
-@door("model connect", "connect", result="uncertainty.lft.UncertainModel", gives="any", foretell=_foretold_connection)
-def connect(
-    parts: Part,
-    inputs: Annotated[list[str], Names(), "Signals from outside, in this order."],
-    outputs: Annotated[list[str], Names(), "Signals to show, in this order."],
-    sums: Annotated[
-        Sequence[str],
-        Texts(),
-        'Summing junction: "e = r - y" makes the signal e; repeatable.',
-        Named(option="--sum"),
-    ] = (),
-) -> Any:
-    """Models wired by the names of their signals: an output feeds every input of the same name.
-
-    Example: robustlab model connect motor.h5 pi.h5 --sum "e = r - omega" --inputs r --outputs omega --out loop.h5
-    """
-    return rl.connect(*parts, inputs=inputs, outputs=outputs, sums=sums)
-
-
-DELAYED = "delays.model.DelayedModel, statespace.StateSpaceModel"  # a discrete model, or a Pade approximation
-
-
-@door("model delay", "with-delays", result=DELAYED, gives="any", foretell="of")
-def delay(
-    system: PlantOrModel,
-    inputs: Annotated[
-        dict[str, Any] | None,
-        Table(Quantity(least=0), "inputs"),
-        "Delay of an input in s, u=0.01; repeatable.",
-        Named(option="--input-delay"),
-    ] = None,
-    outputs: Annotated[
-        dict[str, Any] | None,
-        Table(Quantity(least=0), "outputs"),
-        "Delay of an output in s; repeatable.",
-        Named(option="--output-delay"),
-    ] = None,
-    pade: Annotated[int | None, Whole(0, 40), "A rational model of this order in the place of exact delays."] = None,
-) -> Any:
-    """Exact delays at the inputs and outputs of a model; of a discrete one as states.
-
-    Example: robustlab model delay motor.h5 --input-delay u=0.01 --out late.h5
-    """
-    model, sides = with_lengths(system, inputs, outputs)
-    at_inputs, at_outputs = sides
-    found: Any = rl.with_delays(model, at_inputs, at_outputs)
-    if pade is None:
-        return found
-    if not isinstance(found, rl.DelayedModel):
-        raise UsageError("pade", "the model is discrete: its delays are states", "none")
-    return found.pade(pade)
-
-
-def with_lengths(system: Any, *sides: Any) -> tuple[Any, list[dict[str, Any]]]:
-    """The model, and lengths of time by the names of its signals as numbers in s."""
-    from robustlab.dynamics.plant_contract import Plant as AnyPlant
-
-    model = rl.linearise(system) if isinstance(system, AnyPlant) else system
-    units = {s.name: "s" for s in (*model.inputs, *model.outputs)}
-    return model, [in_units("delay", side, units) for side in sides]

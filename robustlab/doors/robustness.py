@@ -7,16 +7,13 @@ from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Table, Thing, Whole
+from robustlab.doors.kinds import Choice, Flag, Number
 from robustlab.doors.words import (
-    Band,
-    Controller,
     Frequency,
     Loop,
     Model,
     Search,
     Seed,
-    Sign,
     Signals,
     System,
     Uncertain,
@@ -32,48 +29,7 @@ OfSet = Annotated[Uncertain, Named(key="of")]
 NO_LOOP, ALL_SIGNALS, USUAL = Loop(), Signals(), Search()
 Tolerance = Annotated[float, Number(above=0), "Relative gap of the bounds that is aimed at; inf: no branch and bound."]
 Accuracy = Annotated[float, Number(above=0, below=1), "Relative distance to the best margin that D, G can prove."]
-FilterOrder = Annotated[int, Whole(0, 8), "Order of the multipliers' filters.", Named(option="--filter-order")]
 Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Named(only="command")]
-ON_COMMAND = Named(only="command")
-Bounds = Annotated[dict[str, float] | None, Table(Number(above=0))]
-Nature = Annotated[
-    dict[str, str] | None,
-    Table(Kind(), words="NAME=WORD:NUMBERS"),
-    "Block, or OUTPUT:INPUT between two signals -> what is there: varying[:RATE], saturation, dead-zone[:SIZE:REACH], "
-    "friction:LEVEL:SPEED, sector:LOW:HIGH, slope:LOW:HIGH, odd-slope:LOW:HIGH.",
-]
-
-
-# --- norms of one model -----------------------------------------------------------------------------------------------
-
-
-@door("model norm --kind=hinf", "hinf-norm", result="norms.HinfNorm")
-def hinf_norm(system: Of) -> Any:
-    """A norm of a model with its evidence: peak gain (hinf; linf of unstable models), white noise (h2), passivity.
-
-    Exit code 4: the number cannot be vouched for.
-
-    Example: robustlab model norm motor.h5 --kind h2
-    """
-    return rl.peak_gain(system)
-
-
-@door("model norm --kind=linf", "linf-norm", result="norms.HinfNorm")
-def linf_norm(system: Of, band: Band = None) -> Any:
-    """L-infinity norm of a model, which may be unstable: its peak gain over the frequency axis, or in a band."""
-    return rl.peak_gain(system, norm="linf", band=band)
-
-
-@door("model norm --kind=h2", "h2-norm", result="norms.impulse_energy.H2Norm")
-def h2_norm(system: Of) -> Any:
-    """H2 norm of a model."""
-    return rl.h2_norm(system)
-
-
-@door("model norm --kind=passivity", "passivity", result="norms.positive_real.Passivity")
-def passivity(system: Of) -> Any:
-    """Relative passivity index of a square model, input k belonging to output k, and its input and output index."""
-    return rl.passivity(system)
 
 
 # --- margins of a loop ------------------------------------------------------------------------------------------------
@@ -269,98 +225,3 @@ def robustness_at(
     loop, words = around.around(system, "robustness at frequencies")
     asked: Any = rl.robust_stability if what == "margin" else rl.peak_gain
     return InLoop(asked(loop, frequency=frequency, seed=seed), words)
-
-
-# --- blocks that are not linear, or vary with time --------------------------------------------------------------------
-
-
-def _natures(nature: dict[str, str] | None, system: Any) -> Any:
-    from robustlab.iqc.nature import natures_in_words
-
-    return natures_in_words(nature or {}, "--nature", [b.name for b in getattr(system, "blocks", ())])
-
-
-@door("iqc gain", "iqc-gain", result="iqc.IqcGain")
-def iqc_gain(
-    system: Annotated[System, "Uncertain model, model, or a plant with effects: HDF5 file.", Named(key="of")],
-    nature: Nature = None,
-    around: Loop = NO_LOOP,
-    signals: Signals = ALL_SIGNALS,
-    order: FilterOrder = 2,
-    search: Search = USUAL,
-    amplitude: Annotated[
-        Bounds, "Of a plant with effects: place of an effect -> bound of its signal.", ON_COMMAND
-    ] = None,
-    stick_speed: Annotated[
-        Bounds, "Of a plant with effects: joint -> speed below which dry friction is creep.", ON_COMMAND
-    ] = None,
-) -> Any:
-    """Worst L2 gain, proved for blocks that are nonlinear, vary with time, or are uncertain.
-
-    Example: robustlab iqc gain loop.h5 --nature y:u=saturation --nature k=varying:0.5
-    """
-    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
-
-    if isinstance(system, ExtendedPlant):
-        if around.controller is None:
-            raise UsageError("iqc gain", "a plant with effects without --controller", "the loop that it stands in")
-        if nature or signals.inputs:
-            expected, hint = "none of them", "its effects say what they are"
-            raise UsageError("iqc gain", "--nature or --inputs for a plant with effects", expected, hint)
-        found = (system, around.controller, signals.outputs, amplitude, stick_speed)
-        return effect_gain(*found, around.sign, order, search)
-    if amplitude or stick_speed:
-        found, expected = f"--amplitude or --stick-speed for a {type(system).__name__}", "a plant with effects"
-        raise UsageError("iqc gain", found, expected, "nature=... says what a block is")
-    loop, words = around.around(system, "iqc gain")
-    found = rl.peak_gain(
-        loop, natures=_natures(nature, loop), inputs=signals.inputs, outputs=signals.outputs, order=order,
-        **search.options,
-    )  # fmt: skip
-    return InLoop(found, words)
-
-
-@door("iqc gain --stability", "iqc-stability", result="iqc.IqcStability")
-def iqc_stability(
-    system: Annotated[System, "Uncertain model, or model: HDF5 file.", Named(key="of")],
-    nature: Nature = None,
-    around: Loop = NO_LOOP,
-    order: FilterOrder = 2,
-    search: Search = USUAL,
-) -> Any:
-    """Stability, proved for blocks that are nonlinear, vary with time, or are uncertain."""
-    loop, words = around.around(system, "iqc gain")
-    options: dict[str, Any] = {"order": order, **search.options}
-    return InLoop(rl.robust_stability(loop, natures=_natures(nature, loop), **options), words)
-
-
-@door("", "effect-gain", result="iqc.effect_gain_bounds.EffectGain")
-def effect_gain(
-    plant: Annotated[
-        Any, Thing(("plant", "any")), "A plant with effects: what a discovery found, or its file.", Named(key="of")
-    ],
-    controller: Annotated[Controller, Named(option="--controller,-k")],
-    outputs: Annotated[list[str] | None, Names("outputs"), "Outputs that the controller sees; all if left out."] = None,
-    amplitude: Annotated[
-        dict[str, float] | None, Table(Number(above=0)), "Place of an effect -> bound of its signal."
-    ] = None,
-    stick_speed: Annotated[
-        dict[str, float] | None, Table(Number(above=0)), "Joint -> speed below which dry friction is creep."
-    ] = None,
-    sign: Annotated[Sign, Named(option="--feedback")] = None,
-    order: FilterOrder = 2,
-    search: Search = USUAL,
-) -> Any:
-    """Worst L2 gain of a loop with the plant's effects as nonlinearities, beside that of constant gains.
-
-    It is what ``iqc gain`` does for a plant with effects.
-    """
-    from robustlab.closing import closing
-
-    base = getattr(getattr(plant, "plant", None), "state_space", None)
-    if base is not None:
-        sign = closing(base().select(None, outputs), controller, sign, "effects", None).sign
-    return rl.peak_gain(
-        plant, controller, outputs=outputs, amplitude=amplitude, stick_speed=stick_speed, sign=sign, order=order,
-        **search.options,
-    )  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
 from robustlab.doors.kinds import Choice, Flag, Names, Number, Quantity, Share, Table, TextFile, Thing, Whole, in_units
-from robustlab.doors.models import At, Plant, PlantOrModel, Pose, at_rest, left_out, two_models, with_lengths
+from robustlab.doors.models import At, Plant, Pose, at_rest, left_out, two_models
 from robustlab.doors.words import Controller, Outputs, Search, Sign
 from robustlab.errors import InputError, UsageError
 
@@ -245,90 +245,3 @@ def uncertain_from(
 
 
 Lengths = dict[str, Any] | None
-
-
-@door("uncertain delays", "delays", result="uncertainty.built.BuiltModel", gives="uncertain", made="model",
-      foretell="of")  # fmt: skip
-def delays(
-    system: PlantOrModel,
-    inputs: Annotated[
-        Lengths,
-        Table(Quantity("may", least=0), "inputs"),
-        "Delay of an input in s, u=0.01, or its range, u=0.01:0.03; repeatable.",
-        Named(option="--input-delay"),
-    ] = None,
-    outputs: Annotated[
-        Lengths,
-        Table(Quantity("may", least=0), "outputs"),
-        "Delay of an output in s, or its range; repeatable.",
-        Named(option="--output-delay"),
-    ] = None,
-    neglected_delays: Annotated[
-        Lengths,
-        Table(Number("s", above=0), "inputs"),
-        "Longest delay of an input in s that the model leaves out; a weight covers all up to it.",
-        Named(option="--neglected-delay"),
-    ] = None,
-    neglected_lags: Annotated[
-        Lengths,
-        Table(Number("s", above=0), "inputs"),
-        "Longest time constant in s of a lag at an input that the model leaves out; likewise.",
-        Named(option="--neglected-lag"),
-    ] = None,
-    order: Annotated[int, Whole(0, 40), "Order of the Pade approximations.", Named(option="--pade")] = 3,
-    weight_order: Annotated[int, Whole(1, 81), "Order of the weight of their error."] = 3,
-) -> Any:
-    """A set that holds a model with its exact delays: rational ones, and blocks for what these miss at any frequency.
-
-    The model may be uncertain, or have exact delays already. What is proved of the set is proved of the model.
-
-    Example: robustlab uncertain delays motor.h5 --input-delay u=0.005:0.015 --out set.h5
-    """
-    from robustlab.delays import uncertain_delays
-    from robustlab.delays.neglected import neglected_weight
-    from robustlab.uncertainty.built import BuiltModel
-
-    model, sides = with_lengths(system, inputs, outputs)
-    found = uncertain_delays(model, sides[0], sides[1], order, weight_order)
-    parts = {b.name: f"{b.rows} channels: {b.origin}" for b in found.blocks if b.origin}
-    for kind, longest in (("delay", neglected_delays), ("lag", neglected_lags)):
-        for name, length in (longest or {}).items():
-            weight = neglected_weight(**{kind: length})
-            block = f"{name}: neglected {kind}"
-            found = behind_input(found, name, weight.weight, block)
-            parts[block] = f"up to {length:g} s; {weight.proof}"
-    note = "The errors are bounded for all frequencies: what is proved holds for the exact delays and lags."
-    return BuiltModel(found, "delays", rl.Status.CERTIFIED, parts=parts, notes=(note,))
-
-
-def behind_input(found: Any, name: str, weight: Any, block: str) -> Any:
-    """The set behind ``1 + W Delta`` at one of its inputs."""
-    import numpy as np
-
-    known = [s.name for s in found.inputs]
-    if name not in known:
-        raise InputError(f"delays: input {name!r}", "no such signal", f"one of {', '.join(known)}")
-    column = np.eye(len(known))[:, [known.index(name)]]
-    through = rl.StateSpaceModel([], [], [], np.eye(len(known)), 0.0, found.inputs, found.inputs)
-    return found @ rl.unstructured(through, weight @ column.T, "input-multiplicative", W1=column, name=block)
-
-
-def _delay_or_lag(delay: float | None, lag: float | None) -> None:
-    if (delay is None) == (lag is None):
-        raise UsageError("neglected", "delay and lag" if lag is not None else "neither", "one of them")
-
-
-@door("uncertain neglected", "neglected-weight", result="delays.neglected.NeglectedWeight", gives="model",
-      made="weight", check=_delay_or_lag)  # fmt: skip
-def neglected(
-    delay: Annotated[float | None, Number("s", above=0), "Longest delay in s that is left out."] = None,
-    lag: Annotated[float | None, Number("s", above=0), "Longest time constant in s that is left out."] = None,
-    weight_order: Annotated[int, Whole(1, 3), "Order of the weight for a delay: 1 or 3."] = 1,
-) -> Any:
-    """The weight of the relative error of a model that leaves out a delay or a lag, proved for all frequencies.
-
-    Example: robustlab uncertain neglected --delay 0.02 --out weight.h5
-    """
-    from robustlab.delays.neglected import neglected_weight
-
-    return neglected_weight(delay, lag, weight_order)

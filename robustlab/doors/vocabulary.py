@@ -51,7 +51,6 @@ ToController = Annotated[str, RefersTo(("controller", "any"))]
 ToRecord = Annotated[str, RefersTo(("record", "any"))]
 ToSaved = Annotated[str, RefersTo(("saved",))]
 ToPlantOrFile = Annotated[str, RefersTo(("plant", "any"))]
-ToDesignable = Annotated[str, RefersTo(("problem", "plant", "model", "uncertain", "any"))]
 ToUncertainOrProblem = Annotated[str, RefersTo(("problem", "uncertain", "any"))]
 ToAnything = Annotated[str, RefersTo(("plant", "model", "uncertain", "problem", "controller", "record", "any"))]
 
@@ -113,11 +112,6 @@ def _share_schema(less_than_one: bool) -> WithJsonSchema:
 # Tolerances of parameters, 0.05 or "5%"; that of a prior may be larger than the value itself.
 RelativeTolerance = Annotated[float, Field(gt=0, lt=1), WrapValidator(_share), _share_schema(True)]
 PriorTolerance = Annotated[float, Field(gt=0), WrapValidator(_share), _share_schema(False)]
-
-
-def as_pair(band: list[float] | None) -> tuple[float, float] | None:
-    """A band as functions take it."""
-    return None if band is None else (band[0], band[1])
 
 
 class PerformanceWeight(Strict):

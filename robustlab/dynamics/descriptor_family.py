@@ -102,7 +102,7 @@ def uncertain_family(
 
     ``where``: the plant's name, for messages.
     ``nominal``: its linear model with all parameters at ``values``.
-    ``ranges``: the parameters that are uncertain; of several thousand models each takes part in, see `HALVED`.
+    ``ranges``: the parameters that are uncertain; of several thousand models each takes part in, see `FAMILY_CHECKS`.
     ``outputs``: names of the outputs to keep, all where left out.
     Returns: one `RealScalar` for each parameter that has an effect, of its name; ``remainder``, a full block, where the
     values of a parameter are covered by samples. ``origin`` of each block says which it is, and on what evidence.

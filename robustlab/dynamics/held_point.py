@@ -23,11 +23,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.constants import REST_PASSES, STILL
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import Signal
 
+# Newton steps towards rest; it is where a rate is no more than the second number's share of the terms that make it up.
+REST_PASSES = 60
+STILL = 1e-11
 # Where parameters change, a Newton step that leads away is halved so often at most.
 REST_HALVINGS = 40
 

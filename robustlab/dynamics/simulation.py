@@ -12,7 +12,6 @@ from robustlab.arrays import Array
 from robustlab.checks import number
 from robustlab.delays.model import DelayedModel
 from robustlab.delays.response import checked_rtol, delayed_response
-from robustlab.dynamics.constants import CLOCK_JITTER, RTOL
 from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as, unknown_name
 from robustlab.record import Record
@@ -21,6 +20,11 @@ from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 # Steps of a clock that differ by less than this share of their mean are equal. Larger: fewer matrix exponentials,
 # but real jitter is passed over.
 CLOCK_ROUNDING = 1e-9
+# A discrete model's clock may jitter by this share of its sample time, and that of a plant with effects by this
+# share of the mean step. Larger: coarser records are taken as uniform.
+CLOCK_JITTER = 1e-6
+# Local error of a nonlinear simulation where none was asked for.
+RTOL = 1e-8
 
 Hold = Literal["zoh", "foh"]
 LOOK = 3  # order of the rational delays whose poles say how long to look

@@ -1,6 +1,6 @@
 """What a recipe says as a whole (format ``robustlab.recipe/1``); its steps are in `robustlab.recipe.steps`.
 
-The JSON Schema of it is committed as ``recipes/recipe.schema.json``, so that an editor can complete and check recipes.
+``robustlab recipe schema`` prints its JSON Schema, with which an editor completes and checks recipes.
 
 Requirements are judged here: the number that is meant is found, compared, and the outcome said in words.
 """
@@ -121,7 +121,7 @@ def _with_kinds(kinds: tuple[type[Step], ...]) -> type[Recipe]:
 
 
 def json_schema() -> dict[str, Any]:
-    """The JSON Schema of a recipe, as committed in ``recipes/recipe.schema.json``."""
+    """The JSON Schema of a recipe."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **recipe_model().model_json_schema(by_alias=True),

@@ -12,7 +12,7 @@ from typing import get_args, get_type_hints
 import pytest
 
 from robustlab.cli.groups import GROUPS, parser
-from robustlab.cli.offers import FORMULAS, PLANTS
+from robustlab.cli.offers import PLANTS
 from robustlab.doors.members import METRICS
 from robustlab.doors.sets import COVERS
 
@@ -76,10 +76,10 @@ def test_bash_completes_commands_sub_commands_and_options(tab):
 @needs_bash
 def test_bash_completes_choices_recipes_and_plants(tab, tmp_path):
     assert tab("run", "x.toml", "--progress", "") == ["auto", "json", "none"]
-    assert tab("model", "plot", "x.h5", "--kind", "p") == ["pzmap"]
+    assert tab("model", "margins", "x.h5", "--at", "b") == ["both"]
     assert tab("worst-case", "x.h5", "--metric", "p") == ["peak-deviation", "peak"]
     assert tab("run", "first") == ["first-light"]
-    assert tab("model", "plot", "s") == ["servo-axis", "stewart-platform"]
+    assert tab("model", "build", "s") == ["servo-axis", "stewart-platform"]
     (tmp_path / "first-try.toml").touch()
     (tmp_path / "first-try.csv").touch()
     (tmp_path / "first-folder").mkdir()
@@ -174,16 +174,13 @@ def test_choices_are_those_of_the_library():
     from robustlab.mu_analysis.margins.disk_margin import Place
     from robustlab.synthesis.problem.performance_measure import MeasureName
     from robustlab.synthesis.reduction.model_reduction import Method as Reduction
-    from robustlab.synthesis.sampled.discretisation import Method as Formula
     from robustlab.synthesis.sampled.sampled_controller import SampledMethod
 
     kinds = get_args(get_type_hints(CampaignSettings)["kind"])
-    assert set(FORMULAS) == set(get_args(Formula))
     assert set(COVERS) == set(COVER_FORMS)
     for words, option, known in [
         (("model", "margins"), "--at", get_args(Place)),
         (("model", "reduce"), "--method", get_args(Reduction)),
-        (("model", "discretise"), "--method", get_args(Formula)),
         (("synth", "discretise"), "--method", get_args(SampledMethod)),
         (("synth", "reduce"), "--measure", get_args(MeasureName)),
         (("uncertain", "build"), "--form", COVERS),

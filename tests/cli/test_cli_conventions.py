@@ -99,7 +99,7 @@ def test_margins_say_the_loop(run):
 
 
 def test_digital_reduced_and_exported_controllers_keep_it(run, folder):
-    run("model", "discretise", "weak.h5", "--dt", "0.01", "--out", "digital.h5")
+    rl.save("digital.h5", rl.Controller(rl.discretise(rl.load("weak.h5").K, 0.01)))
     run("synth", "reduce", "nominal.h5", "weak.h5", "--loss", "0.5", "--out", "small.h5")
     run("model", "convert", "digital.h5", "digital.c")
     assert "LOOP: u = K (r - y)" in (folder / "digital.c").read_text()

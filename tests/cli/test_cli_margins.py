@@ -70,32 +70,19 @@ def test_an_uncertain_plant_gives_its_worst_member(run):
     assert 0 < stored.data["lower"] <= stored.data["upper"] <= stored.data["nominal"]["upper"]
 
 
-def test_gap(run):
-    text = run("gap", "lag.h5", "fast.h5", "--out", "g.h5")
-    assert "nu-gap" in text
-    data = json.loads(run("gap", "lag.h5", "fast.h5", "--json"))
-    assert data["command"] == "model gap"
-    # Static gains 2 and 2 / 1.2 at zero frequency, where they are farthest apart.
-    assert data["nu"]["value"] == pytest.approx((2 - 2 / 1.2) / np.sqrt(5 * (1 + (2 / 1.2) ** 2)), rel=1e-6)
-    assert rl.load("g.h5").type == "GapMetric"
-
-
 def test_bad_inputs_and_exit_codes(run):
     assert "nominal closed loop unstable" in run("margins", "unstable.h5", code=4)
     assert "one of input, output, both" in run("margins", "lag.h5", "--at", "here", code=2)
     assert "negative or positive" in run("margins", "lag.h5", "--feedback", "minus", code=2)
     assert "1 x 1" in run("margins", "lag.h5", "-k", "K.h5", code=3)
-    assert "sample time" in run("gap", "lag.h5", "sampled.h5", code=3)
-    assert "equal sizes" in run("gap", "lag.h5", "P.h5", code=3)
-    assert "absent.h5" in run("gap", "lag.h5", "absent.h5", code=3)
 
 
 def test_the_real_command(tmp_path):
     rl.save(tmp_path / "a.h5", rl.StateSpaceModel([[0.001]], [[1.0]], [[1.0]], [[0.0]]))
     rl.save(tmp_path / "b.h5", rl.StateSpaceModel([[-0.001]], [[1.0]], [[1.0]], [[0.0]]))
-    words = [sys.executable, "-m", "robustlab.cli.main", "model", "gap", "a.h5", "b.h5"]
+    words = [sys.executable, "-m", "robustlab.cli.main", "model", "diff", "a.h5", "b.h5"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert "nu-gap         0.002" in done.stdout
+    assert "0.001" in done.stdout
 
 
 def test_classical_margins_print_every_crossing(run):

@@ -106,19 +106,3 @@ def test_c_code_with_limits_says_signs_and_how_it_recovers(run, tmp_path):
     for words in ("(q wanted) - (q measured)", "[m]", "held in [-12.0, 12.0]", "exp(-t / 0.05 s)"):
         assert words in text
     assert "saturation" in run("convert", "k.h5", "other.c", "--anti-windup", "0.05", code=2)
-
-
-def test_norms_of_a_resonance_and_of_an_unstable_model(run):
-    """A resonance with damping 0.1 peaks at 1 / (0.2 sqrt(0.99)); its H2 norm is sqrt(1 / 0.4)."""
-    rl.save("r.h5", rl.StateSpaceModel([[0, 1], [-1, -0.2]], [[0], [1]], [[1, 0]], [[0]]))
-    peak = json.loads(run("norm", "r.h5", "--json"))
-    assert peak["type"] == "HinfNorm"
-    assert peak["lower"] == pytest.approx(1 / (0.2 * np.sqrt(0.99)), rel=1e-6)
-    noise = json.loads(run("norm", "r.h5", "--kind", "h2", "--json"))
-    assert noise["value"] == pytest.approx(np.sqrt(2.5), rel=1e-9)
-    assert noise["integral"] == pytest.approx(np.sqrt(2.5), rel=1e-9)
-    assert "no" in run("norm", "r.h5", "--kind", "passivity")
-    rl.save("u.h5", rl.StateSpaceModel([[2.0]], [[1.0]], [[6.0]], [[0.0]]))
-    assert json.loads(run("norm", "u.h5", "--kind", "linf", "--json"))["value"] == pytest.approx(3.0)
-    assert json.loads(run("norm", "u.h5", "--json"))["value"] == "inf"
-    assert "did you mean hinf?" in run("norm", "u.h5", "--kind", "hin", code=2)

@@ -1,4 +1,4 @@
-"""Recipe steps of margins, distances, sets, scheduled and delayed models, on models whose answers are closed forms."""
+"""Recipe steps of margins and sets, on models whose answers are closed forms."""
 
 from __future__ import annotations
 
@@ -26,10 +26,6 @@ do = "disk-margin"
 of = "p"
 controller = "k"
 sign = -1
-[step.gap]
-do = "gap"
-of = "g"
-beside = "h"
 [step.entries]
 do = "difference"
 of = "g"
@@ -44,26 +40,6 @@ level = 1.6
 [step.both]
 do = "performance-margin"
 of = "set"
-[step.scheduled]
-do = "lpv"
-of = "set"
-points = { a = 3 }
-[step.there]
-do = "lpv-at"
-of = "scheduled"
-values = { a = 1.1 }
-[step.weight]
-do = "neglected-weight"
-delay = 0.1
-[step.late]
-do = "with-delays"
-of = "g"
-inputs = { u = 0.01 }
-[step.rational]
-do = "with-delays"
-of = "g"
-inputs = { u = 0.01 }
-pade = 2
 [step.odd]
 do = "check-record"
 of = "r"
@@ -108,9 +84,7 @@ def test_margins_of_three_lags(ran):
     assert disk["upper"] == pytest.approx(alpha, rel=1e-6)
 
 
-def test_distances_of_two_lags(ran):
-    """The chordal distance 1 / sqrt((w^2 + 2)(w^2 + 5)) is largest at 0."""
-    assert ran["gap"]["numbers"]["nu_gap"] == pytest.approx(1 / np.sqrt(10))
+def test_the_entries_in_which_two_lags_differ(ran):
     assert (ran["entries"]["numbers"]["count"], ran["entries"]["numbers"]["largest"]) == (1, 1.0)
 
 
@@ -121,20 +95,6 @@ def test_a_set_whose_gain_is_known(ran):
         assert found["lower"] <= expected * (1 + 1e-9)
         assert found["upper"] >= expected * (1 - 1e-9)
         assert found["upper"] - found["lower"] < 1e-3
-
-
-def test_scheduled_and_delayed_models(ran):
-    assert ran["scheduled"]["summary"] == "set: model scheduled by a: 3 models, 1 states."
-    assert ran["there"]["numbers"]["poles"] == [{"re": pytest.approx(-1.1), "im": 0.0}]
-    assert ran["late"]["summary"] == "g: model with 1 exact delays, 1 states, 1 inputs, 1 outputs."
-    poles = np.roots([0.01**2, 6 * 0.01, 12])  # the denominator of the Pade approximation of order 2
-    found = [complex(p["re"], p["im"]) for p in ran["rational"]["numbers"]["poles"]]
-    assert np.sort_complex(found) == pytest.approx(np.sort_complex([*poles, -1.0]))
-
-
-def test_a_weight_bounds_the_error_of_a_delay(ran):
-    assert ran["weight"]["status"] == "certified"
-    assert ran["weight"]["numbers"]["states"] == 1
 
 
 def test_a_record_without_oddities(ran):

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.constants import POSITION_STEP
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Scales, Site
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.errors import InputError, did_you_mean, unknown_name
@@ -34,6 +33,9 @@ FORCE_AGREED = 1e-13
 FORCE_PASSES = 60
 # Velocity (rad/s, m/s, A) at which "just moving" is looked at; a law that rises faster counts as a jump.
 CREEP = 1e-9
+# First steps of the differences: in position (rad, m), as a share of the velocity, and at rest (rad/s, m/s).
+# Larger: farther from the point, less rounding; extrapolation takes the first two to the limit.
+POSITION_STEP = 1e-4
 VELOCITY_STEP = 1e-2
 REST_STEP = 1e-6
 # Each level of the extrapolation shrinks the step by this; so many levels at most.

@@ -33,7 +33,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.checks import number
-from robustlab.dynamics.constants import CLOCK_JITTER, NOMINAL_STEP, REST_PASSES, STILL
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import (
     AttachedEffect,
@@ -46,16 +45,22 @@ from robustlab.dynamics.extended.attached_effect import (
 from robustlab.dynamics.extended.delays import HIGHEST_PADE, delayed, lagged
 from robustlab.dynamics.extended.nonlinear_steps import About, somewhere
 from robustlab.dynamics.extended.simulator import Simulator
+from robustlab.dynamics.held_point import REST_PASSES, STILL
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
+from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
 from robustlab.result import Status
 from robustlab.shown import AllFields, listed
 from robustlab.statespace import OperatingPoint, StateSpaceModel, real_array
 
+# The laws' steps are laid out for samples of this length in s; longer samples are divided. Larger: quicker, and
+# reversals are located less well.
+NOMINAL_STEP = 1e-3
 # Sweeps over joints that rest together, and the share of the largest force at which they agree.
 REST_SWEEPS = 200
 REST_AGREED = 1e-13
+# Holding forces come before inputs and positions: in the shortest Newton step towards rest they weigh so much less.
 CHEAP = 1e4
 
 

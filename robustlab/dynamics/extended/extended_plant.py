@@ -22,9 +22,8 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.checks import number
-from robustlab.dynamics.constants import NOMINAL_STEP, POSITION_STEP
-from robustlab.dynamics.extended.attached_effect import AttachedEffect, attach
-from robustlab.dynamics.extended.extended_equations import ExtendedEquations, extended_model
+from robustlab.dynamics.extended.attached_effect import POSITION_STEP, AttachedEffect, attach
+from robustlab.dynamics.extended.extended_equations import NOMINAL_STEP, ExtendedEquations, extended_model
 from robustlab.dynamics.extended.nonlinear_steps import (
     About,
     Drive,
@@ -101,7 +100,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         inputs, which are given for held ones).
 
         Without a step the steps are halved, from 1 ms or the samples', until the states at the samples change by no
-        more than ``HALVED`` (1e-4), in root mean square, of the largest state of the same unit. What is left
+        more than `HALVED` (1e-4), in root mean square, of the largest state of the same unit. What is left
         then is a third of that or less.
 
         Raises NoTrustworthyNumber: steps that many times shorter still change the motion; a motion that leaves what the

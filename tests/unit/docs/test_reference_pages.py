@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import robustlab as rl
+from robustlab.recipe.schema import json_schema
 
 reference_pages = import_module("reference_pages")
 
@@ -56,7 +56,7 @@ def test_every_command_and_every_option_of_its_help_is_on_the_page():
 
 
 def test_every_step_and_every_key_of_a_recipe_is_on_the_page():
-    schema = json.loads(reference_pages.SCHEMA.read_text(encoding="utf-8"))
+    schema = json_schema()
     page = PAGES["recipe.rst"]
     steps = [part for part in schema["$defs"].values() if "do" in part["properties"]]
     assert len(steps) > 30

@@ -29,15 +29,14 @@ NAMES = [d.function.__name__ for d in DOORS]
 ONE_DOOR: dict[str, str] = {
     "expressions": "a recipe loads the set that the command wrote",
     "cover": "the step takes a plant at several poses, and compares loops with references",
-    "effect_gain": "`iqc gain` of a plant with effects",
+    **dict.fromkeys(("steady_state", "close_loop"), "one line in Python; shipped recipes use the step"),
     "robustness_at": "`mu --frequency`, with or without --gain",
-    **dict.fromkeys(("discretise_by_formula", "d2c", "d2d"), "the step resample, of whose dt each is a case"),
 }
 
 
 # Defaults of a door that differ from Python's, and why.
 OTHER_DEFAULTS = {
-    **{(name, "starts"): "a command is waited for" for name in ("dk", "fixed_structure", "tune")},
+    **{(name, "starts"): "a command is waited for" for name in ("dk", "fixed_structure")},
 }
 
 

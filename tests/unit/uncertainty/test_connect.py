@@ -11,8 +11,6 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
-from robustlab.recipe.load import load_recipe
-from robustlab.recipe.run import run_recipe
 
 OMEGA = np.array([0.0, 0.3, 2.0, 40.0])
 
@@ -162,21 +160,3 @@ def test_files_are_connected_by_the_command(tmp_path):
         "connect: sum 'e = r - x': input 'x': nobody feeds it, expected an output or a sum of this name, or it among "
         "inputs="
     )
-
-
-def test_the_recipe_step(tmp_path):
-    (tmp_path / "loop.toml").write_text(
-        'schema = "robustlab.recipe/1"\nname = "loop"\n'
-        '[step.axis]\ndo = "plant"\nplant = "servo-axis"\n'
-        '[step.set]\ndo = "uncertain"\nof = "axis"\ntolerances = { M = "10%" }\noutputs = ["v"]\n'
-        '[step.gain]\ndo = "load"\npath = "gain.h5"\n'
-        '[step.shown]\ndo = "connect"\nparts = ["set", "gain"]\ninputs = ["r"]\noutputs = ["e", "v"]\n'
-        'sums = ["e = r - v"]\n'
-        '[step.kept]\ndo = "save"\nof = "shown"\nfile = "loop.h5"\n'
-    )
-    rl.save(tmp_path / "gain.h5", gain(2.0, "e", "u"))
-    result = run_recipe(load_recipe(tmp_path / "loop.toml"), tmp_path / "out")
-    assert result.exit_code == 0
-    loop = rl.load(result.folder / "loop.h5")
-    p = rl.plant("servo-axis").values
-    assert loop.nominal.poles().real == pytest.approx([-(p["Fv"] + 2 * p["gain"]) / p["M"]])
