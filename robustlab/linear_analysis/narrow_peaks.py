@@ -35,37 +35,42 @@ def modes_apart(model: StateSpaceModel) -> StateSpaceModel:
     be as well driven as seen, that is a small number with all its digits. States are changed in ball arithmetic: only
     entries of the result are rounded, so the response stays whatever the basis is.
     """
-    poles = model.poles()
+    poles: AnyArray = model.poles()
     if model.is_discrete:
         poles = np.log(poles[np.abs(poles) > 0])
-    light = (poles.imag > 0) & (np.abs(poles.real) < NARROW * poles.imag)
+    distance, at = np.abs(np.real(poles)), np.imag(poles)
+    light = (at > 0) & (distance < NARROW * at)
     if not light.any():
         return model
     t = balancing_factors(model.A)
     A, B, C = model.A / t[:, None] * t, model.B / t[:, None], model.C * t
-    poles = poles[light & (np.abs(poles.real) < BLURRED * np.linalg.norm(A, 1))]
+    poles = poles[light & (distance < BLURRED * np.linalg.norm(A, 1))]
     if not len(poles):
         return model
-    from scipy.linalg import eig, qr
-
     from robustlab.verification.balls import exact, midpoints, precision
 
-    values, left, right = eig(A, left=True, right=True)
     if model.is_discrete:
         poles = np.exp(poles)
-    chosen = np.abs(values - poles[:, None]).argmin(axis=1)
-    left, right = left[:, chosen], right[:, chosen]
-    inner = np.abs((left.conj() * right).sum(axis=0))  # of vectors of length one
+    right, left = (_eigenvectors(matrix, poles) for matrix in (A, A.T))
+    inner = np.abs((left * right).sum(axis=0))  # of vectors of length one
     left, right, inner = left[:, inner > ALIKE], right[:, inner > ALIKE], inner[inner > ALIKE]
-    driven = np.linalg.norm(left.conj().T @ B, axis=1) / inner
+    if not len(inner):
+        return model
+    driven = np.linalg.norm(left.T @ B, axis=1) / inner
     seen = np.linalg.norm(C @ right, axis=0)
     with np.errstate(all="ignore"):
         size = 2.0 ** np.round(0.5 * np.log2(driven / seen))
     right = right * np.where(np.isfinite(size) & (size > 0), size, 1.0)
-    others = qr(np.hstack([left.real, left.imag]))[0][:, 2 * len(inner) :]
-    T = np.hstack([others, np.stack([right.real, right.imag], axis=2).reshape(len(A), -1)])
+    others = np.linalg.qr(np.hstack([np.real(left), np.imag(left)]), mode="complete")[0][:, 2 * len(inner) :]
+    T = np.hstack([others, np.stack([np.real(right), np.imag(right)], axis=2).reshape(len(A), -1)])
     with precision(BITS):
         basis = exact(T)
         parts = basis.solve(exact(A) * basis), basis.solve(exact(B)), exact(C) * basis
         A, B, C = (midpoints(part) for part in parts)
     return StateSpaceModel(A, B, C, model.D, model.dt, model.inputs, model.outputs)
+
+
+def _eigenvectors(matrix: AnyArray, values: AnyArray) -> AnyArray:
+    """The eigenvectors, of length one, whose eigenvalues are next to these."""
+    found, vectors = np.linalg.eig(matrix)
+    return vectors[:, np.abs(found - values[:, None]).argmin(axis=1)]
