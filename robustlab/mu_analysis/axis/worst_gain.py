@@ -458,12 +458,14 @@ def skewed_cover(
 ) -> tuple[AxisCover, float]:
     """Cover [0, inf] at a level as close above the skewed D-G peak as ``accuracy`` says; inf where D, G never hold.
 
-    The size of the blocks of the inputs ``varying`` is one over the level, that of the others one.
+    The size of the blocks of the inputs ``varying`` is one over the level, that of the others one. The level is raised
+    as that of `cover_axis` is.
     """
     cover, scale, idle = AxisCover(), typical_speed(model), 0
-    level = lower * (1 + accuracy)
+    level, step = lower * (1 + accuracy), accuracy
     pending = list(first)
     while cover.open and not budget.over:
+        fresh, before = not pending, cover.open_share(scale)
         omega = cover.take_points(pending, scale, FREQUENCIES)
         response = frequency_response(model, omega)
         level = max(level, 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290)))
@@ -483,6 +485,9 @@ def skewed_cover(
         closed = StateSpaceModel(model.A, divided(model.B, varying, level), model.C, divided(model.D, varying, level))
         if not cover.grow(closed, omega, bounds, 1.0, budget, level):
             return cover, float("inf")
+        if fresh and cover.open_share(scale) > TUNING.creeping * before:
+            step *= 2
+            level *= 1 + step
     return cover, float("inf") if cover.open else level
 
 

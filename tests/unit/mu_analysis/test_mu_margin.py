@@ -254,6 +254,44 @@ def test_ranges_of_other_shapes(below, above, truth):
     assert margin.gap <= 0.0101
 
 
+# Two states, one parameter twice; exact: the first zero of trace or determinant of A + e B C, e < 0 over the low end.
+TWICE = [
+    (  # a light mode that the narrow side makes unstable
+        [[-1.449989790171713e-05, 0.16372798532577287], [-0.16372798532577287, -1.449989790171713e-05]],
+        [[0.09628780937229009, -0.13075685816967256], [-0.10424474760586645, -0.04965184358523118]],
+        [[-0.23193237764418947, -0.8652130762749417], [3.3229995166448827, 0.22578661322792176]],
+        (1.0801407858575864, 0.713038891440776), 0.00011626206083749199,
+    ),
+    (
+        [[-0.0021032545944165673, 14.983835963449952], [-14.983835963449952, -0.0021032545944165673]],
+        [[-1.852931999692906, 0.7339759587166985], [1.2791659645990787, -0.5063300186024869]],
+        [[0.25093256908418204, -0.3943520554588936], [-0.8624048655156082, -2.032552427456725]],
+        (0.13499211282442, 0.006997390749017209), 0.14156436752844953,
+    ),
+    (  # a real pole at the origin
+        [[-0.025946149534273346, 0.4237026158694307], [-0.4237026158694307, -0.025946149534273346]],
+        [[0.37754200455194664, 0.3685656303372992], [0.8241175330336409, -0.6137485763165128]],
+        [[-1.3206632116051251, -0.10775250794802987], [0.9987636553170226, -0.02194788627038025]],
+        (1.2104094994776688, 0.11501265682721992), 2.6202215045979576,
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("A", "B", "C", "widths", "exact"), TWICE)
+def test_a_range_wider_on_one_side_has_its_exact_margin_in_little_work(A, B, C, widths, exact):
+    block = rl.RealScalar("twice", 2, rl.ParameterRange(0.5, widths[0], "", widths[1]))
+    margin = rl.robust_stability(rl.UncertainModel(rl.StateSpaceModel(A, B, C, np.zeros((2, 2))), [block]))
+    assert margin.upper == pytest.approx(exact, rel=1e-9)
+    assert 0.99 * exact <= margin.lower <= exact * (1 + 1e-9)
+    assert len(margin.proof) < 200
+
+
+def test_a_margin_below_one_says_first_that_the_set_is_not_robust():
+    told = rl.robust_stability(lag(2.0)).facts()[0]
+    assert told == ("the set as stated", "not robust: the member at k = 0.5 is unstable")
+    assert rl.robust_stability(lag(0.5)).headline() == "proved stable for every Delta of the set"
+
+
 def test_intervals_of_an_asymmetric_set_carry_the_level_of_the_margin():
     """A margin of 0.8: mu reaches 1.25, and no interval may claim the 1 that holds inside the recentred box."""
     margin = rl.robust_stability(lag_with_time_constant(1.25, 0.5))
