@@ -24,7 +24,7 @@ from robustlab.mu_analysis.axis.axis_model import (
     typical_speed,
 )
 from robustlab.mu_analysis.axis.axis_problems import GainProblem
-from robustlab.mu_analysis.axis.intervals import AxisCover, Piece
+from robustlab.mu_analysis.axis.intervals import CREEPING, AxisCover, Piece
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin
 from robustlab.mu_analysis.axis.pole_migration import Destabilising, smallest_destabilising
 from robustlab.mu_analysis.axis.stability import robust_stability
@@ -485,7 +485,7 @@ def skewed_cover(
         closed = StateSpaceModel(model.A, divided(model.B, varying, level), model.C, divided(model.D, varying, level))
         if not cover.grow(closed, omega, bounds, 1.0, budget, level):
             return cover, float("inf")
-        if fresh and cover.open_share(scale) > TUNING.creeping * before:
+        if fresh and cover.open_share(scale) > CREEPING * before:
             step *= 2
             level *= 1 + step
     return cover, float("inf") if cover.open else level
