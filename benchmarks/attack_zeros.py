@@ -2,8 +2,7 @@
 
     nice -n 10 python benchmarks/attack_zeros.py --what zeros --first 0 --count 10000 --out zeros.jsonl
     nice -n 10 python benchmarks/attack_zeros.py --what crossings --first 0 --count 2000 --out crossings.jsonl
-    nice -n 10 python benchmarks/attack_zeros.py --what consumers --first 0 --count 600 --out consumers.jsonl
-    python benchmarks/attack_zeros.py --summary zeros.jsonl crossings.jsonl consumers.jsonl
+    python benchmarks/attack_zeros.py --summary zeros.jsonl crossings.jsonl
 
 Case i needs no other. The judge (`zeros_judge`) works with the entries as rational numbers, in other ways than the
 library does, and uses nothing of it. Wrong and vouched for (status converged or certified, or a result without one):
@@ -387,125 +386,13 @@ def two_channels(rng: np.random.Generator) -> dict[str, Any]:
     return record
 
 
-# --- those who ask for zeros -----------------------------------------------------------------------------------------
-
-
-def consumers_case(i: int) -> dict[str, Any]:
-    rng = np.random.default_rng([13, i])
-    what = (limits_case, matched_case, cover_case, points_case)[i % 4]
-    begun = time.perf_counter()
-    record = {"family": what.__name__.removesuffix("_case"), "status": "converged", "reason": "", "wrong": ""}
-    try:
-        record |= what(rng)
-    except rl.RobustlabError as error:
-        record |= {"status": "refused", "reason": error.found}
-    return record | {"seconds": time.perf_counter() - begun}
-
-
-def limits_case(rng: np.random.Generator) -> dict[str, Any]:
-    maker = [nonnormal, stiff, mixed, nearly_triangular, tiny_direct_term][int(rng.integers(5))]
-    parts = maker(rng)
-    limits = rl.performance_limits(rl.StateSpaceModel(*parts))
-    zeros, rank = judge.invariant_zeros(*parts)
-    if rank < max(parts[3].shape):
-        return {"status": "refused", "reason": "not square"}
-    right = [z for z in zeros if z.real > 1e-8 * abs(z)]
-    said = [z.value for z in limits.zeros]
-    missing = [z for z in right if not said or min(abs(z - w) for w in said) > CLOSE * abs(z)]
-    # Zeros that rounding decides are near infinity, or on the boundary.
-    missing = [z for z in missing if not _moved(parts, np.array([z]), rng)]
-    trusted = limits.status.trustworthy
-    return {"status": str(limits.status), "reason": limits.reason,
-            "wrong": f"no zero at {missing[0]:.6g}" if missing and trusted else ""}  # fmt: skip
-
-
-def matched_case(rng: np.random.Generator) -> dict[str, Any]:
-    A, B, C, D = [nonnormal, stiff, nearly_triangular, ordinary][int(rng.integers(4))](rng)
-    G = rl.StateSpaceModel(A, B[:, :1], C[:1], D[:1, :1])
-    slow = np.abs(np.linalg.eigvals(A)).max()
-    made = rl.discretise(G, 0.1 / slow if slow else 1.0, "matched")
-    wanted = judge.invariant_zeros(G.A, G.B, G.C, G.D)[0]
-    image = [complex(np.exp(z * made.dt)) for z in wanted if abs(z * made.dt) < 3]
-    have = judge.invariant_zeros(made.A, made.B, made.C, made.D)[0]
-    off = [z for z in image if not have or min(abs(z - w) for w in have) > 1e-3]
-    return {"wrong": f"no zero at z = {off[0]:.6g}" if off else ""}
-
-
-def _family(rng: np.random.Generator) -> list[rl.StateSpaceModel]:
-    """Two models of one machine with a direct term: a chain of large gains, or in bad units of its states."""
-    n, m = int(rng.integers(2, 5)), int(rng.integers(1, 3))
-    A, B, C, D = dense(rng, n, m, m)
-    D, t, share = D + np.eye(m) * rng.choice([1.0, 1e-3]), np.ones(n), 0.05
-    if rng.random() < 0.5:
-        A = -(10 ** rng.uniform(-2, 0)) * np.eye(n) + np.triu(A, 1) * 10 ** rng.uniform(0, 4)
-    else:
-        A -= (np.linalg.eigvals(A).real.max() + 10 ** rng.uniform(-5, 0)) * np.eye(n)
-        t, share = 10.0 ** rng.integers(-5, 6, n), 1e-3
-    made = []
-    for _ in range(2):
-        a, b, c = (x * (1 + share * rng.normal(size=x.shape)) for x in (A, B, C))
-        made.append(rl.StateSpaceModel(a / t[:, None] * t, b / t[:, None], c * t, D))
-    return made
-
-
 FORMS = ("additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
          "inverse-input-multiplicative", "inverse-output-multiplicative")  # fmt: skip
 
 
-def cover_case(rng: np.random.Generator) -> dict[str, Any]:
-    """An error with a pole on the right, by the exact zeros of what is inverted, must be refused."""
-    models = _family(rng)
-    form = str(rng.choice([f for f in FORMS if "multiplicative" in f]))
-    below = 1 if form.startswith("inverse") else 0
-    found = rl.cover(models, form, nominal=models[0], gain=False)
-    inverted, above = models[below], models[1 - below]
-    m = models[0]
-    zeros = judge.invariant_zeros(inverted.A, inverted.B, inverted.C, inverted.D)[0]
-    others = judge.invariant_zeros(above.A, above.B, above.C, above.D)[0]
-    last = 1e4 * float(np.abs(m.poles()).max())
-    bad = [z for z in zeros if 1e-6 * abs(z) < z.real and abs(z) < last and
-           min([abs(z - w) for w in others], default=np.inf) > 1e-6 * abs(z)]  # fmt: skip
-    trusted = found.status.trustworthy
-    return {"status": str(found.status), "wrong": f"{form}: unstable error, {bad[0]:.6g}" if bad and trusted else ""}
-
-
-def points_case(rng: np.random.Generator) -> dict[str, Any]:
-    """Where the error is below the weight at all crossing points it is below it everywhere, in balls."""
-    from robustlab.uncertainty.covering.axis_proof import crossing_points
-
-    models, form = _family(rng), str(rng.choice(FORMS))
-    size = np.abs(np.concatenate([m.poles() for m in models]))
-    size = np.append(size, [np.abs(m.A).max() for m in models])
-    grid = np.geomspace(0.01 * size.min(), 100 * size.max(), 150)
-    grid = np.concatenate([grid, np.abs(np.concatenate([m.poles().imag for m in models]))])
-    errors = [_error(models[1], models[0], form, float(w)) for w in grid if w > 0]
-    level = max(errors) * rng.uniform(0.3, 1.2)
-    points = crossing_points(models[1], models[0], form, rl.StateSpaceModel([], [], [], [[level]]))
-    if points is None:
-        return {"status": "inaccurate", "reason": "no points"}
-    below = all(_error(models[1], models[0], form, float(w)) <= level for w in points)
-    wrong = f"{form}: {max(errors):.6g} above {level:.6g}" if below and max(errors) > level * (1 + 1e-9) else ""
-    return {"reason": "below" if below else "above", "wrong": wrong}
-
-
-def _error(other: rl.StateSpaceModel, centre: rl.StateSpaceModel, form: str, w: float) -> float:
-    s = acb(0, w)
-    G, H = (judge.response(m.A, m.B, m.C, m.D, s) for m in (centre, other))
-    E = {
-        "additive": lambda: H - G,
-        "input-multiplicative": lambda: G.solve(H - G),
-        "output-multiplicative": lambda: (H - G) * G.inv(),
-        "inverse-additive": lambda: H.inv() - G.inv(),
-        "inverse-input-multiplicative": lambda: H.inv() * G - G.inv() * G,
-        "inverse-output-multiplicative": lambda: G * H.inv() - G * G.inv(),
-    }[form]()
-    k = G.nrows()
-    return float(np.linalg.norm(np.array([[complex(E[i, j]) for j in range(k)] for i in range(k)]), 2))
-
-
 # --- campaigns -------------------------------------------------------------------------------------------------------
 
-CASES = {"zeros": zeros_case, "crossings": crossings_case, "consumers": consumers_case}
+CASES = {"zeros": zeros_case, "crossings": crossings_case}
 
 
 def run(what: str, first: int, count: int, out: Path) -> None:

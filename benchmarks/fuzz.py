@@ -163,7 +163,7 @@ TABLES = (
     "# t u q\n" + "".join(f"{0.1 * i:.1f} {i}  {i * i / 7:.6g}\n" for i in range(40)),
     "t;u;q\n" + "".join(f"{i};{i}.5;1e-{i}\n" for i in range(20)),
 )
-RECIPES = ("motor-data-sheet", "platform-models", "thesis-worst-cases")  # they read no files
+RECIPES = ("motor-models", "platform-models", "thesis-worst-cases")  # they read no files
 EXPRESSIONS = """
 A = [["-(k1 + k2)/m", "c*k1/(m + 2*k2)"], [1, "-1/(1/k1 + 1/k2)"]]
 B = [["1/m"], [0.5]]

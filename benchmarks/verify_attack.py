@@ -1,8 +1,6 @@
 """Mutants of true claims put to the checker `robustlab.verification.checker.check`; each answer that decides is judged.
 
     python benchmarks/verify_attack.py --mutants 100000 --seed 1 [--minutes M] [--workers N]
-    python benchmarks/verify_attack.py --plants          # each planted fault: after how many mutants it is found
-    python benchmarks/verify_attack.py --plant gaps      # one of them
 
 Needs mpmath. `verify_claims` makes true claims of every kind (models of 0 to 4 states, some 8) with the library's own
 evidence, `verify_mutants` changes them, `verify_judge` judges what was proved or refuted by rationals and 60 digits,
@@ -13,8 +11,8 @@ unjustified   proved, and the evidence does not carry it: a gap, a wrong structu
 unconfirmed   a Delta was proved to exist, or to refute, and Newton's steps in 60 digits did not find it
 crash         an exception out of `check`
 
-A piece of work is a chunk of about a thousand mutants; chunk c of a seed needs no other one. Results and the planted
-faults found go to benchmarks/results/verify_attack.txt.
+A piece of work is a chunk of about a thousand mutants; chunk c of a seed needs no other one. Results go to
+benchmarks/results/verify_attack.txt. Claims about delays, multipliers and schedules are not in it.
 """
 
 from __future__ import annotations
@@ -42,7 +40,6 @@ import numpy as np
 from verify_claims import MAKERS
 from verify_judge import judge
 from verify_mutants import mutant
-from verify_plants import PLANTS
 
 import robustlab as rl
 from robustlab.verification import Claim, Outcome
@@ -56,13 +53,10 @@ PLAN = {
     "stable": 1, "norm": 3, "bounded-real": 2, "loop-norm": 3, "difference-norm": 2, "gramian": 2, "mu-upper": 4,
     "mu-upper-boxes": 3, "mu-lower": 3, "mu-axis": 4, "mu-boxes": 4, "worst-gain": 4, "worst-gain-boxes": 3,
     "unstable-member": 3, "set": 2,
-    "delayed-stable": 1, "delayed-norm": 3, "delayed-mu": 2, "delay-weight": 2,
-    "iqc-gain": 3, "iqc-size": 3, "lpv-gain": 3,
 }  # fmt: skip
 COLUMNS = ("mutants", "proved", "refuted", "not proved", "false accepted", "unjustified", "false refuted",
            "unconfirmed", "crash", "judge failed")  # fmt: skip
 WRONG = COLUMNS[4:9]
-ENOUGH = 6000  # mutants after which a planted fault counts as not found
 Row = tuple[str, str, str, float]  # kind, answer, what is wrong, seconds
 
 
@@ -155,33 +149,6 @@ class _Here:
         """Nothing to end."""
 
 
-def found_after(name: str, seed: int) -> tuple[int | None, str]:
-    """After how many mutants a planted fault is found, and as what; None: not among `ENOUGH`."""
-    warnings.simplefilter("ignore")
-    PLANTS[name]()
-    done, chunk = 0, 0
-    while done < ENOUGH:
-        for kind, _, wrong, _ in answers(seed, chunk):
-            done += 1
-            if wrong in WRONG:
-                return done, f"{kind}, {wrong}"
-        chunk += 1
-    return None, ""
-
-
-def plants(seed: int, names: list[str]) -> list[str]:
-    """One line for each planted fault, each in a process of its own."""
-    lines = []
-    for name in names:
-        with get_context("spawn").Pool(1) as pool:
-            count, what = pool.apply(found_after, (name, seed))
-        doc = (PLANTS[name].__doc__ or "").strip()
-        after = f"NOT FOUND in {ENOUGH}" if count is None else f"{count:6d}  as {what}"
-        lines.append(f"  {name:18s} {after:40s} {doc}")
-        print(lines[-1], flush=True)
-    return lines
-
-
 def table(counts: dict[str, Counter[str]]) -> list[str]:
     """The counts by kind, with their sums."""
     lines = [f"{'':17s}" + "".join(f"{word:>15s}" for word in COLUMNS)]
@@ -200,26 +167,14 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="first chunk")
     parser.add_argument("--minutes", type=float, default=0.0, help="stop after so long")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--plant", choices=list(PLANTS), help="look for one planted fault only")
-    parser.add_argument("--plants", action="store_true", help="look for each planted fault only")
     parser.add_argument(
         "--kinds", nargs="+", choices=list(PLAN), help="claims of these kinds alone; nothing is written"
     )
     parser.add_argument("--keep", type=Path, help="folder for what is found wrong")
     options = parser.parse_args()
-    if options.plant:
-        count, _ = found_after(options.plant, options.seed)
-        print(f"{options.plant}: " + (f"found after {count}" if count else "not found"))
-        return int(count is None)
     machine = f"{os.cpu_count()} cores, {platform.machine()} {platform.system()}"
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "python-flint", "mpmath"))
     head = f"{datetime.now(UTC):%Y-%m-%d}; {machine}; Python {platform.python_version()}, {packages}"
-    earlier = RESULTS.read_text().split("\n\n") if RESULTS.exists() else ["", ""]
-    if options.plants:
-        text = "\n".join([f"# Planted faults: after how many claims each is found, seed {options.seed}; {head}",
-                          *plants(options.seed, list(PLANTS))])  # fmt: skip
-        RESULTS.write_text("\n\n".join([earlier[0], text]) + "\n")
-        return 0
     counts, seconds = campaign(options)
     done = sum(c["mutants"] for c in counts.values())
     command = f"python benchmarks/verify_attack.py --mutants {options.mutants} --seed {options.seed}"
@@ -227,7 +182,7 @@ def main() -> int:
              f"# {done} claims in {seconds / 60:.1f} min, {done / seconds:.0f} a second", *table(counts)]  # fmt: skip
     print("\n".join(lines))
     if options.kinds is None:
-        RESULTS.write_text("\n\n".join(["\n".join(lines), *(x.strip("\n") for x in earlier[1:] if x.strip())]) + "\n")
+        RESULTS.write_text("\n".join(lines) + "\n")
     return int(any(count[word] for count in counts.values() for word in WRONG))
 
 

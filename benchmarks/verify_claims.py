@@ -12,16 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import robustlab as rl
-from robustlab.delays.neglected import neglected_weight
 from robustlab.evidence import claims_of
 from robustlab.evidence.bounded_real import norm_matrix
 from robustlab.evidence.norms import band_scalings, gramian_claims
 from robustlab.evidence.numbers import loop_numbers, matrices
-from robustlab.iqc import IqcStability, iqc_gain
-from robustlab.iqc.problem import posed
 from robustlab.mu_analysis.axis.worst_gain import worst_case_gain
 from robustlab.mu_analysis.matrix.box import Box, box_matrices, box_model
-from robustlab.result import Status
 from robustlab.uncertainty.blocks import Block, ParameterRange, delta_matrix
 
 Rng = np.random.Generator
@@ -453,127 +449,6 @@ def set_case(rng: Rng) -> Case:
 # --- delays ----------------------------------------------------------------------------------------------------------
 
 
-def delayed(rng: Rng, m: int, p: int) -> rl.DelayedModel:
-    """A model with one or two delays in loops of its own, some of which make it unstable: lags, integrators, echoes."""
-    n, k = int(rng.integers(1, 4)), int(rng.integers(1, 3))
-    G = model(rng, n, k + m, k + p, 0.0)
-    A, D = G.A.copy(), G.D.copy()
-    D[:k, :k] *= rng.random() < 0.3
-    if rng.random() < 0.2:
-        A[0] = 0.0  # an integrator that the loop may move
-    scale = 10 ** rng.uniform(-1.5, 0.3)
-    B, C = G.B.copy(), G.C.copy()
-    B[:, :k], D[:, :k] = scale * B[:, :k], min(scale, 0.5) * D[:, :k]
-    return rl.DelayedModel(rl.StateSpaceModel(A, B, C, D), 10 ** rng.uniform(-1.5, 0.5, k))
-
-
-def delayed_case(rng: Rng, kind: str) -> Case | None:
-    """delayed-stable, delayed-norm, delayed-mu."""
-    rows = [[1, 1, 1], [1, 1, 1]] if rng.random() < 0.5 else [[2, 1, 2], [1, 1, 1]]
-    m, p = (2, 2 if rows[0][2] == 1 else 3) if kind == "delayed-mu" else (int(x) for x in rng.integers(1, 3, 2))
-    G = delayed(rng, m, p)
-    found = rl.robust_stability(G) if kind == "delayed-stable" else rl.peak_gain(G)
-    claims = claims_of(found)
-    if not claims:
-        return None
-    numbers = dict(claims[0].numbers)
-    if kind == "delayed-mu":
-        cuts = np.sort(10 ** rng.uniform(-1, 1, 2))
-        ends = {"low": np.array([0.0, *cuts]), "high": np.array([*cuts, np.inf])}
-        D = np.stack([np.eye(max(m, p))] * 3) * 2.0 ** rng.integers(-1, 2, (3, 1, 1))
-        scalings = {"D_w": D[:, :m, :m], "D_z": D[:, :p, :p], "G": np.zeros((3, m, p))}
-        numbers |= {"blocks": np.array(rows, dtype=np.int64), "level": numbers["gamma"] * slack(rng)} | ends | scalings
-        numbers = {x: np.array(v) for x, v in numbers.items() if x not in ("gamma", "frequency")}
-    elif kind == "delayed-norm":
-        numbers["gamma"] = np.array(float(numbers["gamma"]) * (slack(rng) if rng.random() < 0.5 else 1.0))
-        if rng.random() < 0.5:
-            numbers.pop("frequency", None)
-    return Case(kind, numbers)
-
-
-def weight_case(rng: Rng) -> Case:
-    """Weights of a rational delay, of a range, of a delay that is left out."""
-    tau = float(10 ** rng.uniform(-2, 1))
-    if rng.random() < 0.3:
-        claims = claims_of(neglected_weight(tau, order=int(rng.choice([1, 3]))))
-    else:
-        spread = tau * float(rng.choice([0.0, 0.1, 0.5, 1.0]))
-        claims = claims_of(rl.delay(tau).uncertain(int(rng.integers(1, 4)), spread=spread))
-    return Case("delay-weight", dict(claims[0].numbers))
-
-
-NATURES = (
-    None, rl.Varying(), rl.Varying(0.3), rl.Varying(3.0), rl.Nonlinearity((-1, 1)),
-    rl.Nonlinearity((-1, 1), (-1.2, 1.5)), rl.Nonlinearity((-1, 1), (-1, 1), odd=True),
-    rl.Nonlinearity((-1, 1), (-1, 1), odd=True, steady=False),
-)  # fmt: skip
-
-
-def natures_case(rng: Rng, kind: str) -> Case | None:
-    """iqc-gain and iqc-size: a small set with blocks of all natures, or a loop with anti-windup."""
-    if kind == "iqc-gain" and rng.random() < 0.1:
-        plant = rl.StateSpaceModel([[-rng.uniform(0.1, 1)]], [[1.0]], [[1.0]], [[0.0]])
-        pi = rl.StateSpaceModel([[0.0]], [[-1.0]], [[rng.uniform(0.5, 3)]], [[-rng.uniform(1, 3)]])
-        claims = claims_of(rl.anti_windup(plant, pi, order=int(rng.integers(0, 3))))
-        return Case(kind, dict(claims[0].numbers)) if claims else None
-    rows = STRUCTURES[rng.integers(len(STRUCTURES))]
-    q, p = (sum(row[k] for row in rows) for k in (1, 2))
-    G = model(rng, int(rng.integers(1, 4)), q + 1, p + 1, 0.0)
-    D = G.D * (rng.random(G.D.shape) < 0.3)
-    inner = rl.StateSpaceModel(G.A, G.B[:, :q], G.C[:p], D[:p, :q])
-    size = min(1.0, 0.5 / max(gain(inner), 1e-3))
-    B, D = G.B.copy(), D.copy()
-    B[:, :q] *= size
-    D[:, :q] *= size
-    blocks = blocks_of(rows, rng)
-    natures = {}
-    for block in blocks:
-        span = block.parameter
-        choices = [n for n in NATURES if n is None or isinstance(n, rl.Varying)]
-        choices = NATURES if block.is_real and block.rows == 1 and span is None else choices
-        nature = choices[rng.integers(len(choices))]
-        if nature is not None and (block.is_real or not isinstance(nature, rl.Varying) or np.isinf(nature.rate)):
-            natures[block.name] = nature
-    made = rl.UncertainModel(rl.StateSpaceModel(G.A, B, G.C, D), blocks)
-    order, pole = int(rng.integers(0, 3)), float(10 ** rng.uniform(-0.5, 0.7))
-    if kind == "iqc-gain":
-        claims = claims_of(iqc_gain(made, natures, order=order, pole=pole))
-        return Case(kind, dict(claims[0].numbers)) if claims else None
-    problem, budget = posed("iqc_stability", made, natures, order, pole, None, 1.0)
-    reach = float(rng.choice([1.0, 0.7, 1.2]))
-    proof = problem.proved_stable(reach, budget)
-    if proof is None:
-        return None
-    found = IqcStability(reach, np.inf, None, Status.CERTIFIED, {}, (), {}, (), proof, posed=problem.posed)
-    return Case(kind, dict(claims_of(found)[0].numbers))
-
-
-def scheduled_case(rng: Rng) -> Case | None:
-    """lpv-gain: a small model over one or two parameters, with a deviation at times, or a scheduled loop."""
-    if rng.random() < 0.15:
-        ends = sorted(rng.uniform(-2, 0, 2).tolist())
-        frozen = [
-            rl.StateSpaceModel([[a]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]]) for a in ends
-        ]
-        claims = claims_of(rl.hinf(rl.LPVModel({"a": ends}, frozen), n_meas=1, n_con=1))
-        return Case("lpv-gain", dict(claims[0].numbers)) if claims else None
-    n, grid = int(rng.integers(1, 3)), ((2,), (3,), (2, 2), (3, 2))[rng.integers(4)]
-    base = model(rng, n, 1, int(rng.integers(1, 3)), 0.0)
-    whole = np.block([[base.A, base.B], [base.C, base.D]])
-    moved = whole * (1 + 0.2 * rng.normal(size=(*grid, 1, 1)) * (rng.random(whole.shape) < 0.5))
-    frozen = [rl.StateSpaceModel(M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:]) for M in moved.reshape(-1, *whole.shape)]
-    names_ = [f"a{i}" for i in range(len(grid))]
-    rates = {name: float(rng.choice([np.inf, 0.1, 1.0, 0.0])) for name in names_}
-    points = {name: np.cumsum(rng.uniform(0.5, 2, k)).tolist() for name, k in zip(names_, grid, strict=True)}
-    deviation, known = None, "exact"
-    if rng.random() < 0.4:
-        share = rng.random(whole.shape) < rng.choice([0.1, 0.6])
-        deviation, known = np.zeros((*(k - 1 for k in grid), *whole.shape)) + 0.01 * share, "proved"
-        known = known if share.any() else "exact"
-    claims = claims_of(rl.peak_gain(rl.LPVModel(points, frozen, rates, None, deviation, known)))
-    return Case("lpv-gain", dict(claims[0].numbers)) if claims else None
-
-
 MAKERS: dict[str, Callable[[Rng], Case | None]] = {
     "stable": stable_case,
     "norm": norm_case,
@@ -590,13 +465,6 @@ MAKERS: dict[str, Callable[[Rng], Case | None]] = {
     "worst-gain-boxes": lambda rng: gain_case(rng, "worst-gain-boxes"),
     "unstable-member": lambda rng: margin_case(rng, "unstable-member"),
     "set": set_case,
-    "delayed-stable": lambda rng: delayed_case(rng, "delayed-stable"),
-    "delayed-norm": lambda rng: delayed_case(rng, "delayed-norm"),
-    "delayed-mu": lambda rng: delayed_case(rng, "delayed-mu"),
-    "delay-weight": weight_case,
-    "iqc-gain": lambda rng: natures_case(rng, "iqc-gain"),
-    "iqc-size": lambda rng: natures_case(rng, "iqc-size"),
-    "lpv-gain": scheduled_case,
 }
 
 __all__ = ["MAKERS", "Case"]

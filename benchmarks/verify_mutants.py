@@ -99,7 +99,7 @@ def level(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | Non
     if not found:
         return None
     name = str(rng.choice(found))
-    worse = -1.0 if (name in ("gamma", "value") or kind in ("mu-upper", "mu-axis", "delayed-mu")) else 1.0
+    worse = -1.0 if (name in ("gamma", "value") or kind in ("mu-upper", "mu-axis")) else 1.0
     if name == "level" and kind in ("mu-boxes", "mu-upper-boxes"):
         worse = -1.0
     step = 10 ** rng.uniform(-12, 0) * (worse if rng.random() < 0.8 else -worse)
@@ -415,150 +415,13 @@ def stray(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | Non
     return kind, result
 
 
-def late(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
-    """Delays longer, shorter, swapped, or one of them left out; a range wider, its far end moved."""
-    if "range" in numbers:
-        name = str(rng.choice(["range", "far", "near", "tolerance"]))
-        if name not in numbers:
-            return None
-        X = np.array(numbers[name])
-        if name == "range":
-            X[rng.integers(2)] *= 1 + relative(rng, -8.0)
-            return kind, {**numbers, name: np.sort(X)}
-        return kind, {**numbers, name: X * 10 ** rng.uniform(-2, 2)}
-    if "delays" not in numbers or not len(numbers["delays"]):
-        return None
-    delays = np.array(numbers["delays"])
-    what = rng.integers(4)
-    if what == 0:
-        delays = delays * (1 + relative(rng, -8.0))
-    elif what == 1:
-        delays[rng.integers(len(delays))] *= 10 ** rng.uniform(-1, 1)
-    elif what == 2:
-        delays = delays[::-1].copy()
-    else:
-        delays = delays[:-1]
-    return kind, {**numbers, "delays": delays}
-
-
-def natures(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
-    """Natures of blocks: of another kind, odd or steady, a larger rate, a wider range, a steeper slope; other filters.
-
-    Half of the time the multipliers are made as many as the new classes ask for.
-    """
-    if "nature" not in numbers or not 0 < len(numbers["nature"]) == len(numbers["blocks"]):
-        return None
-    plain = np.asarray(numbers["nature"])[:, 0] == 0
-    result, i = (
-        dict(numbers),
-        int(rng.choice(len(plain), p=np.where(plain, 0.2, 1.0) / np.where(plain, 0.2, 1.0).sum())),
-    )
-    what = str(rng.choice(["nature", "nature", "rate", "ranges", "slope", "pole", "order", "multipliers"]))
-    what = "rate" if np.isfinite(numbers["rate"][i]) and rng.random() < 0.5 else what
-    X = np.array(numbers[what])
-    if what == "nature":
-        column = int(rng.integers(3)) if X[i, 0] < 2 else int(rng.choice([0, 1, 1, 2]))
-        X[i, column] = rng.integers(0, 4) if column == 0 else 1 - X[i, column]
-    elif what == "rate":
-        faster = 10 ** rng.uniform(-1, 1) if np.isinf(X[i]) else X[i] * 10 ** rng.uniform(0, 0.5)
-        X[i] = np.inf if rng.random() < 0.3 else faster
-    elif what in ("ranges", "slope"):
-        X[i] = X[i] + (X[i, 1] - X[i, 0] + 1e-3) * np.array([-1, 1]) * 10 ** rng.uniform(-9, 0) * rng.integers(0, 2, 2)
-    elif what == "order":
-        X = np.array(int(X) + int(rng.choice([-1, 1])), dtype=np.int64)
-    elif what == "pole":
-        X = X * (1 + relative(rng))
-    elif X.size:
-        j = int(rng.integers(X.size))
-        X = np.delete(X, j) if rng.random() < 0.2 else np.where(np.arange(X.size) == j, -X, X)
-    result[what] = X
-    if what in ("nature", "rate", "order") and rng.random() < 0.6:
-        count = needed(result)
-        old = np.asarray(numbers["multipliers"])
-        result["multipliers"] = np.r_[old, np.full(max(count - len(old), 0), 1e-3)][:count]
-    return kind, result
-
-
-def needed(numbers: Numbers) -> int:
-    """How many numbers the multipliers of these classes have, if no law acts on itself at once."""
-    order, total = int(numbers["order"]), 0
-    for (block, rows, cols), (what, odd, steady), rate in zip(
-        np.asarray(numbers["blocks"]).tolist(), np.asarray(numbers["nature"]).tolist(), numbers["rate"], strict=True
-    ):
-        if what in (2, 3):
-            total += 1 + steady
-            k = order if steady else 0
-            grams = [(k - 1 - shift) // 2 + 1 for shift in range(min(k, 2))]
-            total += (what == 3) * (1 + 2 * (1 + odd) * sum(g * (g + 1) // 2 for g in grams))
-            continue
-        k = 0 if what == 1 and np.isinf(rate) else order
-        size = (k + 1) * (1 if block == 2 else rows)
-        total += size * (size + 1) // 2 + (block == 0) * size * (size - 1) // 2
-        total += (k * cols) ** 2 if what == 1 and k else 0
-    return max(total, 0)
-
-
-def places(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
-    """Moving parameters: points, rates, the deviation; P of one point for all, or of a neighbour; n of another size."""
-    if kind != "lpv-gain" or "P" not in numbers:
-        return None
-    result, k = dict(numbers), len(numbers["rate"])
-    i, what = int(rng.integers(k)), int(rng.integers(6))
-    if what == 0:
-        X = np.array(numbers[f"points{i}"])
-        j = int(rng.integers(len(X)))
-        X[j] += (X[-1] - X[0]) * relative(rng)
-        result[f"points{i}"] = X
-    elif what == 1:
-        rates = np.array(numbers["rate"])
-        rates[i] = (
-            np.inf if rng.random() < 0.2 else 10 ** rng.uniform(-1, 1) + (rates[i] if np.isfinite(rates[i]) else 0)
-        )
-        result["rate"] = rates
-    elif what == 2:
-        shape = (*(len(numbers[f"points{j}"]) - 1 for j in range(k)), *np.shape(numbers["M"])[-2:])
-        E = np.array(numbers.get("deviation", np.zeros(shape)))
-        E[tuple(int(rng.integers(s)) for s in E.shape)] += 10 ** rng.uniform(-9, 0)
-        result["deviation"] = E
-    elif what == 3:
-        P = np.array(numbers["P"])
-        result["P"] = np.take(P, [0], axis=i) if rng.random() < 0.5 else np.flip(P, axis=i)
-    elif what == 4:
-        result["M"] = np.flip(np.array(numbers["M"]), axis=i)
-    else:
-        result["n"] = np.array(int(numbers["n"]) + int(rng.choice([-1, 1])), dtype=np.int64)
-    return kind, result
-
-
-def turned(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
-    """The states of one point in another basis, with their P, all parameters at rest: it differs only between."""
-    if kind != "lpv-gain" or "K" in numbers or int(numbers["n"]) < 2:
-        return None
-    n, k, grid = (
-        int(numbers["n"]),
-        len(numbers["rate"]),
-        tuple(len(numbers[f"points{i}"]) for i in range(len(numbers["rate"]))),
-    )
-    M, P = np.array(numbers["M"]), np.array(np.broadcast_to(numbers["P"], (*grid, n, n)))
-    at = tuple(int(rng.integers(size)) for size in grid)
-    T = np.eye(n)[::-1] * 2.0 ** rng.integers(-3, 4, n) * (rng.choice([-1, 1], n) if rng.random() < 0.5 else 1)
-    back = np.linalg.inv(T)
-    M[at][:n] = T @ M[at][:n]
-    M[at][:, :n] = M[at][:, :n] @ back
-    X = back.T @ P[at] @ back
-    P[at] = 0.5 * (X + X.T)
-    kept = {name: x for name, x in numbers.items() if name != "deviation"}
-    return kind, {**kept, "M": M, "P": P, "rate": np.zeros(k)}
-
-
-LATE = ("delayed-norm", "delayed-stable")
 PLAIN = ("norm", "bounded-real", "stable", "gramian")
 AXIS = ("mu-axis", "worst-gain", "unstable-member", "mu-boxes", "worst-gain-boxes")
 
 
 def exchanged(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
     """The kind of claim, with what it needs made of what there is."""
-    families = (PLAIN, AXIS, LATE, ("mu-upper", "mu-lower"), ("iqc-gain", "iqc-size"))
+    families = (PLAIN, AXIS, ("mu-upper", "mu-lower"))
     own = next((f for f in families if kind in f), None)
     if own is None:
         return None
@@ -599,10 +462,6 @@ MUTATIONS: tuple[tuple[Callable[..., Mutant | None], float], ...] = (
     (hidden, 1.0),
     (stray, 2.0),
     (exchanged, 1.5),
-    (late, 4.0),
-    (natures, 14.0),
-    (places, 14.0),
-    (turned, 6.0),
 )
 
 

@@ -30,11 +30,6 @@ from robustlab.iqc import Nonlinearity as Nonlinearity
 from robustlab.iqc import Varying as Varying
 from robustlab.linear_analysis.frequency import frequency_response as frequency_response
 from robustlab.linear_analysis.invariant_zeros import zeros as zeros
-from robustlab.linear_analysis.linear_matrix_equations import dlyap as dlyap
-from robustlab.linear_analysis.linear_matrix_equations import lyap as lyap
-from robustlab.linear_analysis.linear_matrix_equations import sylvester as sylvester
-from robustlab.linear_analysis.matrix_equations import care as care
-from robustlab.linear_analysis.matrix_equations import dare as dare
 from robustlab.linear_analysis.structural import controllability as controllability
 from robustlab.linear_analysis.structural import observability as observability
 from robustlab.mu_analysis import mu as mu
@@ -47,6 +42,7 @@ from robustlab.norms import h2_norm as h2_norm
 from robustlab.norms import passivity as passivity
 from robustlab.realisations import ss as ss
 from robustlab.realisations import tf as tf
+from robustlab.realisations import zpk as zpk
 from robustlab.record import Record as Record
 from robustlab.result import Status as Status
 from robustlab.statespace import Signal as Signal
@@ -57,37 +53,26 @@ from robustlab.storage.controller_export import export_controller as export_cont
 from robustlab.synthesis.dk.dk_iteration import dk as dk
 from robustlab.synthesis.fixed.fixed_structure import fixed_structure as fixed_structure
 from robustlab.synthesis.fixed.goal_tuning import tune as tune
-from robustlab.synthesis.h2.gaussian_regulator import lqg as lqg
 from robustlab.synthesis.h2.h2_synthesis import h2 as h2
-from robustlab.synthesis.h2.integral_feedback import lqi as lqi
-from robustlab.synthesis.h2.kalman_filter import kalman as kalman
-from robustlab.synthesis.h2.mixed_h2_hinf import h2_hinf as h2_hinf
-from robustlab.synthesis.h2.state_feedback import lqr as lqr
-from robustlab.synthesis.h2.state_feedback import place as place
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.problem.controller import Controller as Controller
 from robustlab.synthesis.problem.partition import generalized_plant as generalized_plant
-from robustlab.synthesis.problem.performance_limits import performance_limits as performance_limits
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce_controller
+from robustlab.synthesis.reduction.minimal_realisation import minimal as minimal
 from robustlab.synthesis.reduction.model_reduction import hankel_singular_values as hankel_singular_values
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
 from robustlab.synthesis.sampled.resampling import d2c as d2c
 from robustlab.synthesis.sampled.resampling import d2d as d2d
 from robustlab.synthesis.sampled.sampled_controller import discretise as discretise
 from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
-from robustlab.synthesis.sampled.sampled_robustness import sampled_robustness as sampled_robustness
 from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel as LPVModel
 from robustlab.synthesis.specifications.loop_functions import loop_functions as loop_functions
-from robustlab.synthesis.specifications.weight_design import check_weights as check_weights
 from robustlab.synthesis.specifications.weight_design import complementary_weight as complementary_weight
 from robustlab.synthesis.specifications.weight_design import control_weight as control_weight
-from robustlab.synthesis.specifications.weight_design import design_weights as design_weights
 from robustlab.synthesis.specifications.weight_design import makeweight as makeweight
-from robustlab.synthesis.specifications.weight_design import noise_weight as noise_weight
 from robustlab.synthesis.specifications.weight_design import performance_weight as performance_weight
-from robustlab.synthesis.windup.static_anti_windup import anti_windup as anti_windup
 from robustlab.uncertainty.algebra import beside as beside
 from robustlab.uncertainty.algebra import stacked as stacked
 from robustlab.uncertainty.algebra import star as star
@@ -118,6 +103,7 @@ __all__ = [
     "Signal",
     "ss",
     "tf",
+    "zpk",
     "descriptor",
     "Record",
     "load",
@@ -168,11 +154,6 @@ __all__ = [
     "coprime_margin",
     "h2_norm",
     "passivity",
-    "lyap",
-    "dlyap",
-    "sylvester",
-    "care",
-    "dare",
     "zeros",
     "controllability",
     "observability",
@@ -181,39 +162,28 @@ __all__ = [
     "Nonlinearity",
     "hinf",
     "h2",
-    "h2_hinf",
     "loop_functions",
-    "lqr",
-    "lqg",
-    "place",
-    "kalman",
-    "lqi",
     "mixsyn",
     "ncf",
     "dk",
     "fixed_structure",
     "tune",
     "generalized_plant",
-    "performance_limits",
     "performance_weight",
     "control_weight",
     "complementary_weight",
-    "design_weights",
-    "check_weights",
     "makeweight",
-    "noise_weight",
     "Controller",
     "LPVModel",
     "lpv_model",
     "hankel_singular_values",
     "reduce_model",
+    "minimal",
     "reduce_controller",
-    "anti_windup",
     "discretise",
     "d2c",
     "d2d",
     "sampled_data_norm",
-    "sampled_robustness",
     "compare",
     "discover",
     "watch",

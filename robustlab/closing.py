@@ -25,7 +25,7 @@ from robustlab.statespace import StateSpaceModel, as_model, feedback
 Sign = Literal[-1, 1]
 SIGNS: dict[int, str] = {-1: "u = -K y", 1: "u = K y"}
 WORDS: dict[int, str] = {-1: "negative", 1: "positive"}
-SAY_WHICH = "say it: --feedback negative (u = -K y) or positive (u = K y); sign=-1 or 1 in Python and recipes"
+SAY_WHICH = "say it: sign=-1 (u = -K y) or sign=1 (u = K y)"
 PADE = 4  # order of the delays where a sign is chosen by the stability of the loop; what is proved afterwards is exact
 LARGEST_GAIN = 1e100  # of a bare number or matrix: a loop of it overflows
 # Names that were given by counting say nothing about what a signal is.

@@ -19,6 +19,7 @@ Every message says WHERE, what was FOUND and what was EXPECTED on one line; the 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import wraps
 from inspect import signature, unwrap
@@ -45,12 +46,17 @@ __all__ = [
     "named_arguments",
     "plain_text",
     "refuse_unknown",
+    "rewritten",
     "told_as",
     "unknown_name",
 ]
 
 P = ParamSpec("P")
 R = TypeVar("R")
+# A call, which is left alone, or an argument of a hint with its value.
+_ARGUMENT = re.compile(
+    r"""[\w.]+\((?:[^()]|\([^()]*\))*\)|(?<![\w-])([a-z]\w*)=(\{[^{}]*\}|\[[^\[\]]*\]|'[^']*'|"[^"]*"|\.\.\.|-?\w[\w.]*)"""
+)
 MAX_LINE = 1800  # characters of a message that are shown
 
 EXIT_OK = 0
@@ -71,7 +77,7 @@ class RobustlabError(Exception):
     expected
         What would have been right; left out where ``found`` says it all.
     hint
-        What the user can do next, preferably a command to type.
+        What the user can do next; arguments in Python syntax, ``name=value``, see `rewritten`.
     more
         Further findings of the same kind, one line each (all faults of a file are listed, not the first one only).
     """
@@ -149,6 +155,23 @@ class EnvironmentFault(RobustlabError, OSError):
 
 class DependencyMissing(EnvironmentFault):
     """An optional package is not installed; exit code 5."""
+
+
+def rewritten(hint: str, written: Callable[[str, str], str | None]) -> str:
+    """Return a hint with its arguments ``name=value`` as ``written`` gives them; None leaves one, and calls stay.
+
+    Hints are stored in Python syntax; the command line and recipes show them in their own.
+
+    Examples
+    --------
+    >>> rewritten("u={'force': 1.0}, or f(sign=1)", lambda name, value: f"<{name} {value}>")
+    "<u {'force': 1.0}>, or f(sign=1)"
+    """
+
+    def one(match: re.Match[str]) -> str:
+        return match[0] if match[1] is None else written(match[1], match[2]) or match[0]
+
+    return _ARGUMENT.sub(one, hint)
 
 
 def did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str | None:

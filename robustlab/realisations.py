@@ -2,7 +2,8 @@ r"""Models from what one writes down: coefficients of transfer functions, matric
 
 .. math:: G(s) = \frac{b_n s^n + \cdots + b_0}{s^n + a_{n-1} s^{n-1} + \cdots + a_0} = b_n + C (s I - A)^{-1} B
 
-with the companion matrix of the denominator for A, in states that powers of two balance.
+with the companion matrix of the denominator for A, in states that powers of two balance. Zeros, poles and gain become
+a cascade of sections of first and second order whose A has the poles on its block diagonal: no polynomial is formed.
 
 References
 ----------
@@ -11,17 +12,29 @@ Kailath, *Linear Systems* (1980), section 2.1.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, told_as
-from robustlab.linear_analysis.magnitude import balancing_factors
+from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
+from robustlab.linear_analysis.structural import hidden_unstable, least_order
 from robustlab.signals import SignalLike, is_constant, real_array
-from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.statespace import StateSpaceModel, as_model, parallel
+
+Part = tuple[Array, Array, Array]  # A, B, C
+
+# A pole is sensitive where one rounding of each coefficient moves it by more than the first share of its modulus, or
+# the second share of its distance to the stability boundary. Poles nearer than the third share count as on it.
+SENSITIVE, NEARER, ON_IT = 1e-3, 0.1, 1e-6
+# A pole of an entry is in the model where one of it is this near, as a share of the entry's norm.
+LOST = 1e-6
+# Two roots are a conjugate pair, and one is real, up to this share of their modulus.
+PAIRED = 1e-12
 
 NESTED = "num[i][j], the coefficients from input j to output i: [[[1], [2]], [[3, 1], [4]]]"
 
@@ -51,14 +64,20 @@ def tf(
     Returns
     -------
     StateSpaceModel
-        With n states, in balanced controllable form. A root that num and den share stays as a mode that no output
-        shows, see `zeros`. Of several channels the entries of a column, or of a row, that have one denominator share
-        states, whichever takes fewer; that need not be the least number.
+        Of one channel with n states, in balanced controllable form; a root that num and den share stays as a mode that
+        no output shows, see `zeros`. Of several channels with the least number of states (`minimal`), so that a pole
+        that entries share is there once.
 
     Raises
     ------
     InputError
         An improper transfer function, a denominator of zero, coefficients that are no finite real numbers.
+
+    Warns
+    -----
+    UserWarning
+        Rounding of the coefficients moves a pole (see `zpk`). An entry of several has an unstable or integrating pole
+        that its numerator cancels: the model is without it.
 
     Examples
     --------
@@ -67,32 +86,102 @@ def tf(
     (StateSpaceModel(2 states, [u] -> [y], continuous), array([[2.-3.j]]))
     """
     levels = _levels(num), _levels(den)
-    if levels[0] == 3 and levels[1] in (1, 3):
+    several = levels[0] == 3 and levels[1] in (1, 3)
+    if several:
         numerators = [list(row) for row in num]
         rows, columns = len(numerators), len(numerators[0]) if numerators else 0
         denominators = [[den] * columns] * rows if levels[1] == 1 else [list(row) for row in den]
-        shape = {len(row) for row in (*numerators, *denominators)}
-        if shape != {columns} or len(denominators) != rows or not columns:
-            raise InputError("tf", "rows of num and den of different lengths", "as many entries in each row as inputs")
+        _check_rows("num and den", numerators, denominators)
     elif max(levels) <= 1:
         numerators, denominators = [[num]], [[den]]
     else:
         found = f"num nested {levels[0]} deep, den {levels[1]} deep"
         raise InputError("tf", found, "two lists of numbers, or of several channels lists of them", NESTED)
     entries = [
-        [
-            _proper(n, d, f"tf: [{i}][{j}]" if levels[0] == 3 else "tf")
-            for j, (n, d) in enumerate(zip(*row, strict=True))
-        ]
+        [_proper(n, d, f"tf: [{i}][{j}]" if several else "tf") for j, (n, d) in enumerate(zip(*row, strict=True))]
         for i, row in enumerate(zip(numerators, denominators, strict=True))
     ]
+    for a in {tuple(a): a for row in entries for _, a in row}.values():
+        _warn_of_sensitive_poles(a, dt)
+    D = [[b[0] for b, _ in row] for row in entries]
     by_column = _of_columns(entries)
-    by_row = _of_columns([list(column) for column in zip(*entries, strict=True)])
-    if len(by_row[0]) < len(by_column[0]):
-        A, B, C, D = by_row[0].T, by_row[2].T, by_row[1].T, by_row[3].T
-    else:
-        A, B, C, D = by_column
-    return StateSpaceModel(A, B, C, D, dt, inputs, outputs, where="tf")
+    if not several:
+        A, B, C = by_column[0] if by_column else (np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)))
+        return StateSpaceModel(A, B, C, D, dt, inputs, outputs, where="tf")
+    by_row = [(A.T, C.T, B.T) for A, B, C in _of_columns([list(column) for column in zip(*entries, strict=True)])]
+    parts = min(by_column, by_row, key=lambda parts: sum(len(A) for A, _, _ in parts))
+    alone = {(i, j): _of_columns([[entry]]) for i, row in enumerate(entries) for j, entry in enumerate(row)}
+    return _least(parts, D, alone, dt, inputs, outputs, "tf")
+
+
+@told_as("zpk")
+def zpk(
+    zeros: Any,
+    poles: Any,
+    gain: Any,
+    dt: float = 0.0,
+    inputs: Iterable[SignalLike] | None = None,
+    outputs: Iterable[SignalLike] | None = None,
+) -> StateSpaceModel:
+    r"""A model from its zeros, poles and gain, without polynomials: its poles are those given, to the last digits.
+
+    .. math:: G(s) = k \frac{(s - z_1) \cdots (s - z_m)}{(s - p_1) \cdots (s - p_n)}
+
+    Parameters
+    ----------
+    zeros, poles
+        In rad/s (in the z plane with ``dt``), complex ones with their conjugates, m <= n. Of several channels lists
+        ``zeros[i][j]`` of them, from input j to output i; ``poles`` alike.
+    gain
+        k, real; of several channels a matrix.
+    dt
+        Sample time in s of a transfer function in z; 0 means continuous time.
+    inputs, outputs
+        Names, or (name, unit) pairs.
+
+    Returns
+    -------
+    StateSpaceModel
+        A cascade of sections of first and second order, whose A is block triangular with the poles on its diagonal. Of
+        several channels with the least number of states, as `tf`.
+
+    Raises
+    ------
+    InputError
+        More zeros than poles, a complex root without its conjugate, numbers that are not finite.
+
+    Examples
+    --------
+    Coefficients of a polynomial do not determine a sixfold pole to more than three digits:
+
+    >>> zpk([], [-1] * 6, 1.0).poles()
+    array([-1.+0.j, -1.+0.j, -1.+0.j, -1.+0.j, -1.+0.j, -1.+0.j])
+    """
+    levels = _levels(zeros), _levels(poles)
+    if levels == (3, 3):
+        rows = [list(row) for row in zeros], [list(row) for row in poles]
+        _check_rows("zeros and poles", *rows)
+        k = real_array("gain", gain, 2, "zpk")
+        if k.shape != (len(rows[0]), len(rows[0][0])):
+            raise InputError("zpk: gain", f"of shape {k.shape}", f"({len(rows[0])}, {len(rows[0][0])})")
+        entries = {
+            (i, j): _cascade(z, p, float(k[i, j]), dt, f"zpk: [{i}][{j}]")
+            for i, row in enumerate(zip(*rows, strict=True))
+            for j, (z, p) in enumerate(zip(*row, strict=True))
+        }
+        D, parts = np.zeros(k.shape), list[Part]()
+        for (i, j), entry in entries.items():
+            D[i, j] = entry.D.item()
+            parts.append((entry.A, entry.B * np.eye(k.shape[1])[j], entry.C * np.eye(k.shape[0])[:, [i]]))
+        return _least(parts, D, {at: [(m.A, m.B, m.C)] for at, m in entries.items()}, dt, inputs, outputs, "zpk")
+    if max(levels) > 1:
+        found = f"zeros nested {levels[0]} deep, poles {levels[1]} deep"
+        raise InputError("zpk", found, "two lists of numbers, or of several channels zeros[i][j] and poles[i][j]")
+    k = real_array("gain", np.reshape(gain, (1, 1)) if np.size(gain) == 1 else gain, 2, "zpk")
+    if k.shape != (1, 1):
+        raise InputError("zpk: gain", f"of shape {k.shape}", "a number, or zeros[i][j] and poles[i][j] with a matrix")
+    model = _cascade(zeros, poles, k.item(), dt, "zpk")
+    return model.renamed(inputs, outputs)
 
 
 @told_as("ss")
@@ -154,13 +243,17 @@ def ss(
 def _converted(system: Any) -> StateSpaceModel:
     """A model of python-control or scipy, or anything that is one here."""
     program, kind = type(system).__module__.partition(".")[0], type(system).__mro__
-    if program == "control" and kind[0].__name__ == "TransferFunction" and (system.ninputs, system.noutputs) != (1, 1):
+    if program == "control" and kind[0].__name__ == "TransferFunction":
         if system.dt in (None, True):
             raise InputError("ss", f"dt={system.dt}", "dt = 0 or a sample time in s")
-        return tf(system.num, system.den, float(system.dt), system.input_labels, system.output_labels)
+        one = (system.ninputs, system.noutputs) == (1, 1)
+        num, den = (side[0][0] if one else side for side in (system.num, system.den))
+        return tf(num, den, float(system.dt), system.input_labels, system.output_labels)
     if program == "scipy" and any(parent.__name__ in ("lti", "dlti") for parent in kind):
         if system.dt is True:
             raise InputError("ss", "dt=True (discrete, sample time unknown)", "a sample time in s")
+        if hasattr(system, "gain"):
+            return zpk(system.zeros, system.poles, system.gain, float(system.dt or 0.0))
         if np.ndim(getattr(system, "num", [[]])) == 1:
             return tf(system.num, system.den, float(system.dt or 0.0))
         form = system.to_ss()
@@ -173,6 +266,131 @@ def _levels(given: Any) -> int:
     if isinstance(given, (list, tuple)):
         return 1 + max(map(_levels, given), default=0)
     return np.ndim(given)
+
+
+def _check_rows(names: str, first: list[list[Any]], second: list[list[Any]]) -> None:
+    columns = len(first[0]) if first else 0
+    if {len(row) for row in (*first, *second)} != {columns} or len(second) != len(first) or not columns:
+        where = "tf" if names.startswith("num") else "zpk"
+        raise InputError(where, f"rows of {names} of different lengths", "as many entries in each row as inputs")
+
+
+def _least(
+    parts: list[Part], D: Any, entries: dict[tuple[int, int], list[Part]], dt: float, inputs: Any, outputs: Any,
+    where: str,
+) -> StateSpaceModel:  # fmt: skip
+    """Sum up parts of a transfer matrix, pair by pair, each sum in least order; warn of what an entry itself cancels.
+
+    ``entries``: the realisation of each entry alone.
+    """
+    zero = np.zeros(np.shape(D))
+    models = [least_order(StateSpaceModel(*part, zero, dt)).model for part in parts]
+    while len(models) > 1:
+        pairs = zip(models[::2], models[1::2], strict=False)
+        odd = models[-1:] if len(models) % 2 else []
+        models = [least_order(parallel(first, second)).model for first, second in pairs] + odd
+    found = models[0] if models else StateSpaceModel([], [], [], zero, dt)
+    for (i, j), entry in entries.items():
+        for mode in (mode for part in entry for mode in hidden_unstable(StateSpaceModel(*part, [[0.0]], dt))):
+            near = LOST * sum(float(np.linalg.norm(A)) for A, _, _ in entry)
+            if not (np.abs(found.poles() - mode.eigenvalue) <= near).any():
+                words = mode.meaning.partition(" in ")[0]
+                text = f"{where}: [{i}][{j}]: a zero cancels the {words}: the model is without it"
+                warnings.warn(text, stacklevel=4)  # the caller of rl.tf
+    return StateSpaceModel(found.A, found.B, found.C, D, dt, inputs, outputs, where=where)
+
+
+def _warn_of_sensitive_poles(den: Array, dt: float) -> None:
+    """Warn where the last digits of the coefficients decide about a pole."""
+    roots = np.roots(den)
+    if len(roots) < 3:
+        return
+    rng = np.random.default_rng(0)
+    rounded = [np.roots(den * (1 + np.finfo(float).eps * rng.choice([-1.0, 1.0], len(den)))) for _ in range(3)]
+    moved = np.max([np.abs(roots[:, None] - other).min(axis=1) for other in rounded if len(other)], axis=0)
+    size = np.abs(roots)
+    distance = np.abs(1 - size) if dt else np.abs(roots.real)
+    share = moved / np.where(size > 0, size, np.inf)
+    doubtful = (share > SENSITIVE) | ((moved > NEARER * distance) & (distance > ON_IT * size))
+    if doubtful.any():
+        worst = int(np.argmax(np.where(doubtful, share, -1.0)))
+        at = complex(roots[worst])
+        text = f"{at.real:.6g}" if not at.imag else f"{at.real:.6g}{at.imag:+.6g}j"
+        warnings.warn(
+            f"tf: rounding of the coefficients moves the pole {text} by {moved[worst]:.1e}, {share[worst]:.1e} of it;"
+            " rl.zpk takes zeros, poles and gain",
+            stacklevel=4,  # the caller of rl.tf
+        )
+
+
+# --- zeros, poles, gain ----------------------------------------------------------------------------------------------
+
+
+def _cascade(zeros: Any, poles: Any, gain: float, dt: float, where: str) -> StateSpaceModel:
+    """Realise a transfer function by sections of first and second order in series, the last one's states first."""
+    (z, real_z), (p, real_p) = (_roots(name, given, where) for name, given in (("zeros", zeros), ("poles", poles)))
+    n_zeros, n_poles = 2 * len(z) + len(real_z), 2 * len(p) + len(real_p)
+    if n_zeros > n_poles:
+        hint = "a derivative needs a pole: zpk([0], [-1000], 1000)"
+        raise InputError(where, f"{n_zeros} zeros and {n_poles} poles: improper", "no more zeros than poles", hint)
+    sections: list[tuple[list[complex], list[complex]]] = [([pole, pole.conjugate()], []) for pole in p]
+    sections += [(real_p[k : k + 2], []) for k in range(0, len(real_p), 2)]
+    for group in [*([zero, zero.conjugate()] for zero in z), *([zero] for zero in real_z)]:
+        free = [section for section in sections if len(section[0]) - len(section[1]) >= len(group)]
+        min(free, key=lambda section: abs(section[0][0] - group[0]))[1].extend(group)
+    a, b, c, d = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
+    for section in sections:
+        (own, into, out, direct), unit = _section(*section)
+        a = np.block([[own, into @ c], [np.zeros((len(a), len(own))), a]])
+        b, c, d = np.vstack([into @ d, b]), np.hstack([out, direct * c]), direct * d
+        gain *= unit
+    c, d = gain * c, gain * d
+    t = balancing_exponents(a, b, c)
+    a, b, c = np.ldexp(a, t - t[:, None]), np.ldexp(b, -t[:, None]), np.ldexp(c, t)
+    if not all(np.isfinite(m).all() for m in (a, b, c, d)):
+        raise InputError(where, "roots or a gain that overflow", "numbers below 1e308")
+    return StateSpaceModel(a, b, c, d, dt, where=where)
+
+
+def _section(poles: list[complex], zeros: list[complex]) -> tuple[tuple[Array, Array, Array, float], float]:
+    """Realise one or two poles with as many zeros at most, gain about one; and the factor that it is too small by."""
+    first, last = poles[0].real, poles[-1].real
+    size = 2.0 ** round(float(np.log2(max(map(abs, poles)) or 1.0)))
+    unit = size ** (len(poles) - len(zeros))
+    if len(poles) == 1:
+        parts = np.array([[first]]), np.ones((1, 1)), np.array([[first - zeros[0].real if zeros else unit]])
+        return (*parts, float(len(zeros))), 1 / unit
+    # (sI - A)^-1 B = [link; s - first] / den(s), den(first) = turn^2
+    turn = poles[0].imag
+    link = turn if turn > 0.1 * size else size
+    at_first = np.prod([first - zero for zero in zeros]).real
+    out = {
+        0: [unit / link, 0.0],
+        1: [unit * at_first / link, unit],
+        2: [(at_first - turn * turn) / link, first + last - sum(zeros).real],
+    }[len(zeros)]
+    own = np.array([[first, link], [-turn * (turn / link), last]])
+    return (own, np.array([[0.0], [1.0]]), np.array([out]), float(len(zeros) == 2)), 1 / unit
+
+
+def _roots(name: str, given: Any, where: str) -> tuple[list[complex], list[complex]]:
+    """Return the upper one of every conjugate pair, and the real roots in their order."""
+    try:
+        roots: ComplexArray = np.atleast_1d(np.asarray(given, dtype=np.complex128))
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: {name}", repr(given), "numbers") from None
+    if roots.ndim != 1 or not np.isfinite(roots).all():
+        raise InputError(f"{where}: {name}", f"{given!r}", "a list of finite numbers")
+    real = np.abs(roots.imag) <= PAIRED * np.abs(roots)
+    upper, lower = ([root for root in roots[~real].tolist() if sign * root.imag > 0] for sign in (1, -1))
+    for root in upper:
+        mate = min(lower, key=lambda other: abs(other - root.conjugate()), default=np.inf)
+        if not abs(mate - root.conjugate()) <= PAIRED * abs(root):
+            raise InputError(f"{where}: {name}", f"{root:.6g} without its conjugate", "conjugate pairs")
+        lower.remove(mate)
+    if lower:
+        raise InputError(f"{where}: {name}", f"{lower[0]:.6g} without its conjugate", "conjugate pairs")
+    return upper, [complex(root) for root in np.sort(roots[real].real).tolist()]
 
 
 def _proper(num: Any, den: Any, where: str) -> tuple[Array, Array]:
@@ -192,13 +410,10 @@ def _proper(num: Any, den: Any, where: str) -> tuple[Array, Array]:
     return b, a
 
 
-def _of_columns(entries: list[list[tuple[Array, Array]]]) -> tuple[Array, Array, Array, Array]:
-    """A, B, C, D of entries [i][j]: in each column one controllable form for each denominator."""
-    from scipy.linalg import block_diag
-
+def _of_columns(entries: list[list[tuple[Array, Array]]]) -> list[Part]:
+    """Realise entries [i][j] without their direct terms: in each column one controllable form for each denominator."""
     p, m = len(entries), len(entries[0])
-    D = np.array([[b[0] for b, _ in row] for row in entries])
-    As, Bs, Cs = [np.zeros((0, 0))], [np.zeros((0, m))], [np.zeros((p, 0))]
+    parts = list[Part]()
     for j in range(m):
         column = [row[j] for row in entries]
         for a in {tuple(a): a for _, a in column if len(a) > 1}.values():
@@ -213,7 +428,5 @@ def _of_columns(entries: list[list[tuple[Array, Array]]]) -> tuple[Array, Array,
             t = balancing_factors(A)
             A, B, C = A * t / t[:, None], B / t[:, None], C * t
             even = np.exp2(np.round(0.5 * (np.log2(np.abs(B).max()) - np.log2(np.abs(C).max()))))
-            As.append(A)
-            Bs.append(B / even)
-            Cs.append(C * even)
-    return np.asarray(block_diag(*As)), np.vstack(Bs), np.hstack(Cs), D
+            parts.append((A, B / even, C * even))
+    return parts

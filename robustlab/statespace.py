@@ -496,8 +496,8 @@ def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceMod
         raise InputError("feedback", f"controller is {k.n_outputs} x {k.n_inputs}", wanted)
     same_units("feedback", [*zip(g.outputs, k.inputs, strict=True), *zip(k.outputs, g.inputs, strict=True)])
     twice = np.hstack([g.B, g.B]), np.vstack([g.C, g.C]), np.tile(g.D, (2, 2))
-    signed = StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, dt)
-    return lower_lft(StateSpaceModel(g.A, *twice, dt), signed).renamed(g.inputs, g.outputs)
+    signed = StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, dt, states=k.states)
+    return lower_lft(StateSpaceModel(g.A, *twice, dt, states=g.states), signed).renamed(g.inputs, g.outputs)
 
 
 def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
@@ -542,7 +542,7 @@ def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
         d = d11 + d12 @ u_w
     if not all(np.isfinite(part).all() for part in (a, b, c, d)):
         raise NoTrustworthyNumber("lower_lft", "a product of entries of P and K overflows", "numbers below 1e308")
-    return StateSpaceModel(a, b, c, d, dt, P.inputs[:n_w], P.outputs[:n_z], where="lower_lft")
+    return StateSpaceModel(a, b, c, d, dt, P.inputs[:n_w], P.outputs[:n_z], _states(P, K), where="lower_lft")
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------
@@ -559,9 +559,9 @@ def _check_shapes(a: Array, b: Array, c: Array, d: Array, where: str) -> None:
     hint = None
     if a.shape == (n, n) and d.shape != d.T.shape == (c.shape[0], b.shape[1]):
         wrong = [f"D is {d.shape}, expected {d.T.shape}"]
-        hint = "D looks transposed (column-major file?): use --transpose"
+        hint = "D looks transposed (column-major file?): use transpose=True"
     elif b.shape != b.T.shape == (n, n_u) or c.shape != c.T.shape == (n_y, n):
-        hint = "B or C looks transposed (column-major file?): use --transpose"
+        hint = "B or C looks transposed (column-major file?): use transpose=True"
     raise InputError(where, "; ".join(wrong), None, hint)
 
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
+from unittest.mock import patch
 
 import numpy as np
 from oracle.stick_slip import stick_slip
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Problem
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.discovery import admissible
 from robustlab.identification.naming.set_search import Found, search_sets
-from robustlab.identification.tuning import TUNING
 
 AXIS = rl.plant("servo-axis")
 GAIN = AXIS.values["gain"]
@@ -61,9 +61,9 @@ def quiet(*_: object) -> None:
 def searched(record: rl.Record, keys=POOL, progress=quiet, **changed) -> Found:
     """The search over these effects, with some numbers of its tuning changed."""
     fit, held, pool, allowed = opened(record)
-    fit.tuning = held.tuning = replace(TUNING, **changed)
     fit.work.clear()
-    return search_sets(fit, held, [pool[k] for k in keys], allowed, progress)
+    with patch.multiple(tuning, **{name.upper(): value for name, value in changed.items()}):
+        return search_sets(fit, held, [pool[k] for k in keys], allowed, progress)
 
 
 @cache

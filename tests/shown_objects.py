@@ -10,6 +10,7 @@ import numpy as np
 
 import robustlab as rl
 from robustlab import result
+from robustlab.linear_analysis.matrix_equations import care
 from robustlab.synthesis import Damping, MarginGoal, TrackingGoal
 
 OMEGA = np.geomspace(0.01, 100.0, 60)
@@ -194,13 +195,6 @@ def mixsyn() -> Any:
     return rl.mixsyn(lag(), W1, 0.1)
 
 
-def robust_sampled_controller() -> Any:
-    from robustlab.synthesis.sampled.sampled_robustness import RobustSampledController
-
-    judged = {"before": made("PerformanceMargin"), "after": made("SampledRobustness")}
-    return RobustSampledController(**vars(made("SampledController")), **judged)
-
-
 def performance_comparison() -> Any:
     from robustlab.analysis.performance_comparison import compare_performance
 
@@ -250,7 +244,6 @@ OBJECTS: dict[str, Any] = {
     "Samples": lambda: rl.sample(spring(), 20, 1, 8),
     "PlantSamples": lambda: rl.sample(rl.plant("stewart-platform", c=(0.01, 0.1)), 3),
     "Responses": lambda: rl.sample(spring(), 20, 1, 8).respond(np.linspace(0.0, 20.0, 201)),
-    "StreamedResponses": lambda: rl.sample(spring(), 50).stream(np.linspace(0.0, 20.0, 51)),
     "Reduction": lambda: rl.reduce_model(spring() + spring()),
     "WellPosedness": lambda: rl.well_posedness(spring()),
     "Cover": lambda: rl.cover(four_models(), "output-multiplicative"),
@@ -287,9 +280,7 @@ OBJECTS: dict[str, Any] = {
     "IqcGain": lambda: rl.peak_gain(loop(), natures={"k": rl.Varying(0.1)}),
     "IqcStability": lambda: rl.robust_stability(first_order(), natures={"pole": rl.Varying()}, order=0),
     "EffectGain": effect_gain,
-    "AntiWindup": lambda: rl.anti_windup(lag().select(), rl.StateSpaceModel([[0.0]], [[-1.0]], [[2.0]], [[-3.0]])),
-    "LinearSolution": lambda: rl.lyap([[-0.5]], [[2.0]]),
-    "RiccatiSolution": lambda: rl.care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
+    "RiccatiSolution": lambda: care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
     "Resampled": lambda: rl.d2c(rl.discretise(lag(), 0.1)),
     "Passivity": lambda: rl.passivity(lag()),
     "PassivityIndex": lambda: rl.passivity(lag()).input_index,
@@ -298,9 +289,6 @@ OBJECTS: dict[str, Any] = {
     "HinfSynthesis": mixsyn,
     "DelayedDesign": lambda: rl.hinf(rl.with_delays(problem(), inputs={"u": 0.1}), 1, 1),
     "H2Synthesis": lambda: rl.h2(problem(), 1, 1),
-    "MixedSynthesis": lambda: rl.h2_hinf(
-        problem(), 1, 1, gamma=1.3, h2_outputs=["x", "effort"], hinf_outputs=["x", "effort"]
-    ),
     "NcfSynthesis": lambda: rl.ncf(lag()),
     "DKSynthesis": lambda: rl.dk(problem(), [rl.ComplexScalar("gain")], 1, 1, direct=False),
     "TunedSynthesis": lambda: rl.tune(
@@ -315,19 +303,10 @@ OBJECTS: dict[str, Any] = {
     "PerformanceComparison": performance_comparison,
     "ControlledRuns": controlled_runs,
     "LoopFunctions": lambda: rl.loop_functions(spring().nominal, INTEGRAL),
-    "KalmanFilter": lambda: rl.kalman(spring().nominal, np.eye(2), [[1.0]]),
-    "IntegralFeedback": lambda: rl.lqi(spring().nominal, np.eye(3), [[1.0]]),
-    "LqgSynthesis": lambda: rl.lqg(lag(), [[1.0]], [[1.0]], [[1.0]], [[1.0]], disturbance="constant"),
-    "StateFeedback": lambda: rl.lqr(spring().nominal, np.eye(2), [[1.0]]),
-    "PerformanceLimits": lambda: rl.performance_limits(spring().nominal),
-    "DesignWeights": lambda: rl.design_weights(bandwidth=10.0, control_limit=5.0, noise_from=2.0),
-    "Conflict": lambda: rl.design_weights(bandwidth=10.0, noise_from=2.0).conflicts[0],
     "ReducedModel": lambda: rl.reduce_model((spring().nominal @ lag().renamed([("F", "N")], [("F", "N")])), 2),
     "ReducedController": lambda: rl.reduce_controller(mixsyn().plant, mixsyn().K),
     "SampledController": lambda: rl.discretise(mixsyn(), dt=0.01),
-    "RobustSampledController": robust_sampled_controller,
     "SampledDataNorm": lambda: rl.sampled_data_norm(problem(), digital()),
-    "SampledRobustness": lambda: rl.sampled_robustness(first_order(), digital()),
     "Comparison": comparison,
     "Discovery": discovery,
     "Validation": validation,

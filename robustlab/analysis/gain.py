@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.delays import DelayedModel
 from robustlab.errors import InputError, told_as
+from robustlab.linear_analysis.structural import with_hidden
 from robustlab.norms import PeakGain
 from robustlab.shown import listed
 from robustlab.statespace import StateSpaceModel, as_model
@@ -246,7 +249,8 @@ def _of_model(
     model = as_model(system, "peak_gain")
     if inputs is not None or outputs is not None:
         model = model.select(inputs, outputs)
-    return hinf_norm(model, tolerance) if band is None and norm != "linf" else linf_norm(model, tolerance, band=band)
+    found = hinf_norm(model, tolerance) if band is None and norm != "linf" else linf_norm(model, tolerance, band=band)
+    return replace(found, reason=with_hidden(found.reason, model)) if np.isinf(found.lower) else found
 
 
 def _delayed(

@@ -5,7 +5,6 @@ Each sample is stored as it comes; a run that was interrupted or killed goes on 
 
 from robustlab.campaign.campaign_result import CampaignResult
 from robustlab.campaign.runs import (
-    Crew,
     Replay,
     read_campaign,
     replay_sample,
@@ -14,6 +13,7 @@ from robustlab.campaign.runs import (
     saved_samples,
 )
 from robustlab.campaign.settings import CampaignSettings
+from robustlab.campaign.workers import Crew
 
 __all__ = [
     "CampaignResult",

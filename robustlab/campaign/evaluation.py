@@ -4,26 +4,21 @@ This is the one module of the room that knows metrics and searches. Samples are 
 (sample i belongs to tile ``i // tile``, a whole tile is computed even where it reaches beyond n), because a stack of
 members shares its scaling in the matrix exponential: with other neighbours the last digit of a value could change.
 So the answer depends neither on the number of workers nor on n nor on where an earlier run was interrupted.
-
-A `Work` is one piece of it, as it is sent to a worker of either kind.
 """
 
 from __future__ import annotations
 
-import faulthandler
-import json
-import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.campaign.settings import CampaignSettings, Identity, model_from_bytes
-from robustlab.errors import NoTrustworthyNumber, plain_text
+from robustlab.budget import one_thread
+from robustlab.campaign.settings import CampaignSettings, Identity, code_identity, differences, model_from_bytes
+from robustlab.errors import EnvironmentFault, NoTrustworthyNumber, plain_text
 from robustlab.statespace import real_array
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
@@ -38,8 +33,7 @@ DONE, LOST = 0, 1
 TILE = 64
 # Operations in a tile, roughly: a tile of a large model is smaller, so that its time limit stays near that of a sample.
 TILE_WORK = 2e9
-# The limit of a search is the limit of its sample, which whoever started the worker enforces; the search itself ends
-# where nothing helps any more.
+# A search ends by itself, where nothing improves it any more.
 TO_THE_END = 1e9
 
 
@@ -72,25 +66,6 @@ class Rows:
             np.concatenate([part.seconds for part in parts]),
             {index: reason for part in parts for index, reason in part.lost.items()},
         )
-
-    def to_bytes(self) -> bytes:
-        """A line of JSON, then the arrays as little-endian float64."""
-        head = {"first": self.first, "shape": list(self.deltas.shape), "lost": list(self.lost.items())}
-        arrays = [array.astype("<f8").tobytes() for array in (self.values, self.deltas, self.seconds)]
-        return b"".join([json.dumps(head).encode(), b"\n", *arrays])
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Rows:
-        """Inverse of `to_bytes`. Raises ValueError: the bytes are something else."""
-        head, _, body = data.partition(b"\n")
-        content = json.loads(head)
-        count, width = (int(size) for size in content["shape"])
-        numbers = np.frombuffer(body, dtype="<f8").astype(np.float64)
-        if numbers.size != count * (width + 2):
-            raise ValueError(f"{numbers.size} numbers for {count} samples of width {width}")
-        values, deltas, seconds = np.split(numbers, [count, count * (width + 1)])
-        lost = {int(index): str(reason) for index, reason in content["lost"]}
-        return cls(int(content["first"]), values, deltas.reshape(count, width), seconds, lost)
 
 
 def delta_width(blocks: Sequence[Block]) -> int:
@@ -177,26 +152,17 @@ class Evaluator:
         parts = [self._tile(start) for start in range(first, last, self.tile)]
         return parts[0].followed_by(parts[1:])
 
-    def alone(self, index: int) -> Rows:
-        """One sample on its own, its exception caught; this is what a failed tile is made of."""
-        return self._guarded(index)
+    def agrees(self, value: float, again: Evaluation) -> bool:
+        """Whether a value and its re-evaluation are the same number."""
+        return again.accurate and self._judge.agrees(value, again.value)
 
     def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
         """The metric at one Delta through the second path, with which a worst sample is checked."""
         return self._judge.evaluate(delta)
 
-    def agrees(self, value: float, again: float, accurate: bool) -> bool:
-        """Whether a value and its re-evaluation are the same number."""
-        if not (np.isfinite(value) and np.isfinite(again)):
-            return value == again and accurate
-        slack = max(self._judge.slack(value), self._judge.slack(again))
-        # A second path that may look between grid points can find a worse value: that is no disagreement.
-        beyond = self._judge.sense * (again - value)
-        return accurate and -slack <= beyond and (self._judge.one_sided or beyond <= slack)
-
     def _tile(self, first: int) -> Rows:
         if self.tile == 1:
-            return self._guarded(first)
+            return self.alone(first)
         started = time.perf_counter()
         deltas = [self.delta(index) for index in range(first, first + self.tile)]
         try:
@@ -204,17 +170,20 @@ class Evaluator:
         except Exception:  # noqa: BLE001  one sample spoils the stack; which one, and how, is found out below
             values = np.full(len(deltas), np.nan)
         if np.isnan(values).any():
-            parts = [self._guarded(index) for index in range(first, first + self.tile)]
+            parts = [self.alone(index) for index in range(first, first + self.tile)]
             return parts[0].followed_by(parts[1:])
         seconds = np.full(len(deltas), (time.perf_counter() - started) / len(deltas))
         return Rows(first, values, np.stack([encode_delta(self.uncertain.blocks, d) for d in deltas]), seconds)
 
-    def _guarded(self, index: int) -> Rows:
+    def alone(self, index: int) -> Rows:
         """One sample; what it raises becomes the reason why it is lost."""
         started = time.perf_counter()
         delta, value, reason = self.delta(index), np.nan, ""
         try:
-            value, delta = self._search(index) if self.settings.kind == "search" else self._single(delta)
+            if self.settings.kind == "search":
+                value, delta = self._search(index)
+            else:
+                value = float(self._values([delta])[0])
         except Exception as error:  # noqa: BLE001  whatever a sample raises concerns this sample alone
             reason = plain_text(f"{type(error).__name__}: {error}")[:500]
         if not reason and np.isnan(value):
@@ -222,9 +191,6 @@ class Evaluator:
         seconds = np.array([time.perf_counter() - started])
         numbers = encode_delta(self.uncertain.blocks, delta)[None]
         return Rows(index, np.array([value]), numbers, seconds, {index: reason} if reason else {})
-
-    def _single(self, delta: dict[str, Any]) -> tuple[float, dict[str, Any]]:
-        return float(self._values([delta])[0]), delta
 
     def _values(self, deltas: list[dict[str, Any]]) -> Array:
         return np.asarray(self._judge.values(delta_stack(self._judge.uncertain.blocks, deltas)), dtype=np.float64)
@@ -239,11 +205,6 @@ class Evaluator:
                 "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"
             )
         return found.value, dict(found.delta)
-
-    def blank(self, index: int, reason: str, seconds: float) -> Rows:
-        """The row of a sample that never came back: its Delta and why."""
-        numbers = encode_delta(self.uncertain.blocks, self.delta(index))[None]
-        return Rows(index, np.array([np.nan]), numbers, np.array([seconds]), {index: reason})
 
     @property
     def width(self) -> int:
@@ -270,125 +231,19 @@ def _clock(uncertain: UncertainModel, settings: CampaignSettings, t_end: float) 
     return real_array("t", np.linspace(0.0, t_end, settings.points), 1)
 
 
-# Limits beyond this (in s) are no limits, and more than the system's clock can be asked to wait for.
-LONGEST = 1e7
-# What is said of a sample that its time limit ended.
-STRUCK = " (the time limit, so not repeatable)"
-# A worker that nobody stopped (its parent was killed while it hung) ends itself so many seconds after its limit.
-GRACE = 5.0
+_evaluators: dict[str, Evaluator] = {}  # of this process: that of the campaign it worked for last
 
 
-@dataclass(frozen=True)
-class Piece:
-    """Samples ``first .. last - 1``, or the check of one Delta."""
+def compute(identity: Identity, model: bytes, first: int, last: int) -> Rows:
+    """Samples ``first .. last - 1``, in a worker.
 
-    first: int
-    last: int
-    limit: float  # seconds after which the worker is taken for hung
-    alone: bool = False  # one sample on its own, out of a tile that failed
-    attempts: int = 0  # how often a worker died over it
-    delta: tuple[float, ...] | None = None  # for a check: the Delta to evaluate once more, as numbers
-
-    def __len__(self) -> int:
-        return self.last - self.first
-
-    def again(self) -> Piece:
-        """The same work for another worker."""
-        return replace(self, attempts=self.attempts + 1)
-
-    def to_json(self) -> dict[str, Any]:
-        """What the worker needs to know."""
-        return {
-            "first": self.first,
-            "last": self.last,
-            "limit": self.limit if self.limit < LONGEST else None,
-            "alone": self.alone,
-            "delta": None if self.delta is None else list(self.delta),
-        }
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A worker did not answer: ``timeout`` tells a hung one from one that died."""
-
-    reason: str
-    timeout: bool = False
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a piece: the worker's answer, or a failure; and the seconds it took."""
-
-    piece: Piece
-    answer: bytes | Failure
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Payload:
-    """A campaign by value, as every worker gets it: who it is, and the model as plain bytes."""
-
-    identity: Identity
-    model: bytes
-
-    def to_bytes(self) -> bytes:
-        """A line of JSON, then the model."""
-        return json.dumps(self.identity.to_json()).encode() + b"\n" + self.model
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Payload:
-        """Inverse of `to_bytes`."""
-        head, _, model = data.partition(b"\n")
-        return cls(Identity.from_json(json.loads(head)), model)
-
-
-class Workers(Protocol):
-    """Processes that compute pieces, here or elsewhere; one piece at a time each."""
-
-    def idle(self) -> int:
-        """How many pieces could be started now."""
-        ...
-
-    def start(self, piece: Piece) -> None:
-        """Give a piece to an idle worker."""
-        ...
-
-    def wait(self, seconds: float) -> Sequence[Outcome]:
-        """Pieces that ended; waits for one at most so long. A piece beyond its limit is ended."""
-        ...
-
-    def close(self) -> None:
-        """End all workers at once, whatever they do."""
-        ...
-
-
-def evaluator_of(payload: Payload) -> Evaluator:
-    """The evaluator of a campaign in this process."""
-    return Evaluator(model_from_bytes(payload.model, "campaign"), payload.identity.settings)
-
-
-def perform(evaluator: Evaluator, request: Mapping[str, Any]) -> bytes:
-    """Do one piece of work: the rows as bytes, or for a check a line of JSON."""
-    with _end_when_hung(request["limit"]):
-        if request["delta"] is not None:
-            import numpy as np
-
-            delta = decode_delta(evaluator.uncertain.blocks, np.array(request["delta"], dtype=np.float64))
-            again = evaluator.evaluate(delta)
-            return json.dumps({"value": again.value, "at": again.at, "accurate": bool(again.accurate)}).encode()
-        if request["alone"]:
-            return evaluator.alone(request["first"]).to_bytes()
-        return evaluator.rows(request["first"], request["last"]).to_bytes()
-
-
-@contextmanager
-def _end_when_hung(limit: float | None) -> Iterator[None]:
-    """End this process when the time is over; a thread in C does it, since hung native code never lets Python run."""
-    if limit is None:
-        yield
-        return
-    faulthandler.dump_traceback_later(limit + GRACE, exit=True, file=sys.__stderr__ or sys.stderr)
-    try:
-        yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()
+    Raises EnvironmentFault: the worker runs other code than the campaign.
+    """
+    if identity.hash not in _evaluators:
+        changes = differences(identity, Identity(identity.model, identity.settings, code_identity()))
+        if changes:
+            raise EnvironmentFault("worker", f"runs other code: {changes[0]}", "the same versions on every machine")
+        _evaluators.clear()
+        _evaluators[identity.hash] = Evaluator(model_from_bytes(model, "campaign"), identity.settings)
+    with one_thread():
+        return _evaluators[identity.hash].rows(first, last)

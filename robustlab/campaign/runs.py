@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.campaign.campaign_result import CampaignResult, result_of
-from robustlab.campaign.dispatch import compute_missing, evaluate_again
-from robustlab.campaign.evaluation import LOST, Evaluator, Payload, Workers, decode_delta
+from robustlab.campaign.dispatch import compute_missing
+from robustlab.campaign.evaluation import LOST, Evaluator, decode_delta
 from robustlab.campaign.settings import (
     CampaignSettings,
     Identity,
@@ -23,34 +22,14 @@ from robustlab.campaign.settings import (
     model_from_bytes,
     model_to_bytes,
 )
-from robustlab.campaign.store import Store, locked, owner_text
+from robustlab.campaign.store import Store, locked
+from robustlab.campaign.workers import Crew, hired
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.result import Status
 from robustlab.shown import AllFields, Facts, Part, Shown, member_rows, number
 from robustlab.uncertainty.lft import UncertainModel
 
 Existing = Literal["resume", "restart", "fork"]
-
-
-@dataclass(frozen=True)
-class Crew:
-    """Who computes a campaign; the samples are the same whoever does.
-
-    Raises InputError: no worker at all, a time limit that is not positive.
-    """
-
-    workers: int | None = None  # processes on this machine; one per processor where left out
-    cluster: str | None = None  # instead: address of a Dask scheduler, whose workers are used
-    time_limit: float = 60.0  # seconds that one sample may take before its worker is killed
-
-    def __post_init__(self) -> None:
-        count = self.workers
-        if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
-            raise InputError("campaign", f"{count!r} workers", "a whole number, at least 1")
-        if not self.time_limit > 0:
-            raise InputError("campaign", f"a time limit of {self.time_limit:g} s per sample", "a positive number")
-
-
 EVERYONE = Crew()
 
 
@@ -61,22 +40,21 @@ def run_campaign(
     *,
     crew: Crew = EVERYONE,
     existing: Existing = "resume",
-    retry_lost: bool = False,
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CampaignResult:
     """Compute all samples of a campaign in worker processes, each stored as it comes; or go on with one.
 
     The same model, settings and code give the same samples, whatever the workers and however often a run is killed.
-    A sample whose worker crashes or hangs is lost alone and stays in the store with its Delta and the reason.
+    A sample that raises is lost alone and stays in the store with its Delta and the reason; where a worker process
+    ends, the run ends, and a later one goes on with the store.
 
     ``uncertain``: the set of models.
     ``settings``: what to compute.
     ``store``: SQLite file; one that belongs to the same campaign is gone on with.
-    ``crew``: who computes: worker processes on this machine or on others, and how long one sample may take.
+    ``crew``: who computes: worker processes on this machine or on others.
     ``existing``: what to do where ``store`` holds another campaign: ``"resume"`` refuses, ``"restart"`` deletes it,
     ``"fork"`` leaves it and writes to ``NAME-2.sqlite``, ``NAME-3.sqlite``, ...
-    ``retry_lost``: compute lost samples of an earlier run again.
     ``limit``: count how often the metric is worse than it.
     ``progress``: called with the number of samples that were just stored, once at the start with those that were there.
     Returns: what the store holds at the end.
@@ -97,14 +75,13 @@ def run_campaign(
         else:
             Store.delete(path)
             opened = Store.create(path, identity, model_to_bytes(uncertain))
-        return _work(opened, evaluator, crew, retry_lost, limit, progress)
+        return _work(opened, evaluator, crew, limit, progress)
 
 
 def resume_campaign(
     store: str | Path,
     *,
     crew: Crew = EVERYONE,
-    retry_lost: bool = False,
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CampaignResult:
@@ -116,7 +93,7 @@ def resume_campaign(
         old = opened.identity
         _same_campaign(opened, Identity(old.model, old.settings, code_identity()))
         evaluator = _evaluator(opened)
-        return _work(opened, evaluator, crew, retry_lost, limit, progress)
+        return _work(opened, evaluator, crew, limit, progress)
 
 
 def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResult:
@@ -180,7 +157,7 @@ class Replay(AllFields, Shown):
 
 
 def replay_sample(store: str | Path, index: int) -> Replay:
-    """Compute one sample again in the foreground, without time limit: a crash shows itself here.
+    """Compute one sample again in this process.
 
     Raises InputError: no such sample.
     """
@@ -205,7 +182,7 @@ def replay_sample(store: str | Path, index: int) -> Replay:
     stored = math.nan if row is None else row.value
     identical = value == stored
     kept = math.isnan(stored) or identical or bool(np.isclose(value, stored, rtol=1e-9, atol=0.0))
-    agrees = kept and evaluator.agrees(value, again.value, again.accurate)
+    agrees = kept and evaluator.agrees(value, again)
     settings = evaluator.settings
     return Replay(
         Status.CONVERGED if agrees else Status.INACCURATE,
@@ -233,54 +210,39 @@ def _work(
     store: Store,
     evaluator: Evaluator,
     crew: Crew,
-    retry_lost: bool,
     limit: float | None,
     progress: Callable[[int], None],
 ) -> CampaignResult:
     """Fill an open, locked store, check its worst sample, read it, close it."""
     finished = False
     try:
-        if retry_lost:
-            store.forget_lost()
         n, before = evaluator.settings.n, sum(store.counts())
         progress(before)
         if before < n or not store.facts():
-            store.put("owner", owner_text())
-            workers = _hire(crew, Payload(store.identity, store.model), n - before)
             try:
-                compute_missing(store, evaluator, workers, crew.time_limit, progress)
-                _note_end(store, evaluator, workers, crew.time_limit)
+                if before < n:
+                    with hired(crew, n - before) as workers:
+                        compute_missing(store, evaluator, workers, progress)
+                _note_end(store, evaluator)
             except EnvironmentFault as fault:
                 go_on = f"robustlab campaign resume {store.where}"
                 hint = f"{fault.hint}; then {go_on}" if fault.hint else f"mend it, then {go_on}"
                 raise type(fault)(fault.where, fault.found, fault.expected, hint, fault.more) from fault
-            finally:
-                workers.close()
         finished = True
         return result_of(store, evaluator, limit)
     finally:
         store.close(finished=finished)
 
 
-def _hire(crew: Crew, payload: Payload, samples: int) -> Workers:
-    if crew.cluster is not None:
-        from robustlab.campaign.workers import ClusterWorkers
-
-        return ClusterWorkers(payload, crew.cluster)
-    from robustlab.campaign.workers import LocalWorkers
-
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return LocalWorkers(payload, min(crew.workers or processors, max(1, samples)))
-
-
-def _note_end(store: Store, evaluator: Evaluator, workers: Workers, time_limit: float) -> None:
+def _note_end(store: Store, evaluator: Evaluator) -> None:
     """Evaluate the worst sample and the nominal model through the second path; note this and the digest."""
     worst = store.worst(evaluator.sense)
     facts: dict[str, Any] = {"digest": store.digest(), "agrees": False}
     if worst is not None:
-        again = evaluate_again(workers, tuple(worst.numbers.tolist()), time_limit)
-        zero = evaluate_again(workers, (0.0,) * evaluator.width, time_limit)
-        agrees = evaluator.agrees(worst.value, again.value, again.accurate)
+        blocks = evaluator.uncertain.blocks
+        again = evaluator.evaluate(decode_delta(blocks, worst.numbers))
+        zero = evaluator.evaluate(decode_delta(blocks, np.zeros(evaluator.width)))
+        agrees = evaluator.agrees(worst.value, again)
         facts.update(agrees=agrees, again=again.value, at=again.at, nominal=zero.value)
     store.note_facts(facts)
 

@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import sqlite3
 import struct
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +22,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.campaign.evaluation import DONE, LOST, Rows
 from robustlab.campaign.settings import Identity
-from robustlab.errors import EnvironmentFault, InputError, RobustlabError, plain_text
+from robustlab.errors import EnvironmentFault, InputError
 
 FORMAT_VERSION = 1
 APPLICATION_ID = 0x524C4350  # "RLCP"
@@ -43,17 +40,6 @@ CREATE TABLE sample (
     reason TEXT               -- why the sample is lost
 );
 """
-_DAMAGED = {"SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_FORMAT", "SQLITE_ERROR", "SQLITE_SCHEMA", "SQLITE_MISMATCH"}
-_MACHINE = {
-    "SQLITE_FULL": "no space left",
-    "SQLITE_READONLY": "no permission to write, or a read-only file system",
-    "SQLITE_CANTOPEN": "cannot be opened; no permission, or a read-only folder",
-    "SQLITE_PERM": "no permission",
-    "SQLITE_IOERR": "disk error",
-    "SQLITE_BUSY": "another program holds a lock on it",
-    "SQLITE_LOCKED": "another program holds a lock on it",
-    "SQLITE_NOMEM": "no memory left",
-}
 
 
 @dataclass(frozen=True)
@@ -235,16 +221,6 @@ class Store:
                     self._db.execute("ROLLBACK")
                 raise
 
-    def forget_lost(self) -> int:
-        """Delete the rows of lost samples, so that they are computed again; how many there were."""
-        with _named(self.path):
-            self._db.execute("BEGIN IMMEDIATE")
-            count = self._db.execute("DELETE FROM sample WHERE status = ?", (LOST,)).rowcount
-            if count:  # what was noted at its end holds no more
-                self._db.execute("DELETE FROM campaign WHERE name = 'finished'")
-            self._db.execute("COMMIT")
-        return count
-
     def missing(self, n: int) -> list[tuple[int, int]]:
         """Gaps ``(first, last)`` in 0 .. n - 1, each without its last index; a few, however many samples there are."""
         gaps, expected = [], 0
@@ -338,24 +314,10 @@ def _named(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        name = getattr(error, "sqlite_errorname", "") or "SQLITE_ERROR"
-        kind = "_".join(name.split("_")[:2])
-        if kind in _MACHINE:
-            reason = _MACHINE[kind]
-            if kind == "SQLITE_IOERR" and _disk_is_full(path):
-                reason = _MACHINE["SQLITE_FULL"]
-            raise EnvironmentFault(str(path), f"{reason}; the samples saved before are kept") from error
-        if kind in _DAMAGED or isinstance(error, (sqlite3.DataError, sqlite3.IntegrityError)):
-            raise _damaged(str(path), str(error)) from error
-        raise
-
-
-def _disk_is_full(path: Path) -> bool:
-    try:
-        state = os.statvfs(path.absolute().parent)
-    except (OSError, AttributeError):
-        return False
-    return state.f_bavail == 0
+        # "no such table" is an OperationalError too, but of a damaged file.
+        if isinstance(error, sqlite3.OperationalError) and "no such" not in str(error):
+            raise EnvironmentFault(str(path), f"{error}; the samples saved before are kept") from error
+        raise _damaged(str(path), str(error)) from error
 
 
 def _damaged(where: str, what: str) -> InputError:
@@ -368,7 +330,7 @@ def _damaged(where: str, what: str) -> InputError:
 def locked(path: Path) -> Iterator[None]:
     """Hold the lock of a store; it lies beside it as ``NAME.lock`` and vanishes with the process that holds it.
 
-    Raises EnvironmentFault: another process holds it (its pid and command are named); the folder cannot be written.
+    Raises EnvironmentFault: another process holds it; the folder cannot be written.
     """
     from filelock import FileLock, Timeout
 
@@ -379,7 +341,7 @@ def locked(path: Path) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout:
-        raise EnvironmentFault(str(path), f"locked by {_owner(path)}", None, "wait for it, or stop it") from None
+        raise EnvironmentFault(str(path), "locked by another run", None, "wait for it, or stop it") from None
     except (OSError, NotImplementedError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise EnvironmentFault(str(path), f"cannot be locked: {reason}", "a folder that can be written") from None
@@ -387,22 +349,3 @@ def locked(path: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
-
-
-def owner_text() -> str:
-    """Who this process is, as the store keeps it while it writes."""
-    command = " ".join([Path(sys.argv[0] or "python").name, *sys.argv[1:]])[:300]
-    return json.dumps(
-        {"pid": os.getpid(), "command": command, "since": datetime.now(UTC).isoformat(timespec="seconds")}
-    )
-
-
-def _owner(path: Path) -> str:
-    try:
-        store = Store.open(path)
-        text = store.get("owner")
-        store.close()
-        owner = json.loads(text)
-        return plain_text(f"pid {owner['pid']} ({owner['command']}) since {owner['since']}")
-    except (RobustlabError, ValueError, KeyError, TypeError):
-        return "another process"  # it has not got as far as writing its name

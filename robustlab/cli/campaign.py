@@ -46,7 +46,7 @@ class PlanOptions:
 
 @dataclass(frozen=True)
 class WorkerOptions:
-    """Who computes, and whether what was lost is computed again."""
+    """Who computes."""
 
     workers: Annotated[
         int | None, typer.Option("--workers", "-w", help="Processes on this machine.  [default: one per processor]")
@@ -54,18 +54,12 @@ class WorkerOptions:
     cluster: Annotated[
         str | None, typer.Option(help="Dask scheduler whose workers are used, such as tcp://host:8786.")
     ] = None
-    time_limit: Annotated[
-        float, typer.Option("--time-limit-per-sample", help="Seconds after which a sample's worker is killed.")
-    ] = 60.0
-    retry_lost: Annotated[
-        bool, typer.Option("--retry-lost", help="Compute the lost samples of earlier runs again.")
-    ] = False
 
     def crew(self) -> Crew:
         """Who computes."""
         from robustlab.campaign import Crew
 
-        return Crew(self.workers, self.cluster, self.time_limit)
+        return Crew(self.workers, self.cluster)
 
 
 @dataclass(frozen=True)
@@ -93,7 +87,7 @@ def run(
 ) -> None:
     """Compute a metric for n members of an uncertain model; the same result however often the run is interrupted.
 
-    A sample that crashes or hangs is lost alone. Exit code 4: more than 1 % are lost, or the worst sample could not be
+    A sample that raises is lost alone. Exit code 4: more than 1 % are lost, or the worst sample could not be
     confirmed.
 
     Example: robustlab campaign run motor.h5 --outputs omega --input-value u=42 --t-end 0.1 -n 100000 --store m.sqlite
@@ -119,7 +113,7 @@ def run(
     store_mode = "restart" if existing.restart else "fork" if existing.fork else "resume"
     with _guarded("campaign run", store, plan.n, progress) as advance:
         result = run_campaign(
-            model, settings, store, existing=store_mode, crew=workers.crew(), retry_lost=workers.retry_lost,
+            model, settings, store, existing=store_mode, crew=workers.crew(),
             limit=bound, progress=advance,
         )  # fmt: skip
     _print("campaign run", result, as_json, {"file": file})
@@ -142,9 +136,7 @@ def resume(
     from robustlab.campaign import resume_campaign, saved_samples
 
     with _guarded("campaign resume", store, saved_samples(store)[1], progress) as advance:
-        result = resume_campaign(
-            store, crew=workers.crew(), retry_lost=workers.retry_lost, limit=bound, progress=advance
-        )
+        result = resume_campaign(store, crew=workers.crew(), limit=bound, progress=advance)
     _print("campaign resume", result, as_json, {})
 
 
@@ -170,7 +162,7 @@ def replay(
     progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
-    """Compute one sample again in this process, without time limit: what crashed or hung there does so here.
+    """Compute one sample again in this process.
 
     Example: robustlab campaign replay motor.sqlite 4711
     """

@@ -68,7 +68,7 @@ def _tell_strangers(record: Record, outputs: Sequence[Signal], file: str) -> Non
     if not lacking or known >= set(record.outputs):
         return
     found = propose_columns(record, (), lacking, {*record.inputs, *known})
-    if found.outputs and not found.undecided:
+    if found.outputs:
         every = ",".join([*(name for name in record.outputs if name in known), *found.texts("outputs")])
         strangers = ", ".join(found.outputs.values())
         note(f"{file}: {strangers}: no output of the model, and left out; --outputs {shlex.quote(every)} takes it")
@@ -102,23 +102,13 @@ def _proposed(error: InputError, system: Any, options: RecordOptions, file: str,
         return error
     inputs, outputs = _sides(system)
     taken = {text.partition("=")[2] or text for text in names(options.inputs or "")}
-    tried = None if taken else system
-    found = propose_columns(record, () if taken else inputs, outputs, {*taken, clock or options.clock}, tried)
+    found = propose_columns(record, () if taken else inputs, outputs, {*taken, clock or options.clock})
     if found.missing or not found.outputs:
         none = ", ".join(found.missing) or "an output"
         hint = "name the columns: --inputs u=COLUMN,... --outputs q=COLUMN,..."
-        return InputError(error.where, error.found, error.expected, hint, (f"  no column is likely to be {none}",))
+        left = f"  no name and no unit matches {none}; columns left: {', '.join(found.left) or 'none'}"
+        return InputError(error.where, error.found, error.expected, hint, (left,))
     lines = [f"  {line}" for line in found.lines()]
-    proved = ("named", "the same name", "in ", "by simulation")
-    by_shape = [
-        column
-        for name, column in {**found.inputs, **found.outputs}.items()
-        if not any(why.startswith(proved) for why in found.reasons[name].split(", "))
-    ]
-    if by_shape:  # a sine looks like the rate of another one
-        lines.append(
-            f"  no name and no unit says what {', '.join(by_shape)} is: decide, the signals' order may be another"
-        )
     if clock is not None:
         lines.insert(0, f"  the time is {clock}: it rises from sample to sample")
     typed = shlex.join(_command(found, options, clock))

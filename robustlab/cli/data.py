@@ -93,6 +93,8 @@ def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[st
         said, code = "interrupted: what was known by then is told", EXIT_INTERRUPTED
     elif not found.status.trustworthy:
         said = f"the verdict is {found.verdict!r}: no single name can be vouched for (exit code 4)"
+        if found.verdict == "named":
+            said = "the verdict is 'named, incomplete': more than half of the error is unexplained (exit code 4)"
     return Beyond({**result, "files": written}, found.summary(options["details"]), said, code)
 
 

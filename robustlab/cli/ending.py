@@ -26,7 +26,7 @@ from contextlib import suppress
 from types import FrameType
 from typing import NoReturn
 
-from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, plain_text
+from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, RobustlabError, plain_text, rewritten
 
 EXIT_READER_GONE = 141  # 128 + SIGPIPE
 
@@ -167,6 +167,10 @@ def answer(command: Callable[[], int | None]) -> int:
 
 def _code_of(error: BaseException) -> int:
     if isinstance(error, RobustlabError):
+        if error.hint:
+            from robustlab.doors.declaration import reading_option
+
+            error.hint = rewritten(error.hint, reading_option)
         _say(f"error: {error}")
         return error.exit_code
     if isinstance(error, KeyboardInterrupt) or type(error).__name__ == "Abort":  # the parser's, likewise

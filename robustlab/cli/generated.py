@@ -19,7 +19,7 @@ from robustlab.cli.plant import machine
 from robustlab.cli.progress import MODES, ProgressOptions
 from robustlab.doors.declaration import COMMANDS, REQUIRED, Door, InLoop, Parameter, load_family
 from robustlab.doors.kinds import Choice, Feedback, Flag, Kind, Machine, Pair, RecordFile, Table, TextFile, Thing
-from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, UsageError
+from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, RobustlabError, UsageError
 from robustlab.shown import text_table
 
 # What every command has beside its own.
@@ -211,7 +211,11 @@ def answer(
             values["progress"] = report.listener if chosen.progress == "parts" else report
         if chosen.takes_drawn:
             values["drawn"] = figure is not None
-        found = {part: chosen(**case) for part, case in _cases(chosen, values, files, out).items()}
+        try:
+            found = {part: chosen(**case) for part, case in _cases(chosen, values, files, out).items()}
+        except RobustlabError as error:
+            error.hint = error.hint and chosen.hint(error.hint, of_command=True)
+            raise
         beyond = Beyond()
         if more is not None:
             beyond = more(found[""].result, values, {**shared, "named": given, "report": report}, files)

@@ -28,7 +28,8 @@ def verify(
 ) -> None:
     """Prove what a result says once more, from its file alone: in exact and ball arithmetic, for all frequencies.
 
-    Exit code 0: all claims were proved. 4: one was not. 1: one was refuted by a counterexample.
+    Exit code 0: all claims were proved, and what the file displays is what they say. 4: something was not proved, or
+    the file is not the one that its claims were written with. 1: a claim was refuted by a counterexample.
 
     Example: robustlab verify out/first-light
     """
@@ -51,7 +52,7 @@ def verify(
             found[str(path)] = rl.verify(path, effort=effort)
     rows: list[str] = []
     for name, one in found.items():
-        rows += [f"{name}: {one.headline()}", *(f"  {label}: {text}" for label, text in one.facts())]
+        rows += [f"{name}: {one.headline()}", *(f"  {label}: {text}" for label, text in one.facts() if text)]
     rows += [f"{path}: no claims" for path in chosen if path not in holding]
     rows += [f"written: {export}"] if export is not None else []
     emit("verify", {"files": {name: one.to_json() for name, one in found.items()}}, "\n".join(rows), as_json)

@@ -26,7 +26,7 @@ from robustlab.closing import wired
 from robustlab.delays.channels import chained, closed, covering, in_order, named
 from robustlab.delays.pade import SHORTEST, checked_order, pade
 from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments
-from robustlab.linear_analysis.frequency import CHUNK, frequency_response
+from robustlab.linear_analysis.frequency import CHUNK, at_pole, frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, short, with_units
@@ -161,8 +161,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         try:
             return self._solved(1j * w)
         except np.linalg.LinAlgError:
-            at_pole = "a frequency hits a pole exactly"
-            raise NoTrustworthyNumber("frequency_response", at_pole, None, "leave that frequency out") from None
+            raise NoTrustworthyNumber("frequency_response", *at_pole(w, 1j * w, self._solved)) from None
 
     def values_at(self, s: ComplexArray) -> ComplexArray:
         """The transfer matrix at complex numbers (n,), shape (n, n_y, n_u): what ``G(s)`` answers."""

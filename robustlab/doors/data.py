@@ -82,9 +82,9 @@ def discover(
 ) -> Any:  # fmt: skip
     """Name the effect that a model lacks, from measured records, and update the model with it.
 
-    Exit code 0: the verdict is "named" or "no missing effect"; 4: it is "ambiguous" or "unknown", which the result says
-    in full all the same, or the records are too poor for any verdict; 3: a record is wrong; 130: Ctrl-C ended the
-    search, and the result says what was known by then.
+    Exit code 0: the verdict is "named" or "no missing effect"; 4: it is "ambiguous" or "unknown", or more than half of
+    the error remains unexplained, or the records are too poor for any verdict; 3: a record is wrong; 130: Ctrl-C ended
+    the search, and the result has what was known by then.
 
     Example: robustlab data discover servo-axis emps.h5#train --held-out emps.h5#test --outputs q --out out/emps
     """
@@ -116,7 +116,7 @@ def watch(
 ) -> Any:
     """Say when a model stops explaining a running log, and what has changed since.
 
-    Exit code 0: the model explains the log from beginning to end; 1: an alarm, whether what changed has a name or not;
+    Exit code 0: the model explains the log from beginning to end; 1: an alarm;
     3: a record is wrong; 4: the log says too little for a test.
 
     Example: robustlab data watch axis.h5 monday.csv tuesday.csv --every 60 --inputs u --outputs q --false-alarm 0.001
@@ -152,11 +152,6 @@ class Asked:
         Choice(("peak", "rms")),
         "What the bound is of: peak or rms (frequency domain: rms).",
     ] = None
-    delta: Annotated[
-        Literal["time-invariant", "time-varying"],
-        Choice(("time-invariant", "time-varying")),
-        "What complex and full blocks are; real ones are constants.",
-    ] = "time-invariant"
     per_block: Annotated[bool, Flag(), "Also the smallest scaling of each block alone."] = False
     precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01
 

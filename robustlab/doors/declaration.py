@@ -10,14 +10,17 @@ class, and its door here.
 
 from __future__ import annotations
 
+import ast
 import inspect
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
 from importlib import import_module
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
-from robustlab.doors.kinds import Kind, Thing
+from robustlab.doors.kinds import Feedback, Kind, Thing
+from robustlab.errors import rewritten
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -31,6 +34,7 @@ COMMANDS: dict[str, Door] = {}
 class Named:
     """In an annotation: what a command or a recipe calls the parameter, where it is not its own name."""
 
+    argument: str = ""  # what the Python function calls it, where that is another name
     option: str = ""  # ``--filter-order``, or ``-k,--controller``
     key: str = ""
     # The one door that has the parameter, where the other needs none.
@@ -131,6 +135,18 @@ class Door:
         """What was made, of a result."""
         return getattr(result, self.made) if self.made else result
 
+    def hint(self, text: str, of_command: bool) -> str:
+        """Return a hint in Python syntax as the command line or a recipe writes it."""
+        known = {name: p for p in self.parameters for name in (p.called.argument or p.name, p.key)}
+
+        def written(name: str, value: str) -> str | None:
+            p = known.get(name)
+            if p is None:
+                return reading_option(name, value) if of_command else f"{name} = {in_toml(value)}"
+            return as_option(p.options[0], _worded(p.kind, value)) if of_command else f"{p.key} = {in_toml(value)}"
+
+        return rewritten(text, written)
+
     def checked(self, values: Mapping[str, Any]) -> None:
         """Refuse values that do not go together. Raises InputError, UsageError."""
         if self.check is not None:
@@ -145,6 +161,50 @@ class Door:
             values[name] = group(**{field: values.pop(field) for field in own})
         found = self.function(**values)
         return found if isinstance(found, InLoop) else InLoop(found)
+
+
+# Arguments of reading a file -> the options that commands have for them.
+READING = {
+    **{name: f"--{name.replace('_', '-')}" for name in ("transpose", "group", "clock", "dt", "decimal", "delimiter")},
+    **{name: f"--{name.replace('_', '-')}" for name in ("allow_gaps", "no_verify", "inputs", "outputs")},
+    "units": "--unit",
+}
+
+
+def reading_option(name: str, value: str) -> str | None:
+    """Return an argument of reading a file as the option that every command has for it; None of another."""
+    return as_option(READING[name], value) if name in READING else None
+
+
+def as_option(option: str, value: str) -> str:
+    """Return an option of a command with a value in Python syntax: a flag, a word, a list, or a table in pairs."""
+    given = _literal(value)
+    if given is True:
+        return option
+    if isinstance(given, dict):
+        return " ".join(f"{option} {key}={one}" for key, one in given.items())
+    text = ",".join(map(str, given)) if isinstance(given, (list, tuple)) else str(given)
+    return f"{option} {text}"
+
+
+def in_toml(value: str) -> str:
+    """Return a value in Python syntax as a recipe writes it."""
+    given = _literal(value)
+    if isinstance(given, dict):
+        return f"{{ {', '.join(f'{key} = {json.dumps(one)}' for key, one in given.items())} }}"
+    return value if given == value else json.dumps(given)
+
+
+def _literal(value: str) -> Any:
+    """Return what a value in Python syntax is; ``...`` and what is no literal as text."""
+    try:
+        return ast.literal_eval(value.replace("...", "'...'"))
+    except (SyntaxError, ValueError):
+        return value
+
+
+def _worded(kind: Kind, value: str) -> str:
+    return {"-1": "negative", "1": "positive"}.get(value, value) if isinstance(kind, Feedback) else value
 
 
 def door(
@@ -251,6 +311,7 @@ def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[
     """
     from robustlab.closing import fed_back
     from robustlab.errors import NoTrustworthyNumber, UsageError
+    from robustlab.linear_analysis.structural import with_hidden
     from robustlab.statespace import StateSpaceModel
 
     if controller is None:
@@ -263,8 +324,8 @@ def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[
     if isinstance(nominal, StateSpaceModel) and not nominal.is_stable():
         poles = nominal.poles()
         worst = poles[(abs(poles) if nominal.is_discrete else poles.real).argmax()]
-        found = f"the nominal loop {words} is unstable (pole {worst:.4g})"
-        hint = "was this controller designed for this plant? --feedback negative or positive closes it otherwise"
+        found = with_hidden(f"the nominal loop {words} is unstable (pole {worst:.4g})", nominal)
+        hint = "was this controller designed for this plant? sign=-1 or sign=1 closes it otherwise"
         raise NoTrustworthyNumber(where, found, "a stable loop", hint)
     return loop, words
 

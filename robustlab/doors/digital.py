@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import robustlab as rl
-from robustlab.doors.declaration import InLoop, Named, door
+from robustlab.doors.declaration import Named, door
 from robustlab.doors.designs import Channels, Controls, K, Measured, Of, Order, Plant
 from robustlab.doors.kinds import Choice, Number, Thing
-from robustlab.doors.words import Band, SampleTime, Search, Seed, Sign
+from robustlab.doors.words import Band, SampleTime, Search, Sign
 from robustlab.errors import InputError, UsageError
 
 
@@ -78,7 +78,7 @@ class Sampling:
     ] = None
 
 
-@door("synth discretise", "discretise", result="synthesis.sampled.sampled_robustness.RobustSampledController",
+@door("synth discretise", "discretise", result="synthesis.sampled.sampled_controller.SampledController",
       gives="controller", made="controller")  # fmt: skip
 def discretise(
     plant: Annotated[
@@ -92,39 +92,21 @@ def discretise(
     ] = 0.1,
     channels: LoopChannels = AS_CONTROLLER,
     search: Search = USUAL,
-    seed: Seed = 0,
     progress: Any = None,
 ) -> Any:
     """Digital form of a controller, with the proved norm of the sampled loop, between samples too, and what it loses.
 
-    Of an uncertain plant the norm is that of the nominal loop, and mu of robust performance is proved for the sampled
-    loop as well, beside that of the continuous one.
+    Of an uncertain plant the norm is that of the nominal loop.
 
     Exit code 1: it loses more than --loss. Exit code 4: no method left the sampled loop stable.
 
     Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
     """
-    import math
-
-    from robustlab.synthesis.sampled.sampled_robustness import RobustSampledController
-
     P = channels.around(plant, controller, "discretise")
     given: Any = method
-    options: dict[str, Any] = {**search.options}
-    found = rl.discretise(
-        controller, method=given, plant=_at_rest(P), loss=loss, progress=progress, **vars(sampling), **options,
+    return rl.discretise(
+        controller, method=given, plant=_at_rest(P), loss=loss, progress=progress, **vars(sampling), **search.options,
     )  # fmt: skip
-    if not P.blocks:
-        return found
-    options["seed"] = seed
-    loop = rl.UncertainModel(P.model, P.blocks).close(controller)
-    before = rl.robust_performance(loop, accuracy=1e-3, tolerance=math.inf, **options)
-    judged = {"delay": sampling.delay, "antialiasing": sampling.antialiasing, "progress": progress}
-    after = rl.sampled_robustness(P, found.K, **judged, **options)
-    status = max((found.status, before.status, after.status), key=list(rl.Status).index)
-    parts: dict[str, Any] = {**vars(found), "status": status}
-    robust = RobustSampledController(**parts, before=before, after=after)
-    return InLoop(robust, "", (), {"robustness": after})
 
 
 def _at_rest(plant: Any) -> Any:
@@ -173,6 +155,26 @@ def reduce_model(
         system, order, tolerance=tolerance, method=given, band=band, floor=floor, input_weight=input_weight,
         output_weight=output_weight,
     )  # fmt: skip
+
+
+@door("model minimal", "minimal", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
+      made="model", foretell="of")  # fmt: skip
+def minimal(
+    system: Of,
+    tolerance: Annotated[
+        float | None,
+        Number(above=0, below=1),
+        "Singular values of the scaled staircase up to this count as zero.",
+        Named(option="--rank-tolerance"),
+    ] = None,
+) -> Any:
+    """The model without modes that no input moves or no output shows, unstable ones too; with the certified error.
+
+    Exit code 4: the order depends on rounding.
+
+    Example: robustlab model minimal plant.h5 --out minimal.h5
+    """
+    return rl.minimal(system, tolerance=tolerance)
 
 
 Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between the samples."]

@@ -13,7 +13,6 @@ from robustlab.errors import UnitMismatch, UsageError
 
 METRICS = (
     "peak-deviation", "peak", "rms", "overshoot", "settling-time", "hinf", "h2", "spectral-abscissa", "damping",
-    "controllability", "hankel",
 )  # fmt: skip
 OF_A_RESPONSE = METRICS[:5]
 
@@ -25,14 +24,14 @@ Output = Annotated[
 FromInput = Annotated[
     str | None,
     Names("inputs", one=True),
-    "For norms and controllability: the one input to look from; all if left out.",
+    "For norms: the one input to look from; all if left out.",
     Named(option="--inputs", key="from_input"),
 ]
 Drive = Annotated[
     dict[str, Any] | None,
     Table(Quantity(), "inputs"),
-    "Constant input, u=42 or u=42V; repeatable. A unit step where left out.",
-    Named(option="--input-value"),
+    "Constant input, u=42 or u=42V; repeatable. A unit step on the only input where left out.",
+    Named(argument="u", option="--input-value"),
 ]
 Sine = Annotated[dict[str, Any] | None, Table(Quantity(), "inputs"), "Amplitude of a sine on an input, likewise."]
 Frequency = Annotated[float | None, Number("Hz", above=0), "Of the sine, in Hz.", Named(option="--sine-frequency")]

@@ -30,9 +30,6 @@ NO_LOOP, ALL_SIGNALS, USUAL = Loop(), Signals(), Search()
 Tolerance = Annotated[float, Number(above=0), "Relative gap of the bounds that is aimed at; inf: no branch and bound."]
 Accuracy = Annotated[float, Number(above=0, below=1), "Relative distance to the best margin that D, G can prove."]
 Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Named(only="command")]
-CrossCheck = Annotated[
-    bool, Flag(), "Ask SLICOT too (AB13MD, AB13DD); where it contradicts, exit code 4.", Named(only="command")
-]
 
 
 # --- margins of a loop ------------------------------------------------------------------------------------------------
@@ -73,7 +70,7 @@ def classical_margins(
 ) -> Any:
     """Gain, phase and delay margin of each loop alone, with all crossings."""
     if isinstance(plant, rl.UncertainModel):
-        hint = "leave --classical out for its disk margin"
+        hint = "rl.disk_margin is that of the worst member"
         raise UsageError("--classical", "an uncertain plant", "one model", hint)
     given: Any = at
     loop, K, sign, words = _loop(plant, around)
@@ -95,20 +92,12 @@ def _loop(plant: Any, around: Loop) -> tuple[Any, Any, Any, str]:
 
 @dataclass(frozen=True)
 class Told:
-    """What a command is asked to show or to have checked beside its answer."""
+    """What a command is asked to show beside its answer."""
 
     intervals: Intervals = False
-    cross_check: CrossCheck = False
 
 
-@dataclass(frozen=True)
-class Confirmed(Told):
-    """The same, and a second look at the proof."""
-
-    certify: Annotated[bool, Flag(), "Confirm the scalings in ball arithmetic.", Named(only="command")] = False
-
-
-NO_TABLE, NO_MORE = Told(), Confirmed()
+NO_TABLE = Told()
 
 
 # --- a set ------------------------------------------------------------------------------------------------------------
@@ -122,15 +111,6 @@ def _grid(system: Any, drawn: bool) -> Any:
     return default_grid(system.M, 60) if asked else None
 
 
-def _checked(found: Any, system: Any, cross_check: bool) -> dict[str, Any]:
-    """What SLICOT says, where it is asked."""
-    if not cross_check:
-        return {}
-    from robustlab.mu_analysis.cross_check import cross_check as ask
-
-    return {"cross_check": ask(system, found)}
-
-
 @door("mu", "robust-stability", result="mu_analysis.axis.margin.Margin")
 def robust_stability(
     system: OfSet,
@@ -140,7 +120,7 @@ def robust_stability(
     accuracy: Accuracy | None = None,
     search: Search = USUAL,
     seed: Seed = 0,
-    more: Confirmed = NO_MORE,
+    more: Told = NO_TABLE,
     drawn: bool = False,
 ) -> Any:
     """Robust stability margin (1 / mu) over the whole frequency axis, with the critical Delta.
@@ -150,19 +130,17 @@ def robust_stability(
     Example: robustlab mu motor-uncertain.h5 --intervals --out margin.h5
     """
     from robustlab.mu_analysis.axis.critical_delta import replay
-    from robustlab.mu_analysis.axis.margin import Margin, margin_in_balls
+    from robustlab.mu_analysis.axis.margin import Margin
 
     loop, words = around.around(system, "robust stability")
     options: dict[str, Any] = {"omega": _grid(loop, drawn), "tolerance": tolerance, "accuracy": accuracy}
     if frequency is not None or issubclass(type(loop), rl.UncertainFrequencyData):
         del options["omega"]
-        asked = {"--certify": more.certify, "--cross-check": more.cross_check, "--intervals": more.intervals}
+        asked = {"--intervals": more.intervals}
         if refused := next((name for name, given in asked.items() if given), None):
             raise UsageError("mu", f"{refused} at given frequencies", "the margin, or --gain")
     found: Any = rl.robust_stability(loop, frequency=frequency, **search.options, seed=seed, **options)
-    beside = _checked(found, loop, more.cross_check)
-    if more.certify:
-        beside["balls"] = margin_in_balls(loop, found)
+    beside: dict[str, Any] = {}
     if drawn and isinstance(found, Margin) and found.delta and loop.outputs:
         try:
             beside["replay"] = replay(loop, found)
@@ -192,7 +170,7 @@ def worst_case_gain(
     }  # fmt: skip
     found: Any = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
     tables = (found.proved(),) if more.intervals else ()
-    return InLoop(found, words, (), _checked(found, kept, more.cross_check), tables)
+    return InLoop(found, words, (), {}, tables)
 
 
 @door("mu --performance", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Annotated, Any
 
@@ -56,21 +57,24 @@ def elementwise(
     from robustlab.dynamics.plant_contract import Plant as AnyPlant
     from robustlab.uncertainty.built import BuiltModel
     from robustlab.uncertainty.covering.elementwise_cover import elementwise_cover
-    from robustlab.uncertainty.elementwise import endpoint_residual
+    from robustlab.uncertainty.elementwise import endpoint_residual, pair_remarks
 
     if isinstance(nominal, AnyPlant) and perturbed is None:
         return uncertain(nominal)
     first, second = two_models(nominal, perturbed)
+    notes = tuple(f"warning: {remark}" for remark in pair_remarks(first, second))
     if structure == "cover":
         note = "Contains every member of the element-wise set: what is proved for it is proved for them."
-        return BuiltModel(elementwise_cover(first, second), structure, rl.Status.CERTIFIED, notes=(note,))
-    model = rl.elementwise(first, second, structure, rtol)
+        return BuiltModel(elementwise_cover(first, second), structure, rl.Status.CERTIFIED, notes=(note, *notes))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the notes say it
+        model = rl.elementwise(first, second, structure, rtol)
     residual = endpoint_residual(model, second)
     status = rl.Status.CERTIFIED if residual.largest <= EXACT else rl.Status.INACCURATE
     if rtol and not status.trustworthy:
         status = rl.Status.CONVERGED  # as near as was asked
     found = BuiltModel(model, structure, status, residual, ends=(first, second))
-    return InLoop(found, notes=() if model.blocks else (NOTHING,))
+    return InLoop(found, notes=notes if model.blocks or notes else (NOTHING,))
 
 
 @door("uncertain build --plant", "uncertain", result="uncertainty.built.BuiltModel", gives="uncertain", made="model",

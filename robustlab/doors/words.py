@@ -21,6 +21,7 @@ Sign = Annotated[
     int | None,
     Feedback(),
     "negative (u = -K y; -1 in a recipe) or positive (1); if left out, as the controller says of itself.",
+    Named(argument="sign"),
 ]
 Effort = Annotated[float, Number(above=0, most=10_000), "Work that the search may take, as a multiple of the usual."]
 TimeLimit = Annotated[

@@ -93,7 +93,8 @@ def margin_claims(found: Margin) -> list[Claim]:
                 claims.append(Claim("mu-axis", {**common, "level": np.array(level), **scalings}))
     if found.delta and np.isfinite(found.upper):
         delta = np.asarray(delta_matrix(blocks, found.delta))
-        claims.append(Claim("unstable-member", {**common, "level": _attained(blocks, delta), "delta": delta}))
+        ranges = {} if _symmetric(blocks) else {"ranges": _ranges(blocks)}
+        claims.append(Claim("unstable-member", {**common, **ranges, "level": _attained(blocks, delta), "delta": delta}))
     return claims + weight_claims(blocks)
 
 

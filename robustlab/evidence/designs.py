@@ -10,7 +10,7 @@ import numpy as np
 from robustlab.budget import search_budget
 from robustlab.evidence.axis import gain_claims, joined_scalings, margin_claims
 from robustlab.evidence.loops import coprime_claims, h2_loop_claims, loop_claims
-from robustlab.evidence.numbers import ABOVE, block_rows, loop_numbers
+from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, loop_numbers
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import cover_axis
 from robustlab.mu_analysis.axis.margin import Margin
@@ -19,7 +19,6 @@ from robustlab.norms import H2Norm, hinf_norm
 from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.fixed.fixed_structure import FixedSynthesis
 from robustlab.synthesis.fixed.goal_tuning import TunedSynthesis
-from robustlab.synthesis.h2.mixed_h2_hinf import MixedSynthesis
 from robustlab.synthesis.hinf.loop_shaping import NcfSynthesis
 from robustlab.synthesis.hinf.two_degree import TwoDegreeSynthesis
 from robustlab.synthesis.problem.design import Synthesis
@@ -38,12 +37,6 @@ def h2_claims(found: Synthesis) -> list[Claim]:
     return h2_loop_claims(found.plant.model, found.K, found.gamma)
 
 
-def mixed_claims(found: MixedSynthesis) -> list[Claim]:
-    """Both norms, each of its own channel."""
-    hinf = loop_claims(found.hinf_plant.model, found.K, found.hinf_norm.upper)
-    return h2_loop_claims(found.h2_plant.model, found.K, found.gamma) + hinf
-
-
 def ncf_claims(found: NcfSynthesis) -> list[Claim]:
     """That the shaped loop has a four-block norm of at most ``gamma``, and the loop of the plant as given is stable."""
     shaped = loop_claims(four_block(found.shaped_plant), found.K_shaped, found.gamma)
@@ -59,7 +52,12 @@ def two_degree_claims(found: TwoDegreeSynthesis) -> list[Claim]:
 def fixed_claims(found: FixedSynthesis) -> list[Claim]:
     """The norm of every plant's loop; of a set the worst-case gain."""
     if found.worst is not None:
-        return [] if found.gamma != found.worst.upper else gain_claims(found.worst)
+        if found.gamma != found.worst.upper or found.uncertain is None:
+            return []
+        numbers = loop_numbers(found.uncertain.M, found.K)
+        return [
+            _of_loop(claim, numbers) if claim.kind != "delay-weight" else claim for claim in gain_claims(found.worst)
+        ]
     make = loop_claims if found.objective == "hinf" else h2_loop_claims
     return [
         c for plant, gamma in zip(found.plants, found.gammas, strict=True) for c in make(plant.model, found.K, gamma)
@@ -81,11 +79,15 @@ def reduced_controller_claims(found: ReducedController) -> list[Claim]:
     if isinstance(found.evidence, Margin):
         numbers = loop_numbers(found.plant.model, found.K)
         stable = [claim for claim in margin_claims(found.evidence) if claim.kind in ("mu-axis", "mu-boxes")]
-        kept = [{name: x for name, x in claim.numbers.items() if name not in "ABCD"} for claim in stable]
-        return [Claim(claim.kind, {**numbers, **rest}) for claim, rest in zip(stable, kept, strict=True)]
+        return [_of_loop(claim, numbers) for claim in stable]
     plant = found.plant if found.scaled is None else found.scaled
     make = h2_loop_claims if isinstance(found.evidence, H2Norm) else loop_claims
     return make(plant.model, found.K, found.gamma)
+
+
+def _of_loop(claim: Claim, numbers: Numbers) -> Claim:
+    """The claim about a model as one about the plant and the controller that it is made of."""
+    return Claim(claim.kind, {**{name: x for name, x in claim.numbers.items() if name not in "ABCD"}, **numbers})
 
 
 def dk_claims(found: DKSynthesis) -> list[Claim]:

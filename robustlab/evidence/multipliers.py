@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
-from robustlab.arrays import Array
 from robustlab.evidence.norms import above
-from robustlab.evidence.numbers import Numbers, block_rows, loop_numbers, model_numbers
+from robustlab.evidence.numbers import Numbers, block_rows, model_numbers
 from robustlab.iqc.analysis import IqcGain, IqcStability
 from robustlab.iqc.effect_gain_bounds import EffectGain
 from robustlab.iqc.nature import Nature, Nonlinearity, Varying
 from robustlab.iqc.problem import IqcProof, Posed
-from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.windup.static_anti_windup import AntiWindup
 from robustlab.verification.claim import Claim
 
 CONSTANT, VARYING, SECTOR, SLOPE = 0, 1, 2, 3
@@ -43,42 +37,6 @@ def size_claims(found: IqcStability) -> list[Claim]:
 def effect_claims(found: EffectGain) -> list[Claim]:
     """That of the gain with each effect taken for what it is."""
     return gain_claims(found.proved)
-
-
-def windup_claims(found: AntiWindup) -> list[Claim]:
-    """Those of the gain with it, without it and with back-calculation, of the plant and the controller as they are."""
-    if not gain_claims(found.proved):
-        return []
-    gains = [found.gain, np.zeros_like(found.gain), found.calculated]
-    return [
-        Claim(claim.kind, {**_loop_numbers(found.plant, found.controller, gain), **_beside_model(claim.numbers)})
-        for gain, one in zip(gains, (found.proved, found.without, found.back), strict=True)
-        for claim in gain_claims(one)
-    ]
-
-
-def _loop_numbers(P: StateSpaceModel, K: StateSpaceModel, gain: Array) -> Numbers:
-    """A plant from [q, w, u_c] to [u_c, z, y, -q], u = u_c - q, and K as the one from [y, -q] to u_c, by ``gain``.
-
-    Entries are those of plant and controller, or zero, or one, or the opposite.
-    """
-    n, n_u = P.n_states, K.n_outputs
-    w = P.n_inputs - n_u
-    B, D, one, none = P.B, P.D, np.eye(n_u), np.zeros((n_u, n_u))
-    wide = StateSpaceModel(
-        P.A, np.hstack([-B[:, w:], B]), np.vstack([np.zeros((n_u, n)), P.C, np.zeros((n_u, n))]),
-        np.vstack([
-            np.hstack([none, np.zeros((n_u, w)), one]),
-            np.hstack([-D[:, w:], D]),
-            np.hstack([-one, np.zeros((n_u, w)), none]),
-        ]),
-    )  # fmt: skip
-    told = StateSpaceModel(K.A, np.hstack([K.B, gain[: K.n_states]]), K.C, np.hstack([K.D, gain[K.n_states :]]))
-    return loop_numbers(wide, told)
-
-
-def _beside_model(numbers: Mapping[str, Any]) -> Numbers:
-    return {name: values for name, values in numbers.items() if name not in ("A", "B", "C", "D", "dt")}
 
 
 def _proof_numbers(posed: Posed, proof: IqcProof) -> Numbers:

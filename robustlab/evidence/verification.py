@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
 from robustlab.errors import InputError, told_as
-from robustlab.result import Status
+from robustlab.result import Result, Status
 from robustlab.shown import Facts, Shown
 from robustlab.verification.claim import Claim, Outcome, Verification
 
@@ -25,8 +25,6 @@ CLAIMS: Mapping[str, str] = {
     "NcfSynthesis": "designs.ncf_claims",
     "TwoDegreeSynthesis": "designs.two_degree_claims",
     "H2Synthesis": "designs.h2_claims",
-    "LqgSynthesis": "designs.h2_claims",
-    "MixedSynthesis": "designs.mixed_claims",
     "FixedSynthesis": "designs.fixed_claims",
     "TunedSynthesis": "designs.tuned_claims",
     "DKSynthesis": "designs.dk_claims",
@@ -48,7 +46,6 @@ CLAIMS: Mapping[str, str] = {
     "IqcGain": "multipliers.gain_claims",
     "IqcStability": "multipliers.size_claims",
     "EffectGain": "multipliers.effect_claims",
-    "AntiWindup": "multipliers.windup_claims",
     "LPVGain": "scheduling.gain_claims",
     "LPVSynthesis": "scheduling.design_claims",
 }
@@ -63,11 +60,18 @@ class Verified(Shown):
     status
         CERTIFIED: all were proved. INCONCLUSIVE: one was not, and none was refuted. FAILED: one was refuted.
     claims
-        Each claim in words, what became of it, the number that was proved, where it ended, and the tests it took.
+        Each claim in words, what became of it, the number that was proved, where it ended, and the tests it took; of a
+        file then what it displays, compared with what was proved.
+    not_covered
+        The numbers in a file of which no claim speaks: they are as they were written, and nothing more is known.
+    notes
+        Remarks on the file.
     """
 
     status: Status
     claims: tuple[Verification, ...]
+    not_covered: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     quantities: ClassVar[Mapping[str, Any]] = {"proved": bool, "refuted": bool, "boxes": "1"}
 
@@ -95,8 +99,12 @@ class Verified(Shown):
         return "not proved"
 
     def facts(self) -> Facts:
-        """Each claim with what became of it."""
-        return [(c.outcome.value, _said(c)) for c in self.claims]
+        """Each claim with what became of it, and what no claim speaks of."""
+        return [
+            *((c.outcome.value, _said(c)) for c in self.claims),
+            ("not covered by a proof", ", ".join(self.not_covered)),
+            *(("note", note) for note in self.notes),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """All fields."""
@@ -104,7 +112,8 @@ class Verified(Shown):
             {"claim": c.claim, "outcome": c.outcome.value, "bound": c.bound, "where": c.where, "boxes": c.boxes}
             for c in self.claims
         ]
-        return {"type": "Verified", "status": self.status, "proved": self.proved, "claims": rows}
+        more = {"not_covered": list(self.not_covered), "notes": list(self.notes)}
+        return {"type": "Verified", "status": self.status, "proved": self.proved, "claims": rows, **more}
 
 
 def _said(found: Verification) -> str:
@@ -112,7 +121,9 @@ def _said(found: Verification) -> str:
 
 
 def claims_of(result: Any) -> list[Claim]:
-    """The claims of a result; none where its class has none, or its evidence does not tell."""
+    """The claims of a result; none where its class has none, its evidence does not tell, or it comes from a file."""
+    if isinstance(result, Result):
+        return []
     for kind in type(result).__mro__:
         if kind.__name__ in CLAIMS and kind.__module__.startswith("robustlab."):
             module, _, name = CLAIMS[kind.__name__].rpartition(".")
@@ -145,25 +156,23 @@ def verify(result: Any, *, effort: float = 1.0) -> Verified:
         Nothing that can be verified: a file without claims, a result of another kind.
     """
     from robustlab.verification.checker import EFFORT, check
+    from robustlab.verification.displayed import displayed
+    from robustlab.verification.reading import claims_in, read_checked
 
     if not 0 < effort < float("inf"):
         raise InputError("verify: effort", f"{effort}", "a positive number")
-    claims = list(_claims_in(result)) if isinstance(result, (str, Path)) else claims_of(result)
+    file = read_checked(result) if isinstance(result, (str, Path)) else None
+    claims = claims_of(result) if file is None else claims_in(file)
     if not claims:
-        what = f"a {type(result).__name__}"
-        hint = "docs/proved.md says what can be; files of older versions hold no claims"
+        what = f"a {type(result).__name__}" if file is None else f"{result}, a file"
+        hint = "docs/proved.md says what can be; of a result that was loaded verify the file"
         raise InputError("verify", f"{what} without claims", "a result with evidence that can be checked", hint)
-    found = tuple(check(claim, effort=max(1, round(EFFORT * effort))) for claim in claims)
-    outcomes = {c.outcome for c in found}
+    found = [check(claim, effort=max(1, round(EFFORT * effort))) for claim in claims]
+    rows, others, notes = ([], [], []) if file is None else displayed(file, claims, found)
+    outcomes = {c.outcome for c in (*found, *rows)}
     status = (
         Status.FAILED if Outcome.REFUTED in outcomes
         else Status.INCONCLUSIVE if Outcome.NOT_PROVED in outcomes
         else Status.CERTIFIED
     )  # fmt: skip
-    return Verified(status, found)
-
-
-def _claims_in(path: str | Path) -> Iterator[Claim]:
-    from robustlab.verification.reading import claims_in_file
-
-    yield from claims_in_file(path)
+    return Verified(status, (*found, *rows), tuple(others), tuple(notes))

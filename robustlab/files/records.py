@@ -357,7 +357,7 @@ def _agree(where: str, name: str, stated: str, given: str) -> None:
             f"{where}: {name}",
             f"the file states {stated}, the unit given is {given}",
             "the unit that the numbers in the file are in",
-            f"--unit {name}={stated} converts from it; where the file is wrong, correct it there",
+            f"units={{{name!r}: {stated!r}}} converts from it; where the file is wrong, correct it there",
         )
 
 
@@ -368,7 +368,7 @@ def _no_signals(source: Source, found: str) -> InputError:
         source.where,
         found,
         one_of("signals in the group given; groups are", source.groups),
-        f"--group {source.groups[0] if len(source.groups) == 1 else 'NAME'}",
+        f"group={source.groups[0]!r}" if len(source.groups) == 1 else "group=...",
     )
 
 
@@ -433,7 +433,7 @@ def _times(source: Source, names: list[str], n: int, dt: float | None, clock: st
     if not dt:
         columns = one_of("a column t, or one of", names)
         raise InputError(
-            source.where, "no clock and no sample time", columns + " as clock=", "--dt SECONDS, or --clock NAME"
+            source.where, "no clock and no sample time", columns + " as clock=", "dt=..., in s, or clock=..."
         )
     if not np.isfinite(dt) or dt < 0:
         raise InputError(source.where, f"dt is {dt}", "a positive sample time in s")
@@ -451,14 +451,14 @@ def _clock(source: Source, name: str, tell: bool) -> Array:
     channel, where = source.channels[name], f"{source.where}: {source.label(name)}"
     if channel.unit not in SECONDS:
         raise InputError(
-            where, f"unit {channel.unit!r}", f"one of {', '.join(filter(None, SECONDS))}", f"--unit {name}=ms"
+            where, f"unit {channel.unit!r}", f"one of {', '.join(filter(None, SECONDS))}", f"units={{{name!r}: 'ms'}}"
         )
     t, factor = _numbers(source, name), SECONDS[channel.unit]
     raw = channel.values
     if factor == 1.0 and len(t) and np.abs(t).max() > TOO_LATE:
         unit = next(u for u, most in (("ms", 1e14), ("us", 1e17), ("ns", np.inf)) if np.abs(t).max() <= most)
         found = f"times of {t[0]:.4g} {channel.unit or 'and no unit'}"
-        raise InputError(where, found, "times in s", f"--unit {name}={unit}, if it is {unit}")
+        raise InputError(where, found, "times in s", f"units={{{name!r}: {unit!r}}}, if it is {unit}")
     if isinstance(raw, np.ndarray) and raw.dtype.kind == "i" and len(raw) and abs(float(raw[0])) * factor > LONG:
         if tell:
             source.notes.append(f"t counts from {name} = {int(raw[0])} {channel.unit or 's'} on")
@@ -482,7 +482,7 @@ def _refuse_gaps(where: str, label: str, t: Array) -> None:
             f"{label}: {lost} samples missing between t[{k}] = {t[k]:.9g} s and t[{k + 1}] = {t[k + 1]:.9g} s "
             f"({len(holes)} gaps in all)",
             f"a sample every {median:.6g} s",
-            "cut the record there, or allow_gaps=True (--allow-gaps)",
+            "cut the record there, or allow_gaps=True",
         )
 
 

@@ -100,7 +100,7 @@ def table_tree(path: str | Path, delimiter: str | None, decimal: str, limits: Li
             where,
             f"line {data[0][0]} has {width} cells, the header in line {header[0]} has {len(names)}",
             "equal numbers",
-            "if the numbers have decimal commas: --decimal , --delimiter ';'" if sign == "," else None,
+            "if the numbers have decimal commas: decimal=',' and delimiter=';'" if sign == "," else None,
         )
     if names is None and comment is not None and comment[0] == data[0][0] - 1:
         given = _cells(comment[1], sign) if sign != WHITESPACE or not name_and_unit(comment[1])[1] else None
@@ -212,7 +212,7 @@ def _number(where: str, cell: str, decimal: str) -> float:
     if decimal == "," and "." not in cell:
         cell = cell.replace(",", ".")
     elif decimal == "." and DECIMAL_COMMA.match(cell):
-        raise InputError(where, f"decimal comma in {cell!r}", "a decimal point", "--decimal ,")
+        raise InputError(where, f"decimal comma in {cell!r}", "a decimal point", "decimal=','")
     try:
         return float(cell.replace("_", "?"))  # Python reads 1_000 as a thousand; no logger writes that
     except ValueError:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -151,6 +151,11 @@ def content_sha256(tree: Tree) -> str:
     return digest.hexdigest()
 
 
+def digest_beside_claims(tree: Tree) -> str:
+    """`content_sha256` of all but the root group ``claims``: what a reader sees of a file whose claims are proved."""
+    return content_sha256(replace(tree, groups={name: g for name, g in tree.groups.items() if name != "claims"}))
+
+
 def _text(text: str) -> bytes:
     raw = text.encode()
     return str(len(raw)).encode() + b":" + raw
@@ -192,7 +197,7 @@ def text_attr(attrs: dict[str, Any], name: str) -> str | None:
 
 
 def stamp(tree: Tree, kind: str, provenance: Provenance) -> None:
-    """Make ``tree`` a format 1 file of this kind: add provenance, header and hash."""
+    """Make ``tree`` a format 1 file of this kind: add provenance, header and hash, and the digest to its claims."""
     group = tree.group("provenance")
     data = provenance.to_json()
     for name in ("created_by", "created", "note"):
@@ -204,6 +209,8 @@ def stamp(tree: Tree, kind: str, provenance: Provenance) -> None:
     for _path, item in tree.walk():
         item.attrs.update({key: canonical(value, tree.file) for key, value in item.attrs.items()})
     tree.attrs.update(format=FORMAT, format_version=FORMAT_VERSION, kind=kind)
+    if "claims" in tree.groups:
+        tree.groups["claims"].attrs["content_sha256"] = digest_beside_claims(tree)
     tree.attrs["content_sha256"] = content_sha256(tree)
 
 
@@ -276,7 +283,7 @@ def _check_hash(tree: Tree, no_verify: bool) -> list[str]:
             tree.file,
             "/: checksum mismatch (content_sha256): the content was changed after it was written",
             None,
-            "make the file again, or look at it with --no-verify",
+            "make the file again, or look at it with no_verify=True",
         )
     return []
 

@@ -3,7 +3,7 @@
 Rooms, each importing from those above it only:
 
 response       a linear model's response to a record, whole or in windows with their own starts
-record_check   is a record what it is taken for: clock, channels, data sheets, fitness for naming
+record_check   is a record what it is taken for: clock, channels, fitness for naming
 comparison     `compare`: how large the gap is, where it lives, what the residual still contains
 hypotheses     one hypothesis about what is missing: which effects may be, and their fit to prepared records
 unnamed        what no effect explains: a residual force over its coordinates
@@ -30,15 +30,11 @@ _WORDS = {
     "Discovery": "naming.discovery_result",
     "watch": "monitoring.watch",
     "Watch": "monitoring.watch_result",
-    "NamingTuning": "tuning",
     "check_record": "record_check.suitability",
     "suitability": "record_check.suitability",
     "join_clocks": "record_check.resampling",
-    "SheetPoint": "record_check.steady_state",
-    "compare_steady_state": "record_check.steady_state",
     "validate": "validation.model_validation",
     "Validation": "validation.validation_result",
-    "ValidationTuning": "validation.tuning",
 }
 
 __all__ = list(_WORDS)  # pyright: ignore[reportUnsupportedDunderAll]

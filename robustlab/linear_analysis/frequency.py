@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.magnitude import Moderated, moderated, refuse_overflow
 from robustlab.linear_analysis.modal_response import ModalResponse
+from robustlab.linear_analysis.narrow_peaks import narrow_frequencies
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
 # (n_omega, n, n) complex systems are solved in chunks of about this many numbers: more cost fresh pages of memory.
@@ -20,8 +22,9 @@ CHUNK = 20_000
 def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> Array:
     """Logarithmic grid in rad/s around the model's own dynamics, shape (n,).
 
-    From ``decades`` below the slowest to ``decades`` above the fastest pole; every lightly damped pole's frequency is
-    added, so that its peak is not stepped over. A discrete model's grid ends at the Nyquist frequency pi / dt.
+    From ``decades`` below the slowest to ``decades`` above the fastest pole; the frequency of every lightly damped pole
+    is added, and some inside a narrow peak, so that it is not stepped over. A discrete model's grid ends at the Nyquist
+    frequency pi / dt.
     """
     poles = model.poles()
     if model.is_discrete:
@@ -31,7 +34,7 @@ def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> 
     low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
     grid = np.geomspace(low * 10**-decades, high * 10**decades, n)
     light = np.abs(poles.imag)[(np.abs(poles.real) < 0.3 * np.abs(poles)) & (poles.imag > 0)]
-    grid = np.unique(np.concatenate([grid, light]))
+    grid = np.unique(np.concatenate([grid, light, narrow_frequencies(poles)]))
     if model.is_discrete:
         nyquist = np.pi / model.dt
         grid = np.append(grid[grid < nyquist], nyquist)
@@ -99,9 +102,19 @@ def solved_response(model: StateSpaceModel, omega: Array) -> ComplexArray:
         response[where] = _solved(model, point)
     except np.linalg.LinAlgError:
         raise NoTrustworthyNumber(
-            "frequency_response", "a frequency hits a pole exactly", None, "leave that frequency out"
+            "frequency_response", *at_pole(omega[where], point, lambda s: _solved(model, s))
         ) from None
     return response
+
+
+def at_pole(omega: Array, point: ComplexArray, solved: Callable[[ComplexArray], object]) -> tuple[str, str]:
+    """Return what was found and what is expected for the first frequency at which ``solved`` has a pole."""
+    for k, w in enumerate(omega):
+        try:
+            solved(point[k : k + 1])
+        except np.linalg.LinAlgError:
+            return f"{w:g} rad/s hits a pole exactly", "frequencies that are no poles"
+    return "a frequency hits a pole exactly", "frequencies that are no poles"
 
 
 def _solved(model: StateSpaceModel, point: ComplexArray) -> ComplexArray:

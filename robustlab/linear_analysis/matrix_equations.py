@@ -28,10 +28,13 @@ from robustlab.statespace import real_array
 
 # Relative residual from which on a Riccati solution is refined by Newton's method, and how many steps it gets.
 REFINED, NEWTON_STEPS = 1e-10, 4
+# Ratio of the states' sizes in a solution from which on it is solved again in other units, and how often.
+SPREAD, RESCALED = 1e4, 3
 # Up to this many states LAPACK works without blocks, and asking how much room it would like takes longer than it saves.
 UNBLOCKED = 32
 # Room for LAPACK's work on a matrix with blocks, in columns of it.
 ROOM = 64
+SOLVABLE = "a stabilisable model, and no eigenvalue there"
 MIRRORED = "no unique solution: eigenvalues mirror each other"
 
 
@@ -89,8 +92,8 @@ def care(
     InputError
         Shapes that do not fit, or NaN or Inf.
     NoTrustworthyNumber
-        No stabilising solution was found (the Hamiltonian has eigenvalues on or too close to the imaginary axis), or
-        none whose residual is small enough.
+        No stabilising solution was found, or none whose residual is small enough; the message gives the eigenvalue of
+        the Hamiltonian nearest to the imaginary axis, or the residual.
 
     Notes
     -----
@@ -119,9 +122,7 @@ def care(
     if best is None:
         with np.errstate(over="ignore", invalid="ignore"):
             refuse_overflow("care", equation.b @ equation.b.T, equation.q @ equation.q, equation.s @ equation.s.T)
-        raise NoTrustworthyNumber(
-            "care", "no stabilising solution: the Hamiltonian has eigenvalues on the imaginary axis"
-        )
+        raise NoTrustworthyNumber("care", f"no stabilising solution was found; {_nearest_to_axis(equation)}", SOLVABLE)
     raise NoTrustworthyNumber("care", f"relative residual {best.residual:.1e}", f"at most {tolerance:.1e}")
 
 
@@ -152,8 +153,8 @@ def dare(
     InputError
         Shapes that do not fit, or NaN or Inf.
     NoTrustworthyNumber
-        No stabilising solution was found (eigenvalues of the pencil on or too close to the unit circle), or its
-        residual is too large.
+        No stabilising solution was found, or its residual is too large; the message gives the eigenvalue of the pencil
+        nearest to the unit circle, or the residual.
 
     Examples
     --------
@@ -164,7 +165,7 @@ def dare(
     if not len(equation.a):
         return equation.without_states()
     a, b, q, r, s = equation.a, equation.b, equation.q, equation.r, equation.s
-    none = NoTrustworthyNumber("dare", "no stabilising solution: the pencil has eigenvalues on the unit circle")
+    none = NoTrustworthyNumber("dare", f"no stabilising solution was found; {_nearest_to_circle(equation)}", SOLVABLE)
     X = _extended_pencil(equation, discrete=True)
     if X is None:
         raise none
@@ -295,7 +296,60 @@ def _ordered_schur(equation: _Equation) -> AnyArray | None:
         return _stable_graph(a - b @ ri @ s.T, b @ ri @ b.T, q - s @ ri @ s.T)
 
 
+def _nearest_to_axis(equation: _Equation) -> str:
+    a, b, q, s = equation.a, equation.b, equation.q, equation.s
+    try:
+        inverse = np.linalg.inv(equation.r)
+    except np.linalg.LinAlgError:
+        return "R is singular"
+    with np.errstate(over="ignore", invalid="ignore"):
+        A, G, Q = a - b @ inverse @ s.T, b @ inverse @ b.T, q - s @ inverse @ s.T
+        poles = balanced_eigenvalues(np.block([[A, -G], [-Q, -A.T]]))
+    if poles is None:
+        return "the entries of the Hamiltonian overflow"
+    nearest = poles[np.abs(poles.real).argmin()]
+    return f"the eigenvalue of the Hamiltonian nearest to the imaginary axis is {nearest:.3g} rad/s"
+
+
+def _nearest_to_circle(equation: _Equation) -> str:
+    from scipy.linalg import eigvals
+
+    a, b, q, r, s = equation.a, equation.b, equation.q, equation.r, equation.s
+    n, m, zero = len(a), len(r), np.zeros
+    left = np.block([[a, zero((n, n)), b], [-q, np.eye(n), -s], [s.T, zero((m, n)), r]])
+    right = np.block(
+        [[np.eye(n), zero((n, n + m))], [zero((n, n)), a.T, zero((n, m))], [zero((m, n)), -b.T, zero((m, m))]]
+    )
+    alpha, beta = np.abs(eigvals(left, right, homogeneous_eigvals=True))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moduli = alpha / beta  # infinite ones are part of a pencil, 0 / 0 makes it singular
+        far = np.abs(np.log(moduli))
+    if np.isnan(far).any():
+        return "the pencil is singular"
+    return f"the eigenvalue of the pencil nearest to the unit circle has the modulus {moduli[far.argmin()]:.9g}"
+
+
 def _stable_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
+    """Return the X of `_schur_graph`, solved again in states that bring its diagonal to one where it spans decades.
+
+    The Schur vectors are known to eps times the norm of the Hamiltonian: of X from 1 to 1e16 no digit of the small
+    entries is left, and balancing the Hamiltonian alone does not see that.
+    """
+    X = _schur_graph(A, G, Q)
+    for _ in range(RESCALED):
+        size = None if X is None else np.sqrt(np.abs(np.diag(X)))
+        if X is None or size is None or not size.all() or size.max() < SPREAD * size.min():
+            break
+        t = np.exp2(-np.rint(np.log2(size)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            again = _schur_graph(A / t[:, None] * t, G / np.outer(t, t), Q * np.outer(t, t))
+        if again is None:
+            break
+        X = again / np.outer(t, t)
+    return X
+
+
+def _schur_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
     """Symmetric X whose graph ``[I; X]`` is the stable subspace of the Hamiltonian ``[[A, -G], [-Q, -A^T]]``.
 
     Laub 1979: ordered real Schur form of the balanced Hamiltonian. None where as many eigenvalues as states are not

@@ -37,6 +37,8 @@ Kind = Literal["controllability", "observability"]
 CLEAR = 1e-10
 ZERO = 1e-12
 ROUNDING = 1e-14
+# Entries of a basis this near to a binary fraction of so many digits may be that fraction.
+ROUNDED, SHORT = 1e-13, 20
 # A state belongs to a mode's combination from this share of the largest weight on.
 SHARE = 0.1
 
@@ -295,20 +297,12 @@ def drop_unconnected(model: Any) -> StateSpaceModel:
 def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralTest:
     """Controllability of (a, b), worded for ``kind``."""
     n = model.n_states
-    connected = _reach(a != 0, (b != 0).any(axis=1))
-    inner, outer = np.flatnonzero(connected), np.flatnonzero(~connected)
-    scaled, into, rate = _scaled(a[inner[:, None], inner], b[inner])
-    stairs, clear = _rank_decision(scaled, into)
-    # Hidden modes: those of the states off the graph, and those of the part that the staircase does not reach.
-    names = np.array(model.state_names, dtype=object)
-    modes = [_hidden_mode(m, names[outer], model.is_discrete, kind) for m in _left_modes(a[outer[:, None], outer])]
-    for mode in _left_modes(stairs.a[stairs.rank :, stairs.rank :]):
-        in_states = _LeftMode(mode.eigenvalue * rate, mode.rounding * rate, stairs.q[:, stairs.rank :] @ mode.vector)
-        modes.append(_hidden_mode(in_states, names[inner], model.is_discrete, kind))
+    found = _Reached.of(a, b)
+    stairs, outer, rate = found.stairs, found.outer, found.rate
     # The spectrum of the two groups, each mode with its margin in the scaled model.
     parts = slice(stairs.rank), slice(stairs.rank, None)
     inside = np.concatenate([np.linalg.eigvals(stairs.a[k, k]).astype(np.complex128) for k in parts])
-    inside_margins = _margins(scaled, into, inside)
+    inside_margins = _margins(found.scaled, found.into, inside)
     off_graph = np.linalg.eigvals(a[outer[:, None], outer]).astype(np.complex128)
     eigenvalues = np.concatenate([inside * rate, off_graph])
     margins = np.concatenate([inside_margins, np.zeros(len(outer))])
@@ -319,15 +313,153 @@ def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralT
         kind,
         stairs.rank,
         n,
-        tuple(modes),
+        found.modes(model, kind),
         margin,
         complex(eigenvalues[worst]) if worst is not None else None,
         eigenvalues,
         margins,
         stairs.smallest_kept,
         stairs.largest_dropped,
-        Status.CONVERGED if clear and consistent else Status.INACCURATE,
+        Status.CONVERGED if found.clear and consistent else Status.INACCURATE,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Reached:
+    """The part of (a, b) that the inputs reach: states off the graph, and the staircase form of the scaled others."""
+
+    a: Array
+    b: Array
+    inner: Indices
+    outer: Indices
+    scaled: Array  # a and b of the inner states, see `_scaled`
+    into: Array
+    rate: float
+    exponent: NDArray[np.int64]
+    stairs: _Stairs
+    clear: bool
+
+    @classmethod
+    def of(cls, a: Array, b: Array, tolerance: float | None = None) -> _Reached:
+        """Decide the rank: singular values up to the tolerance count as zero; None: as `_rank_decision` does."""
+        connected = _reach(a != 0, (b != 0).any(axis=1))
+        inner, outer = np.flatnonzero(connected), np.flatnonzero(~connected)
+        scaled = _scaled(a[inner[:, None], inner], b[inner])
+        stairs = _rank_decision(*scaled[:2]) if tolerance is None else (_staircase(*scaled[:2], tolerance), True)
+        return cls(a, b, inner, outer, *scaled, *stairs)
+
+    def modes(self, model: StateSpaceModel, kind: Kind) -> tuple[HiddenMode, ...]:
+        """Modes of the states off the graph, and of the part that the staircase does not reach."""
+        names = np.array(model.state_names, dtype=object)
+        off = _left_modes(self.a[self.outer[:, None], self.outer])
+        modes = [_hidden_mode(m, names[self.outer], model.is_discrete, kind) for m in off]
+        rank, q = self.stairs.rank, self.stairs.q
+        for mode in _left_modes(self.stairs.a[rank:, rank:], float(np.linalg.norm(self.stairs.a, 2)) if rank else 0.0):
+            moved = _LeftMode(mode.eigenvalue * self.rate, mode.rounding * self.rate, q[:, rank:] @ mode.vector)
+            modes.append(_hidden_mode(moved, names[self.inner], model.is_discrete, kind))
+        return tuple(modes)
+
+    def basis(self) -> tuple[Array, Indices, float]:
+        r"""Return T and rows ``kept``, where it is the identity, with ``A T = T (A T)[kept]`` and ``B = T B[kept]``.
+
+        Entries become short binary fractions where these fit no worse: exact cancellations leave no rounding.
+        Last, the largest entry of what these equations miss, scaled.
+        """
+        from scipy.linalg import qr
+
+        rank, inner, exponent = self.stairs.rank, self.inner, self.exponent
+        v = self.stairs.q[:, :rank]
+        order = np.asarray(qr(v.T, mode="r", pivoting=True)[-1])
+        kept, rest = np.sort(order[:rank]), np.sort(order[rank:])
+        share = np.linalg.solve(v[kept].T, v[rest].T).T
+        share[np.abs(share) <= ROUNDING * len(v)] = 0.0
+        short = np.ldexp(np.rint(np.ldexp(share, SHORT)), -SHORT)
+        mixed = np.where(np.abs(share - short) <= ROUNDED, short, share)
+        size = np.abs(self.b).max(axis=0, initial=0.0)
+        found: list[tuple[float, Array]] = []
+        for part in (mixed, share):
+            t = np.zeros((len(self.a), rank))
+            t[inner[kept], range(rank)] = 1.0
+            t[inner[rest]] = np.ldexp(part, exponent[rest, None] - exponent[None, kept])
+            moved = (self.a @ t)[inner], self.b[inner] / np.where(size > 0, size, 1.0)
+            off = [np.ldexp(m - t[inner] @ m[kept], -exponent[:, None]) for m in moved]
+            off[0] = np.ldexp(off[0], exponent[None, kept]) / self.rate
+            found.append((max(float(np.abs(m).max(initial=0.0)) for m in off), t))
+        missed, t = min(found, key=lambda pair: pair[0])
+        return t, inner[kept], missed
+
+
+@dataclass(frozen=True, eq=False)
+class LeastOrder:
+    """A model without the modes that no input moves or no output shows.
+
+    Attributes
+    ----------
+    model
+        With the inputs and outputs of the one given, and a subset of its states where no output was needed to choose.
+    given, reached
+        The model as given, and without what no input moves.
+    right, left
+        Bases: states of ``given`` are ``right`` times those of ``reached``; those of ``model`` are ``left`` times them.
+    hidden
+        The modes that were left out.
+    dropped
+        Largest singular value that counted as zero, relative to the scaled model.
+    clear
+        Whether the rank is clear of rounding.
+    """
+
+    model: StateSpaceModel
+    given: StateSpaceModel
+    reached: StateSpaceModel
+    right: Array
+    left: Array
+    hidden: tuple[HiddenMode, ...]
+    dropped: float
+    clear: bool
+
+
+def least_order(model: StateSpaceModel, tolerance: float | None = None) -> LeastOrder:
+    """Remove the modes that no input moves, then those that no output shows, by the staircase form.
+
+    Singular values up to ``tolerance`` count as zero, relative to the scaled model; None: what is clear of rounding.
+    """
+    first = _Reached.of(model.A, model.B, tolerance)
+    t, kept, missed = first.basis()
+    names = [model.states[k] for k in kept]
+    A, C = _product(model.A[kept], t, missed), _product(model.C, t, missed)
+    reached = replace(model, A=A, B=model.B[kept], C=C, states=names, operating_point=None)
+    second = _Reached.of(reached.A.T, reached.C.T, tolerance)
+    s, kept, missed = second.basis()
+    names = [reached.states[k] for k in kept] if np.count_nonzero(s) == len(kept) else None
+    A, B = _product(reached.A[:, kept].T, s, missed).T, _product(reached.B.T, s, missed).T
+    least = replace(reached, A=A, B=B, C=reached.C[:, kept], states=names)
+    hidden = first.modes(model, "controllability") + second.modes(reached, "observability")
+    dropped = max(first.stairs.largest_dropped, second.stairs.largest_dropped)
+    return LeastOrder(least, model, reached, t, s.T, hidden, dropped, first.clear and second.clear)
+
+
+def _product(a: Array, t: Array, missed: float) -> Array:
+    """Multiply, with zeros where the terms cancel: no scaling shall take their rounding for a connection.
+
+    ``missed``: how far t is off.
+    """
+    found = a @ t
+    return np.where(np.abs(found) <= max(ROUNDING, 10 * missed) * (np.abs(a) @ np.abs(t)), 0.0, found)
+
+
+def hidden_unstable(model: StateSpaceModel) -> tuple[HiddenMode, ...]:
+    """Return the modes that do not decay and that no input moves or no output shows, one of each conjugate pair."""
+    if model.is_stable():
+        return ()
+    modes = _Reached.of(model.A, model.B).modes(model, "controllability")
+    modes += _Reached.of(model.A.T, model.C.T).modes(model, "observability")
+    return tuple(mode for mode in modes if not mode.stable and mode.eigenvalue.imag >= 0)
+
+
+def with_hidden(text: str, *models: StateSpaceModel) -> str:
+    """Complete what was found of an unstable loop by the hidden modes of its models that no feedback can change."""
+    return "; ".join([text, *(f"hidden: {mode.meaning}" for model in models for mode in hidden_unstable(model))])
 
 
 def _rank_decision(a: Array, b: Array) -> tuple[_Stairs, bool]:
@@ -385,13 +517,13 @@ def _staircase(a: Array, b: Array, zero: float) -> _Stairs:
     return _Stairs(a, q, done, kept, dropped)
 
 
-def _scaled(a: Array, b: Array) -> tuple[Array, Array, float]:
+def _scaled(a: Array, b: Array) -> tuple[Array, Array, float, NDArray[np.int64]]:
     r"""``T^-1 A T / rate`` and ``T^-1 B S`` with entries of at most 1 and at least one of about 1 in every row.
 
     T is the strongest path from the inputs to each state, :math:`t_i = \max(|b_i|, \max_j |a_{ij}| t_j / rate)`,
     rounded to powers of two. Units of states cancel in it: a model and its diagonal rescaling come out equal up to a
     factor of two. ``rate`` is the Perron root of \|A\|, which bounds the mean of every cycle, so that no path gains
-    by going round. Every state must be connected to an input.
+    by going round. Every state must be connected to an input. The exponents of T come last.
     """
     n = len(a)
     magnitude = np.abs(a)
@@ -410,7 +542,7 @@ def _scaled(a: Array, b: Array) -> tuple[Array, Array, float]:
     scaled = np.ldexp(a, exponent[None, :] - exponent[:, None]) / rate
     into = np.ldexp(b, -exponent[:, None])
     width = np.abs(into).max(axis=0, initial=0.0)
-    return scaled, into / np.where(width > 0, width, 1.0), rate
+    return scaled, into / np.where(width > 0, width, 1.0), rate, exponent
 
 
 def _margins(a: Array, b: Array, eigenvalues: ComplexArray) -> Array:
@@ -439,7 +571,8 @@ class _LeftMode:
     vector: ComplexArray
 
 
-def _left_modes(a: Array) -> list[_LeftMode]:
+def _left_modes(a: Array, size: float = 0.0) -> list[_LeftMode]:
+    """Return the modes of a matrix, whose entries carry the rounding of numbers of ``size`` at least."""
     from scipy.linalg import eig
 
     if len(a) == 0:
@@ -447,7 +580,8 @@ def _left_modes(a: Array) -> list[_LeftMode]:
     values, left, right = (np.asarray(part) for part in eig(a, left=True, right=True))
     # First-order bound of a backward-stable eigenvalue: ||A|| eps / |y^H x|; a defective one gets eps^(1/2) or worse.
     overlap = np.abs(np.einsum("ij,ij->j", left.conj(), right))
-    rounding = 10 * len(a) * np.finfo(float).eps * np.linalg.norm(a, 2) / np.maximum(overlap, 1e-16)
+    size = max(size, float(np.linalg.norm(a, 2)))
+    rounding = 10 * len(a) * np.finfo(float).eps * size / np.maximum(overlap, 1e-16)
     return [_LeftMode(complex(v), float(rounding[k]), left[:, k]) for k, v in enumerate(values)]
 
 
@@ -456,7 +590,8 @@ def _hidden_mode(mode: _LeftMode, states: NDArray[np.object_], discrete: bool, k
     inside = 1 - abs(value) if discrete else -value.real
     stable = inside > mode.rounding
     involved = tuple(states[weight >= SHARE * weight.max()])
-    where = f"z = {_number(value)}" if discrete else f"{_number(value)} rad/s"
+    shown = complex(*(0.0 if abs(part) <= mode.rounding else part for part in (value.real, value.imag)))
+    where = f"z = {_number(shown)}" if discrete else f"{_number(shown)} rad/s"
     word = "no input moves it" if kind == "controllability" else "no output shows it"
     text = f"{'stable' if stable else 'unstable'} mode {where} in {', '.join(involved)}: {word}"
     return HiddenMode(value, stable, involved, text)

@@ -24,7 +24,6 @@ class MuTuning(Tuning):
     near: float = 0.3  # squared Newton decrement below which a point counts as centred; smaller: more steps, safer ones
     step: float = 0.9  # part of the way to the boundary that a predictor step goes; larger: fewer steps, less centred
     negative: float = -1.0  # t below this, of a matrix of norm 1, cannot make a proof of mu = 0 any firmer
-    precisions: tuple[int, ...] = (128, 512, 2048)  # bits of ball arithmetic; the next where one cannot decide
     # --- lower bounds (lower, minimum_norm, starting_points) ---
     singular: float = 1e-11  # relative smallest singular value below which I - M Delta counts as singular
     # Share of the norm of a Delta that attains its bound, within which an exactly singular one is seen to first order;
@@ -66,15 +65,16 @@ class MuTuning(Tuning):
     # --- intervals of the axis (intervals, stability, worst_gain) ---
     slack: float = 1e-5  # the Hamiltonian is that of a beta smaller by this: a blurred double root costs far less
     frequencies: int = 8  # at which D, G are sought together
+    creeping: float = 0.97  # share of what is open that a round may leave open before the level is raised
     probes: int = 12  # frequencies at which a sign is tested to find an end, or what the eigenvalues have missed
     coarse: float = 4e-3  # accuracy of the first cover, which tells whether branch and bound has to follow
-    sharpened: tuple[float, ...] = (0.1, 0.02, 0.004, 8e-4)
-    # half widths, in log frequency, of the neighbourhoods in which a smaller complex Delta is sought
+    sharpened: tuple[float, float, float] = (0.1, 5.0, 8e-4)
+    # half width, in log frequency, of the first neighbourhood in which a smaller complex Delta is sought, the factor by
+    # which the next are smaller, and the last one in shares of the distance of the nearest pole
     sizes: int = 12  # of an asymmetric set, tried for the largest one that D, G prove ...
     large: float = 1e3  # ... the first of them where nothing is known
     members: int = 6  # of the set that are followed to a peak of their own
     skewed: int = 4  # bounds of mu that one skewed bound costs: counts work only
-    ball_points: int = 5  # frequencies of each interval at which a margin is confirmed in ball arithmetic
     # --- poles led to the axis (pole_migration) ---
     leading: int = 15  # steps that lead a pole to the axis; more: smaller ones
     following: int = 30  # steps along the axis

@@ -17,6 +17,7 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.exact_stability import exactly_on_boundary, exactly_stable
 from robustlab.linear_analysis.magnitude import Moderated, balancing_factors, moderated
+from robustlab.linear_analysis.narrow_peaks import modes_apart
 from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.norms.level_set import (
     TUNING,
@@ -199,6 +200,7 @@ def bracketed_norm(
     if without_bracket is not None:
         return without_bracket
     try:
+        m = modes_apart(m)
         scaled, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
         part = None if band is None else _band_of(ordinary, band, rate)
         lower, omega, upper, trusted, doubtful = level_bracket(scaled, rtol, tuning, part)
@@ -212,14 +214,14 @@ def bracketed_norm(
         doubtful = 2 / m.dt * np.arctan(rate * doubtful * m.dt / 2) / rate
     attained = float(largest_gains(m, np.array([omega]))[0])
     reason = "" if trusted else "the level test and a direct search disagreed; digits were lost"
-    if abs(attained - lower) > 10 * rtol * lower and lower > upper - lower:
+    error = worst = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega))
+    if abs(attained - lower) > 10 * rtol * lower + min(error, LOUD * lower) and lower > upper - lower:
         trusted = False
         reason = f"scaled and original realisation differ at the peak: {lower:.9g} against {attained:.9g}"
     if blind:
         at = f"{ordinary.frequency(omega):.6g} rad/s"
         trusted, reason = False, f"the peak at {at} is narrower than the spacing of floating-point numbers"
     lower, upper = attained, max(upper, attained)
-    error = worst = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega))
     for at, gain in zip(rate * doubtful, largest_gains(m, rate * doubtful) if len(doubtful) else [], strict=True):
         beside = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, float(at)))
         worst, upper = max(worst, beside), max(upper, float(gain) + beside)
@@ -265,8 +267,9 @@ def gain_rounding(
 
     ``sums``: sizes of what was added up to A, B, C and D, where terms cancelled in them; their own where left out.
 
-    With ``F = sI - A`` and ``X = F^{-1} B`` a backward stable solution is off by no more than
-    ``n eps |F^{-1}| (|F| |X| + |B|)``, entry by entry; no scaling of the states changes that.
+    With ``F = sI - A``, ``X = F^{-1} B`` and ``Y = C F^{-1}`` a backward stable solution is off by no more than
+    ``n eps |Y| (|F| |X| + |B|)``, entry by entry; no scaling of the states changes that. Y is rounded as well, by
+    ``n eps |Y| |F| |F^{-1}|``.
     """
     return _terms(A, B, C, D, s, sums)[1]
 
@@ -278,10 +281,12 @@ def _terms(
     in_a, in_b, in_c, in_d = [np.abs(m) for m in (A, B, C, D)] if sums is None else sums
     n, size, error = len(A), np.abs(D), in_d
     if n and np.isfinite(s):
-        inverse = np.linalg.inv(s * np.eye(n) - A)
-        X, terms = np.abs(inverse @ B), in_a + abs(s) * np.eye(n)
+        F = s * np.eye(n) - A
+        X, Y = np.abs(np.linalg.solve(F, B)), np.abs(np.linalg.solve(F.T, C.T.astype(complex)).T)
+        terms = in_a + abs(s) * np.eye(n)
+        Y = Y + n * EPS * (Y @ terms) @ np.abs(np.linalg.inv(F))
         size = size + np.abs(C) @ X
-        error = error + in_c @ X + np.abs(C) @ np.abs(inverse) @ (terms @ X + in_b)
+        error = error + in_c @ X + Y @ (terms @ X + in_b)
     return float(np.linalg.norm(size)), max(n, 1) * EPS * float(np.linalg.norm(error))
 
 

@@ -15,6 +15,7 @@ from robustlab.linear_analysis.magnitude import Moderated, balancing_factors, mo
 from robustlab.linear_analysis.matrix_equations import lyapunov
 from robustlab.linear_analysis.modal_response import ModalResponse
 from robustlab.linear_analysis.schur_lyapunov import SchurForm, balanced_schur
+from robustlab.linear_analysis.structural import with_hidden
 from robustlab.norms.axis_integral import TUNING, mean_square_gain
 from robustlab.norms.hinfinity import unstable_norm
 from robustlab.norms.level_set import well_scaled
@@ -116,7 +117,8 @@ def h2_norm(model: Any) -> H2Norm:
     (3.0, 3.0, 'converged')
     """
     given = as_model(model, "h2_norm")
-    return replace(_in_three_voices(given), system=given)
+    found = replace(_in_three_voices(given), system=given)
+    return replace(found, reason=with_hidden(found.reason, given)) if np.isinf(found.value) else found
 
 
 def _in_three_voices(given: StateSpaceModel) -> H2Norm:

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import robustlab as rl
+from robustlab.doors.declaration import STEPS, in_toml
 from robustlab.doors.vocabulary import Names
-from robustlab.errors import InputError, RobustlabError, UsageError, unknown_name
+from robustlab.errors import InputError, RobustlabError, UsageError, rewritten, unknown_name
 from robustlab.recipe.load import MAX_FAULTS_SHOWN, LoadedRecipe, find_file, marked, references
 from robustlab.recipe.schema import Requirement
 from robustlab.recipe.steps.contract import Ahead, Foretold, Step
@@ -78,7 +79,19 @@ def at_step(error: RobustlabError, loaded: LoadedRecipe, name: str) -> Robustlab
     kind = InputError if isinstance(error, UsageError) else type(error)
     colon = "" if error.where.startswith(".") else ": "  # a key of the step, or what the step asked
     where = f"{loaded.path.name}: step.{name}{colon}{error.where}"
-    return kind(where, error.found, error.expected, error.hint, error.more)
+    return kind(
+        where, error.found, error.expected, step_hint(error, getattr(loaded.recipe.step[name], "do", "")), error.more
+    )
+
+
+def step_hint(error: RobustlabError, word: str) -> str | None:
+    """Return the hint of an error as a step of a recipe writes its arguments."""
+    door = STEPS.get(word)
+    if not error.hint:
+        return None
+    if door is not None:
+        return door.hint(error.hint, of_command=False)
+    return rewritten(error.hint, lambda name, value: f"{name} = {in_toml(value)}")
 
 
 def _in_lines(fault: RobustlabError, loaded: LoadedRecipe) -> list[str]:

@@ -43,7 +43,7 @@ from robustlab.files.atomic import atomic_write
 from robustlab.files.document import parse_document
 from robustlab.files.signature import require_file
 from robustlab.provenance import Provenance, file_sha256
-from robustlab.recipe.check import at_step, look_through
+from robustlab.recipe.check import at_step, look_through, step_hint
 from robustlab.recipe.load import LoadedRecipe, references
 from robustlab.recipe.schema import Judgement, Recipe, judge
 from robustlab.recipe.steps.contract import Outcome, Step, Workspace
@@ -241,6 +241,7 @@ def _run_steps(
             if step.verify or loaded.recipe.verify:
                 outcome = verified(outcome, workspace.kept.get(name, []), step.verify)
         except NoTrustworthyNumber as error:
+            error.hint = step_hint(error, getattr(step, "do", ""))
             entry = _entry(name, step, str(Status.FAILED), str(error))
         except BaseException as error:
             ending = _ending_of(error)

@@ -19,7 +19,7 @@ from robustlab.errors import InputError
 from robustlab.identification.naming.discovery_result import LINEAR, Discovery
 from robustlab.identification.naming.discovery_text import chance, compared, in_words, kind_words, with_interval
 from robustlab.identification.naming.named_effects import Gap, SetProbability, overall
-from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
+from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.report.drawings import caption_of
 from robustlab.report.figures import (
@@ -174,14 +174,12 @@ def posterior_figure(discovery: Discovery) -> Figure:
 
 def residual_force_figure(
     residual: ResidualForce,
-    unnamed: UnnamedForce | None = None,
     name: str = "force",
     before: ResidualForce | None = None,
 ) -> Figure:
     """Residual force over each coordinate; below it, what share of it each explains.
 
     ``residual``: curves and shares.
-    ``unnamed``: the map fitted to it, drawn over the same coordinates where it has a component that is no dry pair.
     ``name``: what the force is called on the axes.
     ``before``: the force before the named effects were in the model, drawn behind it.
     """
@@ -196,21 +194,17 @@ def residual_force_figure(
             if curve.coordinate in earlier:
                 _curve(panel, earlier[curve.coordinate], COLOURS["worst"], COLOURS["worst"], "refitted, ")
             _curve(panel, curve, COLOURS["nominal"], COLOURS["band"], "updated, " if earlier else "")
-            if unnamed is not None:
-                for table in unnamed.components:
-                    if table.coordinate == curve.coordinate and table.kind != "dry":
-                        _table(panel, table)
             panel.set_title(_explains(curve, earlier.get(curve.coordinate)))
             edge = 0.05 * float(np.ptp(curve.x)) or 1.0
             panel.set_xlim(float(curve.x.min()) - edge, float(curve.x.max()) + edge)
             panel.set_ylim(low, high)
             panel.set_xlabel(axis_label(curve.coordinate, curve.unit))
             panel.set_ylabel(axis_label(name, residual.unit))
-        _shares(panels[len(curves)], residual, unnamed, before)
+        _shares(panels[len(curves)], residual, before)
         for panel in panels[len(curves) + 1 :]:
             panel.set_visible(False)
         if curves:
-            legend_below(figure, panels[: len(curves)], 2 if earlier and unnamed is None else 3)
+            legend_below(figure, panels[: len(curves)], 2 if earlier else 3)
     return figure
 
 
@@ -380,19 +374,10 @@ def _explains(curve: ForceCurve, earlier: ForceCurve | None) -> str:
     return f"{name}: explains {100 * curve.share:.0f} % ({sure})"
 
 
-def _table(panel: Axes, table: ForceTable) -> None:
-    halves = table.sides() if table.kind == "speed" else ((table.grid, table.value),)
-    for k, (grid, value) in enumerate(halves):
-        label = "part of the unnamed map" if k == 0 else None
-        panel.plot(grid, value, color=COLOURS["limit"], ls=(0, (5, 1.5)), lw=1.4, label=label)
-
-
-def _shares(panel: Axes, residual: ResidualForce, unnamed: UnnamedForce | None, before: ResidualForce | None) -> None:
+def _shares(panel: Axes, residual: ResidualForce, before: ResidualForce | None) -> None:
     rows = [(f"f({name})", curve.share, COLOURS["nominal"]) for name, curve in residual.curves.items()]
     rows += [(f"+ sgn(v) f({name})", share, COLOURS["band"]) for name, share in residual.dry_share.items()]
     rows.append(("all together", residual.joint_share, COLOURS["good"]))
-    if unnamed is not None:
-        rows.append(("unnamed map", unnamed.gain, COLOURS["limit"]))
     rows.append(("noise of the estimate", residual.noise_share, COLOURS["sample"]))
     place = np.arange(len(rows))[::-1]
     panel.barh(place, [100 * share for _, share, _ in rows], color=[colour for *_, colour in rows], height=0.65)
@@ -417,8 +402,7 @@ def force_of(discovery: Discovery) -> Figure:
     """
     if discovery.residual_force is None or not discovery.residual_force.curves:
         raise InputError("plot('force')", "no force is known", "a discovery that smoothed the missing force")
-    unnamed = None if discovery.complete else discovery.unnamed
-    return residual_force_figure(discovery.residual_force, unnamed, "missing force", discovery.missing_force)
+    return residual_force_figure(discovery.residual_force, "missing force", discovery.missing_force)
 
 
 TONES = {
@@ -459,7 +443,8 @@ def facts(d: Discovery) -> list[tuple[str, str, str]]:
     for gaps, how, on in ((d.gaps, "windows", d.held_out), (d.free_run, run_in_words(d), d.free_run_on)):
         for g in gaps.values():
             sizes = f"nominal {g.nominal:.4g}, refitted {g.refitted:.4g}, updated {g.updated:.4g} {g.unit}".rstrip()
-            change = compared(g.refitted, g.updated, "refitted")
+            pairs = ((g.nominal, "the given model"), (g.refitted, "refitted"))
+            change = ", ".join(compared(before, g.updated, name) for before, name in pairs)
             found.append((f"{g.output}: rms on held-out data, {how}", f"{sizes}; {change}", on))
     return found
 

@@ -44,7 +44,6 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "MuBounds": {"mu": "result_figures.mu_bars"},
     "SmallGain": {"gain": "result_figures.small_gain_figure"},
     **dict.fromkeys(("DiskBounds", "DiskMargins"), _DISK),
-    "SampledRobustness": {"mu": "robustness_figures.sampled_figure"},
     "SampledDataNorm": {"history": "result_figures.norm_history"},
     "Cover": {"set": "set_figures.cover_figure"},
     "Overbound": {"weight": "set_figures.overbound_figure"},
@@ -58,17 +57,13 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "CampaignResult": {"exceedance": "result_figures.campaign_figure", "delta": "result_figures.delta_figure"},
     # designs
     **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis", "TwoDegreeSynthesis"), _LOOP),
-    **dict.fromkeys(("LqgSynthesis", "FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
+    **dict.fromkeys(("FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
     "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture", "history": "design_figures.history_picture"},
     "PerformanceComparison": {"mu": "design_figures.performance_picture"},
     "ControlledRuns": {"runs": "design_figures.runs_picture"},
     "TrackingLoop": {"functions": "design_figures.tracking_picture"},
-    **dict.fromkeys(("SampledController", "RobustSampledController"), _SAMPLED),
+    "SampledController": _SAMPLED,
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
-    "StateFeedback": {"pzmap": "result_figures.feedback_figure"},
-    "KalmanFilter": {"pzmap": "result_figures.estimator_figure"},
-    "IntegralFeedback": {"pzmap": "result_figures.estimator_figure"},
-    "DesignWeights": {"weights": "result_figures.weights_figure"},
     # measurements
     "Comparison": {
         name: f"comparison_figures.{name}_figure"

@@ -33,12 +33,8 @@ from robustlab.report.figures import (
     zero_line,
 )
 from robustlab.report.robustness_figures import exceedance_figure, response_figure
-from robustlab.synthesis.h2.integral_feedback import IntegralFeedback
-from robustlab.synthesis.h2.kalman_filter import KalmanFilter
-from robustlab.synthesis.h2.state_feedback import StateFeedback
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.synthesis.sampled.sampled_norm import SampledDataNorm
-from robustlab.synthesis.specifications.weight_design import DesignWeights
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.worst_case_analysis import WorstCase
 from robustlab.worst_case_analysis.sampling import Responses
@@ -199,21 +195,6 @@ def small_gain_figure(found: SmallGain) -> Figure:
     return figure
 
 
-def feedback_figure(found: StateFeedback, dt: float = 0.0) -> Figure:
-    """Closed-loop poles of a state feedback; ``dt`` in s where the loop is discrete."""
-    from robustlab.report.model_figures import poles_figure
-
-    return poles_figure(np.asarray(found.poles), np.zeros(0), dt)
-
-
-def estimator_figure(found: KalmanFilter | IntegralFeedback) -> Figure:
-    """Poles of a filter, or of a loop with integral action."""
-    from robustlab.report.model_figures import poles_figure
-
-    model = found.estimator if isinstance(found, KalmanFilter) else found.closed_loop
-    return poles_figure(np.asarray(found.poles), np.zeros(0), model.dt)
-
-
 def hankel_figure(found: ReducedModel) -> Figure:
     """Hankel singular values: those kept and those left out."""
     kept = found.order - found.n_apart
@@ -296,29 +277,6 @@ def mode_figure(found: StructuralTest) -> Figure:
 
 def _mode(value: complex) -> str:
     return f"{value.real:.4g}" if abs(value.imag) <= 1e-12 * abs(value) else f"{value:.4g}"
-
-
-def weights_figure(found: DesignWeights) -> Figure:
-    """What the weights ask for: S, K S and T below the inverse of W1, W2 and W3."""
-    given = {"S": found.W1, "K S": found.W2, "T": found.W3}
-    every = {name: W for name, W in given.items() if W is not None}
-    grids = [default_grid(W, 200) for W in every.values() if W.n_states] or [np.geomspace(0.01, 100.0, 200)]
-    omega = np.geomspace(min(g[0] for g in grids), max(g[-1] for g in grids), 400)
-    figure, (axes,) = new_figure(height=3.4)
-    with house_style():
-        for k, (name, W) in enumerate(every.items()):
-            size = np.linalg.svd(frequency_response(W, omega), compute_uv=False)[:, -1]
-            label = f"{name} is asked to stay below 1 / |W{list(given).index(name) + 1}|"
-            axes.plot(omega, 1.0 / np.maximum(size, 1e-300), color=COLOURS[CURVES[k]], label=label)
-        for conflict in found.conflicts:
-            if omega[0] <= conflict.frequency <= omega[-1]:
-                axes.axvline(conflict.frequency, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1, label="contradiction")
-                break
-        logarithmic(axes.yaxis)
-        frequency_axis(axes, (omega[0], omega[-1]))
-        axes.set_ylabel("largest gain asked for")
-        legend_below(figure, (axes,), 2)
-    return figure
 
 
 def measured_response_figure(found: FrequencyData | UncertainFrequencyData) -> Figure:

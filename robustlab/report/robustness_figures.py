@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin, WorstCaseGain
     from robustlab.mu_analysis.axis.critical_delta import CriticalResponse
     from robustlab.mu_analysis.margins.at_frequencies import DiskMarginsAt, GainAt, MarginAt
-    from robustlab.synthesis.sampled.sampled_robustness import SampledRobustness
     from robustlab.worst_case_analysis.worst_case_search import WorstCase
 
 Interval = tuple[float, float, float]
@@ -183,11 +182,6 @@ def margin_shares(margin: Margin) -> Figure:
     if not margin.shares:
         raise InputError("plot('shares')", "a margin without shares of its blocks", "one at a simple critical pole")
     return shares_figure(margin.shares)
-
-
-def sampled_figure(found: SampledRobustness) -> Figure:
-    """Bounds of mu of a sampled loop: those of robust performance, or of stability where there is none."""
-    return mu_figure(found.performance or found.stability)
 
 
 MAX_CURVES = 60  # more sample curves than this make the file large and show nothing more than the envelope

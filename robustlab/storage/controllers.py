@@ -10,7 +10,6 @@ from robustlab.result import Status
 from robustlab.storage.matrices import Problems, decode_model, encode_model
 from robustlab.storage.results import encode_claims
 from robustlab.synthesis.problem.controller import Controller
-from robustlab.verification.reading import is_about
 
 
 def encode_controller(tree: Tree, controller: Controller) -> None:
@@ -20,7 +19,8 @@ def encode_controller(tree: Tree, controller: Controller) -> None:
     if controller.gamma is not None:
         tree.attrs["gamma"] = controller.gamma
     claims = claims_of(controller.design)
-    if any(is_about(claim, {letter: getattr(controller.K, letter) for letter in "ABCD"}) for claim in claims):
+    own = {f"K_{letter}": getattr(controller.K, letter) for letter in "ABCD"}
+    if any(all(np.array_equal(claim.numbers.get(name, np.nan), X) for name, X in own.items()) for claim in claims):
         encode_claims(tree, claims)
 
 

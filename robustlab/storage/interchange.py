@@ -206,7 +206,7 @@ def _plain(
         if looks_like_a_record(node):
             return "record", record_from(problems.file, group, limits, isolate)
     if not matrices and node.groups:
-        problems.hint = f"groups here: {', '.join(list(node.groups)[:8])}; choose one (group=, --group)"
+        problems.hint = f"groups here: {', '.join(list(node.groups)[:8])}; choose one, group=..."
     return "state-space", decode_state_space(node, problems, transpose)
 
 

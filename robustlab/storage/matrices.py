@@ -55,7 +55,7 @@ class Problems:
 Shape = tuple[int, ...]
 NAMES = ("A", "B", "C", "D")
 SIDES = ("state", "input", "output")
-COLUMN_MAJOR = "file looks column-major: use --transpose (transpose=True)"
+COLUMN_MAJOR = "file looks column-major: use transpose=True"
 
 
 def encode_model(tree: Tree, model: StateSpaceModel) -> None:
@@ -243,7 +243,7 @@ def _fitting(
         wrong = [name for name in NAMES if shapes[name] != expected[name]]
     elif all(swapped[name] == expected[name] for name in wrong):
         both = " and ".join(wrong)
-        hint = f"only {both} looks transposed; store the transpose (--transpose swaps all four matrices)"
+        hint = f"only {both} looks transposed; store the transpose (transpose=True swaps all four matrices)"
     for name in wrong:
         match = f" to match {_sibling(node, name)}" if like is not None else ""
         problems.add(f"{node.child_path(name)} is {shapes[name]}, expected {expected[name]}{match}", hint)

@@ -38,7 +38,7 @@ def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tupl
     models: dict[str, StateSpaceModel | None] = {}
     for name in GROUPS:
         if name in tree.groups and "E" in tree.groups[name].datasets:
-            hint = "--group nominal, or --group perturbed, reads one model (group=)"
+            hint = "group='nominal', or group='perturbed', reads one model"
             problems.add(f"/{name}/E: a pair in descriptor form: its entries are no entries of A, B, C, D", hint)
         elif name in tree.groups:
             models[name] = decode_model(tree.groups[name], problems, transpose, models.get("nominal"), dt)

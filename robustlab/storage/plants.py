@@ -412,5 +412,5 @@ def _check_model(plant: Plant, stored: StateSpaceModel, where: str) -> None:
                 where,
                 f"/{name} is not the linear model of {plant.name} with these parameters and effects",
                 "a file as robustlab wrote it",
-                "the file was changed, or its plant is another one in this version: take A B C D alone with --group /",
+                "the file was changed, or its plant is another one in this version: take A B C D alone with group='/'",
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from enum import Enum
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from robustlab.errors import InputError
 from robustlab.evidence import claims_of
 from robustlab.files.tree import Dataset, Tree, Unread, link_name, signal_name
 from robustlab.result import Result, Status
+from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import Problems
 from robustlab.verification.claim import Claim
 
@@ -102,7 +104,53 @@ def _is_rectangular(items: list[Any]) -> bool:
         return False
 
 
-def decode_result(tree: Tree, _problems: Problems, _transpose: bool = False) -> Result:
+class NotStored(InputError, AttributeError):
+    """An attribute that a result had and its file has not."""
+
+
+class LoadedResult(Result):
+    """A result from a file. What was stored are its attributes; what was made of more than that is not there."""
+
+    def __getattr__(self, name: str) -> Any:
+        data = vars(self).get("data", {})
+        if name not in data:
+            raise NotStored(type(self).__name__, f"{name!r} is not in its file", f"one of {', '.join(data)}")
+        return _attribute(data[name])
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.data]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restored, (self.type, self.status, self.data)
+
+
+def restored(kind: str, status: Status, data: Mapping[str, Any]) -> LoadedResult:
+    """A result whose class has the name of the one that was saved."""
+    return _class(kind)(kind, status, data)
+
+
+@cache
+def _class(name: str) -> type[LoadedResult]:
+    return type(name, (LoadedResult,), {"__doc__": LoadedResult.__doc__}) if name.isidentifier() else LoadedResult
+
+
+def _attribute(value: Any) -> Any:
+    """Tables of results and of models as what they were."""
+    if isinstance(value, list):
+        return tuple(map(_attribute, value))
+    if not isinstance(value, Mapping):
+        return value
+    if value.get("type") and value.get("status") in list(Status):
+        rest = {name: x for name, x in value.items() if name not in ("type", "status")}
+        return restored(str(value["type"]), Status(value["status"]), rest)
+    if {"A", "B", "C", "D", "dt", "inputs", "outputs", "states"} <= set(value):
+        A, B, C, D = (value[letter] for letter in "ABCD")
+        u, y, x = ([tuple(pair) for pair in value[side]] for side in ("inputs", "outputs", "states"))
+        return StateSpaceModel(A, B, C, D, value["dt"], u, y, x)
+    return {name: _attribute(x) for name, x in value.items()}
+
+
+def decode_result(tree: Tree, _problems: Problems, _transpose: bool = False) -> LoadedResult:
     """Inverse of `encode_result`; lists of numbers come back as arrays.
 
     Raises InputError: no group ``data``, an unknown status.
@@ -115,7 +163,7 @@ def decode_result(tree: Tree, _problems: Problems, _transpose: bool = False) -> 
     data = _value(tree.groups["data"])
     if not isinstance(data, dict):
         raise InputError(tree.file, "/data is a sequence", "a table")
-    return Result(str(np.asarray(tree.attrs.get("type", ""))), Status(text), data)
+    return restored(str(np.asarray(tree.attrs.get("type", ""))), Status(text), data)
 
 
 def _value(node: Tree) -> Any:

@@ -7,7 +7,7 @@ specifications  weights, tracking problems, loop functions
 laws            what a controller may look like
 nonsmooth       nonsmooth optimisation of loops
 hinf            H-infinity, mixed sensitivity, loop shaping
-h2              H2, LQG, state feedback, H2 under an H-infinity bound
+h2              H2, H2 under an H-infinity bound
 dk              robust performance
 scheduling      models and controllers that depend on measured parameters
 reduction       models and controllers of lower order

@@ -16,6 +16,7 @@ diagonal Delta. It is kept as structure ``"columns"``; what the text says in wor
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -31,6 +32,8 @@ from robustlab.uncertainty.lft import UncertainModel
 
 # Rank factors may miss an entry of E by this share of its natural magnitude: above rounding, below the promised 1e-12.
 EXACT = 3e-14
+# An entry from this size on leaves no digit of one of order one in a double.
+HUGE = 1 / np.finfo(float).eps
 
 # Pivot rows, pivot columns, and the rows and columns that an elimination step may change.
 Stage = tuple[slice, slice, slice, slice]
@@ -120,8 +123,27 @@ def elementwise(
         raise InputError("elementwise", f"tolerance {tolerance}", "a number in [0, 1)")
     check_pair(first, second)
     difference = _difference(first, second, tolerance or 0.0)
+    for remark in pair_remarks(first, second):
+        warnings.warn(f"elementwise: {remark}", stacklevel=3)  # the caller of elementwise
     parts = _FACTORS[structure](difference)
     return _assemble(first, parts)
+
+
+def pair_remarks(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> list[str]:
+    """Return what a nominal and a perturbed model hint at: instability, no difference, or a scale beyond doubles."""
+    from robustlab.norms.hinfinity import unstable_norm
+
+    remarks = []
+    unstable = unstable_norm(perturbed)
+    if unstable is not None and unstable_norm(nominal) is None:
+        remarks.append(f"the perturbed model is not stable, the nominal one is: {unstable.reason}")
+    whole = [np.block([[m.A, m.B], [m.C, m.D]]) for m in (nominal, perturbed)]
+    if np.array_equal(*whole):
+        remarks.append("no uncertainty: the two models are equal")
+    largest = max(float(np.abs(entries).max(initial=0.0)) for entries in whole)
+    if largest >= HUGE:
+        remarks.append(f"an entry of {largest:.3g}: results keep no digits of entries of order one beside it")
+    return remarks
 
 
 def by_cause(nominal: Any, perturbed: Mapping[str, Any], tolerance: float | None = None) -> UncertainModel:

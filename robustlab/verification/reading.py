@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from robustlab.errors import InputError
 from robustlab.files.hdf5 import read_tree
-from robustlab.files.tree import Dataset, Tree, Unread
+from robustlab.files.tree import Dataset, Tree, Unread, check_header, is_stamped
 from robustlab.verification.claim import Claim
 
 GROUP = "claims"
@@ -20,22 +19,23 @@ def claims_in_file(path: str | Path) -> list[Claim]:
     group.
 
     A claim is a group with the attribute ``claim`` (its kind) and one dataset for each of its numbers. Raises
-    InputError: no HDF5 file, a claim that is none, or the file of a controller with claims about other ones only.
+    InputError: no HDF5 file, one whose content hash does not match, or a claim that is none.
     """
+    return claims_in(read_checked(path))
+
+
+def read_checked(path: str | Path) -> Tree:
+    """What is in a file. Raises InputError: no HDF5 file, or a format 1 file with a wrong header or content hash."""
     root = read_tree(path)
+    if is_stamped(root):
+        check_header(root)
+    return root
+
+
+def claims_in(root: Tree) -> list[Claim]:
+    """The claims of a file, in their order. Raises InputError: a claim that is none."""
     node = root.find(GROUP)
-    claims = [] if node is None else [_claim(node.groups[name]) for name in sorted(node.groups, key=_order)]
-    if claims and str(root.attrs.get("kind", "")) == "controller":
-        K = {letter: _values(root, letter, root.datasets[letter]) for letter in "ABCD" if letter in root.datasets}
-        if not any(is_about(claim, K) for claim in claims):
-            raise InputError(root.file, "claims about other controllers only", "one about the controller in the file")
-    return claims
-
-
-def is_about(claim: Claim, K: Mapping[str, np.ndarray]) -> bool:
-    """Whether the controller of the claim's loop has these matrices ``A .. D``, to the last bit."""
-    named = [(letter, claim.numbers.get(f"K_{letter}")) for letter in "ABCD"]
-    return all(own is not None and letter in K and np.array_equal(own, K[letter]) for letter, own in named)
+    return [] if node is None else [_claim(node.groups[name]) for name in sorted(node.groups, key=_order)]
 
 
 def _order(name: str) -> tuple[int, str]:

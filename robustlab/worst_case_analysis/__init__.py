@@ -5,7 +5,7 @@ Whatever this room finds is attained by a Delta that it returns; none of it prov
 
 from robustlab.worst_case_analysis.influence import Influence
 from robustlab.worst_case_analysis.metrics import METRICS, MetricBatch, MetricRequest
-from robustlab.worst_case_analysis.sampling import Responses, Samples, StreamedResponses, sample
+from robustlab.worst_case_analysis.sampling import Responses, Samples, sample
 from robustlab.worst_case_analysis.statistics import (
     Quantile,
     ViolationProbability,
@@ -24,7 +24,6 @@ __all__ = [
     "Quantile",
     "Responses",
     "Samples",
-    "StreamedResponses",
     "ViolationProbability",
     "WorstCase",
     "clopper_pearson",

@@ -23,11 +23,13 @@ from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.upper_lft import ILL_POSED
 from robustlab.worst_case_analysis.ensemble import Ensemble, lft_parts, split, state_scale
-from robustlab.worst_case_analysis.seeded_uniform import uniform_numbers
-from robustlab.worst_case_analysis.tuning import TUNING
 
 # "all" vertices are listed up to this many real deltas; subsets are drawn from a full list up to the same number.
 MAX_LISTED = 16
+# Members are computed in blocks that begin at its multiples: a sample's value must not depend on how many are drawn.
+BLOCK = 512
+BLOCK_NUMBERS = 2_000_000  # of large models, which take smaller blocks
+TABLE = 4_000_000  # numbers of all L_k R_k up to which they are kept
 
 
 def is_count(value: Any, least: int) -> bool:
@@ -78,7 +80,8 @@ class Deltas(Sequence[Mapping[str, Any]]):
     def numbers(self, part: slice) -> Array:
         """Normalised values of the real scalars of some samples, shape (k, d); for sets of real scalars only."""
         inside = np.arange(part.start, max(part.start, min(part.stop, self.n)))
-        drawn = uniform_numbers(self.seed, inside, len(self.blocks))
+        drawn = np.array([_generator(self.seed, int(i)).uniform(-1.0, 1.0, len(self.blocks)) for i in inside])
+        drawn = drawn.reshape(len(inside), len(self.blocks))
         for k, block in self._asymmetric:
             drawn[:, k] = [block.in_range(place) for place in drawn[:, k].tolist()]
         corners = self.signs[max(part.start - self.n, 0) : max(part.stop - self.n, 0)]
@@ -148,8 +151,8 @@ class RealSet:
         self._scale = state_scale(m.A)
         self._left, self._right, self._d11, self._nominal = lft_parts(uncertain)
         self._table: Array | None = None
-        self.block = max(1, min(TUNING.block, TUNING.block_numbers // max(1, self._nominal.size)))
-        small = self.block == TUNING.block and len(blocks) * self._nominal.size <= TUNING.table
+        self.block = max(1, min(BLOCK, BLOCK_NUMBERS // max(1, self._nominal.size)))
+        small = self.block == BLOCK and len(blocks) * self._nominal.size <= TABLE
         if not self._d11.any() and small:
             products = self._left.T[:, :, None] * self._right[:, None, :]
             table = np.zeros((len(blocks), *self._nominal.shape))
@@ -178,11 +181,9 @@ class RealSet:
         ill_posed = np.zeros(k, dtype=bool)
         if self._table is not None:
             # Filled up to whole blocks: a product of another shape may round differently.
-            numbers = np.zeros((-(-k // TUNING.block) * TUNING.block, len(self)))
+            numbers = np.zeros((-(-k // BLOCK) * BLOCK, len(self)))
             numbers[:k] = np.where(theta < 0, theta * self.below, theta)
-            change = np.concatenate(
-                [numbers[i : i + TUNING.block] @ self._table for i in range(0, len(numbers), TUNING.block)]
-            )
+            change = np.concatenate([numbers[i : i + BLOCK] @ self._table for i in range(0, len(numbers), BLOCK)])
             whole = self._nominal + change[:k].reshape(k, *self._nominal.shape)
             return split(whole, self.n_states, self.dt, ill_posed, self._scale)
         diagonal = self.channels(theta)

@@ -2,15 +2,14 @@ r"""Many members of an uncertain model at once: batched matrices, poles, time re
 
 .. math:: \begin{bmatrix} A & B \\ C & D \end{bmatrix}_k = M_{22} + M_{21} \Delta_k (I - D_{11} \Delta_k)^{-1} M_{12}
 
-A response is driven by an `Excitation`, a uniform clock and the samples of every input; it is computed with arrays, or
-by the compiled kernels for models that are worth loading them.
+A response is driven by an `Excitation`, a uniform clock and the samples of every input.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +22,11 @@ from robustlab.statespace import Signal, real_array
 from robustlab.uncertainty.blocks import Block, delta_matrix, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.upper_lft import ILL_POSED
-from robustlab.worst_case_analysis.tuning import TUNING
+
+CHUNK = 2_000_000  # numbers of an intermediate array: memory, not the answer
+TRACES = 1e-6  # share of |A|^2 from which on the trace of A^2 is no rounding
+ZOOM_POINTS = 7  # of each round of the zoom on the highest grid point ...
+ZOOM_ROUNDS = 8  # ... each of which narrows its bracket by a factor of 4
 
 Hold = Literal["zoh", "foh"]
 
@@ -167,12 +170,12 @@ class Ensemble:
             trace, squares = np.einsum("kii->k", self.A), np.einsum("kij,kji->k", self.A, self.A)
             size = np.sqrt(np.einsum("kij,kij->k", self.A, self.A))
             fast, beyond = np.sqrt(np.maximum(squares / n, 0.0)), 2 * n * margin * size
-            return (squares > TUNING.traces * size**2) & (fast > beyond) & (trace + fast > beyond)
+            return (squares > TRACES * size**2) & (fast > beyond) & (trace + fast > beyond)
 
 
 def chunks(count: int, numbers_each: int) -> Iterator[slice]:
-    """Slices of ``range(count)``, each of which needs about ``chunk`` numbers (see `WorstCaseTuning`)."""
-    step = max(1, TUNING.chunk // max(1, numbers_each))
+    """Slices of ``range(count)``, each of which needs about ``CHUNK`` numbers."""
+    step = max(1, CHUNK // max(1, numbers_each))
     for first in range(0, count, step):
         yield slice(first, min(first + step, count))
 
@@ -213,6 +216,11 @@ def split(whole: NDArray[Any], n: int, dt: float, ill_posed: Mask, scale: Array)
     return Ensemble(whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:], dt, ill_posed, scale)
 
 
+def blocks_of(count: int, size: int) -> list[slice]:
+    """The blocks of ``range(count)``."""
+    return [slice(first, min(first + size, count)) for first in range(0, count, size)]
+
+
 def state_scale(a: Array) -> Array:
     """Powers of two that balance A (n_x, n_x), shape (n_x,)."""
     from scipy.linalg import matrix_balance
@@ -225,7 +233,7 @@ def state_scale(a: Array) -> Array:
 # --- time ------------------------------------------------------------------------------------------------------------
 
 
-def time_responses(ensemble: Ensemble, h: float, u: Array, x0: Array, hold: Hold = "zoh") -> Array:
+def time_responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold = "zoh") -> Array:
     r"""Outputs of all (real) members for one input on a uniform clock, shape (k, n_t, n_y).
 
     .. math:: x_{j+1} = \Phi x_j + \Gamma u_j + \Gamma_1 (u_{j+1} - u_j)
@@ -233,10 +241,9 @@ def time_responses(ensemble: Ensemble, h: float, u: Array, x0: Array, hold: Hold
     exact for an input that is piecewise constant (``hold = "zoh"``, without the last term) or linear (``"foh"``).
     A member that outgrows double precision gives infinite or NaN samples.
 
-    ``h``: step in s.
-    ``u``: input samples, shape (n_t, n_u).
     ``x0``: initial state, shape (n_x,).
     """
+    h, u = drive.h, drive.u
     k, n_t = len(ensemble), len(u)
     y = np.empty((k, n_t, ensemble.C.shape[1]))
     used = np.flatnonzero(u.any(axis=0))
@@ -298,79 +305,6 @@ def transitions(
     return phi, gamma, slope
 
 
-# --- time, compiled ---------------------------------------------------------------------------------------------------
-
-
-class Lanes(NamedTuple):
-    """Members and what drives them, as the kernels take them; see `robustlab.worst_case_analysis.response_kernels`."""
-
-    # phi, gamma, c, d: matrices of the recursion, shapes (n_groups, rows, columns, LANES)
-    phi: Array
-    gamma: Array
-    c: Array
-    d: Array
-    # c_entries, d_entries: places (i, j) of C and D that are not zero in every member
-    c_entries: NDArray[np.int64]
-    d_entries: NDArray[np.int64]
-    # u, v, x0: inputs of the outputs (n_t, n_used) and of the states (n_t - 1, ...), and the initial state (n_x,)
-    u: Array
-    v: Array
-    x0: Array
-
-
-def in_lanes(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold) -> Lanes:
-    """The kernels' arrays for some members under one input."""
-    used = np.flatnonzero(drive.u.any(axis=0))
-    with np.errstate(over="ignore", invalid="ignore"):
-        phi, gamma, slope = transitions(ensemble, drive.h, hold, used)
-    u = np.ascontiguousarray(drive.u[:, used])
-    v = u[:-1]
-    if hold == "foh":
-        gamma, v = np.concatenate([gamma, slope], axis=2), np.hstack([v, np.diff(u, axis=0)])
-    d = ensemble.D[:, :, used]
-    # Entries that are zero in every member cost nothing; which ones are, all members of a set share.
-    where_c, where_d = (np.argwhere((matrix != 0).any(axis=0)) for matrix in (ensemble.C, d))
-    phi, gamma, c, d = (_grouped(matrices) for matrices in (phi, gamma, ensemble.C, d))
-    of_c, of_d = (np.ascontiguousarray(where.reshape(-1, 2), dtype=np.int64) for where in (where_c, where_d))
-    return Lanes(phi, gamma, c, d, of_c, of_d, u, np.ascontiguousarray(v), np.array(x0, dtype=float))
-
-
-def _grouped(matrices: Array) -> Array:
-    """(k, r, c) as (n_groups, r, c, LANES), zeros after the last."""
-    from robustlab.worst_case_analysis.response_kernels import LANES
-
-    k, rows, columns = matrices.shape
-    groups = -(-k // LANES)
-    whole = np.zeros((groups * LANES, rows, columns))
-    whole[:k] = matrices
-    return np.ascontiguousarray(whole.reshape(groups, LANES, rows, columns).transpose(0, 2, 3, 1))
-
-
-def is_compiled(n_t: int, n_x: int) -> bool:
-    """Whether responses of so many times and states come from the compiled kernel."""
-    return n_t * max(1, n_x) ** 2 >= TUNING.compiled_from
-
-
-def responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold, out: Array | None = None) -> Array:
-    """Outputs of all (real) members (k, n_t, n_y), by the way that suits the size of one of them.
-
-    The choice depends on the model and the clock alone, so that a member's response does not depend on how many others
-    are asked for.
-    """
-    n_t, n_y = len(drive.u), ensemble.C.shape[1]
-    if not is_compiled(n_t, len(x0)):
-        found = time_responses(ensemble, drive.h, drive.u, x0, hold)
-        if out is None:
-            return found
-        out[:] = found
-        return out
-    from robustlab.worst_case_analysis.response_kernels import respond
-
-    out = np.empty((len(ensemble), n_t, n_y)) if out is None else out
-    respond(in_lanes(ensemble, drive, x0, hold), out)
-    return out
-
-
 # --- frequency -------------------------------------------------------------------------------------------------------
 
 
@@ -399,12 +333,12 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
         omega = np.hstack([np.broadcast_to(base, (len(index), len(base))), own if both_sides else np.abs(own)])
         omega = np.sort(np.clip(omega, -top, top), axis=1)
         gain = _gains(ensemble, index, omega)
-        for _ in range(TUNING.zoom_rounds):
+        for _ in range(ZOOM_ROUNDS):
             best = gain.argmax(axis=1)
             rows = np.arange(len(index))
             low = omega[rows, np.maximum(best - 1, 0)]
             high = omega[rows, np.minimum(best + 1, omega.shape[1] - 1)]
-            finer = np.linspace(low, high, TUNING.zoom_points + 2, axis=1)
+            finer = np.linspace(low, high, ZOOM_POINTS + 2, axis=1)
             omega = np.sort(np.hstack([finer, omega[rows, best][:, None]]), axis=1)
             gain = _gains(ensemble, index, omega)
         best = gain.argmax(axis=1)

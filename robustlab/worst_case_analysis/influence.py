@@ -25,7 +25,8 @@ from robustlab.arrays import Array
 from robustlab.shown import Facts, Shown, listed, number
 from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.metrics import MetricBatch
-from robustlab.worst_case_analysis.tuning import TUNING
+
+MOST_BINS = 32  # along each parameter, for the share of the variance that it explains
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def influence_of(batch: MetricBatch, values: Array, worst: int) -> Influence:
     finite = bool(np.isfinite(values).all())
     numbers = values if finite else _ranks(values)
     coefficients, fit = _rank_regression(theta, values)
-    bins = int(np.clip(np.sqrt(len(values)), 4, TUNING.influence_bins))
+    bins = int(np.clip(np.sqrt(len(values)), 4, MOST_BINS))
     first_order = np.array([_between_bins(theta[:, k], numbers, bins) for k in range(theta.shape[1])])
     at = theta[worst]
     d = len(at)

@@ -2,7 +2,7 @@
 
 Every metric has two ways to its value: ``values`` for many Deltas at once, which a search uses, and ``evaluate`` for
 one, through `UncertainModel.evaluate` and the routines that a user would call: the result is re-evaluated with it.
-Where the value is smooth in the matrices, ``slope`` gives its exact derivative with respect to them.
+Where the value is smooth in the parameters (``smooth``), a search climbs along difference quotients of it.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ class Metric:
     # inf`.
     sense: float = 1.0
     tolerance: float = 1e-6  # search and re-evaluation must agree to this share of the value
+    smooth: bool = True  # False where the value jumps with the parameters
     # True where re-evaluation may find a worse value than the search saw (a peak between its grid points).
     one_sided: bool = False
 
@@ -68,15 +69,8 @@ class Metric:
         """The metric of one model, by a second way."""
         raise NotImplementedError
 
-    def slope(self, ensemble: Ensemble) -> tuple[float, Array] | None:
-        """Value and derivative ``dv / d[A B; C D]`` (n_x + n_y, n_x + n_u) of an ensemble's only member.
-
-        None where the metric has no derivative; a value that is not finite comes with zeros.
-        """
-        return None
-
     def work(self, count: int) -> float:
-        """Work of measuring so many members at once, roughly; a slope costs what two members do on their own."""
+        """Work of measuring so many members at once, roughly."""
         n = self.uncertain.M.n_states
         return 300 + count * (20 + n**2 + n**3 / 30)
 

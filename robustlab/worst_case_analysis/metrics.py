@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,20 +17,16 @@ from robustlab.dynamics.simulation import default_clock
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean, is_function
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count
-from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, delta_stack, excitation
+from robustlab.worst_case_analysis.draws import BLOCK, Deltas, RealSet, is_count
+from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, blocks_of, delta_stack, excitation
 from robustlab.worst_case_analysis.metric_contract import Evaluation, Metric, need_real
 from robustlab.worst_case_analysis.model_metrics import (
     Damping,
     H2Gain,
-    HankelValue,
     HinfGain,
-    RelativeReach,
     SpectralAbscissa,
 )
-from robustlab.worst_case_analysis.streaming import blocks_of, in_order
 from robustlab.worst_case_analysis.time_metrics import Overshoot, Peak, PeakDeviation, Rms, SettlingTime, TimeMetric
-from robustlab.worst_case_analysis.tuning import TUNING
 
 MOST_SAMPLES = 10_000_000
 UserFunction = Callable[[StateSpaceModel], float]
@@ -45,8 +42,6 @@ METRICS: dict[str, str] = {
     "h2": "H2 norm; infinite for unstable members",
     "spectral-abscissa": "largest real part of the poles",
     "damping": "smallest damping ratio of the poles; the smallest is the worst",
-    "controllability": "share of the nominal reach left in the weakest direction; the smallest is the worst",
-    "hankel": "smallest Hankel singular value; the smallest is the worst",
 }
 OF_A_RESPONSE: dict[str, type[TimeMetric]] = {
     kind.name: kind for kind in (PeakDeviation, Peak, Rms, Overshoot, SettlingTime)
@@ -73,6 +68,8 @@ class MetricRequest:
 
 class UserMetric(Metric):
     """A user's function of a model; the larger the worse, ``inf`` for a member without a bounded value."""
+
+    smooth = False
 
     def __init__(self, uncertain: UncertainModel, function: UserFunction, name: str) -> None:
         need_real(uncertain, f"the function {name}")
@@ -124,22 +121,18 @@ def make_metric(uncertain: UncertainModel, request: MetricRequest, where: str = 
         raise UsageError(where, f"metric {metric!r}", f"one of {', '.join(METRICS)}", did_you_mean(metric, [*METRICS]))
     if metric in OF_A_RESPONSE:
         return _of_a_response(uncertain, request, where)
-    if metric == "controllability":
-        clock = default_clock(uncertain.nominal, where) if request.t is None else np.asarray(request.t, dtype=float)
-        return RelativeReach(uncertain, request.input, float(np.ptp(clock)) if clock.size else 0.0)
     if metric == "spectral-abscissa":
         return SpectralAbscissa(uncertain)
     if metric == "damping":
         return Damping(uncertain)
-    made: dict[str, Callable[..., Metric]] = {"hinf": HinfGain, "h2": H2Gain, "hankel": HankelValue}
-    return made[metric](uncertain, request.input, request.output)
+    return (HinfGain if metric == "hinf" else H2Gain)(uncertain, request.input, request.output)
 
 
 def _of_a_response(uncertain: UncertainModel, request: MetricRequest, where: str) -> Metric:
     names = [s.name for s in uncertain.outputs]
     output = request.output
     if output is None and len(names) != 1:
-        expected, hint = f"output: one of {', '.join(names)}", f"name one: output={names[0]!r}, or --outputs {names[0]}"
+        expected, hint = f"output: one of {', '.join(names)}", f"name one: output={names[0]!r}"
         raise UsageError(where, f"{len(names)} outputs and none named", expected, hint)
     u: Any = {request.input: 1.0} if request.u is None and request.input is not None else request.u
     clock = default_clock(uncertain.nominal, where) if request.t is None else request.t
@@ -211,7 +204,7 @@ class MetricBatch:
         if not self.all_real:
             return self.judge.values(delta_stack(self.uncertain.blocks, deltas[first : first + count]))
         # Products are rounded the same for the same place in a block only: begin where a block begins.
-        start = first - first % TUNING.block
+        start = first - first % BLOCK
         values = np.empty(first + count - start)
         for part in blocks_of(len(values), self.real_set.block):
             theta = deltas.numbers(slice(start + part.start, start + part.stop))
@@ -230,7 +223,10 @@ class MetricBatch:
         """Values of the first n samples (n,), by so many threads."""
         if not is_count(n, 1) or n > MOST_SAMPLES:
             raise InputError("n", f"{n!r}", f"a whole number of samples from 1 to {MOST_SAMPLES}")
+        if not is_count(workers, 1):
+            raise InputError("workers", f"{workers!r}", "a whole number, at least 1")
         if self.all_real:
             self.real_set  # noqa: B018  made before threads ask for it
-        parts = blocks_of(int(n), TUNING.block)
-        return np.concatenate(list(in_order(lambda part: self(part.start, part.stop - part.start), parts, workers)))
+        parts = blocks_of(int(n), BLOCK)
+        with ThreadPoolExecutor(workers) as pool:
+            return np.concatenate(list(pool.map(lambda part: self(part.start, part.stop - part.start), parts)))

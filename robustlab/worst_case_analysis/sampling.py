@@ -22,12 +22,12 @@ from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count, vertex_signs
-from robustlab.worst_case_analysis.ensemble import Excitation, Hold, excitation, responses
-from robustlab.worst_case_analysis.streaming import LABEL, StreamedResponses, blocks_of, stream
-from robustlab.worst_case_analysis.tuning import TUNING
+from robustlab.worst_case_analysis.ensemble import Excitation, Hold, blocks_of, excitation, time_responses
 
 # A response is kept whole: samples x times x outputs.
 MAX_NUMBERS = 64_000_000
+MARGINAL = 1e-9  # share of the largest pole beyond the stability boundary that counts as unstable
+LABEL = "sampled: the true envelope may be wider"
 
 
 @dataclass(frozen=True)
@@ -87,43 +87,6 @@ class Samples(Tabular, Shown):
             A sample is ill-posed: it has no response at all.
         """
         return _respond(self, t, u, x0, hold)
-
-    def stream(
-        self,
-        t: ArrayLike,
-        u: Mapping[str, ArrayLike] | ArrayLike | None = None,
-        x0: ArrayLike | None = None,
-        hold: Literal["zoh", "foh"] = "zoh",
-        *,
-        quantiles: Sequence[float] = (0.05, 0.5, 0.95),
-        workers: int = 1,
-    ) -> StreamedResponses:
-        """Envelope, mean, quantiles and worst sample of any number of responses, in constant memory.
-
-        Parameters
-        ----------
-        t, u, x0, hold
-            As in `respond`.
-        quantiles
-            Shares of the samples, between 0 and 1.
-        workers
-            Threads; the answer is the same to the last bit for any number of them.
-
-        Raises
-        ------
-        InputError, NoTrustworthyNumber
-            As in `respond`; quantiles or workers that are none.
-
-        Examples
-        --------
-        >>> from robustlab.uncertainty.blocks import RealScalar
-        >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
-        >>> found = sample(UncertainModel(M, [RealScalar("pole")]), 2000).stream(np.linspace(0, 9, 10))
-        >>> bool(1 / 1.2 < found.quantiles[0.05][-1, 0] < found.mean[-1, 0] < 1 / 0.8)
-        True
-        """
-        drive, start = _asked(self.uncertain, t, u, x0, hold, "stream")
-        return stream(self.uncertain, self.deltas, drive, start, hold, quantiles, workers)
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
@@ -381,23 +344,22 @@ def _asked(
     u: Mapping[str, ArrayLike] | ArrayLike | None,
     x0: ArrayLike | None,
     hold: Hold,
-    where: str,
 ) -> tuple[Excitation, Array]:
     """Clock and input, and the initial state, of a request that makes sense."""
     for block in uncertain.blocks:
         if not block.is_real:
             raise InputError(
-                where,
+                "respond",
                 f"block {block.name!r} is complex",
                 "real blocks",
                 "a complex Delta has no response in real time; use worst_case(..., metric='hinf')",
             )
-    drive = excitation(uncertain.inputs, uncertain.dt, t, u, where)
-    start = np.zeros(uncertain.M.n_states) if x0 is None else real_array("x0", x0, 1, where)
+    drive = excitation(uncertain.inputs, uncertain.dt, t, u, "respond")
+    start = np.zeros(uncertain.M.n_states) if x0 is None else real_array("x0", x0, 1, "respond")
     if len(start) != uncertain.M.n_states:
-        raise InputError(where, f"x0 has {len(start)} entries", f"{uncertain.M.n_states}")
+        raise InputError("respond", f"x0 has {len(start)} entries", f"{uncertain.M.n_states}")
     if hold not in ("zoh", "foh") or (hold == "foh" and uncertain.dt):
-        raise InputError(where, f"hold {hold!r}", "'zoh'" + ("" if uncertain.dt else " or 'foh'"))
+        raise InputError("respond", f"hold {hold!r}", "'zoh'" + ("" if uncertain.dt else " or 'foh'"))
     return drive, start
 
 
@@ -406,19 +368,19 @@ def _respond(
     samples: Samples, t: ArrayLike, u: Mapping[str, ArrayLike] | ArrayLike | None, x0: ArrayLike | None, hold: Hold
 ) -> Responses:
     uncertain = samples.uncertain
-    drive, start = _asked(uncertain, t, u, x0, hold, "respond")
+    drive, start = _asked(uncertain, t, u, x0, hold)
     n_y, count = len(uncertain.outputs), len(samples) * len(drive.t) * len(uncertain.outputs)
     if count > MAX_NUMBERS:
-        hint = "fewer samples or times, or stream() instead of respond()"
+        hint = "fewer samples or times"
         raise InputError("respond", f"{count:.3g} numbers of response", f"at most {MAX_NUMBERS:.3g}", hint)
     y = np.empty((len(samples), len(drive.t), n_y))
     unstable: list[int] = []
     members = RealSet(uncertain)
     for part in blocks_of(len(samples), members.block):
         ensemble = members.drawn(samples.deltas, part, "respond")
-        unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(TUNING.marginal))]
-        responses(ensemble, drive, start, hold, y[part])
-    nominal = responses(members.members(np.zeros((1, len(members)))), drive, start, hold)[0]
+        unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
+        y[part] = time_responses(ensemble, drive, start, hold)
+    nominal = time_responses(members.members(np.zeros((1, len(members)))), drive, start, hold)[0]
     lower, upper, deviation, finite = _envelope(y, nominal)
     return Responses(
         drive.t,

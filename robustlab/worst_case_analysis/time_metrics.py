@@ -15,7 +15,7 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, members, responses
+from robustlab.worst_case_analysis.ensemble import Ensemble, Excitation, Hold, members, time_responses
 from robustlab.worst_case_analysis.metric_contract import (
     Evaluation,
     Metric,
@@ -24,8 +24,8 @@ from robustlab.worst_case_analysis.metric_contract import (
     need_stable,
     selected,
 )
-from robustlab.worst_case_analysis.sensitivity import response_slope, steady_state_slope
-from robustlab.worst_case_analysis.tuning import TUNING
+
+NO_FINAL_VALUE = 1e-9  # share of a response's size below which a final value is zero
 
 
 class TimeMetric(Metric):
@@ -62,7 +62,7 @@ class TimeMetric(Metric):
 
     def _responses(self, ensemble: Ensemble) -> Array:
         start = np.zeros(ensemble.A.shape[1])
-        return responses(ensemble, self._drive, start, self._hold)[:, :, 0]
+        return time_responses(ensemble, self._drive, start, self._hold)[:, :, 0]
 
     def _measure(self, y: Array, ensemble: Ensemble) -> tuple[Array, NDArray[np.intp]]:
         """Value of each response (k, n_t), and the sample where it is attained."""
@@ -100,30 +100,6 @@ class TimeMetric(Metric):
         n, steps = self.uncertain.M.n_states, len(self._drive.t)
         return 300 + steps * (0.1 + n**2 / 160) + count * (20 + n**3 / 50 + steps * (0.05 + n**2 / 6000))
 
-    def slope(self, ensemble: Ensemble) -> tuple[float, Array] | None:
-        """See `Metric.slope`."""
-        with np.errstate(all="ignore"):
-            y = self._responses(ensemble)[0]
-            value, at = self._measure(y[None], ensemble)
-        if not np.isfinite(value[0]) or not np.isfinite(y).all():
-            rows, columns = ensemble.A.shape[1] + ensemble.C.shape[1], ensemble.A.shape[2] + ensemble.B.shape[2]
-            return np.inf, np.zeros((rows, columns))
-        found = response_slope(ensemble, self._drive, self._hold, self._weights(y, int(at[0]), ensemble)[:, None])
-        return float(value[0]), found + self._beyond_response(y, int(at[0]), ensemble)
-
-    def _weights(self, y: Array, at: int, ensemble: Ensemble) -> Array:
-        """Derivative of the value with respect to each sample of the response, (n_t,)."""
-        raise NotImplementedError
-
-    def _beyond_response(self, y: Array, at: int, ensemble: Ensemble) -> Array | float:
-        """What the slope has besides the way through the response."""
-        return 0.0
-
-    def _at_one(self, at: int, weight: float) -> Array:
-        weights = np.zeros(len(self._drive.t))
-        weights[at] = weight
-        return weights
-
 
 class PeakDeviation(TimeMetric):
     """Largest ``|y(t; Delta) - y(t; 0)|`` over the given times."""
@@ -137,9 +113,6 @@ class PeakDeviation(TimeMetric):
     def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
         return self._attained(np.abs(y - self._simulated(self.uncertain.nominal)))
 
-    def _weights(self, y: Array, at: int, ensemble: Ensemble) -> Array:
-        return self._at_one(at, float(np.sign(y[at] - self._nominal[at])))
-
 
 class Peak(TimeMetric):
     """Largest ``|y(t)|`` over the given times."""
@@ -151,9 +124,6 @@ class Peak(TimeMetric):
 
     def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
         return self._attained(np.abs(y))
-
-    def _weights(self, y: Array, at: int, ensemble: Ensemble) -> Array:
-        return self._at_one(at, float(np.sign(y[at])))
 
 
 class Rms(TimeMetric):
@@ -174,10 +144,6 @@ class Rms(TimeMetric):
     def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
         return Evaluation(float(np.sqrt(np.trapezoid(y**2, self._drive.t) / np.ptp(self._drive.t))))
 
-    def _weights(self, y: Array, at: int, ensemble: Ensemble) -> Array:
-        value = float(np.sqrt((y**2 * self._shares).sum()))
-        return self._shares * y / value if value > 0 else np.zeros(len(y))
-
 
 class _Settled(TimeMetric):
     """What metrics share that are relative to the final value."""
@@ -188,7 +154,7 @@ class _Settled(TimeMetric):
             raise InputError("worst_case", "an input that changes", f"constant inputs: {self.name} is that of a step")
         need_stable(self.uncertain.nominal, f"it has no {self.name}")
         final = float(self._finals(self._centre)[0])
-        if abs(final) <= TUNING.no_final_value * float(np.abs(self._nominal).max(initial=0.0)):
+        if abs(final) <= NO_FINAL_VALUE * float(np.abs(self._nominal).max(initial=0.0)):
             raise NoTrustworthyNumber(
                 "worst_case",
                 f"the nominal response settles at {final:.3g}",
@@ -240,16 +206,6 @@ class Overshoot(_Settled):
         found = self._attained(y / final)
         return Evaluation(max(0.0, 100.0 * (found.value - 1.0)), found.at)
 
-    def _weights(self, y: Array, at: int, ensemble: Ensemble) -> Array:
-        final = float(self._finals(ensemble)[0])
-        return self._at_one(at, 100.0 / final if y[at] / final > 1 else 0.0)
-
-    def _beyond_response(self, y: Array, at: int, ensemble: Ensemble) -> Array | float:
-        final = float(self._finals(ensemble)[0])
-        if y[at] / final <= 1:
-            return 0.0
-        return -100.0 * y[at] / final**2 * steady_state_slope(ensemble, self._drive.u[0])
-
 
 class SettlingTime(_Settled):
     """Last time at which a step response is farther from its final value than ``band`` times it, in s.
@@ -260,6 +216,7 @@ class SettlingTime(_Settled):
 
     name = "settling-time"
     location = ""
+    smooth = False
 
     def __init__(
         self, uncertain: UncertainModel, output: str, drive: Excitation, hold: Hold, band: float = 0.02
@@ -283,10 +240,6 @@ class SettlingTime(_Settled):
         last = f"{self._drive.t[-1]:.6g}"
         reason = "" if np.isfinite(value) else f"this member has not settled by t = {last} s, the last of the times"
         return Evaluation(value, reason=reason)
-
-    def slope(self, ensemble: Ensemble) -> tuple[float, Array] | None:
-        """None: the settling time jumps where a swing touches the edge of the band."""
-        return None
 
 
 def settling_times(t: Array, y: Array, final: Array, band: float) -> Array:

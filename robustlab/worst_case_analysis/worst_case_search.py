@@ -1,7 +1,8 @@
 """Search for the worst member of an uncertain model: centre, vertices, Sobol points, then local searches from the best.
 
-Where the set is real and the metric has a derivative, local searches climb along exact gradients (jumps to the vertex
-that the gradient points to, then a quasi-Newton method in the box); a compass search finishes, or does it all.
+Where the set is real and the metric is smooth, local searches climb along gradients by difference quotients (jumps to
+the vertex that the gradient points to, then a quasi-Newton method in the box); a compass search finishes, or does it
+all.
 
 A search attains what it reports; it proves no bound. Guaranteed bounds are `robustlab.mu_analysis`' business.
 """
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
-from robustlab.budget import NOT_REPEATABLE, Budget, one_thread, search_budget
+from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Evidence, Status
 from robustlab.shown import AllFields, Facts, Part, Shown, member, member_rows, number
@@ -28,13 +29,22 @@ from robustlab.worst_case_analysis.draws import RealSet, is_count, vertex_signs
 from robustlab.worst_case_analysis.ensemble import chunks, members
 from robustlab.worst_case_analysis.metric_contract import Metric
 from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
-from robustlab.worst_case_analysis.sensitivity import delta_slope
 from robustlab.worst_case_analysis.time_metrics import TimeMetric
-from robustlab.worst_case_analysis.tuning import TUNING, WorstCaseTuning
 
 LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 UNBOUNDED = "attained: this member has no bounded value"
+WORK = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
+CLIMBING = 0.5  # share of it that the climbs may take, each an equal part
+VERTICES = 1024  # at most, beside the Sobol points
+CLIMBS = 8  # local searches along gradients; more: more local maxima seen
+STARTS = 4  # compass searches where there are no gradients
+JUMPS = 6  # to the vertex that a gradient points to, at the beginning of a climb
+CLIMB_STEPS = 40  # of the quasi-Newton method after them
+SMALLEST_STEP = 1e-7  # of a compass search
+APART = 0.2  # starting points of climbs differ by this in one coordinate at least
+STEP = 1e-6  # of the difference quotients, in the box [-1, 1]
+ROUNDING = 1e-11  # relative change of a score that rounding may make
 
 
 @dataclass(frozen=True)
@@ -102,7 +112,7 @@ class WorstCase(Shown, AllFields):
     seed
         Seed of the search.
     gradients
-        How many exact gradients it used.
+        How many gradients it used.
     response
         Of the output that is judged, nominal and at ``delta``; None for metrics that are not those of a response, and
         where it outgrows every number.
@@ -191,8 +201,6 @@ def worst_case(
         overshoot, settling-time      of the step response of one output, in % and s; infinite where unstable
         hinf, h2                      norms; infinite where unstable
         spectral-abscissa, damping    of the poles; the smallest damping is the worst
-        controllability               smallest eigenvalue of ``W_0^-1 W(Delta)``, Gramians over the given times
-        hankel                        smallest Hankel singular value
         ============================  ==============================================================================
     output, input
         Signals to look at. An output is needed for a response where there are several; norms are taken between all
@@ -217,8 +225,7 @@ def worst_case(
     Returns
     -------
     WorstCase
-        The largest value found (for ``damping``, ``controllability`` and ``hankel`` the smallest), re-evaluated, with
-        the Delta that attains it.
+        The largest value found (for ``damping`` the smallest), re-evaluated, with the Delta that attains it.
 
     Raises
     ------
@@ -237,7 +244,7 @@ def worst_case(
     >>> found.delta, round(found.value, 3)  # log(50) / 0.8
     ({'pole': -1.0}, 4.89)
     """
-    budget = search_budget("worst_case", TUNING.work, effort, time_limit)
+    budget = search_budget("worst_case", WORK, effort, time_limit)
     request = MetricRequest(metric, output, input, t, u, hold, band)
     for name, count, least in (("n", n, 1), ("workers", workers, 1), ("seed", seed, 0)):
         if not is_count(count, least):
@@ -253,10 +260,9 @@ def _searched(
     n: int,
     seed: int,
     workers: int,
-    tuning: WorstCaseTuning = TUNING,
 ) -> WorstCase:
     judge = make_metric(uncertain, request)
-    search = _Search(judge, budget, tuning)
+    search = _Search(judge, budget)
     theta, found = search.run(n, seed, workers)
     stack = search.box.deltas(theta[None])
     delta = delta_values(uncertain.blocks, stack[0])
@@ -332,14 +338,6 @@ class DeltaBox:
             delta[:, rows, cols] = block.members(theta[:, part])
         return delta
 
-    def slope(self, theta: Array, delta_slope: Array) -> Array:
-        """``dv / dtheta (d,)`` from ``dv / dDelta (q, p)``, for real scalars; at 0 the slope of the upper side."""
-        diagonal = np.array(
-            [np.trace(delta_slope[rows, cols]) for rows, cols in block_slices(self.blocks)], dtype=float
-        )
-        below = np.array([-b.interval[0] for b in self.blocks if b.interval])
-        return np.where(theta < 0, below, 1.0) * diagonal
-
 
 class _Unbounded(Exception):
     """A climb met a member without a bounded value."""
@@ -367,8 +365,8 @@ class _Climb:
 class _Search:
     """Scores are ``sense * value``: the larger the worse."""
 
-    def __init__(self, judge: Metric, budget: Budget, tuning: WorstCaseTuning = TUNING) -> None:
-        self.judge, self.budget, self.tuning = judge, budget, tuning
+    def __init__(self, judge: Metric, budget: Budget) -> None:
+        self.judge, self.budget = judge, budget
         self.box = DeltaBox(judge.uncertain.blocks)
         self._real = RealSet(judge.uncertain) if self.box.all_real else None
         self.evaluations = self.gradients = 0
@@ -386,15 +384,15 @@ class _Search:
         order = np.argsort(-scores, kind="stable")
         best, top = points[order[0]], float(scores[order[0]])
         if self.box.size and not np.isposinf(top) and not self.ended:
-            if self._has_slope(best):
-                starts = _apart(points[order], self.tuning.climbs, self.tuning.apart)
+            if self._real is not None and self.judge.smooth:
+                starts = _apart(points[order], CLIMBS, APART)
                 for found in self._climbs(starts, workers):
                     self._add(found)
                     if found.score > top:
                         best, top = found.theta, found.score
                 best, top = self._finish(best, top, 0.25)
             else:
-                for index in order[: self.tuning.starts]:
+                for index in order[:STARTS]:
                     theta, score = self._finish(points[index], float(scores[index]), 2.0)
                     if score > top:
                         best, top = theta, score
@@ -405,7 +403,7 @@ class _Search:
         centre = np.zeros((1, d))
         if d == 0:
             return centre
-        signs = vertex_signs(len(self.box.real), self.tuning.vertices, seed) if self.box.real else np.zeros((0, 0))
+        signs = vertex_signs(len(self.box.real), VERTICES, seed) if self.box.real else np.zeros((0, 0))
         vertices = np.zeros((len(signs), d))
         vertices[:, self.box.real] = signs
         return np.vstack([centre, vertices, 2.0 * _sobol(n, d, seed) - 1.0])
@@ -436,12 +434,9 @@ class _Search:
 
     # -- climbing along gradients --
 
-    def _has_slope(self, theta: Array) -> bool:
-        return self._real is not None and self.judge.slope(self._real.members(theta[None])) is not None
-
     def _climbs(self, starts: Array, workers: int) -> Iterator[_Climb]:
         # With a common budget the end of a climb would depend on how far the others, in other threads, have come.
-        each = self.tuning.climbing * self.budget.left / len(starts)
+        each = CLIMBING * self.budget.left / len(starts)
         budgets = [self.budget.apart(each) for _ in starts]
         if workers == 1:
             yield from map(self._climb, starts, budgets)
@@ -463,7 +458,7 @@ class _Search:
                 return -score / size, -slope / size
 
             bounds = [(-1.0, 1.0)] * self.box.size
-            options = {"maxiter": self.tuning.climb_steps}
+            options = {"maxiter": CLIMB_STEPS}
             minimize(falling, climb.theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         except _Unbounded as met:
             climb.theta, climb.score = met.theta, np.inf
@@ -473,7 +468,7 @@ class _Search:
 
     def _jump(self, climb: _Climb) -> None:
         theta = climb.theta
-        for _ in range(self.tuning.jumps):
+        for _ in range(JUMPS):
             score, slope = self._score_and_slope(theta, climb)
             vertex = np.where(slope != 0, np.sign(slope), theta)
             trials = theta + np.array([1.0, 0.5, 0.25, 0.1, 0.03])[:, None] * (vertex - theta)
@@ -489,22 +484,23 @@ class _Search:
             climb.theta, climb.score = theta, float(scores[best])
 
     def _score_and_slope(self, theta: Array, climb: _Climb) -> tuple[float, Array]:
+        """The score, and its difference quotients on the same side of 0 (at 0 upwards), within the box."""
         if climb.budget.over:
             raise _Over
-        climb.budget.spend(2 * self.judge.work(1))
-        assert self._real is not None
-        found = self.judge.slope(self._real.members(theta[None]))
-        assert found is not None
+        step = np.where(theta < 0.0, -STEP, STEP)
+        step = np.where(np.abs(theta + step) > 1.0, -step, step)
+        points = np.vstack([theta, theta + np.diag(step)])
+        climb.budget.spend(self.judge.work(len(points)))
+        scores = self.judge.sense * self._measure(points)
         climb.gradients += 1
-        climb.evaluations += 1
-        score = self.judge.sense * found[0]
-        if not np.isfinite(score):
-            raise _Unbounded(theta.copy())
+        climb.evaluations += len(points)
+        if np.isposinf(scores).any():
+            raise _Unbounded(points[int(scores.argmax())])
+        score = float(scores[0])
         if score > climb.score:
             climb.theta, climb.score = theta.copy(), score
-        delta = np.diag(self._real.channels(theta[None])[0])
-        slope = self.box.slope(theta, delta_slope(self.judge.uncertain, delta, found[1]))
-        return score, self.judge.sense * slope
+        change = scores[1:] - score
+        return score, np.where(np.abs(change) > ROUNDING * abs(score), change, 0.0) / step
 
     # -- compass search --
 
@@ -513,7 +509,7 @@ class _Search:
 
         The first steps are as wide as ``step`` (2: a vertex's neighbours), the last ones as small as ``smallest_step``.
         """
-        while step > self.tuning.smallest_step and not self.ended and not np.isposinf(score):
+        while step > SMALLEST_STEP and not self.ended and not np.isposinf(score):
             trials = self._trials(theta, score, step)
             scores = self._scores(trials)
             best = int(scores.argmax())

@@ -18,7 +18,6 @@ import robustlab as rl
 SUBSET = {
     "zeros": range(12 * len(attack_zeros.FAMILIES)),
     "crossings": range(7 * len(attack_zeros.LOOPS)),
-    "consumers": [*range(60), 440, 1345, 1944],
 }
 
 
@@ -27,7 +26,7 @@ def test_nothing_that_is_vouched_for_is_wrong(what):
     found = [attack_zeros.CASES[what](i) for i in SUBSET[what]]
     assert [r for r in found if r["wrong"]] == []
     vouched = sum(r["status"] in ("converged", "certified") for r in found)
-    assert vouched >= (0.65 if what == "consumers" else 0.97) * len(found)
+    assert vouched >= 0.97 * len(found)
 
 
 def test_the_judge_on_closed_forms():

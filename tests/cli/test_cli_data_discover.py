@@ -151,6 +151,46 @@ def test_an_open_verdict_is_told_in_full_and_ends_in_4(run, files, answer, real,
     assert verdict in err
 
 
+def test_names_that_explain_less_than_half_of_the_error_end_in_4(run, files, answer, real):
+    answer(replace(real, status=rl.Status.INCONCLUSIVE, complete=False))
+    code, text, err = run("discover", "servo-axis", files / "run7.h5")
+    assert (code, "incomplete" in text.splitlines()[0], "named, incomplete" in err) == (4, True, True)
+
+
+def backlash_record(seed):
+    """Two masses on a shaft with 0.02 rad of backlash, by small explicit steps; white noise of 50 microradians."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(1500) * 4e-3
+    amplitudes = 0.06 * rng.choice([-1, 1], 6) * rng.uniform(0.6, 1.4, 6)
+    u = np.cos(2 * np.pi * np.outer(t, [0.6, 1.1, 1.9, 3.1, 4.7, 7.3])) @ amplitudes
+    h, angle1, angle2, speed1, speed2, angles = 2e-4, 0.0, 0.0, 0.0, 0.0, []
+    for torque in u:
+        angles.append((angle1, angle2))
+        for _ in range(20):
+            twist = angle1 - angle2
+            stretch = twist - min(max(twist, -0.01), 0.01)
+            shaft = 10.0 * stretch + 2e-3 * (speed1 - speed2) if stretch else 0.0
+            speed1 += h * (torque - shaft) / 1e-3
+            speed2 += h * shaft / 2e-3
+            angle1 += h * speed1
+            angle2 += h * speed2
+    y = np.array(angles) + 5e-5 * rng.standard_normal((len(t), 2))
+    units = {"torque": "N m", "phi1": "rad", "phi2": "rad"}
+    return rl.Record(t, {"torque": u}, {"phi1": y[:, 0], "phi2": y[:, 1]}, units, f"backlash{seed}")
+
+
+def test_a_name_that_makes_the_free_run_worse_than_as_given_is_not_named(run, tmp_path):
+    """No effect that is tried is the true one; a softer shaft lowers the error in windows only."""
+    paths = [rl.save(tmp_path / f"b{seed}.h5", backlash_record(seed)) for seed in (1, 2)]
+    excluded = [word for name in catalogue() if name != "stiffness" for word in ("--exclude", name)]
+    code, text, _ = run("discover", "two-mass", paths[0], "--held-out", paths[1], *excluded, "--json")
+    result = json.loads(text)
+    assert (code, result["verdict"], result["names"]) == (4, "unknown", [])
+    errors = {m: sum((g[m] / g["range"]) ** 2 for g in result["free_run"].values()) for m in ("nominal", "updated")}
+    assert errors["updated"] > errors["nominal"]
+    assert any("worse than as given" in f["found"] for f in result["findings"])
+
+
 def test_details_are_told_on_demand(run, files, answer, real):
     answer(real)
     short = run("discover", "servo-axis", files / "run7.h5")[1]

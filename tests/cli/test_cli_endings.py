@@ -248,9 +248,7 @@ def test_a_figure_whose_folder_cannot_be_made(tmp_path):
 
 
 def test_a_terminal_that_knows_ascii_only(tmp_path):
-    done = robustlab(
-        "run", "motor-data-sheet", "--out", tmp_path / "out", env={**os.environ, "PYTHONIOENCODING": "ascii"}
-    )
+    done = robustlab("run", "motor-models", "--out", tmp_path / "out", env={**os.environ, "PYTHONIOENCODING": "ascii"})
     assert done.returncode == 0
     assert "Traceback" not in done.stderr
     assert "\\xb1" in done.stdout

@@ -52,7 +52,6 @@ def test_mu_of_data_says_where_it_holds(run):
 def test_a_set_at_given_frequencies(run):
     found = json.loads(run("mu", "set.h5", "--frequency", "0.5,1,4", "--json"))
     assert found["lower_at"] == pytest.approx((abs(1 + 3 * G) / (0.3 * abs(G))).tolist(), rel=1e-6)
-    assert "--certify" in run("mu", "set.h5", "--frequency", "1", "--certify", code=2)
     assert "numbers" in run("mu", "set.h5", "--frequency", "one", code=2)
 
 

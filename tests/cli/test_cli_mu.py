@@ -119,19 +119,11 @@ def test_performance_shares_and_replay(model_file, tmp_path, capsys):
     assert {p.name for p in tmp_path.glob("*.png")} == {"m.png", "m-shares.png", "m-replay.png"}
 
 
-def test_ball_arithmetic_confirms_the_scalings(model_file, capsys):
-    pytest.importorskip("flint")
-    assert call(model_file, "--certify", "--json") == 0
-    data = json.loads(capsys.readouterr().out)
-    assert data["balls"]["proved"] == data["balls"]["tried"] > 0
-
-
 @pytest.mark.parametrize(
     ("arguments", "found"),
     [
         (["--gain", "--performance"], "--gain and --performance"),
         (["--inputs", "u"], "with --gain or --performance or --level only"),
-        (["--gain", "--certify"], "--certify with --gain"),
     ],
 )
 def test_options_that_do_not_go_together(model_file, capsys, arguments, found):
@@ -149,21 +141,6 @@ def test_a_destabilising_friction_below_zero_is_called_impossible(tmp_path, caps
     assert any("physically impossible" in note for note in json.loads(capsys.readouterr().out)["notes"])
 
 
-def test_slicot_is_asked_and_agrees(model_file, capsys):
-    assert call(model_file, "--cross-check") == 0
-    assert "SLICOT  AB13MD bounds mu by" in capsys.readouterr().out
-    assert call(model_file, "--gain", "--cross-check", "--json") == 0
-    check = json.loads(capsys.readouterr().out)["cross_check"]
-    assert (check["routine"], check["status"], check["answered"]) == ("AB13DD", "converged", 1)
-
-
-def test_slicot_that_contradicts_ends_in_exit_code_4(model_file, capsys, monkeypatch):
-    monkeypatch.setattr("robustlab.mu_analysis.cross_check.structured_norm_bounds", lambda M, *_: np.zeros(len(M)))
-    assert call(model_file, "--cross-check") == 4
-    assert "contradicts" in capsys.readouterr().out
-    assert call(model_file, "--performance", "--cross-check") == 2
-
-
 def test_level_asks_how_much_of_the_set_keeps_it(model_file, capsys):
     """1 / (s + 1 + 0.2 delta): the gain of the set times k is 1 / (1 - 0.2 k), below 2 up to k = 2.5."""
     assert call(model_file, "--level", "2", "--json") == 0
@@ -173,5 +150,4 @@ def test_level_asks_how_much_of_the_set_keeps_it(model_file, capsys):
     assert call(model_file, "--level", "2") == 0
     assert "robust gain margin" in capsys.readouterr().out
     assert call(model_file, "--level", "2", "--gain") == 2
-    assert call(model_file, "--level", "2", "--cross-check") == 2
     assert call(model_file, "--level", "-4") == 3

@@ -166,7 +166,6 @@ def test_every_command_that_can_take_long_shows_where_it_stands():
         "mu set.h5 --frequency 1",
         "iqc gain set.h5",
         "synth ncf one.h5",
-        "synth lqg one.h5",
         "uncertain sample set.h5",
         "uncertain delays one.h5 --input-delay u1=0.1",
     ],
@@ -181,7 +180,7 @@ def test_json_lines_of_commands_that_said_nothing(robustlab, words):
     assert words.startswith(last["command"])
 
 
-@pytest.mark.parametrize("words", ["h2 plant.h5 --n-meas 1 --n-con 1", "ncf one.h5", "lqg one.h5"])
+@pytest.mark.parametrize("words", ["h2 plant.h5 --n-meas 1 --n-con 1", "ncf one.h5"])
 def test_figures_of_a_design_are_drawn_while_progress_is_shown(robustlab, words):
     """The last line of progress said the end before they were."""
     model = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])

@@ -132,3 +132,13 @@ def test_an_unstable_loop_of_a_bare_plant_is_exit_code_4(tmp_path, capsys):
     rl.save(k, rl.StateSpaceModel([[-10.0]], [[1.0]], [[5.0]], [[0.0]]))
     assert run(synth.app, "reduce", str(g), str(k)) == 4
     assert "pole 1.43717+0j is unstable" in capsys.readouterr().err
+
+
+def test_a_minimal_model(files, capsys):
+    p, _, out = files
+    rl.save(p, rl.StateSpaceModel([[0, 0], [0, -1]], [[0], [1]], [[1, 1]], [[0]]))
+    assert run(model.app, "minimal", p, "--out", out, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["order"], result["error"]["upper"]) == (1, 0)
+    assert result["removed"] == ["unstable mode 0 rad/s in x1: no input moves it"]
+    assert rl.load(out).poles().tolist() == [-1]

@@ -65,7 +65,7 @@ def test_build_says_json(files, capsys):
 def test_equal_models_are_noted(files, capsys):
     code, text, err = call(capsys, "build", files[0], files[0], "--out", files[2])
     assert code == 0
-    assert err.endswith("no uncertainty: mu = 0\n")
+    assert err.endswith("warning: no uncertainty: the two models are equal\n")
     assert "no uncertainty" in text
     assert call(capsys, "show", files[2])[0] == 0
     assert call(capsys, "sample", files[2], "-n", "2")[0] == 0

@@ -91,7 +91,7 @@ def test_probability_of_a_violation(motor, tmp_path, capsys):
     assert "not shown" in text
 
 
-@pytest.mark.parametrize("metric", ["rms", "settling-time", "h2", "damping", "controllability", "hankel"])
+@pytest.mark.parametrize("metric", ["rms", "settling-time", "h2", "damping"])
 def test_other_metrics(motor, metric, capsys):
     code, text, _ = call(
         capsys, motor, "--metric", metric, "--outputs", "omega", "--inputs", "u", "--t-end", "0.1", "-n", "8"

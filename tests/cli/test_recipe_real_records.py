@@ -47,7 +47,7 @@ def unmet(result):
     "name", [pytest.param("rack-pinion", marks=pytest.mark.slow), "cascaded-tanks", "coupled-drives"]
 )
 def test_what_the_other_records_say(name, tmp_path):
-    """hsm150 takes minutes: it runs in benchmarks/real_records.py."""
+    """hsm150 takes minutes: it is not run here."""
     result = run(name, tmp_path)
     assert unmet(result) <= MISSED[name]
     if name == "coupled-drives" and unmet(result):

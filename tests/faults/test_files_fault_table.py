@@ -299,7 +299,7 @@ CASES = [
     ("3 truncated", truncated, r"p.h5: truncated: \d+ of \d+ bytes\nhint: copy .*"),
     ("3 signature only", only_a_signature, r"p.h5: damaged or truncated HDF5 file of 20 bytes .*\nhint: copy .*"),
     ("4 bit rot", rotten_values, r"p.h5: /A: checksum mismatch\nhint: .*"),
-    ("4 content hash", changed_afterwards, r"p.h5: /: checksum mismatch \(content_sha256\).*\nhint: .*--no-verify"),
+    ("4 content hash", changed_afterwards, r"p.h5: /: checksum mismatch \(content_sha256\).*\nhint: .*no_verify=True"),
     (
         "4 hash attribute",
         hash_renamed,
@@ -425,7 +425,7 @@ def test_row_16_a_transposed_file_is_recognised_and_read_on_request(tmp_path, ca
     code, err = run(capfd, path)
     pattern = (
         r"p.h5: /B is \(6, 12\), expected \(12, 6\)\np.h5: /D is \(6, 12\), expected \(12, 6\)\n"
-        r"hint: file looks column-major: use --transpose.*"
+        r"hint: file looks column-major: use transpose=True.*"
     )
     assert_refused(code, err, pattern, tmp_path)
     turned = rl.load(path, transpose=True)

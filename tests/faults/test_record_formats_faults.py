@@ -71,7 +71,7 @@ FRAMES = [
     (pd.DataFrame({"q": T}, index=["a"] * 21), "index: dtype (str|object)"),
     (
         pd.DataFrame({"q": T}, index=1_700_000_000_000_000_000 + np.arange(21)),
-        r"index: times of 1.7e\+18 and no unit, .*\nhint: --unit index=ns",
+        r"index: times of 1.7e\+18 and no unit, .*\nhint: units=\{.index.: .ns.\}",
     ),
     (pd.DataFrame(index=T), "no signals here"),
     (T, "a ndarray, expected a pandas DataFrame"),

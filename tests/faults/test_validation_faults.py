@@ -99,7 +99,7 @@ def broken(kind):
 
 
 @pytest.mark.parametrize("kind", ["panic", "no number"])
-@pytest.mark.parametrize("options", [(), ("--domain", "frequency"), ("--delta", "time-varying")])
+@pytest.mark.parametrize("options", [(), ("--domain", "frequency")])
 def test_a_cone_solver_that_fails(call, monkeypatch, kind, options):
     import clarabel
 

@@ -16,10 +16,8 @@ from patience import PATIENCE
 import robustlab as rl
 from robustlab.campaign import CampaignSettings, Crew, run_campaign, saved_samples
 from robustlab.campaign import workers as cluster_workers
-from robustlab.campaign.evaluation import TILE, Evaluator, Failure, Payload, Piece
-from robustlab.campaign.settings import Identity, model_to_bytes
+from robustlab.campaign.evaluation import TILE, Evaluator
 from robustlab.campaign.store import Store
-from robustlab.campaign.workers import ClusterWorkers
 from robustlab.errors import EnvironmentFault, RobustlabError
 
 pytest.importorskip("distributed")
@@ -96,31 +94,6 @@ def test_same_samples_as_local_though_a_worker_dies(cluster, tmp_path):
     assert [row.value for row in store.samples()] == local.tolist()
     store.close()
     assert result["worst"] == local.max()
-
-
-def test_an_answer_that_died_with_its_worker_is_given_back(cluster, monkeypatch):
-    """Dask says that the piece is done, and waits for ever for what only the dead worker had."""
-    address, _ = cluster
-    monkeypatch.setattr(cluster_workers, "FETCH_SECONDS", 2.0)
-    motor = rl.plant("dc-motor", Kf=(4.8e-5, 0.35)).uncertain(outputs=["omega"])
-    workers = ClusterWorkers(
-        Payload(Identity.of(motor, CampaignSettings("hinf", TILE)), model_to_bytes(motor)), address
-    )
-    try:
-        until = time.monotonic() + PATIENCE
-        while not workers.idle() and time.monotonic() < until:
-            workers._watch()
-        workers.start(Piece(0, TILE, 60.0))
-        ((name, (_, future, _)),) = workers._pieces.items()
-        while future.status != "finished" and time.monotonic() < until:
-            time.sleep(0.01)
-        os.kill(workers._client.run(os.getpid, workers=[name])[name], signal.SIGKILL)
-        outcomes = []
-        while not outcomes and time.monotonic() < until:
-            outcomes = workers.wait(0.2)
-    finally:
-        workers.close()
-    assert [(o.piece.first, isinstance(o.answer, Failure)) for o in outcomes] == [(0, True)]
 
 
 def test_nobody_at_the_address(tmp_path, monkeypatch):

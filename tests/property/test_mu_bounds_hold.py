@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import block_diag, expm
 
 import robustlab as rl
+from robustlab.budget import listening
 from robustlab.mu_analysis.matrix.certificate import delta_norm, proves
 from robustlab.mu_analysis.matrix.minimum_norm import smallest_step
 from robustlab.uncertainty.blocks import FullBlock, RealScalar, as_blocks, block_slices, structure_size
@@ -99,6 +101,51 @@ def test_smallest_step_is_the_smallest(seed, n_real, n_complex):
     dual = (np.cos(theta) / strength).max()
     assert np.abs(d).max() >= dual * (1 - 1e-9)
     assert np.abs(d).max() <= dual * (1 + 1e-3)
+
+
+def same_loops(m, blocks, rng):
+    """The model in other states, with channels in another order, an unused one, and states that are hidden."""
+    n, q, (turn, _) = m.n_states, m.n_inputs, np.linalg.qr(rng.standard_normal((m.n_states + 2,) * 2))
+    for T in (np.eye(n)[rng.permutation(n)], np.eye(n)[::-1], turn[:n, :n] + 2 * np.eye(n)):
+        yield rl.StateSpaceModel(T @ m.A @ np.linalg.inv(T), T @ m.B, m.C @ np.linalg.inv(T), m.D, m.dt), blocks
+    yield rl.StateSpaceModel(m.A, m.B[:, ::-1], m.C[::-1], m.D[::-1, ::-1], m.dt), blocks[::-1]
+    wide, tall = np.hstack([np.ones((n, 1)), m.B]), np.vstack([np.zeros((1, n)), m.C])
+    unused = [rl.RealScalar("unused"), *blocks]
+    yield rl.StateSpaceModel(m.A, wide, tall, np.pad(m.D, ((1, 0), (1, 0))), m.dt), unused
+    mode = np.array([[-0.1, 1.0], [-1.0, -0.1]])
+    A = block_diag(m.A, mode if not m.is_discrete else expm(0.5 * mode))
+    for B, C in ((np.ones((2, q)), np.zeros((q, 2))), (np.zeros((2, q)), np.ones((q, 2)))):
+        B, C = np.vstack([m.B, B]), np.hstack([m.C, C])
+        yield rl.StateSpaceModel(turn @ A @ turn.T, turn @ B, C @ turn.T, m.D, m.dt), blocks
+
+
+def counted(model, blocks):
+    """Both bounds of the margin, and the work that was counted."""
+    done = [0.0]
+    with listening(lambda work, _: done.append(work)):
+        margin = rl.robust_stability(rl.UncertainModel(model, blocks))
+    return margin.lower, margin.upper, max(done)
+
+
+@pytest.mark.parametrize(("seed", "discrete", "one_sided"), [(0, False, False), (1, False, True), (2, True, True)])
+def test_the_same_loop_gets_the_same_bounds_for_the_same_work(seed, discrete, one_sided):
+    rng = np.random.default_rng(seed)
+    w, zeta = 10 ** rng.uniform(-0.5, 0.5, 2), 10 ** rng.uniform(-3, -1, 2)
+    mix = np.eye(4) + 0.3 * rng.standard_normal((4, 4))
+    A = mix @ block_diag(*([[-z * v, v], [-v, -z * v]] for z, v in zip(zeta, w, strict=True))) @ np.linalg.inv(mix)
+    model = rl.StateSpaceModel(
+        expm(0.5 * A) if discrete else A, rng.standard_normal((4, 3)), rng.standard_normal((3, 4)), np.zeros((3, 3)),
+        0.5 if discrete else 0.0,
+    )  # fmt: skip
+    below = 0.2 if one_sided else None
+    blocks = [rl.RealScalar("a", 2, rl.ParameterRange(1.0, 0.5, "", below)), rl.RealScalar("b")]
+    lower, upper, work = counted(model, blocks)
+    assert upper <= lower * 1.0101
+    for other in same_loops(model, blocks, rng):
+        low, high, spent = counted(*other)
+        assert abs(high - upper) <= 1e-6 * upper
+        assert abs(low - lower) <= 0.005 * upper
+        assert work / 2 <= spent <= 2 * work
 
 
 @pytest.mark.parametrize("eps", [1e-14, 1e-9, 1e-3])

@@ -1,6 +1,6 @@
 """Experiments of a menu as records that hypotheses predict, and how far apart the hypotheses are there.
 
-The menu has test signals that a person can set up by hand: patterns of simple pieces.
+The menu has simple test signals.
 """
 
 from __future__ import annotations
@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, predicted, refit_distance
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
@@ -24,194 +25,97 @@ SHORTEST_PERIOD = 4.0  # samples of the fastest sine
 HEATING = 7  # lengths of an ordinary experiment that the winding is warmed for
 
 
-@dataclass(frozen=True)
-class Piece:
-    """A stretch of one simple signal between ``low`` and ``high``.
-
-    Attributes
-    ----------
-    kind
-        ``"levels"``: held one after the other, each for ``period``; ``"square"`` (high first), ``"triangle"`` and
-        ``"sine"`` (from the middle upwards) of this period; ``"sweep"``: sine whose period falls geometrically from
-        ``period`` to ``shortest``; ``"multisine"``: odd harmonics of 1/``period`` up to 1/``shortest``, Schroeder
-        phases.
-    duration, period, shortest
-        In s.
-    low, high
-        Extremes, in the unit of the input.
-    levels
-        Of the kind ``"levels"``.
-    """
-
-    kind: Literal["levels", "square", "triangle", "sine", "sweep", "multisine"]
-    duration: float
-    period: float
-    low: float = 0.0
-    high: float = 0.0
-    levels: tuple[float, ...] = ()
-    shortest: float = 0.0
-
-    def samples(self, dt: float) -> Array:
-        """The signal at 0, dt, ... before its end."""
-        t = dt * np.arange(max(1, round(self.duration / dt)), dtype=float)
-        if self.kind == "levels":
-            # Half a sample more: a change that falls on a sample must not depend on rounding.
-            index = np.floor((t + 0.5 * dt) / self.period).astype(int)
-            return np.array(self.levels)[index % len(self.levels)]
-        return 0.5 * (self.low + self.high) + 0.5 * (self.high - self.low) * self._wave(t, dt)
-
-    def _wave(self, t: Array, dt: float) -> Array:
-        """Between -1 and 1."""
-        if self.kind == "square":
-            return np.where((t + 0.5 * dt) % self.period < 0.5 * self.period, 1.0, -1.0)
-        angle = 2.0 * np.pi * t / self.period
-        if self.kind == "triangle":
-            return np.arcsin(np.sin(angle)) * 2.0 / np.pi
-        if self.kind == "sine":
-            return np.sin(angle)
-        if self.kind == "sweep":
-            rate = np.log(self.period / self.shortest) / self.duration
-            return np.sin(2.0 * np.pi * np.expm1(rate * t) / (rate * self.period))
-        order = np.arange(1, max(2, int(self.period / self.shortest) + 1), 2)
-        phase = -np.pi * np.arange(len(order)) ** 2 / len(order)
-        waves = np.cos(angle[:, None] * order + phase).sum(axis=1)
-        return waves / np.abs(waves).max()
-
-    def text(self, unit: str) -> str:
-        """In words, with its duration."""
-        sep = f" {unit}" if unit else ""
-        between = f"between {_level(self.low)}{sep} and {_level(self.high)}{sep}"
-        length = f"for {_time(self.duration)}"
-        if self.kind == "levels":
-            shown = self.levels[: max(1, int(np.ceil(self.duration / self.period - 1e-6)))]
-            if len(set(shown)) == 1:
-                return f"{_level(shown[0])}{sep} {length}"
-            again = ", over and over" if self.duration > len(self.levels) * self.period * (1.0 + 1e-6) else ""
-            values = f"{', '.join(_level(v) for v in shown[:-1])} and {_level(shown[-1])}{sep}"
-            return f"the levels {values}, each for {_time(self.period)}{again} ({_time(self.duration)})"
-        if self.kind == "sweep":
-            return f"a sine {between} whose period falls from {_time(self.period)} to {_time(self.shortest)}, {length}"
-        if self.kind == "multisine":
-            return (
-                f"a multisine {between} of the odd harmonics of a period of {_time(self.period)}, up to "
-                f"{1.0 / self.shortest:.3g} Hz, {length}"
-            )
-        word = {"square": "a square wave", "triangle": "a triangle wave", "sine": "a sine"}[self.kind]
-        return f"{word} {between} with period {_time(self.period)} {length}"
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Excitation:
-    """One entry of the menu: a pattern of pieces, gone through over and over for ``samples`` sample times."""
+    """One test signal of one input: samples, held for one sample time each, and what it is in words."""
 
     name: str
-    input: str
-    unit: str
-    pieces: tuple[Piece, ...]
-    samples: int
-
-    def signal(self, dt: float) -> Array:
-        """The input, (samples,), held for dt each."""
-        cycle = np.concatenate([piece.samples(dt) for piece in self.pieces])
-        return np.resize(cycle, self.samples)
-
-    def text(self, samples: int, dt: float) -> str:
-        """The first ``samples`` sample times in words."""
-        parts, left, cycle = [], samples * dt, sum(p.duration for p in self.pieces)
-        for piece in self.pieces:
-            if left <= 0.5 * dt:
-                break
-            parts.append(replace(piece, duration=min(piece.duration, left)).text(self.unit))
-            left -= piece.duration
-        again = f"; this over and over for {_time(samples * dt)}" if samples * dt > cycle + 0.5 * dt else ""
-        return f"{self.input} from rest: {', then '.join(parts)}{again}"
+    u: Array  # (samples,)
+    text: str
 
 
 def experiment_menu(
     name: str, unit: str, lowest: float, highest: float, samples: int, dt: float, beat: float, warm: bool = False
 ) -> tuple[Excitation, ...]:
-    """Signals of one input between two extremes.
+    """Return test signals of one input between two extremes.
 
-    Parameters
-    ----------
-    name, unit, lowest, highest
-        The input and the range that no signal leaves.
-    samples, dt
-        Length of each signal, and the sample time in s.
-    beat
-        Unit of all periods and dwell times in s: long enough for the plant to settle, short enough for many changes.
-    warm
-        Also a much longer one that warms the machine up between two equal blocks.
+    ``name``, ``unit``, ``lowest``, ``highest``: the input and the range that no signal leaves.
+    ``samples``, ``dt``: length of each signal, and the sample time in s.
+    ``beat``: unit of all periods and dwell times in s: long enough for the plant to settle, short for many changes.
+    ``warm``: also a much longer one that warms the machine up between two equal blocks.
     """
     beat = _rounded(beat, dt)
-    duration = samples * dt
     middle, half = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
-
-    def at(share: float) -> float:
-        value = float(f"{middle + half * share:.3g}")
-        return min(max(value, lowest), highest)
-
-    def levels(dwell: float, *shares: float) -> Piece:
-        dwell = _rounded(dwell * beat, dt)
-        return Piece("levels", dwell * len(shares), dwell, levels=tuple(at(s) for s in shares))
-
-    def wave(kind: Literal["square", "triangle", "sine"], share: float, beats: float, length: float = np.inf) -> Piece:
-        period = _rounded(beats * beat, dt)
-        return Piece(kind, min(_rounded(length * beat, dt) if np.isfinite(length) else duration, duration), period,
-                     at(-share), at(share))  # fmt: skip
-
+    t = dt * np.arange(samples, dtype=float)
     fastest = max(SHORTEST_PERIOD * dt, beat / 40.0)
-    slowest = min(2.0 * beat, duration)
-    rich = (
-        levels(0.5, 1, -1, 0.5, -0.5, 0.1, -0.1),
-        wave("triangle", 0.3, 2, 2),
-        wave("triangle", 0.08, 2, 2),
-        wave("sine", 0.03, 0.25, 0.5),
-        levels(0.5, 0),
-    )
-    patterns: dict[str, tuple[Piece, ...]] = {
-        "step": (levels(1, 0), Piece("levels", duration, duration, levels=(at(1),))),
-        "square wave": (wave("square", 1, 1),),
-        "square wave of a third": (wave("square", 1 / 3, 1),),
-        "one-way steps": (levels(1, 0.25, 0.6, 1, 0.4, 0.8),),
-        "levels both ways": (levels(1, 1, -1, 0.6, -0.6, 0.3, -0.3, 0.15, -0.15),),
-        "slow triangle through zero, large": (wave("triangle", 0.4, 8),),
-        "slow triangle through zero, medium": (wave("triangle", 0.15, 8),),
-        "slow triangle through zero, small": (wave("triangle", 0.06, 8),),
-        "rich": rich,
-        "odd multisine": (
-            Piece("multisine", min(8 * beat, duration), min(8 * beat, duration), at(-1), at(1), (), fastest),
+    sweep = (2.0 * beat, min(fastest, beat))  # longest and shortest period
+    cycle = min(8.0 * beat, samples * dt)
+
+    def held(beats: float, *shares: float) -> Array:
+        # Half a sample more: a change that falls on a sample must not depend on rounding.
+        index = np.floor((t + 0.5 * dt) / _rounded(beats * beat, dt)).astype(int)
+        return np.array(shares)[index % len(shares)]
+
+    def square(beats: float) -> Array:
+        return held(0.5 * beats, 1.0, -1.0)
+
+    def triangle(beats: float) -> Array:
+        return np.arcsin(np.sin(2.0 * np.pi * t / _rounded(beats * beat, dt))) * 2.0 / np.pi
+
+    def sine(beats: float) -> Array:
+        return np.sin(2.0 * np.pi * t / _rounded(beats * beat, dt))
+
+    def swept() -> Array:
+        rate = np.log(sweep[0] / sweep[1]) / cycle
+        return np.sin(2.0 * np.pi * np.expm1(rate * (t % cycle)) / (rate * sweep[0]))
+
+    def multisine() -> Array:
+        order = np.arange(1, max(2, int(cycle / fastest) + 1), 2)
+        phase = -np.pi * np.arange(len(order)) ** 2 / len(order)
+        waves = np.cos(2.0 * np.pi * np.outer(t / cycle, order) + phase).sum(axis=1)
+        return waves / np.abs(waves).max()
+
+    def seconds(beats: float) -> str:
+        return f"{_rounded(beats * beat, dt):.3g} s"
+
+    block = round(8.0 * beat / dt)
+    parts = (held(0.5, 1, -1, 0.5, -0.5, 0.1, -0.1), 0.3 * triangle(2), 0.08 * triangle(2), 0.03 * sine(0.25))
+    lengths = [round(share * block) for share in (0.375, 0.25, 0.25, 0.125)]
+    rich = np.concatenate([part[: min(n, samples)] for part, n in zip(parts, lengths, strict=True)])
+    shapes = {
+        "one-way steps": (held(1, 0, 0.25, 0.6, 1, 0.4, 0.8), f"levels of one sign, each for {seconds(1)}"),
+        "levels both ways": (
+            held(1, 1, -1, 0.6, -0.6, 0.3, -0.3, 0.15, -0.15), f"levels of both signs, falling, {seconds(1)} each"
         ),
-        "sine sweep": (
-            Piece("sweep", min(8 * beat, duration), slowest, at(-0.5), at(0.5), (), min(fastest, slowest / 2)),
+        "square wave": (square(1), f"a square wave of period {seconds(1)} over the whole range"),
+        "small fast reversals": (0.15 * square(0.25), f"a square wave of period {seconds(0.25)} over 15 % of it"),
+        "slow triangle through zero": (0.15 * triangle(8), f"a triangle of period {seconds(8)} over 15 % of the range"),
+        "slow triangle through zero, small": (
+            0.06 * triangle(8), f"a triangle of period {seconds(8)} over 6 % of the range"
         ),
-        "slow speeds both ways": (levels(2, 0.08, -0.08, 0.16, -0.16, 0.3, -0.3),),
-        "micro sine": (wave("sine", 0.02, 0.5),),
-        "small sine": (wave("sine", 0.06, 0.5),),
-        "small fast reversals": (wave("square", 0.15, 0.25),),
-        "coast-down": (levels(1, 1, 0, -1, 0),),
-        "small steps about rest": (levels(0.5, 0, 0.03, 0.06, 0.1, 0.06, 0.03, 0, -0.03, -0.06, -0.1, -0.06, -0.03),),
-    }
-    menu = [Excitation(key, name, unit, pieces, samples) for key, pieces in patterns.items()]
+        "small sine": (0.06 * sine(0.5), f"a sine of period {seconds(0.5)} over 6 % of the range"),
+        "sine sweep": (0.5 * swept(), f"a sine over half of it, period {sweep[0]:.3g} s falling to {sweep[1]:.3g} s"),
+        "odd multisine": (multisine(), f"odd harmonics of a period of {cycle:.3g} s up to {1.0 / fastest:.3g} Hz"),
+        "rich": (
+            np.resize(rich, samples),
+            f"levels of {seconds(0.5)}, triangles of {seconds(2)} over 30 and 8 %, a sine of {seconds(0.25)} over 3 %",
+        ),
+    }  # fmt: skip
     if warm:
-        block = sum(p.duration for p in rich)
-        hot = replace(wave("square", 1, 1), duration=_rounded(HEATING * duration, dt))
-        total = round((2.0 * block + hot.duration) / dt)
-        menu.append(Excitation("first block again when warm", name, unit, (*rich, hot, *rich), total))
-    return tuple(menu)
+        hot = np.resize(square(1), HEATING * samples)
+        shapes["first block again when warm"] = (
+            np.concatenate([rich, hot, rich]), f"'rich', a square wave for {len(hot) * dt:.3g} s, 'rich' again"
+        )  # fmt: skip
+    within = f"between {lowest:.3g} and {highest:.3g}{f' {unit}' if unit else ''}"
+    return tuple(
+        Excitation(key, np.clip(middle + half * shape, lowest, highest), f"{name} {within} from rest: {words}")
+        for key, (shape, words) in shapes.items()
+    )
 
 
 def _rounded(seconds: float, dt: float) -> float:
     """Two digits, in whole pairs of samples."""
     return max(2, 2 * round(float(f"{seconds:.2g}") / dt / 2.0)) * dt
-
-
-def _level(value: float) -> str:
-    return f"{value:+.3g}" if value else "0"
-
-
-def _time(seconds: float) -> str:
-    return f"{seconds:.3g} s" if seconds >= 0.1 else f"{1e3 * seconds:.3g} ms"
 
 
 SAFE = 10.0  # noise sigmas
@@ -254,7 +158,7 @@ def trials_of(problem: Problem, fits: Sequence[Fit], limits: Limits) -> list[Tri
     """All signals that the plant can take, with shorter beats where the travel asks for them."""
     dt = problem.records[0].record.dt
     warm = any(c.effect.long_memory for f in fits for c in f.hypothesis.candidates)
-    several, shorter = len(problem.plant.inputs) > 1, problem.tuning.shorter_beats
+    several, shorter = len(problem.plant.inputs) > 1, tuning.SHORTER_BEATS
     found: list[Trial] = []
     for k, signal in enumerate(problem.plant.inputs):
         lowest, highest = limits.ranges[signal.name]
@@ -266,8 +170,8 @@ def trials_of(problem: Problem, fits: Sequence[Fit], limits: Limits) -> list[Tri
             for entry in experiment_menu(signal.name, signal.unit, lowest, highest, limits.samples, dt, beat, warm):
                 if entry.name in done:
                     continue
-                u = np.tile([min(max(0.0, lo), hi) for lo, hi in limits.ranges.values()], (entry.samples, 1))
-                u[:, k] = entry.signal(dt)
+                u = np.tile([min(max(0.0, lo), hi) for lo, hi in limits.ranges.values()], (len(entry.u), 1))
+                u[:, k] = entry.u
                 named = replace(entry, name=f"{entry.name} on {signal.name}") if several else entry
                 trial = _tried_out(problem, fits, named, u, limits)
                 if trial is not None:
@@ -292,13 +196,13 @@ def _tried_out(problem: Problem, fits: Sequence[Fit], entry: Excitation, u: Arra
         states.append(x.copy())
         outputs = motion.outputs[0] if outputs is None else outputs
     assert outputs is not None
-    return Trial(entry, u, tuple(states), outputs, entry.samples > limits.samples)
+    return Trial(entry, u, tuple(states), outputs, len(u) > limits.samples)
 
 
 def noise_of(problem: Problem, present: NoiseModel, trials: Sequence[Trial]) -> tuple[NoiseModel, dict[str, float]]:
     """Noise of all outputs of the plant, averaged: as found where recorded, else assumed, and what it is per sample."""
     spans = np.max([np.ptp(t.outputs, axis=0) for t in trials], axis=0)
-    std = problem.tuning.assumed_noise * np.where(spans > 0.0, spans, 1.0)
+    std = tuning.ASSUMED_NOISE * np.where(spans > 0.0, spans, 1.0)
     assumed = {s.name: float(v) for s, v in zip(problem.plant.outputs, std, strict=True)}
     std /= np.sqrt(problem.records[0].thin)
     ar = np.zeros((len(present.ar), len(std)))
@@ -333,7 +237,7 @@ def _as_record(
     smoothed = SmoothedRecord(
         t, x, np.tile(std, (n, 1)), np.broadcast_to(np.diag(std**2), (n, len(std), len(std))).copy(),
         np.zeros((n, len(force_std))), np.tile(force_std, (n, 1)), np.zeros(len(columns)), known[0].bandwidth,
-        known[0].intensity, np.zeros((n, len(columns))), (), 0.0,
+        known[0].intensity, np.zeros((n, len(columns))), 0.0,
     )  # fmt: skip
     return PreparedRecord(
         record, trial.u[:n], np.zeros((n, len(columns))), tuple(columns), Windows(starts, length), x[starts].copy(),
@@ -391,13 +295,13 @@ class Bench:
             return 0, len(entry.added), entry.count, -entry.separation
         if entry.named >= SAFE:
             return 1, len(entry.added), 0, -entry.separation
-        return 2, 0, 0, -entry.separation / (1.0 + self.problem.tuning.sensor_worth * len(entry.added))
+        return 2, 0, 0, -entry.separation / (1.0 + tuning.SENSOR_WORTH * len(entry.added))
 
     def screened(self, trial: Trial, limits: Limits) -> list[Entry]:
         """The experiment with the present sensors and with each new one, whole and half as long, linearised."""
         present = self.problem.records[0].columns
         whole = len(trial.u) // self.problem.records[0].windows.length
-        counts = [whole] if trial.long or whole < 2 * self.problem.tuning.fewest_windows else [whole // 2, whole]
+        counts = [whole] if trial.long or whole < 2 * tuning.FEWEST_WINDOWS else [whole // 2, whole]
         choices = [(present, ()), *((tuple(sorted((*present, k))), (k,)) for k in limits.addable)]
         everything = range(len(self.problem.plant.outputs))
         smallest, named = np.full((2, len(choices), len(counts)), np.inf)
@@ -448,7 +352,7 @@ class Bench:
             smallest = min(p.separation for p in pairs)
             named = min((p.separation for p in pairs if p.truth == self.labels[0]), default=smallest)
             done.append((replace(entry, named=named, separation=smallest, refitted=True), pairs))
-            if done[-1][0].separation >= SAFE or len(done) >= self.problem.tuning.refitted_entries:
+            if done[-1][0].separation >= SAFE or len(done) >= tuning.REFITTED_ENTRIES:
                 break
         chosen, pairs = min(done, key=lambda d: self.preference(d[0]))
         return chosen, pairs, [e for e, _ in done]
@@ -478,7 +382,7 @@ class Bench:
 
 def _proper_distance(there: Problem, rival: Fit, z: Array) -> float:
     """Distance of the rival, refitted from z to predicted outputs."""
-    cost = there.fit(rival.hypothesis, rival.noise, z, rival.starts, FitPlan(there.tuning.refit_iterations)).cost
+    cost = there.fit(rival.hypothesis, rival.noise, z, rival.starts, FitPlan(tuning.REFIT_ITERATIONS)).cost
     return float(np.sqrt(max(0.0, cost - float(rival.z @ rival.z))))
 
 
@@ -515,7 +419,7 @@ def _products(problem: Problem, rival: Fit, noise: NoiseModel) -> Array:
     n_x, n_y = len(problem.plant.states), len(problem.records[0].columns)
     simulators = problem.simulators(rival.hypothesis)
     rest = np.zeros((len(problem.chosen[0]), n_x))
-    step, start_step = problem.tuning.step, problem.tuning.start_step
+    step, start_step = tuning.STEP, tuning.START_STEP
 
     def residual(z: Array, start: Array) -> Array:
         errors = problem.errors(rival.hypothesis, z, [start], simulators)

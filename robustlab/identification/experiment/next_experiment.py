@@ -32,6 +32,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError, unknown_name
+from robustlab.identification import tuning
 from robustlab.identification.experiment.experiment_bench import (
     SAFE,
     Bench,
@@ -154,7 +155,7 @@ def propose_experiment(
     rivals = [r for r in rivals if r.hypothesis.key != named.hypothesis.key]
     if not rivals:
         return None
-    open_ones = [named, *sorted(rivals, key=lambda f: -f.evidence)[: problem.tuning.most_opponents]]
+    open_ones = [named, *sorted(rivals, key=lambda f: -f.evidence)[: tuning.MOST_OPPONENTS]]
     labels = labels_of(open_ones)
     limits = _limits(problem, input_range, travel, longest, may_add)
     trials = trials_of(problem, open_ones, limits)
@@ -190,17 +191,17 @@ def _limits(
     longest: float | None,
     may_add: Sequence[str] | None,
 ) -> Limits:
-    plant, records, tuning = problem.plant, problem.records, problem.tuning
+    plant, records = problem.plant, problem.records
     first = records[0]
     dt, length = first.record.dt, first.windows.length
     outputs = [s.name for s in plant.outputs]
     _known("may_add", may_add or (), outputs)
     new = [k for k, name in enumerate(outputs) if k not in first.columns and (may_add is None or name in may_add)]
     slowest = _slowest(problem)
-    fewest = tuning.fewest_windows * length
+    fewest = tuning.FEWEST_WINDOWS * length
     if longest is None:
-        wanted = max(round(tuning.time_constants_seen * slowest / dt), *(r.record.n for r in records))
-        samples = max(min(wanted, tuning.longest_experiment), fewest)
+        wanted = max(round(tuning.TIME_CONSTANTS_SEEN * slowest / dt), *(r.record.n for r in records))
+        samples = max(min(wanted, tuning.LONGEST_EXPERIMENT), fewest)
     else:
         if not fewest * dt <= longest < np.inf:
             raise InputError(
@@ -208,8 +209,8 @@ def _limits(
             )
         samples = round(longest / dt)
     duration = samples * dt
-    shortest, longest_beat = duration / tuning.most_beats, duration / tuning.fewest_beats
-    beat = min(max(tuning.time_constants_a_beat * slowest, shortest), longest_beat)
+    shortest, longest_beat = duration / tuning.MOST_BEATS, duration / tuning.FEWEST_BEATS
+    beat = min(max(tuning.TIME_CONSTANTS_A_BEAT * slowest, shortest), longest_beat)
     return Limits(_ranges(problem, input_range), _travel(problem, travel), samples, beat, tuple(new))
 
 
@@ -310,7 +311,7 @@ def _proposal(
 
 def _description(entry: Entry, n: int, dt: float, plant: object, tried: Tried, noise: Mapping[str, float]) -> str:
     units = {s.name: s.unit for s in plant.outputs}  # type: ignore[attr-defined]
-    text = f"{entry.trial.excitation.text(n, dt)}. {n * dt:.3g} s in all, one sample every {1e3 * dt:.3g} ms; record "
+    text = f"{entry.trial.excitation.text}. {n * dt:.3g} s in all, one sample every {1e3 * dt:.3g} ms; record "
     text += ", ".join(tried.sensors)
     for name, std in noise.items():
         text += f" ({name} is new: a noise of {std:.2g} {units[name]} a sample is assumed)"

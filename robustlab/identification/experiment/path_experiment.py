@@ -29,6 +29,7 @@ from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, w
 from robustlab.dynamics.linearisation import trim
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification import tuning
 from robustlab.identification.experiment.experiment_bench import SAFE, Pair, distances
 from robustlab.identification.experiment.next_experiment import NextExperiment, Tried, labels_of
 from robustlab.identification.experiment.path_menu import PathLimits, PosePath, paths
@@ -274,17 +275,17 @@ def _distance(problem: Problem, truth: Fit, rival: Fit, record: Record) -> float
 
 def _in_windows(problem: Problem, record: Record) -> Problem:
     """The record in windows as a naming would cut it: halved until the plant as given keeps near the motion in them."""
-    plant, first, tuning = problem.plant, problem.records[0], problem.tuning
+    plant, first = problem.plant, problem.records[0]
     model, length = ports_of(plant, record), first.windows.length
     seen, bare = [plant.outputs[k].name for k in first.columns], np.zeros(len(problem.nuisances))
     while True:
-        prepared = replace(prepare(plant, model, record, length, None, seen, tuning), thin=first.thin)
+        prepared = replace(prepare(plant, model, record, length, None, seen), thin=first.thin)
         cut = problem.on([prepared])
         error = cut.errors(Hypothesis(()), bare, [np.zeros_like(prepared.x0)])[0]
         off = float((np.sqrt(np.nanmean(error**2, axis=(0, 1))) / np.ptp(prepared.y, axis=0)).max())
-        if length <= tuning.shortest_window or off < tuning.most_deviation:
+        if length <= tuning.SHORTEST_WINDOW or off < tuning.MOST_DEVIATION:
             return cut
-        length = max(length // 2, tuning.shortest_window)
+        length = max(length // 2, tuning.SHORTEST_WINDOW)
 
 
 # --- the answer ------------------------------------------------------------------------------------------------------

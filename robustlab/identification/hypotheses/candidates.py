@@ -19,10 +19,10 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.carried_load import shares_behind
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate
 from robustlab.identification.hypotheses.nuisance import UNIFORM, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
-from robustlab.identification.tuning import TUNING, NamingTuning
 
 LINE_NEIGHBOURS = 40  # frequencies on either side of a line over time that say how high the noise is there
 # Independent ones among them that a mean would need to say it as well as their median does: a Hann taper joins one and
@@ -33,9 +33,7 @@ HOMING = 0.2  # of half the range of a position: standard deviation of its zero
 ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, where the plant states none
 
 
-def candidates(
-    plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning = TUNING
-) -> list[Candidate]:
+def candidates(plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord]) -> list[Candidate]:
     """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
 
     What does exactly the same as others together is told by their names: it is not looked for.
@@ -51,7 +49,7 @@ def candidates(
             if site.kind == "output" and not all(site.name in r.record.outputs for r in records):
                 continue
             if site not in known:
-                known[site] = _scales(site, plant, model, records, tuning)
+                known[site] = _scales(site, plant, model, records)
             found.extend(_at(effect, site, known[site]))
     return found
 
@@ -82,9 +80,7 @@ def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
     return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in effect.variants(scales)]
 
 
-def _scales(
-    site: Site, plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord], tuning: NamingTuning
-) -> Scales:
+def _scales(site: Site, plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord]) -> Scales:
     dt, duration = records[0].record.dt, max(r.record.duration for r in records)
     if site.kind == "input":
         k = [s.name for s in plant.inputs].index(site.name)
@@ -93,7 +89,7 @@ def _scales(
     if site.kind == "output":
         k = [s.name for s in plant.outputs].index(site.name)
         half = max(float(np.ptp(r.record.outputs[site.name])) for r in records) / 2.0
-        orders, unit = _orders_at_output(plant, model, site, records, tuning), plant.outputs[k].unit
+        orders, unit = _orders_at_output(plant, model, site, records), plant.outputs[k].unit
         found = Scales(dt=dt, duration=duration, output=half or 1.0, signal_unit=unit, orders=orders)
         # Where the equations depend on positions, their zeros are found by homing, and a wrong one may be far off.
         return replace(found, zero=HOMING) if isinstance(plant, NonlinearPlant) and unit in ("rad", "m") else found
@@ -124,8 +120,8 @@ def _scales(
         inertia=inertia,
         shares=shares_behind(plant, site.name) if isinstance(plant, NonlinearPlant) else (),
         current=float(max(currents, default=1.0)) or 1.0,
-        orders=_merged_orders(motion, tuning) if port.position is not None else (),
-        lines=_lines(motion, records, tuning),
+        orders=_merged_orders(motion) if port.position is not None else (),
+        lines=_lines(motion, records),
         force_unit=port.unit,
         speed_unit=port.speed_unit,
         position_unit=port.position_unit,
@@ -145,29 +141,29 @@ def _port_motion(port: Port, record: PreparedRecord) -> tuple[Array, Array, Arra
 
 
 def _orders_at_output(
-    plant: AnyPlant, model: PortModel, site: Site, records: Sequence[PreparedRecord], tuning: NamingTuning
+    plant: AnyPlant, model: PortModel, site: Site, records: Sequence[PreparedRecord]
 ) -> tuple[float, ...]:
     """Lines of an encoder's eccentricity: those of the force at the joint whose position the output shows."""
     row = model.C[..., [s.name for s in plant.outputs].index(site.name), :].reshape(-1, model.C.shape[-1])[0]
     for port in model.ports.values():
         if port.position is not None and np.array_equal(row[: model.own] != 0, port.position != 0):
-            return _merged_orders([_port_motion(port, r) for r in records], tuning)
+            return _merged_orders([_port_motion(port, r) for r in records])
     return ()
 
 
-def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]], tuning: NamingTuning) -> tuple[float, ...]:
+def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]]) -> tuple[float, ...]:
     q = np.concatenate([m[0] for m in motion])
     v = np.concatenate([m[1] for m in motion])
     d = np.concatenate([m[2] for m in motion])
     moving = np.abs(v) > 0.01 * np.abs(v).max(initial=0.0)
     stroke = max(float(np.ptp(m[0])) for m in motion)
-    plain, flipped = (spatial_orders(q, force, v, moving, tuning, stroke) for force in (d, d * np.sign(v)))
+    plain, flipped = (spatial_orders(q, force, v, moving, stroke) for force in (d, d * np.sign(v)))
     merged: list[float] = []
     for pair in zip(plain, flipped, strict=False):
         for k in pair:
             if all(abs(k - other) > 0.02 * other for other in merged):
                 merged.append(k)
-    return tuple(merged[: 2 * tuning.spatial_lines])
+    return tuple(merged[: 2 * tuning.SPATIAL_LINES])
 
 
 def periods_seen(k: float, position: Array, records: Sequence[PreparedRecord]) -> float:
@@ -179,9 +175,7 @@ def periods_seen(k: float, position: Array, records: Sequence[PreparedRecord]) -
     return abs(k) * max(float(np.ptp(r.smoothed.x @ position)) for r in records) / (2.0 * np.pi)
 
 
-def spatial_orders(
-    q: Array, d: Array, v: Array, moving: Mask, tuning: NamingTuning = TUNING, stroke: float = math.inf
-) -> tuple[float, ...]:
+def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, stroke: float = math.inf) -> tuple[float, ...]:
     """Strongest spatial frequencies of the force d over the position q, in rad per unit of q, strongest first.
 
     A periodogram over the position, after the part of d that depends on the direction and linearly on the speed is
@@ -195,16 +189,16 @@ def spatial_orders(
     trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
     rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
     # Force summed in fine bins of the position, and its spectrum with zeros around: the periodogram, by one transform.
-    bins = int(min(4 * tuning.finest_lines, max(64, len(q) // 2)))
+    bins = int(min(4 * tuning.FINEST_LINES, max(64, len(q) // 2)))
     place = np.minimum(((q - q.min()) / span * bins).astype(int), bins - 1)
     padded = 8 * bins
     k = 2.0 * np.pi / span * bins / padded * np.arange(padded // 2 + 1)
     lowest = FEWEST_PERIODS * 2.0 * np.pi / min(span, stroke)
-    keep = (k >= lowest) & (k <= 2.0 * np.pi / span * min(tuning.finest_lines, bins / 4))
+    keep = (k >= lowest) & (k <= 2.0 * np.pi / span * min(tuning.FINEST_LINES, bins / 4))
     k = k[keep]
     found: list[float] = []
     # A line brings side lobes that stand above weaker lines; each is taken out before the next is looked for.
-    for _ in range(tuning.spatial_lines):
+    for _ in range(tuning.SPATIAL_LINES):
         power = np.abs(np.fft.rfft(np.bincount(place, weights=rest, minlength=bins), padded))[keep]
         peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
         if not len(peaks):
@@ -215,22 +209,20 @@ def spatial_orders(
     return tuple(found)
 
 
-def _lines(
-    motion: Sequence[tuple[Array, Array, Array, Array]], records: Sequence[PreparedRecord], tuning: NamingTuning
-) -> tuple[float, ...]:
+def _lines(motion: Sequence[tuple[Array, Array, Array, Array]], records: Sequence[PreparedRecord]) -> tuple[float, ...]:
     """Lines over time in the longest record, of which every window holds two periods."""
     k = int(np.argmax([r.record.duration for r in records]))
     (_, v, d, _), record = motion[k], records[k]
-    return timed_lines(d, v, record.record.dt, 2.0 / (record.windows.length * record.record.dt), tuning)
+    return timed_lines(d, v, record.record.dt, 2.0 / (record.windows.length * record.record.dt))
 
 
-def timed_lines(d: Array, v: Array, dt: float, lowest: float, tuning: NamingTuning = TUNING) -> tuple[float, ...]:
+def timed_lines(d: Array, v: Array, dt: float, lowest: float) -> tuple[float, ...]:
     r"""Significant lines of the force d over time in Hz, from ``lowest`` up, strongest first.
 
     A periodogram, after the part of d that depends on the direction and linearly on the speed is taken out. Of noise
     whose spectrum is smooth the power over its mean is exponential; over the mean m of K neighbours,
     :math:`P(p > x m) = (1 + x/K)^{-K}`. A line counts where that, times the number of frequencies looked at, is below
-    ``tuning.line_p``.
+    ``tuning.LINE_P``.
     """
     trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
     rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
@@ -239,7 +231,7 @@ def timed_lines(d: Array, v: Array, dt: float, lowest: float, tuning: NamingTuni
     taper = np.hanning(n)
     looked = (f >= lowest) & (f <= 0.4 / dt)  # above, two and a half samples a period, the smoother ends
     found: list[tuple[float, float]] = []
-    for _ in range(tuning.spatial_lines):
+    for _ in range(tuning.SPATIAL_LINES):
         keep = np.flatnonzero(looked)
         if len(keep) < 2 * LINE_NEIGHBOURS:
             break
@@ -247,7 +239,7 @@ def timed_lines(d: Array, v: Array, dt: float, lowest: float, tuning: NamingTuni
         around = median_filter(power, 2 * LINE_NEIGHBOURS + 1, mode="reflect") / math.log(2.0)  # the mean by the median
         height = power[keep] / np.maximum(around[keep], 1e-300)
         best = int(keep[np.argmax(height)])
-        if len(keep) * (1.0 + height.max() / LINE_FREEDOM) ** -LINE_FREEDOM > tuning.line_p:
+        if len(keep) * (1.0 + height.max() / LINE_FREEDOM) ** -LINE_FREEDOM > tuning.LINE_P:
             break
         line = _between(power, best) / (n * dt)
         wave = np.column_stack([np.cos(2.0 * np.pi * line * t), np.sin(2.0 * np.pi * line * t)])

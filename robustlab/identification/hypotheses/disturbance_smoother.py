@@ -15,28 +15,22 @@ random walk of that intensity, seen through the plant, is as strong as the noise
 Below it the record tells d, above it does not. Bandwidths and noise maximise the likelihood of the innovations (a
 common factor of all variances in closed form).
 
-Dry friction makes d jump. Jumps are found by the score of a shock at each sample; each is given a variance of its
-own, spread over the samples at which it may have happened, and the smoother runs again. So the bands grow where d
-jumped, and only there. The intensity stays that of the walk without jumps: with all jumps explained the likelihood
-would ask for a nearly constant force between them, and a force that creeps while a joint sticks would be smoothed away
-under bands much too narrow.
-
 Units of the states are those of the model; the unit of d_j is that of ``ports[:, j] * d_j`` over the state's rate.
 
 References
 ----------
 Kailath, Sayed, Hassibi, *Linear Estimation* (2000); Harvey, *Forecasting, Structural Time Series Models and the Kalman
-Filter* (1989), section 3.4; de Jong, Penzer, "Diagnosing shocks in time series", JASA 93 (1998).
+Filter* (1989), section 3.4.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.clocks import UNIFORM_TOLERANCE
@@ -52,25 +46,11 @@ WHERE = "smooth_disturbance"
 
 GRID = 9  # bandwidths tried before the search
 HIGHEST = 0.1  # bandwidth over the sample rate: noise that was filtered before it was stored would ask for more
-SHOCK = 3.0  # a shock beyond this many standard deviations is given a variance of its own
-JUMP = 4.5  # and beyond this many it is called a jump
-JUMP_ROUNDS = 4
-MOST_JUMPS = 0.05  # of all samples may belong to jumps; beyond, d is rough everywhere and the random walk says so
-PLACE = 9.0  # a jump may be at any sample whose squared score is within this of the peak's
 START_HORIZON = 30  # samples within which a state at its prior's size would move the outputs by 10 times their range
 START_FACTOR = 10.0
 ROUNDING = 1e-13  # of the prior's size: noise in every state and sample, below which no root is followed
 SMALLEST_NOISE = 1e-12  # of an output's range
 NODES = 8
-
-
-@dataclass(frozen=True)
-class Jump(Evidence):
-    """A jump of the force at port ``port`` at about ``time`` in s by about ``size`` (unit of the port)."""
-
-    time: float
-    port: int
-    size: float
 
 
 @dataclass(frozen=True)
@@ -93,7 +73,6 @@ class SmoothedRecord(Evidence):
     # whitened one-step prediction errors, (n, n_y): standard normal and independent where the model holds. NaN where a
     # sample is missing.
     innovations: Array
-    jumps: tuple[Jump, ...]  # jumps of the forces, in order of time
     log_likelihood: float  # of the innovations after the first n_x + m samples
 
 
@@ -105,8 +84,6 @@ def smooth_disturbance(
     y: ArrayLike,
     noise_std: ArrayLike | None = None,
     bandwidth: ArrayLike | None = None,
-    *,
-    jumps: bool = True,
 ) -> SmoothedRecord:
     r"""Smoothed states and forces of a record.
 
@@ -128,8 +105,6 @@ def smooth_disturbance(
         1/sqrt(12) of the smallest step between values of the output (its resolution).
     bandwidth
         Bandwidth of each force in Hz, (m,) or one for all; estimated where left out.
-    jumps
-        Look for jumps of the forces.
 
     Raises
     ------
@@ -145,19 +120,12 @@ def smooth_disturbance(
         given = np.log(_positive("bandwidth", np.broadcast_to(np.asarray(bandwidth, dtype=float), (task.m,))))
     with np.errstate(over="ignore", invalid="ignore"):
         choice = _searched(task, given)
-        result = _smoothed(task, choice)
-        for _ in range(JUMP_ROUNDS if jumps else 0):
-            found = _jumps(task, choice, result)
-            if found is None:
-                break
-            task = found
-            result = _smoothed(task, choice)
-    return _as_record(task, choice, result)
+        return _smoothed(task, choice)
 
 
 @dataclass(frozen=True)
 class _Task:
-    """The problem in discrete time; ``shock`` (n, m) holds the variances given to jumps."""
+    """The problem in discrete time."""
 
     t: Array
     h: float
@@ -172,8 +140,6 @@ class _Task:
     floor: Array
     guess: Array
     known_noise: bool
-    shock: Array
-    sizes: Array = field(default_factory=lambda: np.zeros((0, 4)))  # time, port, size and statistic of the shocks
 
     @property
     def m(self) -> int:
@@ -191,15 +157,6 @@ class _Choice:
     bandwidth: Array
     sigma: Array
     log_likelihood: float
-
-
-@dataclass(frozen=True)
-class _Run:
-    mean: Array
-    covariance: Array
-    score: Array
-    precision: Array
-    innovation: Array
 
 
 # --- the problem in discrete time ------------------------------------------------------------------------------------
@@ -264,7 +221,6 @@ def _prepared(
         floor=floor,
         guess=guess,
         known_noise=noise_std is not None,
-        shock=np.zeros((n, p.shape[1])),
     )
 
 
@@ -365,26 +321,12 @@ def _intensities(task: _Task, log_bandwidth: Array, sigma: Array) -> Array:
     return q
 
 
-def _roots(task: _Task, q: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Roots of the process noise, and which one each sample uses: 0 the usual one, the others with a jump."""
-    rounding = np.diag(ROUNDING * task.start)
-
-    def root(intensity: Array) -> Array:
-        return _compressed(
-            np.vstack([rounding, *(math.sqrt(v) * r for v, r in zip(intensity, task.port_roots, strict=True))])
-        )
-
-    kind = np.zeros(len(task.t), dtype=np.int64)
-    at = np.flatnonzero(task.shock.any(axis=1))
-    kind[at] = np.arange(1, len(at) + 1)
-    return np.stack([root(q), *(root(q + task.shock[k] / task.h) for k in at)]), kind
-
-
 def _filter(task: _Task, log_bandwidth: Array, sigma: Array) -> Filter:
     from robustlab.identification.hypotheses.smoother_kernels import Filter
 
-    roots, kind = _roots(task, _intensities(task, log_bandwidth, sigma))
-    return Filter(task.phi, roots, kind, task.forced, task.H, sigma, np.diag(task.start))
+    rounding, q = np.diag(ROUNDING * task.start), _intensities(task, log_bandwidth, sigma)
+    root = _compressed(np.vstack([rounding, *(math.sqrt(v) * r for v, r in zip(q, task.port_roots, strict=True))]))
+    return Filter(task.phi, root, task.forced, task.H, sigma, np.diag(task.start))
 
 
 def _filtered(task: _Task, log_bandwidth: Array, sigma: Array) -> tuple[float, float, float]:
@@ -435,59 +377,31 @@ def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _
     return best
 
 
-# --- smoothing and jumps ---------------------------------------------------------------------------------------------
+# --- smoothing -------------------------------------------------------------------------------------------------------
 
 
-def _smoothed(task: _Task, choice: _Choice) -> _Run:
+def _smoothed(task: _Task, choice: _Choice) -> SmoothedRecord:
     from robustlab.identification.hypotheses.smoother_kernels import Kept, backward, forward
 
     n, n_z = len(task.t), len(task.phi)
     kept, innovation = Kept.of(n, n_z), np.empty_like(task.y)
     mean, covariance = np.empty((n, n_z)), np.empty((n, n_z, n_z))
-    score, precision = np.zeros((n, task.m)), np.zeros((n, task.m))
     forward(_filter(task, choice.bandwidth, choice.sigma), task.y, True, innovation, kept)
-    backward(kept, task.model.n_states, mean, covariance, score, precision)
+    backward(kept, mean, covariance)
     if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
         raise NoTrustworthyNumber(WHERE, "the response outgrows double precision")
-    return _Run(mean, covariance, score, precision, innovation)
-
-
-def _jumps(task: _Task, choice: _Choice, run: _Run) -> _Task | None:
-    """The task with the further jumps that a run shows; None where it shows none."""
-    statistic = np.where(run.precision > 0, run.score / np.sqrt(np.where(run.precision > 0, run.precision, 1.0)), 0.0)
-    shock, sizes = task.shock.copy(), list(task.sizes)
-    for j in range(task.m):
-        reach = max(2, round(0.5 / (2 * np.pi * math.exp(choice.bandwidth[j]) * task.h)))
-        loud = np.abs(statistic[:, j])
-        while True:
-            k = int(np.argmax(loud))
-            if not loud[k] > SHOCK:
-                break
-            size = run.score[k, j] / run.precision[k, j]
-            first, last = max(0, k - reach), min(len(loud), k + reach + 1)
-            may_be = first + np.flatnonzero(loud[first:last] ** 2 > loud[k] ** 2 - PLACE)
-            shock[may_be, j] += size**2 / len(may_be)
-            sizes.append((task.t[k], j, size, loud[k]))
-            loud[max(0, k - 4 * reach) : k + 4 * reach + 1] = 0.0
-    if len(sizes) == len(task.sizes) or (shock > 0).sum() > MOST_JUMPS * shock.size:
-        return None
-    return replace(task, shock=shock, sizes=np.array(sizes))
-
-
-def _as_record(task: _Task, choice: _Choice, run: _Run) -> SmoothedRecord:
     n_x = task.model.n_states
-    std = np.sqrt(np.maximum(np.diagonal(run.covariance, axis1=1, axis2=2), 0.0))
+    std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
     return SmoothedRecord(
         t=task.t,
-        x=run.mean[:, :n_x].copy(),
+        x=mean[:, :n_x].copy(),
         x_std=std[:, :n_x].copy(),
-        covariance=run.covariance[:, :n_x, :n_x].copy(),
-        d=run.mean[:, n_x:].copy(),
+        covariance=covariance[:, :n_x, :n_x].copy(),
+        d=mean[:, n_x:].copy(),
         d_std=std[:, n_x:].copy(),
         noise_std=choice.sigma,
         bandwidth=np.exp(choice.bandwidth),
         intensity=_intensities(task, choice.bandwidth, choice.sigma),
-        innovations=run.innovation,
-        jumps=tuple(Jump(float(a), int(b), float(c)) for a, b, c, d in sorted(map(tuple, task.sizes)) if d > JUMP),
+        innovations=innovation,
         log_likelihood=choice.log_likelihood,
     )

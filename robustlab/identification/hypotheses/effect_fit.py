@@ -39,10 +39,10 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales,
 from robustlab.dynamics.extended.simulator import Hold, Simulator, Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.normal_equations import Linearised, NoiseModel, Prior, damped, sandwich
 from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
-from robustlab.identification.tuning import TUNING, NamingTuning
 
 Effects = Sequence[tuple[Effect, Site]]
 DIVERGED = 1e100  # an output that is no number any more; only what the record lacks is a missing error
@@ -169,8 +169,6 @@ class Problem:
         Nominal parameters that every hypothesis refits.
     chosen
         For each record the indices of the windows to use.
-    tuning
-        Numbers of the fits, and of whatever is done with them.
     clock
         Steps and input holds that all hypotheses share.
     work
@@ -183,21 +181,20 @@ class Problem:
         records: Sequence[PreparedRecord],
         nuisances: Sequence[Nuisance],
         chosen: Sequence[Indices] | None = None,
-        tuning: NamingTuning = TUNING,
         clock: Clock = Clock(),
         work: list[int] | None = None,
     ) -> None:
-        self.plant, self.records, self.nuisances, self.tuning = plant, tuple(records), tuple(nuisances), tuning
+        self.plant, self.records, self.nuisances = plant, tuple(records), tuple(nuisances)
         self.clock, self.work = clock, [] if work is None else work
         self.chosen = tuple(chosen) if chosen is not None else tuple(np.arange(r.count) for r in records)
 
     def on(self, records: Sequence[PreparedRecord], chosen: Sequence[Indices] | None = None) -> Problem:
         """The same plant and nuisances over other records or windows."""
-        return Problem(self.plant, records, self.nuisances, chosen, self.tuning, self.clock, self.work)
+        return Problem(self.plant, records, self.nuisances, chosen, self.clock, self.work)
 
     def under(self, clock: Clock) -> Problem:
         """The same problem with other steps or holds."""
-        return Problem(self.plant, self.records, self.nuisances, self.chosen, self.tuning, clock, self.work)
+        return Problem(self.plant, self.records, self.nuisances, self.chosen, clock, self.work)
 
     # --- parameters --------------------------------------------------------------------------------------------------
 
@@ -412,7 +409,7 @@ class Problem:
         def exact(there: _Place) -> _Place:
             return there if self._distance(there) == 0.0 else at(there.z, there.xi, there.z)
 
-        damping, count, rounds = self.tuning.damping, 0, plan.iterations
+        damping, count, rounds = tuning.DAMPING, 0, plan.iterations
         here = at(z, xi, z)
         hessian = own.precision
         parts: list[Linearised] = []
@@ -428,25 +425,25 @@ class Problem:
                 here = exact(here)
                 parts = [p.with_residual(r, x) for p, r, x in zip(parts, here.residual, here.xi, strict=True)]
                 fall = self._expected(own.gradient(here.z), hessian, parts, fixed)
-            hopeless = count > 1 and here.cost - self.tuning.hope * fall > plan.ceiling
+            hopeless = count > 1 and here.cost - tuning.HOPE * fall > plan.ceiling
             if rounds <= 0 or fall < tolerance or hopeless:
                 break
             improved = 0.0
-            for _ in range(self.tuning.tries):
+            for _ in range(tuning.TRIES):
                 dz, dxi = self._step(here.z, own, parts, damping, fixed)
                 if not fixed and not borrowed:
                     bent = self._bent(here, parts, hypothesis, simulators, noise, (dz, dxi), damping, own)
                     dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
                 there = at(self._within(here.z + dz), [x + d for x, d in zip(here.xi, dxi, strict=True)], here.around)
-                if there.cost < here.cost and not plan.draft and self._distance(there) > self.tuning.near:
+                if there.cost < here.cost and not plan.draft and self._distance(there) > tuning.NEAR:
                     there = exact(there)
                 if there.cost < here.cost:
                     improved, here = here.cost - there.cost, there
-                    damping = max(0.1 * damping, self.tuning.least_damping)
+                    damping = max(0.1 * damping, tuning.LEAST_DAMPING)
                     break
-                damping = max(damping, self.tuning.damping) * 10.0
+                damping = max(damping, tuning.DAMPING) * 10.0
             rounds -= 1
-            if improved < max(tolerance, self.tuning.relative * here.cost):
+            if improved < max(tolerance, tuning.RELATIVE * here.cost):
                 break
         if not plan.draft:
             here = exact(here)
@@ -476,7 +473,7 @@ class Problem:
             return fall + float(gradient @ np.linalg.pinv(hessian, hermitian=True) @ gradient)
 
     def _within(self, z: Array) -> Array:
-        return np.clip(z, -self.tuning.farthest, self.tuning.farthest)
+        return np.clip(z, -tuning.FARTHEST, tuning.FARTHEST)
 
     def _step(
         self, z: Array, prior: Prior, parts: Sequence[Linearised], damping: float, fixed: bool
@@ -487,7 +484,7 @@ class Problem:
         if not fixed:
             equations = damped(reduced, parts, damping, prior.precision)
             dz = -np.linalg.solve(equations, prior.gradient(z) + sum(r.gradient for r in reduced))
-            dz = self._within(z + np.clip(dz, -self.tuning.longest_step, self.tuning.longest_step)) - z
+            dz = self._within(z + np.clip(dz, -tuning.LONGEST_STEP, tuning.LONGEST_STEP)) - z
         return dz, [-r.offset - r.slope @ dz for r in reduced]
 
     def _bent(
@@ -496,11 +493,11 @@ class Problem:
     ) -> tuple[Array, Sequence[Array]]:  # fmt: skip
         """Second-order correction of a step (geodesic acceleration): valleys of V are curved, straight steps creep."""
         dz, dxi = step
-        z, ahead = here.z, [x + self.tuning.bend * d for x, d in zip(here.xi, dxi, strict=True)]
-        there = z + self.tuning.bend * dz
+        z, ahead = here.z, [x + tuning.BEND * d for x, d in zip(here.xi, dxi, strict=True)]
+        there = z + tuning.BEND * dz
         errors = self.whitened(self.errors(hypothesis, there, ahead, simulators, here.around), noise)
         curved = [
-            p.with_residual(2.0 / self.tuning.bend * ((e - r) / self.tuning.bend - p.along(dz, d)))
+            p.with_residual(2.0 / tuning.BEND * ((e - r) / tuning.BEND - p.along(dz, d)))
             for p, r, e, d in zip(parts, here.residual, errors, dxi, strict=True)
         ]
         reduced = [p.reduced(damping) for p in curved]
@@ -510,7 +507,7 @@ class Problem:
         bent_xi = [-0.5 * r.offset - r.slope @ bent_z for r in reduced]
         straight = float(dz @ dz) + sum(float((d**2).sum()) for d in dxi)
         bent = float(bent_z @ bent_z) + sum(float((d**2).sum()) for d in bent_xi)
-        if bent < self.tuning.most_bent**2 * straight:
+        if bent < tuning.MOST_BENT**2 * straight:
             return bent_z, bent_xi
         return np.zeros_like(dz), [np.zeros_like(d) for d in dxi]
 
@@ -540,7 +537,7 @@ class Problem:
 
         All starts are moved in one simulation. ``here``: the residuals where both are as given; None: they are asked.
         """
-        step, start_step = self.tuning.step, self.tuning.start_step
+        step, start_step = tuning.STEP, tuning.START_STEP
 
         def at(there: Array, start: Array) -> Array:
             errors = self._record_errors(k, simulator, hypothesis, there, start, around)

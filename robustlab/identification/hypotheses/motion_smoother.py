@@ -200,7 +200,7 @@ def _smoothed(
 ) -> SmoothedRecord:
     noise = None if like is None else like.noise_std
     own = y[:, list(chain.outputs)]
-    return smooth_disturbance(chain.model(), chain.push, t, known[:, None], own, noise, bandwidth, jumps=False)
+    return smooth_disturbance(chain.model(), chain.push, t, known[:, None], own, noise, bandwidth)
 
 
 def _assembled(chains: Sequence[_Chain], runs: Sequence[SmoothedRecord], n: int, n_x: int) -> Array:
@@ -316,9 +316,7 @@ def _share(chain: _Chain, j: int, t: Array, known: Array, y: Array, run: Smoothe
     def changed(column: Array) -> Array:
         other = y[:, outputs].copy()
         other[:, at] = column
-        there = smooth_disturbance(
-            chain.model(), chain.push, t, known[:, None], other, run.noise_std, run.bandwidth, jumps=False
-        )
+        there = smooth_disturbance(chain.model(), chain.push, t, known[:, None], other, run.noise_std, run.bandwidth)
         return there.x - run.x
 
     return -2.0 * changed(0.5 * y[:, j]), changed(y[:, j] + size) / size

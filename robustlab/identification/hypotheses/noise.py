@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from robustlab.arrays import Array
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel, Prior
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
@@ -34,7 +35,7 @@ def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseMode
     A window tells of no correlation longer than itself, and errors that grow along it look unstable: the roots of the
     autoregression are held within that of a decay over one window.
     """
-    order = problem.tuning.ar_order if order is None else order
+    order = tuning.AR_ORDER if order is None else order
     errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
     n_y = errors[0].shape[2]
     slowest = np.exp(-1.0 / max(e.shape[1] for e in errors))
@@ -60,7 +61,7 @@ def careful(problem: Problem, fit: Fit, noise: NoiseModel) -> NoiseModel:
     Evidence counted sample by sample is too sure by the factor tr :math:`H^{-1}J` / tr :math:`H^{-1}(H - 1)`, and the
     variance is raised by it (composite likelihood: Varin, Reid, Firth 2011, section 2.3).
     """
-    there = problem.fit(fit.hypothesis, noise, fit.z, fit.starts, FitPlan(problem.tuning.last, 0.05, robust=True))
+    there = problem.fit(fit.hypothesis, noise, fit.z, fit.starts, FitPlan(tuning.LAST, 0.05, robust=True))
     assert there.covariance is not None
     told = len(there.z) - float(np.trace(np.linalg.pinv(there.hessian)))
     excess = max(1.0, float(np.trace(there.covariance @ there.hessian)) / max(told, 1e-9))
@@ -178,7 +179,7 @@ def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = N
     order, from a start by least squares, trusts differences between neighbouring points less, in which what is not
     modelled (a small ripple) shows first.
     """
-    found, settling = fit, problem.tuning.settling
+    found, settling = fit, tuning.SETTLING
     if order == 1:
         found = least_squares(problem, fit, noise, FitPlan(settling, 1e-3))
     for _ in range(2):

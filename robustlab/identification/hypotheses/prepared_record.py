@@ -14,10 +14,10 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.motion_model import Course, motion_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.errors import InputError
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.response.response import longest_period, slowest_time_constant
-from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 
@@ -131,25 +131,23 @@ def ports_of(plant: AnyPlant, record: Record) -> PortModel:
     return motion_model(Course(plant, x, u, record.dt), {}, points, 1, 1).model
 
 
-def window_length(
-    plant: AnyPlant, records: Sequence[Record], tuning: NamingTuning = TUNING, model: PortModel | None = None
-) -> int:
+def window_length(plant: AnyPlant, records: Sequence[Record], model: PortModel | None = None) -> int:
     """Samples per window: a twelfth of the shortest record, but at least the slowest time constant and two periods of
     the slowest resonance, as far as four windows fit.
 
     Of a nonlinear plant (``model`` about its motion) it is that twelfth; but over a window the fastest instability,
-    which a controller held when the record was made, grows no more than ``tuning.most_growth`` times.
+    which a controller held when the record was made, grows no more than ``tuning.MOST_GROWTH`` times.
     """
     n, dt = min(r.n for r in records), records[0].dt
-    length = min(max(20 * n // (20 * tuning.windows_wanted + 1), tuning.shortest_window), tuning.longest_window)
+    length = min(max(20 * n // (20 * tuning.WINDOWS_WANTED + 1), tuning.SHORTEST_WINDOW), tuning.LONGEST_WINDOW)
     if isinstance(plant, LinearPlant):
         linear = plant.state_space()
-        slowest = min(round(slowest_time_constant(linear) / dt), 2 * tuning.longest_window)
-        return min(max(length, slowest, round(2.0 * longest_period(linear) / dt)), n // tuning.fewest_windows)
+        slowest = min(round(slowest_time_constant(linear) / dt), 2 * tuning.LONGEST_WINDOW)
+        return min(max(length, slowest, round(2.0 * longest_period(linear) / dt)), n // tuning.FEWEST_WINDOWS)
     about = ports_of(plant, records[0]) if model is None else model
     growth = float(np.linalg.eigvals(about.A).real.max(initial=0.0))
-    stable = math.log(tuning.most_growth) / (growth * dt) if growth > 0.0 else math.inf
-    return int(min(length, max(stable, tuning.shortest_window / 2), n // tuning.fewest_windows))
+    stable = math.log(tuning.MOST_GROWTH) / (growth * dt) if growth > 0.0 else math.inf
+    return int(min(length, max(stable, tuning.SHORTEST_WINDOW / 2), n // tuning.FEWEST_WINDOWS))
 
 
 def prepare(
@@ -159,7 +157,6 @@ def prepare(
     length: int,
     valid: dict[str, Mask] | None = None,
     outputs: Collection[str] = (),
-    tuning: NamingTuning = TUNING,
 ) -> PreparedRecord:
     """Cut a uniform record into windows of ``length`` samples and smooth it.
 
@@ -176,11 +173,11 @@ def prepare(
     for j, k in enumerate(columns):
         if valid is not None and names[k] in valid:
             y[~valid[names[k]], j] = np.nan
-    if record.n // length < tuning.fewest_windows:
+    if record.n // length < tuning.FEWEST_WINDOWS:
         raise InputError(
             f"discover {record.name}",
             f"{record.n} samples",
-            f"at least {tuning.fewest_windows * length} ({tuning.fewest_windows} windows)",
+            f"at least {tuning.FEWEST_WINDOWS * length} ({tuning.FEWEST_WINDOWS} windows)",
         )
     joints = [p for p in model.ports.values() if p.kind == "joint"]
     push = np.stack([p.force for p in joints], axis=-1) if joints else model.B[..., : len(plant.inputs)]
@@ -188,23 +185,23 @@ def prepare(
     smoothed, told, constant = _states(plant, record, u, y, columns, own, push)
     measured = np.isfinite(y[:, own])
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
-    stretches = _between_gaps(lost, tuning.longest_guess)
+    stretches = _between_gaps(lost, tuning.LONGEST_GUESS)
     starts = [s for first, last in stretches for s in range(_lead(first, last, length), last - length + 1, length)]
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
-    if len(usable) < tuning.fewest_windows:
+    if len(usable) < tuning.FEWEST_WINDOWS:
         raise InputError(
             f"discover {record.name}",
             f"{len(usable)} windows of {length} samples without gaps",
-            f"at least {tuning.fewest_windows}",
+            f"at least {tuning.FEWEST_WINDOWS}",
             "shorter windows, or a record with fewer gaps",
         )
     windows = Windows(np.array(usable, dtype=np.int64), length)
     if isinstance(plant, LinearPlant):
         seen = plant.state_space().select(None, [names[columns[j]] for j in own]).C
-        smoothed = _with_plausible_currents(smoothed, model, seen, u, tuning)
-    std = start_std(smoothed, windows, tuning)
+        smoothed = _with_plausible_currents(smoothed, model, seen, u)
+    std = start_std(smoothed, windows)
     fastest = _fastest_seen(model, y[:, own], record.dt, smoothed.noise_std[own])
-    thin = max(1, min(length // tuning.points_per_window, int(tuning.averaged_share * fastest)))
+    thin = max(1, min(length // tuning.POINTS_PER_WINDOW, int(tuning.AVERAGED_SHARE * fastest)))
     return PreparedRecord(
         record,
         u,
@@ -281,9 +278,7 @@ def averaged(error: Array, thin: int) -> Array:
     return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
-def _with_plausible_currents(
-    smoothed: SmoothedRecord, model: PortModel, seen: Array, u: Array, tuning: NamingTuning
-) -> SmoothedRecord:
+def _with_plausible_currents(smoothed: SmoothedRecord, model: PortModel, seen: Array, u: Array) -> SmoothedRecord:
     r"""Currents that no sensor tells (``seen``: C of the measured outputs) where the plant can have them.
 
     They follow voltage and speed: near :math:`i_\infty = -(A_{ij} x_j + B_i u) / A_{ii}`, for a motor
@@ -297,7 +292,7 @@ def _with_plausible_currents(
         k = int(np.argmax(np.abs(port.velocity)))
         rate = model.A[k, k]
         steady = x[:, k] - (x @ model.A[k] + u @ model.B[k]) / rate if rate < 0 else np.zeros(len(x))
-        own = tuning.current_share * (float(np.abs(steady).max()) or float(np.ptp(x[:, k])))
+        own = tuning.CURRENT_SHARE * (float(np.abs(steady).max()) or float(np.ptp(x[:, k])))
         x[:, k] = np.where(std[:, k] > own, steady, x[:, k])
         std[:, k] = own
     return replace(smoothed, x=x, x_std=std)
@@ -334,7 +329,7 @@ def _smoothed(
     inputs = np.vstack([halves.mean(axis=2), halves[:, :, 1] - halves[:, :, 0]]).T
     b, d = np.hstack([bare.B, rising(bare.A, bare.B, dt)]), np.hstack([bare.D, -bare.D])
     kinds = [(bare, u), (StateSpaceModel(bare.A, b, bare.C, d), inputs)]
-    found = [(smooth_disturbance(model, push, t, seen, y, jumps=False), model, seen) for model, seen in kinds]
+    found = [(smooth_disturbance(model, push, t, seen, y), model, seen) for model, seen in kinds]
     return max(found, key=lambda f: f[0].log_likelihood)
 
 
@@ -350,7 +345,7 @@ def _told(
     def changed(j: int, output: Array) -> Array:
         other = y.copy()
         other[:, j] = output
-        there = smooth_disturbance(bare, push, t, u, other, smoothed.noise_std, smoothed.bandwidth, jumps=False)
+        there = smooth_disturbance(bare, push, t, u, other, smoothed.noise_std, smoothed.bandwidth)
         return there.x - smoothed.x
 
     shares = [-2.0 * changed(j, 0.5 * y[:, j]) for j in range(y.shape[1])]
@@ -368,9 +363,9 @@ def _lead(first: int, last: int, length: int) -> int:
     return first + min((last - first) % length, length // 20)
 
 
-def start_std(smoothed: SmoothedRecord, windows: Windows, tuning: NamingTuning) -> Array:
+def start_std(smoothed: SmoothedRecord, windows: Windows) -> Array:
     """How far a fit may move the window starts, (n_windows, n_x): far beyond what the smoother leaves open."""
-    return tuning.start_inflation * smoothed.x_std[windows.starts]
+    return tuning.START_INFLATION * smoothed.x_std[windows.starts]
 
 
 def _between_gaps(lost: Mask, longest_guess: int) -> list[tuple[int, int]]:

@@ -35,6 +35,7 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Law, Sc
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.law_kernel import TIME, law
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 
@@ -163,7 +164,7 @@ def _of_record(
 
     with np.errstate(all="ignore"):
         here = outputs(fit.z, xi)
-        step, start_step = problem.tuning.step, problem.tuning.start_step
+        step, start_step = tuning.STEP, tuning.START_STEP
         j = [points(outputs(fit.z + step * e, xi) - here) / step for e in np.eye(len(fit.z))]
         x = [points(outputs(fit.z, xi + start_step * e) - here) / start_step for e in np.eye(xi.shape[1])]
         motions = tuple(_motion(problem, fit, place, k) for place in places)
@@ -341,9 +342,8 @@ class FittedWindows:
     @property
     def as_noise(self) -> bool:
         """Whether noise and a random force, no larger than machines have, make the errors what they are."""
-        tuning = self.problem.tuning
         ratio = np.sqrt(self.alone.alone_q / self.points)
-        return bool(ratio < tuning.most_noise and self.alone.size < tuning.most_random)
+        return bool(ratio < tuning.MOST_NOISE and self.alone.size < tuning.MOST_RANDOM)
 
     @property
     def smaller(self) -> Array:

@@ -2,7 +2,7 @@
 # (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
 r"""Compiled square-root Kalman filter and Rauch-Tung-Striebel smoother.
 
-.. math:: z_{k+1} = \Phi z_k + f_k + w_k, \quad w_k \sim N(0, L_{\kappa(k)}^T L_{\kappa(k)}), \qquad
+.. math:: z_{k+1} = \Phi z_k + f_k + w_k, \quad w_k \sim N(0, L^T L), \qquad
           y_k = H z_k + e_k, \quad e_k \sim N(0, \operatorname{diag} \sigma^2)
 
 Covariances are carried as square roots, P = S S^T, so that a diffuse start and units of 1e-8 lose no digits. Outputs
@@ -18,7 +18,7 @@ the roots repeat from sample to sample they are kept, and only the means run on.
 References
 ----------
 Kailath, Sayed, Hassibi, *Linear Estimation* (2000), chapter 12; Park, Kailath, "New square-root smoothing algorithms",
-IEEE TAC 41 (1996); de Jong, Penzer, "Diagnosing shocks in time series", JASA 93 (1998).
+IEEE TAC 41 (1996).
 """
 
 from __future__ import annotations
@@ -35,15 +35,13 @@ from robustlab.arrays import Array, Indices
 REPEATS = 1e-12
 
 _1, _2, _3 = (types.Array(types.float64, k, "C") for k in (1, 2, 3))
-_PLACES = types.Array(types.int64, 1, "C")
 
 
 class Filter(NamedTuple):
-    """The linear system of the module's header; ``kind`` (n,) chooses the root of the noise after each sample."""
+    """The linear system of the module's header; ``root`` is L."""
 
     phi: Array
-    roots: Array
-    kind: Indices
+    root: Array
     forced: Array
     H: Array
     sigma: Array
@@ -71,8 +69,8 @@ class Kept(NamedTuple):
         )  # fmt: skip
 
 
-_FILTER = (_2, _3, _PLACES, _2, _2, _1, _2)
-_KEPT = (_2, _2, _PLACES, _3, _3, _3, _2)
+_FILTER = (_2, _2, _2, _2, _1, _2)
+_KEPT = (_2, _2, types.Array(types.int64, 1, "C"), _3, _3, _3, _2)
 
 
 @njit(nogil=True, error_model="numpy")
@@ -180,7 +178,7 @@ def forward(model, y, keep, innovation, kept):
     ``innovation`` (n, n_y) receives v / sqrt(a), NaN where y is. With ``keep`` the other arrays are filled for the
     smoother, else they may be empty. Returns the sum of log a and of v^2 / a over all but the first n_z full updates.
     """
-    phi, roots, kind, forced, H, sigma, S0 = model
+    phi, noise, forced, H, sigma, S0 = model
     predicted, filtered, slot, root, G, rest, last = kept
     n, n_y, n_z = y.shape[0], y.shape[1], len(phi)
     z, z_next, S = np.zeros(n_z), np.zeros(n_z), S0.copy()
@@ -193,7 +191,7 @@ def forward(model, y, keep, innovation, kept):
         complete = True
         for i in range(n_y):
             complete = complete and not math.isnan(y[k, i])
-        frozen = frozen and complete and kind[k] == 0
+        frozen = frozen and complete
         if keep:
             predicted[k] = z
         if not frozen:
@@ -227,10 +225,10 @@ def forward(model, y, keep, innovation, kept):
             last[:] = S
             break
         if not frozen:
-            _advance(work, phi, S, roots[kind[k]], S_new, one_G, one_rest)
+            _advance(work, phi, S, noise, S_new, one_G, one_rest)
             if keep:
                 G[place], rest[place] = one_G, one_rest
-            frozen = complete and kind[k] == 0 and _repeats(S_new, S_pred)
+            frozen = complete and _repeats(S_new, S_pred)
             S_pred[:] = S_new
         for i in range(n_z):
             total = forced[k, i]
@@ -241,32 +239,14 @@ def forward(model, y, keep, innovation, kept):
     return logs, squares, count
 
 
-@njit(nogil=True, error_model="numpy")
-def _solve_covariance(S, b):
-    """Overwrite b with (S S^T)^-1 b for a lower triangle S."""
-    n = len(b)
-    for i in range(n):
-        for j in range(i):
-            b[i] -= S[i, j] * b[j]
-        b[i] /= S[i, i]
-    for i in range(n - 1, -1, -1):
-        for j in range(i + 1, n):
-            b[i] -= S[j, i] * b[j]
-        b[i] /= S[i, i]
-
-
-@njit([(types.NamedTuple(_KEPT, Kept), types.int64, _2, _3, _2, _2)], cache=True, nogil=True, error_model="numpy")
-def backward(kept, n_x, mean, covariance, shock, precision):
-    """Smoothed mean (n, n_z) and covariance (n, n_z, n_z), and what speaks for a jump of the states from n_x on.
-
-    ``shock[k, j]`` is the score of a jump of state n_x + j between samples k and k + 1 and ``precision`` its variance:
-    their quotient estimates the jump, and shock / sqrt(precision) is standard normal where there is none.
-    """
-    predicted, filtered, slot, root, G, rest, last = kept
+@njit([(types.NamedTuple(_KEPT, Kept), _2, _3)], cache=True, nogil=True, error_model="numpy")
+def backward(kept, mean, covariance):
+    """Smoothed mean (n, n_z) and covariance (n, n_z, n_z)."""
+    predicted, filtered, slot, _, G, rest, last = kept
     n, n_z = filtered.shape
     mean[n - 1] = filtered[n - 1]
     covariance[n - 1] = last @ last.T
-    error, column = np.zeros(n_z), np.zeros(n_z)
+    error = np.zeros(n_z)
     half = np.zeros((n_z, n_z))
     for k in range(n - 2, -1, -1):
         after = covariance[k + 1]
@@ -289,15 +269,3 @@ def backward(kept, n_x, mean, covariance, shock, precision):
                     total += half[i, c] * gain[j, c]
                 out[i, j] = total
                 out[j, i] = total
-        S = root[slot[k + 1]]
-        for q in range(shock.shape[1]):
-            column[:] = 0.0
-            column[n_x + q] = 1.0
-            _solve_covariance(S, column)
-            score, spread = 0.0, column[n_x + q]
-            for i in range(n_z):
-                score += column[i] * error[i]
-                for j in range(n_z):
-                    spread -= column[i] * after[i, j] * column[j]
-            shock[k, q] = score
-            precision[k, q] = max(spread, 0.0)

@@ -34,6 +34,7 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import RobustlabError
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.hypotheses.random_force import (
     FittedWindows,
@@ -367,7 +368,7 @@ def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Sit
     Of a linear plant with few joints (``most_places``) the random force acts at one of them, and each is asked; of
     any other at all of them, and those are asked where more than it is left.
     """
-    places, most = plain_places(problem, fit), problem.tuning.most_places
+    places, most = plain_places(problem, fit), tuning.MOST_PLACES
     if len(places) <= most and not isinstance(problem.plant, NonlinearPlant):
         return tuple((FittedWindows(force_response(problem, fit, [p]), fit.z, problem), p) for p in places)
     everywhere = FittedWindows(force_response(problem, fit, places), fit.z, problem)

@@ -3,7 +3,6 @@
 change_test    the sequential test, and its rate of false alarms
 changes        what may change: parameters of the model, effects that it has not
 piece          one piece of a log as equations in these
-grown          after an alarm: what changed, since when, by how much
 watch          `watch`: a log in pieces from beginning to end
 watch_result   its result
 """

@@ -39,7 +39,6 @@ anytime-valid inference*, Statistical Science 38 (2023).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -100,6 +99,13 @@ class Alternatives:
         """Log evidence of each tau, (n_tau,)."""
         both = np.concatenate([self.named.reshape(len(self.since), -1), self.unnamed[:, None]], axis=1)
         return log_sum(both, axis=1)
+
+    def onset(self) -> tuple[int, int, int]:
+        """Piece at which the change most probably began, and the ends of its 95 % interval."""
+        share = np.exp(self.each - log_sum(self.each))
+        below = np.cumsum(share)
+        ends = (int(self.since[min(np.searchsorted(below, q), len(below) - 1)]) for q in (0.025, 0.975))
+        return int(self.since[np.argmax(share)]), *ends
 
 
 @dataclass(eq=False)
@@ -224,14 +230,3 @@ def _profile(sums: Array, k: int) -> tuple[Array, Array]:
     right = sums[..., :k, k]
     cost = sums[..., k, k] - (right * np.linalg.solve(told, right[..., None])[..., 0]).sum(axis=-1)
     return cost, np.linalg.slogdet(told)[1]
-
-
-def told_by(pieces: Sequence[PieceEquations], k: int) -> tuple[Array, Array, float]:
-    """Step of the k parameters that explains the pieces best, its covariance (the prior of their tolerances included),
-    and the mean square of the residuals that it leaves.
-    """
-    whole = np.sum([p.whole for p in pieces], axis=0)
-    precision = whole[:k, :k] + np.eye(k)
-    step = -np.linalg.solve(precision, whole[:k, -1])
-    left = whole[-1, -1] + whole[:k, -1] @ step
-    return step, np.linalg.inv(precision), float(left) / max(sum(p.points for p in pieces), 1)

@@ -8,14 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.effects.kinds import KIND_OF, upwards
-from robustlab.dynamics.ports.port_model import parameter_groups
 from robustlab.identification.hypotheses.effect_fit import Candidate, Hypothesis, Problem
 from robustlab.identification.monitoring.change_test import Columns
 from robustlab.identification.naming.first_look import Start, extended, may_follow
-from robustlab.identification.naming.named_kinds import Place, Places
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,36 +19,17 @@ class Change:
 
     Attributes
     ----------
-    effect, title, site
-        Id in the catalogue (empty of a parameter without a role), in words, and where.
-    parameter
-        Of the model: name of the parameter that moves; empty of an effect that comes in.
     at
-        Index of that parameter among the standardised ones; None of an effect that comes in.
+        Index of a parameter among the standardised ones; None of an effect that comes in.
     starts
         Of an effect that comes in: where fits of it begin.
     size
         A usual strength, in units of its column: a log factor of one for a parameter that is scaled.
     """
 
-    effect: str
-    title: str
-    site: Site
-    parameter: str
     at: int | None
     starts: tuple[Start, ...]
     size: float
-
-    @property
-    def key(self) -> str:
-        """Unique name."""
-        return f"{self.parameter or self.effect} @ {self.site.name}"
-
-    def above(self, places: Places) -> list[Place]:
-        """Its kinds, the narrowest first, each with its place; of what has no kind itself."""
-        if self.effect not in KIND_OF:
-            return [(self.parameter or self.effect, self.site.name)]
-        return [(kind.id, places.of(self.site, kind)) for kind in upwards(KIND_OF[self.effect])]
 
 
 def possible_changes(
@@ -64,20 +40,17 @@ def possible_changes(
     ``hypothesis``, ``z``: the effects that it has, and all standardised parameters. A wrong parameter of the plant is
     that parameter, where it is refitted; the shift of a clock is none.
     """
-    roles = {label: role for role, label, _ in parameter_groups(problem.plant)}
     found = []
     for at, nuisance in enumerate(problem.nuisances):
         if nuisance.input:
             continue
-        role = roles.get(nuisance.label, "")
-        title = catalogue()[role].title if role in catalogue() else nuisance.label
         size = 1.0 if nuisance.additive else 1.0 / nuisance.spread
-        found.append(Change(role, title, Site("parameter", nuisance.label), nuisance.label, at, (), size))
+        found.append(Change(at, (), size))
     at = len(problem.nuisances)
     for candidate in hypothesis.candidates:
         for p in candidate.parameters:
             size = 1.0 / p.prior.spread if p.prior.kind == "log" else 1.0
-            found.append(Change(candidate.effect.id, candidate.effect.title, candidate.site, p.name, at, (), size))
+            found.append(Change(at, (), size))
             at += 1
     refitted = {n.label for n in problem.nuisances}
     coming: dict[str, tuple[Candidate, list[Start]]] = {}
@@ -90,23 +63,10 @@ def possible_changes(
             continue
         starts = [Start(c, *extended(problem, hypothesis, z, c, start)) for start in c.starts]
         coming.setdefault(c.key, (c, []))[1].extend(starts)
-    for c, starts in coming.values():
-        found.append(Change(c.effect.id, c.effect.title, c.site, "", None, tuple(starts), 1.0))
-    return tuple(found)
+    return (*found, *(Change(None, tuple(starts), 1.0) for _, starts in coming.values()))
 
 
-@dataclass(frozen=True, eq=False)
-class ColumnPlan:
-    """Which column is of which change: the own parameters first, then those of effects that come in.
-
-    ``of`` (n,): index of the change of each column, -1 of a parameter that is none (a clock).
-    """
-
-    of: Array
-    columns: Columns
-
-
-def column_plan(changes: Sequence[Change], own: int) -> ColumnPlan:
+def columns_of(changes: Sequence[Change], own: int) -> Columns:
     """One column a parameter; of an effect one a start, or one a linear parameter where it has such."""
     of, size, signed = np.full(own, -1), np.ones(own), np.zeros(own, dtype=bool)
     for k, change in enumerate(changes):
@@ -120,4 +80,4 @@ def column_plan(changes: Sequence[Change], own: int) -> ColumnPlan:
     size = np.append(size, np.ones(len(of) - own))
     counts = np.array([np.sum(of == k) for k in of])
     weight = np.where(of >= 0, 1.0 / (counts * max(len(changes), 1)), 0.0)
-    return ColumnPlan(of, Columns(own, weight, size, signed))
+    return Columns(own, weight, size, signed)

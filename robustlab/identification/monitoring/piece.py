@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.monitoring.change_test import PieceEquations
@@ -21,7 +22,7 @@ SLOW = 6  # cosines in a window, over which unnamed errors are looked for
 
 def placed(problem: Problem, hypothesis: Hypothesis, noise: NoiseModel, z: Array) -> Fit:
     """The model with these parameters in the windows of a piece, each from its best start."""
-    return problem.fit(hypothesis, noise, z, plan=FitPlan(problem.tuning.last, 0.5, fixed=True))
+    return problem.fit(hypothesis, noise, z, plan=FitPlan(tuning.LAST, 0.5, fixed=True))
 
 
 def faithful_windows(problem: Problem, fit: Fit, spread: Array) -> tuple[Problem, Fit]:

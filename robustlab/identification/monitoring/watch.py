@@ -1,9 +1,8 @@
-"""`watch`: does a model go on explaining a running log, with a stated rate of false alarms; and what changes.
+"""`watch`: detect when a model stops explaining a running log, with a bounded rate of false alarms.
 
-The first piece tells the model's parameters within their tolerances, and the noise where that is not stated. Every
-piece is cut into windows that start anew from whatever state suits them best: nothing is carried from one window or
-piece to the next, so that gaps, restarts and drift between them do no harm. What a piece tells about the parameters and
-all that may change goes into the sums of the test, and the piece itself is needed again only after an alarm.
+The first piece gives the model's parameters within their tolerances, and the noise where that is not stated. Every
+piece is cut into windows that start anew from their best-fitting state, so that gaps, restarts and drift do no harm.
+After an alarm `discover` reports what the plant lacks in the pieces since the change.
 """
 
 from __future__ import annotations
@@ -23,7 +22,8 @@ from robustlab.dynamics.extended.extended_equations import ExtendedEquations
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
-from robustlab.errors import InputError, told_as, unknown_name
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as, unknown_name
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.candidates import (
     candidates,
     nuisance_parameters,
@@ -35,33 +35,21 @@ from robustlab.identification.hypotheses.noise import careful, first_noise, whit
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, ports_of, prepare, window_length
 from robustlab.identification.monitoring.change_test import Alternatives, ChangeTest
-from robustlab.identification.monitoring.changes import Change, ColumnPlan, column_plan, possible_changes
-from robustlab.identification.monitoring.grown import (
-    Before,
-    Fits,
-    before_change,
-    fitted,
-    named,
-    onset,
-    shortlist,
-    unchanged,
-    value_fitted,
-)
+from robustlab.identification.monitoring.changes import Change, columns_of, possible_changes
 from robustlab.identification.monitoring.piece import equations, faithful_windows, fine_steps, placed
-from robustlab.identification.monitoring.watch_result import Verdict, Watch, WatchedPiece
-from robustlab.identification.naming.named_effects import EffectValue
-from robustlab.identification.naming.named_kinds import Places
+from robustlab.identification.monitoring.watch_result import Watch, WatchedPiece
+from robustlab.identification.naming.discovery import discover
+from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.set_search import clock_nuisances, held_inputs
 from robustlab.identification.record_check.resampling import clock_step, uniform
 from robustlab.identification.response.response import with_units
-from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
 FAR = 2.0  # standard deviations, as the first piece tells the parameters, within which a window has to be linear
-CLEAR = 10.0  # log evidence beyond an alarm: then the beginning is told; a change may outgrow what is linear in it
-MOST_FITTED = 8  # pieces at the end to which the changes are fitted
+CLEAR = 10.0  # log evidence beyond an alarm, at which the onset is estimated; a later change may not be linear
+MOST_DISCOVERED = 8  # pieces at the end that `discover` gets
 OWN_SPREAD = 0.3  # relative: how well a model's effect is known before its first piece, where it does not say
 
 
@@ -78,19 +66,16 @@ def watch(
     exclude: Sequence[str] = (),
     window: float | None = None,
     progress: Callable[[str], None] | None = None,
-    tuning: NamingTuning = TUNING,
 ) -> Watch:
-    r"""Say when a model stops explaining a running log, and what has changed since.
+    r"""Detect when a model stops explaining a running log, and report what it lacks since then.
 
-    The test's E is a mixture of likelihood ratios over all times and kinds of a change, the model's constant parameters
-    integrated out. While the model explains the log, :math:`P(\exists t: E_t \ge 1/\alpha) \le \alpha` (Ville's
-    inequality), however long it is and whenever one looks; see `robustlab.identification.monitoring.change_test`.
+    While the model explains the log, :math:`P(\exists t: E_t \ge 1/\alpha) \le \alpha` for the test's E (Ville's
+    inequality), however long the log is and whenever one looks; see `robustlab.identification.monitoring.change_test`.
 
-    ASSUMPTIONS: the noise of the sensors is white in time and Gaussian (for changes with a name: sub-Gaussian) of the
-    standard deviation ``noise``; without it, of the size that the first piece shows, and the rate holds as far as that
-    piece tells it. The parameters are constant, known only as well as the log itself tells them, and the model
-    is linear in what the first piece leaves open of them; windows in which it is not are left out. The windows start
-    anew: a drift of the state that is slower than a window is no change.
+    ASSUMPTIONS: the sensors' noise is white and Gaussian (for named changes: sub-Gaussian) of the standard deviation
+    ``noise``; without it, of the size that the first piece shows. The parameters are constant, and the model is linear
+    in what the first piece does not determine of them; windows in which it is not are left out. A drift of the state
+    that is slower than a window is no change.
 
     Parameters
     ----------
@@ -113,13 +98,11 @@ def watch(
         Length of the windows in s, as `discover` chooses it where left out.
     progress
         Called with a line of text for each piece.
-    tuning
-        Numbers of the fits.
 
     Returns
     -------
     Watch
-        ``.verdict``, ``.alarm`` (s), ``.since`` (s), ``.growth`` (kind, value before and now), ``.pieces``.
+        ``.verdict``, ``.alarm`` (s), ``.since`` (s), ``.found`` (`Discovery` of the pieces since), ``.pieces``.
 
     Raises
     ------
@@ -144,7 +127,7 @@ def watch(
     stated = stated_tolerances(plant, tolerances)
     plant = with_absolute_tolerances(plant, stated)
     left_out = {effect(name).id for name in exclude}
-    settings = _Settings(plant, attached, stated, noise, false_alarm, left_out, window, tuning)
+    settings = _Settings(plant, attached, stated, noise, false_alarm, left_out, window)
     given = [records] if isinstance(records, Record) else records
     watched: _Watched | None = None
     log_limit = -np.log(false_alarm)
@@ -176,7 +159,6 @@ class _Settings:
     false_alarm: float
     left_out: set[str]
     window: float | None
-    tuning: NamingTuning
 
 
 def _parts_of(model: Any) -> tuple[AnyPlant, tuple[AttachedEffect, ...]]:
@@ -225,34 +207,35 @@ class _Watched:
     """The log so far: the model as learned from its first piece, the test, and the prepared pieces."""
 
     def __init__(self, settings: _Settings, first: Record) -> None:
-        self.settings, tuning = settings, settings.tuning
+        self.settings = settings
         plant = settings.plant
         self.dt = clock_step(first.t)
         self.seen = {s.name for s in plant.outputs} & set(first.outputs)
         record = self._uniform(first)
         self.model: PortModel = ports_of(plant, record)
         window = settings.window
-        least = tuning.fewest_windows * tuning.shortest_window // 2
+        least = tuning.FEWEST_WINDOWS * tuning.SHORTEST_WINDOW // 2
         if window is None and record.n < least:
             raise InputError(f"watch {first.name}", f"{record.n} samples", f"at least {least} in a piece")
-        self.length = window_length(plant, [record], tuning, self.model) if window is None else round(window / self.dt)
+        self.length = window_length(plant, [record], self.model) if window is None else round(window / self.dt)
         prepared = self._prepared(first)
         self.thin = prepared.thin
         nuisances = nuisance_parameters(plant, settings.stated)
-        nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), self.dt, tuning)
-        problem = Problem(plant, [prepared], nuisances, tuning=tuning, clock=Clock(tuning.least_steps))
-        pool = candidates(plant, self.model, [prepared], tuning)
+        nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), self.dt)
+        problem = Problem(plant, [prepared], nuisances, clock=Clock(tuning.LEAST_STEPS))
+        pool = candidates(plant, self.model, [prepared])
         self.problem, learned = self._learned(problem, Hypothesis(tuple(_own(e, pool) for e in settings.attached)))
         self.hypothesis, self.z, self.noise = learned.hypothesis, learned.z, learned.noise
         sizes, directions = np.linalg.eigh(np.linalg.inv(learned.hessian))
         self.spread = FAR * directions * np.sqrt(np.maximum(sizes, 0.0))
         pool = [c for c in pool if c.effect.id not in settings.left_out]
         self.changes: tuple[Change, ...] = possible_changes(self.problem, self.hypothesis, self.z, pool)
-        self.plan: ColumnPlan = column_plan(self.changes, len(self.z))
-        self.test = ChangeTest(self.plan.columns, 1 if settings.noise is None else 0, 1)
+        self.test = ChangeTest(columns_of(self.changes, len(self.z)), 1 if settings.noise is None else 0, 1)
         self.told: Alternatives | None = None  # the alternatives once an alarm is clear
         self.highest = -np.log(settings.false_alarm)  # evidence that they had, or that of an alarm
-        self.tested: list[Problem] = []  # the windows of each piece that the test has seen
+        self.records: list[Record] = []
+        self.windows = [0, 0]  # that the test has seen, and all
+        self.outputs = [settings.plant.outputs[k].name for k in prepared.columns]
         self.pieces: list[WatchedPiece] = []
         self._judge(first, prepared)
 
@@ -275,20 +258,20 @@ class _Watched:
 
     def _prepared(self, piece: Record) -> PreparedRecord:
         found = uniform(piece, None if piece.is_uniform else self.dt)
-        record, tuning = with_units(found.record, self._signals), self.settings.tuning
-        return prepare(self.settings.plant, self.model, record, self.length, dict(found.valid), self.seen, tuning)
+        record = with_units(found.record, self._signals)
+        return prepare(self.settings.plant, self.model, record, self.length, dict(found.valid), self.seen)
 
     def _learned(self, problem: Problem, hypothesis: Hypothesis) -> tuple[Problem, Fit]:
         """The model refitted within its tolerances to the first piece; clock, steps and noise of the watch."""
-        tuning, stated = problem.tuning, self.settings.noise
+        stated = self.settings.noise
         noise = first_noise(problem) if stated is None else self._stated(problem, stated)
         z = np.zeros(problem.size(hypothesis))
-        fit = problem.fit(hypothesis, noise, z, plan=FitPlan(tuning.base))
+        fit = problem.fit(hypothesis, noise, z, plan=FitPlan(tuning.BASE))
         fit, problem = held_inputs(problem, fit)
         for _ in range(2):
             if stated is None:
                 noise = careful(problem, fit, _noise_left(problem, fit))
-            fit = problem.fit(hypothesis, noise, fit.z, fit.starts, FitPlan(tuning.base, 1e-3))
+            fit = problem.fit(hypothesis, noise, fit.z, fit.starts, FitPlan(tuning.BASE, 1e-3))
             problem = fine_steps(problem, fit)
         return problem, fit
 
@@ -312,86 +295,44 @@ class _Watched:
         there, fit = faithful_windows(there, fit, self.spread)
         told = equations(there, fit, self.changes)
         misfit = float(np.sqrt(told.whole[-1, -1] / max(told.points, 1)))
-        self.tested.append(there)
+        self.records.append(piece)
+        self.windows = [self.windows[0] + len(there.chosen[0]), self.windows[1] + there.records[0].count]
         evidence = self.test.add(told)
         self.pieces.append(WatchedPiece(float(piece.t[0]), float(piece.t[-1]), evidence, misfit))
         if self.highest <= evidence and self.highest < CLEAR - np.log(self.settings.false_alarm):
             self.highest, self.told = evidence, self.test.alternatives()
 
-    # --- the answer ---------------------------------------------------------------------------------------------------
-
     def result(self) -> Watch:
         """What was found in all pieces so far."""
-        alarm = -np.log(self.settings.false_alarm)
+        settings, alarm = self.settings, -np.log(self.settings.false_alarm)
         over = [k for k, p in enumerate(self.pieces) if p.evidence >= alarm]
-        names = [self.settings.plant.outputs[k].name for k in self.tested[0].records[0].columns]
         sizes = self.noise.std * np.sqrt(self.thin)
-        used = sum(len(t.chosen[0]) for t in self.tested) / sum(t.records[0].count for t in self.tested)
-        status = Status.CONVERGED if over or used >= 0.5 else Status.INCONCLUSIVE
+        used = self.windows[0] / self.windows[1]
         result = Watch(
-            status, "explained", self.settings.false_alarm, np.nan, np.nan, np.nan, np.nan, None,
-            tuple(self.pieces), dict(zip(names, map(float, sizes), strict=True)), self.settings.noise is not None,
-            self.settings.plant.name, self.length * self.dt, used,
+            Status.CONVERGED if over or used >= 0.5 else Status.INCONCLUSIVE, "explained", settings.false_alarm,
+            np.nan, np.nan, np.nan, np.nan, None, tuple(self.pieces),
+            dict(zip(self.outputs, map(float, sizes), strict=True)), settings.noise is not None, settings.plant.name,
+            self.length * self.dt, used,
         )  # fmt: skip
-        return self._with_change(result, over[0], self.told) if self.told is not None else result
-
-    def _with_change(self, result: Watch, alarm: int, found: Alternatives) -> Watch:
-        """The same with what changed: told by the fits of the changes that come into question."""
-        likely = shortlist(found, self.plan, self.settings.tuning.kept_last)
-        began = onset(found, likely, self.plan)
+        if self.told is None:
+            return result
+        began, lower, upper = self.told.onset()
         # A change may begin within a piece, and too late in it to show there.
-        times = [self.pieces[k].start for k in (began.piece, max(began.lower - 1, 0), began.upper)]
-        changed = replace(
-            result, verdict="unknown", alarm=self.pieces[alarm].stop, since=times[0], since_lower=times[1],
-            since_upper=times[2],
-        )  # fmt: skip
-        if not began.piece:  # it never explained the log: what it lacks is for `discover`
-            return changed
-        before = before_change(self.test, self.hypothesis, self.z, began.piece)
-        places = Places(self.settings.plant, self.problem.simulators(Hypothesis(()))[0].model({}, []))
-        fits = self._fitted(before, likely, began.piece, places)
-        told = named(self.problem, before, self.changes, fits, places, began.growing)
-        if told.growth is None:
-            return changed
-        verdict: Verdict = "named" if told.sure else "ambiguous"
-        values = [self._value(before, told.best, k) for k in range(len(self.pieces))]
-        rows = zip(self.pieces, values, strict=True)
+        times = [self.pieces[k].start for k in (began, max(lower - 1, 0), upper)]
+        found = self._found(max(began, len(self.pieces) - MOST_DISCOVERED))
         return replace(
-            changed,
-            verdict=verdict,
-            growth=told.growth,
-            pieces=tuple(replace(p, value=v.value, lower=v.lower, upper=v.upper) for p, v in rows),
-        )
+            result, verdict="changed", alarm=self.pieces[over[0]].stop, since=times[0], since_lower=times[1],
+            since_upper=times[2], found=found,
+        )  # fmt: skip
 
-    def _fitted(self, before: Before, likely: Sequence[int], since: int, places: Places) -> Fits:
-        """The changes fitted, each piece by itself, to as few of the last pieces as tell which of them it is.
-
-        To the last ones that show the change, where it has gone again.
-        """
-        excess = np.array([p.misfit**2 - before.left for p in self.pieces[since:]])
-        end = len(self.pieces) if excess[-1] >= 0.5 * excess.max() else since + int(np.argmax(excess)) + 1
-        fits = Fits((), (), 0)
-        for k in range(end - 1, max(since, end - MOST_FITTED) - 1, -1):
-            there = self.tested[k]
-            none = unchanged(there, before, self.noise)
-            each = [fitted(there, before, self.changes, j, self.noise) for j in likely]
-            fits = fits.and_of(none, each, self.test.pieces[k].points)
-            if (
-                fits.gain >= self.settings.tuning.far_behind
-                and named(there, before, self.changes, fits, places, 0.0).sure
-            ):
-                break
-        return fits
-
-    def _value(self, before: Before, change: int, k: int) -> EffectValue:
-        """What changed as it was in one piece."""
-        found = fitted(self.tested[k], before, self.changes, change, self.noise)
-        return value_fitted(
-            self.tested[k],
-            found.fit,
-            self.changes[change],
-            max(1.0, before.left, found.fit.cost / self.test.pieces[k].points),
-        )
+    def _found(self, first: int) -> Discovery | None:
+        """What `discover` reports of the plant without effects from a piece on; None where the pieces are too poor."""
+        stated = {name: tolerance for name, (tolerance, assumed) in self.settings.stated.items() if not assumed}
+        out = tuple(self.settings.left_out)
+        try:
+            return discover(self.settings.plant, self.records[first:], tolerances=stated, exclude=out)
+        except (InputError, NoTrustworthyNumber):
+            return None
 
 
 def _noise_left(problem: Problem, fit: Fit) -> NoiseModel:

@@ -17,6 +17,7 @@ from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import NoTrustworthyNumber, RobustlabError
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
 from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
 from robustlab.identification.hypotheses.prepared_record import start_std
@@ -82,6 +83,11 @@ class _Judgement(NamedTuple):
     verdict: Verdict
     complete: bool
 
+    def status(self, explained: float) -> Status:
+        """INCONCLUSIVE without a sure name, or where what remains is larger than what the names explain."""
+        sure = self.verdict == "no missing effect" or (self.verdict == "named" and (self.complete or explained >= 0.5))
+        return Status.CONVERGED if sure else Status.INCONCLUSIVE
+
 
 class _Left(NamedTuple):
     """What the best set leaves: whether it matters, whether all was looked at and nothing does, and what it is.
@@ -137,33 +143,35 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise, 0)
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
     judged = _Judgement(verdict, left.complete and verdict != "unknown")
+    findings = [*case.findings, *_search_findings(found)]
     if named:
-        judged = _on_held_out(judged, gaps, bool(strained(problem, bare)), problem.tuning.material)
+        judged = _on_held_out(judged, gaps, bool(strained(problem, bare)), tuning.MATERIAL)
+    if refuted := bool(named) and gaps.worse_than_given:
+        findings.append(_refuted(fit, gaps))
+        fit = bare  # nothing of it is reported as found
     rivals = [a for a in posterior.alternatives() if a.candidate.key not in kinds.ignored]
     if judged.verdict == "unknown" and not named:
         rivals = []  # nothing was named, and nothing is missing no longer stands beside them
     names = tuple(r.name for r in case.records)
     force = left.force
-    unsettled = force if force and not judged.complete else None
-    structure = {"noise_ratio": posterior.noise_ratio}
+    explained = _explained_on_held_out(gaps, posterior.noise_ratio)
+    structure = {"noise_ratio": posterior.noise_ratio, "explained": explained}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
     curves = stages.run("residual force", force.curves, None) if force else None
     missing = stages.run("missing force", lambda: _missing_force(found, bare), None) if named else None
-    unnamed = stages.run("unnamed force", unsettled.unnamed, None) if unsettled else None
     sure = stages.run("kinds", lambda: kinds.named(problem, left.remains), ()) if judged.verdict != "unknown" else ()
     source = f"fitted to {', '.join(names)}"
-    model = stages.run("updated plant", lambda: updated_plant(problem, fit, source, sure), None)
-    findings = [*case.findings, *_search_findings(found), *stages.findings]
+    model = None if refuted else stages.run("updated plant", lambda: updated_plant(problem, fit, source, sure), None)
 
     def told(fit: Fit, keys: Sequence[str]) -> tuple[NamedEffect, ...]:
         own = [k for k, c in enumerate(fit.hypothesis.candidates) if c.key in keys]
         return tuple(_named(found, posterior, fit, k, rivals, matters) for k in own)
 
     return Discovery(
-        status=Status.CONVERGED if judged.verdict in ("named", "no missing effect") else Status.INCONCLUSIVE,
+        status=judged.status(explained),
         verdict=judged.verdict,
         complete=judged.complete,
-        effects=told(fit, [c.key for c in named]),
+        effects=told(fit, [c.key for c in fit.hypothesis.candidates]),
         kinds=sure,
         also_detectable=told(whole, list(slight)),
         rivals=tuple(_rival(problem, a) for a in rivals),
@@ -182,14 +190,13 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         search=_entries(found),
         clocks=_clocks(problem, fit),
         candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
-        structure=structure | (vars(force.structure) | {"found": force.structure.found} if force else {}),
+        structure=structure,
         residual_force=curves,
         missing_force=missing,
-        unnamed=unnamed,
         noise_floor=left.floor,
         floor_excess=left.excess,
         remaining_lines=left.lines,
-        findings=tuple(findings),
+        findings=(*findings, *stages.findings),
         series=gaps.series,
         model=model,
         next_experiment=experiment,
@@ -201,15 +208,14 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
 
 def _what_is_left(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Left:
     """What the best set leaves; a line too weak to matter is told and leaves the answer complete."""
-    tuning = found.problem.tuning
     force = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
-    lines = stages.run("lines", lambda: remaining_lines(force, tuning) if force else (), ())
+    lines = stages.run("lines", lambda: remaining_lines(force) if force else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
     moving = max((c.scales.force for c in case.pool if force and c.site.name == force.port), default=0.0)
-    remains = any(float(line["amplitude"]) > tuning.remark * moving for line in lines)
-    remains = remains or any(f > tuning.repeatable for f in excess.values())
-    remains = remains or posterior.noise_ratio > tuning.most_noise or posterior.best.unnamed is not None
-    remains = remains or posterior.random_share > tuning.most_random or not posterior.generalises
+    remains = any(float(line["amplitude"]) > tuning.REMARK * moving for line in lines)
+    remains = remains or any(f > tuning.REPEATABLE for f in excess.values())
+    remains = remains or posterior.noise_ratio > tuning.MOST_NOISE or posterior.best.unnamed is not None
+    remains = remains or posterior.random_share > tuning.MOST_RANDOM or not posterior.generalises
     remains = remains or bool(late_clocks(found.problem, fit))
     # What was not looked at (no motion, a stage that failed, records in pieces) is not known to be nothing.
     complete = not remains and force is not None and bool(np.isfinite(posterior.noise_ratio))
@@ -226,7 +232,7 @@ def _matters(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None
     told = {}
     for k, key in asked:
         less = without_effects(problem, fit, {key})
-        needed = force_share(problem, fit, k) >= problem.tuning.material or bool(strained(problem, less) - already)
+        needed = force_share(problem, fit, k) >= tuning.MATERIAL or bool(strained(problem, less) - already)
         told[key] = matter_of(held, whole, errors_of(held, less, known), needed)
     return told
 
@@ -247,11 +253,11 @@ def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
     named = fit.hypothesis.candidates
     if not named:
         return "unknown" if remains else "no missing effect"
-    sure, tuning = all(kinds.told(c) for c in named), found.problem.tuning
+    sure = all(kinds.told(c) for c in named)
     explained = _explained(found, kinds.posterior.best.fit) if remains or kinds.coarse else 1.0
-    if kinds.coarse and sure and explained >= tuning.mostly:
+    if kinds.coarse and sure and explained >= tuning.MOSTLY:
         return "named"  # against a misfit that counts as much as it does; what else is open is part of what remains
-    if remains and explained < tuning.explained:
+    if remains and explained < tuning.EXPLAINED:
         return "unknown"
     return "named" if sure and found.settled and not kinds.open() else "ambiguous"
 
@@ -265,11 +271,16 @@ def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
 
 
 def _on_held_out(judged: _Judgement, gaps: Gaps, strained: bool, material: float) -> _Judgement:
-    """Names do not stand where the updated model is clearly further from held-out data than the refitted one.
+    """Judge the names on held-out data.
 
-    Where it is further by what may be chance, they are not sure. A refit that has left its tolerances (``strained``) is
-    no model to be compared with but where it is nearer by the share ``material``: its parameters do what the names say.
+    "unknown" where the updated model is worse than as given (free run), or clearly worse than refitted (windows);
+    "ambiguous" where the latter may be chance.
+
+    A refit that has left its tolerances (``strained``) is no model to be compared with but where its error is smaller
+    by the share ``material``: its parameters do what the names say.
     """
+    if gaps.worse_than_given:
+        return _Judgement("unknown", False)
     updated, refitted = (overall(gaps.windows, model) for model in ("updated", "refitted"))
     if strained and updated <= (1.0 + material) * refitted:
         return judged
@@ -285,6 +296,22 @@ def _explained(found: Found, fit: Fit) -> float:
     points = float(sum(np.isfinite(e).sum() for e in found.problem.errors(fit.hypothesis, fit.z, fit.starts)))
     points /= fit.noise.excess  # V of noise alone: the model of it says a larger variance than the errors have
     return 1.0 if bare <= points else (bare - now) / (bare - points)
+
+
+def _refuted(fit: Fit, gaps: Gaps) -> Finding:
+    """The finding that the best set makes the held-out free run worse than the model as given."""
+    given, updated = (overall(gaps.free_run, model) for model in ("nominal", "updated"))
+    text = f"free run on held-out data {updated:.3g} % of the range, worse than as given ({given:.3g} %): not named"
+    hint = "the records lack what would show the effect, or the catalogue lacks it"
+    evidence: dict[str, object] = {"given": given, "updated": updated}
+    return Finding("refuted", ", ".join(_places(fit)), text, "", hint, False, evidence)
+
+
+def _explained_on_held_out(gaps: Gaps, noise_ratio: float) -> float:
+    """Share of the mean-square error of the model as given that the updated model removes, noise not counted."""
+    given, updated = (overall(gaps.windows, model) ** 2 for model in ("nominal", "updated"))
+    noise = updated / noise_ratio**2 if noise_ratio > 1.0 else 0.0
+    return float(np.clip((given - updated) / (given - noise), 0.0, 1.0)) if given > noise else 1.0
 
 
 def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None, dict[str, float]]:
@@ -307,7 +334,7 @@ def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None
     starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
     windows = Windows(starts.astype(np.int64), length)
     s = first.smoothed
-    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows, problem.tuning))
+    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows))
     there = problem.on([cut])
     placed = held_out_fit(there, fit, white(found.noise))
     errors = cut.measured - simulated_outputs(there, placed)[0]

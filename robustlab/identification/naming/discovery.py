@@ -4,21 +4,14 @@ The way: the records are checked and cut into windows; sets of effects of the ca
 together with the nominal parameters within their tolerances and the clocks of the inputs; the search moves from set to
 set by evidence, on what is fitted and on what is held out; the posterior over all sets that it judged says what is
 named, what could stand in its place, and what remains unknown.
-
-Where it stands is told every few seconds: a line with the time passed and the time to go. A search has parts, and how
-many of them is known at its end only. So the time to go is that of the present part; a count that is smaller than the
-last one is the next part's.
-
-The clock only prints. What a search does never depends on it, so that the answer is the same on a busy machine.
 """
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -30,6 +23,7 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, parameter_groups
 from robustlab.errors import InputError, told_as
+from robustlab.identification import tuning
 from robustlab.identification.experiment.shut_gaps import shut_gaps
 from robustlab.identification.hypotheses.candidates import (
     FEWEST_PERIODS,
@@ -49,7 +43,6 @@ from robustlab.identification.naming.set_search import clock_nuisances, search_s
 from robustlab.identification.record_check.resampling import UniformRecord, clock_step, uniform
 from robustlab.identification.record_check.suitability import Finding, suitability
 from robustlab.identification.response.response import converted, with_units
-from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel, as_model
 
@@ -110,106 +103,30 @@ def _positions(plant: AnyPlant, problem: Problem) -> dict[str, Array]:
     return rows | {name: port.position for name, port in model.ports.items() if port.position is not None}
 
 
-EVERY = 4.0  # s between lines, with a second to spare: the user hears every five
-
-
 @runtime_checkable
 class Counting(Protocol):
-    """A listener that shows the numbers itself, and then needs no lines with times in them."""
+    """A listener that shows the numbers itself."""
 
     def __call__(self, text: str) -> None:
         """A text that is told at once."""
 
     def part(self, done: float, expected: float, text: str) -> None:
-        """What `Progress.step` was told."""
+        """Work done in this part of the search, work expected in it, and what it is."""
 
 
-class Progress:
-    """Lines of progress for a callable; inside a ``with`` block they come even while a step takes long.
+def _reporter(progress: Callable[[str], None] | None) -> Callable[[float, float, str], None]:
+    """Report work done, work expected and what it is to a listener; one that is not `Counting` gets each new text."""
+    if isinstance(progress, Counting):
+        return progress.part
+    last = ""
 
-    Parameters
-    ----------
-    say
-        Takes a line of text, from a thread of its own too; None says nothing. One that is `Counting` gets the numbers.
-    clock
-        Seconds, from any beginning.
-    """
+    def report(_done: float, _expected: float, text: str) -> None:
+        nonlocal last
+        if progress is not None and text != last:
+            last = text
+            progress(text)
 
-    def __init__(self, say: Callable[[str], None] | None, clock: Callable[[], float] = time.monotonic) -> None:
-        self._say, self._clock = say, clock
-        self._counting = say if isinstance(say, Counting) else None
-        self._began = self._told = self._part_began = clock()
-        self._part_from = 0.0
-        self._now: tuple[float, float, str] = (0.0, 0.0, "begun")
-        self._lock, self._over = threading.Lock(), threading.Event()
-        self._beat = threading.Thread(target=self._go_on, daemon=True)
-
-    def __enter__(self) -> Self:
-        if self._say is not None:
-            self._beat.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        if self._beat.is_alive():
-            self._beat.join()
-
-    def step(self, done: float, expected: float, text: str) -> None:
-        """What is being done now; said with times where the last line is some seconds old.
-
-        ``done``, ``expected``: work done in this part, and in all of it as far as is known now, in any unit; the time
-        to go is in proportion. ``text``: what is being done.
-        """
-        if self._counting is not None:
-            self._counting.part(done, expected, text)
-            return
-        if done < self._now[0] or expected <= 0:
-            self._part_began, self._part_from = self._clock(), done
-        self._now = (done, expected, text)
-        self._say_if_due()
-
-    def tell(self, text: str) -> None:
-        """Say a text at once: a part of the search has ended, and how long the next one takes is not known."""
-        self._now = (0.0, 0.0, text)
-        self._part_began, self._part_from = self._clock(), 0.0
-        if self._counting is not None:
-            self._counting.part(0.0, 0.0, text)
-        if self._say is not None:
-            with self._lock:
-                self._told = self._clock()
-                self._say(text)
-
-    def _say_if_due(self) -> None:
-        if self._say is None or self._counting is not None:
-            return
-        with self._lock:
-            now = self._clock()
-            if now - self._told >= EVERY:
-                self._told = now
-                done, expected, text = self._now
-                times = _times(now - self._began, now - self._part_began, done - self._part_from, expected - done)
-                self._say(f"{text} ({times})")
-
-    def _go_on(self) -> None:
-        while not self._over.wait(EVERY / 8.0):
-            try:
-                self._say_if_due()
-            except OSError:  # nobody reads any more; the search itself meets that where it prints its result
-                return
-
-
-def _times(elapsed: float, in_part: float, done: float, left: float) -> str:
-    """Time passed in all and to go in this part, of which ``done`` took ``in_part`` seconds."""
-    passed = f"{_duration(elapsed)} so far"
-    if done <= 0.0 or left < 0.0:
-        return passed
-    return f"{passed}, about {_duration(in_part * left / done)} to go in this part"
-
-
-def _duration(seconds: float) -> str:
-    """``38 s``, ``2 min 5 s``."""
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+    return report
 
 
 @one_thread()
@@ -225,7 +142,6 @@ def discover(
     repeats: Sequence[Record] = (),
     exclude: Sequence[str] = (),
     progress: Callable[[str], None] | None = None,
-    tuning: NamingTuning = TUNING,
 ) -> Discovery:
     """Name what a model lacks.
 
@@ -250,8 +166,6 @@ def discover(
         Effect ids that are not to be tried.
     progress
         Called with a line of text now and then.
-    tuning
-        Numbers that choose speed and accuracy, and how much evidence a name needs.
 
     Returns
     -------
@@ -287,18 +201,18 @@ def discover(
     stated = stated_tolerances(known, tolerances)
     known = with_absolute_tolerances(known, stated)
     model = ports_of(known, _uniform(measured)[0].record)
-    problem, held, held_text = _problems(known, model, measured, kept_out, stated, window, tuning)
-    pool = [c for c in candidates(known, model, problem.records, tuning) if c.effect.id not in left_out]
+    problem, held, held_text = _problems(known, model, measured, kept_out, stated, window)
+    pool = [c for c in candidates(known, model, problem.records) if c.effect.id not in left_out]
     if any(c.effect.id == "backlash" for c in pool):
         findings += shut_gaps(known, problem.records)
     case = Case(known, measured, repeats, period, stated, findings, held_text, pool)
-    with Progress(progress) as said:
-        allowed = admissible(known, stated, problem, held)
-        most, held_most = _most_windows(problem)
-        few, some = _spread(problem, most), _spread(held, held_most)
-        found = search_sets(few, some, pool, allowed, said.step)
-        said.tell("what remains")
-        result = answer(case, found, weigh(found), held)
+    report = _reporter(progress)
+    allowed = admissible(known, stated, problem, held)
+    most, held_most = _most_windows(problem)
+    few, some = _spread(problem, most), _spread(held, held_most)
+    found = search_sets(few, some, pool, allowed, report)
+    report(0.0, 0.0, "what remains")
+    result = answer(case, found, weigh(found), held)
     return replace(result, seconds=time.perf_counter() - began)
 
 
@@ -353,33 +267,32 @@ def _problems(
     held_out: Sequence[Record],
     stated: Mapping[str, tuple[float, bool]],
     window: float | None,
-    tuning: NamingTuning,
 ) -> tuple[Problem, Problem, str]:
     """The windows to fit, those to judge on, and what the latter are."""
     uniformed = _uniform([*records, *held_out])
     everything, dt = [u.record for u in uniformed], uniformed[0].record.dt
-    length = window_length(plant, everything, tuning, model) if window is None else max(8, round(window / dt))
+    length = window_length(plant, everything, model) if window is None else max(8, round(window / dt))
     # A record may lack a sensor that another has, as the proposed experiments do which add one.
     seen = {name for r in records for name in r.outputs}
 
     def cut(length: int) -> list[PreparedRecord]:
-        return alike([prepare(plant, model, u.record, length, dict(u.valid), seen, tuning) for u in uniformed])
+        return alike([prepare(plant, model, u.record, length, dict(u.valid), seen) for u in uniformed])
 
-    prepared, clock = cut(length), Clock(tuning.least_steps)
-    while isinstance(plant, NonlinearPlant) and window is None and length > tuning.shortest_window:
-        if _deviation(Problem(plant, prepared[: len(records)], (), clock=clock)) < tuning.most_deviation:
+    prepared, clock = cut(length), Clock(tuning.LEAST_STEPS)
+    while isinstance(plant, NonlinearPlant) and window is None and length > tuning.SHORTEST_WINDOW:
+        if _deviation(Problem(plant, prepared[: len(records)], (), clock=clock)) < tuning.MOST_DEVIATION:
             break
-        length = max(length // 2, tuning.shortest_window)
+        length = max(length // 2, tuning.SHORTEST_WINDOW)
         prepared = cut(length)
     fitted, judged = prepared[: len(records)], prepared[len(records) :]
     nuisances: tuple[Nuisance, ...] = nuisance_parameters(plant, stated)
-    nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), dt, tuning)
+    nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), dt)
     if judged:
-        problem = Problem(plant, fitted, nuisances, tuning=tuning, clock=clock)
+        problem = Problem(plant, fitted, nuisances, clock=clock)
         return problem, problem.on(judged), ", ".join(r.name for r in held_out)
-    every = tuning.held_out_every
+    every = tuning.HELD_OUT_EVERY
     apart = [np.arange(r.count) % every == every // 2 for r in fitted]
-    problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], tuning, clock)
+    problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], clock)
     held = problem.on(fitted, [np.flatnonzero(a) for a in apart])
     return problem, held, f"every {every}th window of the records, kept from the fit"
 
@@ -405,11 +318,11 @@ def _uniform(records: Sequence[Record]) -> list[UniformRecord]:
 
 def _most_windows(problem: Problem) -> tuple[int, int]:
     """Windows that the search fits and judges on; of a nonlinear plant, whose steps are dear, fewer long ones."""
-    tuning, length = problem.tuning, problem.records[0].windows.length
+    length = problem.records[0].windows.length
     if isinstance(problem.plant, LinearPlant):
-        return tuning.most_windows, tuning.most_held
-    most = min(tuning.most_windows, max(2 * tuning.fewest_windows, tuning.most_samples // length))
-    return most, min(tuning.most_held, max(tuning.fewest_windows, most // 2))
+        return tuning.MOST_WINDOWS, tuning.MOST_HELD
+    most = min(tuning.MOST_WINDOWS, max(2 * tuning.FEWEST_WINDOWS, tuning.MOST_SAMPLES // length))
+    return most, min(tuning.MOST_HELD, max(tuning.FEWEST_WINDOWS, most // 2))
 
 
 def _spread(problem: Problem, most: int) -> Problem:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
     from robustlab.identification.experiment.next_experiment import NextExperiment
     from robustlab.identification.record_check.suitability import Finding
-    from robustlab.identification.unnamed.unnamed_effect import ResidualForce, UnnamedForce
+    from robustlab.identification.unnamed.unnamed_effect import ResidualForce
     from robustlab.uncertainty.lft import UncertainModel
 
 LINEAR = "linear about the recorded motion"  # said of the records of such runs
@@ -50,7 +50,8 @@ class Discovery(Tabular, Evidence):
     Attributes
     ----------
     status
-        CONVERGED, or INCONCLUSIVE where the verdict is ambiguous or unknown (a finding, no failure).
+        CONVERGED, or INCONCLUSIVE where the verdict is ambiguous or unknown, or where the named effects leave more of
+        the error on held-out data than they explain.
     verdict
         ``"no missing effect"`` (``rivals`` has what the records do not exclude all the same), ``"named"``,
         ``"ambiguous"`` (named, but some name has rivals that these records cannot exclude), ``"unknown"`` (something is
@@ -76,7 +77,8 @@ class Discovery(Tabular, Evidence):
     free_run, free_run_on
         The same errors of one simulation from the record's start to its end, without restarts; the records.
     model
-        The updated plant (an `ExtendedPlant` or `LinearPlant`), ready for trim, linearise, save.
+        The updated plant (an `ExtendedPlant` or `LinearPlant`), ready for trim, linearise, save; None where its free
+        run on held-out data is worse than that of the plant as given.
     next_experiment
         What to measure next to separate the rivals; None where there are none.
     posterior
@@ -85,11 +87,12 @@ class Discovery(Tabular, Evidence):
         Hold and time shift of each input, as the records tell them.
     search
         Every set that the search visited.
-    residual_force, missing_force, unnamed
+    residual_force, missing_force
         The force that the updated model still lacks over speed, position, time and input; the one that the refitted
-        nominal model lacked; where something remains, the spline map of the first.
+        nominal model lacked.
     structure
-        Cross-validated share of the residual force that a smooth map explains, its p-value, and over what.
+        ``noise_ratio``: error over noise and random force; ``explained``: share of the mean-square error as given on
+        held-out data that the updated model removes, noise not counted.
     noise_floor, floor_excess
         Model-free noise floor where the record repeats, and F of the updated model against it (1: nothing left).
     findings
@@ -133,7 +136,6 @@ class Discovery(Tabular, Evidence):
     next_experiment: NextExperiment | None = None
     residual_force: ResidualForce | None = None
     missing_force: ResidualForce | None = None
-    unnamed: UnnamedForce | None = None
     noise_floor: NoiseFloor | None = None
     floor_excess: Mapping[str, float] = field(default_factory=dict)
     series: Mapping[str, Any] = field(default_factory=dict)
@@ -223,11 +225,13 @@ class Discovery(Tabular, Evidence):
             )
             for e in self.effects
         ]
+        refitted = [(p.name, with_interval(p)) for p in self.nominal if not self.effects]
         open_kinds = [(k.words, kind_words(k)) for k in self.kinds if not k.settled]
         return [
             ("verdict", self.verdict if self.complete else f"{self.verdict}, incomplete: structure remains"),
             *open_kinds,
             *named,
+            *refitted,
             ("not told apart from", listed(r.title for r in self.rivals)),
             ("also detectable", listed(f"{e.title} at {e.site}" for e in self.also_detectable)),
             ("error on held-out data", f"{percent(self.gap_before)} -> {percent(self.gap_after)} of the range"),

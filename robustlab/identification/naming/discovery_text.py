@@ -37,13 +37,14 @@ def headline_of(d: Any) -> str:
     early = "Interrupted; by then: " if d.interrupted else ""
     change = f"error on held-out data {_three_errors(d.gaps, d.effects)}"
     if d.free_run:
-        change += f"; in {d.whole_run} {_three_errors(d.free_run)}"
+        worse = overall(d.free_run, "updated") > overall(d.free_run, "nominal")
+        change += f"; in {d.whole_run} {_three_errors(d.free_run)}{', worse than as given' if worse else ''}"
     named = _in_a_row(_sure_words(d))
     if d.verdict == "no missing effect":
         error = f"refitted its error on held-out data is {percent(d.gap_after)} of the range"
         hidden = f"; but they do not exclude {_one_of(r.title for r in d.rivals)}" if d.rivals else ""
         return f"{early}{d.plant} lacks no effect that {_what_shows(d)}: {error}{hidden}"
-    also = "" if d.complete else "; something else remains"
+    also = "" if d.complete else "; incomplete: something else remains"
     if d.verdict == "named":
         return f"{early}{d.plant} lacks {named}: {change}{also}"
     if d.verdict == "ambiguous" and not d.rivals and d.gap_after > d.gap_refitted:
@@ -67,13 +68,14 @@ def summary_of(d: Any, details: bool) -> str:
         lines += _effect_lines(d, effect, details)
     lines += [_slight_line(e) for e in d.also_detectable]
     lines += [_doubt_line(r) for r in d.rivals if r.instead_of == "none"]
+    lines += [f"  tried: {f.message}" for f in d.findings if f.kind == "refuted"]
     lines += [row for f in d.findings if f.kind == "shut-gap" for row in (f"  {f.message}", f"    to tell: {f.hint}")]
     if len(d.collection) > 1:
         shown = d.collection if details else d.collection[:SHOWN_SETS]
         lines += ["what the records leave open (3 noise sigmas tell):", *(_set_line(p) for p in shown)]
         lines += [f"  and {left} more" for left in [len(d.collection) - len(shown)] if left]
     lines += ["", *_gap_lines(d), "", *_remaining_lines(d, details)]
-    lines += [_nominal_line(p) for p in d.nominal if p.beyond and not details]
+    lines += [_nominal_line(p) for p in d.nominal if (p.beyond or not d.effects) and not details]
     if not details:
         rest = "all that it rests on: --details, summary(details=True)"
         return "\n".join([*lines, f"next: {_next(d)}", f"named in {d.seconds:.3g} s; {rest}"])
@@ -155,7 +157,7 @@ def _three_errors(gaps: Mapping[str, Gap], named: Iterable[NamedEffect] | None =
     given, refitted, updated = (percent(overall(gaps, model)) for model in MODELS)
     if named is None:
         return f"{given} -> {refitted} -> {updated}"
-    them = "with it" if len(list(named)) == 1 else "with them"
+    them = {0: "with the best set", 1: "with it"}.get(len(list(named)), "with them")
     return f"{given} of the range as given, {refitted} refitted, {updated} {them}"
 
 
@@ -279,12 +281,17 @@ def _sizes(g: Gap) -> tuple[str, str, str, str]:
             return "diverges"
         return _sized(value, g.unit) + (f" ({percent(100 * value / g.range)})" if g.range > 0 else "")
 
-    return size(g.nominal), size(g.refitted), size(g.updated), compared(g.refitted, g.updated, "refitted")
+    changes = [compared(g.nominal, g.updated, "the given model"), compared(g.refitted, g.updated, "refitted")]
+    return size(g.nominal), size(g.refitted), size(g.updated), ", ".join(changes)
 
 
 def _remaining_lines(d: Any, details: bool) -> list[str]:
     if d.complete:
         told = "nothing systematic was found"
+    elif d.effects and "explained" in d.structure:
+        told = (
+            f"the named effects explain {percent(100.0 * d.structure['explained'])} of the mean-square error as given"
+        )
     else:
         told = "the named effects do not explain everything" if d.effects else "unexplained"
     force = d.residual_force
@@ -298,9 +305,6 @@ def _remaining_lines(d: Any, details: bool) -> list[str]:
     if force is not None:
         shares = [f"{100 * c.share:.3g} % follow {c.coordinate}" for c in force.curves.values()]
         lines.append(_row("force", f"rms {_sized(force.rms, force.unit)}; {', '.join(shares)} (of held-out variance)"))
-    if d.unnamed is not None:
-        over = _in_a_row(f"{c.kind} in {c.coordinate}" for c in d.unnamed.components) or "a constant alone"
-        lines.append(_row("unnamed map", f"{over} removes {100 * d.unnamed.gain:.3g} % of the held-out variance"))
     lines += [
         _row("noise", f"{name}: F {_sized(F)} of the updated model against the noise floor (1: nothing is left)")
         for name, F in d.floor_excess.items()

@@ -25,6 +25,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import Linearised
 
@@ -72,7 +73,7 @@ def best_scored(
 
 def own_derivatives(problem: Problem, base: Fit, residual: Sequence[Array]) -> list[tuple[Array, Array]]:
     """Derivatives of the residuals over all parameters of the set and over the starts, a pair a record."""
-    step, start_step = problem.tuning.step, problem.tuning.start_step
+    step, start_step = tuning.STEP, tuning.START_STEP
     simulators = problem.simulators(base.hypothesis)
 
     def moved(z: Array, starts: Sequence[Array], by: float) -> list[Array]:
@@ -100,7 +101,7 @@ def effect_columns(
     def there(z: Array) -> list[Array]:
         return problem.whitened(problem.errors(start.hypothesis, z, base.starts, simulators), base.noise)
 
-    at, step = there(start.z), problem.tuning.step
+    at, step = there(start.z), tuning.STEP
     first = len(start.z) - len(start.candidate.parameters)
     slopes = []
     for i, p in enumerate(start.candidate.parameters):
@@ -212,42 +213,42 @@ def promising(
     called with the number of short fits done and to do. ``far``: times the V that would come near ``best``: nothing
     beyond is kept.
     """
-    tuning, noise = problem.tuning, base.noise
+    noise = base.noise
     jobs = [start for candidate in pool for start in _starts(problem, base, candidate, known)]
     rough = replace(problem.clock, rough=True)
-    few, few_starts, few_ceiling = _thinned(problem, base, best, tuning.first_windows)
-    some, some_starts, some_ceiling = _thinned(problem, base, best, tuning.second_windows)
+    few, few_starts, few_ceiling = _thinned(problem, base, best, tuning.FIRST_WINDOWS)
+    some, some_starts, some_ceiling = _thinned(problem, base, best, tuning.SECOND_WINDOWS)
     few, some = few.under(rough), some.under(rough)
     few_base = few.fit(base.hypothesis, noise, base.z, few_starts, FitPlan(1))
     some_base = some.fit(base.hypothesis, noise, base.z, some_starts, FitPlan(1))
     if isinstance(problem.plant, NonlinearPlant):  # many joints, and every moved parameter costs its matrices anew
-        jobs = best_scored(few, few_base, jobs, tuning.most_scored, workers, said)
+        jobs = best_scored(few, few_base, jobs, tuning.MOST_SCORED, workers, said)
     borrowed = few.derivatives(few_base)
     # A few windows show a small part of what all of them may bring.
-    rough_fall, least = tuning.rough / noise.excess, tuning.promising / noise.excess
+    rough_fall, least = tuning.ROUGH / noise.excess, tuning.PROMISING / noise.excess
     some_far = some_ceiling
     few_ceiling = min(few_ceiling, few_base.cost - 2.0 * least)
     some_ceiling = min(some_ceiling, some_base.cost - 2.0 * least)
 
     def first(job: Start) -> tuple[Start, Fit]:
-        plan = FitPlan(tuning.first, rough_fall, draft=True, ceiling=few_ceiling)
+        plan = FitPlan(tuning.FIRST, rough_fall, draft=True, ceiling=few_ceiling)
         return job, few.fit(job.hypothesis, noise, job.z, few_base.starts, plan, borrowed)
 
     def second(entry: tuple[Start, Fit]) -> tuple[Start, Fit]:
         job, fit = entry
-        plan = FitPlan(tuning.second, rough_fall, draft=True, ceiling=some_ceiling)
+        plan = FitPlan(tuning.SECOND, rough_fall, draft=True, ceiling=some_ceiling)
         return job, some.fit(fit.hypothesis, noise, fit.z, _carried(fit, few, some, some_base), plan)
 
     looked = []
     for done, entry in enumerate(workers.map(first, jobs), start=1):
         looked.append(entry)
-        said(done, len(jobs) + tuning.kept_second)
+        said(done, len(jobs) + tuning.KEPT_SECOND)
     nearest = _best_of_each(looked)
     known.update({job.candidate.key: fit for job, fit in nearest})
-    kept = _kept(nearest, few_base.cost, least, tuning.kept_second, tuning.kept_gains)
+    kept = _kept(nearest, few_base.cost, least, tuning.KEPT_SECOND, tuning.KEPT_GAINS)
     nearer = _best_of_each(workers.map(second, kept))
     known.update({job.candidate.key: fit for job, fit in nearer})
-    kept = _kept(nearer, some_base.cost, 0.0, tuning.kept_last, tuning.kept_gains)
+    kept = _kept(nearer, some_base.cost, 0.0, tuning.KEPT_LAST, tuning.KEPT_GAINS)
     kept = [(job, fit) for job, fit in kept if fit.cost <= far * some_far]
     return [Start(job.candidate, fit.hypothesis, fit.z, _carried(fit, some, problem, base)) for job, fit in kept]
 
@@ -313,7 +314,7 @@ def _unstretched(problem: Problem, base: Fit, candidate: Candidate) -> list[Star
         return []
     scaled = [n.names and not n.additive for n in problem.nuisances]
     stretch = [n.spread * z for n, z, own in zip(problem.nuisances, base.z, scaled, strict=False) if own]
-    likely = max(stretch, key=lambda s: abs(s) if abs(s) < problem.tuning.most_stretched else 0.0, default=0.0)
+    likely = max(stretch, key=lambda s: abs(s) if abs(s) < tuning.MOST_STRETCHED else 0.0, default=0.0)
     found = []
     for sign in (1.0, -1.0):
         start = {candidate.parameters[0].name: float(np.exp(sign * likely))}
@@ -348,7 +349,7 @@ def _thinned(problem: Problem, fit: Fit, best: Fit, wanted: int) -> tuple[Proble
     the other half lie evenly over the records, so that what explains the worst does not spoil the rest.
     """
     count = sum(len(c) for c in problem.chosen)
-    far = 2.0 * problem.tuning.far_behind
+    far = 2.0 * tuning.FAR_BEHIND
     if count < 2 * wanted:
         return problem, list(fit.starts), best.cost + far
     taken = np.zeros(count, dtype=bool)

@@ -20,7 +20,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem, simulated_outputs
 from robustlab.identification.hypotheses.noise import clearly_larger, in_phase, restarted, spans, window_errors
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
-from robustlab.identification.naming.named_effects import Gap
+from robustlab.identification.naming.named_effects import Gap, overall
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +35,11 @@ class Gaps:
     free_run_on: str
     worse: bool
     series: Mapping[str, Any]
+
+    @property
+    def worse_than_given(self) -> bool:
+        """Whether the updated model's free run has a larger error than that of the model as given."""
+        return overall(self.free_run, "updated") > overall(self.free_run, "nominal")
 
 
 def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord] = ()) -> Gaps:

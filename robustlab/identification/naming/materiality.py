@@ -23,6 +23,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from robustlab.arrays import Array
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
 from robustlab.identification.hypotheses.noise import in_phase, restarted, spans
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
@@ -66,7 +67,7 @@ def without_effects(problem: Problem, fit: Fit, keys: Collection[str]) -> Fit:
     """The set without these effects, refitted from where the whole set stands."""
     while (k := next((k for k, c in enumerate(fit.hypothesis.candidates) if c.key in keys), None)) is not None:
         hypothesis, z = without(problem, fit, k)
-        fit = problem.fit(hypothesis, fit.noise, z, fit.starts, FitPlan(problem.tuning.full))
+        fit = problem.fit(hypothesis, fit.noise, z, fit.starts, FitPlan(tuning.FULL))
     return fit
 
 
@@ -97,7 +98,7 @@ def matter_of(held: Problem, whole: Errors, less: Errors, needed: bool) -> Matte
         share = _rms(less.windows)[seen] / ranges[seen]
     resolution = np.max([r.resolution for r in held.records], axis=0)
     material = needed or any(
-        _matters(ours, theirs, resolution, held.tuning.material)
+        _matters(ours, theirs, resolution, tuning.MATERIAL)
         for ours, theirs in ((whole.windows, less.windows), (whole.runs, less.runs))
     )
     return Matter(material, 100.0 * float(np.sqrt(np.mean(share**2))))

@@ -22,6 +22,7 @@ from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, Kind, Quantity, upwards
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Hypothesis, Problem
 from robustlab.identification.naming.named_effects import EffectValue, KindMember, NamedKind
 from robustlab.identification.naming.posterior import Posterior, Weighed
@@ -187,7 +188,7 @@ class Kinds:
 def kinds_of(problem: Problem, posterior: Posterior, ignored: frozenset[str] = frozenset()) -> Kinds:
     """The kinds of a posterior; ``ignored``: keys of effects that decide nothing."""
     model = problem.simulators(Hypothesis(()))[0].model({}, [])
-    return Kinds(posterior, Places(problem.plant, model), problem.tuning.sure, ignored)
+    return Kinds(posterior, Places(problem.plant, model), tuning.SURE, ignored)
 
 
 def _mixture(name: Quantity, members: Sequence[tuple[float, Mapping[Quantity, Told]]]) -> EffectValue | None:

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Prior, Problem
 from robustlab.identification.naming.named_effects import INTERVAL, EffectValue
 
@@ -34,7 +35,7 @@ def opened_above(problem: Problem, fit: Fit, k: int, values: Sequence[EffectValu
     mean, precision = np.zeros(len(z)), np.eye(len(z))
     mean[at], precision[at, at] = z[at], HELD
     there = problem.fit(fit.hypothesis, fit.noise, z, fit.starts, FitPlan(ROUNDS), prior=Prior(mean, precision))
-    if there.cost + there.z[at] ** 2 - fit.cost >= problem.tuning.cannot_tell**2:
+    if there.cost + there.z[at] ** 2 - fit.cost >= tuning.CANNOT_TELL**2:
         return tuple(values)
     upper = max(values[own].upper, prior.value(INTERVAL))
     return tuple(replace(v, upper=upper) if v.name == name else v for v in values)

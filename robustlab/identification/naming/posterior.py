@@ -41,6 +41,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
 from robustlab.identification.hypotheses.noise import (
     clearly_larger,
@@ -60,7 +61,6 @@ from robustlab.identification.hypotheses.unnamed_force import (
     unnamed_force,
 )
 from robustlab.identification.naming.set_search import Found, Key, Visited
-from robustlab.identification.tuning import NamingTuning
 
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
 HARDLY = 0.005  # probability below which a set changes no verdict
@@ -189,14 +189,14 @@ class _Weight:
 
 def weigh(found: Found) -> Posterior:
     """The posterior of what the search found."""
-    problem, tuning = found.problem, found.problem.tuning
+    problem = found.problem
     ordered, generalises = _generalising(found)
     # Of a machine far beyond its sensors' noise a random force follows the next sample better than any law does: there
     # the simulated windows have the say, and a force only tells whether something remains.
-    near = noise_ratio(problem, ordered[0].fit) < tuning.beyond_noise
-    looked = _contenders(ordered, tuning) if near else []
+    near = noise_ratio(problem, ordered[0].fit) < tuning.BEYOND_NOISE
+    looked = _contenders(ordered) if near else []
     weights = _as_machines_have(
-        {v.key: weight for v in looked if (weight := _weight(found, v)) is not None}, tuning.most_random
+        {v.key: weight for v in looked if (weight := _weight(found, v)) is not None}, tuning.MOST_RANDOM
     )
     evidence = {v.key: v.evidence for v in ordered}
     if ordered[0].key in weights:
@@ -212,7 +212,7 @@ def weigh(found: Found) -> Posterior:
         evidence = {key: value + _gain(forces.get(key)) for key, value in evidence.items()}
     ordered.sort(key=lambda v: -evidence[v.key])
     distance = _lift(problem, ordered, evidence)
-    temperature = _temperature(ordered[0], weights, tuning)
+    temperature = _temperature(ordered[0], weights)
     log = np.array([evidence[v.key] for v in ordered]) / temperature
     share = np.exp(log - log.max())
     share /= share.sum()
@@ -224,13 +224,13 @@ def weigh(found: Found) -> Posterior:
     if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
         weights[sets[0].key] = weight
         sets[0] = replace(sets[0], unnamed=weight.force)
-    twins = {key for key, d in distance.items() if d < tuning.cannot_tell} - renamed
-    collection = tuple(_collected(sets, tuning.sure, twins))
+    twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL} - renamed
+    collection = tuple(_collected(sets, tuning.SURE, twins))
     left = weights[sets[0].key].left if sets[0].key in weights else ()
-    return Posterior(tuple(sets), collection, generalises, left, temperature, temperature > tuning.temperature)
+    return Posterior(tuple(sets), collection, generalises, left, temperature, temperature > tuning.TEMPERATURE)
 
 
-def _temperature(best: Visited, weights: Mapping[Key, _Weight], tuning: NamingTuning) -> float:
+def _temperature(best: Visited, weights: Mapping[Key, _Weight]) -> float:
     """What log evidence is divided by: that of what the best set leaves, over that of a name that is sure.
 
     A line over position or time does not count: it is no misfit that another name than one of its period could be.
@@ -238,7 +238,7 @@ def _temperature(best: Visited, weights: Mapping[Key, _Weight], tuning: NamingTu
     left = weights[best.key].left if best.key in weights else ()
     smooth = [f for u in left for f in u.forces if f.wins and not np.isfinite(f.period)]
     gain = max((_gain(f) for f in smooth), default=0.0)
-    return max(tuning.temperature, gain / float(np.log(tuning.sure / (1.0 - tuning.sure))))
+    return max(tuning.TEMPERATURE, gain / float(np.log(tuning.SURE / (1.0 - tuning.SURE))))
 
 
 def _as_machines_have(weights: dict[Key, _Weight], most: float) -> dict[Key, _Weight]:
@@ -257,14 +257,14 @@ def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, floa
 
     A set with less that becomes the more probable one by it takes the place of the best.
     """
-    tuning, best = problem.tuning, ordered[0]
+    best = ordered[0]
     while True:
-        near = [v for v in ordered if v is not best and best.evidence - v.evidence <= tuning.far_behind]
+        near = [v for v in ordered if v is not best and best.evidence - v.evidence <= tuning.FAR_BEHIND]
         less = _lessened(best, near)
         distance = {best.key: 0.0} | _raise(problem, best, less, evidence)
         ahead = max([best, *less], key=lambda v: evidence[v.key])
         if ahead is best:
-            return distance | _raise(problem, best, _exchanged(best, near)[: tuning.most_rivals], evidence)
+            return distance | _raise(problem, best, _exchanged(best, near)[: tuning.MOST_RIVALS], evidence)
         best = ahead
 
 
@@ -273,7 +273,7 @@ def _raise(problem: Problem, best: Visited, others: Sequence[Visited], evidence:
     distance = {other.key: refit_distance(problem, best.fit, other.fit) for other in others}
     for other in others:
         d = distance[other.key]
-        if d < problem.tuning.cannot_tell:
+        if d < tuning.CANNOT_TELL:
             least = evidence[best.key] - best.prior - 0.5 * d**2 + other.prior
             evidence[other.key] = max(evidence[other.key], least)
     return distance
@@ -298,7 +298,7 @@ def _folded(
             if plain - (evidence[less.key] - less.visited.prior) < NO_EVIDENCE * temperature:
                 return True
             asked = entry.probability > HARDLY and less.probability > entry.probability
-            return asked and refit_distance(problem, entry.fit, less.fit) < problem.tuning.cannot_tell
+            return asked and refit_distance(problem, entry.fit, less.fit) < tuning.CANNOT_TELL
 
         within = [k for k, w in enumerate(kept) if silent(w)]
         if within:
@@ -352,9 +352,9 @@ def _misjudges(visited: Visited, key: Key, label: str) -> bool:
     return key < visited.key and len(more) == 1 and more[0].kind == "parameter" and more[0].name == label
 
 
-def _contenders(ordered: Sequence[Visited], tuning: NamingTuning) -> list[Visited]:
+def _contenders(ordered: Sequence[Visited]) -> list[Visited]:
     """The sets that are weighed again: the best ones, and the empty one."""
-    near = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.far_behind][: tuning.most_weighed]
+    near = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][: tuning.MOST_WEIGHED]
     return near + [v for v in ordered if not v.key and v not in near]
 
 
@@ -406,7 +406,7 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
 
     Those that fail are left out, as far down as sets are weighed.
     """
-    held, plain, tuning = found.held, white(found.noise), found.problem.tuning
+    held, plain = found.held, white(found.noise)
 
     def errors(visited: Visited) -> Array:
         phased, _ = in_phase(held, visited.fit, found.problem.records)
@@ -416,7 +416,7 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
     left: list[Visited] = []
     failed: list[Visited] = []
     for visited in (v for v in found.sets if v.allowed):
-        judged = visited.key and len(left) < tuning.most_weighed
+        judged = visited.key and len(left) < tuning.MOST_WEIGHED
         (failed if judged and clearly_larger(errors(visited), refitted) else left).append(visited)
     ahead = any(v.evidence > found.empty.evidence for v in failed)
     return left, not ahead or bool(left[0].key)

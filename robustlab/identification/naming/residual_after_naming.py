@@ -40,12 +40,12 @@ from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem
 from robustlab.identification.hypotheses.motion_smoother import lacking_forces
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
-from robustlab.identification.tuning import TUNING, NamingTuning
 from robustlab.identification.unnamed.block_regression import (
     BlockRegression,
     MovingSamples,
@@ -56,11 +56,7 @@ from robustlab.identification.unnamed.block_regression import (
 )
 from robustlab.identification.unnamed.unnamed_effect import (
     ResidualForce,
-    StructureTest,
-    UnnamedForce,
-    fit_unnamed,
     residual_force,
-    structure_left,
 )
 from robustlab.statespace import StateSpaceModel
 
@@ -132,15 +128,10 @@ class LeftOver:
     std: Array
     coordinates: dict[str, Array]
     blocks: NDArray[np.int_]
-    structure: StructureTest  # whether anything systematic remains
 
     def curves(self) -> ResidualForce:
         """The force over each coordinate."""
         return residual_force(self.force, self.std, self.coordinates, self.units, unit=self.unit, blocks=self.blocks)
-
-    def unnamed(self) -> UnnamedForce:
-        """Its spline map."""
-        return fit_unnamed(self.force, self.std, self.coordinates, self.blocks, unit=self.unit)
 
 
 def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
@@ -158,19 +149,19 @@ def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
     known = [p for p in parts if p is not None]
     if not known:
         return None
-    per_record = max(4, problem.tuning.residual_blocks // len(known))
-    step = max(1, sum(len(p[2]) for p in known) // problem.tuning.residual_samples)
+    per_record = max(4, tuning.RESIDUAL_BLOCKS // len(known))
+    step = max(1, sum(len(p[2]) for p in known) // tuning.RESIDUAL_SAMPLES)
     blocks = [k * per_record + np.arange(len(p[2])) * per_record // len(p[2]) for k, p in enumerate(known)]
     force = np.concatenate([p[2][::step] for p in known])
     std = np.concatenate([p[3][::step] for p in known])
     coordinates = {name: np.concatenate([p[4][name][::step] for p in known]) for name in known[0][4]}
     labels = np.concatenate([b[::step] for b in blocks])
     try:
-        structure = structure_left(force, std, coordinates, labels)
+        moving_samples(force, std, coordinates, labels)
     except InputError:  # hardly any motion
         return None
     port = known[0][0]
-    return LeftOver(port, known[0][1], known[0][5], force, std, coordinates, labels, structure)
+    return LeftOver(port, known[0][1], known[0][5], force, std, coordinates, labels)
 
 
 _Part = tuple[str, str, Array, Array, dict[str, Array], dict[str, str]]
@@ -206,7 +197,7 @@ def _least(problem: Problem, k: int) -> float:
     hardly any force the likelihood makes that longer than a block, and chance would look like structure.
     """
     windows, dt = problem.records[k].windows, problem.records[k].record.dt
-    return max(4, problem.tuning.residual_blocks // len(problem.records)) / (len(windows.starts) * windows.length * dt)
+    return max(4, tuning.RESIDUAL_BLOCKS // len(problem.records)) / (len(windows.starts) * windows.length * dt)
 
 
 def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Part | None:
@@ -236,9 +227,9 @@ def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Par
         return None
     least = _least(problem, k)
     try:
-        smoothed = smooth_disturbance(linear, push[:, None], t, known, y, jumps=False)
+        smoothed = smooth_disturbance(linear, push[:, None], t, known, y)
         if smoothed.bandwidth[0] < least:
-            smoothed = smooth_disturbance(linear, push[:, None], t, known, y, bandwidth=least, jumps=False)
+            smoothed = smooth_disturbance(linear, push[:, None], t, known, y, bandwidth=least)
     except NoTrustworthyNumber:
         return None
     x = smoothed.x
@@ -291,7 +282,7 @@ def _known_inputs(
 Turns = NDArray[np.complex128]
 
 
-def remaining_lines(left: LeftOver, tuning: NamingTuning = TUNING) -> tuple[dict[str, float | str], ...]:
+def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
     """Lines over position and time in the residual force that chance does not explain (p < 0.01), strongest first.
 
     Parameters
@@ -319,18 +310,18 @@ def remaining_lines(left: LeftOver, tuning: NamingTuning = TUNING) -> tuple[dict
     if (np.diff(data.block) < 0).any():
         raise InputError("remaining lines: blocks", "labels that go back", "contiguous blocks, one after the other")
     signs = random_signs(data.n_blocks, 0)
-    data = replace(data, d=_without_curves(data, tuning))
-    searches = list(_searches(data, tuning))
-    least = tuning.line_worth * float(data.weight @ data.d**2)
+    data = replace(data, d=_without_curves(data))
+    searches = list(_searches(data))
+    least = tuning.LINE_WORTH * float(data.weight @ data.d**2)
     found: list[dict[str, float | str]] = []
-    while len(found) < tuning.most_lines:
-        sure = [line for s in searches if (line := _strongest(data, s, signs, len(searches), tuning))]
+    while len(found) < tuning.MOST_LINES:
+        sure = [line for s in searches if (line := _strongest(data, s, signs, len(searches)))]
         if not sure:
             break
         power, p, place, at = max(sure, key=lambda line: line[0])
         if power < least:
             break
-        wave = _refined(data, place, at, tuning)
+        wave = _refined(data, place, at)
         fitted, amplitude = _line(data, place, wave)
         data = replace(data, d=data.d - fitted)
         found.append(
@@ -368,7 +359,7 @@ def _records(data: MovingSamples) -> NDArray[np.int_]:
     return np.concatenate([[0], np.cumsum(np.diff(time) < 0)])
 
 
-def _without_curves(data: MovingSamples, tuning: NamingTuning) -> Array:
+def _without_curves(data: MovingSamples) -> Array:
     """The force less a sum of smooth curves over all coordinates."""
     from scipy.linalg import block_diag
 
@@ -377,10 +368,10 @@ def _without_curves(data: MovingSamples, tuning: NamingTuning) -> Array:
         return data.d - np.average(data.d, weights=data.weight)
     columns = np.hstack([b.columns for b in bases])
     regression = BlockRegression(data, data.d, columns, np.asarray(block_diag(*(b.penalty for b in bases))))
-    return data.d - columns @ regression.solve(tuning.curve_stiffness)[:, 0]
+    return data.d - columns @ regression.solve(tuning.CURVE_STIFFNESS)[:, 0]
 
 
-def _searches(data: MovingSamples, tuning: NamingTuning) -> Iterator[_Search]:
+def _searches(data: MovingSamples) -> Iterator[_Search]:
     """Position and time, each with the wave numbers that its samples can show."""
     record = _records(data)
     for name, x in data.x.items():
@@ -388,28 +379,28 @@ def _searches(data: MovingSamples, tuning: NamingTuning) -> Iterator[_Search]:
         if role(name) not in ("position", "time") or not span > 0:
             continue
         step = np.abs(np.diff(x))
-        longest, group = span / tuning.fewest_turns, record
+        longest, group = span / tuning.FEWEST_TURNS, record
         if role(name) == "time":
             length = float(np.median([np.ptp(x[data.block == b]) for b in range(data.n_blocks)]))
-            longest = min(longest, length / tuning.turns_per_block)
+            longest = min(longest, length / tuning.TURNS_PER_BLOCK)
         else:
             group = 2 * record + (data.sign > 0)
         low, high = 1.0 / longest, 0.5 / float(np.median(step[step > 0]))
-        count = min(tuning.most_waves, int((high - low) * span * tuning.oversampling))
+        count = min(tuning.MOST_WAVES, int((high - low) * span * tuning.OVERSAMPLING))
         if count >= 2:
-            yield _Search(name, x, low + np.arange(count) / (span * tuning.oversampling), group)
+            yield _Search(name, x, low + np.arange(count) / (span * tuning.OVERSAMPLING), group)
 
 
 def _strongest(
-    data: MovingSamples, place: _Search, signs: Array, searches: int, tuning: NamingTuning
+    data: MovingSamples, place: _Search, signs: Array, searches: int
 ) -> tuple[float, float, _Search, int] | None:
     """Of the waves that chance does not explain the one with the most power: power, p, place, index."""
-    power = _power(data, place, signs, tuning.waves_at_once)
+    power = _power(data, place, signs, tuning.WAVES_AT_ONCE)
     mean = power[1:].mean(axis=0)
     level = power / np.where(mean > 0, mean, 1.0)
     chance = np.sort(level[1:].max(axis=1))
     p = searches * (1 + len(chance) - np.searchsorted(chance, level[0])) / len(level)
-    sure = np.flatnonzero(p < tuning.line_alarm)
+    sure = np.flatnonzero(p < tuning.LINE_ALARM)
     if not len(sure):
         return None
     at = int(sure[power[0, sure].argmax()])
@@ -461,11 +452,11 @@ def _normal_equations(
         yield np.stack([np.real(moment), np.imag(moment)], axis=2), inverse
 
 
-def _refined(data: MovingSamples, place: _Search, at: int, tuning: NamingTuning) -> float:
+def _refined(data: MovingSamples, place: _Search, at: int) -> float:
     """Wave number of the most power between the neighbours of the best one of the grid."""
-    step = 1.0 / (float(np.ptp(place.x)) * tuning.oversampling)
-    waves = place.waves[at] + step * np.linspace(-1.0, 1.0, tuning.finer_waves)
-    power = np.zeros(tuning.finer_waves)
+    step = 1.0 / (float(np.ptp(place.x)) * tuning.OVERSAMPLING)
+    waves = place.waves[at] + step * np.linspace(-1.0, 1.0, tuning.FINER_WAVES)
+    power = np.zeros(tuning.FINER_WAVES)
     for moment, inverse in _normal_equations(data, place, waves):
         whole = moment.sum(axis=0)
         power += np.einsum("wp,wpq,wq->w", whole, inverse, whole)

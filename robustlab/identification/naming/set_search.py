@@ -32,6 +32,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
     Clock,
@@ -57,12 +58,11 @@ from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvi
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
 from robustlab.identification.naming.materiality import strained
 from robustlab.identification.naming.single_fits import single_fits
-from robustlab.identification.tuning import NamingTuning
 
 
-def clock_nuisances(inputs: tuple[str, ...], dt: float, tuning: NamingTuning) -> tuple[Nuisance, ...]:
+def clock_nuisances(inputs: tuple[str, ...], dt: float) -> tuple[Nuisance, ...]:
     """A shift of each input against the outputs, a part of a sample: clocks are not told more exactly than that."""
-    return tuple(Nuisance(f"clock of {name}", (), tuning.clock_share * dt, input=name) for name in inputs)
+    return tuple(Nuisance(f"clock of {name}", (), tuning.CLOCK_SHARE * dt, input=name) for name in inputs)
 
 
 def held_inputs(problem: Problem, fit: Fit) -> tuple[Fit, Problem]:
@@ -72,8 +72,8 @@ def held_inputs(problem: Problem, fit: Fit) -> tuple[Fit, Problem]:
         other = hold.copy()
         other[k] = "smooth" if hold[k] == "zoh" else "zoh"
         there = problem.under(replace(problem.clock, hold=tuple(other)))
-        again = there.fit(fit.hypothesis, fit.noise, fit.z, fit.starts, FitPlan(problem.tuning.last))
-        if again.cost < fit.cost - 2.0 * problem.tuning.promising:
+        again = there.fit(fit.hypothesis, fit.noise, fit.z, fit.starts, FitPlan(tuning.LAST))
+        if again.cost < fit.cost - 2.0 * tuning.PROMISING:
             hold, fit, problem = other, again, there
     return fit, problem
 
@@ -91,8 +91,7 @@ def step_error(problem: Problem, fit: Fit) -> float:
 
 def short_steps(problem: Problem, fit: Fit) -> Problem:
     """The problem with steps so short that halving them changes no residual by more than a tenth of the noise."""
-    tuning = problem.tuning
-    while (problem.clock.sub or 1) < tuning.most_steps and step_error(problem, fit) > tuning.step_error:
+    while (problem.clock.sub or 1) < tuning.MOST_STEPS and step_error(problem, fit) > tuning.STEP_ERROR:
         problem = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
     return problem
 
@@ -148,15 +147,15 @@ def key_of(hypothesis: Hypothesis) -> Key:
     return frozenset(c.key for c in hypothesis.candidates)
 
 
-def log_prior(hypothesis: Hypothesis, tuning: NamingTuning) -> float:
+def log_prior(hypothesis: Hypothesis) -> float:
     """Log prior of a set."""
     total = 0.0
     for candidate in hypothesis.candidates:
-        total += math.log(tuning.prior_effect)
+        total += math.log(tuning.PRIOR_EFFECT)
         if candidate.effect.refines:
-            total += math.log(tuning.prior_refinement)
+            total += math.log(tuning.PRIOR_REFINEMENT)
         if candidate.effect.spatial and candidate.scales.orders:
-            total -= math.log(tuning.looked_elsewhere)
+            total -= math.log(tuning.LOOKED_ELSEWHERE)
     return total
 
 
@@ -184,7 +183,7 @@ def search_sets(
     ``problem``, ``held``: the windows to fit and the windows that are kept from the fits. ``allowed``: whether a fitted
     set may be the answer. ``progress``: called with the number of fits done, those expected, and what is being done.
     """
-    with ThreadPoolExecutor(problem.tuning.workers) as workers:
+    with ThreadPoolExecutor(tuning.WORKERS) as workers:
         return _Search(problem, held, pool, allowed, progress, workers).run()
 
 
@@ -211,14 +210,10 @@ class _Search:
     sharpened: bool = False
     near: bool = False  # whether the leader leaves little beyond the sensors' noise
 
-    @property
-    def tuning(self) -> NamingTuning:
-        return self.problem.tuning
-
     def run(self) -> Found:
         self.noise = first_noise(self.problem)
         z = np.zeros(len(self.problem.nuisances))
-        empty = self.problem.fit(Hypothesis(()), self.noise, z, plan=FitPlan(self.tuning.base))
+        empty = self.problem.fit(Hypothesis(()), self.noise, z, plan=FitPlan(tuning.BASE))
         self._visit(empty)
         interrupted = settled = False
         try:
@@ -257,8 +252,8 @@ class _Search:
 
     def _used_up(self) -> bool:
         """Whether the search ends here; a set that leaves only noise is still asked whether all of it is needed."""
-        work, most = sum(self.problem.work), self.tuning.most_work
-        if self.expansions >= self.tuning.most_expansions or work >= 2 * most:
+        work, most = sum(self.problem.work), tuning.MOST_WORK
+        if self.expansions >= tuning.MOST_EXPANSIONS or work >= 2 * most:
             return True
         return work >= most and not self._explains(self._told())
 
@@ -271,7 +266,7 @@ class _Search:
         told = self.best
         while self.sharpened:
             less = [v for k, v in self.visited.items() if k < told.key and len(k) == len(told.key) - 1 and v.allowed]
-            less = [v for v in less if told.evidence - v.evidence < self.tuning.far_behind and not self._tells(told, v)]
+            less = [v for v in less if told.evidence - v.evidence < tuning.FAR_BEHIND and not self._tells(told, v)]
             if not less:
                 break
             told = max(less, key=lambda v: v.evidence)
@@ -295,7 +290,7 @@ class _Search:
         if pair not in self.distances:
             self.distances[pair] = refit_distance(self.problem, *pair)
         d = self.distances[pair]
-        return d >= self.tuning.cannot_tell or 0.5 * d**2 > other.prior - one.prior
+        return d >= tuning.CANNOT_TELL or 0.5 * d**2 > other.prior - one.prior
 
     def _next(self) -> Key | None:
         """The set to expand next: the best one, else what remains of it when one or two of its effects are away.
@@ -307,7 +302,7 @@ class _Search:
         whole = self._whole()
         best = whole.key
         begun = [k for k in self.expanded if len(k) == 1]
-        wanted = bool(begun) and len(begun) < self.tuning.beginnings and self.noise.excess > self.tuning.in_one_piece
+        wanted = bool(begun) and len(begun) < tuning.BEGINNINGS and self.noise.excess > tuning.IN_ONE_PIECE
         if wanted and sum(k <= best for k in begun) < 2 and not self._explains(whole):
             done = [c for k in begun for c in self.visited[k].fit.hypothesis.candidates]
             others = [
@@ -322,7 +317,7 @@ class _Search:
                     self._without(whole.fit, key)
             if self._told().key != told:
                 return self._next()
-        if len(best) < self.tuning.most_effects and best not in self.expanded:
+        if len(best) < tuning.MOST_EFFECTS and best not in self.expanded:
             return best
         sizes = [len(best) - away for away in (1, 2) if away <= len(best) <= 3 or away == 1 <= len(best)]
         smaller = [Key(part) for size in sizes for part in itertools.combinations(sorted(best), size)]
@@ -416,7 +411,7 @@ class _Search:
                 continue
             simpler = key_of(fit.hypothesis) - {refined.key} | {plain.key}
             there = self.visited.get(simpler)
-            if there and (simpler in self.again or fit.evidence - there.fit.evidence < self.tuning.far_behind):
+            if there and (simpler in self.again or fit.evidence - there.fit.evidence < tuning.FAR_BEHIND):
                 continue
             self.again.add(simpler)
             rest, z = without(self.problem, fit, k)
@@ -424,16 +419,14 @@ class _Search:
             start = refined.effect.unrefined(values[k])
             own = plain.standardised({**plain.starts[0], **{n: v for n, v in start.items() if n in plain.starts[0]}})
             hypothesis = Hypothesis((*rest.candidates, plain))
-            self._visit(
-                self.problem.fit(hypothesis, self.noise, np.append(z, own), fit.starts, FitPlan(self.tuning.full))
-            )
+            self._visit(self.problem.fit(hypothesis, self.noise, np.append(z, own), fit.starts, FitPlan(tuning.FULL)))
 
     def _without(self, fit: Fit, key: Key) -> None:
         """Fit a set again with only the effects of ``key``."""
         while len(fit.hypothesis.candidates) > len(key):
             k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key not in key)
             hypothesis, z = without(self.problem, fit, k)
-            fit = self.problem.fit(hypothesis, self.noise, z, fit.starts, FitPlan(self.tuning.last))
+            fit = self.problem.fit(hypothesis, self.noise, z, fit.starts, FitPlan(tuning.LAST))
         self._visit(fit)
 
     def _expand(self, key: Key) -> None:
@@ -443,7 +436,7 @@ class _Search:
         text = " + ".join(sorted(key)) or "the nominal model"
 
         def said(done: int, expected: int) -> None:
-            self.progress(done, expected + self.tuning.kept_last, f"what could be added to {text}")
+            self.progress(done, expected + tuning.KEPT_LAST, f"what could be added to {text}")
 
         known = self.looked.setdefault(key, {})
         best = self.best.fit
@@ -452,15 +445,15 @@ class _Search:
         asked = {start.candidate.key for start in wrong}
         open_ones = [c for c in open_ones if c.key not in asked]
         # Where something else leaves only noise, what is far from that after two looks would not come near it.
-        far = self.tuning.out_of_sight if key != self._told().key and self._explains(self._told()) else np.inf
+        far = tuning.OUT_OF_SIGHT if key != self._told().key and self._explains(self._told()) else np.inf
         starts = [*wrong, *promising(self.problem, base, best, open_ones, known, self.workers, said, far)]
         if not self.sharpened:
-            starts = starts[: self.tuning.rough_fits]
+            starts = starts[: tuning.ROUGH_FITS]
         ceiling = self._ceiling(base)
 
         def full(start: Start) -> Fit:
             gain = start.candidate.effect.gain_like
-            rounds = self.tuning.full if self.sharpened else self.tuning.rough_full
+            rounds = tuning.FULL if self.sharpened else tuning.ROUGH_FULL
             plan = FitPlan(rounds, 0.05, ceiling=np.inf if gain else ceiling)
             return self.problem.fit(start.hypothesis, self.noise, start.z, start.starts or base.starts, plan)
 
@@ -475,8 +468,7 @@ class _Search:
 
     def _ceiling(self, base: Fit) -> float:
         """V that what is added to a set must come to, or it is neither promising nor near the best set."""
-        tuning = self.tuning
-        return min(base.cost - 2.0 * tuning.promising, self.best.fit.cost + 2.0 * tuning.far_behind)
+        return min(base.cost - 2.0 * tuning.PROMISING, self.best.fit.cost + 2.0 * tuning.FAR_BEHIND)
 
     def _within_tolerance(self) -> None:
         """Fit promising sets that may not be the answer without what forbids it: a parameter within its tolerance.
@@ -502,7 +494,7 @@ class _Search:
         if leader.hypothesis.candidates[: len(kept)] != kept or leader is base:
             return
         again = self.problem.fit(
-            base.hypothesis, self.noise, leader.z[: len(base.z)], leader.starts, FitPlan(self.tuning.second)
+            base.hypothesis, self.noise, leader.z[: len(base.z)], leader.starts, FitPlan(tuning.SECOND)
         )
         if again.cost < base.cost:
             self._visit(again)
@@ -526,7 +518,7 @@ class _Search:
         held, price = in_phase(self.held, fit, self.problem.records)
         seen = predictive(held, fit, self.noise) if self.near else as_fitted(held, fit, self.noise)
         allowed = self.allowed(self.problem, fit)
-        return Visited(fit, log_prior(fit.hypothesis, self.tuning), seen - price, allowed)
+        return Visited(fit, log_prior(fit.hypothesis), seen - price, allowed)
 
     def _white(self, fit: Fit) -> bool:
         """Whether a fit's errors are as large as its noise model says."""
@@ -544,7 +536,7 @@ class _Search:
         leader = self._clocked(self._again(leader))
         self.noise = self._noise_of(leader)
         ordered = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)
-        ordered = ordered[: self.tuning.rough_fits]
+        ordered = ordered[: tuning.ROUGH_FITS]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit}
         kept[key_of(leader.hypothesis)] = leader
         again = self.workers.map(self._again, kept.values())
@@ -556,15 +548,15 @@ class _Search:
 
         Coloured noise that was taken from a wrong minimum holds a fit there.
         """
-        if noise_ratio(self.problem, fit) < self.tuning.most_noise:
+        if noise_ratio(self.problem, fit) < tuning.MOST_NOISE:
             return fit
-        plain = least_squares(self.problem, fit, self.noise, FitPlan(self.tuning.full, 0.05))
+        plain = least_squares(self.problem, fit, self.noise, FitPlan(tuning.FULL, 0.05))
         return min((fit, plain), key=lambda f: float(np.log(whitening(self.problem, f).std).sum()))
 
     def _noise_of(self, fit: Fit) -> NoiseModel:
         """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""
-        self.near = noise_ratio(self.problem, fit) < self.tuning.beyond_noise
-        return careful(self.problem, fit, whitening(self.problem, fit, self.tuning.ar_order if self.near else 1))
+        self.near = noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
+        return careful(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if self.near else 1))
 
     def _again(self, fit: Fit) -> Fit:
         """The set fitted under the present noise and clock, from where it stands.
@@ -572,7 +564,7 @@ class _Search:
         Parameters that are then beyond their tolerances may have been driven there under another noise, in which a
         wrong model's errors were far larger, and be held there by this one: a second fit begins with nominal ones.
         """
-        plan = FitPlan(self.tuning.full, 0.05)
+        plan = FitPlan(tuning.FULL, 0.05)
         stands = self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, plan)
         if not strained(self.problem, stands):
             return stands

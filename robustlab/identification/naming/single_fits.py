@@ -16,6 +16,7 @@ from concurrent.futures import Executor
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import first_noise
 
@@ -31,16 +32,16 @@ def single_fits(
 
     ``said``: called with the number of fits done and to do.
     """
-    tuning, wide, nominal = problem.tuning, first_noise(problem), np.zeros(len(problem.nuisances))
+    wide, nominal = first_noise(problem), np.zeros(len(problem.nuisances))
     jobs = [(c, start) for c in pool for start in c.starts]
-    near = problem.fit(best.hypothesis, wide, best.z, best.starts, FitPlan(tuning.rough_full, tuning.rough)).cost
-    most = TIMES * near + 2.0 * tuning.far_behind
+    near = problem.fit(best.hypothesis, wide, best.z, best.starts, FitPlan(tuning.ROUGH_FULL, tuning.ROUGH)).cost
+    most = TIMES * near + 2.0 * tuning.FAR_BEHIND
 
     def smooth(job: tuple[Candidate, Mapping[str, float]]) -> Fit:
         candidate, start = job
         z = np.append(nominal, candidate.standardised(start))
         return problem.fit(
-            Hypothesis((candidate,)), wide, z, plan=FitPlan(tuning.rough_full, tuning.rough, ceiling=most)
+            Hypothesis((candidate,)), wide, z, plan=FitPlan(tuning.ROUGH_FULL, tuning.ROUGH, ceiling=most)
         )
 
     lowest: dict[str, Fit] = {}
@@ -48,13 +49,13 @@ def single_fits(
         key = fit.hypothesis.candidates[0].key
         if key not in lowest or fit.cost < lowest[key].cost:
             lowest[key] = fit
-        said(done, len(jobs) + tuning.kept_last)
-    first = sorted((f for f in lowest.values() if f.cost < most), key=lambda f: f.cost)[: tuning.kept_last]
+        said(done, len(jobs) + tuning.KEPT_LAST)
+    first = sorted((f for f in lowest.values() if f.cost < most), key=lambda f: f.cost)[: tuning.KEPT_LAST]
 
     def full(begin: Begin) -> Fit:
         hypothesis, z, starts = begin
-        whole = problem.fit(hypothesis, wide, z, starts, FitPlan(tuning.full, 0.05))
-        return problem.fit(hypothesis, best.noise, whole.z, whole.starts, FitPlan(tuning.full, 0.05, ceiling=ceiling))
+        whole = problem.fit(hypothesis, wide, z, starts, FitPlan(tuning.FULL, 0.05))
+        return problem.fit(hypothesis, best.noise, whole.z, whole.starts, FitPlan(tuning.FULL, 0.05, ceiling=ceiling))
 
     plain = list(workers.map(full, ((f.hypothesis, f.z, f.starts) for f in first)))
     yield from plain

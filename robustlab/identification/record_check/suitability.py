@@ -439,7 +439,7 @@ def _dead(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
     for name in dead:
         value = float(record[name][0])
         text = f"stands at {value:.6g} {record.unit(name)}".rstrip() + " throughout: a dead sensor"
-        hint = "check its cable and scaling, or leave it out with --outputs"
+        hint = "check its cable and scaling, or leave it out, with outputs=... for the others"
         everything = len(dead) == len(outputs)
         found.append(Finding("constant-output", name, text, "an output that moves", hint, everything, {"value": value}))
     return found

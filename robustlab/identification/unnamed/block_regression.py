@@ -6,7 +6,7 @@ normal equations of each block; they are summed once, and all else is linear alg
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,8 +26,6 @@ FLIPS = 400  # random signs
 STIFFNESS = 10.0 ** np.arange(-5.0, 3.0)  # penalty over the data's own weight
 RIDGE = 1e-7
 SIDE, WIDE, SLOW = 8, 14, 2  # spline coefficients on a side of zero speed and over other coordinates; degree over time
-PLAY = (0.01, 0.03, 0.08, 0.2, 0.45)  # half widths of the play operators over the range of the position
-GRID = 201  # points of a table
 
 
 # --- the data --------------------------------------------------------------------------------------------------------
@@ -102,15 +100,12 @@ def role(name: str) -> str:
 
 @dataclass(frozen=True)
 class Basis:
-    """Columns (n, p) with their roughness penalty (p, p); ``at`` gives the columns over a grid (speed: with sign)."""
+    """Columns (n, p) with their roughness penalty (p, p)."""
 
-    label: str
     coordinate: str
     kind: str
     columns: Array
     penalty: Array
-    grid: Array
-    at: Callable[[Array, Array], Array]
 
 
 def _spline(x: Array, low: float, high: float, size: int) -> Array:
@@ -131,44 +126,20 @@ def _roughness(size: int) -> Array:
 def _speed_basis(name: str, x: Array) -> Basis:
     """Splines over sqrt(abs(v)), one set below zero and one above, so that the curve may jump and bend at zero."""
     top = float(np.abs(x).max()) or 1.0
-
-    def columns(v: Array, sign: Array) -> Array:
-        side = _spline(np.sqrt(np.abs(v) / top), 0.0, 1.0, SIDE)
-        return np.hstack([side * (sign < 0)[:, None], side * (sign > 0)[:, None]])
-
+    side = _spline(np.sqrt(np.abs(x) / top), 0.0, 1.0, SIDE)
     penalty = np.asarray(np.kron(np.eye(2), _roughness(SIDE)), dtype=np.float64)
-    low, high = min(0.0, float(x.min())), max(0.0, float(x.max()))
-    grid = np.concatenate([np.linspace(low, 0.0, GRID), np.linspace(0.0, high, GRID)])
-    return Basis(f"f({name})", name, "speed", columns(x, np.sign(x)), penalty, grid, columns)
+    return Basis(name, "speed", np.hstack([side * (x < 0)[:, None], side * (x > 0)[:, None]]), penalty)
 
 
 def _plain_basis(name: str, x: Array, sign: Array, dry: bool) -> Basis:
     low, high = float(x.min()), float(x.max())
     slow, span = role(name) == "time", (high - low) or 1.0
-
-    def columns(value: Array, turn: Array) -> Array:
-        if slow:  # held-out blocks at the ends of the record ask for extrapolation: a polynomial stays tame
-            base = np.vander((np.clip(value, low, high) - low) / span - 0.5, SLOW + 1, increasing=True)
-        else:
-            base = _spline(value, low, low + span, WIDE)
-        return base * turn[:, None]
-
+    if slow:  # held-out blocks at the ends of the record ask for extrapolation: a polynomial stays tame
+        base = np.vander((x - low) / span - 0.5, SLOW + 1, increasing=True)
+    else:
+        base = _spline(x, low, low + span, WIDE)
     penalty = np.diag([0.0, *[1.0] * SLOW]) if slow else _roughness(WIDE)
-    turn = sign if dry else np.ones_like(sign)
-    label, kind = (f"sgn(v) f({name})", "dry") if dry else (f"f({name})", "plain")
-    return Basis(label, name, kind, columns(x, turn), penalty, np.linspace(low, high, GRID), columns)
-
-
-def hysteresis_basis(name: str, x: Array) -> Basis:
-    """Position minus play operators of several widths: what elastic-plastic elements in parallel would carry."""
-    width = np.array(PLAY) * (float(np.ptp(x)) or 1.0)
-    state, columns = x[0] + 0.0 * width, np.empty((len(x), len(PLAY)))
-    for k, value in enumerate(x.tolist()):
-        state = np.clip(state, value - width, value + width)
-        columns[k] = (value - state) / width
-    columns = np.hstack([np.ones((len(x), 1)), columns])
-    penalty = np.diag([0.0, *[1.0] * len(PLAY)])
-    return Basis(f"hysteresis over {name}", name, "play", columns, penalty, x, lambda v, _: v)
+    return Basis(name, "dry" if dry else "plain", base * sign[:, None] if dry else base, penalty)
 
 
 def coordinate_bases(data: MovingSamples) -> list[Basis]:

@@ -4,15 +4,13 @@ model_validation       `validate`: which domain, which noise
 time_domain            sample by sample: constants, systems, both
   sampled_problem      model and record, sampled and in units of the noise
   time_varying         systems that vary with time: cone programmes, multipliers checked by a sweep
-  time_invariant       systems that do not: pulse responses along a central path
-  contraction_kernel   their norm and its barrier
-  constant_parameters  constants: descent, branch and bound
+  constant_parameters  constants: descent
 frequency_domain       line by line: cone programmes from above, multipliers from below
   spectral_problem     model and data at the lines, `FrequencyData`
 cone_programme         rows, the cones they lie in, and the answer within a budget
 validation_result      `Validation`, and what both domains end with
 data_cover             the unmodelled dynamics that a plant's records need
-tuning                 what a search is given
+gamma_search           what a search is given
 """
 
 from robustlab.identification.validation.model_validation import validate

@@ -14,7 +14,11 @@ from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.conic import Cone, solve
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.validation.tuning import ValidationTuning
+
+MOST_ITERATIONS = 200
+FEWEST_ITERATIONS = 20  # that any programme gets, however little of the budget is left
+BUILDING_WORK = 2.0  # of setting a programme up, per stored entry, as measured
+ITERATION_WORK = 0.5  # of an iteration, per stored entry, as measured
 
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
@@ -47,7 +51,7 @@ class ConeSolution:
 
 
 def solved_cones(
-    cost: Array, rows: Sequence[Rows], budget: Budget, tuning: ValidationTuning, squares: Array | None = None
+    cost: Array, rows: Sequence[Rows], budget: Budget, squares: Array | None = None
 ) -> ConeSolution | None:
     """Least ``cost x + squares x^2 / 2`` over all x whose rows lie in their cones; None where there is no such x.
 
@@ -64,13 +68,13 @@ def solved_cones(
         count = part.matrix.shape[0]
         whole: Cone = (part.cone, part.height or count)
         cones += [whole] * (count // part.height if part.height else 1)
-    each = 50 + tuning.iteration_work * A.nnz
-    most = min(max(budget.left / each, tuning.fewest_iterations), tuning.most_iterations)
+    each = 50 + ITERATION_WORK * A.nnz
+    most = min(max(budget.left / each, FEWEST_ITERATIONS), MOST_ITERATIONS)
     seconds = max(budget.seconds_left, 1.0) if budget.seconds_left < 1e6 else None
     found = solve(cost, A, b, cones, steps=most, seconds=seconds, squares=squares)
     if found is None:
         raise NoTrustworthyNumber("validate", "the solver broke down")
-    budget.spend(200 + tuning.building_work * A.nnz + found.iterations * each)
+    budget.spend(200 + BUILDING_WORK * A.nnz + found.iterations * each)
     status = str(found.status)
     if status == "MaxTime":
         budget.strike()

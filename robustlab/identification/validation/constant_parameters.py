@@ -1,15 +1,8 @@
-r"""Smallest constant real parameters that explain a record: descent from above, branch and bound from below.
+r"""Smallest constant real parameters that explain a record, by descent: an upper bound of the smallest size.
 
 For fixed :math:`\delta` the noise is affine in the free states, so whether :math:`\delta` explains the record is a
 Chebyshev (or least-squares) fit. Its dual gives weights :math:`\lambda` of a few samples, orthogonal to what free
-states can do, with :math:`\lambda^T e(\delta) > \|\lambda\|_*`: a witness against :math:`\delta`. Projected anew,
-the same weights are a witness at other :math:`\delta` as long as
-
-.. math:: F(\delta) = \lambda^T P(\delta) e(\delta) / \|P(\delta) \lambda\|_* > 1 .
-
-A box is closed where one witness holds at all points of a grid of 3 in each direction, with a quarter of its variation
-to spare (a parabola dips by at most an eighth of its variation between three such points). Between the points nothing
-is proved: the lower bound is labelled so.
+states can do, with :math:`\lambda^T e(\delta) > \|\lambda\|_*`: a witness against :math:`\delta`.
 
 With w = 0 a window of the record knows of the others only through its initial state, and of that only the part that the
 outputs show counts. Where it is free, the windows are fits of a few unknowns each,
@@ -22,7 +15,6 @@ time, to which the worst missed one is added until none is left (exchange).
 
 from __future__ import annotations
 
-import heapq
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,9 +25,21 @@ import numpy as np
 from robustlab.arrays import Array, Indices
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.validation.gamma_search import Search
 from robustlab.identification.validation.sampled_problem import Recorded, held, powers, shown, states
-from robustlab.identification.validation.tuning import Search, ValidationTuning
 from robustlab.uncertainty.blocks import Block
+
+WIDEST = 1e3  # parameters beyond this many times their range are not tried
+MOVES = 40  # of a descent
+MOVE_EXCHANGES = 20  # programmes over a few samples each, of one move
+# After so many moves in a row that leave more than this share of what is beyond the noise bound no more is tried.
+CREEP = 0.995
+CREEPS = 3
+FIT_EXCHANGES = 60  # of a fit of free states in the largest deviation
+KEPT_NUMBERS = 4_000_000  # of simulated members that are kept in memory: more, fewer simulations
+PROGRAMME_WORK = 3000.0  # of a linear programme, besides its entries
+SIMULATION_WORK = 500.0  # of a simulation, besides its samples
+FITTING_WORK = 5000.0  # of a fit by linear programmes
 
 # Rounding in the noise of an explanation, over its bound, and of the fits in the largest deviation.
 SLACK = ENOUGH = 1e-9
@@ -68,14 +72,14 @@ class Member:
 class WindowFit:
     """Noise of a record for values of its real blocks; what it simulates and fits is spent of the budget."""
 
-    def __init__(self, recorded: Recorded, blocks: Sequence[Block], budget: Budget, tuning: ValidationTuning) -> None:
-        self.recorded, self.blocks, self.budget, self.tuning = recorded, blocks, budget, tuning
+    def __init__(self, recorded: Recorded, blocks: Sequence[Block], budget: Budget) -> None:
+        self.recorded, self.blocks, self.budget = recorded, blocks, budget
         ends = [*recorded.starts[1:], len(recorded.t)]
         self.cuts = [slice(a, b) for a, b in zip(recorded.starts, ends, strict=True)]
         self.count = recorded.counts
         self._repeats = [b.rows for b in blocks]
         self._known: dict[tuple[bytes, tuple[int, ...]], Windows | None] = {}
-        self._kept = max(16, tuning.kept_numbers // (recorded.used.size + 1))
+        self._kept = max(16, KEPT_NUMBERS // (recorded.used.size + 1))
 
     @property
     def every(self) -> tuple[int, ...]:
@@ -95,7 +99,7 @@ class WindowFit:
     def _simulated(self, delta: Array, chosen: tuple[int, ...]) -> Windows | None:
         record = self.recorded
         samples = sum(self.cuts[i].stop - self.cuts[i].start for i in chosen)
-        self.budget.spend(self.tuning.simulation_work + 0.3 * samples * len(record.bound))
+        self.budget.spend(SIMULATION_WORK + 0.3 * samples * len(record.bound))
         closed = self._member(delta)
         if closed is None:
             return None
@@ -175,8 +179,8 @@ class WindowFit:
         for i in np.argsort(-peaks):
             if peaks[i] <= worst:  # the fit in the largest deviation is not worse than least squares
                 break
-            size, rest[i], dual = _chebyshev(rest[i], at.basis[i], self.tuning.fit_exchanges)
-            self.budget.spend(self.tuning.fitting_work if at.basis[i].size else 0)
+            size, rest[i], dual = _chebyshev(rest[i], at.basis[i], FIT_EXCHANGES)
+            self.budget.spend(FITTING_WORK if at.basis[i].size else 0)
             if size > worst:
                 worst, weights = size, {int(i): dual}
         return worst, rest, weights
@@ -279,41 +283,34 @@ def _orthonormal(F: Array) -> Array:
 
 @dataclass(frozen=True)
 class Parameters:
-    """What `smallest_parameters` found: bounds of the largest ``|delta|``, the best delta, and its noise."""
+    """What `smallest_parameters` found: the largest ``|delta|`` of the best delta, that delta, and its noise."""
 
-    # lower, upper: bounds; the lower one from boxes that were tested at points
-    lower: float
     upper: float
     delta: Array  # normalised values of the real blocks, in order
     noise: Array  # noise that is left (n, n_y), over its bound
-    boxes: int  # how many boxes were examined
-    finished: bool  # whether the search came to its end before its budget did
     least_excess: float  # smallest noise over its bound that was found anywhere
 
 
 def smallest_parameters(recorded: Recorded, blocks: Sequence[Block], search: Search) -> Parameters:
-    """Bounds of the largest ``|delta|`` over the blocks that are scaled; the others stay within [-1, 1]."""
-    fit = WindowFit(recorded, blocks, search.budget, search.tuning)
+    """Smallest known ``|delta|`` over the blocks that are scaled; the others stay within [-1, 1]."""
+    fit = WindowFit(recorded, blocks, search.budget)
     m = len(blocks)
     zero = fit.excess(fit.windows(np.zeros(m)))
     if zero[0] <= 1 + SLACK:
-        return Parameters(0.0, 0.0, np.zeros(m), fit.whole(zero[1]), 1, True, zero[0])
+        return Parameters(0.0, np.zeros(m), fit.whole(zero[1]), zero[0])
     starts = [np.zeros(m)]
     rng = np.random.default_rng(0)
     starts += [rng.uniform(-1, 1, m) for _ in range(3 if m > 1 else 1)]
     best: tuple[float, Array] = (np.inf, np.zeros(m))
     least = zero[0]
-    for k, start in enumerate(starts):
+    for start in starts:
         found, excess = _descend(fit, start, search)
         least = min(least, excess)
         size = _size(found, search) if excess <= 1 + SLACK else np.inf
         if size < best[0]:
             best = size, found
-        if k == 0 and np.isinf(size):  # often a few boxes show that there is nothing to be found
-            tried = _branch(fit, best, least, search, search.tuning.first_boxes)
-            if tried.finished:
-                return tried
-    return _branch(fit, best, least, search)
+    _, noise, _ = fit.excess(fit.windows(best[1]))
+    return Parameters(best[0], best[1], fit.whole(noise), least)
 
 
 def _size(delta: Array, search: Search) -> float:
@@ -325,12 +322,12 @@ def _size(delta: Array, search: Search) -> float:
 
 def _descend(fit: WindowFit, delta: Array, search: Search) -> tuple[Array, float]:
     """Successive linear programmes: first into the noise bound, then to the smallest delta."""
-    at, tuning = fit.windows(delta), search.tuning
+    at = fit.windows(delta)
     excess, noise, _ = fit.excess(at)
     radius, m = 0.5, len(delta)
     best, creeps = (np.inf, delta, excess), 0
-    for _ in range(tuning.moves):
-        if creeps >= tuning.creeps or at is None or search.budget.over:
+    for _ in range(MOVES):
+        if creeps >= CREEPS or at is None or search.budget.over:
             break
         step = 1e-5 * max(1.0, float(np.abs(delta).max(initial=0.0)))
         sides = [[fit.windows(delta + s * step * np.eye(m)[k]) for s in (1, -1)] for k in range(m)]
@@ -347,14 +344,14 @@ def _descend(fit: WindowFit, delta: Array, search: Search) -> tuple[Array, float
         new_at = fit.windows(new)
         new_excess, new_noise, _ = fit.excess(new_at)
         was, now = max(excess - 1, 0.0) * 1e4, max(new_excess - 1, 0.0) * 1e4
-        creeps = creeps + 1 if now > tuning.creep * was > 0 else 0
+        creeps = creeps + 1 if now > CREEP * was > 0 else 0
         gain = was + _size(delta, search) - now - _size(new, search)
         if new_excess <= 1 + SLACK and _size(new, search) < best[0]:
             best = _size(new, search), new, new_excess
         if gain > 0:
             moved = float(np.abs(new - delta).max())
             delta, at, excess, noise = new, new_at, new_excess, new_noise
-            radius = min(2 * radius, max(4 * moved, 1e-3), tuning.widest)
+            radius = min(2 * radius, max(4 * moved, 1e-3), WIDEST)
             if moved < 0.02 * search.precision * max(_size(delta, search), 1e-9) and (
                 excess <= 1 + SLACK or moved < 1e-9
             ):
@@ -382,7 +379,7 @@ def _linear_move(
     from scipy import sparse
     from scipy.optimize import linprog
 
-    m, scaled, tuning = len(delta), search.scaled, search.tuning
+    m, scaled = len(delta), search.scaled
     limits = [_peaks(fit, noise, i) for i in fit.every]
     taken = [_first_samples(x / limit, m + Q.shape[1]) for x, limit, Q in zip(noise, limits, basis, strict=True)]
     starts = np.cumsum([m + 2, *(Q.shape[1] for Q in basis)])
@@ -393,9 +390,9 @@ def _linear_move(
     room = np.where(scaled, 0.0, 1.0)
     cost = np.zeros(starts[-1])
     cost[m], cost[m + 1] = 1.0, 1e4
-    bounds = [(-radius, radius)] * m + [(0, tuning.widest), (0, None)] + [(None, None)] * int(starts[-1] - m - 2)
+    bounds = [(-radius, radius)] * m + [(0, WIDEST), (0, None)] + [(None, None)] * int(starts[-1] - m - 2)
     x = np.zeros(0)
-    for _ in range(tuning.move_exchanges):
+    for _ in range(MOVE_EXCHANGES):
         moved = _rows_of(taken, lean, basis, starts)
         at = np.arange(moved.shape[0]), np.full(moved.shape[0], m + 1)
         spare = sparse.csr_matrix((np.ones(moved.shape[0]), at), moved.shape)
@@ -404,7 +401,7 @@ def _linear_move(
         matrix = sparse.vstack([moved - spare, -moved - spare, sparse.csr_matrix(box)])
         right = np.concatenate([limit - here, limit + here, room - delta, room + delta])
         found = linprog(cost, matrix, right, bounds=bounds, method="highs")
-        fit.budget.spend(tuning.programme_work + matrix.nnz)
+        fit.budget.spend(PROGRAMME_WORK + matrix.nnz)
         if found.x is None or not np.isfinite(found.x).all():
             return None
         x, missed = np.asarray(found.x), 0
@@ -455,53 +452,3 @@ def _peaks(fit: WindowFit, noise: list[Array], window: int) -> Array:
     for part, size in zip(fit.outputs(window), fit.sizes(noise), strict=True):
         allowed[part] = 0.999 * (np.abs(x[part]) / max(size, 1e-12) + 1e-9)
     return allowed
-
-
-def _branch(
-    fit: WindowFit, best: tuple[float, Array], least: float, search: Search, most: float = np.inf
-) -> Parameters:
-    """Branch and bound over delta, boxes nearest to nominal first; not finished where ``most`` boxes are not enough."""
-    m, scaled, tuning = len(fit.blocks), search.scaled, search.tuning
-    points = np.array([q for q in itertools.product((-1.0, 1.0, 0.0), repeat=m) if any(q)])
-    counter = itertools.count()
-    outer = np.where(scaled, tuning.widest if not np.isfinite(best[0]) else best[0], 1.0)
-    outer = np.where(scaled & (outer > 4.0) & (not np.isfinite(best[0])), 4.0, outer)
-    heap: list[tuple[float, int, Array, Array]] = [(0.0, next(counter), np.zeros(m), outer)]
-    reach = float(outer[scaled].max(initial=0.0))
-    boxes, lower, finished = 0, 0.0, True
-    while heap:
-        nearest, _, centre, half = heapq.heappop(heap)
-        lower = max(lower, nearest)
-        if nearest >= best[0] * (1 - search.precision):
-            lower = min(nearest, best[0])
-            break
-        if boxes >= most or search.budget.over:
-            finished = False
-            break
-        boxes += 1
-        excess, _, weights = fit.excess(fit.windows(centre))
-        least = min(least, excess)
-        if excess <= 1 + SLACK:
-            size = _size(centre, search)
-            best = min(best, (size, centre), key=lambda pair: pair[0])
-        else:
-            values = [fit.witness(weights, centre)]
-            for q in points:  # a box that holds a point without witness is not worth the others
-                values.append(fit.witness(weights, centre + half * q))
-                if values[-1] <= 1:
-                    break
-            if min(values) - tuning.spare * (max(values) - min(values)) > 1:
-                continue
-        k = int(np.argmax(half))
-        for side in (-0.5, 0.5):
-            part, middle = half.copy(), centre.copy()
-            part[k] *= 0.5
-            middle[k] += side * half[k]
-            inner = np.maximum(np.abs(middle) - part, 0.0)
-            near = float(inner[scaled].max(initial=0.0))
-            if near < best[0]:
-                heapq.heappush(heap, (near, next(counter), middle, part))
-    else:
-        lower = best[0] if np.isfinite(best[0]) else reach
-    _, noise, _ = fit.excess(fit.windows(best[1]))
-    return Parameters(float(lower), float(best[0]), best[1], fit.whole(noise), boxes, finished, float(least))

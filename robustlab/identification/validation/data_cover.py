@@ -25,7 +25,6 @@ from robustlab.dynamics.extended.effect_loads import EffectLoads, effect_loads
 from robustlab.errors import InputError, told_as
 from robustlab.identification.validation.model_validation import validate
 from robustlab.identification.validation.sampled_problem import NoiseNorm
-from robustlab.identification.validation.tuning import TUNING, ValidationTuning
 from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
@@ -33,6 +32,8 @@ from robustlab.shown import Facts, listed, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel, product
+
+LEAST_RADIUS = 0.02  # of `data_cover`: no plant is known better than this at every frequency
 
 # Loads along a record are means over its samples, known to this share of their bounds.
 LOADS_TOLD = 1e-3
@@ -141,7 +142,7 @@ def data_cover(
     *,
     held_out: Sequence[Record] = (),
     margin: float = 1.1,
-    least: float = TUNING.least_radius,
+    least: float = LEAST_RADIUS,
     sigmas: float = 2.0,
     noise_norm: NoiseNorm = "peak",
     window: float | None = None,
@@ -150,7 +151,6 @@ def data_cover(
     time_limit: float | None = None,
     progress: Callable[[str], None] | None = None,
     effort: float = 1.0,
-    tuning: ValidationTuning = TUNING,
 ) -> DataCover:
     """The set of models around a plant, with or without effects, that explains its records.
 
@@ -169,7 +169,7 @@ def data_cover(
         bound of its own is ``margin`` times the largest along the records.
     sigmas
         Half width of the range of a fitted value in its standard deviations.
-    noise_norm, window, at_rest, precision, time_limit, progress, effort, tuning
+    noise_norm, window, at_rest, precision, time_limit, progress, effort
         As in `validate`; time limit and effort are those of each record. Delta may vary with time: friction does.
 
     Returns
@@ -209,9 +209,8 @@ def data_cover(
         driven = made.along(record)
         reached[record.name] = max((float(np.abs(driven[x.name]).max()) for x in made.loads), default=0.0)
         found[record.name] = validate(
-            bare, driven, noise, noise_norm=noise_norm, delta="time-varying", at_rest=at_rest,
+            bare, driven, noise, noise_norm=noise_norm, at_rest=at_rest,
             window=window, precision=precision, time_limit=time_limit, progress=progress, effort=effort,
-            tuning=tuning,
         )  # fmt: skip
     mine = [found[r.name] for r in records]
     needed = max(v.upper for v in mine)

@@ -33,6 +33,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array, ComplexArray, Indices
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import ConeSolution, Rows, solved_cones, sparse_matrices
+from robustlab.identification.validation.gamma_search import Search
 from robustlab.identification.validation.spectral_problem import (
     FrequencyData,
     SpectralProblem,
@@ -40,7 +41,6 @@ from robustlab.identification.validation.spectral_problem import (
     spectrum_of_record,
     spectrum_of_response,
 )
-from robustlab.identification.validation.tuning import Search
 from robustlab.identification.validation.validation_result import (
     BlockSize,
     Validation,
@@ -52,6 +52,10 @@ from robustlab.identification.validation.validation_result import (
 from robustlab.record import Record
 from robustlab.uncertainty.lft import UncertainModel
 
+LINE_ROUNDS = 30  # convex-concave steps at most
+LINE_MARGIN = 1e-9  # by which the programmes aim inside the noise bound
+HALVINGS = 60  # of the interval in which a disproved gamma is looked for
+
 # Rounding in the noise of an explanation, over its bound.
 SLACK = 1e-9
 # A multiplier of this share of the largest keeps the Lagrangian of a line strictly concave.
@@ -62,7 +66,6 @@ def fits_frequency_domain(
     data: Record | FrequencyData,
     domain: str,
     norm: str | None,
-    delta: str,
     window: float | None,
     at_rest: bool,
     missing: Mapping[str, Sequence[int]] | None,
@@ -77,8 +80,6 @@ def fits_frequency_domain(
                          'noise_norm="rms"; a transform keeps the energy of the noise, not its peak')  # fmt: skip
     if norm == "rms" and isinstance(data, FrequencyData):
         raise InputError(where, "an rms bound on a frequency response", "a bound at each line")
-    if delta != "time-invariant":
-        raise InputError(where, f"{delta} blocks in the frequency domain", "time-invariant ones", 'domain="time"')
     for name, given in (("windows", window), ("a start at rest", at_rest or None), ("missing samples", missing)):
         if given:
             raise InputError(where, f"{name} in the frequency domain", "whole periods in steady state", 'domain="time"')
@@ -270,7 +271,7 @@ def _descend(programme: _Programme, z: ComplexArray, known: bool) -> tuple[float
     """Best gamma that its own w shows, that w, and the last programme solved."""
     problem, search = programme.problem, programme.search
     best, at, last, before = np.inf, np.zeros_like(problem.e[:, :0]), None, np.inf
-    for _ in range(1 if known else search.tuning.line_rounds):
+    for _ in range(1 if known else LINE_ROUNDS):
         solved = programme.smallest(z)
         if solved is None:
             break
@@ -344,7 +345,7 @@ def _largest_disproved(problem: SpectralProblem, multipliers: LineMultipliers, s
     if not start > 0 or not np.isfinite(start) or not disproved(0.0):
         return 0.0
     good, high = 0.0, start
-    for _ in range(search.tuning.halvings):
+    for _ in range(HALVINGS):
         middle = 0.5 * (good + high)
         good, high = (middle, high) if disproved(middle) else (good, middle)
         if high - good < 1e-7 * high:
@@ -392,7 +393,7 @@ class _Programme:
     def _noise(self, free: bool) -> list[Rows]:
         """Noise within its bound, or within g times its bound."""
         sparse, p, found = sparse_matrices(), self.problem, []
-        every, inside = np.arange(p.n), 0.0 if free else 1 - self.search.tuning.line_margin
+        every, inside = np.arange(p.n), 0.0 if free else 1 - LINE_MARGIN
         for j in range(p.e.shape[1]):
             rows, offset = self._affine(-p.M21[:, j], p.e[:, j])
             if p.total:
@@ -462,7 +463,7 @@ class _Programme:
     def _solved(self, rows: list[Rows]) -> _Solved | None:
         cost = np.zeros(self.size)
         cost[self.at_g :] = 1.0
-        found = solved_cones(cost, rows, self.search.budget, self.search.tuning)
+        found = solved_cones(cost, rows, self.search.budget)
         if found is None:
             return None
         n = self.problem.n

@@ -17,17 +17,21 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.budget import one_thread, search_budget
+from robustlab.budget import MILLION, one_thread, search_budget
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
+from robustlab.identification.validation.gamma_search import Search
 from robustlab.identification.validation.sampled_problem import NoiseNorm, prepared
 from robustlab.identification.validation.spectral_problem import FrequencyData
-from robustlab.identification.validation.time_domain import DeltaKind, validate_by_samples
-from robustlab.identification.validation.tuning import TUNING, Search, ValidationTuning
+from robustlab.identification.validation.time_domain import validate_by_samples
 from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record
 from robustlab.uncertainty.lft import UncertainModel
+
+# What a validation may cost, in units of `robustlab.budget`: about two minutes. More work, tighter bounds.
+WORK = 120 * MILLION
+CONFIDENCE = 0.99  # that noise stays within a bound taken from repeats: larger, wider bounds
 
 
 @told_as("validate")
@@ -38,7 +42,6 @@ def validate(
     *,
     domain: Literal["time", "frequency"] = "time",
     noise_norm: NoiseNorm | None = None,
-    delta: DeltaKind = "time-invariant",
     at_rest: bool = False,
     window: float | None = None,
     period: float | None = None,
@@ -48,14 +51,14 @@ def validate(
     time_limit: float | None = None,
     progress: Callable[[str], None] | None = None,
     effort: float = 1.0,
-    tuning: ValidationTuning = TUNING,
 ) -> Validation:
     """Smallest scaling of Delta with which an uncertain model could have produced a record.
 
     Parameters
     ----------
     uncertain
-        The set. Real blocks are constants; complex and full blocks are causal systems. A continuous model is sampled
+        The set. Real blocks are constants; complex and full blocks are causal systems: in the time domain they may vary
+        in time, in the frequency domain they are time-invariant. A continuous model is sampled
         with all inputs, also w, held between samples. Without any block noise alone has to explain the record: gamma is
         0, or there is none.
     record
@@ -71,8 +74,6 @@ def validate(
         ``"peak"``: no sample is off by more; ``"rms"``: the root mean square over the record is not larger. Where left
         out ``"peak"`` in the time domain. In the frequency domain it is ``"rms"`` for a record (over the periods used),
         and each line's own bound for a frequency response, of which ``noise`` may hold one for each line.
-    delta
-        What the complex and full blocks are.
     at_rest
         The record starts at rest. Otherwise the states that the outputs show are free at the start. Delta is at rest.
     window
@@ -92,8 +93,6 @@ def validate(
         Called with one line at each step.
     effort
         Work that the search may take, as a multiple of the usual (about two minutes); counted, not timed.
-    tuning
-        Numbers that choose speed and accuracy.
 
     Returns
     -------
@@ -105,14 +104,10 @@ def validate(
         ============================  =======================================  =====================================
         frequency domain              w by cone programmes, loop closed again  multipliers, re-checked line by line
         time-varying                  w by convex-concave procedure, replayed  multipliers, re-checked by a sweep
-        time-invariant, z known       pulse responses, replayed                dual of the convex problem (exact)
-        time-invariant, z unknown     pulse responses by Gauss-Newton          that of time-varying ones (relaxation)
-        constant                      values by descent, replayed              boxes tested at points (not proved)
-        constant and dynamic          search over the constants                that of all time-varying (relaxation)
+        constant                      values by descent, replayed              of time-varying ones, in discrete time
+        constant and dynamic          constants at nominal                     of time-varying ones, in discrete time
         none                          0 where noise alone explains the record  infinite elsewhere, weights re-checked
         ============================  =======================================  =====================================
-
-        z is known where it depends neither on Delta nor on a free state: additive and multiplicative uncertainty.
 
     Raises
     ------
@@ -132,7 +127,7 @@ def validate(
     >>> round(found.upper, 2), found.invalidated, str(found.status)
     (0.4, False, 'certified')
     """
-    budget, estimated = search_budget("validate", tuning.work, effort, time_limit), noise is None
+    budget, estimated = search_budget("validate", WORK, effort, time_limit), noise is None
     if isinstance(uncertain, NonlinearPlant):
         hint = "plant.uncertain(at=...) makes one, for the record's deviations from that trim"
         raise InputError(
@@ -144,19 +139,17 @@ def validate(
         if block.is_real and not block.interval:
             found = f"a {type(block).__name__}"
             raise InputError(f"validate: block {block.name!r}", found, "real scalars, complex and full blocks")
-    if delta not in ("time-invariant", "time-varying"):
-        raise InputError("validate", f"delta {delta!r}", "'time-invariant' or 'time-varying'")
     if not 1e-4 <= precision <= 0.2:
         raise InputError("validate", f"precision {precision:g}", "between 1e-4 and 0.2")
     if domain not in ("time", "frequency"):
         raise InputError("validate", f"domain {domain!r}", "'time' or 'frequency'")
     say = progress or (lambda _line: None)
-    search = Search(np.ones(len(uncertain.blocks), dtype=bool), precision, budget, tuning)
+    search = Search(np.ones(len(uncertain.blocks), dtype=bool), precision, budget)
     if domain == "frequency" or isinstance(record, FrequencyData):
-        fits_frequency_domain(record, domain, noise_norm, delta, window, at_rest, missing, noise)
+        fits_frequency_domain(record, domain, noise_norm, window, at_rest, missing, noise)
         with one_thread():
             if isinstance(record, Record):
-                noise = noise if noise is not None else _estimated(uncertain, record, "rms", tuning.confidence)
+                noise = noise if noise is not None else _estimated(uncertain, record, "rms", CONFIDENCE)
             return validate_by_lines(
                 uncertain, record, noise or {}, search,
                 period=period, per_block=per_block, progress=say, estimated=estimated,
@@ -165,11 +158,9 @@ def validate(
         raise InputError("validate", f"period {period:g} s", "a period only in the frequency domain")
     norm: NoiseNorm = noise_norm or "peak"
     with one_thread():
-        bounds = _numbers(noise) if noise is not None else _estimated(uncertain, record, norm, tuning.confidence)
+        bounds = _numbers(noise) if noise is not None else _estimated(uncertain, record, norm, CONFIDENCE)
         recorded = prepared(uncertain, record, bounds, norm=norm, window=window, at_rest=at_rest, missing=missing)
-        return validate_by_samples(
-            record, recorded, delta, search, per_block=per_block, progress=say, estimated=estimated
-        )
+        return validate_by_samples(record, recorded, search, per_block=per_block, progress=say, estimated=estimated)
 
 
 def _numbers(noise: Mapping[str, ArrayLike]) -> dict[str, float]:

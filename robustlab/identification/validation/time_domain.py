@@ -1,29 +1,24 @@
 r"""Validation in the time domain, sample by sample: constants, systems, and both together.
 
-Systems are found as cone programmes (time-varying) or by their pulse responses (time-invariant), constants by descent
-and branch and bound. For fixed constants the systems beside them are found by their own methods, so
-
-.. math:: \gamma^* = \min_\delta \max(|\delta|_\infty, \gamma_{dyn}(\delta))
-
-is searched from above (pattern search). From below every constant is allowed to be a time-varying system of the same
-size, a larger set, whose multipliers disprove a gamma.
+Systems are causal and may vary in time: cone programmes bound them from both sides. Constants are found by descent.
+From below every constant of a discrete model is allowed to be a time-varying system of the same size, a larger set,
+whose multipliers disprove a gamma; of a continuous model there is no lower bound. Where constants and systems stand
+side by side, the upper bound keeps the constants at nominal.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
 from robustlab.arrays import Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.constant_parameters import WindowFit, smallest_parameters
+from robustlab.identification.validation.gamma_search import Search
 from robustlab.identification.validation.sampled_problem import Recorded, SampledProblem, sampled, with_delta_of
-from robustlab.identification.validation.time_invariant import PulseResponses, smallest_pulse_responses
 from robustlab.identification.validation.time_varying import Contractions, largest_disproved, smallest_contractions
-from robustlab.identification.validation.tuning import Search
 from robustlab.identification.validation.validation_result import (
     BlockSize,
     Validation,
@@ -33,14 +28,16 @@ from robustlab.identification.validation.validation_result import (
     require_replay,
 )
 from robustlab.record import Record
-from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
-
-DeltaKind = Literal["time-invariant", "time-varying"]
 
 # Sizes below this count as zero; rounding in the noise of an explanation, over its bound; and between a lower and an
 # upper bound that meet.
 SMALLEST, SLACK, MEET = 1e-6, 1e-9, 1e-4
+# Samples of a cone programme over all of them, and of a relaxation: longer records are judged by their beginning.
+LONGEST_PROGRAMME, LONGEST_RELAXED = 8000, 4000
+RELAXED_SHARE = 0.5  # of the work, for the lower bound of constants
+RELAXATION = "lower bound with all blocks time-varying (relaxation)"
+NO_BOUND = "no lower bound (a constant in continuous time)"
 
 
 def _nothing() -> Array:
@@ -50,7 +47,6 @@ def _nothing() -> Array:
 def validate_by_samples(
     record: Record,
     recorded: Recorded,
-    delta: DeltaKind,
     search: Search,
     *,
     per_block: bool,
@@ -58,11 +54,11 @@ def validate_by_samples(
     estimated: bool,
 ) -> Validation:
     """Bounds of the smallest gamma over the samples; see `robustlab.identification.validation.validate`."""
-    job = _Job(recorded, delta, progress)
+    job = _Job(recorded, progress)
     found, alone = job.bounds(search), {}
     if per_block and np.isfinite(found.upper):
         alone = each_alone([b.name for b in recorded.uncertain.blocks], search, job.bounds, progress)
-    return _result(record, job, found, alone, _assumptions(recorded, delta, estimated), search)
+    return _result(record, job, found, alone, _assumptions(recorded, estimated), search)
 
 
 @dataclass(frozen=True)
@@ -79,7 +75,6 @@ class _Found:
     problem: SampledProblem | None = None
     w: Array = field(default_factory=_nothing)
     z: Array = field(default_factory=_nothing)
-    pulses: tuple[Array, ...] = ()
     states: Mapping[int, Array] = field(default_factory=dict)
     sizes: Mapping[str, float] = field(default_factory=dict)
     multipliers: Mapping[str, Array] = field(default_factory=dict)
@@ -88,10 +83,9 @@ class _Found:
 
 @dataclass(frozen=True)
 class _Job:
-    """A record, what the systems of Delta are, and who is told."""
+    """A record, and the listener for progress."""
 
     recorded: Recorded
-    delta: DeltaKind
     progress: Callable[[str], None]
 
     def bounds(self, search: Search) -> _Found:
@@ -108,7 +102,7 @@ class _Job:
 
     def noise_alone(self, search: Search) -> _Found:
         """Without a block the record is explained by its noise, or not at all."""
-        fit, none = WindowFit(self.recorded, [], search.budget, search.tuning), np.zeros(0)
+        fit, none = WindowFit(self.recorded, [], search.budget), np.zeros(0)
         excess, noise, weights = fit.excess(fit.windows(none))
         gamma = 0.0 if excess <= 1 + SLACK else np.inf
         if gamma and not fit.witness(weights, none) > 1:
@@ -118,95 +112,61 @@ class _Job:
         recheck = (lambda: np.inf if fit.witness(weights, none) > 1 else 0.0) if gamma else None
         return _Found(gamma, gamma, label, True, fit.whole(noise), excess, recheck=recheck)
 
+    def relaxed(self, search: Search) -> tuple[float, Mapping[str, Array]]:
+        """Lower bound with every block a system that may vary in time, and its multipliers.
+
+        Of constants in discrete time only: in continuous time a constant's w = delta z is not held between samples.
+        """
+        uncertain = self.recorded.uncertain
+        if not uncertain.dt:
+            return 0.0, {}
+        problem = sampled(self.recorded.part(0, LONGEST_RELAXED), uncertain.M, uncertain.blocks)
+        found = smallest_contractions(problem, replace(search, budget=search.budget.share(RELAXED_SHARE)))
+        return found.lower, {"energy": found.multipliers.D, "noise": found.multipliers.noise}
+
     def constant(self, search: Search) -> _Found:
         """All blocks are real."""
         blocks = [b for b in self.recorded.uncertain.blocks if b.interval]
         found = smallest_parameters(self.recorded, blocks, search)
-        self.progress(f"constants: gamma {found.lower:.4g} .. {found.upper:.4g}, {found.boxes} boxes")
-        label = f"constants; upper bound replayed, lower bound from {found.boxes} boxes tested at points"
+        lower, multipliers = self.relaxed(search) if found.upper > 0 else (0.0, {})
+        self.progress(f"constants: gamma {lower:.4g} .. {found.upper:.4g}")
         values: dict[str, float] = {}
         if np.isfinite(found.upper):
             values = {b.name: float(v) for b, v in zip(blocks, found.delta, strict=True)}
+        bound = RELAXATION if multipliers or not found.upper else NO_BOUND
         return _Found(
-            found.lower, found.upper, label, False, found.noise, found.least_excess, values,
-            sizes={n: abs(v) for n, v in values.items()},
+            lower, found.upper, f"constants; upper bound by descent, replayed, {bound}", lower == found.upper,
+            found.noise, found.least_excess, values, sizes={n: abs(v) for n, v in values.items()},
+            multipliers=multipliers,
         )  # fmt: skip
 
     def mixed(self, search: Search, real: Mask) -> _Found:
-        """Some blocks are ``real`` (n_blocks,), the others systems."""
-        blocks, tuning = self.recorded.uncertain.blocks, search.tuning
-        names = [b.name for b, constant in zip(blocks, real, strict=True) if constant]
-        free, kept = search.scaled[real], replace(search, scaled=search.scaled[~real])
-        problem = sampled(self.recorded.part(0, tuning.longest_relaxed), self.recorded.uncertain.M, blocks)
-        relaxed = smallest_contractions(problem, search)
-        if np.isinf(relaxed.lower):
-            everything = replace(search, scaled=np.ones(len(problem.blocks), dtype=bool))
-            return replace(self._varying(problem, relaxed, everything, {}), sizes={})
-        part = replace(kept, budget=search.budget.share(tuning.constants_share))
+        """Some blocks are ``real`` (n_blocks,): they are kept at nominal for the upper bound; the others systems."""
+        blocks = self.recorded.uncertain.blocks
+        lower, multipliers = self.relaxed(search)
+        nominal = {b.name: 0.0 for b, constant in zip(blocks, real, strict=True) if constant}
+        found = self.dynamic(nominal, replace(search, scaled=search.scaled[~real]))
+        bound = RELAXATION if multipliers else NO_BOUND
+        label = f"constants and systems; upper bound with the constants at nominal, {bound}"
+        if np.isinf(lower):
+            found = replace(found, upper=np.inf, sizes={})
+        return replace(found, lower=lower, label=label, multipliers=multipliers, recheck=None, certified=False)
 
-        def named(delta: Array) -> dict[str, float]:
-            return dict(zip(names, map(float, delta), strict=True))
-
-        def size_at(delta: Array) -> float:
-            if (np.abs(delta[~free]) > 1).any():
-                return np.inf
-            try:
-                found = self.dynamic(named(delta), part, quick=True)
-            except NoTrustworthyNumber:
-                return np.inf
-            return max(found.upper, float(np.abs(delta[free]).max(initial=0.0)))
-
-        delta = np.zeros(len(names))
-        best, step = size_at(delta), 0.5
-        if len(self.recorded.t) > tuning.longest_relaxed:
-            step = 0.0  # nothing explains a record of which only the beginning is judged
-        while step > tuning.finest_step * max(best if np.isfinite(best) else 1.0, 0.05) and not part.budget.over:
-            better = False
-            for k in range(len(names)):
-                for sign in (1.0, -1.0):
-                    trial = delta.copy()
-                    trial[k] += sign * step
-                    size = size_at(trial)
-                    if size < best * (1 - 1e-4) or (np.isinf(best) and np.isfinite(size)):
-                        delta, best, better = trial, size, True
-                        break
-            step = step if better else step / 2
-        found = self.dynamic(named(delta), kept)
-        return replace(
-            found,
-            lower=relaxed.lower,
-            upper=max(found.upper, float(np.abs(delta[free]).max(initial=0.0))),
-            label="constants and systems; lower bound with all blocks time-varying (relaxation), upper bound by search",
-            multipliers={"energy": relaxed.multipliers.D, "noise": relaxed.multipliers.noise},
-            recheck=None,
-            certified=False,
-        )
-
-    def dynamic(self, values: Mapping[str, float], search: Search, quick: bool = False) -> _Found:
+    def dynamic(self, values: Mapping[str, float], search: Search) -> _Found:
         """The real blocks are set; the search is over the blocks that remain."""
         M, blocks = with_delta_of(self.recorded.uncertain, values)
-        most = search.tuning.longest_programme
-        long = len(self.recorded.t) > most
-        problem = sampled(self.recorded.part(0, most) if long else self.recorded, M, blocks)
+        long = len(self.recorded.t) > LONGEST_PROGRAMME
+        problem = sampled(self.recorded.part(0, LONGEST_PROGRAMME) if long else self.recorded, M, blocks)
+        if any(repeated for _, _, repeated in problem.blocks):
+            found, wanted = "a repeated complex scalar as a time-varying system", "full blocks and complex scalars"
+            raise InputError("validate", found, wanted, 'domain="frequency", where blocks are time-invariant')
         varying = smallest_contractions(problem, search)
         self.progress(f"time-varying: gamma {varying.lower:.4g} .. {varying.upper:.4g}")
         found = self._varying(problem, varying, search, values)
         if long:
-            label = f"lower bound from the first {most} samples (time-varying), no explanation sought"
+            label = f"lower bound from the first {LONGEST_PROGRAMME} samples (time-varying), no explanation sought"
             return replace(found, upper=np.inf, w=_nothing(), z=_nothing(), sizes={}, label=label)
-        repeated = any(r for _, _, r in problem.blocks)
-        if np.isinf(varying.lower) or (quick and not repeated):
-            return found
-        if self.delta == "time-varying":
-            if repeated:
-                raise InputError(
-                    "validate", "a repeated complex scalar as a time-varying system", "time-invariant ones",
-                    'delta="time-invariant"',
-                )  # fmt: skip
-            return found
-        return self._invariant(
-            varying, replace(found, upper=np.inf, w=_nothing(), z=_nothing(), sizes={}), search, blocks, M
-        )
+        return found
 
     def _varying(self, problem: SampledProblem, c: Contractions, search: Search, values: Mapping[str, float]) -> _Found:
         exact = "exact" if c.convex else "lower bound exact where the Lagrangian is concave"
@@ -230,46 +190,6 @@ class _Job:
             multipliers={"energy": c.multipliers.D, "noise": c.multipliers.noise},
             recheck=recheck,
         )
-
-    def _invariant(
-        self, c: Contractions, relaxed: _Found, search: Search, blocks: tuple[Block, ...], M: StateSpaceModel
-    ) -> _Found:
-        problem, tuning = relaxed.problem, search.tuning
-        assert problem is not None
-        each = sum(1 if r else (a.stop - a.start) * (b.stop - b.start) for a, b, r in problem.blocks)
-        longest = min(tuning.longest_pulses, tuning.most_unknowns // max(each, 1))
-        if problem.n > longest:
-            start = sampled(self.recorded.part(0, longest), M, blocks)
-            head = smallest_pulse_responses(start, search, c.upper if np.isfinite(c.upper) else 1.0)
-            lower = max(c.lower, head.lower if head is not None else 0.0)
-            label = f"time-invariant: lower bound from the first {longest} samples and from time-varying systems"
-            return replace(relaxed, lower=lower, label=label)
-        guess = c.upper if np.isfinite(c.upper) else max(1.0, c.lower)
-        found = smallest_pulse_responses(problem, search, guess, c.z if c.z.size else None)
-        if found is None:
-            label = "time-invariant: lower bound from time-varying systems (relaxation), no explanation found"
-            return replace(relaxed, label=label)
-        self.progress(f"time-invariant: gamma {found.lower:.4g} .. {found.upper:.4g}")
-        return _pulses(problem, c, found, relaxed)
-
-
-def _pulses(problem: SampledProblem, c: Contractions, found: PulseResponses, relaxed: _Found) -> _Found:
-    convex, k = found.lower > c.lower, problem.free.shape[1]
-    return replace(
-        relaxed,
-        lower=max(found.lower, c.lower),
-        upper=found.upper,
-        label="time-invariant systems (exact)" if c.convex else "time-invariant; lower bound from time-varying systems",
-        w=found.w,
-        z=found.z,
-        noise=found.noise,
-        pulses=found.h,
-        states={t: found.states[i * k : (i + 1) * k] for i, t in enumerate(problem.free_starts)},
-        sizes=dict(zip(problem.names, map(float, found.sizes), strict=True)),
-        multipliers={"noise": found.dual} if convex else relaxed.multipliers,
-        recheck=found.recheck if convex else relaxed.recheck,
-        excess=problem.excess(found.noise),
-    )
 
 
 # --- result ----------------------------------------------------------------------------------------------------------
@@ -303,7 +223,7 @@ def _result(
         lower=float(min(found.lower, found.upper)),
         upper=float(found.upper),
         label=found.label,
-        blocks={b.name: _block(b, found, alone, job.delta) for b in recorded.uncertain.blocks},
+        blocks={b.name: _block(b, found, alone) for b in recorded.uncertain.blocks},
         noise_bound={s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)},
         noise_norm=recorded.norm,
         excess=found.excess,
@@ -322,7 +242,7 @@ def _result(
     )
 
 
-def _block(block: Block, found: _Found, alone: Mapping[str, tuple[float, float]], delta: DeltaKind) -> BlockSize:
+def _block(block: Block, found: _Found, alone: Mapping[str, tuple[float, float]]) -> BlockSize:
     lower, upper = alone.get(block.name, (np.nan, np.nan))
     if block.interval and (not found.problem or block.name not in found.problem.names):
         value = found.values.get(block.name)
@@ -332,10 +252,7 @@ def _block(block: Block, found: _Found, alone: Mapping[str, tuple[float, float]]
             impossible = block.parameter.impossible(physical[0])
         size = abs(value) if value is not None else np.nan
         return BlockSize(block.name, "constant", size, lower, upper, value, physical, impossible)
-    pulse = None
-    if found.problem is not None and found.pulses:
-        pulse = found.pulses[found.problem.names.index(block.name)]
-    return BlockSize(block.name, delta, found.sizes.get(block.name, np.nan), lower, upper, pulse)
+    return BlockSize(block.name, "time-varying", found.sizes.get(block.name, np.nan), lower, upper)
 
 
 def _replay_error(recorded: Recorded, found: _Found) -> float:
@@ -343,37 +260,8 @@ def _replay_error(recorded: Recorded, found: _Found) -> float:
     if found.problem is None:  # constants: the member itself, in the simulation of `robustlab.dynamics`
         return _member_error(recorded, found)
     problem = found.problem
-    w = found.w
-    if found.pulses:
-        w = _in_the_loop(problem, found)
-    _, noise = problem.respond(w, found.states)
+    _, noise = problem.respond(found.w, found.states)
     return float(np.abs((noise - found.noise)[problem.used]).max(initial=0.0))
-
-
-def _in_the_loop(problem: SampledProblem, found: _Found) -> Array:
-    """W sample by sample: Delta sees z as it comes."""
-    n, q = problem.n, problem.B.shape[1]
-    w, z = np.zeros((n, q)), np.zeros_like(problem.z0)
-    state = np.zeros(len(problem.A))
-    first = np.zeros((q, len(problem.C1)))
-    wholes = []
-    for (rows, cols, repeated), h in zip(problem.blocks, found.pulses, strict=True):
-        full = h * np.eye(rows.stop - rows.start) if repeated else h
-        wholes.append((rows, cols, full))
-        first[rows, cols] = full[0]
-    inner = np.linalg.inv(np.eye(q) - first @ problem.D11)
-    for t in range(n):
-        if t in found.states:
-            state = state + problem.free @ found.states[t]
-        came = problem.z0[t] + problem.C1 @ state
-        past = np.zeros(q)
-        for rows, cols, full in wholes:
-            if t:
-                past[rows] = np.einsum("kab,kb->a", full[t:0:-1], z[:t, cols])
-        w[t] = inner @ (past + first @ came)
-        z[t] = came + problem.D11 @ w[t]
-        state = problem.A @ state + problem.B @ w[t]
-    return w
 
 
 def _member_error(recorded: Recorded, found: _Found) -> float:
@@ -405,7 +293,7 @@ def _nominal(recorded: Recorded) -> Array:
     return recorded.y - (problem.e - free @ x) * recorded.bound
 
 
-def _assumptions(recorded: Recorded, delta: DeltaKind, estimated: bool) -> tuple[str, ...]:
+def _assumptions(recorded: Recorded, estimated: bool) -> tuple[str, ...]:
     dynamic = not all(b.interval for b in recorded.uncertain.blocks)
     said = []
     if recorded.norm == "peak":
@@ -415,7 +303,7 @@ def _assumptions(recorded: Recorded, delta: DeltaKind, estimated: bool) -> tuple
     if estimated:
         said.append("the noise bound was estimated from the record's own periods")
     if dynamic:
-        said.append(f"complex and full blocks are causal {delta} systems at rest before the record")
+        said.append("complex and full blocks are causal time-varying systems at rest before the record")
     if recorded.uncertain.dt == 0:
         held = "u and w" if dynamic else "u"
         said.append(f"{held} {'are' if dynamic else 'is'} held between samples of {recorded.dt:.6g} s")

@@ -39,9 +39,18 @@ import numpy as np
 from robustlab.arrays import Array, Mask
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import ConeSolution, Rows, solved_cones, sparse_matrices
+from robustlab.identification.validation.gamma_search import Search
 from robustlab.identification.validation.sampled_problem import SampledProblem
-from robustlab.identification.validation.tuning import Search
 from robustlab.result import Evidence
+
+NOISE_MARGIN = 1e-7  # by which the solver aims inside the noise bound: larger replays surely, costs gamma
+VARYING_ROUNDS = 25  # convex-concave steps at most
+SWEEP_WORK = 250.0  # a sample, of finding what multipliers disprove: some 15 sweeps over the record
+SWEEP_STEPS = 30  # sweeps at most on the way down to a gamma that is disproved
+AHEAD = 3.0  # energy of z that the first guess has in advance: larger, and no early sample decides
+# Shares of the record at whose beginning a weaker problem leaves out the conditions on the energies; more of them
+# are tried only while the lower bound is not there.
+LATE = (0.004, 0.02, 0.1)
 
 # A multiplier of this share of the largest, everywhere, keeps every sweep strictly concave and is as valid.
 FLOOR = 1e-7
@@ -142,7 +151,7 @@ def largest_disproved(problem: SampledProblem, multipliers: Multipliers, search:
 
     finest = search.precision / 10
     share, good = finest, 0.0
-    for _ in range(search.tuning.sweep_steps):  # first close to the start, then further away
+    for _ in range(SWEEP_STEPS):  # first close to the start, then further away
         trial = start * (1 - share)
         if share >= 1:
             break
@@ -183,17 +192,17 @@ class Contractions:
 
 def smallest_contractions(problem: SampledProblem, search: Search) -> Contractions:
     """Bounds of the smallest gamma over the blocks that are scaled; the others keep the size 1."""
-    first, tuning = _Programme(problem, search), search.tuning
+    first = _Programme(problem, search)
     convex = first.convex
     z = problem.z0
     if not convex:
         # As if the nominal z acted, with some energy ahead so that no early sample decides.
-        guess = first.smallest(z, known=True, ahead=tuning.ahead)
+        guess = first.smallest(z, known=True, ahead=AHEAD)
         start = first.least_effort() if guess is None else guess.x
         if start is None:
             return _unexplained(first)
         z = problem.respond(*first.signals(start))[0]
-    best, solution = _descend(first, z, 0, tuning.varying_rounds)
+    best, solution = _descend(first, z, 0, VARYING_ROUNDS)
     if solution is None:
         if first.least_effort() is None:
             return _unexplained(first)
@@ -202,14 +211,14 @@ def smallest_contractions(problem: SampledProblem, search: Search) -> Contractio
 
     def disproved(by: ConeSolution, at: float) -> tuple[float, Multipliers]:
         multipliers = first.multipliers(by)
-        search.budget.spend(tuning.sweep_work * problem.n)
+        search.budget.spend(SWEEP_WORK * problem.n)
         return largest_disproved(problem, multipliers, search, at) if at > 0 else 0.0, multipliers
 
     top = best.gamma if best is not None else first.gamma(solution)
     lower, multipliers = disproved(solution, top)
     # With a free state the first samples of z may have either sign: two valleys, and no concave Lagrangian over both.
     # Without the conditions at the first samples there is a weaker problem whose bound holds all the same.
-    for share in () if convex else tuning.late:
+    for share in () if convex else LATE:
         if lower >= (1 - search.precision) * top or search.budget.over:
             break
         _, weaker = _descend(first, z, 1 + int(share * problem.n), 4)
@@ -457,14 +466,14 @@ class _Programme:
 
     def smallest(self, z: Array, known: bool, ahead: float = 0.0, late: int = 0) -> ConeSolution | None:
         """Smallest g = gamma^2 with the energies of z, or their tangents at z; None where there is none."""
-        noise = self._noise(1 - self.search.tuning.noise_margin)
+        noise = self._noise(1 - NOISE_MARGIN)
         return self._solved([*noise, *self._energies(z, known, ahead, late)])
 
     def least_effort(self) -> Array | None:
         """Least energy of w that explains the record; None where no w does."""
         squares = np.zeros(self.size)
         squares[self.at_w : self.at_c] = 1.0
-        solved = self._solved(self._noise(1 - self.search.tuning.noise_margin), squares)
+        solved = self._solved(self._noise(1 - NOISE_MARGIN), squares)
         return None if solved is None else solved.x
 
     def least_noise(self, silent: Mask | None = None) -> ConeSolution | None:
@@ -476,7 +485,7 @@ class _Programme:
         """The answer under the equations of motion: of least g, or of the least squares."""
         cost = np.zeros(self.size)
         cost[self.at_g] = 1.0 if squares is None else 0.0
-        return solved_cones(cost, [self._dynamics, *rows], self.search.budget, self.search.tuning, squares)
+        return solved_cones(cost, [self._dynamics, *rows], self.search.budget, squares)
 
     # --- answers -----------------------------------------------------------------------------------------------------
 

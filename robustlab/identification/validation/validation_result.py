@@ -11,7 +11,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.validation.tuning import Search
+from robustlab.identification.validation.gamma_search import Search
 from robustlab.result import Evidence, Status
 from robustlab.shown import Each, Facts, number
 from robustlab.tables import Table, Tabular
@@ -34,8 +34,7 @@ class BlockSize(Evidence):
     # not asked
     lower: float
     upper: float
-    # what it is: a number for a constant, pulse responses (n, rows, cols) for a time-invariant system; a time-varying
-    # one is given by its signals w and z, which exist by the theorem
+    # the number of a constant; a system is given by its signals w and z, which exist by the theorem
     value: Any = None
     physical: tuple[float, str] | None = None  # value and unit of the parameter that a constant stands for
     impossible: str = ""  # what physics asks of that parameter and the value does not meet; empty where it may exist
@@ -133,6 +132,8 @@ class Validation(Tabular, Evidence):
             return f"invalidated: gamma is at least {self.lower:.4g}{known}"
         if self.upper <= 1:
             return f"not invalidated at gamma = {self.upper:.4g}"
+        if np.isinf(self.upper) and not self.lower:
+            return f"undecided: nothing was found that leaves less than {self.excess:.4g} times the noise bound"
         return f"undecided: the smallest gamma is between {self.lower:.4g} and {self.upper:.4g}"
 
     @property

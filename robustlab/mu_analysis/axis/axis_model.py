@@ -7,15 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
-from robustlab.linear_analysis.structural import strong_components
+from robustlab.linear_analysis.narrow_peaks import modes_apart, narrow_frequencies
+from robustlab.linear_analysis.structural import strong_components, with_hidden
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
+    "around",
     "check_nominal",
     "continuous",
     "coupled_blocks",
@@ -28,6 +30,8 @@ __all__ = [
 
 # Entries of M that are larger than this are refused.
 MOST = 1e100
+# Share of the largest part of a Gramian below which a direction counts as hidden where coordinates are chosen.
+HIDDEN = 1e-8
 
 
 def check_nominal(uncertain: UncertainModel, where: str) -> None:
@@ -41,14 +45,15 @@ def check_nominal(uncertain: UncertainModel, where: str) -> None:
     worst = poles[np.abs(poles).argmax() if uncertain.M.is_discrete else poles.real.argmax()]
     raise NoTrustworthyNumber(
         where,
-        f"nominal closed loop unstable (pole {worst.real:.6g}{worst.imag:+.6g}j)",
+        with_hidden(f"nominal closed loop unstable (pole {worst.real:.6g}{worst.imag:+.6g}j)", uncertain.M),
         "a stable nominal model",
         "close the loop first (UncertainModel.close), or drop an integrator that feeds nothing back",
     )
 
 
 def continuous(model: StateSpaceModel) -> StateSpaceModel:
-    """The model balanced by powers of two; a discrete one mapped by ``s = (z - 1) / (z + 1)``."""
+    """The model balanced, narrow peaks in states of their own; a discrete one mapped by ``s = (z - 1) / (z + 1)``."""
+    model = modes_apart(model)
     A, B, C, D = model.A, model.B, model.C, model.D
     n = model.n_states
     if not n:
@@ -60,7 +65,34 @@ def continuous(model: StateSpaceModel) -> StateSpaceModel:
     if not _within_bounds((A, B, C, D)):
         return _ordinary(StateSpaceModel(A, B, C, D), "frequency axis")
     scale = balancing_factors(A)
-    return StateSpaceModel(A / scale[:, None] * scale, B / scale[:, None], C * scale[None, :], D)
+    return _even(StateSpaceModel(A / scale[:, None] * scale, B / scale[:, None], C * scale[None, :], D))
+
+
+def _even(model: StateSpaceModel) -> StateSpaceModel:
+    """The stable model in states that are reached and seen alike, those that matter most first.
+
+    These are the same whatever states the model came in, and no farther from normal than its transfer function is: in
+    others the eigenvalues of a Hamiltonian matrix may be wrong in the fourth digit. Directions that are hidden are left
+    where they are; so is a model whose slowest pole would lose digits.
+    """
+    from scipy.linalg import solve_continuous_lyapunov
+
+    A, B, C = model.A, model.B, model.C
+    room = 1e-6 * -model.poles().real.max() / np.finfo(float).eps
+    if not (B.any() and C.any() and np.linalg.norm(A) < room):
+        return model
+    reached, seen = _half(solve_continuous_lyapunov(A, -B @ B.T)), _half(solve_continuous_lyapunov(A.T, -C.T @ C))
+    _, sizes, turn = np.linalg.svd(seen.T @ reached)
+    T = reached @ turn.T / np.sqrt(sizes)
+    T *= np.where(np.linalg.solve(T, B).sum(axis=1) < 0, -1.0, 1.0)
+    A, B = (np.linalg.solve(T, matrix) for matrix in (A @ T, B))
+    return StateSpaceModel(A, B, C @ T, model.D) if np.linalg.norm(A) * np.linalg.cond(T) < room else model
+
+
+def _half(gramian: AnyArray) -> AnyArray:
+    """A square root of a Gramian in which hidden directions have a small share of the others."""
+    sizes, vectors = np.linalg.eigh(gramian)
+    return vectors * np.sqrt(np.maximum(sizes, HIDDEN * sizes[-1]))
 
 
 def _ordinary(model: StateSpaceModel, where: str) -> StateSpaceModel:
@@ -101,15 +133,21 @@ def frequencies(omega: ArrayLike | None, where: str) -> Array:
 
 
 def seed_frequencies(model: StateSpaceModel) -> Array:
-    """Frequencies where something may happen: the poles' own."""
+    """Frequencies where something may happen in a continuous model: the poles' own."""
     poles = model.poles()
     found = np.abs(np.concatenate([poles, poles.imag]))
-    found = found[found > 0]
-    if not len(found):
-        return found
-    # One of those closer together than 2 %.
-    marks = np.unique(np.round(np.log(found) / 0.02))
-    return np.exp(marks * 0.02)
+    # One of those closer together than 2 %, and every peak that is narrower.
+    marks = np.unique(np.round(np.log(found[found > 0]) / 0.02))
+    return np.unique(np.concatenate([np.exp(marks * 0.02), narrow_frequencies(poles)]))
+
+
+def around(model: StateSpaceModel, omega: float) -> Array:
+    """A frequency, others up to 5 % of it away, and others inside the narrow peak in which it may lie."""
+    if not 0 < omega < np.inf:
+        return np.array([omega])
+    distance = np.abs(1j * omega - model.poles()).min(initial=omega)
+    width = np.linspace(-1, 1, 21)
+    return np.concatenate([[omega], omega * np.exp(0.05 * width), omega + 0.5 * distance * width])
 
 
 def typical_speed(model: StateSpaceModel) -> float:

@@ -118,6 +118,13 @@ class AxisCover:
                 self.add(piece if level is None else replace(piece, beta=level))
         return True
 
+    def open_share(self, scale: float) -> float:
+        """How much of the axis is open, as the angle that it spans seen from ``scale``."""
+        low, high = np.array(self.open).reshape(-1, 2).T / scale
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spans = np.arctan2(np.where(high < np.inf, high - low, 1.0), np.where(high < np.inf, 1 + low * high, low))
+        return float(spans.sum())
+
     def take_points(self, pending: list[float], scale: float, count: int) -> Array:
         """The next of the pending frequencies that are still open (they are taken off the list), else new ones."""
         while pending:
@@ -174,12 +181,14 @@ def cover_axis(
     budget
         Where it is over, the intervals not proved by then are left open.
     accuracy
-        Relative distance of the proved bound to the largest pointwise D-G bound.
+        Relative distance of the proved bound to the largest pointwise D-G bound. It is doubled, and the bound raised,
+        wherever a round proves too little of what is open: the same question would get the same answer.
     """
     cover, scale = AxisCover(), typical_speed(model)
     beta = beta * (1 + accuracy)
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
     while cover.open and not budget.over:
+        fresh, before = not pending, cover.open_share(scale)
         omega = cover.take_points(pending, scale, TUNING.frequencies)
         target = beta / (1 + accuracy / 2)
         bounds = points_below(frequency_response(model, omega), blocks, target)
@@ -188,6 +197,9 @@ def cover_axis(
         missed = [b.beta for b in bounds if target < b.beta < np.inf]
         beta = max(beta, max(missed, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
         cover.grow(model, omega, bounds, beta, budget)
+        if fresh and cover.open_share(scale) > TUNING.creeping * before:
+            accuracy *= 2
+            beta *= 1 + accuracy
     return cover
 
 
@@ -204,16 +216,17 @@ def extend_work(model: StateSpaceModel) -> int:
 
 def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float) -> Piece | None:
     """The interval around ``omega`` on which D and G of ``bound`` prove beta; None where they do not at ``omega``."""
-    if not np.isfinite(bound.beta):
+    if not bound.beta < beta:
         return None
-    candidates = _candidates(model, bound, beta * (1 - TUNING.slack))
+    stricter = max(beta * (1 - TUNING.slack), (bound.beta + beta) / 2)
+    candidates = _candidates(model, bound, stricter)
     if candidates is None:
         return None
     # The sign is constant on each segment between neighbouring ends, if the candidates are right.
     ends = np.concatenate([[0.0], np.unique(candidates[candidates > 0])])
     middles = np.append((ends[1:] + ends[:-1]) / 2, 2 * ends[-1] + _speed(model))
     ends = np.append(ends, np.inf)
-    tested = beta * (1 - TUNING.slack / 2)
+    tested = (stricter + beta) / 2
     own = int(np.clip(np.searchsorted(ends, omega, side="right") - 1, 0, len(middles) - 1))
     if not _negative(model, bound, tested, np.array([omega, middles[own]])).all():
         return None
@@ -227,7 +240,10 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     if not high_holds:
         far = high if np.isfinite(high) else 1e6 * float(middles[-1])
         high = _edge(model, bound, tested, bad=far, good=float(middles[last]))
-    low, high = _between_failures(model, bound, tested, low * (1 + 1e-9), high * (1 - 1e-9), omega)
+    # Inside by a small share of the frequency, or of the piece where that is narrower.
+    low += 1e-9 * min(low, omega - low)
+    high -= 1e-9 * min(high, high - omega) if np.isfinite(high) else 0.0
+    low, high = _between_failures(model, bound, tested, low, high, omega)
     return Piece(low, high, beta, bound) if low < high else None
 
 

@@ -9,28 +9,20 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError
-from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.box import Box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region
-from robustlab.mu_analysis.matrix.certificate import certified_in_balls
-from robustlab.mu_analysis.matrix.decomposition import entries
-from robustlab.mu_analysis.tuning import TUNING
 from robustlab.result import Bracket
-from robustlab.shown import Facts, Part, Shown, bracket, listed, member, number
+from robustlab.shown import Facts, Part, bracket, listed, member, number
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
     "PERFORMANCE",
-    "BallCheck",
     "Margin",
     "PerformanceMargin",
     "StabilityMargin",
     "delta_rows",
-    "margin_in_balls",
 ]
 
 SHOWN_BLOCKS = 40  # rows of a table
@@ -73,7 +65,9 @@ class StabilityMargin(Bracket):
         """Whether the set as given is stable."""
         if self.stable is None:
             return "not proved stable over the whole set"
-        return "proved stable for every Delta of the set" if self.stable else "not stable for every Delta of the set"
+        if self.stable:
+            return "proved stable for every Delta of the set"
+        return f"not robust: the member at k = {number(self.upper)} is unstable"
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +131,7 @@ class Margin(Tabular, StabilityMargin):
         peak = bracket(1 / self.upper, 1 / self.lower, ("attained", "proved")) if self.upper and self.lower else ""
         ranked = sorted(self.shares.items(), key=lambda pair: -abs(pair[1]))
         return [
+            *([("the set as stated", self.headline())] if self.stable is False else []),
             (self.kind, bracket(self.lower, self.upper, ("proved", "attained"))),
             ("peak of mu", peak),
             ("critical member", member(self.delta, self.physical) or "none found"),
@@ -184,7 +179,9 @@ class PerformanceMargin(Margin):
 
     def headline(self) -> str:
         """Whether every member of the set as given performs."""
-        kept = "proved for every Delta of the set" if self.lower > 1 else "not proved over the whole set"
+        if self.stable is False:
+            return f"not robust: the member at k = {number(self.upper)} does not perform"
+        kept = "proved for every Delta of the set" if self.stable else "not proved over the whole set"
         return f"performance is {kept}"
 
 
@@ -202,51 +199,3 @@ def delta_rows(
     if len(order) > SHOWN_BLOCKS:
         rows.append((f"... and {len(order) - SHOWN_BLOCKS} more blocks", *([""] * (3 if shares else 2))))
     return rows
-
-
-@dataclass(frozen=True)
-class BallCheck(Shown):
-    """How many of the inequalities that were tried hold in ball arithmetic."""
-
-    proved: int
-    tried: int
-
-    def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
-        return [("proved", f"{self.proved} of {self.tried} inequalities")]
-
-    def to_json(self) -> dict[str, int]:
-        """Both numbers."""
-        return {"proved": self.proved, "tried": self.tried}
-
-
-def margin_in_balls(uncertain: UncertainModel, margin: Margin) -> BallCheck:
-    """Confirm the D-G inequality of each proved interval at five frequencies in it, in ball arithmetic.
-
-    The response M at a frequency is taken as the doubles that it is computed to; from there on the proof is free of
-    rounding. It does not cover what lies between the frequencies: that is the Hamiltonian's part, in floating point.
-
-    Raises
-    ------
-    InputError
-        The margin was proved by branch and bound, or ranges are asymmetric: then D, G belong to boxes of parameters.
-    DependencyMissing
-        python-flint is not installed.
-    """
-    if not all(isinstance(piece, Piece) for piece in margin.proof):
-        hint = "repeat with tolerance=inf: the margin that D, G alone prove"
-        raise InputError("margin_in_balls", "a margin proved by branch and bound", "one proved by scalings", hint)
-    if not all(b.is_symmetric for b in uncertain.blocks):
-        raise InputError("margin_in_balls", "asymmetric ranges", "symmetric ones")
-    model = continuous(uncertain.delta_channels)
-    proved = tried = 0
-    for piece in margin.proof:
-        assert isinstance(piece, Piece)
-        members = range(len(uncertain.blocks)) if piece.members is None else piece.members
-        w, z = entries(uncertain.blocks, members)
-        top = piece.high if np.isfinite(piece.high) else 1e3 * max(piece.low, 1.0)
-        for M in frequency_response(model, np.linspace(piece.low, top, TUNING.ball_points)):
-            part = M[z[:, None], w]
-            tried += 1
-            proved += certified_in_balls(part, piece.bound.Dw, piece.bound.G, piece.beta, piece.bound.Dz)
-    return BallCheck(proved, tried)

@@ -199,22 +199,25 @@ def _on_the_axis(
         return []
     # A pole of a real model that is small beside the others may be real, whatever its eigenvalue says.
     slow = abs(pole) <= 1e-6 * np.abs(model.A).max()
-    found = []
+    real, found = any(b.interval for b in blocks), []
     for omega in dict.fromkeys([pole.imag, 0.0] if slow else [pole.imag]):
+        met: list[tuple[float, Destabilising]] = []
         for _ in range(12):
             now = _loop_eigenvalue(model, delta, omega)
             if now is None or now[0].real <= 0:
                 break
             value, slope = now
-            if abs(value.imag) <= 1e-12 * abs(value):
-                exact = delta / value.real
-                found.append(Destabilising(delta_norm(blocks, exact), exact, complex(0.0, omega)))
-                break
-            if slope.imag == 0:
+            off = abs(value.imag / value)
+            # In a narrow peak no floating-point frequency is the one of the crossing.
+            if off <= min(1e-12 + 8 * model.n_states * EPS * abs(omega * slope.imag / value), 1e-5):
+                exact = delta / (value.real if real else value)
+                met.append((off, Destabilising(delta_norm(blocks, exact), exact, complex(0.0, omega))))
+            if off <= 1e-12 or slope.imag == 0:
                 break
             omega -= value.imag / slope.imag
             if not np.isfinite(omega):
                 break
+        found += [crossing for _, crossing in sorted(met, key=lambda pair: pair[0])[:1]]
     return found
 
 
@@ -338,6 +341,8 @@ def _migrate(
     if not len(deltas):
         return best, best_norm
     speed = np.maximum(np.abs(poles), 1e-9 * np.abs(model.A).max())
+    # A pole next to the axis has not arrived before it has moved.
+    close = np.minimum(1e-6 * speed, np.maximum(1e-3 * np.abs(poles.real), 100 * EPS * speed))
     phase = np.arange(len(deltas)) * 0.754877666 % 1.0
     # The types are stated because inferring them around the loop takes pyright half a minute.
     pole: ComplexArray
@@ -359,7 +364,7 @@ def _migrate(
         except np.linalg.LinAlgError:
             break
         norms = layout.sizes(deltas).max(axis=1)
-        arrived = (np.abs(pole.real) <= 1e-6 * speed) & (norms < best_norm) & (norms > 0)
+        arrived = (np.abs(pole.real) <= close) & (norms < best_norm) & (norms > 0)
         best[arrived], best_norm[arrived] = deltas[arrived], norms[arrived]
         goal = pole.real * (1 - 1 / (TUNING.leading - step)) if step < TUNING.leading else np.zeros(len(pole))
         new = _least_move(layout, deltas, pole, row, x, goal=goal)

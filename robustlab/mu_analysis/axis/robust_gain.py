@@ -24,7 +24,7 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.mu_analysis.axis.axis_model import check_nominal, continuous, model_frequency, seed_frequencies
+from robustlab.mu_analysis.axis.axis_model import around, check_nominal, continuous, model_frequency, seed_frequencies
 from robustlab.mu_analysis.axis.axis_problems import GainMarginProblem
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, delta_rows
@@ -276,7 +276,7 @@ class _Search:
                 return omega
             norm = hinf_norm(member)
             return self._on_the_axis(norm.frequency) if norm.lower >= self.level else None
-        at = omega * np.exp(np.linspace(-0.05, 0.05, 11)) if 0 < omega < np.inf else np.array([omega])
+        at = around(self.model, omega)
         met = [gain_at(M, self.blocks, delta) for M in frequency_response(self.model, at)]
         values = [np.inf if gain is None else gain.value for gain in met]
         k = int(np.argmax(values))

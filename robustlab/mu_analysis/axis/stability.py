@@ -46,6 +46,8 @@ __all__ = ["margin_within", "robust_stability"]
 
 # Bounds closer together than this are told apart by rounding alone.
 FINEST = 1e-9
+# Relative to the width of a box, a cover in it comes no closer to the narrower side.
+FINEST_SIDE = 1e-5
 
 
 @dataclass
@@ -239,11 +241,17 @@ def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
 def _sharpened(
     model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising, seed: int, tuning: MuTuning
 ) -> Destabilising:
-    """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around."""
+    """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around.
+
+    Down to a small part of the distance of the nearest pole: in a narrow peak mu changes as fast as that.
+    """
     omega = worst.pole.imag
     if not np.isfinite(worst.pole) or omega <= 0 or all(b.interval for b in blocks):
         return worst
-    for reach in tuning.sharpened:
+    distance = np.abs(1j * omega - model.poles()).min(initial=omega)
+    first, step, last = tuning.sharpened
+    for k in range(int(np.ceil(np.log(first / last * omega / distance) / np.log(step))) + 1):
+        reach = first / step**k
         points = omega * np.exp(np.linspace(-reach, reach, 9))
         found = lower_bounds(frequency_response(model, points), blocks, seed, restarts=4, steps=24)
         k = int(np.argmax([value for value, _ in found]))
@@ -270,28 +278,40 @@ def _cover_symmetric(found: _Found, first: Array, budget: Budget, accuracy: floa
 
 def _cover_asymmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
     """The largest size of the set, about the nominal point, that a cover with the box's own centre proves."""
-    size = 1 / found.attained / (1 + accuracy) if found.attained else found.expected or found.tuning.large
+    # What the size changes by moves the narrower side of a range by so much less of the width of the box.
+    low = -lowest(found.blocks)
+    stretch = float(np.max((1 + low) / 2 / np.minimum(1.0, low)))
+    fine = max(accuracy / stretch, FINEST_SIDE)
+    room = fine * stretch
+    size = 1 / found.attained / (1 + room) if found.attained else found.expected or found.tuning.large
     failed = 1 / found.attained if found.attained else np.inf
+    before: tuple[float, float] | None = None  # the last size that was too large, and the logarithm of its level
+    ratio, near = 1.0, 1 + max(2 * room, found.tuning.coarse)
     for _ in range(found.tuning.sizes):
         inside = box_model(found.model, found.blocks, root_box(found.blocks, size))
         if inside is None or not inside.is_stable():
             failed, size = size, size / 2
             continue
-        fine = accuracy / 2
         cover = cover_axis(inside, found.blocks, 1 / (1 + fine), first=first, budget=budget, accuracy=fine)
         if cover.open:
             found.cover = cover if not found.proof else found.cover
             break
         if cover.beta > 1 + 1e-12:
-            failed, size = size, size / (cover.beta * (1 + fine))
+            over, failed = float(np.log(cover.beta * (1 + fine))), size
+            if before:  # a secant: how much the level falls with the size depends on the side that it is met on
+                ratio = float(np.clip(np.log(before[0] / size) / max(before[1] - over, 1e-12), 0.5, stretch))
+            if found.proof and failed * found.level < near:
+                break
+            before = size, over
+            size = max(size * float(np.exp(-ratio * over)), float(np.sqrt(size / found.level)) if found.proof else 0.0)
             continue
         found.level, found.proof = 1 / size, tuple(cover.pieces)
         # Inside the box the level is one; what it says of the set is one over the size of the box.
         found.cover = AxisCover([replace(p, beta=found.level) for p in cover.pieces], [], found.level, cover.points)
         if failed < np.inf:
-            if failed < size * (1 + 3 * accuracy):
+            if failed < size * near:
                 break
-            size = float(np.sqrt(size * failed))
+            size = min(float(np.sqrt(size * failed)), size * near if before else np.inf)
         elif found.expected is None:
             break
         else:

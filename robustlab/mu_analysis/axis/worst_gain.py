@@ -15,6 +15,7 @@ from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import (
+    around,
     check_nominal,
     continuous,
     frequencies,
@@ -351,8 +352,7 @@ def _member_gain(
         clipped = {name: float(np.clip(value, -1.0, 1.0)) for name, value in values.items()}
         norm = hinf_norm(uncertain.evaluate(clipped))
         return _Known(norm.lower, float("inf"), clipped, norm.frequency)
-    factors = np.concatenate([[1.0], np.exp(np.linspace(-0.05, 0.05, 21))])
-    at = omega * factors if omega > 0 else np.zeros(1)
+    at = around(model, omega)
     gains = [gain_at(M, blocks, gain.delta) for M in frequency_response(model, at)]
     k = int(np.argmax([0.0 if g is None else g.value for g in gains]))
     chosen = gains[k]

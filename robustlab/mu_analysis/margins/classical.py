@@ -21,6 +21,7 @@ from fractions import Fraction
 from typing import Any, ClassVar, Literal
 
 from robustlab.errors import NoTrustworthyNumber, told_as
+from robustlab.linear_analysis.structural import with_hidden
 from robustlab.mu_analysis.margins.disk_margin import (
     AT,
     Place,
@@ -81,7 +82,8 @@ class ClassicalMargin(Shown):
         CONVERGED: all crossings are there, right to the last digits, and closed loops just inside the ends of the gain
         margin are stable; INACCURATE: one is not.
     reason
-        Why it is inaccurate; else empty.
+        Why it is inaccurate, or that the closed loop is unstable and which of its modes no feedback changes; else
+        empty.
     """
 
     stable: bool
@@ -96,7 +98,7 @@ class ClassicalMargin(Shown):
     def facts(self) -> Facts:
         """The margins with the frequencies they belong to."""
         if self.gain_margin is None or self.phase_margin is None:
-            return [("closed loop", "unstable"), *self._crossings(), ("reason", self.reason)]
+            return [("reason", self.reason), *self._crossings()]
         low, high = self.gain_margin
         return [
             ("gain", f"factors {number(low)} .. {number(high)}{in_decibels(low, high)}"),
@@ -174,7 +176,7 @@ class ClassicalMargins(Shown):
     def headline(self) -> str:
         """What every loop alone tolerates."""
         if self.gain_low is None or self.gain_high is None or self.phase is None:
-            return "the closed loop is unstable"
+            return next((m.reason for m in self.channels.values() if not m.stable), "the closed loop is unstable")
         gain = f"gain by factors {number(self.gain_low)} .. {number(self.gain_high)}"
         return (
             f"every loop alone tolerates {gain}, phase by {in_degrees(self.phase)}, {number(self.delay, 's')} of delay"
@@ -182,14 +184,15 @@ class ClassicalMargins(Shown):
 
     def facts(self) -> Facts:
         """What every loop alone tolerates, and the margins of each."""
-        told = [("loop", self.loop), ("at", AT[self.at]), ("closed loop", "stable" if self.stable else "unstable")]
-        if self.stable and self.phase is not None:
+        told = [("closed loop", "stable" if self.stable else "unstable")]
+        low, high = self.gain_low, self.gain_high
+        if self.stable and self.phase is not None and low is not None and high is not None:
             told += [
-                ("gain may rise", f"{number(self.gain_high)} times"),
-                ("gain may fall", f"to {number(self.gain_low)} of it"),
-                ("phase may change", f"{number(self.phase, 'rad')} ({in_degrees(self.phase)})"),
-                ("delay may grow", number(self.delay, "s")),
+                ("gain margin", f"factors {number(low)} .. {number(high)}{in_decibels(low, high)}"),
+                ("phase margin", f"{in_degrees(self.phase)} ({number(self.phase, 'rad')})"),
+                ("delay margin", number(self.delay, "s")),
             ]
+        told += [("loop", self.loop), ("at", AT[self.at])]
         every = [(name, "; ".join(f"{k} {v}" for k, v in margin.facts()[:3])) for name, margin in self.channels.items()]
         return [*told, *every]
 
@@ -225,7 +228,8 @@ def classical_margins(
     p = closed.plant
     _, names = disk_channels(p, closed.K, (0, 0), at, -1.0, closed.sign)
     stable, loops = loop_fractions(p, closed.K, closed.sign, channel_places(p.n_inputs, p.n_outputs, at))
-    channels = {name: _margin(L, stable, name) for name, L in zip(names, loops, strict=True)}
+    unstable = "" if stable else with_hidden("the closed loop is unstable", p, closed.K)
+    channels = {name: _margin(L, unstable, name) for name, L in zip(names, loops, strict=True)}
     good = all(margin.status is Status.CONVERGED for margin in channels.values())
     return ClassicalMargins(channels, at, Status.CONVERGED if good else Status.INACCURATE, closed.said)
 
@@ -233,15 +237,15 @@ def classical_margins(
 # --- crossings --------------------------------------------------------------------------------------------------------
 
 
-def _margin(L: LoopFraction, stable: bool, name: str) -> ClassicalMargin:
+def _margin(L: LoopFraction, unstable: str, name: str) -> ClassicalMargin:
     with_gain_one = L.with_gain_one()
     if with_gain_one is None:
         found = f"loop {name}: the gain is 1 at every frequency"
         raise NoTrustworthyNumber("classical_margins", found, "single crossings", "take the disk margin")
     gain = tuple(_gain_crossing(L, x) for x in with_gain_one)
     phase = tuple(_phase_crossings(L))
-    if not stable:
-        return ClassicalMargin(False, None, None, None, gain, phase, Status.CONVERGED)
+    if unstable:
+        return ClassicalMargin(False, None, None, None, gain, phase, Status.CONVERGED, unstable)
     factors = [c.factor for c in phase]
     low = max((k for k in factors if k <= 1), default=0.0)
     high = min((k for k in factors if k >= 1), default=math.inf)

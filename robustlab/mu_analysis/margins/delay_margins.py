@@ -37,7 +37,7 @@ class DelayGain(PeakGain):
     ----------
     lower, upper
         ``lower <= gain <= upper``: the exact gain at ``frequency``, and a bound that is proved on the whole axis; inf
-        where none was.
+        where none was. Both inf where the model is proved not to be stable.
     frequency
         In rad/s.
     stability
@@ -50,14 +50,17 @@ class DelayGain(PeakGain):
     """
 
     frequency: float
+    unstable: ClassVar[str] = "infinite: the model is not stable"
+
     stability: DelayStability
     system: DelayedModel | None = None
 
     unsaved: ClassVar[tuple[str, ...]] = ("system",)
 
     def evidence(self) -> Facts:
-        """Whether the model is stable."""
-        return [("stable", self.stability.facts()[0][1])]
+        """Whether the model is stable, and the root that shows that it is not."""
+        facts = self.stability.facts()
+        return [facts[0], *(facts[3:4] if self.stability.stable is False else [])]
 
 
 @told_as("delay_gain")
@@ -69,8 +72,10 @@ def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int 
     g = as_delayed(model, "delay_gain")
     if not FINEST <= tolerance < 1:
         raise InputError("delay_gain: tolerance", f"{tolerance!r}", f"a number from {FINEST:g} to 1")
-    lower, frequency = _attained(g)
     known = delay_stability(g, highest_order, effort)
+    if known.stable is False:
+        return DelayGain(np.inf, np.inf, np.nan, Status.CERTIFIED, known)
+    lower, frequency = _attained(g)
     if not known.stable:
         return DelayGain(lower, np.inf, frequency, Status.INCONCLUSIVE, known)
     axis = DelayAxis(g, range(g.n_outputs), range(g.n_inputs))

@@ -35,6 +35,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.axis.margin import Margin, StabilityMargin
 from robustlab.mu_analysis.axis.stability import robust_stability
 from robustlab.mu_analysis.margins.root_count import RootCount, count_roots
+from robustlab.norms.hinfinity import unstable_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, number
 from robustlab.statespace import StateSpaceModel
@@ -74,7 +75,8 @@ class DelayStability(StabilityMargin):
         A root of the characteristic equation in 1/s: in the right half plane where that is shown, else the rightmost
         that was found. None where none was.
     radius
-        An exact root lies within this distance of ``root``, in 1/s.
+        An exact root lies within this distance of ``root``, in 1/s; 0 for a pole of a part without delays in its loops,
+        which is judged as a pole of a rational model.
     count
         How many roots lie right of the axis, with the cells that show it; None where they could not be counted.
     system
@@ -115,7 +117,7 @@ class DelayStability(StabilityMargin):
             ("roots right of the axis", counted),
             ("margin of the set", proved),
             ("root", number(self.root, "1/s")),
-            ("exact root within", number(self.radius, "1/s") if self.root is not None else ""),
+            ("exact root within", number(self.radius, "1/s") if self.root is not None and self.radius else ""),
         ]
 
     def to_json(self) -> dict[str, object]:
@@ -138,6 +140,8 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
         raise InputError("delay_stability: highest_order", f"{highest_order!r}", f"a number from 1 to {ORDERS[-1]}")
     checks.number("delay_stability: effort", effort, "a positive finite number", above=0)
     found = DelayStability.of(None, Status.INCONCLUSIVE, 0, None, None, np.inf)
+    if (pole := _undelayed_pole(g)) is not None:
+        return DelayStability.of(False, Status.CERTIFIED, 0, None, pole, 0.0, None, g)
     count = count_roots(g, effort) if len(g.delays) else None
     if count is not None and not count.roots:
         root, radius = _rightmost(g, g.pade(LOOKED_FOR))
@@ -152,6 +156,27 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
     return replace(found, system=g)
 
 
+def _undelayed_pole(g: DelayedModel) -> complex | None:
+    """Return a pole on or right of the axis of a part of the model whose loops hold no delay; None if there is none.
+
+    Such a part is a strongly connected component of the graph of states and delays; its eigenvalues are poles of the
+    model whatever the delays are.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    h, n, k = g.H, g.H.n_states, len(g.delays)
+    whole = np.block([[h.A, h.B[:, :k]], [h.C[:k], h.D[:k, :k]]])
+    labels = connected_components(whole != 0, connection="strong")[1]
+    for label in set(labels[:n]) - set(labels[n:]):
+        part = np.flatnonzero(labels[:n] == label)
+        A = h.A[np.ix_(part, part)]
+        norm = unstable_norm(StateSpaceModel(A, np.zeros((len(A), 1)), np.zeros((1, len(A))), [[0.0]]))
+        if norm is not None and norm.status is Status.CERTIFIED:
+            poles = np.linalg.eigvals(A)
+            return complex(poles[poles.real.argmax()])
+    return None
+
+
 def _tried(g: DelayedModel, order: int, effort: float, count: RootCount | None) -> DelayStability:
     """What one order of approximation shows; where roots are counted on the right, only one of them is looked for."""
     rational = g.pade(order)
@@ -160,7 +185,10 @@ def _tried(g: DelayedModel, order: int, effort: float, count: RootCount | None) 
         return DelayStability.of(False, Status.CERTIFIED, order, None, root, radius, count)
     margin = None
     if rational.is_stable() and count is None:
-        margin = robust_stability(g.uncertain(order), expected=1.0, effort=effort)
+        try:
+            margin = robust_stability(g.uncertain(order), expected=1.0, effort=effort)
+        except NoTrustworthyNumber:  # a root on the axis, which rounding moves
+            return DelayStability.of(None, Status.INCONCLUSIVE, order, None, root, radius, count)
         if margin.status is Status.CERTIFIED and margin.lower > 1.0:
             return DelayStability.of(True, Status.CERTIFIED, order, margin, root, radius)
     return DelayStability.of(None, Status.INCONCLUSIVE, order, margin, root, radius, count)

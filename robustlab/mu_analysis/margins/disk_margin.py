@@ -28,6 +28,7 @@ from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.closing import Closing, closing
 from robustlab.errors import InputError, told_as
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
+from robustlab.linear_analysis.narrow_peaks import modes_apart
 from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.margins.small_gain import replayed_pole, signed, small_gain
 from robustlab.mu_analysis.matrix.bounds import mu
@@ -310,6 +311,7 @@ def disk_channels(
         raise InputError("disk_margin: at", f"{at!r}", "input, output or both")
     if not abs(skew) <= 1e6:
         raise InputError("disk_margin: skew", f"{skew}", "a number of at most 1e6 either way")
+    plant, K = modes_apart(plant), modes_apart(K)  # what closes the loop is rounded in their states
     q, r = delta
     m, p, n = plant.n_inputs - q, plant.n_outputs - r, plant.n_states
     half = (1 + skew) / 2
@@ -329,6 +331,7 @@ def disk_channels(
         plant.dt,
         [*inputs, *(f"u{i}" for i in range(m))],
         [*inputs[:0], *(f"z{i}" for i in range(r)), *inputs[q:], *(f"y{i}" for i in range(p))],
+        plant.states,
     )
     loop = lower_lft(general, signed(K, sign))
     places = channel_places(m, p, at)

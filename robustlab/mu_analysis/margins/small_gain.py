@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from robustlab.closing import closing
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.structural import with_hidden
 from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.tuning import TUNING
 from robustlab.norms import HinfNorm, hinf_norm
@@ -161,9 +162,9 @@ def small_gain(uncertain: UncertainModel, K: Any = None, *, sign: Literal[-1, 1]
     if not np.isfinite(norm.upper):
         raise NoTrustworthyNumber(
             "small_gain",
-            f"nominal closed loop {'unstable' if norm.lower else 'not surely stable'} ({norm.reason})",
+            with_hidden(f"nominal closed loop {'unstable' if norm.lower else 'not surely stable'} ({norm.reason})", M),
             "a stable nominal loop",
-            "check the sign of the feedback: sign=, or --feedback negative | positive",
+            "check the sign of the feedback: sign=-1 or sign=1",
         )
     if norm.lower == 0:
         lower, holds = _inverse(norm.upper), norm.upper < 1

@@ -14,8 +14,6 @@ from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.matrix.box import Box
 from robustlab.mu_analysis.matrix.branch_and_bound import MatrixProblem, tighten
-from robustlab.mu_analysis.matrix.certificate import certified_in_balls, has_structure
-from robustlab.mu_analysis.matrix.decomposition import components
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.skew import skewed
 from robustlab.mu_analysis.matrix.upper import UpperBound, compile_kernels, upper_bounds
@@ -111,7 +109,6 @@ def mu(
     M: ArrayLike,
     blocks: Any,
     seed: int = 0,
-    certify: bool = False,
     tolerance: float | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
@@ -150,10 +147,8 @@ def mu(
     effort
         Work that branch and bound may take, as a multiple of the usual (about a minute for all matrices together);
         counted, not timed.
-    certify
-        Prove the upper bound once more in ball arithmetic, from the returned D and G as they are (needs python-flint).
     fixed
-        Names or indices of the blocks that stay at size one; neither ``certify`` nor ``tolerance`` goes with it.
+        Names or indices of the blocks that stay at size one; ``tolerance`` does not go with it.
 
     Returns
     -------
@@ -169,9 +164,7 @@ def mu(
         NaN or Inf, a shape that does not fit the blocks, or a parameter whose range is not symmetric: its delta does
         not fill [-1, 1] times one number; unknown names in ``fixed``, or all blocks.
     NoTrustworthyNumber
-        A lower bound above the upper one, or an upper bound that ball arithmetic does not confirm.
-    DependencyMissing
-        ``certify`` without python-flint.
+        A lower bound above the upper one.
 
     References
     ----------
@@ -194,14 +187,11 @@ def mu(
         raise InputError("mu", f"tolerance {tolerance}", "tolerance > 0")
     if tolerance is not None:
         compile_kernels()
-    if len(fixed) and (certify or tolerance is not None):
-        found = "certify" if certify else "tolerance"
-        raise InputError(f"mu: {found}", "given with fixed blocks", "neither certify nor tolerance with them")
+    if len(fixed) and tolerance is not None:
+        raise InputError("mu: tolerance", "given with fixed blocks", "no tolerance with them")
     budget, proof = search_budget("mu", TUNING.work, effort, time_limit), ()
     with one_thread():
-        parts, status = (
-            skewed(stack, structure, fixed, seed) if len(fixed) else _bounds(stack, structure, seed, certify)
-        )
+        parts, status = skewed(stack, structure, fixed, seed) if len(fixed) else _bounds(stack, structure, seed)
         if tolerance is not None:
             proof = _close(stack, parts, structure, tolerance, budget)
             parts["boxes"] = np.array([len(boxes) for boxes in proof], dtype=int)
@@ -220,9 +210,7 @@ def mu(
     return MuBounds(**parts, status=status, blocks=structure, notes=notes, M=given, fixed=kept, proof=proof)
 
 
-def _bounds(
-    stack: ComplexArray, structure: tuple[Block, ...], seed: int, certify: bool
-) -> tuple[dict[str, Any], Status]:
+def _bounds(stack: ComplexArray, structure: tuple[Block, ...], seed: int) -> tuple[dict[str, Any], Status]:
     """The D-G bounds of each matrix and the Delta found, and what they are worth."""
     scale = _scale(stack)
     stack = stack * scale[:, None, None]
@@ -253,8 +241,6 @@ def _bounds(
         "G": _stacked([b.G for b in uppers], (q, p)) / size,
         "D_z": _stacked([b.Dz for b in uppers], (p, p)),
     }
-    if certify:
-        _confirm(stack / size, parts, structure)
     return parts, status
 
 
@@ -319,16 +305,6 @@ def _refuse_asymmetric(blocks: Sequence[Block]) -> None:
                 "a range that is symmetric around its nominal value",
                 "robust_stability takes such ranges; or give the block a symmetric range that holds this one",
             )
-
-
-def _confirm(stack: ComplexArray, parts: dict[str, Any], blocks: Sequence[Block]) -> None:
-    """Prove each upper bound in ball arithmetic; a zero by the zero pattern of M where D shows it in the limit only."""
-    for k, m in enumerate(stack):
-        D, D_z, G, beta = (parts[key][k] for key in ("D", "D_z", "G", "upper"))
-        if beta == 0 and not any(component.matrix.any() for component in components(m, blocks)):
-            continue
-        if not (has_structure(blocks, D, D_z, G) and certified_in_balls(m, D, G, beta, D_z)):
-            raise NoTrustworthyNumber(f"mu: matrix {k}", f"upper bound {beta:.12g} is not confirmed by ball arithmetic")
 
 
 def _scale(stack: ComplexArray) -> NDArray[np.float64]:

@@ -31,7 +31,7 @@ def verified(outcome: Outcome, files: Sequence[Path], asked: bool) -> Outcome:
     facts = [
         Fact(_label(one), text, "verify")
         for one in found
-        for text in (one.headline(), *(said for label, said in one.facts() if label != "proved"))
+        for text in (one.headline(), *(f"{label}: {said}" for label, said in one.facts() if said and label != "proved"))
     ]
     numbers = {**outcome.numbers, "verified": all(one.proved for one in found)}
     status = _with(outcome, [one.status for one in found])

@@ -1,4 +1,4 @@
-"""Steps on what was measured (data sheet, envelope, smallest Delta that explains) and on what the thesis prints."""
+"""Steps on the numbers that the thesis prints."""
 
 from __future__ import annotations
 
@@ -7,48 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.doors.vocabulary import Count, StepName, Strict, Text, ToPlant
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, quantity, step
+from robustlab.doors.vocabulary import Count
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
 from robustlab.recipe.steps.leaves import leaves_of
-
-
-class SheetPointEntry(Strict):
-    """One operating point of a data sheet; quantities that it does not print are left out."""
-
-    name: StepName
-    voltage: float | None = Field(None, description="V")
-    speed: float | None = Field(None, description="rad/s; m/s for a linear axis.")
-    current: float | None = Field(None, description="A")
-    torque: float | None = Field(None, description="N m (N) of the load, positive against a positive speed.")
-    tolerance: Annotated[float, Field(ge=0, lt=1)] = Field(0.01, description="What the printed numbers may be off.")
-    source: Text = ""
-
-
-@step
-class DataSheetStep(Step):
-    """Check printed operating points against the equilibrium of a plant; contradictions are named."""
-
-    do: Literal["data-sheet"]
-    of: ToPlant
-    points: Annotated[list[SheetPointEntry], Field(min_length=1, max_length=100)]
-
-    def foretell(self, ahead: Ahead) -> Foretold:
-        from robustlab.identification.record_check.steady_state import SteadyStateComparison as Checked
-
-        balances = Checked.quantities["points"]["*"]
-        return Foretold(leaves={**Checked.quantities, "points": {p.name: balances for p in self.points}})
-
-    def run(self, work: Workspace) -> Outcome:
-        from robustlab.identification.record_check.steady_state import SheetPoint, compare_steady_state
-
-        points = [SheetPoint(**vars(p)) for p in self.points]
-        found = compare_steady_state(work.values[self.of], points)
-        work.keep(found)
-        stated = [Fact(p.name, ", ".join(f"{k} {quantity(v)}" for k, v in p.stated.items()), p.source) for p in points]
-        summary = f"{self.of}: {found.headline()}."
-        facts = (*stated, *facts_of(found))
-        return Outcome(found, summary, found.numbers(), facts, found.status, text=found.summary())
-
 
 _MEANING = {
     "R": "reproduced within the fair tolerance",

@@ -129,13 +129,9 @@ class MetricStep(DrivenStep):
         "h2",
         "spectral-abscissa",
         "damping",
-        "controllability",
-        "hankel",
     ] = "peak-deviation"
     output: Annotated[str, Names("outputs")] | None = None
-    from_input: Annotated[str, Names("inputs")] | None = Field(
-        None, description="Input of a norm or of controllability; all where left out."
-    )
+    from_input: Annotated[str, Names("inputs")] | None = Field(None, description="Input of a norm; all where left out.")
     t_end: Positive | None = None
     points: Points = 401
     band: Tolerance = Field(0.02, description="Share of the final value that counts as settled.")
@@ -270,7 +266,6 @@ class CampaignStep(MetricStep):
     n: Annotated[int, Field(ge=1, le=1_000_000_000)] = 1000
     limit: float | None = Field(None, description="Count how often the metric is worse than it.")
     workers: Annotated[int, Field(ge=1, le=1024)] | None = Field(None, description="One per processor where left out.")
-    time_limit_per_sample: Positive = Field(60.0, description="s; a sample that takes longer is lost.")
 
     def foretell(self, ahead: Ahead) -> Foretold:
         unit = self.unit_of_metric(ahead)
@@ -308,9 +303,7 @@ class CampaignStep(MetricStep):
         # The name holds the campaign's hash: what was begun with another recipe is neither used nor spoilt.
         store = work.unfinished / f"{work.step}-{Identity.of(model, settings).hash[:12]}.sqlite"
         store.parent.mkdir(parents=True, exist_ok=True)
-        result = run_campaign(
-            model, settings, store, crew=Crew(self.workers, None, self.time_limit_per_sample), limit=self.limit
-        )
+        result = run_campaign(model, settings, store, crew=Crew(self.workers), limit=self.limit)
         summary = f"{self.metric} of {result.done} {_members(self)} of {self.of}, seed {seed}; {result.label}."
         return told(replace(result, store=str(_published(store, work))), None, summary, work)
 

@@ -36,7 +36,7 @@ from robustlab.synthesis.dk.tuning import TUNING, DKTuning
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
-from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.stability import proved_stable
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_values, structure_size
 
@@ -168,6 +168,8 @@ def structure_with_performance(
     """The plant, and the structure on all of its w and z; see `dk` for the rule of the performance block."""
     where = "synth dk"
     plant = as_generalized_plant(P, n_meas, n_con, where)
+    if blocks is None:
+        require_performance(plant, where)
     given = plant.blocks if blocks is None else as_blocks(blocks)
     if not given:
         raise InputError(where, "no uncertainty blocks", "at least one", "use hinf for a plant without uncertainty")

@@ -110,6 +110,8 @@ class FixedSynthesis(Tabular, Synthesis):
         Of an uncertain plant: the worst-case gain over the whole set.
     plants
         The plant of every loop, for `robustlab.verify`.
+    uncertain
+        The uncertain plant that ``worst`` is about, without K, for the same.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -127,6 +129,7 @@ class FixedSynthesis(Tabular, Synthesis):
     scenarios: tuple[Mapping[str, Any], ...] = ()
     worst: WorstCaseGain | None = None
     plants: tuple[GeneralizedPlant, ...] = ()
+    uncertain: UncertainModel | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -322,8 +325,7 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
             )
     for i, plant in enumerate(plants, start=1):
         place = WHERE if len(plants) == 1 else f"{WHERE}: plant {i}"
-        bare = UncertainModel(plant.model, plant.blocks).nominal  # what Delta needs is no performance
-        require_performance(GeneralizedPlant(bare, plant.n_meas, plant.n_con), place)
+        require_performance(plant, place)
         continuous = plant.continuous()
         scaling = common_scaling([continuous])[0]
         require_stabilisable(scaling.apply(continuous.matrices()), plant.model.state_names, place, scaling.rate)
@@ -431,7 +433,7 @@ class _Search:
             last = [("given", np.array([p.value for p in found.parameters]))]
             loop = UncertainModel(lower_lft(uncertain.M, found.K), uncertain.blocks)
             worst = gain_within(loop, budget.share(self.tuning.search_share), tolerance=0.02)
-            found = replace(found, worst=worst, scenarios=tuple(deltas))
+            found = replace(found, worst=worst, scenarios=tuple(deltas), uncertain=uncertain)
             gains = f"gain {found.gamma:.5g}, worst member {worst.lower:.5g}"
             self.say(f"round {number + 1}: {len(members)} scenarios, {gains}")
             if best is None or _order(found) < _order(best):

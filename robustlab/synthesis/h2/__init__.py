@@ -1,12 +1,6 @@
-"""H2, LQG and state feedback; H2 under an H-infinity bound.
+"""H2; H2 under an H-infinity bound.
 
 h2_synthesis         h2: two Riccati equations on a regularised plant
-state_feedback       lqr, place
-kalman_filter        kalman
-integral_feedback    lqi
-disturbance_models   constant, sinusoidal and shaped disturbances beside the plant, and what cancels them
-gaussian_regulator   lqg: the first two together, with such disturbances
-common_lyapunov      H2 and H-infinity conditions with one Lyapunov matrix, as LMIs
-mixed_h2_hinf        h2_hinf: the smallest H2 norm under that bound
+
 tuning               numbers that choose speed and accuracy
 """

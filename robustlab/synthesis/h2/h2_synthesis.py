@@ -165,7 +165,7 @@ def synthesize_h2(
     progress: Callable[[str], None] | None = None,
     tuning: H2Tuning = TUNING,
 ) -> H2Synthesis:
-    """The search behind `h2` and `robustlab.lqg`; see there."""
+    """The search behind `h2`; see there."""
     if not 1 <= gamma_rel <= 1e6:
         raise InputError(f"synth {method}", f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
     with one_thread():

@@ -4,7 +4,6 @@ partition            generalised plants: what is disturbance, control, performan
 assumptions          modes that no controller can stabilise, and what the Riccati method would like
 scaling              units of order one for time, states and signals
 gamma_bounds         lower bounds of gamma for a generalised plant, by points of the right half plane
-performance_limits   limits of a plant by its zeros, poles and delay, and of a design in words
 rebuilt_loop         the controller for the plant as given, and the loop that it closes
 stability            proof that a matrix is stable
 double_double        matrices with 30 digits

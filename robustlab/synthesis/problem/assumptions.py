@@ -60,8 +60,7 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
         raise NoTrustworthyNumber(
             where,
             f"no stabilising controller exists: {faults[0]}",
-            hint="add an actuator or a sensor for it, or take it out "
-            "(robustlab.linear_analysis.structural.drop_unconnected)",
+            hint="add an actuator or a sensor for it; rl.minimal takes out what is hidden from all signals",
             more=tuple(dict.fromkeys(faults[1:])),
         )
 

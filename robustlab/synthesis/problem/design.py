@@ -8,14 +8,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from robustlab.arrays import AnyArray
 from robustlab.budget import NOT_REPEATABLE, Budget, search_budget
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, number
+from robustlab.shown import Facts, Shown, number
 from robustlab.signals import law
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.gamma_bounds import GammaBound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -106,7 +107,7 @@ class Synthesis(Design):
     @property
     def stable(self) -> bool:
         """Whether the closed loop is stable."""
-        return self.closed_loop_abscissa < 0
+        return self.closed_loop.spectral_abscissa() < 0
 
     @property
     def fastest_controller_pole(self) -> float:
@@ -115,13 +116,26 @@ class Synthesis(Design):
 
     @property
     def closed_loop_abscissa(self) -> float:
-        """Spectral abscissa of the closed loop; negative means stable (see `StateSpaceModel.spectral_abscissa`)."""
-        return self.closed_loop.spectral_abscissa()
+        """Spectral abscissa of the loop that K closes, without weights and filters outside of it; see `stable`."""
+        return self._parts[0].spectral_abscissa()
+
+    @property
+    def _parts(self) -> tuple[StateSpaceModel, StateSpaceModel]:
+        """The loop of K, and what of the plant lies outside: states that u does not reach or that do not reach y."""
+        p, n_w, n_z = self.plant.model, self.plant.n_w, self.plant.n_z
+        B, C = p.B[:, n_w:], p.C[n_z:]
+        inside = np.flatnonzero(_reached(p.A, B) & _reached(p.A.T, C.T))
+        outside = np.setdiff1d(np.arange(p.n_states), inside)
+        around = StateSpaceModel(p.A[np.ix_(inside, inside)], B[inside], C[:, inside], p.D[n_z:, n_w:], p.dt)
+        n, nothing = len(outside), np.zeros
+        rest = StateSpaceModel(p.A[np.ix_(outside, outside)], nothing((n, 0)), nothing((0, n)), nothing((0, 0)), p.dt)
+        return lower_lft(around, self.K), rest
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         unit = "(modulus)" if self.K.is_discrete else "rad/s"
         margin = "(modulus minus one)" if self.K.is_discrete else "1/s"
+        outside = self._parts[1].spectral_abscissa()
         return [
             ("gamma", self._gamma_text()),
             ("status", self.status.value),
@@ -129,19 +143,10 @@ class Synthesis(Design):
             ("loop", law(self.K.inputs)),
             ("fastest controller pole", f"{self.fastest_controller_pole:.4g} {unit}"),
             ("closed loop, rightmost pole", f"{self.closed_loop_abscissa:.4g} {margin}"),
+            ("weights and filters, rightmost pole", f"{outside:.4g} {margin}" if np.isfinite(outside) else ""),
             ("what limits it", self.limit),
             ("how", self.reason),
         ]
-
-    def details(self) -> list[Part]:
-        """What limits any controller of this plant, and the floors of gamma of a mixed-sensitivity design."""
-        lines = self._limits_of_any_controller()
-        return [Part("What limits any controller of this plant", (), [(line,) for line in lines])]
-
-    def _limits_of_any_controller(self) -> list[str]:
-        from robustlab.synthesis.problem.performance_limits import limits_in_words
-
-        return limits_in_words(self.plant, getattr(self, "weights", {}))
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""
@@ -155,7 +160,6 @@ class Synthesis(Design):
             "closed_loop_abscissa": self.closed_loop_abscissa,
             "limit": self.limit,
             "reason": self.reason,
-            "limits": self._limits_of_any_controller(),
             "K": self.K.to_json(),
             "closed_loop": self.closed_loop.to_json(),
         }
@@ -238,6 +242,14 @@ class HinfSynthesis(Synthesis):
             "regularisation_cost": self.regularisation_cost,
             "assumptions": list(self.assumptions),
         }
+
+
+def _reached(A: AnyArray, B: AnyArray) -> AnyArray:
+    """Return which states the inputs reach through entries that are not zero, shape (n,) of bool."""
+    reached = (B != 0).any(axis=1)
+    for _ in range(len(A)):
+        reached = reached | (A != 0) @ reached
+    return reached
 
 
 def design_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:

@@ -19,7 +19,7 @@ from robustlab.norms import bilinear_to_continuous
 from robustlab.shown import Facts, Shown, listed, with_units
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
-from robustlab.uncertainty.blocks import Block
+from robustlab.uncertainty.blocks import Block, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 
 
@@ -186,15 +186,19 @@ def as_generalized_plant(P: Any, n_meas: int | None, n_con: int | None, where: s
 
 
 def require_performance(plant: GeneralizedPlant, where: str, hint: str = NO_PERFORMANCE) -> None:
-    """Refuse a plant whose loop has no gain to judge it by: without w, or without z, every norm is 0 and says nothing.
+    """Refuse a plant without a disturbance w or a performance output z outside its blocks: every norm would be 0.
 
     Raises InputError: it names which of the two is missing.
     """
-    if plant.n_w and plant.n_z:
+    q, p = structure_size(plant.blocks)
+    into, out = plant.n_w - q, plant.n_z - p
+    if into and out:
         return
-    missing = " and ".join(["no disturbance w"] * (not plant.n_w) + ["no performance output z"] * (not plant.n_z))
+    missing = " and ".join(["no disturbance w"] * (not into) + ["no performance output z"] * (not out))
     size = f"P of {plant.model.n_inputs} inputs and {plant.model.n_outputs} outputs has"
     rest = f"beside {plant.n_con} controls and {plant.n_meas} measurements"
+    if plant.blocks:
+        rest += f" and the channels of {listed(b.name for b in plant.blocks)}: no performance channel is left"
     raise InputError(where, f"{size} {missing} {rest}", "at least one of both", hint)
 
 

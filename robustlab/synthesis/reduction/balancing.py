@@ -9,7 +9,7 @@ Any two positive semidefinite matrices may stand in for the Gramians: those of a
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.linear_analysis.schur_lyapunov import SchurForm, lyapunov_factors
+from robustlab.linear_analysis.structural import LeastOrder, least_order
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel, parallel
 from robustlab.synthesis.problem.double_double import sum_of_products
@@ -48,7 +49,8 @@ class SplitModel:
     The parts have no names of signals, so that weights of any units go with them.
     ``whole`` is the model in balanced states, ``basis`` T, shape (n, n), the states of both parts in terms of these;
     None where one of the parts is the model itself. ``form`` is the Schur form of A in balanced states, where the model
-    is continuous and all of it is stable.
+    is continuous and all of it is stable. ``least`` is what was split, where unstable modes of the model that its
+    inputs or outputs miss were removed before.
     """
 
     stable: StateSpaceModel
@@ -56,6 +58,7 @@ class SplitModel:
     whole: StateSpaceModel
     basis: AnyArray | None = None
     form: SchurForm | None = None
+    least: LeastOrder | None = None
 
     def joined(self, reduced: StateSpaceModel) -> StateSpaceModel:
         """The sum, with a reduced stable part; states of that first."""
@@ -63,23 +66,42 @@ class SplitModel:
         return both.renamed(self.whole.inputs, self.whole.outputs)
 
     def rounding(self) -> StateSpaceModel | None:
-        r"""The model less the sum of its parts, exactly but for one rounding of each residual; None where that is zero.
+        """Return the model less the sum of its parts; None where that is zero."""
+        split = None if self.basis is None else _lost(self.whole, self.basis, parallel(self.stable, self.apart))
+        return _sum(split, None if self.least is None else lost_at_least_order(self.least))
 
-        .. math:: C (sI - A)^{-1} (R_A (sI - \Lambda)^{-1} \hat B + R_B) + R_C (sI - \Lambda)^{-1} \hat B, \qquad
-           R_A = A T - T \Lambda, \quad R_B = B - T \hat B, \quad R_C = C T - \hat C
-        """
-        if self.basis is None:
-            return None
-        m, t, parts = self.whole, self.basis, parallel(self.stable, self.apart)
-        eye = np.eye(len(t))
-        a = sum_of_products((m.A, t), (t, -parts.A))
-        b, c = sum_of_products((eye, m.B), (t, -parts.B)), sum_of_products((m.C, t), (parts.C, -eye))
-        if not (a.any() or b.any() or c.any()):
-            return None
-        return StateSpaceModel(
-            np.block([[parts.A, np.zeros_like(a)], [a, m.A]]), np.vstack([parts.B, b]), np.hstack([c, m.C]),
-            np.zeros_like(m.D), m.dt,
-        )  # fmt: skip
+
+def lost_at_least_order(least: LeastOrder) -> StateSpaceModel | None:
+    """Return the model given less that of least order; None where that is zero."""
+    dual = _lost(_transposed(least.reached), least.left.T, _transposed(least.model))
+    return _sum(_lost(least.given, least.right, least.reached), None if dual is None else _transposed(dual))
+
+
+def _lost(m: StateSpaceModel, t: AnyArray, parts: StateSpaceModel) -> StateSpaceModel | None:
+    r"""Return what is lost in the states T, exactly but for one rounding of each residual; None where that is zero.
+
+    .. math:: C (sI - A)^{-1} (R_A (sI - \Lambda)^{-1} \hat B + R_B) + R_C (sI - \Lambda)^{-1} \hat B, \qquad
+       R_A = A T - T \Lambda, \quad R_B = B - T \hat B, \quad R_C = C T - \hat C
+    """
+    a = sum_of_products((m.A, t), (t, -parts.A))
+    b = sum_of_products((np.eye(len(t)), m.B), (t, -parts.B))
+    c = sum_of_products((m.C, t), (parts.C, -np.eye(t.shape[1])))
+    if not (a.any() or b.any() or c.any()):
+        return None
+    return StateSpaceModel(
+        np.block([[parts.A, np.zeros((t.shape[1], len(t)))], [a, m.A]]), np.vstack([parts.B, b]),
+        np.hstack([c, m.C]), np.zeros_like(m.D), m.dt,
+    )  # fmt: skip
+
+
+def _sum(first: StateSpaceModel | None, second: StateSpaceModel | None) -> StateSpaceModel | None:
+    if first is None or second is None:
+        return second if first is None else first
+    return parallel(first, second)
+
+
+def _transposed(m: StateSpaceModel) -> StateSpaceModel:
+    return StateSpaceModel(m.A.T, m.C.T, m.B.T, m.D.T, m.dt)
 
 
 def split_stable(model: StateSpaceModel) -> SplitModel:
@@ -87,6 +109,8 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
 
     .. math:: A = Q \begin{bmatrix} A_{11} & A_{12} \\ 0 & A_{22} \end{bmatrix} Q^T, \qquad
        A_{11} X - X A_{22} + A_{12} = 0, \qquad T = Q \begin{bmatrix} I & X \\ 0 & I \end{bmatrix}
+
+    Modes that are not stable and that no input moves, or no output shows, are removed before.
 
     Raises
     ------
@@ -110,6 +134,9 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
         bare = StateSpaceModel(model.A, model.B, model.C, model.D, dt)
         bare._with_modes((values, scale[:, None] * modes))
         return SplitModel(bare, _static(model, 0 * model.D), model, form=None if dt else form)
+    least = least_order(model)
+    if not all(mode.stable for mode in least.hidden):
+        return replace(split_stable(least.model), least=least)
     if not stable.any():
         return SplitModel(_static(model, model.D), model._with_matrices(model.A, model.B, model.C, 0 * model.D), model)
     try:

@@ -315,7 +315,7 @@ def _of_design(given: Any, blocks: Sequence[Block] | None) -> tuple[Any, Sequenc
 def _default_measure(given: Any, scalings: Any, blocks: Sequence[Block] | None) -> MeasureName:
     if scalings is not None or blocks is not None:
         return "mu"
-    return "h2" if getattr(given, "method", "") in ("h2", "lqg") else "hinf"
+    return "h2" if getattr(given, "method", "") == "h2" else "hinf"
 
 
 def _sign_hint(plant: GeneralizedPlant, K: StateSpaceModel) -> str:

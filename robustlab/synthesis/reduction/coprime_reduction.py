@@ -5,20 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.linear_analysis.structural import least_order
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.reduction.balancing import Balancing, gramian_factors
+from robustlab.synthesis.reduction.balancing import Balancing, gramian_factors, lost_at_least_order
 from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
 
 __all__ = ["CoprimeReduction"]
 
 
 class CoprimeReduction:
-    """Balanced truncation of the normalised right coprime factors of a model, continuous or discrete."""
+    """Balanced truncation of the normalised right coprime factors of a model, continuous or discrete.
+
+    Modes that are not stable and hidden from the inputs or outputs are removed before; ``lost`` is what that changes.
+    """
 
     def __init__(self, full: StateSpaceModel) -> None:
-        self.full = full
-        self._mapped = continuous_models(full)
+        least = least_order(full)
+        hides = any(not mode.stable for mode in least.hidden)
+        self.removed = tuple(mode.meaning for mode in least.hidden) if hides else ()
+        self.lost = lost_at_least_order(least) if hides else None
+        self.full = least.model if hides else full
+        self._mapped = continuous_models(self.full)
         self.factors = coprime_factors(self._mapped.models[0]).right
         self.balancing = Balancing.of(*gramian_factors(self.factors))
 

@@ -125,7 +125,8 @@ def reduce_model(
        \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1 \quad \text{(stochastic)}
 
     Balanced truncation where no ``method`` is given; no model of order r is nearer than :math:`\sigma_{r+1}`.
-    Modes that are not stable are split off and kept, and what rounding may add there is part of the error;
+    Modes that are not stable are split off and kept, and what rounding may add there is part of the error; those that
+    no input moves or no output shows are removed (`minimal`).
     ``method="coprime"`` reduces them too, through the normalised right coprime factors ``G = N M^{-1}``, whose error is
     then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap between the two models).
 
@@ -327,7 +328,8 @@ def _balanced_reduction(
     unchanged = Moderated(full, 0, 0, np.zeros(full.n_states, dtype=int))
     ordinary = unchanged if weighted else moderated(full, "reduce_model")
     split = split_stable(ordinary.model)
-    stable, lost, name = split.stable, SplitError(split), method
+    stable, name = split.stable, method
+    lost = SplitError(split.rounding(), split.apart.poles(), stable.poles(), stable.dt)
     if method == "stochastic":
         way = _stochastic_way(stable, ordinary, floor)
     elif method == "hankel":
@@ -341,6 +343,8 @@ def _balanced_reduction(
         else:
             way = _plain_way(stable, Balancing.of(*gramian_factors(stable, split.form)), ordinary, projection)
     apart = split.apart.n_states
+    hidden = () if split.least is None else split.least.hidden
+    removed = tuple(mode.meaning for mode in hidden)
 
     def candidate(order: int) -> ReducedModel:
         small = way.reduced(order - apart)
@@ -354,7 +358,9 @@ def _balanced_reduction(
         promised = way.bound(small.n_states)
         evidence = replace(_evidence(way, ordinary, lost, difference, promised), parts=(stable, small))
         model = ordinary.as_given(split.joined(small), "reduce_model")
-        found = replace(_checked(full, model, name, way, evidence, promised, apart), band=band, weights=weights)
+        found = replace(
+            _checked(full, model, name, way, evidence, promised, apart), band=band, weights=weights, removed=removed
+        )
         if method == "hankel":
             return _with_hankel_norm(found, ordinary.value(hankel_norm(difference), "reduce_model"))
         return found
@@ -594,6 +600,10 @@ def _coprime_reduction(full: StateSpaceModel) -> Candidates:
     def candidate(order: int) -> ReducedModel:
         promised = error_bound(way.values, order)
         error = _measured(way, parallel(factors, reduction.reduced_factors(order), -1), promised)
-        return _checked(full, way.reduced(order), "coprime", way, _Evidence(error), promised, 0)
+        found = _checked(full, way.reduced(order), "coprime", way, _Evidence(error), promised, 0)
+        if reduction.lost is None:
+            return replace(found, removed=reduction.removed)
+        reason = f"what was removed before is not exactly hidden: {', '.join(reduction.removed)}"
+        return replace(found, removed=reduction.removed, status=Status.INACCURATE, reason=found.reason or reason)
 
     return candidate, 0, way.most, np.append(way.values, 0.0)

@@ -27,7 +27,7 @@ class ReducedModel(Shown):
         The reduced model, with the inputs and outputs of the one given.
     method
         ``"truncation"`` or ``"residualisation"``, with ``"weighted "`` or ``"band "`` before it where that was asked
-        for; ``"hankel"``, ``"stochastic"`` or ``"coprime"``.
+        for; ``"hankel"``, ``"stochastic"``, ``"coprime"`` or ``"minimal"``.
     error
         Largest gain of the difference of the two models, as given and as returned, at all frequencies but those in
         ``left_out``; times the weights where there are any; inside the band where there is one; relative to the gain of
@@ -60,6 +60,9 @@ class ReducedModel(Shown):
     hankel_error
         Hankel norm of the difference of the stable parts, from its own Gramians; NaN for other methods than
         ``"hankel"``.
+    removed
+        The modes that were removed because no input moves them or no output shows them: of ``"minimal"`` all, of other
+        methods those that are not stable.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -80,6 +83,7 @@ class ReducedModel(Shown):
     hankel_error: float = np.nan
     band: tuple[float, float] | None = None
     weights: tuple[StateSpaceModel | None, StateSpaceModel | None] = (None, None)
+    removed: tuple[str, ...] = ()
 
     @property
     def order(self) -> int:
@@ -109,6 +113,7 @@ class ReducedModel(Shown):
         kind = self.method.partition(" ")[0]
         what = words.get(kind, {"weighted": "weighted error", "band": "error in the band"}.get(kind, "error"))
         bound = "" if not np.isfinite(self.bound) else f"; promised: at most {self.bound:.6g}"
+        at = "" if np.isnan(self.error.frequency) else f" at {self.error.frequency:.4g} rad/s"
         around = ", ".join(
             f"{0.5 * (low + high):.6g} +- {0.5 * (high - low):.2g}" if low else f"0 to {high:.2g}"
             for low, high in self.left_out
@@ -116,7 +121,7 @@ class ReducedModel(Shown):
         rows = [
             ("order", f"{self.order} of {self.full.n_states} states"),
             ("method", self.method),
-            (what, f"{self.error.upper:.6g} at {self.error.frequency:.4g} rad/s (verified upper bound{bound})"),
+            (what, f"{self.error.upper:.6g}{at} (verified upper bound{bound})"),
             ("not proved at", around and f"{around} rad/s (modes on the stability boundary, kept apart)"),
             ("status", self.status.value),
             ("Hankel norm of the error", number(self.hankel_error, digits=6)),
@@ -125,6 +130,7 @@ class ReducedModel(Shown):
         ]
         if self.n_apart:
             rows.append(("kept apart", f"{self.n_apart} states of modes that are not stable"))
+        rows += [("removed", mode) for mode in self.removed]
         return [*rows, ("why", self.reason)] if self.reason else rows
 
     def to_json(self) -> dict[str, Any]:

@@ -1,6 +1,7 @@
-r"""What splitting a model into two parts cost: a bound of the model less their sum, for the frequencies where it holds.
+r"""What splitting or reducing a model costs: a bound of the difference, for the frequencies where it holds.
 
-The difference is a model of its own, without cancellation (`SplitModel.rounding`), whose peak is proved as any other.
+The difference is a model of its own, without cancellation (`SplitModel.rounding`, `lost_at_least_order`), whose peak is
+proved as any other.
 At a mode on the stability boundary no such peak is finite, unless nothing at all was rounded: an interval around it is
 left out, as narrow as the bound that is wanted allows.
 """
@@ -18,7 +19,6 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm, linf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.reduction.balancing import SplitModel
 
 __all__ = ["SplitBound", "SplitError", "merged", "widened"]
 
@@ -41,15 +41,18 @@ class SplitBound:
 
 
 class SplitError:
-    """The difference of a model and the sum of its parts; ``nothing`` is true where these are the same."""
+    """The difference of two models; ``nothing`` is true where it is None: they are the same.
 
-    def __init__(self, split: SplitModel) -> None:
-        self._model = split.rounding()
+    ``apart``, ``stable``: the poles of the model that are not stable, and the others.
+    """
+
+    def __init__(self, difference: StateSpaceModel | None, apart: AnyArray, stable: AnyArray, dt: float) -> None:
+        self._model = difference
         self.nothing = self._model is None or not self._model.D.size
         if self.nothing:
             return
         self._proved: dict[Band, tuple[float, str]] = {}
-        apart, stable = _as_rates(split.apart), _as_rates(split.stable)
+        apart, stable = _as_rates(apart, dt), _as_rates(stable, dt)
         slow = float(np.abs(stable).min(initial=np.inf))
         at = np.abs(np.imag(apart))
         centre = np.where(at > 1e-3 * slow, at, 0.0)
@@ -101,10 +104,9 @@ class SplitError:
         return np.linalg.norm(response, 2, axis=(1, 2)).reshape(omega.shape)
 
 
-def _as_rates(model: StateSpaceModel) -> AnyArray:
+def _as_rates(poles: AnyArray, dt: float) -> AnyArray:
     """Poles in rad/s; of a discrete model those that are not zero, as logarithms."""
-    poles = model.poles()
-    return np.log(poles[np.abs(poles) > 1e-12]) / model.dt if model.is_discrete else poles
+    return np.log(poles[np.abs(poles) > 1e-12].astype(complex)) / dt if dt else poles
 
 
 def widened(norm: HinfNorm, by: float, reason: str) -> HinfNorm:

@@ -15,7 +15,7 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.closing import closing
 from robustlab.errors import InputError, told_as
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.linear_analysis.structural import drop_unconnected
+from robustlab.linear_analysis.structural import drop_unconnected, with_hidden
 from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
@@ -89,7 +89,7 @@ class LoopFunctions(Shown):
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         return [
-            ("loop", f"{'stable' if self.is_stable() else 'unstable'}, {self.S.n_states} states"),
+            ("loop", with_hidden(f"{'stable' if self.is_stable() else 'unstable'}, {self.S.n_states} states", self.S)),
             ("outputs", with_units(self.T.outputs)),
             ("controls", with_units(self.KS.outputs)),
             ("gamma", number(self.gamma, digits=6)),

@@ -22,7 +22,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors, is_moderate, refuse_overflow
 from robustlab.linear_analysis.matrix_equations import RiccatiSolution, care
-from robustlab.linear_analysis.structural import controllability, observability
+from robustlab.linear_analysis.structural import hidden_unstable, with_hidden
 from robustlab.norms import bilinear_to_continuous, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
@@ -98,8 +98,8 @@ def coprime_riccati(model: StateSpaceModel) -> CoprimeRiccati:
         control = care(m.A, m.B, m.C.T @ m.C, r, m.C.T @ m.D)
         filtering = care(m.A.T, m.C.T, m.B @ m.B.T, s, m.B @ m.D.T)
     except NoTrustworthyNumber as error:
-        hidden = [mode.meaning for test in (controllability, observability) for mode in test(model).unstable_modes]
-        found = hidden[0] if hidden else error.found
+        hidden = hidden_unstable(model)
+        found = hidden[0].meaning if hidden else error.found
         raise NoTrustworthyNumber("coprime factors", found, "a stabilisable and detectable model") from None
     return CoprimeRiccati(m, rate, states, control, filtering)
 
@@ -200,7 +200,7 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> Cop
     norm = hinf_norm(loop, rtol=1e-9)
     best = coprime_riccati(continuous_models(plant).models[0]).best_margin
     if not np.isfinite(norm.upper):
-        return CoprimeMargin(0.0, 0.0, None, best, norm.status, norm.reason, found.said)
+        return CoprimeMargin(0.0, 0.0, None, best, norm.status, with_hidden(norm.reason, plant, k), found.said)
     bounds = 1 / norm.upper, 1 / norm.lower
     return CoprimeMargin(*bounds, norm.frequency, best, norm.status, norm.reason, found.said, plant, law)
 

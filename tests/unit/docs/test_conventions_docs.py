@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 
@@ -32,15 +33,12 @@ def test_the_page_runs_and_prints_what_it_says(capsys):
             assert comment.startswith(printed)
 
 
-def test_a_gain_of_states_is_no_controller_by_itself():
-    found = rl.lqr(G, np.eye(2), [[1.0]])
-    with pytest.raises(InputError, match="StateFeedback") as told:
-        rl.disk_margin(G, found)
-    assert "u = -K x" in told.value.hint
+def test_the_gain_of_python_control_s_lqr_closes_the_loop_of_the_states():
+    K, _, _ = control.lqr(G.to_control(), np.eye(2), [[1.0]])
     states = rl.StateSpaceModel(G.A, G.B, np.eye(2), np.zeros((2, 1)))
-    margin = rl.disk_margin(states, found.K, at="input").simultaneous
+    margin = rl.disk_margin(states, K, sign=-1, at="input").simultaneous
     assert margin.lower >= 1.0 - 1e-9  # Kalman's inequality: |1 + L| >= 1, a disk of gains from 1/2 up with skew 1
-    positive = -found.K
+    positive = -K
     with pytest.raises(rl.NoTrustworthyNumber, match="unstable"):
         rl.disk_margin(states, 3 * positive, at="input")
 

@@ -62,7 +62,6 @@ RESULTS = {
     "reduced model": lambda: rl.reduce_model(rows(2, 6), 3),
     "gain with a law": lambda: rl.peak_gain(EVEN, natures={"k": rl.Varying(0.1)}, order=1),
     "margin of parameters that vary": lambda: rl.robust_stability(EVEN, natures={"k": rl.Varying(), "m": rl.Varying()}),
-    "anti-windup": lambda: rl.anti_windup(OSCILLATOR, rl.StateSpaceModel([[-0.01]], [[-1.0]], [[0.2]], [[-1.0]])),
     "gain of a scheduled model": lambda: rl.peak_gain(SCHEDULED),
     "elementwise": lambda: elementwise(
         rl.StateSpaceModel([[-1.0, 0.2], [0.1, -0.5]], [[1.0], [0.5]], [[1, 0]], [[0]]),

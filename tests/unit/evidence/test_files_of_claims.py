@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import pickle
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +17,8 @@ import pytest
 import robustlab as rl
 from robustlab.cli.ending import main_guard
 from robustlab.cli.verify import app
+from robustlab.files.hdf5 import read_tree, write_tree
+from robustlab.files.tree import content_sha256
 from robustlab.recipe.load import load_recipe
 from robustlab.recipe.run import run_recipe
 from robustlab.verification.reading import claims_in_file
@@ -57,6 +62,110 @@ def test_exit_codes(saved, tmp_path, capsys):
     assert call(str(tmp_path / "zeros.h5")) == 3
     assert "no claims" in capsys.readouterr().err
     assert call(str(tmp_path / "nowhere.h5")) == 3
+
+
+SAVED = {
+    "norm": lambda: rl.peak_gain(OSCILLATOR),
+    "margin": lambda: rl.robust_stability(rl.UncertainModel(LAG, [rl.RealScalar("pole")])),
+    "design": lambda: DESIGN,
+    "controller": lambda: DESIGN.controller,
+}
+LAG = rl.StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+DESIGN = rl.mixsyn(rl.tf([1.0], [1.0, 1.0]), rl.makeweight(100, (1, 1), 0.5), 0.1, None)
+
+
+def scaled(name):
+    def edit(file):
+        file[name][...] = 1.1 * file[name][()]
+
+    return edit
+
+
+def turned(file):
+    assert file["signals/input/takes"].asstr()[()].tolist() == ["r - y"]
+    del file["signals/input/takes"]
+    file["signals/input/takes"] = ["y"]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    files = {kind: rl.save(folder / f"{kind}.h5", make()) for kind, make in SAVED.items()}
+    assert call(*map(str, files.values())) == 0
+    return files
+
+
+# What is edited, beside the claims; what the command says of the number that is not the one proved.
+EDITS = [
+    ("norm", scaled("data/upper"), "data/upper is 5.527.*, the claim proves 5.025"),
+    ("norm", scaled("data/lower"), "data/lower is 5.527"),
+    ("norm", lambda file: file.attrs.modify("status", "failed"), "the file was changed"),
+    ("norm", lambda file: file.pop("data/value"), "data/value is missing"),
+    ("norm", lambda file: file.attrs.modify("type", "Margin"), "data/lower is"),
+    ("norm", lambda file: file.attrs.modify("type", "Opinion"), "no claim is known to say .* 'Opinion'"),
+    ("margin", scaled("data/lower"), "data/lower is 5.49.*, the claim proves 4.99"),
+    ("margin", scaled("data/upper"), "data/upper is 5.5, the claim proves 5"),
+    ("margin", lambda file: file.move("data/delta/pole", "data/delta/zero"), "the file was changed"),
+    ("design", scaled("data/gamma"), "data/gamma is"),
+    ("design", scaled("data/K/C"), "data/K is not the model"),
+    ("controller", scaled("B"), "the controller is not the model"),
+    ("controller", scaled("C"), "the controller is not the model"),
+    ("controller", turned, "the file was changed"),
+    ("controller", lambda file: file.attrs.modify("dt", 0.1), "the controller is not the model"),
+    ("controller", lambda file: file.attrs.modify("gamma", 0.01), "gamma is 0.01, the claim proves"),
+]
+
+
+@pytest.mark.parametrize(("kind", "edit", "pattern"), EDITS)
+def test_what_is_displayed_is_what_is_proved(kind, edit, pattern, files, tmp_path, capsys):
+    path = Path(shutil.copy(files[kind], tmp_path))
+    with h5py.File(path, "r+") as file:
+        edit(file)
+    assert call(str(path)) == 3  # as rl.load
+    assert "content_sha256" in capsys.readouterr().err
+    tree = read_tree(path)
+    for digest in (None, content_sha256(tree)):
+        tree.attrs.pop("content_sha256", None)
+        tree.attrs |= {"content_sha256": digest} if digest else {}
+        write_tree(path, tree)
+        assert call(str(path)) == 4
+        told = capsys.readouterr().out
+        assert re.search(pattern, told)
+        assert "proved independently" not in told
+        assert ("no content_sha256" in told) == (digest is None)
+
+
+def test_a_file_of_an_earlier_version_says_what_is_not_bound(saved, capsys):
+    tree = read_tree(saved)
+    del tree.groups["claims"].attrs["content_sha256"]
+    tree.attrs["content_sha256"] = content_sha256(tree)
+    write_tree(saved, tree)
+    assert rl.load(saved).upper == rl.peak_gain(OSCILLATOR).upper
+    assert call(str(saved)) == 4
+    told = capsys.readouterr().out
+    assert "the claims carry no digest of the file" in told
+    assert "proved: data/upper is" in told
+
+
+def test_numbers_without_a_claim_are_listed(saved):
+    assert rl.verify(saved).not_covered == ("frequency",)
+
+
+def test_a_loaded_result_has_its_class_and_its_attributes(saved, tmp_path):
+    found, margin = rl.load(saved), SAVED["margin"]()
+    assert (type(found).__name__, found.status) == ("HinfNorm", rl.Status.CERTIFIED)
+    assert repr(found).startswith("HinfNorm (certified)")
+    rl.save(tmp_path / "margin.h5", margin)
+    again = pickle.loads(pickle.dumps(rl.load(tmp_path / "margin.h5")))
+    assert (again.lower, again.upper, again.delta) == (margin.lower, margin.upper, margin.delta)
+    with pytest.raises(AttributeError, match="'proof' is not in its file, expected one of"):
+        _ = again.proof
+    rl.save(tmp_path / "design.h5", DESIGN)
+    design = rl.load(tmp_path / "design.h5")
+    assert (design.K.A == DESIGN.K.A).all()
+    assert (design.norm.upper, design.law) == (DESIGN.norm.upper, DESIGN.controller.law)
+    with pytest.raises(rl.InputError, match="verify the file"):
+        rl.verify(design)
 
 
 def test_json_says_each_claim(saved, capsys):

@@ -36,7 +36,7 @@ def test_decimal_comma_on_request(delimiter, tmp_path):
     rows = [delimiter.join(f"{x:g}".replace(".", ",") for x in row) for row in VALUES]
     (tmp_path / "r.txt").write_text("\n".join([delimiter.join("tuq"), *rows]))
     np.testing.assert_array_equal(read_table(tmp_path / "r.txt", decimal=",").values, VALUES)
-    with pytest.raises(InputError, match=r"line 2, column 2 \(u\): decimal comma in '1,5'.*\nhint: --decimal ,"):
+    with pytest.raises(InputError, match=r"line 2, column 2 \(u\): decimal comma in '1,5'.*\nhint: decimal=','"):
         read_table(tmp_path / "r.txt")
 
 

@@ -128,12 +128,3 @@ def test_help_begins_with_what_it_does_and_not_with_a_table_of_numbers(name):
     except ValueError:
         return
     assert len(told) < 700
-
-
-def test_a_tuning_shows_what_was_changed_alone():
-    from dataclasses import replace
-
-    from robustlab.identification.tuning import TUNING
-
-    assert repr(TUNING) == "NamingTuning()"
-    assert repr(replace(TUNING, base=30, workers=1)) == "NamingTuning(workers=1, base=30)"

@@ -52,8 +52,6 @@ def designs():
     yield "h2", lambda: rl.h2(noisy, 1, 1), "u = K y"
     yield "ncf", lambda: rl.ncf(PLANT, 4.0), "u = K y"
     yield "ncf, references", lambda: rl.ncf(PLANT, 4.0, reference_model=lag(1.0)), "u = K [r of q; q]"
-    yield "lqg", lambda: rl.lqg(PLANT, np.eye(2), [[1.0]], np.eye(2), [[1.0]]), "u = K y"
-    yield "lqi", lambda: rl.lqi(PLANT, np.eye(3), [[1.0]]).controller, "u = K [r of q; q; x1; x2]"
     yield "fixed", lambda: rl.fixed_structure(noisy, "static", n_meas=1, n_con=1, starts=1), "u = K y"
     yield "dk", lambda: rl.dk(noisy, [[1, 0], [1, 0]], 1, 1, effort=0.2), "u = K y"
     yield "reduced", lambda: rl.reduce_controller(rl.mixsyn(PLANT, W1, W2), loss=0.5), "u = K (r - y)"
@@ -61,9 +59,9 @@ def designs():
 
 
 def rl_goal():
-    from robustlab.synthesis.fixed.design_goals import goal_in_words
+    from robustlab.synthesis import TrackingGoal
 
-    return goal_in_words("tracking", {"response_time": 2.0})
+    return TrackingGoal(2.0)
 
 
 def lag(time):
@@ -91,7 +89,6 @@ def test_the_closed_loop_of_a_design_is_that_of_its_controller_around_the_plant(
     for found in (
         rl.mixsyn(PLANT, 0.5, 0.1),
         rl.ncf(PLANT, 4.0),
-        rl.lqg(PLANT, np.eye(2), [[1.0]], np.eye(2), [[1.0]]),
     ):
         for K in (found, found.K, found.controller):
             loop = rl.UncertainModel(PLANT, []).feedback(K).nominal
@@ -336,14 +333,3 @@ def test_hdf5_with_a_damaged_word_is_named(tmp_path):
         del file.attrs["content_sha256"]
     with pytest.raises(InputError, match="sideways"):
         rl.load(tmp_path / "k.h5")
-
-
-def test_a_signal_may_come_in_twice():
-    """LQI takes an output beside the state of the same name."""
-    plant = rl.StateSpaceModel(TWO.A, TWO.B, np.eye(2), TWO.D, inputs=["u"], outputs=["q", "v"], states=["q", "v"])
-    found = rl.lqi(plant, np.eye(3), [[1.0]], outputs=["q"])
-    expected = np.sort_complex(found.poles)
-    np.testing.assert_allclose(
-        poles(rl.UncertainModel(plant, []).feedback(found.controller).nominal), expected, rtol=1e-9
-    )
-    assert rl.disk_margin(plant, found.controller, at="input").loop == "u = K y, as the controller says"

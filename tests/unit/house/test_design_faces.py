@@ -10,9 +10,9 @@ from robustlab.result import plain
 from robustlab.synthesis.problem.design import Design
 
 KINDS = [
-    *("DKSynthesis", "DelayedDesign", "FixedSynthesis", "H2Synthesis", "HinfSynthesis", "IntegralFeedback"),
-    *("KalmanFilter", "LPVSynthesis", "LqgSynthesis", "NcfSynthesis", "ReducedController", "ReducedModel", "Resampled"),
-    *("SampledController", "StateFeedback", "TunedSynthesis", "TwoDegreeSynthesis"),
+    *("DKSynthesis", "DelayedDesign", "FixedSynthesis", "H2Synthesis", "HinfSynthesis"),
+    *("LPVSynthesis", "NcfSynthesis", "ReducedController", "ReducedModel", "Resampled"),
+    *("SampledController", "TunedSynthesis", "TwoDegreeSynthesis"),
 ]
 
 
@@ -32,16 +32,12 @@ LEFT = {
     "mixsyn": ["HinfSynthesis"],
     "hinf": ["HinfSynthesis"],
     "h2": ["H2Synthesis"],
-    "lqg": ["LqgSynthesis"],
     "ncf": ["NcfSynthesis", "TwoDegreeSynthesis"],
     "dk": ["DKSynthesis"],
     "fixed": ["FixedSynthesis"],
     "tune": ["TunedSynthesis"],
     "reduce-controller": ["ReducedController"],
     "reduce-model": ["ReducedModel"],
-    "lqr": ["StateFeedback"],
-    "lqi": ["IntegralFeedback"],
-    "kalman": ["KalmanFilter"],
     "lpv-hinf": ["LPVSynthesis"],
 }
 

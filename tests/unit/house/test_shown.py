@@ -33,12 +33,12 @@ PLAIN = {
 }  # fmt: skip
 # Nothing to draw: a few numbers.
 NUMBERS = {
-    "AntiWindup", "ClassicalMargins", "Conflict", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
+    "ClassicalMargins", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
     "DelayStability", "DelayedDesign", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence",
     "IqcGain", "IqcStability", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap",
-    "Passivity", "PassivityIndex", "PerformanceLimits", "PlantSamples", "Reduction", "Resampled", "Result", "Verified",
-    "RiccatiSolution", "RobustGain", "StreamedResponses", "TrackingProblem", "Trim", "WellPosedness", "Zeros",
-    "Growth", "Watch", "WatchedPiece",
+    "Passivity", "PassivityIndex", "PlantSamples", "Reduction", "Resampled", "Result", "Verified",
+    "RiccatiSolution", "RobustGain", "TrackingProblem", "Trim", "WellPosedness", "Zeros",
+    "Watch", "WatchedPiece",
 }  # fmt: skip
 
 

@@ -19,7 +19,6 @@ from robustlab.identification.monitoring.change_test import (
     Columns,
     PieceEquations,
     log_sum,
-    told_by,
 )
 
 
@@ -130,14 +129,3 @@ def test_one_that_cannot_be_negative_is_not_found_with_the_wrong_sign():
             test.add(piece(J, G, r - sign * (p >= 5) * 0.4 * G[:, 0], U))
     right, wrong = (log_sum(t.alternatives().named[:, :, 2]) for t in tests)
     assert wrong < 0.0 < 10.0 < right
-
-
-def test_what_pieces_tell_is_the_regularised_least_squares_of_their_residuals():
-    rng = np.random.default_rng(2)
-    pieces = [noise_only(rng, np.array([0.7, -0.4]), m=200) for _ in range(3)]
-    step, covariance, left = told_by([piece(*p) for p in pieces], 2)
-    J, r = np.vstack([p[0] for p in pieces]), np.concatenate([p[2] for p in pieces])
-    wide = np.linalg.lstsq(np.vstack([J, np.eye(2)]), -np.concatenate([r, np.zeros(2)]), rcond=None)[0]
-    assert step == pytest.approx(wide, rel=1e-9)
-    assert covariance == pytest.approx(np.linalg.inv(J.T @ J + np.eye(2)), rel=1e-9)
-    assert 0.85 < left < 1.15

@@ -28,7 +28,7 @@ from robustlab.identification.naming.named_effects import (
     wave_amplitude,
 )
 from robustlab.identification.record_check.suitability import Finding
-from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ForceTable, ResidualForce, UnnamedForce
+from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.recipe.schema import Requirement, judge
 from robustlab.report.discovery import discovery_figures, facts, stretch_figure, write_page
@@ -127,7 +127,6 @@ def unknown(**changes):
         "complete": False,
         "effects": (),
         "residual_force": force,
-        "unnamed": UnnamedForce("unnamed", "N", 0.0, (ForceTable("speed", "speed", x, x**3),), "speed", 0.38),
     }
     return made(**{**fields, **changes})
 
@@ -181,7 +180,7 @@ def test_the_first_line_is_the_verdict_in_a_sentence():
     assert beyond.startswith("servo-axis lacks something beyond Coulomb (dry) friction that no effect")
     none = sentence(made(verdict="no missing effect", effects=(), gap_after=0.9))
     assert none.startswith("servo-axis lacks no effect that these records show")
-    assert sentence(made(complete=False)).endswith("; something else remains.")
+    assert sentence(made(complete=False)).endswith("; incomplete: something else remains.")
 
 
 def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
@@ -190,8 +189,8 @@ def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
     for part in (
         "Coulomb (dry) friction, coulomb-friction at v: probability 98.5 %",
         "20.39 N (95 %: 20.31 to 20.47)  friction level",
-        "windows of 0.4 s  0.06 m (3 %)  0.018 m (0.9 %)  0.002 m (0.1 %)  9 times smaller than refitted",
-        "free run          0.5 m (25 %)  0.2 m (10 %)     0.01 m (0.5 %)   20 times smaller than refitted",
+        "windows of 0.4 s  0.06 m (3 %)  0.018 m (0.9 %)  0.002 m (0.1 %)  30 times smaller than the given model",
+        "free run          0.5 m (25 %)  0.2 m (10 %)     0.01 m (0.5 %)   50 times smaller than the given model",
         "next: use the updated plant",
     ):
         assert part in text
@@ -232,6 +231,14 @@ def test_a_parameter_beyond_its_tolerance_is_told_and_nothing_else_is_claimed():
         assert "within their tolerances" not in text
     zero = replace(far, nominal=0.0, value=0.7, lower=0.5, upper=0.9, unit="N s/m", tolerance=1.0, beyond=False)
     assert "0 -> 0.7 N s/m (95 %: 0.5 to 0.9): within its tolerance of 1 N s/m" in made(nominal=(zero,)).summary(True)
+
+
+def test_refitted_parameters_are_printed_where_no_effect_is_named():
+    refitted = NominalValue("M", 130.0, 128.0, "kg", 127.0, 129.0, 0.05, False)
+    alone = made(nominal=(refitted,), effects=())
+    assert "130 -> 128 kg (95 %: 127 to 129)" in alone.summary()
+    assert "M: 128 kg (95 %: 127 to 129)" in repr(alone)
+    assert "130 -> 128" not in made(nominal=(refitted,)).summary()
 
 
 def test_what_is_periodic_is_told_by_amplitude_and_period():
@@ -276,7 +283,7 @@ def test_the_collection_is_the_smallest_with_95_per_cent():
 def test_what_diverges_is_told_as_such():
     gap = Gap("q", "m", 2.0, math.inf, math.inf, 0.01)
     text = made(free_run={"q": gap}).summary()
-    assert "free run          diverges      diverges         0.01 m (0.5 %)   finite, unlike refitted" in text
+    assert "free run          diverges      diverges         0.01 m (0.5 %)   finite, unlike the given model" in text
     assert "in free run diverges -> diverges -> 0.5 %" in text
     assert overall({"q": gap}, "updated") == pytest.approx(0.5)
     assert overall({"q": gap, "v": replace(gap, updated=0.02)}, "updated") == pytest.approx(math.sqrt(0.625))

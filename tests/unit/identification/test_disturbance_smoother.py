@@ -1,9 +1,8 @@
-"""The smoother against a dense Gaussian estimate written independently, against known torques, and on stick-slip."""
+"""The smoother against a dense Gaussian estimate written independently, and against known torques."""
 
 import numpy as np
 import pytest
 from calls import calls
-from oracle.stick_slip import stick_slip
 from scipy.linalg import expm
 
 from robustlab.dynamics.simulation import simulate
@@ -28,14 +27,6 @@ def motor(outputs=("phi",)):
         inputs=[("u", "V")],
         outputs=list(outputs),
         states=["phi", "omega", "i"],
-    )
-
-
-def slow_motor():
-    """The same motor without its inductance."""
-    a = [[0, 1], [0, -(FRICTION + K * K / R) / J]]
-    return StateSpaceModel(
-        a, [[0], [K / R / J]], [[1, 0]], [[0]], inputs=["u"], outputs=["phi"], states=["phi", "omega"]
     )
 
 
@@ -108,7 +99,7 @@ def test_equals_the_dense_gaussian_posterior(m, monkeypatch):
     y[5, 0] = y[9] = np.nan
     y[20:23, 1] = np.nan
     sigma = np.array([0.3, 0.2])
-    found = smooth_disturbance(model, ports, t, u, y, sigma, bandwidth=0.8, jumps=False)
+    found = smooth_disturbance(model, ports, t, u, y, sigma, bandwidth=0.8)
     start = ds._prepared(model, ports, t, u, y, sigma).start
     mean, cov = dense(model, ports, h, u, y - u @ model.D.T, sigma, found.intensity, start, 1e-4)
     std = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
@@ -142,7 +133,6 @@ def test_a_linear_plant_without_disturbance_leaves_no_force():
         found = smooth_disturbance(motor(), PORT, t, u[:, None], y)
         inside.append(np.abs(found.d[:, 0]) < 3 * found.d_std[:, 0])
         assert found.noise_std[0] == pytest.approx(1e-3, rel=0.05)
-        assert found.jumps == ()
     assert np.mean(inside) > 0.97
 
 
@@ -160,29 +150,6 @@ def test_a_sinusoidal_load_and_the_unmeasured_states_are_recovered():
     white = found.innovations[50:]
     assert white.std() == pytest.approx(1.0, abs=0.03)
     assert abs(np.mean(white[1:, 0] * white[:-1, 0])) < 0.05
-
-
-@pytest.mark.parametrize(
-    ("plant", "u", "noise", "lsb"),
-    [
-        (motor, lambda t: 4 * np.where(t % 1 < 0.5, 1.0, -1.0), 2e-3, 0.0),
-        (slow_motor, lambda t: 4 * np.where(t % 1 < 0.5, 1.0, -1.0), 1e-5, 0.0),
-        (slow_motor, lambda t: 1.2 * np.sin(2 * np.pi * 1.3 * t), 2e-4, 2 * np.pi / 2000),
-        (slow_motor, lambda t: 1.2 * np.sin(2 * np.pi * 1.3 * t), 2e-3, 0.0),
-        (slow_motor, lambda t: 0.8 * np.sin(2 * np.pi * 0.4 * t), 1e-5, 0.0),
-    ],
-)
-def test_stick_slip_leaves_the_speed_within_its_bands(plant, u, noise, lsb):
-    model, t = plant(), H * np.arange(5000)
-    voltage = u(t)
-    truth = stick_slip(model, "omega", 0.02, t, voltage, static=0.028, inertia=J)
-    for seed in range(3):
-        y = truth.x[:, 0] + noise * np.random.default_rng(seed).standard_normal(5000)
-        y = np.round(y / lsb) * lsb if lsb else y
-        found = smooth_disturbance(model, PORT[: model.n_states], t, voltage[:, None], y[:, None])
-        assert np.mean(np.abs(found.x[:, 1] - truth.x[:, 1]) < 3 * found.x_std[:, 1]) >= 0.99
-        assert np.mean(np.abs(found.d[:, 0] - truth.force) < 3 * found.d_std[:, 0]) >= 0.98
-        assert found.jumps
 
 
 def test_an_unobservable_state_is_told_by_its_std():

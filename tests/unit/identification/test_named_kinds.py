@@ -31,7 +31,6 @@ from robustlab.identification.naming.named_kinds import Kinds, Places, _mixture,
 from robustlab.identification.naming.posterior import weigh
 from robustlab.identification.naming.quantities import Told, force_share, quantities
 from robustlab.identification.naming.updated_plant import updated_plant
-from robustlab.identification.tuning import TUNING
 from robustlab.statespace import Signal
 
 LEVEL, GIVES = 20.0, 2e-4  # N, m
@@ -95,14 +94,6 @@ def test_what_may_be_there_beside_what_is_sure_is_open():
     assert judged((0.6, ["coulomb-friction"]), (0.4, ["presliding", "constant-load"]), ignored=slight) == (
         {"dry-friction"}, set(),
     )  # fmt: skip
-
-
-def test_how_sure_a_name_must_be_is_the_tunings():
-    sets = (0.9, ["coulomb-friction"]), (0.1, ["constant-load"])
-    assert judged(*sets)[0] == set()
-    assert judged(*sets, sure=0.8) == ({"dry-friction"}, set())
-    found = usual(friction=20.0)
-    assert kinds_of(found.problem, weigh(found)).sure == TUNING.sure
 
 
 def test_a_parameter_stands_at_the_joint_whose_motion_it_changes():
@@ -332,7 +323,7 @@ def test_a_line_that_is_left_blurs_no_other_name():
     def left(over, period):
         force = SimpleNamespace(wins=True, evidence=300.0, cross_validated=300.0, period=period, over=over)
         weight = SimpleNamespace(left=(SimpleNamespace(forces=(force,)),))
-        return posterior_module._temperature(SimpleNamespace(key="s"), {"s": weight}, TUNING)
+        return posterior_module._temperature(SimpleNamespace(key="s"), {"s": weight})
 
     assert left("line over position", 0.9) == 1.0
     assert left("speed", np.nan) == pytest.approx((300.0 + np.log(posterior_module.PRIOR)) / np.log(19.0), rel=1e-3)

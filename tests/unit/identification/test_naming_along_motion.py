@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import runpy
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -19,12 +18,12 @@ from robustlab.dynamics.effects.catalogue import catalogue, effect
 from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.plant_contract import input_signal
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.prepared_record import ports_of, prepare, window_length
-from robustlab.identification.tuning import TUNING
 
 MODELS = Path(__file__).parents[3] / "models" / "plants"
 FEW = {"coulomb-friction", "viscous-friction", "constant-load", "input-gain", "inertia", "sensor-bias"}
@@ -137,7 +136,7 @@ def test_derivatives_from_near_by_matrices_are_those_of_the_plant():
 
 
 @pytest.mark.parametrize("name", ["viscous-friction", "inertia", "sensor-bias"])
-def test_a_fit_that_keeps_its_matrices_ends_where_one_does_that_makes_them_anew(name):
+def test_a_fit_that_keeps_its_matrices_ends_where_one_does_that_makes_them_anew(name, monkeypatch):
     """To the tolerance at which a fit ends; with an effect that changes nothing of the plant, its matrices, or the
     motion that its sensors tell.
     """
@@ -148,12 +147,14 @@ def test_a_fit_that_keeps_its_matrices_ends_where_one_does_that_makes_them_anew(
     chosen = next(c for c in pool if c.effect.id == name and c.site.name in ("w_2", "I_r2", "q_2"))
     nuisances = nuisance_parameters(plant, stated_tolerances(plant, {}))
 
-    def fitted(near: float):
-        problem = Problem(plant, [ready], nuisances, tuning=replace(TUNING, near=near))
+    def fitted():
+        problem = Problem(plant, [ready], nuisances)
         z = np.append(np.zeros(len(nuisances)), chosen.standardised(chosen.starts[0]))
         return problem.fit(Hypothesis((chosen,)), first_noise(problem), z, plan=FitPlan(30, 1e-3))
 
-    kept, anew = fitted(TUNING.near), fitted(0.0)
+    kept = fitted()
+    monkeypatch.setattr(tuning, "NEAR", 0.0)
+    anew = fitted()
     assert kept.cost == pytest.approx(anew.cost, abs=0.1)
     assert kept.evidence == pytest.approx(anew.evidence, abs=0.2)
 

@@ -1,6 +1,7 @@
 """What is said after a search: a stage that fails, an interruption and what remains never lose or inflate the names."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis
 from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.unnamed_force import fitted_windows
 from robustlab.identification.naming import answer as module
-from robustlab.identification.naming.discovery import Progress, _spread
+from robustlab.identification.naming.discovery import _spread
 from robustlab.identification.naming.held_out_gaps import Gaps
 from robustlab.identification.naming.named_effects import Gap
 from robustlab.result import Status
@@ -61,20 +62,34 @@ def test_a_next_experiment_that_fails_does_not_lose_the_twins(monkeypatch):
     assert "next experiment" in [f.channel for f in found.findings if f.kind == "stage"]
 
 
-@pytest.mark.parametrize("after", [1, 25])
-def test_an_interrupted_search_says_so_and_is_not_sure(monkeypatch, after):
-    calls = []
+class StopAfter:
+    """A listener that stops the search at the given number of reports."""
 
-    def step(self, *_):
-        calls.append(1)
-        if len(calls) == after:
+    def __init__(self, count):
+        self.left = count
+
+    def __call__(self, text):
+        """Not asked: it counts."""
+
+    def part(self, done, expected, text):
+        self.left -= 1
+        if not self.left:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(Progress, "step", step)
-    found = discovered(machine(friction=20.0, seed=3))
+
+@pytest.mark.parametrize("after", [1, 25])
+def test_an_interrupted_search_says_so_and_is_not_sure(after):
+    found = discovered(machine(friction=20.0, seed=3), progress=StopAfter(after))
     assert "interrupted" in [f.kind for f in found.findings]
     assert found.verdict != "named"
     assert found.status is Status.INCONCLUSIVE
+
+
+def test_a_plain_listener_hears_each_part_of_the_search_once():
+    texts = []
+    discovered(machine(friction=20.0, seed=3), progress=texts.append)
+    assert texts[-1] == "what remains"
+    assert all(a != b for a, b in pairwise(texts))
 
 
 def test_probabilities_of_a_result_sum_to_one():
@@ -123,6 +138,16 @@ def test_what_the_names_explain_is_measured_against_the_noise_that_they_were_jud
     bare = replace(found.empty, fit=replace(found.empty.fit, noise=noise, cost=3.0 * points))
     share = module._explained(replace(found, empty=bare), wider)
     assert share == pytest.approx(0.5, abs=0.05)
+
+
+def test_names_that_explain_less_than_what_remains_are_not_conclusive():
+    cases = {(True, 0.1): Status.CONVERGED, (False, 0.6): Status.CONVERGED, (False, 0.48): Status.INCONCLUSIVE}
+    assert {key: module._Judgement("named", key[0]).status(key[1]) for key in cases} == cases
+
+
+def test_names_that_worsen_the_free_run_are_refuted():
+    gaps = Gaps({"q": Gap("q", "m", 1.0, 5.0, 1.0, 0.5)}, {"q": Gap("q", "m", 1.0, 2.0, 3.0, 2.1)}, "test", False, {})
+    assert module._on_held_out(module._Judgement("named", True), gaps, True, 0.05) == ("unknown", False)
 
 
 @pytest.mark.parametrize(

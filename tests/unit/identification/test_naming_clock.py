@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
@@ -17,7 +18,6 @@ from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.first_look import stretched
 from robustlab.identification.naming.materiality import late_clocks
 from robustlab.identification.naming.set_search import clock_nuisances, held_inputs, short_steps, step_error
-from robustlab.identification.tuning import TUNING
 
 MASS, DAMPING, SPRING = 1.0, 0.4, 400.0  # 20 rad/s, lightly damped
 OSCILLATOR = rl.plant("mass-spring-damper", m=MASS, c=DAMPING, k=SPRING)
@@ -67,7 +67,7 @@ def problem_of(record: rl.Record, clock=ONE_STEP) -> Problem:
     model = port_model(OSCILLATOR)
     ready = prepare(OSCILLATOR, model, record, 100)
     stated = nuisance_parameters(OSCILLATOR, stated_tolerances(OSCILLATOR, {"m": 0.05, "c": 0.5, "k": 0.05}))
-    return Problem(OSCILLATOR, [ready], (*stated, *clock_nuisances(("f",), DT, TUNING)), clock=clock)
+    return Problem(OSCILLATOR, [ready], (*stated, *clock_nuisances(("f",), DT)), clock=clock)
 
 
 def fitted(problem: Problem) -> Fit:
@@ -106,10 +106,10 @@ def test_a_clock_that_is_late_is_found():
 
 
 def test_the_clock_of_an_input_is_a_nuisance_of_its_own():
-    first, second = clock_nuisances(("u", "f"), 1e-3, TUNING)
+    first, second = clock_nuisances(("u", "f"), 1e-3)
     assert (first.input, second.input) == ("u", "f")
     assert first.names == ()
-    assert first.spread == pytest.approx(TUNING.clock_share * 1e-3)
+    assert first.spread == pytest.approx(tuning.CLOCK_SHARE * 1e-3)
     assert not first.additive
 
 
@@ -119,7 +119,7 @@ def test_a_shift_moves_the_input_beside_a_delay_of_it():
         c for c in candidates(OSCILLATOR, port_model(OSCILLATOR), problem.records) if c.key == "input-delay @ f"
     )
     z = np.array([0.0] * (len(problem.nuisances) - 1) + [1.0])
-    shift = TUNING.clock_share * DT
+    shift = tuning.CLOCK_SHARE * DT
     assert problem.shift(z) == pytest.approx((shift,))
     starts = [np.zeros((problem.records[0].count, 2))]
     plain, moved = (problem.errors(NONE, v, starts)[0] for v in (0 * z, z))
@@ -148,7 +148,7 @@ def test_what_a_clock_has_taken_beyond_its_part_of_a_sample_is_handed_over_to_a_
     before = problem.errors(NONE, z, fit.starts)[0]
     for start in begun.values():
         (own,) = problem.split(start.hypothesis, start.z)[1]
-        assert own["d"] == pytest.approx(5.0 * TUNING.clock_share * DT)
+        assert own["d"] == pytest.approx(5.0 * tuning.CLOCK_SHARE * DT)
         assert start.z[len(z) - 1] == 0.0
     there = begun["input-delay @ f"]
     after = problem.errors(there.hypothesis, there.z, fit.starts)[0]
@@ -166,11 +166,11 @@ def test_steps_are_halved_until_no_residual_changes():
     fit = ready.fit(hypothesis, fitted(ready).noise, z, plan=FitPlan(15))
     there = short_steps(ready, fit)
     assert there.clock.sub is not None
-    assert step_error(there, fit) <= TUNING.step_error or there.clock.sub == TUNING.most_steps
+    assert step_error(there, fit) <= tuning.STEP_ERROR or there.clock.sub == tuning.MOST_STEPS
     noisier = replace(fit, noise=replace(fit.noise, std=1e4 * fit.noise.std))
     assert short_steps(ready, noisier).clock.sub == 1
     finer = replace(fit, noise=replace(fit.noise, std=1e-6 * fit.noise.std))
-    assert short_steps(ready, finer).clock.sub == TUNING.most_steps
+    assert short_steps(ready, finer).clock.sub == tuning.MOST_STEPS
 
 
 def test_halving_the_steps_of_a_linear_model_changes_nothing():

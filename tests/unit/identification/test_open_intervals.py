@@ -10,7 +10,6 @@ from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, NoiseModel
 from robustlab.identification.naming.named_effects import EffectValue
 from robustlab.identification.naming.open_intervals import WIDER, opened_above
-from robustlab.identification.tuning import TUNING
 
 SCALES = Scales(position=10.0, shares=(0.04,))
 
@@ -23,7 +22,7 @@ def candidate(name):
 class Problem:
     """A cost that rises by ``wider`` from the fitted gap to one of `WIDER` times it."""
 
-    nuisances, tuning = (None, None), TUNING
+    nuisances = (None, None)
 
     def __init__(self, wider):
         self.wider, self.asked = wider, []

@@ -9,13 +9,13 @@ from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, POOL, T, U, machine, n
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.noise import held_out_fit
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming import posterior as posterior_module
 from robustlab.identification.naming.posterior import Posterior, weigh
 from robustlab.identification.naming.set_search import Key, search_sets
-from robustlab.identification.tuning import TUNING
 
 
 @pytest.fixture(scope="module", params=["nothing", "friction", "both"])
@@ -31,14 +31,14 @@ def test_probabilities_sum_to_one_and_the_best_comes_first(weighed):
     assert sum(shares) == pytest.approx(1.0)
     assert shares == sorted(shares, reverse=True)
     assert posterior.best.key == truth
-    assert posterior.best.probability > TUNING.sure
+    assert posterior.best.probability > tuning.SURE
 
 
 def test_the_collection_is_the_smallest_with_the_probability_of_an_answer(weighed):
     posterior, _ = weighed
     inside = sum(w.probability for w in posterior.collection)
-    twins = [w for w in posterior.collection if w.distance < TUNING.cannot_tell]
-    assert inside >= TUNING.sure
+    twins = [w for w in posterior.collection if w.distance < tuning.CANNOT_TELL]
+    assert inside >= tuning.SURE
     assert posterior.collection[0] is posterior.best
     assert all(w in posterior.sets for w in posterior.collection)
     assert len(posterior.collection) == 1 or posterior.best in twins
@@ -48,8 +48,8 @@ def test_an_effect_is_as_probable_as_all_sets_that_have_it(weighed):
     posterior, truth = weighed
     for key in POOL:
         assert posterior.of_effect(key) == pytest.approx(sum(w.probability for w in posterior.sets if key in w.key))
-    assert all(posterior.of_effect(key) > TUNING.sure for key in truth)
-    assert sum(posterior.of_effect(key) for key in set(POOL) - truth) < 1.0 - TUNING.sure
+    assert all(posterior.of_effect(key) > tuning.SURE for key in truth)
+    assert sum(posterior.of_effect(key) for key in set(POOL) - truth) < 1.0 - tuning.SURE
 
 
 def test_silent_additions_are_folded_into_the_smaller_set(weighed):
@@ -66,11 +66,11 @@ def test_the_errors_of_the_right_set_are_noise(weighed):
     assert posterior.generalises
 
 
-def test_a_higher_temperature_is_less_sure():
+def test_a_higher_temperature_is_less_sure(monkeypatch):
     found = usual(friction=20.0)
-    problem = found.problem.on(found.problem.records, found.problem.chosen)
-    problem.tuning = replace(TUNING, temperature=1e5)  # the empty set is 2e5 behind
-    cold, warm = weigh(found), weigh(replace(found, problem=problem))
+    cold = weigh(found)
+    monkeypatch.setattr(tuning, "TEMPERATURE", 1e5)  # the empty set is 2e5 behind
+    warm = weigh(found)
     assert warm.best.probability < cold.best.probability
     assert sum(w.probability for w in warm.sets) == pytest.approx(1.0)
 
@@ -83,11 +83,11 @@ def test_twins_are_told_together():
     posterior = weigh(searched(record, (before, behind, FRICTION, LOAD)))
     told = {key for w in posterior.collection for key in w.key}
     assert {before, behind} <= told
-    assert posterior.best.probability < TUNING.sure
+    assert posterior.best.probability < tuning.SURE
     (rival,) = (a for a in posterior.alternatives() if a.candidate.key in (before, behind))
     assert rival.instead_of is not None
     assert {rival.candidate.key, rival.instead_of.key} == {before, behind}
-    assert rival.weighed.distance < TUNING.cannot_tell
+    assert rival.weighed.distance < tuning.CANNOT_TELL
     # One that cannot be told from the best has no less a probability than its distance and its prior say.
     ratio = rival.weighed.probability / posterior.best.probability
     assert ratio >= 0.99 * np.exp(-0.5 * rival.weighed.distance**2)
@@ -96,19 +96,18 @@ def test_twins_are_told_together():
 def test_effects_that_can_be_told_are_no_twins():
     posterior = weigh(usual(friction=20.0))
     assert posterior.alternatives() == []
-    assert all(w.distance > TUNING.cannot_tell for w in posterior.sets[1:] if np.isfinite(w.distance))
+    assert all(w.distance > tuning.CANNOT_TELL for w in posterior.sets[1:] if np.isfinite(w.distance))
 
 
-def test_an_effect_that_held_out_data_favour_by_accident_is_not_named():
+def test_an_effect_that_held_out_data_favour_by_accident_is_not_named(monkeypatch):
     """Beside friction nothing is missing; held-out data like one effect more by five nats."""
     found = usual(friction=20.0)
-    problem = found.problem.on(found.problem.records, found.problem.chosen)
-    problem.tuning = replace(TUNING, beyond_noise=0.0)  # the simulated windows have the say
+    monkeypatch.setattr(tuning, "BEYOND_NOISE", 0.0)  # the simulated windows decide
     larger = next(v for v in found.sets if v.key > {FRICTION} and v.allowed)
     more = replace(larger, held_out=larger.held_out + found.best.evidence - larger.evidence + 5.0)
     lucky = [more if v is larger else v for v in found.sets]
     assert max(lucky, key=lambda v: v.evidence) is more
-    posterior = weigh(replace(found, problem=problem, sets=tuple(sorted(lucky, key=lambda v: -v.evidence))))
+    posterior = weigh(replace(found, sets=tuple(sorted(lucky, key=lambda v: -v.evidence))))
     assert posterior.best.key == {FRICTION}
     assert posterior.alternatives() == []
 
@@ -170,9 +169,9 @@ def test_a_random_force_beyond_that_of_a_machine_weighs_nothing_where_another_se
     of_a_machine = posterior_module._as_machines_have
     named, empty = frozenset({"coulomb-friction @ omega"}), frozenset()
     weights = {named: weight(0.001), empty: weight(0.1)}
-    assert set(of_a_machine(weights, TUNING.most_random)) == {named}
+    assert set(of_a_machine(weights, tuning.MOST_RANDOM)) == {named}
     alike = {named: weight(0.2), empty: weight(0.1)}  # neither is noise: they are weighed alike
-    assert of_a_machine(alike, TUNING.most_random) == alike
+    assert of_a_machine(alike, tuning.MOST_RANDOM) == alike
 
 
 # --- parameters beyond their tolerances ------------------------------------------------------------------------------

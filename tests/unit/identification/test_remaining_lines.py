@@ -7,7 +7,6 @@ import pytest
 
 from robustlab.errors import InputError
 from robustlab.identification.naming.residual_after_naming import LeftOver, remaining_lines
-from robustlab.identification.unnamed.unnamed_effect import StructureTest
 
 UNITS = {"speed": "m/s", "time": "s", "position": "m", "input u": "V"}
 N, DT, BLOCKS = 2400, 0.01, 16
@@ -31,8 +30,7 @@ def left_over(force_of, seed, zeros=(0.0, 0.0)):
         parts.append((force_of(t, q, v) + noise, t, q - zero, v, k * BLOCKS + np.arange(N) * BLOCKS // N))
     force, t, q, v, blocks = (np.concatenate(column) for column in zip(*parts, strict=True))
     coordinates = {"speed": v, "time": t, "position": q, "input u": rng.standard_normal(len(t))}
-    nothing = StructureTest(0.0, 1.0, "constant", 0.02)
-    return LeftOver("v", "N", UNITS, force, np.full(len(t), 0.3), coordinates, blocks, nothing)
+    return LeftOver("v", "N", UNITS, force, np.full(len(t), 0.3), coordinates, blocks)
 
 
 def test_a_line_over_the_position_is_found_with_its_period_and_size():
@@ -74,7 +72,7 @@ def test_noise_and_smooth_curves_are_no_lines():
 def test_too_little_motion_says_nothing():
     made = left_over(lambda t, q, v: 0.0 * t, 5)
     few = np.zeros_like(made.blocks)
-    assert remaining_lines(LeftOver("v", "N", UNITS, made.force, made.std, made.coordinates, few, made.structure)) == ()
+    assert remaining_lines(LeftOver("v", "N", UNITS, made.force, made.std, made.coordinates, few)) == ()
 
 
 def test_a_broken_force_is_refused():
@@ -82,4 +80,4 @@ def test_a_broken_force_is_refused():
     force = made.force.copy()
     force[7] = np.nan
     with pytest.raises(InputError, match="d"):
-        remaining_lines(LeftOver("v", "N", UNITS, force, made.std, made.coordinates, made.blocks, made.structure))
+        remaining_lines(LeftOver("v", "N", UNITS, force, made.std, made.coordinates, made.blocks))

@@ -26,12 +26,12 @@ from scipy.linalg import block_diag
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
+from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import first_noise, held_out_fit, noise_ratio, predictive
 from robustlab.identification.naming import first_look
 from robustlab.identification.naming import set_search as module
 from robustlab.identification.naming.set_search import Key, log_prior, search_sets
-from robustlab.identification.tuning import TUNING
 
 # --- what is found ---------------------------------------------------------------------------------------------------
 
@@ -186,14 +186,14 @@ def test_the_prior_pays_for_each_effect_more_for_a_refinement_and_for_the_choice
     _, _, pool, _ = opened(machine(friction=20.0))
 
     def prior(*keys: str) -> float:
-        return log_prior(Hypothesis(tuple(pool[k] for k in keys)), TUNING)
+        return log_prior(Hypothesis(tuple(pool[k] for k in keys)))
 
-    each = math.log(TUNING.prior_effect)
+    each = math.log(tuning.PRIOR_EFFECT)
     assert prior() == 0.0
     assert prior(FRICTION) == pytest.approx(each)
     assert prior(FRICTION, LOAD) == pytest.approx(2 * each)
-    assert prior("stribeck-friction @ v") == pytest.approx(each + math.log(TUNING.prior_refinement))
-    assert prior("cogging @ v") == pytest.approx(each - math.log(TUNING.looked_elsewhere))
+    assert prior("stribeck-friction @ v") == pytest.approx(each + math.log(tuning.PRIOR_REFINEMENT))
+    assert prior("cogging @ v") == pytest.approx(each - math.log(tuning.LOOKED_ELSEWHERE))
 
 
 def test_what_equals_two_effects_together_is_told_by_their_names():

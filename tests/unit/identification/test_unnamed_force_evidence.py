@@ -25,7 +25,6 @@ from robustlab.identification.hypotheses.random_force import (
     plain_places,
 )
 from robustlab.identification.hypotheses.unnamed_force import fitted_windows, unnamed_force
-from robustlab.identification.tuning import TUNING
 
 DT = 2e-3
 AXIS = rl.plant("servo-axis")
@@ -81,7 +80,7 @@ class Dense:
             np.swapaxes(every, 1, 2) @ every, np.full(count, points), np.arange(s + 1) * 5, samples, self.xi, record,
             tuple(PortMotion(force, "N") for force in self.forces),
         )  # fmt: skip
-        windows = FittedWindows([response], self.z, SimpleNamespace(records=[record], tuning=TUNING))
+        windows = FittedWindows([response], self.z, SimpleNamespace(records=[record]))
         return windows.at(len(self.forces) - 1)
 
 

@@ -14,8 +14,6 @@ from robustlab.cli.ending import main_guard
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation import time_domain
 from robustlab.identification.validation.constant_parameters import Parameters
-from robustlab.identification.validation.contraction_kernel import barrier, diagonal_sums, gain, pull_after, toeplitz
-from robustlab.identification.validation.tuning import ValidationTuning
 from robustlab.result import plain
 
 
@@ -38,34 +36,30 @@ def test_time_varying_systems_of_known_size(seed, n, blocks):
     assert len(found.blocks) == blocks
 
 
-@pytest.mark.parametrize(("seed", "blocks", "gamma"), [(200, 1, 0.7), (201, 2, 2.5), (202, 3, 0.2)])
-def test_time_invariant_systems_of_known_size(seed, blocks, gamma):
-    found = check(benchmark.invariant_case(seed, 70, blocks, gamma), gamma)
-    assert found.status is rl.Status.CERTIFIED
-    assert found.recheck() == pytest.approx(found.lower)
-    for block in found.blocks.values():
-        assert np.linalg.norm(toeplitz(block.value), 2) <= found.upper * (1 + 1e-9)
-
-
 @pytest.mark.parametrize(("seed", "blocks"), [(300, 1), (301, 2)])
 def test_constants_of_known_size(seed, blocks):
-    found = check(benchmark.constant_case(seed, 120, blocks, 0.6), 0.6, within=0.012)
-    assert found.status is rl.Status.CONVERGED
-    assert "tested at points" in found.label
+    model, record, noise, options = benchmark.constant_case(seed, 120, blocks, 0.6)
+    found = rl.validate(model, record, noise, precision=0.005, **options)
+    assert found.upper == pytest.approx(0.6, rel=0.012)
+    assert (found.lower, found.status, found.replay_error < 1e-6) == (0.0, rl.Status.CONVERGED, True)
+    assert "no lower bound" in found.label
+
+
+def test_a_constant_of_a_discrete_model_has_bounds_on_both_sides():
+    # y = (2 + k) u with y = 2.5 u and noise of 0.1: k is 0.4 at least.
+    gain = rl.UncertainModel(rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 2.0]], dt=1.0), [rl.RealScalar("k")])
+    record = rl.Record(range(4), {"u2": [1, -1, 1, 1]}, {"y2": [2.5, -2.5, 2.5, 2.5]})
+    found = rl.validate(gain, record, {"y2": 0.1}, at_rest=True)
+    assert found.lower == pytest.approx(0.4, rel=0.01)
+    assert found.upper == pytest.approx(0.4, rel=0.01)
+    far = rl.validate(
+        gain, rl.Record(range(4), {"u2": [1, -1, 1, 1]}, {"y2": [4, -4, 4, 4]}), {"y2": 0.1}, at_rest=True
+    )
+    assert far.invalidated
 
 
 def test_a_system_in_the_loop_is_bracketed_too():
     check(benchmark.feedback_case(400, 100, 0.5), 0.5)
-
-
-def test_a_time_invariant_system_is_never_smaller_than_a_time_varying_one():
-    model, inputs, y, noise, bound = benchmark._plausible(3, 60)
-    record = benchmark._record(inputs, {"y": y + noise})
-    varying, invariant = (
-        rl.validate(model, record, {"y": bound}, delta=d, at_rest=True) for d in ("time-varying", "time-invariant")
-    )
-    assert varying.lower <= invariant.upper
-    assert invariant.upper <= 1.01
 
 
 @given(seed=st.integers(0, 10_000))
@@ -79,9 +73,10 @@ def test_a_true_model_is_never_invalidated(seed):
         assert not found.invalidated
 
 
-def test_a_wrong_constant_is_invalidated_and_missing_samples_can_hide_it():
+def test_a_wrong_constant_is_undecided_and_missing_samples_can_hide_it():
     model, record, noise, options = benchmark.constant_case(302, 120, 1, 1.5)
-    assert rl.validate(model, record, noise, **options).invalidated
+    found = rl.validate(model, record, noise, **options)
+    assert (found.status, found.upper) == (rl.Status.INCONCLUSIVE, pytest.approx(1.5, rel=0.02))
     hidden = rl.validate(model, record, noise, missing={"y0": np.arange(5, 120)}, **options)
     assert hidden.upper < 1.5
 
@@ -101,8 +96,7 @@ def test_windows_and_free_starts_are_weaker_tests():
     model, inputs, y, noise, bound = benchmark._plausible(5, 60)
     record = benchmark._record(inputs, {"y": y + noise})
     rest, free, windows = (
-        rl.validate(model, record, {"y": bound}, delta="time-varying", **options)
-        for options in ({"at_rest": True}, {}, {"window": 0.2})
+        rl.validate(model, record, {"y": bound}, **options) for options in ({"at_rest": True}, {}, {"window": 0.2})
     )
     assert windows.lower <= free.upper <= rest.upper * 1.001
 
@@ -120,23 +114,6 @@ def test_constants_and_systems_together():
     assert found.lower <= found.upper <= 0.82
     assert found.blocks["pole"].kind == "constant"
     assert found.excess <= 1 + 1e-6
-
-
-@pytest.mark.parametrize(("n", "r", "c"), [(1, 1, 1), (5, 1, 1), (4, 2, 1), (3, 1, 2), (3, 2, 2)])
-def test_derivatives_of_the_barrier(n, r, c):
-    rng = np.random.default_rng(n)
-    h, step, eps = rng.standard_normal((n, r, c)), rng.standard_normal((n, r, c)), 1e-6
-    gamma = 1.4 * gain(h)
-    assert gain(h) == pytest.approx(np.linalg.norm(toeplitz(h), 2))
-    at, ahead, back = (barrier(h + s * eps * step, gamma + 0.3 * s * eps) for s in (0, 1, -1))
-    slope = at.curve @ step.ravel() + 0.3 * at.cross
-    np.testing.assert_allclose((ahead.slope - back.slope) / (2 * eps), slope, rtol=1e-5, atol=1e-5 * abs(slope).max())
-    np.testing.assert_allclose((ahead.slope_gamma - back.slope_gamma) / (2 * eps),
-                               at.cross @ step.ravel() + 0.3 * at.curve_gamma, rtol=1e-5)  # fmt: skip
-    change = pull_after(h, step, gamma, 0.3) - at.pull
-    np.testing.assert_allclose((ahead.pull - back.pull) / (2 * eps), change, atol=1e-5 * abs(change).max())
-    X = rng.standard_normal((r * n, c * n))
-    assert (X * toeplitz(h)).sum() == pytest.approx((diagonal_sums(X, n, r, c) * h).sum())
 
 
 def small():
@@ -164,8 +141,6 @@ def test_what_is_refused():
         rl.validate(model, record, {"y": 0.1}, window=0.1)
     with pytest.raises(rl.InputError, match="outside the record"):
         rl.validate(model, record, {"y": 0.1}, missing={"y": [8]})
-    with pytest.raises(rl.InputError, match="delta"):
-        rl.validate(model, record, {"y": 0.1}, delta="nonlinear")
     with pytest.raises(rl.InputError, match="precision"):
         rl.validate(model, record, {"y": 0.1}, precision=0.0)
 
@@ -208,20 +183,9 @@ def test_the_command(files, capsys):
     assert command(capsys, files / "run.h5", files / "run.h5", "--noise", "y=0.1")[0] == 3
 
 
-def tall(x):
-    """The column Toeplitz matrix (n r, n) of a signal (n, r)."""
-    n, r = x.shape
-    T = np.zeros((n, r, n))
-    for k in range(n):
-        T[k:, :, k] = x[: n - k]
-    return T.reshape(n * r, n)
-
-
 @pytest.mark.parametrize(("r", "c"), [(1, 1), (2, 1), (1, 2), (2, 2)])
 def test_a_full_block_against_the_theorem(r, c):
-    """Poolla et al., theorem 3.1: without noise gamma^2 is the largest eigenvalue of Y'Y against U'U."""
-    from scipy.linalg import eigh
-
+    """Poolla et al., theorem 3.3: without noise gamma^2 is the largest ratio of the energies of y and u so far."""
     n, rng = 20, np.random.default_rng(3)
     u = rng.standard_normal((n, c)) + 3 * (np.arange(n) == 0)[:, None]
     D = np.block([[np.zeros((c, r)), np.eye(c)], [np.eye(r), np.zeros((r, c))]])
@@ -232,18 +196,13 @@ def test_a_full_block_against_the_theorem(r, c):
     record = rl.Record(np.arange(n) * 0.1, dict(zip(names[1], u.T, strict=True)), dict(zip(names[3], y.T, strict=True)))
     model, noise = rl.UncertainModel(M, [rl.FullBlock("d", r, c)]), dict.fromkeys(names[3], 1e-6)
     found = rl.validate(model, record, noise, at_rest=True, precision=0.005)
-    TY, TU = tall(y), tall(u)
-    gamma = np.sqrt(eigh(TY.T @ TY, TU.T @ TU, eigvals_only=True)[-1])
+    gamma = np.sqrt((np.cumsum((y**2).sum(axis=1)) / np.cumsum((u**2).sum(axis=1))).max())
     assert found.lower <= gamma * (1 + 1e-9)
     assert found.lower >= 0.995 * gamma
     assert found.upper == pytest.approx(gamma, rel=1e-3)
 
 
-def test_all_passes_and_windows_that_took_too_long_before():
-    model, record, noise, options = benchmark.invariant_case(208, 120, 1, 1.15, all_pass=True)
-    found = rl.validate(model, record, noise, precision=0.005, **options)
-    assert found.status is rl.Status.CERTIFIED
-    assert found.lower <= 1.15 <= found.upper * (1 + 1e-9)
+def test_constants_over_windows():
     # Four windows, one of them with a gap: each a fit of its own.
     model, t = rl.plant("servo-axis", M=95.0, Fv=(200.0, 0.3)).uncertain(outputs=["q"]), np.arange(400) * 0.01
     u = np.sign(np.sin(t**1.1))
@@ -255,8 +214,7 @@ def test_all_passes_and_windows_that_took_too_long_before():
     assert 0.5 < found.upper <= 0.8 * 1.001
     assert found.replay_error < 1e-3
     far = rl.validate(model, rl.Record(t, {"u": u}, {"q": q + 0.01 * np.sin(9 * t)}), {"q": 1e-4}, window=1.0)
-    assert far.invalidated
-    assert far.excess > 10
+    assert (far.status, far.upper, far.excess > 10) == (rl.Status.INCONCLUSIVE, np.inf, True)
 
 
 @pytest.mark.parametrize(("norm", "bound"), [("peak", 0.01), ("rms", 0.006)])
@@ -277,37 +235,10 @@ def test_without_blocks_noise_alone_explains_a_record_or_nothing_does(norm, boun
         rl.validate(alone, far_record, {"y": bound}, domain="frequency")
 
 
-def test_the_noise_of_a_part_may_be_larger_than_the_rms_of_the_whole():
-    short = ValidationTuning(longest_pulses=60)
-    plant = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"])
-    t = np.arange(150) * 0.05
-    u = np.sign(np.sin(7.0 * t) + 0.3 * np.sin(21.0 * t))
-    noise = np.where(np.arange(150) < 60, 0.5 * u, 0.0)  # at the beginning, and as if the gain were another
-    record = rl.Record(t, {"u": u}, {"y": rl.simulate(plant, t, u)["y"] + noise})
-    bound = 1.01 * np.sqrt(np.mean(noise**2))
-    found = rl.validate(rl.unstructured(plant, 0.2), record, {"y": bound}, noise_norm="rms", at_rest=True, tuning=short)
-    assert found.lower == 0.0  # the nominal model explains it
-
-
-def test_a_state_that_only_a_constant_shows_is_free_in_the_relaxation_too():
-    # x2 is in no output of the nominal model; with d = 0.5 it is, and it does not start at zero.
-    M = rl.StateSpaceModel(
-        [[-1.0, 0.0], [0.0, -0.3]], [[1.0, 0.0, 1.0], [0.0, 0.0, 1.0]], [[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]],
-        [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.1, 0.0]], 0.0, ["w1", "w2", "u"], ["z1", "z2", "y"],
-    )  # fmt: skip
-    hidden = rl.UncertainModel(M, [rl.RealScalar("d"), rl.FullBlock("rest", 1, 1)])
-    t = np.arange(30) * 0.4
-    u = np.where(t > 6, 1.0, 0.0)
-    y = rl.simulate(hidden.evaluate({"d": 0.5, "rest": np.zeros((1, 1))}), t, u, [0.0, 1.0])["y"]
-    found = rl.validate(hidden, rl.Record(t, {"u": u}, {"y": y}), {"y": 0.01}, delta="time-varying")
-    assert found.lower <= 0.5
-    assert found.upper <= 0.55
-    assert not found.invalidated
-
-
 def test_bounds_that_contradict_each_other_are_no_result(monkeypatch):
-    alone = Parameters(0.4, 0.3, np.array([0.3]), np.zeros((4, 1)), 1, True, 1.0)
+    alone = Parameters(0.3, np.array([0.3]), np.zeros((4, 1)), 1.0)
     monkeypatch.setattr(time_domain, "smallest_parameters", lambda *_: alone)
+    monkeypatch.setattr(time_domain._Job, "relaxed", lambda *_: (0.4, {}))
     gain = rl.UncertainModel(rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 2.0]], dt=1.0), [rl.RealScalar("k")])
     steps = rl.Record(range(4), {"u2": [1, 0, 0, 0]}, {"y2": [2.3, 0, 0, 0]})
     with pytest.raises(NoTrustworthyNumber, match=r"lower bound of gamma, 0\.4, above"):

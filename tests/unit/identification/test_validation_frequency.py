@@ -14,8 +14,8 @@ from robustlab.cli.data import app
 from robustlab.cli.ending import main_guard
 from robustlab.identification.comparison.best_linear_approximation import held_response
 from robustlab.identification.validation.frequency_domain import line_lagrangian, smallest_by_lines
+from robustlab.identification.validation.gamma_search import Search
 from robustlab.identification.validation.spectral_problem import spectrum_of_record, spectrum_of_response
-from robustlab.identification.validation.tuning import Search
 from robustlab.report.set_figures import validation_figures
 from robustlab.result import plain
 
@@ -208,7 +208,6 @@ def test_what_is_refused():
         ((model, record, {"y": 0.1}), {"domain": "both"}, rl.InputError, "domain"),
         ((model, record, {"y": 0.1}), {"period": 1.0}, rl.InputError, "only in the frequency"),
         ((model, record, {"y": 0.1}), {"noise_norm": "peak", **lines}, rl.InputError, "peak bound"),
-        ((model, record, {"y": 0.1}), {"delta": "time-varying", **lines}, rl.InputError, "time-varying blocks"),
         ((model, record, {"y": 0.1}), {"window": 3.0, **lines}, rl.InputError, "windows"),
         ((model, record, {"y": 0.0}), lines, rl.NoTrustworthyNumber, "singular noise model"),
         ((model, start, {"y": 0.01}), lines, rl.NoTrustworthyNumber, "not in steady state"),

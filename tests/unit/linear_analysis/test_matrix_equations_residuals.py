@@ -8,7 +8,7 @@ import scipy.linalg
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis import matrix_equations
-from robustlab.linear_analysis.matrix_equations import care, dare, hamiltonian_riccati, lyapunov
+from robustlab.linear_analysis.matrix_equations import accepted_residual, care, dare, hamiltonian_riccati, lyapunov
 from robustlab.linear_analysis.schur_lyapunov import SchurForm
 
 
@@ -61,11 +61,36 @@ def test_a_chain_of_lags_over_nine_decades_has_the_poles_of_its_spectral_factor(
         np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(loop)), expected, rtol=1e-6)
 
 
-def test_care_without_a_stabilising_solution_says_so():
-    with pytest.raises(NoTrustworthyNumber, match="care"):
-        care([[1.0]], [[0.0]], [[1.0]], [[1.0]])  # unstable and uncontrollable
-    with pytest.raises(NoTrustworthyNumber):
-        care([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [0.0]], np.zeros((2, 2)), [[1.0]])  # eigenvalues on the axis
+# K by the eigenvectors of the Hamiltonian with 600 bits (python-flint); B = e_1 or e_n, Q = I, R = 1.
+SPREAD = [
+    ([[0, 0, 0], [-1e-7, 1.95, -0.951], [0, 1, 0]], [1, 0, 0], [4.9, -1.1505e8, 3.7089e7], 1e-12),
+    ([[1, 1e-8], [0, 2]], [0, 1], [647213595.4999579, 6.23606797749979], 1e-12),
+]
+
+
+@pytest.mark.parametrize(("A", "b", "K", "rtol"), SPREAD)
+def test_a_solution_of_sixteen_decades_is_found(A, b, K, rtol):
+    """MATLAB Answers: `lqr` of the first one is refused for eigenvalues on the axis, which are 0.975 away from it."""
+    n = len(A)
+    found = care(A, np.transpose([b]), np.eye(n), np.eye(1))
+    np.testing.assert_allclose(-found.gain[0], K, rtol=rtol)
+    X = hamiltonian_riccati(np.array(A, float), np.outer(b, b).astype(float), np.eye(n))
+    np.testing.assert_allclose(b @ X, K, rtol=rtol)
+
+
+@pytest.mark.parametrize(
+    ("parts", "measured"),
+    [
+        (([[1.0]], [[0.0]], [[1.0]], [[1.0]]), r"nearest to the imaginary axis is (-?)1[+-]0j rad/s"),
+        (([[0.0, 1.0], [-1.0, 0.0]], np.zeros((2, 1)), np.zeros((2, 2)), [[1.0]]), r"is -?0[+-]1j rad/s"),
+        (([[1.0]], [[1.0]], [[1.0]], [[0.0]]), "R is singular"),
+    ],
+)
+def test_a_refusal_names_what_was_measured(parts, measured):
+    with pytest.raises(NoTrustworthyNumber, match=rf"^care: no stabilising solution was found; .*{measured}"):
+        care(*parts)
+    with pytest.raises(NoTrustworthyNumber, match=r"nearest to the unit circle has the modulus (2|0\.5)$|, expected"):
+        dare([[2.0]], [[0.0]], [[1.0]], [[1.0]])
 
 
 def test_care_without_states():
@@ -150,3 +175,13 @@ def test_dare_refuses():
     with pytest.raises(InputError, match="NaN"):
         dare([[np.nan]], [[1.0]], [[1.0]], [[1.0]])
     assert dare(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((0, 0)), [[1.0]]).gain.shape == (1, 0)
+
+
+def test_a_residual_of_huge_terms_is_still_a_residual():
+    """Squares of 1e200 overflow: the quotient of such norms would be 0 or NaN for any X."""
+    huge = np.array([[1e200]])
+    assert accepted_residual("lyap", (huge, huge, -2 * huge), 1e-6) == 0.0
+    with pytest.raises(NoTrustworthyNumber, match=r"^lyap: relative residual 3\.3e-01"):
+        accepted_residual("lyap", (huge, huge, -huge), 1e-6)
+    with pytest.raises(NoTrustworthyNumber, match="overflows"):
+        accepted_residual("lyap", (huge, np.array([[np.inf]])), 1e-6)

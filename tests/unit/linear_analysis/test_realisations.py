@@ -156,3 +156,100 @@ def test_a_sample_time_is_kept_and_an_unknown_one_is_refused():
         rl.ss(rl.tf([1], [1, 1]), dt=0.1)
     with pytest.raises(InputError, match="no C, D"):
         rl.ss([[1.0]], [[1.0]])
+
+
+# --- a pole that entries share: the loop is the one that was meant ------------------------------
+
+SHARED = {  # num, den, the gains of u = -K y, and of the loop: states, peak gain, disk margin at the input
+    "an integrator": ([[[1]], [[1]]], [[[1, 0]], [[1, 1, 0]]], [2, 1], 2, 0.482720, 1.664101),
+    "two": ([[[1]], [[1]]], [[[1, 0, 0]], [[1, 0]]], [2, 1], 2, 1.233862, 0.666667),
+    "an unstable pole": ([[[1]], [[1]]], [[[1, -1]], [[1, 1, -2]]], [6, 3], 2, 0.180257, 1.420764),
+}
+
+
+@pytest.mark.parametrize("name", SHARED)
+@pytest.mark.parametrize("dual", [False, True])
+def test_entries_share_poles_that_are_not_stable(name, dual):
+    num, den, gains, order, peak, margin = SHARED[name]
+    if dual:
+        num, den = ([[row[0] for row in side]] for side in (num, den))
+    G = rl.tf(num, den)
+    K = rl.ss([[gain] for gain in gains]) if dual else rl.ss([gains])
+    assert G.n_states == order
+    loop = G.feedback(K)
+    assert rl.peak_gain(loop).value == pytest.approx(peak, rel=1e-5)
+    at = "output" if dual else "input"
+    assert rl.disk_margin(G, K, at=at).lower == pytest.approx(margin, rel=1e-5)
+    assert rl.classical_margins(G, K, at=at).stable
+
+
+def test_least_order_of_larger_matrices():
+    quartic = [float(c) for c in np.poly([1] * 4)]  # ControlSystems.jl, issue 890
+    G = rl.tf([[[1]], [[1]], [[1, 0]], [[1, 0, 0]], [[1, 0, 0, 0]]], [[[*quartic, 0.0]], *[[quartic]] * 4])
+    assert G.n_states == 5
+    assert rl.tf([[[1], [1]], [[1], [1]]], [1, 0]).n_states == 1  # rank one at the pole
+    assert rl.tf([[[1], [0]], [[0], [1]]], [1, 0]).n_states == 2
+    assert rl.tf([[[1e-9], [1e3]], [[1e-12], [1]]], [1, -1], 0.1).n_states == 1  # units do not matter
+    assert rl.tf([[[1], [1]], [[1], [1 + 1e-9]]], [1, -1]).n_states == 2  # and small differences do
+    assert rl.tf([[[0], [3]], [[0], [0]]], [1, 0]).n_states == 1
+    assert rl.tf([[[2], [3]]], [1]).n_states == 0
+    s = 0.3 + 0.8j
+    num, den = [[[1, 2], [3]], [[4], [1, -1, 5]]], [[[1, -1, 0, 0], [1, 0]], [[1, -2, 1], [1, -1, 0, 0]]]
+    wanted = [[value(n, d, s) for n, d in zip(*rows, strict=True)] for rows in zip(num, den, strict=True)]
+    assert_allclose(rl.tf(num, den)(s), wanted, rtol=1e-12)
+
+
+def test_a_root_that_one_entry_cancels_is_told():
+    with pytest.warns(UserWarning, match=r"tf: \[0\]\[1\]: a zero cancels the unstable mode 1 rad/s"):
+        assert rl.tf([[[1], [1, -1]]], [[[1, 1], [1, 1, -2]]]).is_stable()
+    rl.tf([[[1]], [[1, 0]]], [1, 0, 0])  # the common denominator of 1/s^2 and 1/s: nothing is lost
+
+
+# --- zeros, poles, gain --------------------
+
+
+def test_a_narrow_band_pass_keeps_its_poles():
+    z, p, k = scipy.signal.butter(8, [2 * np.pi * 99, 2 * np.pi * 101], "bandpass", analog=True, output="zpk")
+    G = rl.ss(scipy.signal.ZerosPolesGain(z, p, k))
+    assert max(np.abs(p - pole).min() for pole in G.poles()) < 1e-12
+    assert G.spectral_abscissa() == pytest.approx(-1.213766, rel=1e-6)
+    assert abs(G(200j * np.pi)[0, 0]) == pytest.approx(1, rel=1e-11)
+    assert rl.h2_norm(G).value == pytest.approx(2.00644, rel=3e-6)
+    assert rl.peak_gain(G).value == pytest.approx(1, rel=1e-6)
+    with pytest.warns(UserWarning, match="rounding of the coefficients moves the pole .*rl.zpk"):
+        rl.ss(ct.zpk(z, p, k))
+
+
+def test_repeated_poles_are_exact():
+    G = rl.zpk([], [-1] * 6, 2.0, inputs=["u"])
+    assert G.poles().tolist() == [-1] * 6
+    assert_allclose(G(1j)[0, 0], 2 / (1 + 1j) ** 6, rtol=1e-14)
+    D = rl.zpk([0.5, 0.2 + 0.3j, 0.2 - 0.3j], [1, 1, 1, 1e-3], 3.0, 0.1)
+    assert sorted(D.poles().real) == [1e-3, 1, 1, 1]
+    assert D.dt == 0.1
+    z = np.exp(0.7j)
+    assert_allclose(D(z)[0, 0], 3 * (z - 0.5) * ((z - 0.2) ** 2 + 0.09) / ((z - 1) ** 3 * (z - 1e-3)), rtol=1e-12)
+
+
+def test_zeros_poles_and_gains_of_several_channels():
+    G = rl.zpk([[[]], [[]]], [[[0]], [[0, -1]]], [[1.0], [1.0]])
+    assert sorted(G.poles()) == [-1, 0]
+    assert_allclose(G(2j), [[1 / 2j], [1 / (2j * (2j + 1))]], rtol=1e-14)
+    assert rl.zpk([], [], 3.0).D.tolist() == [[3.0]]
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        (([0, 0], [-1], 1), "2 zeros and 1 poles: improper"),
+        (([], [1j], 1), "without its conjugate"),
+        (([], [np.inf], 1), "finite numbers"),
+        (([], "s", 1), "numbers"),
+        (([], [-1], [[1, 2]]), "gain: of shape"),
+        (([[[]]], [[[-1], [-2]]], [[1.0]]), "different lengths"),
+        (([], [[-1]], 1), "nested"),
+    ],
+)
+def test_what_are_no_zeros_poles_and_gain(given, text):
+    with pytest.raises(InputError, match=text):
+        rl.zpk(*given)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.result import plain
 
@@ -175,3 +177,26 @@ def test_drop_unconnected_to_nothing():
     part = drop_unconnected(model([[-1.0, 0], [0, -1.0]], [1, 0], [0, 1]))
     assert part.n_states == 0
     assert part.D.shape == (1, 1)
+
+
+def test_a_hidden_mode_is_named_where_a_loop_is_unstable_by_it():
+    G = rl.StateSpaceModel(
+        [[0, 0, 0], [0, -1, 0], [0, 1, 0]], [[1], [1], [0]], [[1, 0, 0], [0, 0, 1]], [[0], [0]],
+        states=["p", "q", "r"], inputs=["u"], outputs=["a", "b"],
+    )  # fmt: skip
+    K, named = rl.ss([[2.0, 1.0]]), r"unstable mode 0 rad/s in p, q, r: no input moves it"
+    loop = G.feedback(K)
+    assert re.search(named, rl.peak_gain(loop).reason)
+    assert re.search(named, rl.h2_norm(loop).reason)
+    assert re.search(named, rl.classical_margins(G, K, at="input").channels["u"].reason)
+    for refused in (
+        lambda: rl.disk_margin(G, K, at="input"),
+        lambda: rl.disk_margin(G, K, at="output"),
+        lambda: rl.ncf(G),
+        lambda: rl.coprime_margin(G, K),
+        lambda: rl.robust_stability(rl.unstructured(G, 0.1, "additive").close(K)),
+    ):
+        with pytest.raises(NoTrustworthyNumber, match=r"0 rad/s in .*no input moves it"):
+            refused()
+    with pytest.raises(NoTrustworthyNumber, match=r"mode s = .*cannot be moved by the controls"):
+        rl.mixsyn(G, W1=rl.tf([1], [1, 1]), W2=1.0)

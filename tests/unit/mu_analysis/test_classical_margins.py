@@ -206,3 +206,13 @@ def test_too_many_states_are_refused_with_a_way_out(monkeypatch):
     monkeypatch.setattr("robustlab.mu_analysis.margins.loop_fraction.MOST_STATES", 2)
     with pytest.raises(rl.NoTrustworthyNumber, match=r"(?s)a loop of 3 states.*rl\.with_delays\(P\)"):
         rl.classical_margins(THIRD)
+
+
+def test_what_is_printed_begins_with_the_three_margins():
+    """L = 2 / (s (s + 1)): |L| = 1 at w^2 = (sqrt(17) - 1) / 2, the phase there is -90 - atan(w) degrees."""
+    printed = repr(rl.classical_margins(rl.tf([1], [1, 1, 0]), rl.ss([[2.0]])))
+    w = np.sqrt((np.sqrt(17) - 1) / 2)
+    phase = np.pi / 2 - np.arctan(w)
+    assert "gain margin: factors 0 .. inf" in printed
+    assert f"phase margin: {np.degrees(phase):.4g} degrees" in printed
+    assert f"delay margin: {phase / w:.4g} s" in printed

@@ -163,7 +163,8 @@ def test_gains_of_several_channels_and_of_no_delay():
 def test_without_a_proof_there_is_no_margin():
     with pytest.raises(NoTrustworthyNumber, match="the closed loop is unstable"):
         rl.disk_margin(3.0 * LAG @ rl.delay(1.0))
-    assert rl.peak_gain((3.0 * LAG @ rl.delay(1.0)).feedback()).status is Status.INCONCLUSIVE
+    unstable = rl.peak_gain((3.0 * LAG @ rl.delay(1.0)).feedback())
+    assert (unstable.status, unstable.lower) == (Status.CERTIFIED, np.inf)
 
 
 def test_an_uncertain_plant_with_a_delay():
@@ -222,3 +223,23 @@ def test_next_to_the_boundary_it_is_told_too(apart):
     found = rl.robust_stability(loop)
     assert found.stable is (apart > 0)
     assert found.count.cells < 2000  # cells, not seconds: they get small by halves
+
+
+@pytest.mark.parametrize(("den", "pole"), [([1, 0], 0j), ([1, -1], 1 + 0j), ([1, 0, 1], 1j)])
+def test_a_pole_that_no_delay_feeds_back_makes_the_gain_infinite(den, pole):
+    """As without the delay: a delay in series moves no pole."""
+    G = rl.tf([1], den)
+    for found in (rl.peak_gain(G), rl.peak_gain(G @ rl.delay(1.0)), rl.peak_gain(rl.delay(0.5) @ G @ rl.delay(1.0))):
+        assert (found.status, found.lower, found.upper) == (rl.Status.CERTIFIED, np.inf, np.inf)
+    known = rl.robust_stability(G @ rl.delay(1.0))
+    assert known.stable is False
+    assert abs(known.root.real - pole.real) + abs(abs(known.root.imag) - pole.imag) < 1e-12
+
+
+def test_a_delay_in_the_loop_moves_the_integrator():
+    loop = (rl.tf([0.3], [1, 0]) @ rl.delay(1.0)).feedback()  # 1 / (1 + L) rises from 0: T falls from 1
+    found = rl.peak_gain(loop)
+    assert found.lower == pytest.approx(1.0, rel=1e-2)
+    assert found.status is rl.Status.CERTIFIED
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"^frequency_response: 0 rad/s hits a pole exactly"):
+        rl.frequency_response(rl.tf([1], [1, 0]) @ rl.delay(1.0), [1.0, 0.0])

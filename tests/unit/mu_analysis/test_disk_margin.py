@@ -207,6 +207,62 @@ def test_a_static_loop_and_one_that_nothing_destabilises():
     json.dumps(plain(disk_margin(rl.StateSpaceModel([], [], [], [[3.0]])).to_json()))
 
 
+def nearly_cancelled(damping: float) -> rl.StateSpaceModel:
+    """A mode on the axis that a zero next to it nearly cancels: in the loop it has a narrow peak."""
+    return rl.tf([5, 10 * damping, 500], np.polymul([1, 0, 100], [1, 1]))
+
+
+def flexible_satellite(notch: float) -> rl.StateSpaceModel:
+    """A rigid body with a lead, and modes at 2 and 5 rad/s under notches that are a little more damped than they."""
+    notches = np.polymul([1, 2 * notch, 4], [1, 2 * notch, 25])
+    modes = np.polymul([1, notch / 3, 4], [1, notch / 4, 25])
+    return rl.tf(np.polymul([4, 0.5], notches), np.polymul([0.05, 1, 0, 0], modes))
+
+
+# One over the largest |S - 1/2|, and over that of |S| / 2, in 50 digits (mpmath) on the transfer functions.
+NARROW = [
+    (nearly_cancelled(1e-3), 0.565210702294, 1.19398552),
+    (nearly_cancelled(1e-4), 0.565229990024, 1.19403871718),
+    (nearly_cancelled(1e-6), 0.565232111757, 1.19404456914),
+    (nearly_cancelled(1e-8), 0.565232132975, 1.19404462766),
+    (flexible_satellite(1e-8), 0.600765436156, 1.30100482268),
+]
+
+
+@pytest.mark.parametrize(("loop", "disk", "additive"), NARROW)
+def test_margins_at_a_nearly_cancelled_mode_are_those_of_its_narrow_peak(loop, disk, additive):
+    from robustlab.norms import bilinear_to_discrete
+
+    uncertain = rl.unstructured(loop, 0.5, "additive").feedback()
+    for margin, truth in [
+        (disk_margin(loop), disk),
+        (disk_margin(bilinear_to_discrete(loop, 0.05)), disk),
+        (rl.robust_stability(uncertain), additive),
+    ]:
+        assert margin.status is rl.Status.CERTIFIED
+        assert margin.lower <= truth * (1 + 1e-6)
+        assert margin.upper == pytest.approx(truth, rel=1e-6)
+        assert margin.lower >= truth * (1 - 1e-4)
+
+
+def test_two_loops_with_narrow_peaks_are_as_good_as_the_worse_one():
+    one, two = nearly_cancelled(1e-7), flexible_satellite(1e-7)
+    loops = append(one.renamed(inputs=["u"], outputs=["y"]), two)
+    margin = disk_margin(loops)
+    assert margin.status is rl.Status.CERTIFIED
+    assert 0.5652321307 * (1 - 2e-4) <= margin.lower <= 0.5652321314
+    assert margin.upper == pytest.approx(0.565232131, rel=1e-6)
+
+
+def test_modes_close_to_each_other_do_not_blur_their_narrow_peaks():
+    """Zeros of damping 1e-8 / 10 and twice that next to modes at 10 and sqrt(100.5) rad/s."""
+    e = 1e-8
+    zeros, modes = np.polymul([1, 2 * e, 100], [1, 4 * e, 100.5]), np.polymul([1, 0, 100], [1, 0, 100.5])
+    margin = disk_margin(rl.tf(5 * zeros, np.polymul(modes, [1, 1])))
+    assert margin.lower <= 0.563978705 * (1 + 1e-6)
+    assert margin.upper == pytest.approx(0.563978705, rel=1e-6)
+
+
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 UNSTABLE = rl.StateSpaceModel([[1.0]], [[1.0]], [[0.5]], [[0.0]])
 TALL = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0], [1.0]], np.zeros((2, 1)))

@@ -173,3 +173,16 @@ def test_the_gain_without_uncertainty_is_no_surer_than_the_norm():
     worst = rl.peak_gain(rl.UncertainModel(little, []))
     assert worst.status is rl.Status.INACCURATE
     assert any("digits were lost" in note for note in worst.notes)
+
+
+def test_the_worst_gain_of_a_nearly_cancelled_mode_is_that_of_its_narrow_peak():
+    """max |S| / (1 - 0.2 |T|) of L = (s^2 + 2e-7 s + 100) / ((s^2 + 100) (s + 1)) times 5, in 50 digits (mpmath)."""
+    L = rl.tf([5, 1e-6, 500], np.polymul([1, 0, 100], [1, 1]))
+    M = rl.StateSpaceModel(
+        L.A - L.B @ L.C, np.hstack([-L.B, L.B]), np.vstack([0.2 * L.C, -L.C]), [[0.0, 0.0], [-1.0, 1.0]]
+    )
+    found = rl.peak_gain(rl.UncertainModel(M, [rl.ComplexScalar("k")]))
+    assert found.status is rl.Status.CERTIFIED
+    assert found.lower <= 2.74200471 * (1 + 1e-5)
+    assert found.lower >= 2.74200471 * (1 - 1e-4)
+    assert 2.74200471 * (1 - 1e-5) <= found.upper <= 2.74200471 * (1 + 1e-3)

@@ -267,7 +267,6 @@ DESIGNS = {
         StateSpaceModel(PLANT.A, PLANT.B[:, [0, 2]], PLANT.C, [[0, 0], [0, 1], [0, 0]]),
         "static", n_meas=1, n_con=1, starts=1, objective="h2",
     ),
-    "h2-hinf": lambda: rl.h2_hinf(PLANT, 1, 1, gamma=1.3, h2_outputs=["x", "effort"], hinf_outputs=["x", "effort"]),
 }  # fmt: skip
 
 

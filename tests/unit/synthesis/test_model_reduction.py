@@ -7,6 +7,7 @@ from fractions import Fraction
 import control
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from slicot_examples import model_of_ab09ad
 
 import robustlab as rl
@@ -283,3 +284,53 @@ def test_the_factor_keeps_gramian_values_below_eps():
 def test_the_factor_refuses_what_has_none(A, B, error, message):
     with pytest.raises(error, match=message):
         lyapunov_factors(A, B, np.transpose(B))
+
+
+# --- least order --------------------
+
+COPIED = rl.StateSpaceModel(  # [1/(s-1); 1/((s-1)(s+2))] with the unstable pole twice
+    [[1, 0, 0], [0, -1, 2], [0, 1, 0]], [[1], [1], [0]], [[1, 0, 0], [0, 0, 1]], [[0], [0]], states=["p", "q", "r"]
+)
+
+
+def test_a_minimal_model_is_exact_where_the_cancellation_is():
+    found = rl.minimal(COPIED)
+    assert (found.order, found.error.upper, found.status.value) == (2, 0.0, "certified")
+    assert found.removed == ("unstable mode 1 rad/s in p, q, r: no input moves it",)
+    assert_allclose(found.model(2j), COPIED(2j), rtol=1e-14)
+    assert rl.minimal(found).order == 2
+    static = rl.minimal(rl.ss([[2.0, 1.0]]))
+    assert (static.order, static.error.upper) == (0, 0.0)
+    assert (
+        rl.minimal(rl.StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)))).order
+        == 0
+    )
+
+
+@pytest.mark.parametrize("method", ["truncation", "coprime"])
+def test_no_reduction_leaves_out_what_an_exact_model_of_that_order_has(method):
+    found = rl.reduce_model(COPIED, 2, method=method)  # truncation kept both copies, and an error of 1/6
+    assert found.order == 2
+    assert found.error.upper < 1e-12
+    assert found.removed == ("unstable mode 1 rad/s in p, q, r: no input moves it",)
+    assert_allclose(found.model(2j), COPIED(2j), rtol=1e-12)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("seed", range(4))
+def test_hidden_modes_in_mixed_states_are_found(seed, dt):
+    rng = np.random.default_rng(seed)
+    poles = [1.0, 1.0, 1.0, -1.0, 0.5, 2.0] if dt else [0.0, 0.0, 0.0, 1.0, -1.0, -3.0]
+    A = np.diag(poles) + np.diag([1.0, 0, 0, 0, 0], 1)
+    # One of two Jordan blocks of the first pole without input, the last pole without output.
+    B, C = rng.normal(size=(6, 2)), rng.normal(size=(2, 6))
+    B[2], C[:, 5] = 0.0, 0.0
+    T, units = np.linalg.qr(rng.normal(size=(6, 6)))[0], 10.0 ** rng.integers(-6, 7, 6)
+    T, back = units[:, None] * T, T.T / units
+    G = rl.StateSpaceModel(T @ A @ back, T @ B, C @ back, np.eye(2), dt)
+    found = rl.minimal(G)
+    assert found.order == 4
+    assert len(found.removed) == 2
+    for s in np.exp([0.4j, 1j]) if dt else (2 + 1j, 0.5j):
+        wanted = C @ np.linalg.solve(s * np.eye(6) - A, B) + np.eye(2)
+        assert_allclose(found.model(s), wanted, rtol=1e-9)

@@ -38,7 +38,7 @@ def test_what_a_split_lost_is_known_to_many_digits():
         gap = exactly(full)(omega) - exactly(split.stable)(omega) - exactly(split.apart)(omega)
         told = rl.frequency_response(lost, [omega])[0, 0, 0]
         assert abs(complex(gap[0, 0]) - told) <= 1e-8 * abs(told)
-    assert 0 < SplitError(split).bound(0.0).upper < 1e-4
+    assert 0 < SplitError(lost, split.apart.poles(), split.stable.poles(), 0.0).bound(0.0).upper < 1e-4
 
 
 def test_no_error_is_exceeded_where_modes_on_the_boundary_have_huge_gains():

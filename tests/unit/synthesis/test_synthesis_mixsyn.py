@@ -144,3 +144,17 @@ def test_a_list_of_models_is_no_weight():
     lag = StateSpaceModel(-1, 1, 1, 0)
     with pytest.raises(InputError, match="mixsyn: W1: a list that is no matrix"):
         mixsyn(lag, [lag], 0.1)
+
+
+def test_the_report_gives_the_poles_of_the_loop_apart_from_those_of_the_weights():
+    """The weight's pole at bandwidth times error = 0.15 1/s is never moved; the loop's are those of G and K alone."""
+    G = StateSpaceModel([[0, 1], [-100, -20]], [[0], [200]], [[1, 0]], [[0]])
+    design = mixsyn(G, performance_weight(15.0, error=0.01), control_weight(20.0, bandwidth=1000.0))
+    K = design.K
+    loop = np.block([[G.A - G.B @ K.D @ G.C, G.B @ K.C], [-K.B @ G.C, K.A]])
+    assert design.closed_loop_abscissa == pytest.approx(np.linalg.eigvals(loop).real.max(), rel=1e-6)
+    facts = dict(design.facts())
+    assert facts["weights and filters, rightmost pole"] == "-0.15 1/s"
+    assert float(facts["closed loop, rightmost pole"].split()[0]) == pytest.approx(
+        design.closed_loop_abscissa, rel=1e-3
+    )

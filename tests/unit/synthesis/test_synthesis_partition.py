@@ -128,13 +128,14 @@ def test_a_bare_plant_hears_of_its_performance_before_the_sample_times(dt, contr
         rl.sampled_data_norm(P, StateSpaceModel([], [], [], [[-5.0]], controller_dt))
 
 
-def test_channels_of_delta_are_no_performance():
+@pytest.mark.parametrize("design", [rl.dk, rl.hinf, rl.h2, lambda s, **n: rl.fixed_structure(s, 1, **n)])
+def test_channels_of_delta_are_no_performance(design):
     """Each member of the set has neither w nor z, so that no gain of it can be made small."""
     uncertain = UncertainModel(
         StateSpaceModel([[-1.0]], [[0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [RealScalar("p")]
     )
-    with pytest.raises(InputError, match="no disturbance w and no performance output z"):
-        rl.fixed_structure(uncertain, 1, n_meas=1, n_con=1)
+    with pytest.raises(InputError, match="no performance channel is left"):
+        design(uncertain, n_meas=1, n_con=1)
 
 
 def test_the_smallest_gamma_found_is_the_smallest():

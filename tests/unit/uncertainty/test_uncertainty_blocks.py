@@ -124,3 +124,13 @@ def test_widths_that_are_none(widths):
 def test_ends_that_are_none(ends):
     with pytest.raises(InputError, match="low < nominal < high"):
         ParameterRange.between(*ends)
+
+
+@pytest.mark.parametrize(
+    "use",
+    [lambda k: -k, lambda k: 2 * k, lambda k: k / 3, lambda k: 1 + k, lambda k: k**2, lambda k: np.eye(2) * k],
+)
+def test_arithmetic_with_a_block_points_to_expressions(use):
+    for block in (RealScalar("k"), FullBlock("k", 2, 2)):
+        with pytest.raises(TypeError, match=r"'k' is an uncertainty block, no number\nhint: rl\.parametric"):
+            use(block)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import control
 import numpy as np
 import pytest
 
+import robustlab as rl
+from robustlab.cli import main
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
@@ -220,3 +224,22 @@ def test_one_block_for_each_cause():
         by_cause(nominal, {})
     with pytest.raises(InputError, match="perturbed A is"):
         by_cause(nominal, {"mass": StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])})
+
+
+@pytest.mark.parametrize(
+    ("pole", "gain", "remark"),
+    [
+        (0.5, 1.0, "the perturbed model is not stable, the nominal one is: pole 0.5"),
+        (-1.0, 1.0, "no uncertainty: the two models are equal"),
+        (-1.0, 1e30, r"an entry of 1e\+30"),
+    ],
+)
+def test_a_doubtful_pair_is_warned_of(pole, gain, remark, tmp_path, capsys):
+    nominal, perturbed = (rl.StateSpaceModel([[a]], [[b]], [[1.0]], [[0.0]]) for a, b in ((-1.0, 1.0), (pole, gain)))
+    with pytest.warns(UserWarning, match=remark):
+        rl.elementwise(nominal, perturbed)
+    files = [str(tmp_path / name) for name in ("nominal.h5", "perturbed.h5", "set.h5")]
+    rl.save(files[0], nominal)
+    rl.save(files[1], perturbed)
+    assert main.run(["uncertain", "build", *files[:2], "--out", files[2]]) == 0
+    assert re.search(f"warning: {remark}", capsys.readouterr().err)

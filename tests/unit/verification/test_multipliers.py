@@ -163,19 +163,6 @@ def test_linear_members_never_exceed_what_is_proved(seed):
             assert np.linalg.norm(M[5:, 4:] + M[5:, :4] @ inner, 2) <= gamma
 
 
-def test_anti_windup_is_proved_of_plant_and_controller_as_they_are():
-    plant = rl.StateSpaceModel([[-0.1]], [[1.0]], [[1.0]], [[0.0]])
-    pi = rl.StateSpaceModel([[0.0]], [[-1.0]], [[2.0]], [[-3.0]])
-    found = rl.anti_windup(plant, pi)
-    made = claims_of(found)
-    assert [c.kind for c in made] == ["iqc-gain"] * 2  # without anti-windup there is no finite gain
-    assert rl.verify(found).proved
-    assert [c.bound for c in rl.verify(found).claims] == pytest.approx([found.proved.upper, found.back.upper], rel=2e-6)
-    assert (made[0].numbers["K_B"][:, 1:] == found.L).all()
-    assert outcome(made[0], K_B=np.hstack([pi.B, 0 * found.L])) is Outcome.NOT_PROVED
-    assert outcome(made[0], gamma=0.9 * found.proved.upper) is Outcome.NOT_PROVED
-
-
 def test_effects_of_a_plant():
     rough = rl.with_effects(rl.plant("servo-axis"), {"input-saturation": {"u_max": 10.0}})
     K = rl.StateSpaceModel([[-300.0]], [[1.0]], [[-90000.0]], [[320.0]])

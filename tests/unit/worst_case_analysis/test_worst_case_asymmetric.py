@@ -174,12 +174,6 @@ def test_campaigns_of_vertices_and_of_searches_reach_the_true_end():
     assert searched.deltas.tolist() == [[-1.0]]
 
 
-def test_streamed_envelope_holds_both_ends():
-    found = sample(lag(), 100, vertices="all").stream(T)
-    for bound, pole in ((found.upper, 0.25), (found.lower, 1.5)):
-        np.testing.assert_allclose(bound[:, 0], (1 - np.exp(-pole * T)) / pole, atol=1e-12)
-
-
 def test_probability_is_that_of_the_range():
     """1 / a > 2 for a < 0.5: a fifth of [0.25, 1.5] (a sixth of the deltas, were they uniform in [-1, 1])."""
     found = violation_probability(lag(), "hinf", 2.0, n=4000, seed=1)

@@ -1,10 +1,9 @@
-"""Every metric: closed forms, a second path, exact gradients against central differences, purity of batches."""
+"""Every metric: closed forms, a second path, gradients against central differences, purity of batches."""
 
 from __future__ import annotations
 
 import pickle
 
-import control
 import numpy as np
 import pytest
 
@@ -39,7 +38,7 @@ def request(metric, model, hold="zoh"):
     u = np.random.default_rng(5).standard_normal((120, 2))
     if metric in ("overshoot", "settling-time"):
         t, u = 0.1 * np.arange(1500), {model.inputs[0].name: 1.0}
-    return MetricRequest(metric, None if metric == "controllability" else model.outputs[0].name, None, t, u, hold)
+    return MetricRequest(metric, model.outputs[0].name, None, t, u, hold)
 
 
 CASES = [(dt, hold, seed) for dt, hold in ((0.0, "zoh"), (0.0, "foh"), (0.1, "zoh")) for seed in (0, 2)]
@@ -56,8 +55,8 @@ def test_two_ways_and_the_gradient_agree(metric, dt, hold, seed):
     assert np.isfinite(value)
     assert abs(value - judge.evaluate(dict(zip("abc", theta, strict=True))).value) <= judge.slack(value)
     assert abs(value - judge.values(search.box.deltas(theta[None]))[0]) <= 1e-9 * max(1.0, abs(value))
-    if not search._has_slope(theta):
-        assert metric in ("settling-time", "controllability", "hankel")
+    if metric == "settling-time":
+        assert not judge.smooth
         return
     score, slope = search._score_and_slope(theta, _Climb(theta, -np.inf, Budget()))
     assert score == pytest.approx(judge.sense * value, rel=1e-12)
@@ -123,42 +122,6 @@ def test_damping_is_smallest_where_it_is_worst():
     assert found.label.startswith("sampled: an upper bound")
 
 
-def test_hankel_value_of_a_lag():
-    """Gramians of 1 / (s + p) are 1 / (2 p), both."""
-    found = worst_case(lag(), "hankel")
-    assert found.value == pytest.approx(1 / (2 * 1.2), rel=1e-9)
-    assert found.delta == {"pole": 1.0}
-
-
-def test_hankel_values_against_another_program():
-    model = random_set(3)
-    judge = make_metric(model, request("hankel", model))
-    member = judge.uncertain.evaluate({"a": 0.5, "b": -1.0})
-    assert judge.evaluate({"a": 0.5, "b": -1.0}).value == pytest.approx(
-        float(np.min(control.hankel_singular_values(member.to_control()))), rel=1e-6
-    )
-
-
-def test_relative_reach_of_a_lag():
-    """W(T) = (1 - exp(-2 p T)) / (2 p), against p = 1."""
-    found = worst_case(lag(), "controllability", t=[0.0, 3.0])
-    gramian = [(1 - np.exp(-2 * p * 3)) / (2 * p) for p in (1.2, 1.0)]
-    assert found.value == pytest.approx(gramian[0] / gramian[1], rel=1e-9)
-    assert found.nominal_value == pytest.approx(1.0, rel=1e-9)
-
-
-def test_relative_reach_does_not_see_units():
-    def scaled(s):
-        a, b = np.array([[0.0, 1.0], [2.0, -0.3]]), np.array([[0.0], [1.0]])
-        pair = [StateSpaceModel(s[:, None] * m / s, s[:, None] * b, np.eye(2), np.zeros((2, 1))) for m in (a, 1.3 * a)]
-        return elementwise(*pair)
-
-    units = np.ones(2), np.array([1e4, 1e-3])
-    one, two = (worst_case(scaled(s), "controllability", t=[0.0, 1.5]).value for s in units)
-    assert one == pytest.approx(two, rel=1e-6)
-    assert 0 < one < 1
-
-
 def test_a_function_of_the_model():
     def static_gain(model):
         return float(model.dc_gain()[0, 0])
@@ -188,7 +151,7 @@ def test_effort_is_a_metric_of_the_control_signal():
 # --- where there is no bounded value ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("metric", ["settling-time", "overshoot", "h2", "hinf", "hankel"])
+@pytest.mark.parametrize("metric", ["settling-time", "overshoot", "h2", "hinf"])
 def test_unstable_members_are_said_to_be(metric):
     found = worst_case(lag(1.5), metric, t=T)
     assert np.isinf(found.value)
@@ -213,7 +176,6 @@ def test_a_member_that_needs_longer_is_not_called_unstable():
         (lambda: worst_case(lag(), "overshoot", t=T, u=np.sin(T)), InputError, "an input that changes"),
         (lambda: worst_case(lag(), "overshoot", t=T, u=0 * T), NoTrustworthyNumber, "settles at 0"),
         (lambda: worst_case(lag(), "peak", t=T, workers=0), InputError, "workers is 0"),
-        (lambda: worst_case(lag(), "controllability", t=[0.0, 0.0]), InputError, "horizon"),
     ],
 )
 def test_requests_that_make_no_sense(call, error, text):
@@ -225,20 +187,17 @@ def test_requests_that_make_no_sense(call, error, text):
 def test_metrics_that_need_more_than_they_get():
     free = StateSpaceModel([[0.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
     direct = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]])
-    lost = StateSpaceModel([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [0.0]], [[1.0, 1.0]], [[0.0]])
     gain = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]])
     for model, metric, text in [
         (free, "overshoot", "not asymptotically stable"),
         (direct, "h2", "direct term"),
-        (lost, "controllability", "not controllable"),
     ]:
         with pytest.raises(NoTrustworthyNumber, match=text):
             worst_case(elementwise(model, model), metric, t=T)
-    for metric in ("damping", "controllability", "hankel"):
-        with pytest.raises(InputError, match="states"):
-            worst_case(elementwise(gain, gain), metric, t=T)
+    with pytest.raises(InputError, match="states"):
+        worst_case(elementwise(gain, gain), "damping", t=T)
     m = StateSpaceModel([[-1.0]], [[0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    for metric in ("h2", "rms", "hankel", "controllability"):
+    for metric in ("h2", "rms"):
         with pytest.raises(InputError, match="complex"):
             worst_case(UncertainModel(m, [ComplexScalar("d")]), metric, t=T)
 

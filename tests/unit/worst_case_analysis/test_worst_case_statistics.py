@@ -112,8 +112,9 @@ def test_what_is_to_be_shown():
 
 
 def test_a_measure_whose_smallest_value_is_the_worst():
-    lag = elementwise(*(StateSpaceModel([[-p]], [[1.0]], [[1.0]], [[0.0]]) for p in (1.0, 1.5)))
-    found = violation_probability(lag, "hankel", 0.4, n=2000)  # 1 / (2 p) < 0.4: p > 1.25, half of the upper half
+    b, c, d = [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]]
+    lag = elementwise(*(StateSpaceModel([[0.0, 1.0], [-1.0, -2 * z]], b, c, d) for z in (0.3, 0.4)))
+    found = violation_probability(lag, "damping", 0.25, n=2000)  # 0.3 + 0.1 delta < 0.25: a quarter of the range
     assert found.sense == -1
     assert found.lower < 0.25 < found.upper
 

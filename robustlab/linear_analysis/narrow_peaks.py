@@ -1,0 +1,71 @@
+"""Modes next to the frequency axis: the frequencies of their narrow peaks, and states that keep them apart."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robustlab.arrays import AnyArray, Array
+from robustlab.linear_analysis.magnitude import balancing_factors
+from robustlab.statespace import StateSpaceModel
+
+__all__ = ["modes_apart", "narrow_frequencies"]
+
+# Distance of a pole from the axis, in shares of its frequency, below which a grid may step over its peak.
+NARROW = 0.02
+# Where in a peak to look, in half widths: there the response has turned by equal angles.
+INSIDE = np.tan(np.pi / 8 * np.arange(-3, 4))
+# Distance from the axis, in shares of the size of A, below which rounding of A moves the peak noticeably.
+BLURRED = 1e-6
+# Product of the left and right eigenvector below which a mode is too much like another one to be parted from it.
+ALIKE = 1e-4
+# Bits in which states are changed: what is left of much larger terms keeps all digits of a double.
+BITS = 192
+
+
+def narrow_frequencies(poles: AnyArray) -> Array:
+    """Frequencies in rad/s inside the peak of every pole (of the s-plane) that is next to the frequency axis."""
+    distance, at = np.abs(np.real(poles))[:, None], np.imag(poles)[:, None]
+    return np.unique((at + distance * INSIDE)[(at[:, 0] > 0) & (distance < NARROW * at)[:, 0]])
+
+
+def modes_apart(model: StateSpaceModel) -> StateSpaceModel:
+    """The model in states in which modes whose damping rounding blurs are decoupled from all others.
+
+    A mode that a zero nearly cancels is driven or seen by what is left of large terms; in a state of its own, scaled to
+    be as well driven as seen, that is a small number with all its digits. States are changed in ball arithmetic: only
+    entries of the result are rounded, so the response stays whatever the basis is.
+    """
+    poles = model.poles()
+    if model.is_discrete:
+        poles = np.log(poles[np.abs(poles) > 0])
+    light = (poles.imag > 0) & (np.abs(poles.real) < NARROW * poles.imag)
+    if not light.any():
+        return model
+    t = balancing_factors(model.A)
+    A, B, C = model.A / t[:, None] * t, model.B / t[:, None], model.C * t
+    poles = poles[light & (np.abs(poles.real) < BLURRED * np.linalg.norm(A, 1))]
+    if not len(poles):
+        return model
+    from scipy.linalg import eig, qr
+
+    from robustlab.verification.balls import exact, midpoints, precision
+
+    values, left, right = eig(A, left=True, right=True)
+    if model.is_discrete:
+        poles = np.exp(poles)
+    chosen = np.abs(values - poles[:, None]).argmin(axis=1)
+    left, right = left[:, chosen], right[:, chosen]
+    inner = np.abs((left.conj() * right).sum(axis=0))  # of vectors of length one
+    left, right, inner = left[:, inner > ALIKE], right[:, inner > ALIKE], inner[inner > ALIKE]
+    driven = np.linalg.norm(left.conj().T @ B, axis=1) / inner
+    seen = np.linalg.norm(C @ right, axis=0)
+    with np.errstate(all="ignore"):
+        size = 2.0 ** np.round(0.5 * np.log2(driven / seen))
+    right = right * np.where(np.isfinite(size) & (size > 0), size, 1.0)
+    others = qr(np.hstack([left.real, left.imag]))[0][:, 2 * len(inner) :]
+    T = np.hstack([others, np.stack([right.real, right.imag], axis=2).reshape(len(A), -1)])
+    with precision(BITS):
+        basis = exact(T)
+        parts = basis.solve(exact(A) * basis), basis.solve(exact(B)), exact(C) * basis
+        A, B, C = (midpoints(part) for part in parts)
+    return StateSpaceModel(A, B, C, model.D, model.dt, model.inputs, model.outputs)

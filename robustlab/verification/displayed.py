@@ -1,0 +1,254 @@
+"""What a file displays, compared with what its claims prove: a reader reads the one, and the proof is of the other.
+
+Two bonds. The digest, an attribute of the group of claims, is the content hash of all the rest of the file: names,
+units, signs, sample times, shapes, status, every number. And the numbers that a kind of result stands for (`SHOWN`) are
+compared with those that were proved: a digest that somebody made anew is then of no use to him.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from robustlab.files.tree import Dataset, Tree, Unread, digest_beside_claims, signal_name, text_attr
+from robustlab.verification.balls import PRECISIONS, precision
+from robustlab.verification.checker import KINDS
+from robustlab.verification.claim import Claim, Outcome, Verification
+from robustlab.verification.members import ALLOWANCE
+from robustlab.verification.models import gain_exceeds, model_of, on_the_axis
+
+ROUNDING = 2e-6  # of a number: claims are made 1e-6 above what was found
+
+# What is displayed -> which quantity of a claim it has to be. "peak": the bound of a norm, a gain or mu, and "1/peak"
+# the margin that it gives; "h2": of an H2 norm; "attained": a lower bound of mu; "level": of the gain that a size is
+# asked for; "inside": a norm of at most one, or parameters within their ranges; "gain": what the model's gain at the
+# displayed frequency is at least. Braces: the model of that name in a claim, to the last bit, with "+" a part of it.
+Rules = Mapping[str, str]
+GAIN: Rules = {"upper": "peak"}
+MARGIN: Rules = {"lower": "1/peak"}
+MARGIN_FOUND: Rules = {**MARGIN, "upper": "1/attained"}
+DESIGN: Rules = {"gamma": "peak", "K": "K_{}"}
+H2_DESIGN: Rules = {"gamma": "h2", "K": "K_{}"}
+ANY = "peak h2 1/peak"
+SHOWN: Mapping[str, Rules] = {
+    "HinfNorm": {**GAIN, "lower": "gain", "value": "gain"},
+    **dict.fromkeys(("WorstCaseGain", "DelayGain", "IqcGain", "EffectGain", "LPVGain", "Passivity"), GAIN),
+    **dict.fromkeys(("SmallGain", "DiskMargin", "DiskMargins", "DelayDiskMargins", "DelayStability"), MARGIN),
+    "CoprimeMargin": {**MARGIN, "value": "1/peak"},
+    "IqcStability": {**MARGIN, "margin": "1/peak"},
+    **dict.fromkeys(("Margin", "PerformanceMargin"), MARGIN_FOUND),
+    "RobustGain": {**MARGIN, "level": "level"},
+    **dict.fromkeys(("HinfSynthesis", "NcfSynthesis", "TwoDegreeSynthesis", "DKSynthesis", "DelayedDesign"), DESIGN),
+    **dict.fromkeys(("H2Synthesis", "LqgSynthesis"), H2_DESIGN),
+    "MixedSynthesis": {**H2_DESIGN, "hinf_norm/upper": "peak"},
+    "ReducedController": {**DESIGN, "gamma": ANY},
+    "FixedSynthesis": {**DESIGN, "gamma": ANY},
+    "TunedSynthesis": {**DESIGN, "gamma": ANY, "goals/*/value": ANY},
+    "LPVSynthesis": {"gamma": "peak"},
+    "H2Norm": {"value": "h2"},
+    "MuBounds": {"upper": "peak", "lower": "attained"},
+    "ReducedModel": {"error/upper": "peak", "model": "{}2 K_{}+"},
+    "BuiltModel": {"M": "{}"},
+    "Cover": {"sizes": "inside"},
+    "NeglectedWeight": {"weight": "W_{}"},
+    "AntiWindup": {"proved/upper": "peak", "controller": "K_{}+"},
+}  # fmt: skip
+CONTROLLER: Rules = {"gamma": ANY, "": "K_{}"}
+MODELS = ("norm", "bounded-real", "loop-norm", "difference-norm", "mu-axis")  # claims about one model's gain
+PATTERNS = ("{}", "K_{}", "P_{}", "W_{}", "{}0", "{}1", "{}2")  # of the models in claims
+SAYS_NOTHING = {"peak": math.inf, "h2": math.inf, "1/attained": math.inf, "1/peak": 0.0, "attained": 0.0,
+                "gain": 0.0}  # fmt: skip
+
+
+def displayed(
+    root: Tree, claims: Sequence[Claim], found: Sequence[Verification]
+) -> tuple[list[Verification], list[str], list[str]]:
+    """What became of the digest and of each number that the file stands for; its other numbers; remarks.
+
+    ``claims``, ``found``: the claims of the file, and what became of each: only those that were proved count.
+    """
+    proved = [claim for claim, one in zip(claims, found, strict=True) if one.outcome is Outcome.PROVED]
+    controller = text_attr(root.attrs, "kind") == "controller"
+    top = root if controller else root.groups.get("data", Tree(path="/data"))
+    kind = "controller" if controller else text_attr(root.attrs, "type") or ""
+    rules = CONTROLLER if controller else SHOWN.get(kind, {})
+    rows = [_digest(root)]
+    if not rules:
+        rows.append(_row(f"no claim is known to say what a file of kind {kind!r} displays", False))
+    covered: set[str] = set()
+    for path, rule in rules.items():
+        places = dict(places_at(top, path))
+        if not places and not controller:
+            rows.append(_row(f"{top.path}/{path} is missing", False))
+        for place, thing in places.items():
+            rows += _compared(place, thing, rule, proved, top)
+            covered |= _numbers_of(place, thing)
+    for _, part in top.walk():  # results and models within the result: not what it stands for, yet proved or not
+        if isinstance(part, Tree):
+            for path, rule in SHOWN.get(_type(part), {}).items():
+                places = dict(places_at(part, path))
+                for place, thing in places.items():
+                    if all(row.outcome is Outcome.PROVED for row in _compared(place, thing, rule, proved, part)):
+                        covered |= _numbers_of(place, thing)
+            if "A" in part.datasets and any(_same(part, pattern, proved) for pattern in PATTERNS):
+                covered |= _numbers_of(part.path, part)
+    unstamped = [] if "content_sha256" in root.attrs else ["the file carries no content_sha256"]
+    return rows, _others(top, covered), unstamped
+
+
+def _row(text: str, good: bool) -> Verification:
+    return Verification(text, Outcome.PROVED if good else Outcome.NOT_PROVED, None, "", 0)
+
+
+def _digest(root: Tree) -> Verification:
+    told = text_attr(root.groups["claims"].attrs, "content_sha256")
+    if told is None:
+        return _row("the claims carry no digest of the file, as in files of earlier versions: names, units, signs, "
+                    "sample times, status and other numbers are not bound to them", False)  # fmt: skip
+    if told != digest_beside_claims(root):
+        return _row("the file was changed after its claims were written: their digest of it does not match", False)
+    return _row("the rest of the file is, to the last bit, what the claims were written with", True)
+
+
+def places_at(node: Tree, path: str) -> Iterator[tuple[str, Dataset | Tree]]:
+    """What lies at a path, with its full path; ``*`` is any group, an attribute counts as a number."""
+    first, _, rest = path.partition("/")
+    if not first:
+        yield node.path, node
+    elif first == "*":
+        for group in node.groups.values():
+            yield from places_at(group, rest)
+    elif first in node.groups:
+        yield from places_at(node.groups[first], rest)
+    elif first in node.datasets:
+        yield node.child_path(first), node.datasets[first]
+    elif first in node.attrs:
+        yield node.child_path(first), Dataset(np.asarray(node.attrs[first]))
+
+
+def _numbers_of(place: str, thing: Dataset | Tree) -> set[str]:
+    """The paths of a number, or of those of a model."""
+    return {thing.child_path(name) for name in ("A", "B", "C", "D", "dt")} if isinstance(thing, Tree) else {place}
+
+
+def _type(node: Tree) -> str:
+    """The class of the result that a group holds; empty where it holds none."""
+    said = node.datasets.get("type")
+    return str(said.values) if said is not None and not isinstance(said.values, Unread) else ""
+
+
+def _compared(place: str, thing: Dataset | Tree, rule: str, proved: Sequence[Claim], near: Tree) -> list[Verification]:
+    """A row for each number, or for the model, that has to be one of the claims'; ``near``: the result that has it."""
+    place = signal_name(place).strip("/") or "the controller"
+    if isinstance(thing, Tree):
+        same = any(_same(thing, pattern, proved) for pattern in rule.split() if "{" in pattern)
+        return [_row(f"{place} is {'the' if same else 'not the'} model of a claim that was proved", same)]
+    if isinstance(thing.values, Unread) or thing.values.dtype.kind not in "fi" or not thing.values.size or "{" in rule:
+        return [_row(f"{place} is not what the claims prove: a {'model' if '{' in rule else 'number'}", False)]
+    values = np.ravel(thing.values).tolist()
+    names = [place] if len(values) == 1 else [f"{place}[{i}]" for i in range(len(values))]
+    known = [v for word in rule.split() for claim in proved for v in _quantity(claim, word)]
+    if rule == "gain":
+        at = near.datasets.get("frequency", Dataset(np.array("")))
+        below = [v * (1 - ROUNDING / 2) for v in values]
+        known = [v for v in below if any(_reached(claim, at.values, v) for claim in proved if claim.kind in MODELS)]
+    return [_number(name, float(x), rule.split(maxsplit=1)[0], known) for name, x in zip(names, values, strict=True)]
+
+
+def _number(name: str, x: float, word: str, known: Sequence[float]) -> Verification:
+    if x == SAYS_NOTHING.get(word):
+        return _row(f"{name} is {x:.9g}, which says nothing", True)
+    wanted = max(x, 1.0) if word == "inside" else x  # how far inside no claim says
+    if not known:
+        return _row(f"{name} is {x:.9g}, and no claim that was proved speaks of it", False)
+    near = min(known, key=lambda v: abs(v - wanted) if v != wanted else -1.0)
+    return _row(f"{name} is {x:.9g}, the claim proves {near:.9g}", near == wanted or
+                abs(near - wanted) <= ROUNDING * abs(wanted) < math.inf)  # fmt: skip
+
+
+def _quantity(claim: Claim, word: str) -> list[float]:
+    """The numbers of a claim that bear this name (`Rules`)."""
+    number, below = KINDS[claim.kind].number, KINDS[claim.kind].below
+    values = np.ravel(claim.numbers[number]).tolist() if number else []
+    if word.startswith("1/"):
+        return [1 / v if v else math.inf for v in _quantity(claim, word[2:])]
+    if word == "h2":
+        return values if number == "value" else []
+    if word == "attained":
+        return [1 / max(_sizes(claim))] if claim.kind == "unstable-member" else values if below else []
+    if word == "level":
+        return np.ravel(claim.numbers["level"]).tolist()[-1:] if claim.kind == "mu-boxes" else []
+    if word == "inside":
+        return [1.0] if claim.kind == "set" and "delta" in claim.numbers else values
+    if claim.kind in ("stable", "delayed-stable"):
+        return [0.0]  # nothing is uncertain
+    return [1 / v for v in values] if number == "size" else values if number in ("gamma", "level") and not below else []
+
+
+def _reached(claim: Claim, frequency: Any, level: float) -> bool:
+    """Whether the gain of the claim's model at a frequency (rad/s, a number) is proved to be at least this level."""
+    if np.shape(frequency) != () or np.asarray(frequency).dtype.kind != "f" or not frequency >= 0 or not level > 0:
+        return False
+    with precision(PRECISIONS[1]):
+        G = model_of(claim)
+        mapped, w = (on_the_axis(G), math.tan(frequency * G.dt / 2)) if G.dt else (G, float(frequency))
+        return mapped is not None and gain_exceeds(mapped, w, level)
+
+
+def _sizes(claim: Claim) -> list[float]:
+    """How large each block of a Delta may be, as a share of its range where that is not -1 to 1."""
+    blocks, ranges = claim.numbers["blocks"], np.asarray(claim.numbers.get("ranges", 0.0))
+    sizes = [ALLOWANCE / level for level in np.broadcast_to(claim.numbers["level"], len(blocks)).tolist()]
+    if ranges.shape != (len(blocks), 2) or ranges.dtype.kind != "f":
+        return sizes
+    at = 0
+    for i, (kind, rows, _) in enumerate(blocks.tolist()):
+        if kind == 0:
+            end = abs(float(ranges[i, int(claim.numbers["delta"][at, at].real > 0)]))
+            sizes[i] = sizes[i] / end if end else math.inf
+        at += rows
+    return sizes
+
+
+def _same(node: Tree, pattern: str, claims: Sequence[Claim]) -> bool:
+    """Whether a claim has the model in this group under the pattern's names, dt included."""
+    own: dict[str, Any] = {letter: node.datasets[letter].values for letter in "ABCD" if letter in node.datasets}
+    dt: Any = node.datasets["dt"].values if "dt" in node.datasets else node.attrs.get("dt", 0.0)
+    if len(own) < 4 or any(isinstance(X, Unread) or X.ndim != 2 for X in own.values()):
+        return False
+    for claim in claims:
+        named: list[Any] = [claim.numbers.get(pattern.rstrip("+").format(letter)) for letter in "ABCD"]
+        if all(X is not None and X.ndim == 2 for X in named) and np.array_equal(dt, claim.numbers.get("dt", dt)):
+            found = _in_parts(own, named) if pattern.endswith("+") else map(np.array_equal, own.values(), named)
+            if all(found):
+                return True
+    return False
+
+
+def _in_parts(own: Mapping[str, Any], named: Sequence[Any]) -> Iterator[bool]:
+    """Whether a model is one of those that stand side by side in a larger one: states, inputs and outputs in a row."""
+    n, (p, m), (N, (P, M)) = len(own["A"]), own["D"].shape, (len(named[0]), named[3].shape)
+    places = [(slice(i, i + n), slice(j, j + m), slice(k, k + p))
+              for i in range(N - n + 1) for j in range(M - m + 1) for k in range(P - p + 1)]  # fmt: skip
+    A, B, C, D = named
+    yield any(all(map(np.array_equal, own.values(), (A[x, x], B[x, u], C[y, x], D[y, u]))) for x, u, y in places)
+
+
+def _others(node: Tree, covered: set[str], above: str = "") -> list[str]:
+    """The numbers that are not covered; a group in which none is has one name."""
+    told = [f"{above}{signal_name(link)}" for link, dataset in node.datasets.items()
+            if _is_number(dataset) and node.child_path(link) not in covered]  # fmt: skip
+    for link, group in node.groups.items():
+        name = f"{above}{signal_name(link)}"
+        if any(path.startswith(f"{group.path}/") for path in covered):
+            told += _others(group, covered, f"{name}/")
+        elif group.path not in ("/claims", "/provenance") and any(map(_is_number, dict(group.walk()).values())):
+            told.append(name)
+    return told
+
+
+def _is_number(thing: Dataset | Tree) -> bool:
+    return isinstance(thing, Dataset) and not isinstance(thing.values, Unread) and thing.values.dtype.kind in "fibc"

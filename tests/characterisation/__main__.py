@@ -1,0 +1,62 @@
+"""The table of what is as it was: ``python tests/characterisation [SUBJECT ...] [OPTIONS]``.
+
+Without options the fast cases are asked and compared, and a table is printed: subject, cases, equal, different, CPU s.
+``--all``: the slow ones, too. ``--record`` writes what is answered now, for the cases that are asked; ``--noise`` asks
+again, best with OPENBLAS_CORETYPE=Nehalem and another number of threads, and writes where rounding moves a number by
+more than its tolerance: that becomes its tolerance, three times over.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import warnings
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+TESTS = Path(__file__).resolve().parents[1]
+sys.path[:1] = [str(TESTS), str(TESTS.parent / "benchmarks")]
+
+from characterisation import cases as c  # noqa: E402
+
+
+def main() -> int:
+    """How many cases differ, at most 1."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("subjects", nargs="*", default=c.SUBJECTS)
+    parser.add_argument("--all", action="store_true")
+    parser.add_argument("--case", action="append", default=[])
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--record", action="store_true")
+    what.add_argument("--noise", action="store_true")
+    asked = parser.parse_args()
+    rows = [f"{'subject':16s}{'cases':>7s}{'equal':>7s}{'different':>11s}{'CPU s':>8s}"]
+    told: list[str] = []
+    for subject in asked.subjects:
+        entries, equal, spent, count = c.stored(subject), 0, 0.0, 0
+        for name, case in c.chosen(subject, asked.case, asked.all).items():
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                found, cpu = c.answer(case)
+            spent, count = spent + cpu, count + 1
+            if asked.record:
+                entries[name] = c.entry_of(case, found, cpu)
+            elif asked.noise:
+                moved = {k: by for k, (by, _) in c.differences(subject, entries[name], found).items() if by < 1}
+                if moved:
+                    noise = entries[name].get("noise", {})
+                    entries[name]["noise"] = noise | {k: float(f"{by:.2g}") for k, by in moved.items()}
+            wrong = c.differences(subject, entries[name], found) if name in entries else {"": (0, "not recorded")}
+            equal += not wrong
+            told += [f"{subject}: {name}: {text}"[:300] for _, text in list(wrong.values())[:6]]
+            print(f"{subject}: {name}: {cpu} s", file=sys.stderr, flush=True)
+            if asked.record or asked.noise:  # read again: another process may record other cases
+                c.store(subject, c.stored(subject) | {name: entries[name]})
+        rows.append(f"{subject:16s}{count:7d}{equal:7d}{count - equal:11d}{spent:8.1f}")
+    print("\n".join([*rows, *told]))
+    return int(any(told))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

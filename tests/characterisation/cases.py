@@ -1,0 +1,226 @@
+"""What a case is, how its answer becomes plain numbers and words, and when two answers are the same.
+
+An answer is a tree of mappings. Its leaves are compared by what they are:
+
+- ``{"lower": .., "upper": ..}``, with anything beside them: a bracket. A later one has to overlap it, and its gap, over
+  its upper end, may be larger by 1e-3. What algorithm finds it may change.
+- A number: to the relative tolerance of its key in ``RTOLS`` of the subject, else to ``RTOL``, and never finer than
+  three times the noise that was learned by running the case again.
+- ``work``: a count of work, at most 1.3 times the recorded one.
+- Words, verdicts, statuses, truth values, counts in text: exactly.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import robustlab as rl
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+SHARED = ROOT.parent / "shared" / "data"
+DATA = HERE / "data"
+SUBJECTS = ("bounds", "margins", "models", "sets", "records", "files", "designs", "robust_designs", "campaign",
+            "commands", "recipes", "naming")  # fmt: skip
+# A list longer than this is told by its length, its norm, its first and its last number.
+LONG = 6
+GAP = 1e-3
+ATOL = 1e-12
+WORK = 1.3
+
+
+@dataclass(frozen=True)
+class Case:
+    """A question with a name; ``run`` asks it.
+
+    ``shared``: it needs the data beside the checkout; ``rtol``: the least tolerance of its numbers.
+    """
+
+    name: str
+    run: Callable[[], Mapping[str, Any]]
+    slow: bool = False
+    shared: bool = False
+    rtol: float = 0.0
+
+
+def cases_of(subject: str) -> dict[str, Case]:
+    """All cases of a subject by name; those that need data which are absent are left out."""
+    return {case.name: case for case in import_module(f"characterisation.{subject}").cases()}
+
+
+def answer(case: Case) -> tuple[dict[str, Any], float]:
+    """What a case answers, and the CPU seconds that it took; a refusal is an answer, too."""
+    started = _spent()
+    try:
+        found = plain(case.run())
+    except (rl.InputError, rl.NoTrustworthyNumber) as error:
+        found = {"refused": "InputError" if isinstance(error, rl.InputError) else "NoTrustworthyNumber"}
+    return found, round(_spent() - started, 2)
+
+
+def _spent() -> float:
+    """CPU seconds of this process and of its children that have ended."""
+    return sum(os.times()[:4])
+
+
+def plain(value: Any) -> Any:
+    """A tree that JSON can hold: long lists told shortly, numbers that are not finite as words."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        items = np.asarray(value) if _numeric(value) else None
+        if items is None:
+            return {str(k): plain(item) for k, item in enumerate(value)}
+        if items.size <= LONG:
+            return {str(k): plain(item) for k, item in enumerate(items.ravel())}
+        ends = {"first": plain(items.ravel()[0]), "last": plain(items.ravel()[-1])}
+        return {"count": str(items.shape), "norm": plain(np.linalg.norm(items.ravel())), **ends}
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (complex, np.complexfloating)):
+        return {"re": plain(value.real), "im": plain(value.imag)}
+    if isinstance(value, (int, float, np.number)):
+        return float(value) if math.isfinite(value) else str(float(value))
+    return value if value is None else str(value)
+
+
+def _numeric(value: Any) -> bool:
+    try:
+        return np.asarray(value).dtype.kind in "fiuc" and np.asarray(value).size > 0
+    except ValueError:  # rows of different lengths
+        return False
+
+
+def entry_of(case: Case, found: Any, cpu: float) -> dict[str, Any]:
+    """What is recorded of a case."""
+    return {"cpu": cpu, "slow": case.slow, "shared": case.shared, "rtol": case.rtol, "answer": found}
+
+
+def stored(subject: str) -> dict[str, Any]:
+    """What is recorded of a subject: name of a case -> answer, noise, cpu, slow, shared."""
+    path = DATA / f"{subject}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+
+
+def store(subject: str, entries: Mapping[str, Any]) -> None:
+    """Write a subject's record, a case a line."""
+    lines = [f"{json.dumps(name)}: {json.dumps(entry, ensure_ascii=False)}" for name, entry in entries.items()]
+    (DATA / f"{subject}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
+def leaves(tree: Any, at: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted path and value of every leaf; a bracket is one leaf, a pair."""
+    if not isinstance(tree, Mapping):
+        yield at, tree
+        return
+    bracket = {"lower", "upper"} <= set(tree) and all(_number(tree[key]) is not None for key in ("lower", "upper"))
+    if bracket:
+        yield f"{at}.bracket".lstrip("."), (_number(tree["lower"]), _number(tree["upper"]))
+    for key, item in tree.items():
+        if not (bracket and key in ("lower", "upper")):
+            yield from leaves(item, f"{at}.{key}".lstrip("."))
+
+
+def _number(value: Any) -> float | None:
+    if isinstance(value, bool) or value is None:
+        return None
+    if isinstance(value, (int, float)):
+        return float(value)
+    return float(value) if value in ("inf", "-inf") else None
+
+
+def _apart(old: Any, new: Any, rtol: float) -> float:
+    """By how much of the larger one two numbers differ, or two brackets fail to overlap; 0 within the tolerance."""
+    if isinstance(old, tuple):
+        apart = max(new[0] - old[1], old[0] - new[1], 0.0)
+        size = max(abs(x) for x in (*old, *new) if math.isfinite(x)) if any(map(math.isfinite, (*old, *new))) else 1.0
+        wide = max(_gap(new) - _gap(old) - GAP, 0.0)
+        return max(apart / max(size, 1e-300) if apart > rtol * size + ATOL else 0.0, wide)
+    if old == new:
+        return 0.0
+    if not (math.isfinite(old) and math.isfinite(new)):
+        return math.inf
+    size = max(abs(old), abs(new))
+    return 0.0 if abs(old - new) <= rtol * size + (ATOL if rtol else 0.0) else abs(old - new) / size
+
+
+def _gap(bracket: tuple[float, float]) -> float:
+    low, high = bracket
+    if low == high:
+        return 0.0
+    return 1.0 if math.isinf(high) else (high - low) / max(abs(high), 1e-300)
+
+
+def differences(subject: str, entry: Mapping[str, Any], found: Any) -> dict[str, tuple[float, str]]:
+    """Path -> (by how much, in words) of every leaf of the record that is no longer so."""
+    module = import_module(f"characterisation.{subject}")
+    now, wrong = dict(leaves(found)), {}
+    for path, old in leaves(entry["answer"]):
+        if path not in now:
+            wrong[path] = (math.inf, f"{path}: {old} -> gone")
+            continue
+        new, key = now[path], path.removesuffix(".bracket").rpartition(".")[2]
+        if isinstance(old, tuple) and isinstance(new, tuple):
+            rtol = module.RTOL
+        elif _number(old) is not None and _number(new) is not None:
+            rtol = module.RTOLS.get(key, module.RTOL)
+        else:
+            if old != new:
+                wrong[path] = (math.inf, f"{path}: {old!r} -> {new!r}")
+            continue
+        least = max(entry.get("rtol", 0.0), 3 * entry.get("noise", {}).get(path, 0.0))
+        rtol = max(rtol, least)
+        if key == "work":
+            apart = 0.0 if new <= WORK * old else new / old
+        else:
+            apart = _apart(
+                old if isinstance(old, tuple) else _number(old), new if isinstance(new, tuple) else _number(new), rtol
+            )
+        if apart:
+            wrong[path] = (apart, f"{path}: {old} -> {new}")
+    return wrong
+
+
+def seeds(*numbers: int) -> np.random.Generator:
+    """A generator of a case's own."""
+    return np.random.default_rng([2029, *numbers])
+
+
+def chosen(subject: str, words: Iterable[str], slow: bool) -> dict[str, Case]:
+    """Cases of a subject whose name holds one of the words (all where there is none), slow ones only if asked for."""
+    words = list(words)
+    return {
+        name: case
+        for name, case in cases_of(subject).items()
+        if (slow or not case.slow) and (not words or any(word in name for word in words))
+    }
+
+
+# Keys of the moment, and of what another method may choose otherwise: a critical member, coordinates, proofs.
+MOMENT = """
+seconds created elapsed file files path paths sha256 version command schema provenance evaluations_per host python size
+"""
+CHOICE = """
+delta physical pole intervals open shares D_z G K K_shaped closed_loop proof boxes history evaluations gradients notes
+hints claims
+"""
+DROPPED = frozenset(f"{MOMENT} {CHOICE}".split())
+
+
+def kept(tree: Any) -> Any:
+    """A program's JSON without what is of the moment, of choice, or a sentence."""
+    if isinstance(tree, Mapping):
+        found = {key: kept(item) for key, item in tree.items() if key not in DROPPED}
+        return {key: item for key, item in found.items() if item is not None}
+    if isinstance(tree, list):
+        return tree if _numeric(tree) else {str(k): kept(item) for k, item in enumerate(tree)}
+    return None if isinstance(tree, str) and (" " in tree or "/" in tree) else tree
