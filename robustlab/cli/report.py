@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -10,9 +10,6 @@ from typer.core import TyperGroup
 from robustlab.cli.console import emit
 from robustlab.cli.options import JsonOption
 from robustlab.shown import text_table as table
-
-if TYPE_CHECKING:
-    from robustlab.report.run_comparison import Change, RunComparison
 
 MOST_NUMBERS = 40  # changed numbers that are listed; --json has all
 
@@ -75,50 +72,36 @@ def compare(
     from robustlab.recipe.run import read_result
     from robustlab.report.run_comparison import compare_runs
 
-    comparison = compare_runs(read_result(run1), read_result(run2), rtol)
-    emit("report compare", {"runs": [run1, run2], **comparison.to_json()}, _text(comparison, rtol), as_json)
-    raise typer.Exit(EXIT_REQUIREMENT_NOT_MET if comparison.worse else EXIT_OK)
+    found = compare_runs(read_result(run1), read_result(run2), rtol)
+    emit("report compare", {"runs": [run1, run2], **found}, _text(found, rtol), as_json)
+    raise typer.Exit(EXIT_REQUIREMENT_NOT_MET if found["worse"] else EXIT_OK)
 
 
-def _text(comparison: RunComparison, tolerance: float) -> str:
-    parts: list[str] = []
-    if comparison.settings:
-        parts.append("What was run:\n" + _table(comparison.settings, ("", "first", "second")))
-    rows = [(c.verdict, c.what, _cell(c.first), _cell(c.second), c.condition, c.why) for c in comparison.requirements]
+def _text(found: dict[str, Any], tolerance: float) -> str:
+    parts = []
+    if found["settings"]:
+        parts.append("What was run:\n" + _table(found["settings"], ("", "first", "second")))
     header = ("", "requirement", "first", "second", "condition", "")
+    rows = [(c["verdict"], *_cells(c), c["condition"], c["why"]) for c in found["requirements"]]
     parts.append(table(rows, header) if rows else "Neither run states a requirement.")
-    steps = [c for c in comparison.steps if c.verdict != "same"]
-    if steps:
+    if steps := [c for c in found["steps"] if c["verdict"] != "same"]:
         parts.append("Steps that ended otherwise:\n" + _table(steps, ("step", "first", "second")))
-    numbers = comparison.numbers[:MOST_NUMBERS]
-    if numbers:
-        parts.append(
-            f"Numbers that differ by more than {100 * tolerance:g} %, the largest change first:\n"
-            + table(
-                [(c.what, _cell(c.first), _cell(c.second), _percent(c)) for c in numbers],
-                ("number", "first", "second", "change"),
-            )
-        )
-    left = len(comparison.numbers) - len(numbers)
-    more = f", {left} more differ (--json lists them)" if left else ""
-    parts.append(f"{comparison.equal} numbers do not differ{more}")
-    count = len(comparison.worse)
-    parts.append(f"{count} got worse: " + "; ".join(c.what for c in comparison.worse) if count else "nothing got worse")
+    if numbers := found["numbers"][:MOST_NUMBERS]:
+        head = f"Numbers that differ by more than {100 * tolerance:g} %, the largest change first:\n"
+        parts.append(head + _table(numbers, ("number", "first", "second")))
+    left = len(found["numbers"]) - MOST_NUMBERS
+    parts.append(f"{found['equal_numbers']} numbers do not differ" + f", {left} more do (--json)" * (left > 0))
+    worse = [c["what"] for c in (*found["requirements"], *found["steps"]) if c["verdict"] == "WORSE"]
+    parts.append(f"{len(worse)} got worse: {'; '.join(worse)}" if worse else "nothing got worse")
     return "\n\n".join(parts)
 
 
-def _table(changes: Any, header: tuple[str, str, str]) -> str:
-    return table([(c.what, _cell(c.first), _cell(c.second)) for c in changes], header)
+def _table(changes: list[dict[str, Any]], header: tuple[str, str, str]) -> str:
+    return table([_cells(c) for c in changes], header)
 
 
-def _cell(value: Any) -> str:
+def _cells(change: dict[str, Any]) -> tuple[str, str, str]:
     from robustlab.report.html import in_words
 
-    return "-" if value is None else in_words(value)
-
-
-def _percent(change: Change) -> str:
-    numbers = [v for v in (change.first, change.second) if isinstance(v, (int, float)) and not isinstance(v, bool)]
-    if len(numbers) < 2:
-        return change.verdict
-    return f"{100 * (numbers[1] / numbers[0] - 1):+.3g} %" if numbers[0] else "from zero"
+    first, second = ("-" if change[key] is None else in_words(change[key]) for key in ("first", "second"))
+    return change["what"], first, second

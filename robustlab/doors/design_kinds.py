@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from robustlab.doors.kinds import Given, Kind
+from robustlab.doors.kinds import Kind
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.units import amount
 
@@ -94,6 +94,25 @@ class Weight(Kind):
     def of_field(self, given: Any) -> Any:
         """The same."""
         return given if given is None or isinstance(given, float) else self._made(given.model_dump())
+class Diagonal(Kind):
+    """A cost or intensity: one number for all, or one for each."""
+
+    @property
+    def metavar(self) -> str | None:
+        """One or several."""
+        return "NUMBER,..."
+
+    def read(self, option: str, given: Any) -> Any:
+        """A list of numbers."""
+        return given if given is None else [number(option, part) for part in given.split(",") if part.strip()]
+
+    def field(self) -> Any:
+        """A number or a list."""
+        from pydantic import Field
+
+        from robustlab.doors.vocabulary import Positive
+
+        return Positive | list[Annotated[float, Field(ge=0)]]
 
 
 @dataclass(frozen=True)
@@ -148,3 +167,5 @@ class Goals(Kind):
 
         words = [(g, g.model_dump(exclude={"goal", "hard"}, exclude_none=True)) for g in given or []]
         return [goal_in_words(g.goal, options, g.hard) for g, options in words] or None
+=======
+>>>>>>> theirs

@@ -3,85 +3,43 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from robustlab.report.html import found_in_words
 
 BETTER, WORSE, SAME, CHANGED, FRESH, GONE = "better", "WORSE", "same", "changed", "new", "gone"
-CLOCKED = ("seconds",)  # last part of a number that differs between any two runs
 
 
-@dataclass(frozen=True)
-class Change:
-    """One thing of both runs."""
+def compare_runs(first: Mapping[str, Any], second: Mapping[str, Any], tolerance: float = 0.01) -> dict[str, Any]:
+    """What differs between the contents of two ``result.json``; numbers within the relative ``tolerance`` are the same.
 
-    what: str  # text of a requirement, name of a step, or dotted path of a number
-    # first, second: what each run found; None where it has no such thing
-    first: Any
-    second: Any
-    verdict: str  # `better`, `WORSE`, `same`, `changed`, `new` or `gone`
-    condition: str = ""  # what is required; empty for others
-    why: str = ""  # the verdict in words, where a word is not enough
-
-
-@dataclass(frozen=True)
-class RunComparison:
-    """What differs between two runs."""
-
-    # requirements, steps: all of both runs, in the order of the second; a requirement that only the first states
-    # comes last
-    requirements: Sequence[Change]
-    steps: Sequence[Change]
-    # Those that differ by more than the tolerance, the largest change first; and those that only one run has.
-    numbers: Sequence[Change]
-    equal: int  # how many numbers do not differ
-    settings: Sequence[Change]  # what was run: recipe, settings, seed, inputs and versions, where they differ
-
-    @property
-    def worse(self) -> list[Change]:
-        """Requirements and steps that got worse."""
-        return [c for c in (*self.requirements, *self.steps) if c.verdict == WORSE]
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain types."""
-        parts = {k: [asdict(c) for c in getattr(self, k)] for k in ("requirements", "steps", "numbers", "settings")}
-        return {**parts, "equal_numbers": self.equal, "worse": len(self.worse)}
-
-
-def compare_runs(first: Mapping[str, Any], second: Mapping[str, Any], tolerance: float = 0.01) -> RunComparison:
-    """Compare the contents of two ``result.json``.
-
-    A requirement got worse where it was met and is not, where its number moved towards or beyond its limit by more than
-    ``tolerance`` times the larger of both numbers, or where a requirement that was met is no longer stated. A step got
-    worse where its number can no longer be vouched for.
-
-    ``first``, ``second``: content of ``result.json``, see `robustlab.recipe.run`.
-    ``tolerance``: relative change below which two numbers count as the same.
+    A requirement got worse where it was met and is not or is no longer stated, and where its number moved towards or
+    beyond its limit; a step, where its number can no longer be vouched for. ``numbers`` begins with the largest change.
     """
-    old, new = (dict(_numbers(run)) for run in (first, second))
-    changes = [_number(path, old.get(path), new.get(path), tolerance) for path in {**new, **old}]
-    changed = sorted((c for c in changes if c.verdict != SAME), key=lambda c: -_size(c))
-    return RunComparison(
-        _requirements(first, second, tolerance),
-        _steps(first, second),
-        changed,
-        len(changes) - len(changed),
-        [
-            Change(key, a, b, CHANGED)
-            for key, (a, b) in _paired(_settings(first), _settings(second)).items()
-            if a != b
-        ],
-    )  # fmt: skip
-
-
-# --- requirements ----------------------------------------------------------------------------------------------------
-
-
-def _requirements(first: Mapping[str, Any], second: Mapping[str, Any], tolerance: float) -> list[Change]:
     old, new = ({_key(q, run): q for q in run["requirements"]} for run in (first, second))
-    return [_requirement(a, b, tolerance) for a, b in _paired(old, new).values()]
+    requirements = [_requirement(a, b, tolerance) for a, b in _paired(old, new).values()]
+    old, new = ({s["name"]: s for s in run["steps"]} for run in (first, second))
+    steps = [_step(name, a, b) for name, (a, b) in _paired(old, new).items()]
+    old, new = (dict(_leaves("", {s["name"]: s["numbers"] for s in run["steps"]})) for run in (first, second))
+    numbers = [
+        _row(path, a, b, FRESH if a is None else GONE if b is None else CHANGED)
+        for path, (a, b) in _paired(old, new).items()
+        if _change(a, b) > tolerance
+    ]
+    numbers.sort(key=lambda c: -_change(c["first"], c["second"]))
+    settings = [
+        _row(key, a, b, CHANGED) for key, (a, b) in _paired(_settings(first), _settings(second)).items() if a != b
+    ]
+    return {
+        "requirements": requirements, "steps": steps, "numbers": numbers, "settings": settings,
+        "equal_numbers": len({**old, **new}) - len(numbers),
+        "worse": sum(c["verdict"] == WORSE for c in (*requirements, *steps)),
+    }  # fmt: skip
+
+
+def _row(what: str, first: Any, second: Any, verdict: str, condition: str = "", why: str = "") -> dict[str, Any]:
+    return {"what": what, "first": first, "second": second, "verdict": verdict, "condition": condition, "why": why}
 
 
 def _key(requirement: Mapping[str, Any], run: Mapping[str, Any]) -> str:
@@ -90,85 +48,52 @@ def _key(requirement: Mapping[str, Any], run: Mapping[str, Any]) -> str:
     return requirement["that"] if asked == 1 else f"{requirement['that']} {requirement['condition']}"
 
 
-def _requirement(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None, tolerance: float) -> Change:
-    what = (b or a or {})["text"] or (b or a or {})["that"]
-    if b is None:
-        assert a is not None
-        verdict, why = (WORSE, "was met and is no longer stated") if a["met"] else (GONE, "no longer stated")
-        return Change(what, found_in_words(a), None, verdict, a["condition"], why)
-    if a is None:
-        return Change(what, None, found_in_words(b), FRESH, b["condition"], "met" if b["met"] else "not met")
-    condition = b["condition"] if a["condition"] == b["condition"] else f"{a['condition']} -> {b['condition']}"
-    verdict, why = SAME, "met" if b["met"] else "not met"
-    if a["met"] != b["met"]:
+def _requirement(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None, tolerance: float) -> dict[str, Any]:
+    of = b or a or {}
+    found = [None if q is None else found_in_words(q) for q in (a, b)]
+    if a is None or b is None:
+        gone = (WORSE, "was met and is no longer stated") if of["met"] else (GONE, "no longer stated")
+        verdict, why = gone if b is None else (FRESH, "met" if of["met"] else "not met")
+    elif a["met"] != b["met"]:
         verdict, why = (BETTER, "now met") if b["met"] else (WORSE, "was met, is not")
-    elif a["condition"] == b["condition"]:
-        verdict, why = _moved(a, b, tolerance, why)
-    return Change(what, found_in_words(a), found_in_words(b), verdict, condition, why)
-
-
-def _moved(a: Mapping[str, Any], b: Mapping[str, Any], tolerance: float, why: str) -> tuple[str, str]:
-    """Whether the number of a requirement that is met by both, or by none, came nearer to its limit or left it."""
-    x, y = _real(a["value"]), _real(b["value"])
-    if x is None or y is None or x == y or not _differ(x, y, tolerance):
-        return SAME, why
-    low, high = (_real(end) for end in b.get("limits") or (None, None))
-    if low is not None and high is not None:  # inside a range no place is better than another
-        out = [max(low - v, v - high, 0.0) for v in (x, y)]
-        step = out[1] - out[0]
-    elif low is None and high is None:
-        return CHANGED, why
     else:
-        step = x - y if low is not None else y - x
-    if step == 0:
-        return CHANGED, why
-    if b["met"]:
-        return (WORSE, "met, with less room") if step > 0 else (BETTER, "met, with more room")
-    return (WORSE, "not met, and further off") if step > 0 else (BETTER, "not met, but nearer")
+        verdict, why = SAME, "met" if b["met"] else "not met"
+        towards = _towards_limit(a, b) if a["condition"] == b["condition"] else 0.0
+        if towards and _change(a["value"], b["value"]) > tolerance:
+            words = ("with less room", "with more room") if b["met"] else ("and further off", "but nearer")
+            verdict, why = WORSE if towards > 0 else BETTER, f"{why}, {words[towards < 0]}"
+    return _row(of["text"] or of["that"], *found, verdict, of["condition"], why)
 
 
-# --- steps, numbers, settings ----------------------------------------------------------------------------------------
+def _towards_limit(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
+    """How far a number moved towards or beyond its limit; within a range no place is better than another."""
+    x, y = _real(a["value"]), _real(b["value"])
+    low, high = (_real(end) for end in b.get("limits") or (None, None))
+    if x is None or y is None or (low is None and high is None):
+        return 0.0
+    if low is not None and high is not None:
+        return max(low - y, y - high, 0.0) - max(low - x, x - high, 0.0)
+    return x - y if low is not None else y - x
 
 
-def _steps(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Change]:
-    old, new = ({s["name"]: s for s in run["steps"]} for run in (first, second))
-    found: list[Change] = []
-    for name, (a, b) in _paired(old, new).items():
-        was, now = (None if s is None else s["status"] for s in (a, b))
-        if a is None or b is None:
-            verdict = FRESH if a is None else GONE
-        elif a["trustworthy"] != b["trustworthy"]:
-            verdict = BETTER if b["trustworthy"] else WORSE
-        else:
-            verdict = SAME if was == now else CHANGED
-        found.append(Change(name, was, now, verdict))
-    return found
-
-
-def _numbers(run: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    for step in run["steps"]:
-        yield from _leaves(step["name"], step["numbers"])
+def _step(name: str, a: Mapping[str, Any] | None, b: Mapping[str, Any] | None) -> dict[str, Any]:
+    was, now = (None if s is None else s["status"] for s in (a, b))
+    if a is None or b is None:
+        return _row(name, was, now, FRESH if a is None else GONE)
+    if a["trustworthy"] != b["trustworthy"]:
+        return _row(name, was, now, BETTER if b["trustworthy"] else WORSE)
+    return _row(name, was, now, SAME if was == now else CHANGED)
 
 
 def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Path and value of every single number, text, and yes or no in tables and lists."""
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            if key not in CLOCKED:
-                yield from _leaves(f"{path}.{key}", item)
-    elif isinstance(value, (list, tuple)):
-        for i, item in enumerate(value):
-            yield from _leaves(f"{path}.{i}", item)
-    else:
+    """Path and value of every number, text, and yes or no, but for times."""
+    items = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else None
+    if items is None:
         yield path, value
-
-
-def _number(path: str, a: Any, b: Any, tolerance: float) -> Change:
-    if a is None or b is None:
-        return Change(path, a, b, SAME if a is b else FRESH if a is None else GONE)
-    x, y = _real(a), _real(b)
-    differs = a != b if x is None or y is None else _differ(x, y, tolerance)
-    return Change(path, a, b, CHANGED if differs else SAME)
+        return
+    for key, item in items:
+        if key != "seconds":
+            yield from _leaves(f"{path}.{key}".lstrip("."), item)
 
 
 def _settings(run: Mapping[str, Any]) -> dict[str, str]:
@@ -186,22 +111,13 @@ def _paired(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, tu
 
 def _real(value: Any) -> float | None:
     """A number, among them the infinities that plain results keep as texts; None for all else."""
-    if isinstance(value, bool) or value is None:
-        return None
-    if isinstance(value, (int, float)) or value in ("inf", "-inf", "nan"):
-        return float(value)
-    return None
+    known = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(value) if known or value in ("inf", "-inf", "nan") else None
 
 
-def _differ(x: float, y: float, tolerance: float) -> bool:
-    if math.isfinite(x) and math.isfinite(y):
-        return abs(x - y) > tolerance * max(abs(x), abs(y))
-    return x != y and not (math.isnan(x) and math.isnan(y))
-
-
-def _size(change: Change) -> float:
-    """Relative size of a change, for the order; what is no number comes first."""
-    x, y = _real(change.first), _real(change.second)
-    if x is None or y is None or not (math.isfinite(x) and math.isfinite(y)):
-        return math.inf
+def _change(a: Any, b: Any) -> float:
+    """Relative size of a change; infinite where one is no finite number and they differ."""
+    x, y = _real(a), _real(b)
+    if a == b or x is None or y is None or not (math.isfinite(x) and math.isfinite(y)):
+        return 0.0 if a == b else math.inf
     return abs(x - y) / max(abs(x), abs(y))

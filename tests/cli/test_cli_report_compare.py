@@ -67,7 +67,8 @@ def test_another_recipe_of_the_same_name_has_a_folder_of_its_own(recipe):
     (recipe / "other/steady.toml").write_text((recipe / "steady.toml").read_text().replace("42.0", "21.0"))
     assert robustlab("run", "other/steady.toml") == 0
     assert (recipe / "out/steady/result.json").read_bytes() == first
-    assert result("out/latest")["requirements"][0]["value"] == pytest.approx(
+    (other,) = (recipe / "out").glob("steady-*")
+    assert result(other)["requirements"][0]["value"] == pytest.approx(
         0.5 * result("out/steady")["requirements"][0]["value"], rel=1e-9
     )
 
@@ -134,10 +135,10 @@ def test_the_text_tells_what_changed(tmp_path, capsys):
     assert robustlab("report", "compare", *runs) == 1
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["WORSE", "fast", "2", "1.5", "at", "least", "1", "met,", "with", "less", "room"] in lines
-    assert ["a.x", "2", "1.5", "-25", "%"] in lines
+    assert ["a.x", "2", "1.5"] in lines
     assert ["seed", "0", "7"] in lines
     assert ["1", "got", "worse:", "fast"] in lines
-    assert robustlab("report", "compare", *runs, "--tolerance", "0.3") == 0
+    assert robustlab("report", "compare", *runs, "--rtol", "0.3") == 0
 
 
 def test_a_met_requirement_that_vanishes_and_a_step_without_trust_are_worse(tmp_path, capsys):

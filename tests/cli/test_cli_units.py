@@ -75,12 +75,12 @@ def test_a_parameter_and_an_input_with_their_units(call, tmp_path):
     assert "expected a number in ohm" in call("model", "build", "dc-motor", "--set", "R=2.1V", "--out", "c.h5", code=3)
     rl.save(tmp_path / "u.h5", rl.plant("dc-motor").uncertain(["omega"]))
     words = ["uncertain", "sample", "u.h5", "-n", "2", "--t-end", "0.1", "--json"]
-    plain = json.loads(call(*words, "--input", "u=42"))
-    assert json.loads(call(*words, "--input", "u=42V")) == plain
-    assert json.loads(call(*words, "--input", "u=42000 mV")) == plain
-    assert "'42A', expected a number in V" in call(*words, "--input", "u=42A", code=2)
+    plain = json.loads(call(*words, "--input-value", "u=42"))
+    assert json.loads(call(*words, "--input-value", "u=42V")) == plain
+    assert json.loads(call(*words, "--input-value", "u=42000 mV")) == plain
+    assert "'42A', expected a number in V" in call(*words, "--input-value", "u=42A", code=2)
     assert "'42%', expected a number in V" in call(
-        "worst-case", "u.h5", "--output", "omega", "--input", "u=42%", code=2
+        "worst-case", "u.h5", "--outputs", "omega", "--input-value", "u=42%", code=2
     )
 
 

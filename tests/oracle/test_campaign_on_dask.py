@@ -74,7 +74,19 @@ def test_same_samples_as_local_though_a_worker_dies(cluster, tmp_path):
     motor = rl.plant("dc-motor", Kf=(4.8e-5, 0.35), R=(2.07, 0.1)).uncertain(outputs=["omega"])
     rl.save(tmp_path / "motor.h5", motor)
     settings = CampaignSettings("peak-deviation", N, u={"u": 42.0}, t_end=0.1, points=51)
-    words = ["--input", "u=42", "--t-end", "0.1", "--points", "51", "-n", N, "--json", "--store", "cluster.sqlite"]
+    words = [
+        "--input-value",
+        "u=42",
+        "--t-end",
+        "0.1",
+        "--points",
+        "51",
+        "-n",
+        N,
+        "--json",
+        "--store",
+        "cluster.sqlite",
+    ]
     run = launch(tmp_path, "robustlab.cli.main", "campaign", "run", "motor.h5", *words, "--cluster", address)
     until = time.monotonic() + PATIENCE
     saved = 0

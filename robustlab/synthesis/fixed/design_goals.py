@@ -8,8 +8,8 @@ on the measurements; the outputs y, the controls u, the total inputs u + d of th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -274,37 +274,6 @@ class OvershootGoal(Goal):
         """See `Goal`."""
         into = loop.places("reference", None, True)
         return loop.channel(into, loop.places("output", None, False), _each(1 / self.peak, len(into), loop.g.dt))
-
-
-GOALS: Mapping[str, type[Goal]] = {
-    "tracking": TrackingGoal,
-    "sensitivity": SensitivityGoal,
-    "gain": GainGoal,
-    "rejection": GainGoal,
-    "variance": VarianceGoal,
-    "margin": MarginGoal,
-    "overshoot": OvershootGoal,
-}
-
-
-def goal_in_words(word: str, options: Mapping[str, Any], hard: bool = False) -> Goal:
-    """A goal by its word and its numbers, as commands and recipes give it.
-
-    Raises InputError: an unknown word or option, or one that is missing.
-    """
-    if word not in GOALS:
-        raise InputError(f"goal {word!r}", "unknown", f"one of {', '.join(GOALS)}", did_you_mean(word, list(GOALS)))
-    kind = GOALS[word]
-    known = [f.name for f in fields(kind) if f.name not in ("hard", "weight")]
-    for name in options:
-        if name not in known:
-            where, hint = f"goal {word!r}: {name!r}", did_you_mean(name, known)
-            raise InputError(where, "unknown", f"one of {', '.join(known)}", hint)
-    try:
-        return kind(hard=hard, **options)
-    except TypeError as error:
-        missing = str(error).partition("argument")[2].lstrip("s: ")
-        raise InputError(f"goal {word!r}", f"{missing or error} missing", f"of {', '.join(known)}") from None
 
 
 def _positive(name: str, value: Any) -> float:
