@@ -25,11 +25,9 @@ class ByNumber(Kind):
 
     @property
     def metavar(self) -> str | None:
-        """Either."""
         return "NAME,...|NUMBER"
 
     def read(self, option: str, given: Any) -> Any:
-        """A number, or a list of names."""
         if given is None or given.isdecimal():
             return given if given is None else int(given)
         return [part.strip() for part in given.split(",") if part.strip()]
@@ -51,7 +49,6 @@ class Weight(Kind):
 
     @property
     def metavar(self) -> str | None:
-        """A word of its own."""
         return "WEIGHT"
 
     def read(self, option: str, given: Any) -> Any:
@@ -86,86 +83,9 @@ class Weight(Kind):
         return getattr(rl, self.maker)(**found)
 
     def field(self) -> Any:
-        """A number, or a table."""
         from robustlab.doors import vocabulary
 
         return vocabulary.Positive | getattr(vocabulary, "".join(p.capitalize() for p in self.maker.split("_")))
 
     def of_field(self, given: Any) -> Any:
-        """The same."""
         return given if given is None or isinstance(given, float) else self._made(given.model_dump())
-class Diagonal(Kind):
-    """A cost or intensity: one number for all, or one for each."""
-
-    @property
-    def metavar(self) -> str | None:
-        """One or several."""
-        return "NUMBER,..."
-
-    def read(self, option: str, given: Any) -> Any:
-        """A list of numbers."""
-        return given if given is None else [number(option, part) for part in given.split(",") if part.strip()]
-
-    def field(self) -> Any:
-        """A number or a list."""
-        from pydantic import Field
-
-        from robustlab.doors.vocabulary import Positive
-
-        return Positive | list[Annotated[float, Field(ge=0)]]
-
-
-@dataclass(frozen=True)
-class Goals(Kind):
-    """Goals of a tuned loop: ``tracking:response_time=1,peak=2``, repeatable; a list of tables in a recipe.
-
-    ``hard``: whether those of a command must be met.
-    """
-
-    hard: bool = False
-
-    def annotation(self) -> Any:
-        """A repeatable option."""
-        return list[str]
-
-    @property
-    def metavar(self) -> str | None:
-        """A word of its own."""
-        return "GOAL"
-
-    def read(self, option: str, given: Given) -> Any:
-        """The goals; ``outputs=a+b`` are names."""
-        from robustlab.synthesis.fixed.design_goals import goal_in_words
-
-        found = []
-        for text in given or []:
-            word, _, rest = text.partition(":")
-            options: dict[str, Any] = {}
-            for part in [p for p in rest.split(",") if p.strip()]:
-                key, equals, value = part.partition("=")
-                if not equals:
-                    raise UsageError(f"goal {text!r}", repr(part), "key=value")
-                try:
-                    options[key.strip()] = float(value)
-                except ValueError:
-                    listed = word == "tracking" and key.strip() == "outputs"
-                    options[key.strip()] = value.split("+") if listed else value.strip()
-            found.append(goal_in_words(word.strip(), options, self.hard))
-        return found or None
-
-    def field(self) -> Any:
-        """A list of tables."""
-        from pydantic import Field
-
-        from robustlab.doors.vocabulary import GoalWords
-
-        return Annotated[list[GoalWords], Field(min_length=1, max_length=50)]
-
-    def of_field(self, given: Any) -> Any:
-        """The goals."""
-        from robustlab.synthesis.fixed.design_goals import goal_in_words
-
-        words = [(g, g.model_dump(exclude={"goal", "hard"}, exclude_none=True)) for g in given or []]
-        return [goal_in_words(g.goal, options, g.hard) for g, options in words] or None
-=======
->>>>>>> theirs

@@ -349,10 +349,3 @@ def ncf(
     if reference_model is not None:
         options |= {"reference_model": reference_model, "rho": rho, "outputs": follow}
     return rl.ncf(signals.of(system), w1, w2, **options)
-# --- state feedback and estimators ------------------------------------------------------------------------------------
-
-Weights = dict[str, float] | None
-States = Annotated[Weights, Table(Number(least=0)), "Weights on states by name; 0 where left out.",
-                   Named(option="--state-weight", key="states")]  # fmt: skip
->>=======
->>>>>>> theirs

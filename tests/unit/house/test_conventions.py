@@ -73,7 +73,7 @@ def test_a_design_says_what_its_controller_takes_and_files_keep_it(make, expecte
     found = make()
     held = found if isinstance(found, rl.Controller) else found.controller
     assert held.law == expected
-    for suffix in (".h5", ".json", ".mat"):
+    for suffix in (".h5", ".mat"):
         rl.export_controller(tmp_path / f"k{suffix}", held)
         again = rl.load(tmp_path / f"k{suffix}")
         model = getattr(again, "K", again)
@@ -309,18 +309,6 @@ def test_files_of_before_say_it_by_method_and_names(method, names, expected, tmp
     K = rl.StateSpaceModel([], [], [], [[1.0] * len(names)], inputs=names)
     rl.save(tmp_path / "k.h5", rl.Controller(K, method=method))
     assert rl.load(tmp_path / "k.h5").law == expected
-    rl.export_controller(tmp_path / "k.json", rl.Controller(K, method=method))
-    assert rl.load(tmp_path / "k.json").law == expected
-
-
-def test_a_damaged_word_is_named(tmp_path):
-    rl.export_controller(tmp_path / "k.json", pd("y"))
-    data = json.loads((tmp_path / "k.json").read_text())
-    assert data["convention"].startswith("u = K y; ")
-    data["inputs"][0]["takes"] = "minus y"
-    (tmp_path / "k.json").write_text(json.dumps(data))
-    with pytest.raises(InputError, match=r"inputs\[0\]: takes: 'minus y'"):
-        rl.load(tmp_path / "k.json")
 
 
 def test_hdf5_with_a_damaged_word_is_named(tmp_path):
