@@ -25,11 +25,9 @@ class ByNumber(Kind):
 
     @property
     def metavar(self) -> str | None:
-        """Either."""
         return "NAME,...|NUMBER"
 
     def read(self, option: str, given: Any) -> Any:
-        """A number, or a list of names."""
         if given is None or given.isdecimal():
             return given if given is None else int(given)
         return [part.strip() for part in given.split(",") if part.strip()]
@@ -51,7 +49,6 @@ class Weight(Kind):
 
     @property
     def metavar(self) -> str | None:
-        """A word of its own."""
         return "WEIGHT"
 
     def read(self, option: str, given: Any) -> Any:
@@ -86,11 +83,9 @@ class Weight(Kind):
         return getattr(rl, self.maker)(**found)
 
     def field(self) -> Any:
-        """A number, or a table."""
         from robustlab.doors import vocabulary
 
         return vocabulary.Positive | getattr(vocabulary, "".join(p.capitalize() for p in self.maker.split("_")))
 
     def of_field(self, given: Any) -> Any:
-        """The same."""
         return given if given is None or isinstance(given, float) else self._made(given.model_dump())
