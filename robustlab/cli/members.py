@@ -65,7 +65,6 @@ class MetricOptions:
 
     @property
     def output(self) -> str | None:
-        """The output that is named."""
         return _only("--outputs", self.outputs)
 
     @property

@@ -70,12 +70,10 @@ class Parameter:
 
     @property
     def options(self) -> tuple[str, ...]:
-        """The words of a command's option."""
         return tuple(self.called.option.split(",")) if self.called.option else (f"--{self.name.replace('_', '-')}",)
 
     @property
     def key(self) -> str:
-        """The key of a recipe's step."""
         return self.called.key or self.name
 
 
@@ -106,7 +104,6 @@ class Door:
 
     @property
     def takes_drawn(self) -> bool:
-        """Whether the function asks if its result is drawn: curves cost time."""
         return "drawn" in inspect.signature(self.function).parameters
 
     @property

@@ -25,26 +25,21 @@ class Kind:
     """Base: a text as it is given."""
 
     def annotation(self) -> Any:
-        """What the parser of commands takes."""
         return str
 
     @property
     def metavar(self) -> str | None:
-        """How the help of a command writes the value; None: as the parser does."""
         return None
 
     def read(self, option: str, given: Any) -> Any:
-        """The value that a command's words say; None where nothing was given."""
         return given
 
     def field(self) -> Any:
-        """What a recipe may say there, as pydantic checks it."""
         from robustlab.doors.vocabulary import Text
 
         return Text
 
     def of_field(self, given: Any) -> Any:
-        """The value that a recipe's key says."""
         return given
 
 
@@ -59,20 +54,16 @@ class Number(Kind):
     most: float | None = None
 
     def annotation(self) -> Any:
-        """With a unit the text is read here."""
         return str if self.unit else float
 
     @property
     def metavar(self) -> str | None:
-        """As the parser of commands writes a number."""
         return "FLOAT" if self.unit else None
 
     def read(self, option: str, given: Any) -> Any:
-        """``2Hz`` where the unit is rad/s."""
         return amount(option, given, self.unit) if isinstance(given, str) else given
 
     def field(self) -> Any:
-        """A number between the bounds."""
         from pydantic import Field
 
         return Annotated[float, Field(gt=self.above, ge=self.least, lt=self.below, le=self.most)]
@@ -104,7 +95,6 @@ class Quantity(Kind):
         return {"": number, "may": number | two, "must": two}[self.ends]
 
     def of_field(self, given: Any) -> Any:
-        """A tuple of two."""
         return tuple(given) if isinstance(given, list) else given
 
 
@@ -134,7 +124,6 @@ class Share(Number):
     """A relative tolerance: ``0.05`` or ``5%``."""
 
     def field(self) -> Any:
-        """A number, or per cent as a text."""
         from robustlab.doors.vocabulary import PriorTolerance, RelativeTolerance
 
         return PriorTolerance if self.below is None else RelativeTolerance
@@ -146,7 +135,6 @@ class TextFile(Kind):
 
     @property
     def metavar(self) -> str | None:
-        """A file."""
         return "FILE"
 
 
@@ -158,11 +146,9 @@ class Whole(Kind):
     most: int = 1_000_000
 
     def annotation(self) -> Any:
-        """The parser reads it."""
         return int
 
     def field(self) -> Any:
-        """A whole number between the bounds."""
         from pydantic import Field
 
         return Annotated[int, Field(ge=self.least, le=self.most)]
@@ -173,11 +159,9 @@ class Flag(Kind):
     """Yes or no."""
 
     def annotation(self) -> Any:
-        """The parser reads it."""
         return bool
 
     def field(self) -> Any:
-        """``true`` or ``false``."""
         return bool
 
 
@@ -188,7 +172,6 @@ class Choice(Kind):
     words: tuple[str, ...]
 
     def read(self, option: str, given: Any) -> Any:
-        """The word, if it is one of them."""
         if given is not None and given not in self.words:
             expected = " or ".join(self.words) if len(self.words) == 2 else f"one of {', '.join(self.words)}"
             raise UsageError(option, repr(given), expected, did_you_mean(given, self.words))
@@ -196,11 +179,9 @@ class Choice(Kind):
 
     @property
     def metavar(self) -> str | None:
-        """The help lists the words."""
         return "WORD"
 
     def field(self) -> Any:
-        """One of the words."""
         return Literal[self.words]
 
 
@@ -209,18 +190,15 @@ class Feedback(Kind):
     """The sign of feedback: ``negative`` and ``positive`` of a command, -1 and 1 of a recipe."""
 
     def read(self, option: str, given: Any) -> Any:
-        """-1 or 1."""
         if given is None:
             return None
         return -1 if Choice(("negative", "positive")).read(option, given) == "negative" else 1
 
     @property
     def metavar(self) -> str | None:
-        """The help lists the words."""
         return "WORD"
 
     def field(self) -> Any:
-        """-1 or 1."""
         return Literal[-1, 1]
 
 
@@ -234,23 +212,19 @@ class Names(Kind):
     repeated: bool = False  # the option of a command may be repeated
 
     def annotation(self) -> Any:
-        """A text, or several of them."""
         return list[str] if self.repeated else str
 
     @property
     def metavar(self) -> str | None:
-        """One, or several."""
         return "NAME" if self.one else "NAME,..."
 
     def read(self, option: str, given: Any) -> Any:
-        """``a,b`` as a list."""
         if not given or self.one:
             return given or None
         texts = given if self.repeated else [given]
         return [part.strip() for text in texts for part in text.split(",") if part.strip()]
 
     def field(self) -> Any:
-        """A list of names, checked before the run where the step knows them."""
         from robustlab.doors import vocabulary
 
         taken: Any = vocabulary.Text if self.one else list[vocabulary.Text]
@@ -262,11 +236,9 @@ class Texts(Kind):
     """Texts: an option that may be repeated, a list in a recipe."""
 
     def annotation(self) -> Any:
-        """A repeatable option."""
         return list[str]
 
     def field(self) -> Any:
-        """A list of texts."""
         from robustlab.doors.vocabulary import Text
 
         return list[Text]
@@ -282,7 +254,6 @@ class Numbers(Kind):
 
     @property
     def metavar(self) -> str | None:
-        """For example ``LOW,HIGH``."""
         return self.words
 
     def read(self, option: str, given: Any) -> Any:
@@ -313,7 +284,6 @@ class Numbers(Kind):
         return Annotated[list[number], Field(min_length=self.count, max_length=self.count)]
 
     def of_field(self, given: Any) -> Any:
-        """A tuple where their count is known."""
         return given if given is None or self.count is None else tuple(given)
 
 
@@ -327,12 +297,10 @@ class Table(Kind):
     words: str = "NAME=VALUE"
 
     def annotation(self) -> Any:
-        """A repeatable option."""
         return list[str]
 
     @property
     def metavar(self) -> str | None:
-        """How one is written."""
         return self.words
 
     def read(self, option: str, given: Given, units: Mapping[str, str] | None = None) -> Any:
@@ -377,14 +345,12 @@ class Table(Kind):
         return number
 
     def field(self) -> Any:
-        """A table of such values."""
         from robustlab.doors import vocabulary
 
         taken = dict[str, self.value.field()]
         return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
 
     def of_field(self, given: Any) -> Any:
-        """None where nothing was given."""
         return {name: self.value.of_field(value) for name, value in given.items()} if given else None
 
 
@@ -430,12 +396,10 @@ class Thing(Kind):
     reading: ClassVar[str] = "model"  # which of a command's options say how the file is read
 
     def annotation(self) -> Any:
-        """The name of a file."""
         return list[str] if self.many else str
 
     @property
     def metavar(self) -> str | None:
-        """A file."""
         return "PLANT" if self.gives == ("plant",) else "FILE"
 
     def field(self) -> Any:
@@ -504,7 +468,6 @@ class Machine(Thing):
 
     @property
     def metavar(self) -> str | None:
-        """A plant, or a file."""
         return "MODEL"
 
 

@@ -54,7 +54,6 @@ class Judged:
 
     @property
     def options(self) -> dict[str, Any]:
-        """For the functions."""
         return {"output": self.output, "input": self.from_input, "band": self.band}
 
 

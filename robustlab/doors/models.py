@@ -22,13 +22,11 @@ class Rest(Table):
     """Where a nonlinear plant rests: values by name; in a recipe six numbers of a pose, too."""
 
     def field(self) -> Any:
-        """A pose, or a table."""
         from pydantic import Field
 
         return Annotated[list[float], Field(min_length=6, max_length=6)] | dict[str, float]
 
     def of_field(self, given: Any) -> Any:
-        """As it is."""
         return given
 
 

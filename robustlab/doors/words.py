@@ -47,7 +47,6 @@ class Search:
 
     @property
     def options(self) -> dict[str, Any]:
-        """For the functions."""
         return {"effort": self.effort, "time_limit": self.time_limit}
 
 

@@ -71,7 +71,6 @@ class FreeRun(Shown):
         return told
 
     def to_json(self, *, series: bool = True) -> dict[str, Any]:
-        """The gaps and the names of both; with ``series`` the simulated outputs over time."""
         gaps = {name: dict(gap) for name, gap in self.gaps.items()}
         found = {"record": self.record.name, "model": self.simulated.name, "gaps": gaps, "status": self.status}
         over_time = {"t": self.simulated.t, "simulated": dict(self.simulated.outputs)}
@@ -188,15 +187,12 @@ class FmuPlant(SteppedPlant):
         return ()
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """Refused."""
         self._refused()
 
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """Refused."""
         self._refused()
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """Refused."""
         self._refused()
 
     def equilibrium(self, **where: Any) -> Trim:

@@ -171,13 +171,11 @@ class LinearPlant(Plant):
         return self.state_space()
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``A x + B u``, shape (n_x,)."""
         state, force = self.point(x, u)
         model = self.state_space()
         return model.A @ state + model.B @ force
 
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``C x + D u``, shape (n_y,)."""
         state, force = self.point(x, u)
         model = self.state_space()
         return model.C @ state + model.D @ force

@@ -197,7 +197,6 @@ class Trim(Shown, AllFields):
         return OperatingPoint(self.x, self.u, self.y)
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         point = [(which, listed(number(float(v)) for v in getattr(self, which))) for which in ("x", "u", "y")]
         return [("plant", self.plant), *point, ("residual", number(self.residual))]
 
@@ -238,7 +237,6 @@ class NonlinearPlant(Plant):
 
     @property
     def port_places(self) -> tuple[PortPlace, ...]:
-        """Where forces can act, in the order of `LocalModels.push`; none by default."""
         return ()
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:

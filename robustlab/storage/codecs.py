@@ -29,7 +29,6 @@ class Codec:
         _found(f"storage.{self.encode}")(tree, obj)
 
     def read(self, tree: Tree, problems: Problems, transpose: bool = False) -> Any:
-        """The object in a tree. Raises InputError: with all that is missing or does not fit."""
         return _found(f"storage.{self.decode}")(tree, problems, transpose)
 
 

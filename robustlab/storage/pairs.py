@@ -106,7 +106,6 @@ class Change:
         return step / abs(self.first) if self.first else np.copysign(np.inf, step)
 
     def to_json(self) -> dict[str, object]:
-        """All attributes and the relative change."""
         return {**vars(self), "relative": self.relative}
 
 
@@ -141,11 +140,9 @@ class Difference(Shown):
         return max((abs(c.relative) for c in self.changes), default=0.0)
 
     def headline(self) -> str:
-        """How many differ."""
         return f"{self.count} of {self.entries} entries differ"
 
     def facts(self) -> Facts:
-        """How many differ, and by how much at most."""
         change = f"{100 * self.largest:.4g} %" if self.changes else ""
         return [("differ", f"{self.count} of {self.entries} entries"), ("largest change", change)]
 
@@ -158,7 +155,6 @@ class Difference(Shown):
         return [Part("", ("entry", "first", "second", "change"), rows)]
 
     def to_json(self) -> dict[str, object]:
-        """All fields."""
         return {"changes": self.changes, "entries": self.entries, "status": self.status}
 
 

@@ -225,7 +225,6 @@ class ControlledNonlinearPlant(NonlinearPlant):
 
     @property
     def port_places(self) -> tuple[PortPlace, ...]:
-        """Those of the plant."""
         return self.plant.port_places
 
     @property
@@ -291,17 +290,14 @@ class ControlledNonlinearPlant(NonlinearPlant):
         )
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``f(x, r)``, shape (n_x,)."""
         state, reference = self.point(x, u)
         return self.rates_along(state[None], reference[None])[0]
 
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``h(x, r)``, shape (n_y + n_u,)."""
         state, reference = self.point(x, u)
         return self.outputs_along(state[None], reference[None])[0]
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """A, B, C, D at (x, r), as exact as the plant's own."""
         state, reference = self.point(x, u)
         local = self.local_models(state[None], reference[None])
         return local.A[0], local.B[0], local.C[0], local.D[0]

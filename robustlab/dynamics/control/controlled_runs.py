@@ -88,11 +88,9 @@ class ControlledRuns(Shown):
         return Status.CONVERGED
 
     def headline(self) -> str:
-        """How many controllers."""
         return f"simulated under {len(self.controllers)} controllers"
 
     def facts(self) -> Facts:
-        """What was simulated."""
         return [*self.told, ("errors count from", number(self.after, "s", 5))]
 
     def details(self) -> list[Part]:
@@ -105,11 +103,9 @@ class ControlledRuns(Shown):
         return [Part("", header, rows)]
 
     def numbers(self) -> dict[str, Any]:
-        """Every controller's."""
         return {"controllers": self.controllers}
 
     def to_json(self) -> dict[str, Any]:
-        """Numbers and what was simulated; no curves."""
         told = {"facts": dict(self.facts()), "notes": self.notes}
         return {"status": self.status, "controllers": self.controllers, **told}
 

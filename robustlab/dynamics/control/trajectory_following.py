@@ -153,7 +153,6 @@ class TrajectoryFollowing:
         return Record(self.t, signals(into), signals(out), units, name)
 
     def to_json(self) -> dict[str, Any]:
-        """All arrays, the largest torques and voltages, and whether they keep to the limits."""
         peaks = {"largest_torque": self.largest_torque(), "largest_voltage": self.largest_voltage()}
         return {**vars(self), **peaks, "limits": vars(self.limits), "within_limits": self.within_limits}
 

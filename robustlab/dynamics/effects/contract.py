@@ -236,7 +236,6 @@ class Effect(ABC):
         return not split_again and (port.position is not None or not self.needs_position)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        """Starting values of a fit, each a dict of all parameters; by default the centres of the priors."""
         return ({p.name: p.prior.value(0.0) for p in self.parameters(scales)},)
 
     def variants(self, scales: Scales) -> tuple[Scales, ...]:
@@ -270,7 +269,6 @@ class Effect(ABC):
         return model
 
     def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
-        """Force laws: that of `force`, given the `arguments`."""
         return () if self.force is None else (Law(self.force, site.name, self.arguments(values), self.memory),)
 
     def arguments(self, values: Mapping[str, float]) -> tuple[float, ...]:
@@ -290,7 +288,6 @@ class Effect(ABC):
         return None
 
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
-        """What is recorded of an output (n_windows, n), in samples of h seconds."""
         return signal
 
     def lag(self, values: Mapping[str, float]) -> float:

@@ -80,7 +80,6 @@ class ConstantLoad(Effect):
         return (EffectParameter("T0", scales.force_unit, "load against the positive direction", prior),)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        """On either side: beside dry friction, which a load holds at rest, no load may be the bottom of a valley."""
         return tuple({"T0": side * 0.15 * scales.force} for side in (1.0, -1.0))
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:

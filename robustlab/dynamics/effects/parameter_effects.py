@@ -32,7 +32,6 @@ class ParameterEffect(Effect):
         return (EffectParameter("s", "", meaning, Prior("log", 1.0, self.spread)),)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        """One above and one below the nominal value."""
         return ({"s": math.exp(self.spread)}, {"s": math.exp(-self.spread)})
 
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:

@@ -29,7 +29,6 @@ class SignalGain(Effect):
         return (EffectParameter("s", "", self.meaning, Prior("log", 1.0, self.spread)),)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        """One above and one below 1."""
         return ({"s": 1.0 + self.spread}, {"s": 1.0 - self.spread})
 
     def scaled(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
@@ -51,7 +50,6 @@ class SignalDelay(Effect):
         return (EffectParameter("d", "s", "delay", Prior("log", 3.0 * scales.dt, 1.2)),)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        """Short, longer and long, in samples of the record."""
         return tuple({"d": steps * scales.dt} for steps in (1.0, 4.0, 15.0))
 
     def steps(self, values: Mapping[str, float], h: float) -> float:

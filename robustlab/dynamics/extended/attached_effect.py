@@ -223,7 +223,6 @@ class AttachedEffect:
 
     @property
     def key(self) -> str:
-        """Id and site, as `attach` takes them."""
         return f"{self.effect.id}@{self.site.name}"
 
     @property
@@ -270,7 +269,6 @@ class AttachedEffect:
         return self.std.get(self.effect.scale, 0.0)
 
     def laws(self) -> tuple[Law, ...]:
-        """Its force laws."""
         return self.effect.laws(self.site, self.values)
 
     # --- on a constant signal ----------------------------------------------------------------------------------------

@@ -109,13 +109,11 @@ class EffectBlocks(Shown):
     }  # fmt: skip
 
     def numbers(self) -> dict[str, Any]:
-        """Those of the model, how many blocks, inputs and effects left out, the ranges and the bounds."""
         ranges = {b.name: {"low": b.parameter.low, "high": b.parameter.high} for b in self.model.blocks if b.parameter}
         counts = {"count": len(self.model.blocks), "inputs": len(self.noise), "left_out": len(self.left_out)}
         return {**self.model.numbers(), **counts, "range": ranges, "bound": {n.name: n.bound for n in self.noise}}
 
     def headline(self) -> str:
-        """How much is in it."""
         return (
             f"uncertain model: blocks {len(self.model.blocks)}, inputs for bounded errors {len(self.noise)},"
             f" effects left out {len(self.left_out)}"
@@ -132,11 +130,9 @@ class EffectBlocks(Shown):
         ]
 
     def details(self) -> list[Part]:
-        """The blocks and where they come from."""
         return self.model.details()
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes, the model's and the origins."""
         own = {f.name: getattr(self, f.name) for f in fields(self)}
         return {"type": "EffectBlocks", **self.model.to_json(), **own, "origins": self.origins}
 

@@ -93,7 +93,6 @@ class LeftOut:
     footprint: Footprint | None
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
         seen = None if self.footprint is None else dict(vars(self.footprint))
         return {"effect": self.effect.to_json(), "reason": self.reason, "footprint": seen}
 
@@ -183,7 +182,6 @@ class ExtendedEquations(SteppedPlant):
         return after, met
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``f(x, u)``, shape (n_x,); where the forces are set-valued, those that keep their joints at rest."""
         (_, rates, _), ports, forces = self._forced(*self.point(x, u))
         return rates + sum((port.force * f for port, f in zip(ports, forces, strict=True)), 0.0 * rates)
 
@@ -192,7 +190,6 @@ class ExtendedEquations(SteppedPlant):
         return self._forced(*self.point(x, u))[2]
 
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``h(x, u)``, shape (n_y,)."""
         state, command = self.point(x, u)
         return self._mapped("output", self.about(state, self.mapped_input(command)).outputs)[0]
 
@@ -364,7 +361,6 @@ class ExtendedEquations(SteppedPlant):
     # --- the linear model --------------------------------------------------------------------------------------------
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """A, B, C, D at (x, u), as `linear_model` takes them; slopes of laws by differences."""
         model = self.linear_model((x, u))
         return model.A, model.B, model.C, model.D
 

@@ -318,7 +318,6 @@ class Simulator:
         return outputs
 
     def laws(self, values: Sequence[Mapping[str, float]]) -> list[Law]:
-        """The force laws of all effects."""
         return [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
 
     def plain_outputs(self, states: Array, about: MotionModel | None, model: PortModel, u: Array | None) -> Array:

@@ -182,7 +182,6 @@ class DirectPoses:
         return Status.CERTIFIED if self.proved.all() else Status.INCONCLUSIVE
 
     def to_json(self) -> dict[str, Any]:
-        """All arrays, and the status."""
         names = ("poses", "lengths", "proved", "h", "radius", "residual", "iterations")
         return {**{name: getattr(self, name) for name in names}, "status": self.status}
 

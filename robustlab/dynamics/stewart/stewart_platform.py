@@ -229,7 +229,6 @@ class StewartPlatform(NonlinearPlant):
     # --- the contract of a plant -------------------------------------------------------------------------------------
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``f(x, u)``, shape (12,) or (18,)."""
         state, force = self.point(x, u)
         return self._rates(state, force, *self._motion(state))
 
@@ -244,7 +243,6 @@ class StewartPlatform(NonlinearPlant):
         return np.concatenate([state[6:12], accelerations[0], current])
 
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """Nut angles and rates, shape (12,)."""
         state, _ = self.point(x, u)
         return state[:12].copy()
 
@@ -253,7 +251,6 @@ class StewartPlatform(NonlinearPlant):
         return x[:, :12]
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """A, B, C, D at (x, u), at rest or moving; the derivatives are exact to rounding."""
         state, force = self.point(x, u)
         return self._jacobians(state, force, *self._motion(state))
 
@@ -294,7 +291,6 @@ class StewartPlatform(NonlinearPlant):
 
     @property
     def port_places(self) -> tuple[PortPlace, ...]:
-        """The six nuts, with motors also the six currents."""
         return places(self.motors)
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:

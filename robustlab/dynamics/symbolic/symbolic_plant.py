@@ -69,7 +69,6 @@ class SymbolicPlant(NonlinearPlant):
 
     @property
     def port_places(self) -> tuple[PortPlace, ...]:
-        """The joints' velocities and the currents."""
         return self.equations.places
 
     def with_parameters(self, **given: Any) -> SymbolicPlant:
@@ -81,12 +80,10 @@ class SymbolicPlant(NonlinearPlant):
     # --- the contract of a plant -------------------------------------------------------------------------------------
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``f(x, u)``, shape (n_x,)."""
         state, force = self.point(x, u)
         return self._evaluated(self.equations.rates, state[None], force[None])[0]
 
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``h(x, u)``, shape (n_y,)."""
         state, force = self.point(x, u)
         return self.outputs_along(state[None], force[None])[0]
 
@@ -99,7 +96,6 @@ class SymbolicPlant(NonlinearPlant):
         return self._evaluated(self.equations.rates, x, u, values)
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """Exact A, B, C, D at (x, u), at rest or moving."""
         state, force = self.point(x, u)
         local = self.local_models(state[None], force[None])
         return local.A[0], local.B[0], local.C[0], local.D[0]
