@@ -32,7 +32,7 @@ from robustlab.mu_analysis.axis.pole_migration import (
 )
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, lowest, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
-from robustlab.mu_analysis.matrix.certificate import singularity
+from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
@@ -329,7 +329,11 @@ def _smallest_asymmetric(
         else:
             again = smallest_destabilising(inside, blocks, seeds, seed)
             half = np.repeat(box.half, [b.rows for b in blocks])
-            found = again and first_crossing(model, blocks, middle + half[:, None] * again.delta)
+            whole = middle if again is None else middle + half[:, None] * again.delta
+            if again is not None and not np.isfinite(again.pole):  # a pole that runs off to infinity crosses no axis
+                found = Destabilising(delta_norm(blocks, whole), whole, complex(np.inf))
+            else:
+                found = again and first_crossing(model, blocks, whole)
         if found is None:
             break
         new = gauge(blocks, block_entries(blocks, found.delta))
