@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -325,7 +326,11 @@ def _smallest_asymmetric(
         inside = box_model(model, blocks, box)
         middle = centre_matrix(blocks, box.centre).astype(complex)
         if inside is None or not inside.is_stable():
-            found = first_crossing(model, blocks, middle)
+            few = len(blocks) <= TUNING.few and all(b.interval for b in blocks)
+            corners = product(*[(-1.0, 1.0)] * len(blocks)) if few else ()
+            members = [middle, *(centre_matrix(blocks, box.centre + box.half * np.array(c)) + 0j for c in corners)]
+            crossings = [c for c in (first_crossing(model, blocks, m) for m in members) if c is not None]
+            found = min(crossings, key=lambda c: gauge(blocks, block_entries(blocks, c.delta)), default=None)
         else:
             again = smallest_destabilising(inside, blocks, seeds, seed)
             half = np.repeat(box.half, [b.rows for b in blocks])
