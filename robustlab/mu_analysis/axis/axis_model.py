@@ -81,9 +81,12 @@ def _even(model: StateSpaceModel) -> StateSpaceModel:
     room = 1e-6 * -model.poles().real.max() / np.finfo(float).eps
     if not (B.any() and C.any() and np.linalg.norm(A) < room):
         return model
-    reached, seen = _half(solve_continuous_lyapunov(A, -B @ B.T)), _half(solve_continuous_lyapunov(A.T, -C.T @ C))
+    strong, loud = np.abs(B).max(), np.abs(C).max()
+    into, out = B / strong, C / loud  # squares of their own could vanish
+    reached = _half(solve_continuous_lyapunov(A, -into @ into.T))
+    seen = _half(solve_continuous_lyapunov(A.T, -out.T @ out))
     _, sizes, turn = np.linalg.svd(seen.T @ reached)
-    T = reached @ turn.T / np.sqrt(sizes)
+    T = reached @ turn.T / np.sqrt(sizes) * (np.sqrt(strong) / np.sqrt(loud))
     T *= np.where(np.linalg.solve(T, B).sum(axis=1) < 0, -1.0, 1.0)
     A, B = (np.linalg.solve(T, matrix) for matrix in (A @ T, B))
     return StateSpaceModel(A, B, C @ T, model.D) if np.linalg.norm(A) * np.linalg.cond(T) < room else model

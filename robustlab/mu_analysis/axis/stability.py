@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,7 +34,7 @@ from robustlab.mu_analysis.axis.pole_migration import (
 from robustlab.mu_analysis.constants import COARSE, SINGULAR, WORK
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, lowest, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
-from robustlab.mu_analysis.matrix.certificate import singularity
+from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
@@ -339,11 +340,19 @@ def _smallest_asymmetric(
         inside = box_model(model, blocks, box)
         middle = centre_matrix(blocks, box.centre).astype(complex)
         if inside is None or not inside.is_stable():
-            found = first_crossing(model, blocks, middle)
+            few = len(blocks) <= TUNING.few and all(b.interval for b in blocks)
+            corners = product(*[(-1.0, 1.0)] * len(blocks)) if few else ()
+            members = [middle, *(centre_matrix(blocks, box.centre + box.half * np.array(c)) + 0j for c in corners)]
+            crossings = [c for c in (first_crossing(model, blocks, m) for m in members) if c is not None]
+            found = min(crossings, key=lambda c: gauge(blocks, block_entries(blocks, c.delta)), default=None)
         else:
             again = smallest_destabilising(inside, blocks, seeds, seed)
             half = np.repeat(box.half, [b.rows for b in blocks])
-            found = again and first_crossing(model, blocks, middle + half[:, None] * again.delta)
+            whole = middle if again is None else middle + half[:, None] * again.delta
+            if again is not None and not np.isfinite(again.pole):  # a pole that runs off to infinity crosses no axis
+                found = Destabilising(delta_norm(blocks, whole), whole, complex(np.inf))
+            else:
+                found = again and first_crossing(model, blocks, whole)
         if found is None:
             break
         new = gauge(blocks, block_entries(blocks, found.delta))

@@ -283,7 +283,7 @@ def test_a_range_wider_on_one_side_has_its_exact_margin_in_little_work(A, B, C, 
     margin = rl.robust_stability(rl.UncertainModel(rl.StateSpaceModel(A, B, C, np.zeros((2, 2))), [block]))
     assert margin.upper == pytest.approx(exact, rel=1e-9)
     assert 0.99 * exact <= margin.lower <= exact * (1 + 1e-9)
-    assert len(margin.proof) < 200
+    assert len(margin.proof) < 500
 
 
 def test_a_margin_below_one_says_first_that_the_set_is_not_robust():
