@@ -43,6 +43,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
+FEW_CORNERS = 5  # real blocks at most whose corners are tried where the centre of a one-sided set is unstable
 FIRST_BRANCHES = 0.02  # share of the work for it before a smaller Delta is sought by modes
 SHARPENED = (0.1, 5.0, 8e-4)
 # half width, in log frequency, of the first neighbourhood in which a smaller complex Delta is sought, the factor by
@@ -340,7 +341,7 @@ def _smallest_asymmetric(
         inside = box_model(model, blocks, box)
         middle = centre_matrix(blocks, box.centre).astype(complex)
         if inside is None or not inside.is_stable():
-            few = len(blocks) <= TUNING.few and all(b.interval for b in blocks)
+            few = len(blocks) <= FEW_CORNERS and all(b.interval for b in blocks)
             corners = product(*[(-1.0, 1.0)] * len(blocks)) if few else ()
             members = [middle, *(centre_matrix(blocks, box.centre + box.half * np.array(c)) + 0j for c in corners)]
             crossings = [c for c in (first_crossing(model, blocks, m) for m in members) if c is not None]
