@@ -198,17 +198,15 @@ def at_most(k, n):
     return 1.0 if k == n else float(beta.ppf(0.95, k + 1, n - k))
 
 
-def quiet(machine, count, stated):
+def quiet(machine, count):
     """A row: alarms in logs without a change."""
     largest, alarms = -math.inf, 0
     for seed in range(count):
-        noise = machine.noise if stated else None
-        found = rl.watch(machine.model(), log(machine, seed), every=PIECE, noise=noise, false_alarm=FALSE_ALARM)
+        found = rl.watch(machine.model(), log(machine, seed), every=PIECE, noise=machine.noise, false_alarm=FALSE_ALARM)
         alarms += not found.met
         largest = max(largest, found.evidence)
-    word = "stated" if stated else "first piece"
     print(
-        f"{machine.__name__:8} noise {word:12} {alarms:4d} alarms in {count} logs, at most "
+        f"{machine.__name__:8} {alarms:4d} alarms in {count} logs, at most "
         f"{100 * at_most(alarms, count):.2f} % (95 %), asked {100 * FALSE_ALARM:g} %; largest log E {largest:.2f}",
         flush=True,
     )
@@ -261,8 +259,7 @@ def main(words: list[str]) -> None:
     print(f"# {PIECES} pieces of {PIECE:g} s; {begins}; false alarms at most {FALSE_ALARM:g}")
     if not words or words[0] == "quiet":
         for machine in [m for m in (Axis, Motor) if m.__name__ in (words[2:] or ("Axis", "Motor"))]:
-            for stated in (True, False):
-                quiet(machine, int(words[1]) if len(words) > 1 else 200, stated)
+            quiet(machine, int(words[1]) if len(words) > 1 else 200)
     if not words or words[0] == "changes":
         for row in CHANGES:
             changed(*row, int(words[1]) if len(words) > 1 else 10)
