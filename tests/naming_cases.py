@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from functools import cache
 from unittest.mock import patch
 
@@ -62,7 +63,9 @@ def searched(record: rl.Record, keys=POOL, progress=quiet, **changed) -> Found:
     """The search over these effects, with some numbers of its tuning changed."""
     fit, held, pool, allowed = opened(record)
     fit.work.clear()
-    with patch.multiple(tuning, **{name.upper(): value for name, value in changed.items()}):
+    with ExitStack() as kept:
+        for name, value in changed.items():
+            kept.enter_context(patch.object(tuning, name.upper(), value))
         return search_sets(fit, held, [pool[k] for k in keys], allowed, progress)
 
 

@@ -313,7 +313,6 @@ OBJECTS: dict[str, Any] = {
     "DataCover": data_cover,
     "Watch": watch,
     "WatchedPiece": lambda: watch().pieces[0],
-    "Growth": lambda: watch().growth,
     "FrequencyData": measured_response,
     "Result": lambda: result.Result("Margin", rl.Status.CERTIFIED, {"lower": 1.5}),
 }

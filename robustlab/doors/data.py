@@ -100,12 +100,12 @@ def discover(
 def watch(
     model: Annotated[Plant, Named(key="of")],
     records: Annotated[list[Any], RecordFile(many=True), "The log: one record, or its pieces in their order."],
-    every: Annotated[float | None, Number(above=0), "Cut each record into pieces of so many seconds."] = None,
     noise: Annotated[
-        dict[str, float] | None,
+        dict[str, float],
         Table(Number(above=0), "outputs"),
-        "Standard deviation of an output's noise in one sample, in its unit; from the first piece if all are left out.",
-    ] = None,
+        "Standard deviation of an output's noise in one sample, in its unit; of each recorded output.",
+    ],
+    every: Annotated[float | None, Number(above=0), "Cut each record into pieces of so many seconds."] = None,
     false_alarm: Annotated[
         float, Number(above=0, most=0.5), "Probability of an alarm in the whole log while the model explains it."
     ] = 0.01,
@@ -119,12 +119,12 @@ def watch(
     Exit code 0: the model explains the log from beginning to end; 1: an alarm;
     3: a record is wrong; 4: the log says too little for a test.
 
-    Example: robustlab data watch axis.h5 monday.csv tuesday.csv --every 60 --inputs u --outputs q --false-alarm 0.001
+    Example: robustlab data watch axis.h5 monday.csv tuesday.csv --every 60 --inputs u --outputs q --noise q=1e-4
     """
     from robustlab.dynamics.effects.catalogue import effect
 
     return rl.watch(
-        model, records, every=every, noise=noise or None, false_alarm=false_alarm, tolerances=tolerances, window=window,
+        model, records, every=every, noise=noise, false_alarm=false_alarm, tolerances=tolerances, window=window,
         exclude=tuple(effect(name).id for name in exclude or ()), progress=progress,
     )  # fmt: skip
 

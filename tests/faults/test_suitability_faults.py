@@ -25,7 +25,7 @@ def test_a_good_record_is_fit():
     found = suitability(AXIS, record())
     assert (found.fit, found.findings) == (True, ())
     found.require()
-    assert found.summary() == "run 7: fit for naming"
+    assert found.facts() == [("", "run 7: fit for naming")]
 
 
 def test_shorter_than_the_slowest_time_constant():

@@ -111,7 +111,8 @@ class EnvelopeCoverage(Evidence):
         """Of each signal how much lies inside, the nominal gap, and how far the set reaches."""
         found: Facts = []
         for s in self.signals.values():
-            miss = f"; misses by {number(s.miss, s.unit, 3)} ({s.miss_percent:.3g} %)" if s.miss else ""
+            where = f"{s.miss_side} at {number(s.miss_time, 's')}"
+            miss = f"; misses by {number(s.miss, s.unit, 3)} ({s.miss_percent:.3g} %), {where}" if s.miss else ""
             found += [
                 (f"{s.name}: inside the envelope", f"{100 * s.share:.3g} % of the time{miss}"),
                 (f"{s.name}: gap of the nominal model", f"{number(s.gap, s.unit, 3)} ({s.gap_percent:.3g} %)"),
@@ -122,18 +123,6 @@ class EnvelopeCoverage(Evidence):
     def numbers(self) -> dict[str, Any]:
         """All but the time series."""
         return self.to_json(series=False)
-
-    def summary(self) -> str:
-        """One line for each signal."""
-        lines = []
-        for s in self.signals.values():
-            line = f"{s.name}: {100 * s.share:.3g} % of {self.record} inside the envelope of {self.members} members"
-            if s.miss > 0:
-                line += (
-                    f"; misses by {s.miss:.3g} {s.unit} ({s.miss_percent:.3g} %), {s.miss_side} at {s.miss_time:.4g} s"
-                )
-            lines.append(f"{line}; nominal gap {s.gap_percent:.3g} %, reach of the set {s.reach_percent:.3g} %")
-        return "\n".join(lines)
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields, and `covered`; without ``series`` the time series are left out."""

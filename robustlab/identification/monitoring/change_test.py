@@ -1,23 +1,21 @@
 r"""A sequential test that a model's parameters stay what they are, valid at every time (an e-process).
 
-What a piece p of a log tells stands in whitened residuals :math:`r_p`, their derivatives :math:`J_p` over the model's
-parameters, and the columns :math:`G_p` of what may change; the starts of its windows are projected out. While the model
-explains the log,
+What a piece p of a log tells stands in whitened residuals :math:`r_p` and their derivatives :math:`J_p` over the
+model's parameters; the starts of its windows are projected out. While the model explains the log,
 
 .. math:: r_p + J_p \zeta = \varepsilon_p, \qquad \varepsilon_p \sim N(0, I),
 
 with one unknown :math:`\zeta` for all pieces: the parameters need not be known, they must not move. If from piece
-:math:`\tau` on something of strength :math:`\delta` comes in, at once (:math:`w_p = 1`) or growing (:math:`w_p = p -
-\tau + 1`), it is :math:`r_p + J_p \zeta + w_p G_p \delta`. With :math:`\zeta` integrated out under a flat prior in
-both, and :math:`\delta \sim N(0, s^2)`, the ratio of the two likelihoods is
+:math:`\tau` on one of them, with the column :math:`G_p` of :math:`J_p`, moves by :math:`\delta`, at once (:math:`w_p =
+1`) or growing (:math:`w_p = p - \tau + 1`), it is :math:`r_p + J_p \zeta + w_p G_p \delta`. With :math:`\zeta`
+integrated out under a flat prior in both, and :math:`\delta \sim N(0, s^2)`, the ratio of the two likelihoods is
 
 .. math::
     \log \Lambda_\tau = \tfrac12 \frac{b^2}{A + s^{-2}} - \tfrac12 \log(1 + s^2 A), \qquad
     A = G^T P G, \quad b = G^T P r, \quad P = I - J (J^T J)^{-1} J^T
 
-over all pieces so far (G zero before :math:`\tau`); for a strength that cannot be negative twice the normal probability
-of that sign comes to it. What is in no catalogue is looked for as random slow errors of each window, and as more noise:
-:math:`\varepsilon_p \sim N(0, I + s^2 U_p U_p^T)` from :math:`\tau` on.
+over all pieces so far (G zero before :math:`\tau`). Whatever else comes in is looked for as random slow errors of each
+window, and as more noise: :math:`\varepsilon_p \sim N(0, I + s^2 U_p U_p^T)` from :math:`\tau` on.
 
 :math:`P r` does not depend on :math:`\zeta`, and the ratio of its likelihoods is a martingale under the model, whatever
 :math:`\zeta` is (Pérez-Ortiz and others 2024). So is every mixture
@@ -42,9 +40,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import log_ndtr
 
-from robustlab.arrays import Array, Indices, Mask
+from robustlab.arrays import Array, Indices
 
 DIFFUSE = 1e-4  # precision of the standardised parameters: 100 times their tolerances is as good as flat
 SIZES = (0.05, 0.5)  # of a change that is looked for, over its usual size
@@ -53,7 +50,7 @@ SCATTERS = (
     1.0,
     100.0,
 )  # variance of unnamed slow errors, over the noise; below one half it would test the noise itself
-UNNAMED = 0.5  # share of the alternatives that name nothing
+UNNAMED = 0.5  # share of the alternatives that are no parameter
 NEGLIGIBLE = 1e-9  # of a column's own square: what the parameters make of it by rounding
 
 
@@ -61,7 +58,7 @@ NEGLIGIBLE = 1e-9  # of a column's own square: what the parameters make of it by
 class PieceEquations:
     """What a piece tells, its windows' starts projected out.
 
-    With M = [J G r], (points, k + g + 1): ``whole`` is :math:`M^T M`, ``slow`` :math:`M^T U U^T M` with the slow
+    With M = [J r], (points, k + 1): ``whole`` is :math:`M^T M`, ``slow`` :math:`M^T U U^T M` with the slow
     directions U of its windows; ``points`` and ``slow_points`` their numbers.
     """
 
@@ -72,22 +69,9 @@ class PieceEquations:
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
-    """What may change: the first k are the model's own parameters.
-
-    ``weight`` (n,): prior share of each, with the sum one; ``size`` (n,): a usual strength; ``never_negative`` (n,).
-    """
-
-    own: int
-    weight: Array
-    size: Array
-    never_negative: Mask
-
-
-@dataclass(frozen=True, eq=False)
 class Alternatives:
-    """Log likelihood ratios at one time, each with its prior share: of the columns (n_tau, 2, n) at once and growing,
-    of what is unnamed (n_tau,).
+    """Log likelihood ratios at one time, each with its prior share: of the parameters (n_tau, 2, k) at once and
+    growing, of what is unnamed (n_tau,).
     """
 
     since: Indices  # piece at which the change comes, (n_tau,)
@@ -112,39 +96,33 @@ class Alternatives:
 class ChangeTest:
     """The test over the pieces so far.
 
-    ``first``: index of the first piece at which a change may come; ``named_first`` that of a change that has a name.
+    ``size`` (k,): a usual change of each parameter; 0 of those that are no change.
     """
 
-    columns: Columns
-    first: int
-    named_first: int
-    pieces: list[PieceEquations] = field(default_factory=list)
+    size: Array
     _whole: Array = field(init=False)  # over all pieces, of the own parameters and the residual, (k + 1, k + 1)
     _since: list[_Since] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
-        self._whole = np.zeros((self.columns.own + 1,) * 2)
+        self._whole = np.zeros((len(self.size) + 1,) * 2)
 
     def add(self, piece: PieceEquations) -> float:
         """Log of E after one more piece."""
-        own = [*range(self.columns.own), len(self.columns.size)]
-        self._whole = self._whole + piece.whole[np.ix_(own, own)]
-        if len(self.pieces) >= self.first:
-            self._since.append(_Since.empty(len(self.columns.size), self.columns.own))
+        self._whole = self._whole + piece.whole
+        self._since.append(_Since.empty(len(self.size)))
         for age, there in enumerate(reversed(self._since), 1):
-            there.add(piece, own, float(age))
-        self.pieces.append(piece)
-        behind = len(self._since)
-        return float(np.logaddexp(log_sum(self.alternatives().each), -np.log(behind + 1.0))) if behind else 0.0
+            there.add(piece, float(age))
+        return float(np.logaddexp(log_sum(self.alternatives().each), -np.log(len(self._since) + 1.0)))
 
     def alternatives(self) -> Alternatives:
         """All that may have changed, by the pieces so far."""
-        since = self.first + np.arange(len(self._since))
-        prior = -np.log((since - self.first + 1.0) * (since - self.first + 2.0))
-        once = np.stack([[s.once, s.growing] for s in self._since])  # (n_tau, 2, n, k + 1)
+        since = np.arange(len(self._since))
+        prior = -np.log((since + 1.0) * (since + 2.0))
+        once = np.stack([[s.once, s.growing] for s in self._since])  # (n_tau, 2, k, k + 1)
         square = np.stack([[s.square, s.square_growing] for s in self._since])
-        named = self._strengths(once, square) + np.log((1.0 - UNNAMED) / 2.0) + np.log(_share(self.columns.weight))
-        named[since < self.named_first] = -np.inf
+        may = self.size > 0.0
+        named = self._strengths(once, square) + np.log((1.0 - UNNAMED) / 2.0 / max(may.sum(), 1))
+        named[0], named[:, :, ~may] = -np.inf, -np.inf  # from the first piece on it is no change
         parts = [
             (np.stack([s.slow for s in self._since]), np.array([s.slow_points for s in self._since])),
             (np.stack([s.whole for s in self._since]), np.array([s.points for s in self._since])),
@@ -154,8 +132,8 @@ class ChangeTest:
         return Alternatives(since, named + prior[:, None, None], unnamed + prior)
 
     def _strengths(self, once: Array, square: Array) -> Array:
-        """Log ratio of each column that comes at once or grows, (n_tau, 2, n)."""
-        k = self.columns.own
+        """Log ratio of each parameter that moves at once or grows, (n_tau, 2, k)."""
+        k = len(self.size)
         inverse = np.linalg.inv(self._whole[:k, :k] + DIFFUSE * np.eye(k))
         cross = once[..., :k]
         lost = ((cross @ inverse) * cross).sum(axis=-1)
@@ -163,15 +141,13 @@ class ChangeTest:
         b = once[..., k] - cross @ (inverse @ self._whole[:k, k])
         found = []
         for size in SIZES:
-            precision = (size * self.columns.size / np.array([[1.0], [GROWING]])) ** -2.0
-            ratio = 0.5 * b**2 / (a + precision) - 0.5 * np.log1p(a / precision)
-            sign = np.log(2.0) + log_ndtr(-b / np.sqrt(a + precision))
-            found.append(ratio + np.where(self.columns.never_negative, sign, 0.0))
+            variance = (size * self.size / np.array([[1.0], [GROWING]])) ** 2
+            found.append(0.5 * b**2 * variance / (1.0 + a * variance) - 0.5 * np.log1p(a * variance))
         return log_sum(np.array(found), axis=0) - np.log(len(SIZES))
 
     def _scatter(self, part: Array, points: Array, variance: float) -> Array:
         """Log ratio, (n_tau,), of errors that are random with this variance in the directions that ``part`` is of."""
-        k = self.columns.own
+        k = len(self.size)
         before, after = _profile(self._whole, k), _profile(self._whole - variance / (1.0 + variance) * part, k)
         return -0.5 * (after[0] - before[0] + after[1] - before[1] + points * np.log1p(variance))
 
@@ -180,8 +156,8 @@ class ChangeTest:
 class _Since:
     """Sums over the pieces since one of them.
 
-    ``once``, ``growing``: products of the columns with the own parameters and the residual, (n, k + 1), times one and
-    times the weight of what grows; ``square``, ``square_growing``: their squares, (n,); ``whole``, ``slow``: of the own
+    ``once``, ``growing``: products of the parameters with themselves and the residual, (k, k + 1), times one and times
+    the weight of what grows; ``square``, ``square_growing``: their squares, (k,); ``whole``, ``slow``: of the
     parameters and the residual, (k + 1, k + 1).
     """
 
@@ -195,18 +171,17 @@ class _Since:
     slow_points: int = 0
 
     @classmethod
-    def empty(cls, n: int, k: int) -> _Since:
+    def empty(cls, k: int) -> _Since:
         """Of no piece."""
         zero = np.zeros((k + 1, k + 1))
-        return cls(np.zeros((n, k + 1)), np.zeros((n, k + 1)), np.zeros(n), np.zeros(n), zero, zero)
+        return cls(zero[:k], zero[:k], np.zeros(k), np.zeros(k), zero, zero)
 
-    def add(self, piece: PieceEquations, own: list[int], age: float) -> None:
+    def add(self, piece: PieceEquations, age: float) -> None:
         """One more piece, the ``age``-th."""
-        n = len(self.square)
-        once, square = piece.whole[:n, own], np.diag(piece.whole)[:n]
+        once, square = piece.whole[:-1], np.diag(piece.whole)[:-1]
         self.once, self.growing = self.once + once, self.growing + age * once
         self.square, self.square_growing = self.square + square, self.square_growing + age**2 * square
-        self.whole, self.slow = self.whole + piece.whole[np.ix_(own, own)], self.slow + piece.slow[np.ix_(own, own)]
+        self.whole, self.slow = self.whole + piece.whole, self.slow + piece.slow
         self.points, self.slow_points = self.points + piece.points, self.slow_points + piece.slow_points
 
 
@@ -217,11 +192,6 @@ def log_sum(logs: Array, axis: int | tuple[int, ...] | None = None) -> Array:
     with np.errstate(divide="ignore"):
         found = np.log(np.sum(np.exp(logs - most), axis=axis, keepdims=True)) + most
     return np.asarray(found.squeeze() if axis is None else found.squeeze(axis))
-
-
-def _share(weight: Array) -> Array:
-    """The weights, with the least number in the place of zero."""
-    return np.maximum(weight, np.finfo(float).tiny)
 
 
 def _profile(sums: Array, k: int) -> tuple[Array, Array]:

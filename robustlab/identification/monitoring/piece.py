@@ -1,8 +1,7 @@
-"""One piece of a log: prepared, its windows placed, and what it tells about parameters and changes as equations."""
+"""One piece of a log: prepared, its windows placed, and what it tells about the parameters as equations."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +11,7 @@ from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.monitoring.change_test import PieceEquations
-from robustlab.identification.monitoring.changes import Change
-from robustlab.identification.naming.first_look import effect_columns, own_derivatives
+from robustlab.identification.naming.first_look import own_derivatives
 
 MOST_BENT = 1.0  # square of the change of a window's residuals, over the noise of one point
 MOST_STEPS, FEW = 16, 0.02  # steps a sample; share of the windows that may still change
@@ -77,19 +75,14 @@ def _stepped(problem: Problem, fit: Fit, residual: Array, free: Array) -> Array:
     return _beyond_starts(there - residual, free)
 
 
-def equations(problem: Problem, fit: Fit, changes: Sequence[Change]) -> PieceEquations:
-    """What the piece tells about the parameters and the changes, at the model ``fit`` that was placed in it."""
+def equations(problem: Problem, fit: Fit) -> PieceEquations:
+    """What the piece tells about the parameters, at the model ``fit`` that was placed in it."""
     residual = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
     own = own_derivatives(problem, fit, residual)
-    coming: list[list[Array]] = []
-    with np.errstate(all="ignore"):
-        for start in (s for c in changes for s in c.starts):
-            change, slopes = effect_columns(problem, fit, residual, start)
-            coming.extend(slopes or [change])
     n_y = len(fit.noise.std)
     parts = []
-    for k, (r, (over_z, over_x)) in enumerate(zip(residual, own, strict=True)):
-        columns = np.concatenate([over_z, *(c[k][:, :, None] for c in coming), r[:, :, None]], axis=2)
+    for r, (over_z, over_x) in zip(residual, own, strict=True):
+        columns = np.concatenate([over_z, r[:, :, None]], axis=2)
         parts.append(_sums(np.nan_to_num(columns, posinf=0.0, neginf=0.0), over_x, r != 0.0, n_y))
     whole, slow = (np.sum([p[i] for p in parts], axis=0) for i in (0, 1))
     return PieceEquations(whole, slow, sum(p[2] for p in parts), sum(p[3] for p in parts))

@@ -56,9 +56,7 @@ class Watch(Tabular, Evidence):
     pieces
         The pieces in their order.
     noise
-        Output -> standard deviation of its noise in one sample that the test took.
-    noise_stated
-        Whether it was given; else it is that of the first piece.
+        Output -> standard deviation of its noise in one sample, as stated.
     plant, window
         The model; the length of the windows in s.
     tested
@@ -76,7 +74,6 @@ class Watch(Tabular, Evidence):
     found: Discovery | None
     pieces: tuple[WatchedPiece, ...]
     noise: Mapping[str, float]
-    noise_stated: bool
     plant: str
     window: float
     tested: float
@@ -111,14 +108,13 @@ class Watch(Tabular, Evidence):
 
     def facts(self) -> Facts:
         """The verdict, the alarm, what the plant lacks since, and the noise of the test."""
-        told = "as stated" if self.noise_stated else "as the first piece has it"
         return [
             ("verdict", self.verdict),
             ("", self.headline()),
             ("alarm", "" if self.met else f"at {span_of(self.alarm)}, E = {_large(self.evidence)}"),
             ("largest E", _large(self.evidence) if self.met else ""),
             ("false alarms", f"in at most {number(100.0 * self.false_alarm)} % of logs that the model explains"),
-            ("noise", f"{listed(f'{name} {number(std)}' for name, std in self.noise.items())} a sample, {told}"),
+            ("noise", f"{listed(f'{name} {number(std)}' for name, std in self.noise.items())} a sample"),
             ("windows", f"{number(self.window, 's')}, {100.0 * self.tested:.0f} % of them tested"),
             *(self.found.facts() if self.found is not None else []),
         ]

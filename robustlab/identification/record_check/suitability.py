@@ -107,9 +107,10 @@ class RecordCheck(Evidence):
 
     def facts(self) -> Facts:
         """The clock, the remarks, and what the model says."""
-        fit = () if self.suitability is None else self.suitability.summary().splitlines()
+        fit = () if self.suitability is None else self.suitability.facts()
         remarks = [("remark", text) for text in self.remarks]
-        return [(self.record.name, self.clock), *remarks, *(("for naming", text.strip()) for text in fit)]
+        told = [("for naming", f"{kind}: {text}" if kind else text) for kind, text in fit]
+        return [(self.record.name, self.clock), *remarks, *told]
 
     def details(self) -> list[Part]:
         """The channels with their ranges."""
@@ -282,16 +283,13 @@ class Suitability(Evidence):
         error = NoTrustworthyNumber if first.kind in TOO_POOR else InputError
         raise error(f"{self.record}: {first.channel}", first.found, first.expected or None, first.hint or None, more)
 
-    def summary(self) -> str:
-        """The findings in words, one or two lines each."""
-        if not self.findings:
-            return f"{self.record}: fit for naming"
-        lines = []
-        for finding in self.findings:
-            lines.append(f"{'FATAL' if finding.fatal else 'note'}: {finding.message}")
-            if finding.hint and finding.fatal:
-                lines.append(f"  hint: {finding.hint}")
-        return "\n".join(lines)
+    def facts(self) -> Facts:
+        """The findings; of fatal ones also what to do."""
+        told = [
+            ("FATAL" if f.fatal else "note", f"{f.message}; {f.hint}" if f.hint and f.fatal else f.message)
+            for f in self.findings
+        ]
+        return told or [("", f"{self.record}: fit for naming")]
 
     def to_json(self) -> dict[str, object]:
         """All findings."""

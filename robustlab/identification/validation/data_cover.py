@@ -83,18 +83,6 @@ class DataCover(Evidence):
         """Whether the set explains the records that were held out, with loads within their bounds."""
         return self.held_out <= self.radius and self.held_out_loads <= 1 + LOADS_TOLD
 
-    def summary(self) -> str:
-        """The radius and what stands behind it, for reading."""
-        lines = [f"unmodelled dynamics of {self.radius:.4g} of the input ({self.status})"]
-        lines.append(f"needed by the records: {self.needed_lower:.4g} to {self.needed:.4g}")
-        if not np.isnan(self.held_out):
-            word = "explained" if self.passes else "NOT explained"
-            loads = f", loads up to {self.held_out_loads:.3g} of their bounds" if self.loads else ""
-            lines.append(f"held out: needs {self.held_out:.4g}{loads}, {word} by the set")
-        lines += [f"load {x.name}: at most {x.bound:.4g} {x.unit}, {x.origin}" for x in self.loads]
-        lines += [v.summary() for v in self.validations.values()]
-        return "\n".join(lines)
-
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         held = (

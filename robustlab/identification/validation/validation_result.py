@@ -141,20 +141,6 @@ class Validation(Tabular, Evidence):
         """Whether no Delta of the set (gamma = 1) explains the record."""
         return self.lower > 1
 
-    def summary(self) -> str:
-        """The verdict, and what stands behind it, for reading."""
-        lines = [f"{self.record}: {self.verdict} ({self.status})"]
-        if self.status is Status.INFEASIBLE:
-            lines.append(f"no Delta of any size leaves less than {self.excess:.4g} times the noise bound")
-        else:
-            lines.append(f"smallest gamma between {self.lower:.6g} and {self.upper:.6g}: {self.label}")
-        lines += [f"{b.name} ({b.kind}): {b.in_words}" for b in self.blocks.values() if b.in_words]
-        if np.isfinite(self.upper):
-            lines.append(f"replayed: noise {self.excess:.4g} of its {self.noise_norm} bound")
-        lines += [f"assumed: {text}" for text in self.assumptions]
-        lines += self.notes
-        return "\n".join(lines)
-
     quantities: ClassVar[Mapping[str, Any]] = {
         **dict.fromkeys(("gamma", "lower", "upper", "excess", "replay_error"), "1"),
         **dict.fromkeys(("record", "verdict", "label", "noise_norm", "domain"), str),
@@ -189,6 +175,7 @@ class Validation(Tabular, Evidence):
                 (f"{name}: noise bound ({self.noise_norm})", number(bound, units[name], 3))
                 for name, bound in self.noise_bound.items()
             ),
+            *(("assumed", text) for text in self.assumptions),
             ("caution", "Not invalidated is not proved: another record may still invalidate the set."),
         ]
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue, effect
-from robustlab.dynamics.effects.contract import Prior, Scales
+from robustlab.dynamics.effects.contract import Scales
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
@@ -18,46 +18,15 @@ from robustlab.errors import InputError
 from robustlab.identification.hypotheses.candidates import (
     candidates,
     nuisance_parameters,
-    periods_seen,
     spatial_orders,
     stated_tolerances,
     timed_lines,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.noise import spans
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord, alike, prepare, window_length
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord, prepare, window_length
 from robustlab.statespace import Signal, StateSpaceModel
 
 # --- priors ----------------------------------------------------------------------------------------------------------
-
-magnitude = st.floats(1e-6, 1e6)
-
-
-@given(z=st.floats(-8.0, 8.0), centre=magnitude, spread=st.floats(0.01, 3.0))
-def test_log_priors_turn_back(z, centre, spread):
-    prior = Prior("log", centre, spread)
-    assert prior.value(z) == pytest.approx(centre * math.exp(spread * z), rel=1e-12)
-    assert prior.standardised(prior.value(z)) == pytest.approx(z, abs=1e-9 / spread)
-
-
-@given(z=st.floats(-8.0, 8.0), centre=st.floats(-1e3, 1e3), spread=st.floats(1e-2, 1e3))
-def test_linear_priors_turn_back(z, centre, spread):
-    prior = Prior("linear", centre, spread)
-    assert prior.value(z) == pytest.approx(centre + spread * z)
-    assert prior.standardised(prior.value(z)) == pytest.approx(z, abs=1e-9)
-
-
-@given(z=st.floats(-4.0, 4.0), part=st.floats(0.05, 0.95), spread=st.floats(0.1, 2.0), top=magnitude)
-def test_shares_stay_below_the_top_and_turn_back(z, part, spread, top):
-    prior = Prior("share", part * top, spread, top)
-    assert 0.0 < prior.value(z) < top
-    assert prior.value(0.0) == pytest.approx(part * top)  # the centre is the median
-    assert prior.standardised(prior.value(z)) == pytest.approx(z, abs=1e-6)
-
-
-@pytest.mark.parametrize("prior", [Prior("log", 2.0, 3.0), Prior("share", 0.5, 3.0)])
-def test_far_out_a_prior_stays_finite(prior):
-    assert all(math.isfinite(prior.value(z)) for z in (-1e6, 1e6))
 
 
 scales = st.builds(
@@ -76,17 +45,6 @@ def test_priors_of_the_catalogue_turn_back(name, seen, z):
         value = parameter.prior.value(z)
         assert math.isfinite(value)
         assert parameter.prior.standardised(value) == pytest.approx(z, abs=1e-6)
-
-
-@settings(max_examples=20, deadline=None)
-@given(seen=scales)
-@pytest.mark.parametrize("name", list(catalogue()))
-def test_starts_are_values_that_the_prior_allows(name, seen):
-    effect = catalogue()[name]
-    parameters = {p.name: p.prior for p in effect.parameters(seen)}
-    for start in effect.starts(seen):
-        assert set(start) == set(parameters)
-        assert all(abs(prior.standardised(start[p])) < 4.0 for p, prior in parameters.items())
 
 
 # --- nominal parameters that are refitted ----------------------------------------------------------------------------
@@ -129,12 +87,6 @@ def test_wrong_tolerances_are_refused(wrong, message):
 
 def nuisances(plant, given=None):
     return {n.label: n for n in nuisance_parameters(plant, stated_tolerances(plant, given))}
-
-
-def test_a_factor_has_the_spread_of_one_anywhere_within_its_tolerance():
-    found = nuisances(rl.plant("dc-motor"), {"J": 0.5})["J"]
-    draws = np.random.default_rng(3).uniform(-math.log(1.5), math.log(1.5), 200_000)
-    assert found.spread == pytest.approx(draws.std(), rel=0.01)
 
 
 def test_what_is_one_quantity_moves_together():
@@ -231,12 +183,6 @@ def test_two_ripples_come_with_the_stronger_first():
     assert any(abs(k - 8.0) < 0.1 for k in found)
 
 
-def test_less_than_two_periods_are_a_curve_and_no_line():
-    q, v = unequal_travel()
-    k = 1.5 * 2 * np.pi / np.ptp(q)
-    assert all(found >= 2 * 2 * np.pi / np.ptp(q) for found in spatial_orders(q, np.cos(k * q), v, v != 0))
-
-
 def test_records_in_different_places_show_the_periods_of_one_stroke():
     """Two strokes of 0.2 m, 1 m apart: a wave of 0.15 m is a curve there, though it fits eight times in between."""
     stroke = 0.1 - 0.1 * np.cos(np.linspace(0.0, 4 * np.pi, 2000))
@@ -248,22 +194,6 @@ def test_records_in_different_places_show_the_periods_of_one_stroke():
     assert min(within) >= 2 * 2 * np.pi / 0.2
     fine = 2 * np.pi / 0.02
     assert spatial_orders(q, np.cos(fine * q), v, v != 0, stroke=0.2)[0] == pytest.approx(fine, rel=0.01)
-
-
-def test_periods_are_counted_in_the_longest_stroke():
-    axis = rl.plant("servo-axis")
-    ready = prepared(axis)
-    position = port_model(axis).ports["v"].position
-    travel = np.ptp(ready.record["q"])
-    assert periods_seen(2 * np.pi / travel, position, [ready]) == pytest.approx(1.0, rel=0.01)
-    assert periods_seen(6 * np.pi / travel, position, [ready, ready]) == pytest.approx(3.0, rel=0.01)
-
-
-def test_without_travel_there_are_no_lines():
-    still = np.zeros(500)
-    assert spatial_orders(still, np.sin(np.arange(500)), still, still == 0) == ()
-    assert spatial_orders(np.arange(9.0), np.arange(9.0), np.ones(9), np.ones(9, dtype=bool)) == ()
-    assert spatial_orders(still[:0], still[:0], still[:0], still[:0] == 0) == ()
 
 
 # --- lines over time -------------------------------------------------------------------------------------------------
@@ -294,10 +224,6 @@ def test_the_stronger_of_two_lines_comes_first():
 def test_noise_alone_has_a_line_over_time_as_seldom_as_stated():
     alarms = sum(bool(timed_lines(*coloured(3000, seed), 1e-3, 4.0)) for seed in range(300))
     assert alarms <= 9  # 3 expected of 300 at 1 %; more than 9 has the probability 0.001
-
-
-def test_a_short_record_has_no_lines_over_time():
-    assert timed_lines(np.ones(30), np.zeros(30), 1e-3, 4.0) == ()
 
 
 # --- what is tried where ---------------------------------------------------------------------------------------------
@@ -417,76 +343,7 @@ def test_the_magnitudes_are_those_of_the_record():
     assert (there.dt, there.duration) == pytest.approx((2e-3, T[-1]))
 
 
-def test_a_candidates_starts_are_points_of_its_prior():
-    for candidate in (c for several in tried("dc-motor").values() for c in several):
-        for start in candidate.starts:
-            assert candidate.values(candidate.standardised(start)) == pytest.approx(dict(start), rel=1e-9)
-
-
 # --- records made ready ----------------------------------------------------------------------------------------------
-
-
-def test_windows_cover_the_record_without_overlap():
-    ready = prepared(rl.plant("servo-axis"))
-    starts, length = ready.windows.starts, ready.windows.length
-    assert (np.diff(starts) == length).all()
-    # What is left over lies at the beginning, up to a twentieth of a window: the input before the record is not known.
-    assert starts[0] == min(len(T) % length, length // 20)
-    assert len(T) - length < starts[-1] + length <= len(T)
-    assert ready.measured.shape == (ready.count, length, 2)
-    assert (ready.measured[1, 0] == ready.y[starts[1]]).all()
-
-
-def test_windows_last_as_long_as_the_slowest_motion_but_four_fit():
-    plant = rl.plant("servo-axis")  # M / Fv = 0.467 s
-    long = rl.Record(np.arange(20000) * 2e-3, {"u": np.ones(20000)}, {"q": np.ones(20000)})
-    assert window_length(plant, [long]) == pytest.approx(480, abs=1)  # a twelfth would be 1666: the longest
-    slow = rl.Record(np.arange(2400) * 2e-3, {"u": np.ones(2400)}, {"q": np.ones(2400)})
-    assert window_length(plant, [slow]) == round(95.1089 / 203.5034 / 2e-3)
-    short = rl.Record(np.arange(500) * 2e-3, {"u": np.ones(500)}, {"q": np.ones(500)})
-    assert window_length(plant, [short]) == 125
-
-
-def sampled_swing(samples, k=100.0):
-    """A free swing of a period of 0.628 s in windows, with a model of this stiffness."""
-    plant = rl.plant("mass-spring-damper", m=1.0, c=0.02, k=k)
-    t = np.arange(0.0, 30.0, 2 * np.pi / 10 / samples)
-    noise = 1e-4 * np.random.default_rng(5).standard_normal(len(t))
-    q = 0.3 * np.exp(-0.01 * t) * np.cos(10 * t) + noise
-    record = rl.Record(t, {"f": 0 * t}, {"q": q}, {"f": "N", "q": "m"}, "swing")
-    return prepare(plant, port_model(plant), record, window_length(plant, [record]))
-
-
-@pytest.mark.parametrize(("samples", "most"), [(9, 1), (50, 6), (500, 62)])
-def test_errors_are_averaged_over_an_eighth_of_a_period_at_most(samples, most):
-    ready = sampled_swing(samples)
-    assert 1 <= ready.thin <= most
-    assert ready.windows.length >= min(2 * samples, ready.record.n // 4)
-
-
-def test_what_the_record_shows_counts_beside_what_the_plant_has():
-    """The same swing, and a model that knows no spring."""
-    assert sampled_swing(100, k=0.0).thin <= 12
-
-
-def test_records_that_are_fitted_together_are_averaged_alike():
-    one, other = (sampled_swing(s) for s in (9, 500))
-    assert [r.thin for r in alike([other, one])] == [1, 1]
-
-
-def test_a_current_that_no_sensor_tells_starts_where_voltage_and_speed_put_it():
-    motor = rl.plant("dc-motor")
-    t = 1e-3 * np.arange(3000)
-    u = 12.0 * np.repeat(np.random.default_rng(7).uniform(-1, 1, 60), 50)
-    run = rl.simulate(motor, t, u)
-    lsb = 2 * np.pi / 2000
-    encoder = rl.Record(t, {"u": u}, {"phi": lsb * np.round(run["phi"] / lsb)}, {"u": "V", "phi": "rad"})
-    ready = prepare(motor, port_model(motor), encoder, 250)
-    k = [s.name for s in motor.states].index("i")
-    p = motor.values
-    largest = np.abs(u - p["Kb"] * run["omega"]).max() / p["R"]
-    assert ready.x0_std[:, k] == pytest.approx(np.full(ready.count, 0.3 * largest), rel=0.05)
-    assert (np.abs(ready.x0[:, k] - run["i"][ready.windows.starts]) < 2 * ready.x0_std[:, k]).all()
 
 
 def test_a_record_without_the_input_or_any_output_is_refused():
@@ -504,89 +361,3 @@ def test_fewer_than_four_windows_are_refused():
     record = rl.simulate(plant, T[:399], U[:399])
     with pytest.raises(InputError, match=r"399 samples.*at least 400 \(4 windows\)"):
         prepare(plant, port_model(plant), record, 100)
-
-
-def test_samples_that_were_not_measured_are_none_and_their_windows_are_left_out():
-    plant = rl.plant("servo-axis")
-    record = rl.simulate(plant, T, U)
-    valid = np.ones(len(T), dtype=bool)
-    valid[210:290] = False  # most of the window 200..299
-    valid[610:620] = False
-    ready = prepare(plant, port_model(plant), record, 100, {"q": valid})
-    assert ready.windows.starts.tolist() == [0, 100, 300, 400, 500, 600, 700, 800, 900]
-    assert np.isnan(ready.y[:, 0]).tolist() == (~valid).tolist()
-    assert np.isfinite(ready.y[:, 1]).all()
-
-
-def test_a_sensor_that_only_another_record_has_is_missing_at_all_samples():
-    plant = rl.plant("servo-axis")
-    run = rl.simulate(plant, T, U)
-    record = rl.Record(T, run.inputs, {"q": run["q"]})
-    alone = prepare(plant, port_model(plant), record, 100)
-    beside = prepare(plant, port_model(plant), record, 100, outputs={"q", "v"})
-    assert (alone.columns, beside.columns) == ((0,), (0, 1))
-    np.testing.assert_array_equal(beside.y[:, 0], alone.y[:, 0])
-    assert np.isnan(beside.y[:, 1]).all()
-    assert (beside.resolution[1], beside.smoothed.noise_std[1]) == (0.0, 0.0)
-    np.testing.assert_array_equal(beside.x0, alone.x0)
-    np.testing.assert_array_equal(beside.windows.starts, alone.windows.starts)
-    np.testing.assert_array_equal(beside.starts_seen(0.0, {0: 1.1, 1: 2.0}), alone.starts_seen(0.0, {0: 1.1}))
-    np.testing.assert_array_equal(spans([beside]), [np.ptp(run["q"]), 0.0])
-
-
-def test_windows_lie_between_gaps():
-    plant = rl.plant("servo-axis")
-    valid = np.ones(len(T), dtype=bool)
-    valid[330:350] = False  # the clock stood still: nothing is known of the input either
-    valid[701:703] = False  # two samples, over which the input is held
-    ready = prepare(plant, port_model(plant), rl.simulate(plant, T, U), 100, {"q": valid, "v": valid})
-    assert ready.windows.starts.tolist() == [5, 105, 205, 355, 455, 555, 655, 755, 855]
-    assert np.isnan(ready.measured).sum() == 2 * 2
-
-
-def test_window_starts_follow_the_gain_of_a_sensor():
-    plant = rl.plant("servo-axis")
-    run = rl.simulate(plant, T, U)
-    gain, model = 0.9, port_model(plant)
-    true = prepare(plant, model, rl.Record(T, run.inputs, {"q": run["q"]}), 100)
-    seen = prepare(plant, model, rl.Record(T, run.inputs, {"q": gain * run["q"]}), 100)
-    size = np.abs(true.x0).max(axis=0)
-    q = seen.columns[0]
-    assert np.abs(seen.starts_seen(0.0, {}) - true.x0).max() > 0.05 * size.max()
-    # The motion that the reading comes from, up to the roughness of what a smoother tells.
-    assert np.abs((seen.starts_seen(0.0, {q: gain}) - true.x0) / size).max() < 2e-3
-    # A late sensor, too: the same samples later on.
-    late = seen.starts_seen(3 * T[1], {q: gain})
-    assert np.abs((late - true.smoothed.x[true.windows.starts + 3]) / size).max() < 2e-3
-
-
-def test_window_starts_follow_the_bias_of_a_sensor():
-    states = [Signal("q", "m"), Signal("v", "m/s")]
-    a, b, c = [[0.0, 1.0], [-400.0, -2.0]], [[0.0], [50.0]], [[1.0, 0.0]]
-    spring = StateSpaceModel(a, b, c, [[0.0]], 0.0, [Signal("u", "V")], states[:1], states)
-    plant = linear_plant_of(spring, "test")
-    run = rl.simulate(plant, T, U)
-    bias = 0.2 * np.ptp(run["q"])
-    true = prepare(plant, port_model(plant), rl.Record(T, run.inputs, {"q": run["q"]}), 100)
-    seen = prepare(plant, port_model(plant), rl.Record(T, run.inputs, {"q": run["q"] + bias}), 100)
-    size = np.abs(true.x0).max(axis=0)
-    assert np.abs((seen.starts_seen(0.0, {}) - true.x0) / size).max() > 0.1
-    assert np.abs((seen.starts_seen(0.0, {}, {0: bias}) - true.x0) / size).max() < 5e-3
-
-
-def test_the_shares_of_the_outputs_add_up_to_the_states_where_nothing_else_moves_them():
-    plant = rl.plant("servo-axis")
-    run = rl.simulate(plant, T, U)
-    still = {name: np.zeros(len(T)) for name in run.inputs}
-    ready = prepare(plant, port_model(plant), rl.Record(T, still, run.outputs), 100)
-    assert len(ready.told) == len(run.outputs)
-    assert np.abs(ready.told.sum(axis=0) - ready.smoothed.x).max() < 1e-6 * np.abs(ready.smoothed.x).max()
-
-
-def test_a_sensors_step_is_seen():
-    plant = rl.plant("servo-axis")
-    run = rl.simulate(plant, T, U)
-    coarse = np.ptp(run["q"]) / 100
-    record = rl.Record(T, run.inputs, {"q": coarse * np.round(run["q"] / coarse), "v": run["v"]})
-    ready = prepare(plant, port_model(plant), record, 100)
-    assert ready.resolution == pytest.approx([coarse, 0.0], rel=1e-9)

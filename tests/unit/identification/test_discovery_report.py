@@ -14,7 +14,6 @@ from robustlab.cli.data import _fill_folder
 from robustlab.identification.experiment.next_experiment import NextExperiment, Pair, Tried
 from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.discovery_result import Discovery
-from robustlab.identification.naming.discovery_text import chance, compared, with_interval
 from robustlab.identification.naming.named_effects import (
     EffectValue,
     Gap,
@@ -31,8 +30,7 @@ from robustlab.identification.record_check.suitability import Finding
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.recipe.schema import Requirement, judge
-from robustlab.report.discovery import discovery_figures, facts, stretch_figure, write_page
-from robustlab.report.drawings import caption_of
+from robustlab.report.discovery import discovery_figures, facts, write_page
 from robustlab.result import Status, plain
 
 FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47, "friction level")
@@ -217,12 +215,6 @@ def test_details_have_all_it_rests_on():
     assert "linear between samples; clock not fitted" in fixed
 
 
-@pytest.mark.parametrize(("probability", "said"), [(0.9799, False), (0.9801, True)])
-def test_rivals_are_none_only_where_the_rest_has_below_two_per_cent(probability, said):
-    text = made(effects=(replace(COULOMB, confidence=probability),)).summary(details=True)
-    assert ("rivals      none" in text) is said
-
-
 def test_a_parameter_beyond_its_tolerance_is_told_and_nothing_else_is_claimed():
     far = NominalValue("M", 95.1, 130.0, "kg", 129.0, 131.0, 0.05, False, beyond=True)
     short, long = (made(nominal=(far,)).summary(details) for details in (False, True))
@@ -253,13 +245,6 @@ def test_what_is_periodic_is_told_by_amplitude_and_period():
     assert wave_amplitude({"Fc": 1.0}) is None
 
 
-def test_rivals_say_how_far_apart_they_are():
-    text = ambiguous().summary()
-    assert "60 %          coulomb-friction@v\n  38 %          presliding@v; 1.4 noise sigmas from the first" in text
-    assert "cogging" not in text  # the two have 95 % already
-    assert "Presliding, presliding at v (Fb 20.39 N): probability 21 %, 1.4 noise" in ambiguous().summary(details=True)
-
-
 def test_what_sets_have_in_common_is_told_once():
     sets = (
         SetProbability(("coulomb-friction@v", "cogging@v"), ("coulomb-friction", "cogging"), 0.6, 0.0, 0.0),
@@ -271,13 +256,6 @@ def test_what_sets_have_in_common_is_told_once():
         "servo-axis lacks Coulomb (dry) friction, and either cogging (force ripple), an unnamed force over position or "
         "nothing more"
     )
-
-
-def test_the_collection_is_the_smallest_with_95_per_cent():
-    shares = (0.5, 0.3, 0.15, 0.04, 0.01)
-    found = made(posterior=tuple(SetProbability((), (), p, 0.0) for p in shares))
-    assert [p.probability for p in found.collection] == [0.5, 0.3, 0.15]
-    assert made().collection == made().posterior[:1]
 
 
 def test_what_diverges_is_told_as_such():
@@ -296,13 +274,6 @@ def test_an_interrupted_search_says_so_first():
     assert found.interrupted
     assert found.summary().startswith("Interrupted; by then: servo-axis lacks Coulomb")
     assert not made().interrupted
-
-
-@pytest.mark.parametrize(
-    ("probability", "words"), [(0.99951, "> 99.9 %"), (0.5, "50 %"), (0.012, "1.2 %"), (4e-4, "< 0.1 %")]
-)
-def test_probabilities_in_words(probability, words):
-    assert chance(probability) == words
 
 
 def test_the_next_experiment_is_told_and_kept(tmp_path):
@@ -336,35 +307,6 @@ def test_what_remains_and_findings_are_said():
     assert "speed in speed removes 38 % of the held-out variance" in text
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "words"),
-    [
-        (3.0, 0.1, "30 times smaller than nominal"),
-        (1.0, 4.0, "4 times larger than nominal"),
-        (1.0, 1.0, "as large as nominal"),
-        (5.0, 1e-3, "5000 times smaller than nominal"),
-        (1.0, 0.0, "zero, unlike nominal"),
-        (0.0, 1.0, "not zero, unlike nominal"),
-        (0.0, 0.0, "as large as nominal"),
-        (math.nan, 1.0, "not comparable with nominal"),
-        (1.0, math.inf, "not comparable with nominal"),
-        (math.inf, 1.0, "finite, unlike nominal"),
-    ],
-)
-def test_comparisons_in_words(before, after, words):
-    assert compared(before, after, "nominal") == words
-
-
-def test_an_interval_shows_the_digits_that_it_is_worth():
-    assert (
-        with_interval(EffectValue("x", 20.001234, "N", 20.0005, 20.0019, "")) == "20.0012 N (95 %: 20.0005 to 20.0019)"
-    )
-    assert with_interval(EffectValue("x", 1.5, "1", 1.0, 2.0, "")) == "1.5 (95 %: 1 to 2)"
-    assert with_interval(EffectValue("x", 0.0, "N", -1.0, 1.0, "")) == "0 N (95 %: -1 to 1)"
-    assert with_interval(EffectValue("x", 3.0, "N", 3.0, 3.0, "")) == "3 N (held fixed)"
-    assert with_interval(EffectValue("x", 2.0, "N", -math.inf, math.inf, "")) == "2 N (95 %: -inf to inf)"
-
-
 # --- figures and page ------------------------------------------------------------------------------------------------
 
 
@@ -391,86 +333,6 @@ def test_the_story_shows_the_three_errors_of_every_output_in_windows_and_in_free
     assert figures["story"].get_suptitle().startswith("servo-axis lacks Coulomb")
     for model, error in (("nominal", -0.02), ("refitted", -0.01)):
         assert np.nanmax(curve(traces, model).get_ydata()) == pytest.approx(error)
-
-
-def test_a_model_that_diverges_is_drawn_as_one():
-    gap = Gap("q", "m", 2.0, math.inf, 0.2, 0.01)
-    d = made(free_run={"q": gap})
-    d.series["free_run"]["outputs"]["q"]["nominal"][300:] = math.nan
-    d.series["free_run"]["outputs"]["q"]["nominal"][200:300] = 1e30
-    figures = discovery_figures(d)
-    free = figures["story"].axes[1]
-    assert [text.get_text() for text in free.texts] == ["nominal diverges", "10 %", "0.5 %"]
-    above, middle, _ = figures["run-q"].axes
-    assert max(np.abs(above.get_ylim())) < 4.0  # the record has +-1
-    assert max(np.abs(middle.get_ylim())) < 1.0  # the refitted model is off by 0.4
-    assert "rms nominal diverges, refitted 0.2, updated 0.01 m" in middle.get_title(loc="left")
-
-
-def test_the_free_run_is_drawn_from_the_start_to_the_end():
-    above, _, below = discovery_figures(made())["run-q"].axes
-    x, y = curve(above, "record").get_data()
-    assert (x[0], x[-1]) == (0.0, 3.99)
-    assert y == pytest.approx(np.sin(3.0 * x))
-    assert below.get_lines()[0].get_ydata() == pytest.approx(-0.01 * x)
-
-
-@pytest.mark.parametrize("apart", [1, 4])
-def test_lines_break_between_windows_and_gaps_are_left_out(apart):
-    d = made(series=series(apart))
-    above, middle, below = stretch_figure(d, "q").axes
-    x, y = curve(above, "record").get_data()
-    assert np.isnan(y).sum() == 4  # one break after each of the four windows shown
-    # The worst window (the fourth) is among them, and no window is stretched.
-    assert np.nanmin(middle.get_lines()[0].get_ydata()) == pytest.approx(-0.12)
-    steps = np.diff(x)
-    assert np.nanmin(steps) == pytest.approx(DT)
-    assert np.nanmax(steps) == pytest.approx(DT)
-    span = np.nanmax(x) - np.nanmin(x)
-    assert span < 4.3 * LENGTH * DT
-    assert ("between them were fitted" in below.get_xlabel()) is (apart > 1)
-    if apart > 1:
-        ticks = below.xaxis.get_major_locator()()
-        shown = [below.xaxis.get_major_formatter()(tick) for tick in ticks]
-        assert shown == ["1.6", "3.2", "4.8", "6.4"]
-
-
-def test_the_sets_are_drawn_with_their_probability():
-    (axes,) = discovery_figures(ambiguous())["posterior"].axes
-    assert [bar.get_width() for bar in axes.patches] == pytest.approx([60.0, 38.0, 2.0])
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["coulomb-friction@v", "presliding@v", "cogging@v"]
-    colours = [bar.get_facecolor() for bar in axes.patches]
-    assert colours[0] == colours[1] != colours[2]  # the collection of 95 %
-
-
-def test_what_remains_is_drawn_over_every_coordinate():
-    panels = discovery_figures(unknown())["force"].axes
-    assert [panel.get_xlabel() for panel in panels[:3]] == ["speed [m/s]", "position [m]", "time [s]"]
-    assert "force" not in discovery_figures(made())
-
-
-def test_the_force_that_was_missing_is_drawn_beside_what_is_left():
-    left = unknown().residual_force
-    more = replace(left, rms=7.5, curves={k: replace(c, value=3 * c.value, share=0.9) for k, c in left.curves.items()})
-    figure = discovery_figures(made(residual_force=left, missing_force=more))["force"]
-    speed, *_, shares = figure.axes
-    assert speed.get_xlabel() == "speed [m/s]"
-    assert speed.get_title(loc="left") == "speed: explains 90 % → 40 %"
-    before, after = curve(speed, "refitted, mean over a bin"), curve(speed, "updated, mean over a bin")
-    assert before.get_ydata() == pytest.approx(3 * after.get_ydata())
-    assert "rms 7.5 → 2.5 N" in shares.get_title(loc="left")
-
-
-def test_an_output_with_an_odd_name_gets_a_file_name_of_its_own():
-    d = made()
-    signals = {"../x$": d.series["outputs"]["q"]}
-    odd = made(gaps={"../x$": d.gaps["q"]}, series={**d.series, "outputs": signals})
-    odd = replace(odd, free_run={"../x$": d.gaps["q"]})
-    odd.series["free_run"]["outputs"]["../x$"] = odd.series["free_run"]["outputs"].pop("q")
-    assert list(discovery_figures(odd)) == ["story", "run-output1", "stretch-output1", "posterior"]
-    captions = [caption_of("discovery.discovery_figures", name) for name in discovery_figures(odd)]
-    assert all(len(words.split()) > 5 for words in captions)
-    assert len(set(captions)) == len(captions)
 
 
 def test_missing_samples_do_not_stop_the_figures():
@@ -541,7 +403,3 @@ def test_two_effects_of_a_kind_are_told_apart_by_their_place():
     d = made(effects=(COULOMB, replace(COULOMB, site="w", parameters=(replace(FC, value=1.0),))))
     found = numbers_of(d)["effects"]
     assert (found["coulomb-friction"]["Fc"], found["coulomb-friction@w"]["Fc"]) == (20.39, 1.0)
-
-
-def test_nothing_left_is_an_infinite_ratio():
-    assert numbers_of(made(gap_after=0.0))["gap_ratio"] == math.inf

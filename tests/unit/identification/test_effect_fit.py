@@ -12,7 +12,6 @@ from oracle.stick_slip import stick_slip
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification.experiment.experiment_bench import _told_by_output
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
@@ -25,7 +24,7 @@ from robustlab.identification.hypotheses.effect_fit import (
 )
 from robustlab.identification.hypotheses.noise import first_noise
 from robustlab.identification.hypotheses.normal_equations import Linearised, NoiseModel
-from robustlab.identification.hypotheses.prepared_record import averaged, prepare
+from robustlab.identification.hypotheses.prepared_record import prepare
 
 AXIS = rl.plant("servo-axis")
 T = np.arange(1000) * 2e-3
@@ -179,87 +178,7 @@ def test_the_robust_covariance_is_the_sandwich_over_windows():
     assert fitted(hypothesis).std == pytest.approx(np.sqrt(np.diag(bread)), rel=1e-4)
 
 
-def test_with_fixed_parameters_only_the_starts_are_fitted():
-    problem, hypothesis = exact()[0], linear_hypotheses()["both"]
-    z = np.array([0.7, -1.3])
-    fit = problem.fit(hypothesis, WHITE, z, plan=FitPlan(fixed=True, tolerance=1e-9))
-    assert fit.z.tolist() == z.tolist()
-    r, j, x = dense_parts(problem, hypothesis, WHITE)
-    for w, start in enumerate(fit.starts[0]):
-        rows = np.vstack([x[w], np.eye(2)])
-        best = -np.linalg.lstsq(rows, np.concatenate([r[w] + j[w] @ z, np.zeros(2)]), rcond=None)[0]
-        assert start == pytest.approx(best, abs=1e-5 * np.abs(fit.starts[0]).max())
-
-
-def test_the_windows_share_the_cost_and_the_prior_takes_the_rest():
-    fit = fitted(linear_hypotheses()["both"])
-    assert len(fit.window_cost) == exact()[0].records[0].count
-    assert fit.window_cost.sum() + fit.z @ fit.z == pytest.approx(fit.cost, rel=1e-12)
-
-
-def test_borrowed_derivatives_give_the_same_step():
-    problem, _ = problem_of(noisy(rl.simulate(AXIS, T, U)))
-    load = linear_hypotheses()["load"]
-    base = problem.fit(NONE, WHITE, np.zeros(2))
-    borrowed = problem.derivatives(base)
-    z = np.append(base.z, 0.0)
-    own = problem.fit(load, WHITE, z, base.starts, FitPlan(1))
-    lent = problem.fit(load, WHITE, z, base.starts, FitPlan(1), borrowed)
-    assert lent.z == pytest.approx(own.z, abs=1e-4)
-    assert lent.cost == pytest.approx(own.cost, rel=1e-4)
-
-
 # --- errors ----------------------------------------------------------------------------------------------------------
-
-
-def test_borrowed_derivatives_of_a_parameter_that_an_effect_replaces_move_nothing():
-    run = noisy(rl.simulate(AXIS.with_parameters(M=1.3 * AXIS.values["M"]), T, U))
-    problem, pool = problem_of(run, tolerances={"M": 0.05})
-    base = problem.fit(Hypothesis(()), WHITE, np.zeros(len(problem.nuisances)))
-    heavier = Hypothesis((pool["inertia @ M"],))
-    z = np.array([*base.z, *pool["inertia @ M"].standardised({"s": 1.2})])
-    plan = FitPlan(1, draft=True)
-    borrowed = problem.fit(heavier, WHITE, z, base.starts, plan, problem.derivatives(base))
-    own = problem.fit(heavier, WHITE, z, base.starts, plan)
-    assert borrowed.cost < 2.0 * own.cost
-    assert borrowed.z[0] == pytest.approx(own.z[0], abs=1e-6)
-
-
-def test_errors_are_averaged_over_known_samples():
-    error = np.arange(14.0).reshape(1, 7, 2)
-    assert averaged(error, 3)[0].tolist() == [[2.0, 3.0], [8.0, 9.0]]  # the seventh sample is left over
-    assert averaged(error, 1)[0].tolist() == error[0].tolist()
-    error[0, 0, 0] = error[0, 1, 0] = np.nan
-    error[0, 3:6, 1] = np.nan
-    found = averaged(error, 3)[0]
-    assert found[:, 0].tolist() == [4.0, 8.0]
-    assert found[0, 1] == 3.0
-    assert np.isnan(found[1, 1])
-
-
-def test_whitening_gives_the_innovations_back():
-    rng = np.random.default_rng(4)
-    ar, std = np.array([[0.6, -0.3], [0.2, 0.1]]), np.array([0.5, 4.0])
-    steps = rng.normal(size=(3, 50, 2))
-    e = np.zeros((3, 50, 2))
-    for k in range(50):
-        e[:, k] = std * steps[:, k]
-        for lag in (1, 2):
-            e[:, k] += ar[lag - 1] * e[:, k - lag] if k >= lag else 0.0
-    found = NoiseModel(std, ar).whitened(e).reshape(3, 48, 2)
-    assert found == pytest.approx(steps[:, 2:], abs=1e-12)
-
-
-def test_a_missing_error_takes_its_point_and_those_that_need_it_out():
-    e = np.ones((1, 6, 1))
-    e[0, 2, 0] = np.nan
-    assert NoiseModel(np.array([0.5]), np.array([[0.5]])).whitened(e)[0].tolist() == [1.0, 0.0, 0.0, 1.0, 1.0]
-
-
-@pytest.mark.parametrize("shape", [(0, 30, 1), (3, 2, 2), (2, 1, 1), (0, 0, 2)])
-def test_no_window_or_fewer_points_than_the_autoregression_asks_for_are_nothing(shape):
-    noise = NoiseModel(np.ones(shape[2]), np.full((3, shape[2]), 0.1))
-    assert noise.whitened(np.ones(shape)).shape == (shape[0], max(0, shape[1] - 3) * shape[2])
 
 
 def test_a_parameter_of_the_value_zero_is_found_within_its_absolute_tolerance():
@@ -269,11 +188,6 @@ def test_a_parameter_of_the_value_zero_is_found_within_its_absolute_tolerance():
     fit = problem.fit(NONE, WHITE, np.zeros(1))
     factors, _ = problem.split(fit.hypothesis, fit.z)
     assert factors["Fv"] == pytest.approx(30.0, rel=0.05)
-
-
-def test_wild_errors_count_as_large_and_not_as_nothing():
-    e = np.array([[[np.inf], [-np.inf], [1e300], [0.0]]])
-    assert NoiseModel(np.array([1e-9]), np.zeros((0, 1))).whitened(e)[0].tolist() == [1e6, -1e6, 1e6, 0.0]
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
@@ -323,14 +237,6 @@ def test_records_of_different_sensors_are_fitted_together():
     parts += cost(alone, load, NoiseModel(WHITE.std[:1], WHITE.ar[:, :1]), fit.z, fit.starts[1:])
     assert fit.cost == pytest.approx(parts - float(fit.z @ fit.z), rel=1e-9)  # the prior counts once
     assert np.isfinite(fit.std).all()
-
-
-def test_what_a_sensor_tells_is_learnt_from_the_records_that_have_it():
-    run = noisy(rl.simulate(AXIS, T, U))
-    encoder = rl.Record(T, run.inputs, {"q": run["q"]})
-    rich, poor = (prepare(AXIS, port_model(AXIS), r, 100, outputs={"q", "v"}) for r in (run, encoder))
-    problem = exact()[0]
-    np.testing.assert_array_equal(_told_by_output(problem.on([rich, poor]))[1], _told_by_output(problem.on([rich]))[1])
 
 
 # --- known parameters are found again --------------------------------------------------------------------------------
@@ -398,18 +304,3 @@ def test_a_wrong_parameter_takes_the_place_of_its_tolerance():
     assert set(factors) == {"Fv"}
     assert values == pool["inertia @ M"].values(np.array([0.5]))
     assert problem.size(wrong) == 3
-
-
-def test_hypotheses_and_candidates_have_names():
-    load, bias = (exact()[1][key] for key in ("constant-load @ v", "sensor-bias @ v"))
-    assert Hypothesis((load, bias)).key == "constant-load @ v + sensor-bias @ v"
-    assert NONE.key == "none"
-
-
-def test_only_the_chosen_windows_are_fitted():
-    problem = exact()[0]
-    few = problem.on(problem.records, [np.array([1, 4])])
-    r, j, x = dense_parts(problem, linear_hypotheses()["load"], WHITE)
-    fit = few.fit(linear_hypotheses()["load"], WHITE, np.zeros(1), plan=FitPlan(tolerance=1e-9))
-    assert fit.z == pytest.approx(marginal(r[[1, 4]], j[[1, 4]], x[[1, 4]])["z"], abs=1e-5)
-    assert len(fit.window_cost) == 2

@@ -8,30 +8,24 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, POOL, T, U, machine, noisy, opened, searched, usual
+from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, T, U, machine, noisy, opened, searched, usual
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
-from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
-from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.ports.motion_model import local_port_model
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis
-from robustlab.identification.hypotheses.noise import first_noise
+from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.naming import answer as module
 from robustlab.identification.naming import posterior as posterior_module
-from robustlab.identification.naming import set_search
 from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.materiality import Errors, _matters
-from robustlab.identification.naming.named_effects import EffectValue, KindMember, NamedKind
-from robustlab.identification.naming.named_kinds import Kinds, Places, _mixture, _quantile, kinds_of
+from robustlab.identification.naming.named_effects import NamedKind
+from robustlab.identification.naming.named_kinds import Kinds, Places, kinds_of
 from robustlab.identification.naming.posterior import weigh
-from robustlab.identification.naming.quantities import Told, force_share, quantities
-from robustlab.identification.naming.updated_plant import updated_plant
-from robustlab.statespace import Signal
+from robustlab.identification.naming.quantities import quantities
 
 LEVEL, GIVES = 20.0, 2e-4  # N, m
 
@@ -120,20 +114,6 @@ def test_input_and_sensor_of_one_leg_are_one_path(motors):
         assert {places.of(end, lateness) for end in ends} == {f"{name}_{leg} to phi_{leg}"}
 
 
-def test_a_joint_that_two_inputs_move_most_has_no_path_of_one():
-    b, c = np.array([[0.0, 0.0], [1.0, 2.0], [0.0, 0.0], [0.3, 0.1]]), np.eye(4)[[0, 2]]
-    a = np.array([[0.0, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
-    states = tuple(Signal(n, unit) for n, unit in (("q", "rad"), ("v", "rad/s"), ("p", "rad"), ("w", "rad/s")))
-    inputs = Signal("a", "N m"), Signal("b", "N m")
-    plant = LinearPlant(
-        "two motors at one joint", {"J": Parameter("J", 1.0, "kg m2")}, inputs=inputs, outputs=states[::2],
-        states=states, equations=lambda p: Descriptor(E=np.diag([1.0, p["J"], 1.0, 1.0]), F=a, G=b, C=c),
-    )  # fmt: skip
-    places = Places(plant, port_model(plant))
-    assert places.of(Site("input", "a"), KINDS["lateness"]) == "a"
-    assert places.of(Site("output", "q"), KINDS["lateness"]) == "q"
-
-
 # --- quantities ------------------------------------------------------------------------------------------------------
 
 
@@ -170,24 +150,6 @@ def test_the_level_of_coulomb_friction_is_its_force_and_its_spread_that_of_the_p
     at = len(found.problem.nuisances)
     spread = fit.std[at] * fit.hypothesis.candidates[k].parameters[0].prior.spread * values[k]["Fc"]
     assert told.std == pytest.approx(spread, rel=0.05)
-
-
-def test_the_share_of_a_force_is_that_of_the_force_that_moves_the_joint():
-    found = usual(friction=20.0)
-    fit = found.best.fit
-    k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == FRICTION)
-    scale = fit.hypothesis.candidates[k].scales.force
-    assert 0.5 * LEVEL / scale < force_share(found.problem, fit, k) <= 1.02 * LEVEL / scale  # less where it sticks
-    run = rl.simulate(AXIS, T, np.concatenate([np.zeros(4), U[:-4]]))
-    late = searched(rl.Record(T, {"u": U}, noisy({"q": run["q"]}, 0), name="late"), ("input-delay @ u",))
-    assert force_share(late.problem, late.best.fit, 0) == 0.0
-
-
-def test_a_load_is_the_mean_of_its_force_against_the_motion():
-    found = searched(machine(friction=20.0, load=8.0, seed=3), (FRICTION, LOAD))
-    fit = found.best.fit
-    k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == LOAD)
-    assert quantities(found.problem, fit, [k], KINDS["load"])["force"].value == pytest.approx(8.0, rel=0.1)
 
 
 def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
@@ -228,24 +190,6 @@ def test_members_of_one_set_are_told_together():
     assert quantities(fit_on, twice, [2, 3], KINDS["factor"])["factor"].value == pytest.approx(1.0)
     # One of them that cannot be asked: then neither can they together.
     assert quantities(fit_on, fit, [0, 2], KINDS["lateness"]) == {}
-
-
-def test_a_mixture_has_the_mean_and_the_ends_of_its_members():
-    one = _mixture("level", [(1.0, {"level": Told(3.0, 0.5, "N")})])
-    assert (one.lower, one.upper) == pytest.approx((3.0 - 1.96 * 0.5, 3.0 + 1.96 * 0.5), abs=1e-3)
-    apart = _mixture("level", [(0.5, {"level": Told(1.0, 0.01, "N")}), (0.5, {"level": Told(2.0, 0.01, "N")})])
-    assert apart.value == pytest.approx(1.5)
-    assert apart.lower < 1.0 < 2.0 < apart.upper
-    # Sampled, as a check of the bisection.
-    parts = [(0.3, Told(0.0, 1.0, "")), (0.7, Told(4.0, 0.2, ""))]
-    rng = np.random.default_rng(0)
-    drawn = np.where(rng.uniform(size=200_000) < 0.3, rng.normal(size=200_000), 4.0 + 0.2 * rng.normal(size=200_000))
-    assert _quantile(parts, 0.1) == pytest.approx(np.quantile(drawn, 0.1), abs=0.02)
-    # What has another unit, or cannot be asked, is left out; where nobody can be asked there is no value.
-    mixed = _mixture("level", [(0.9, {"level": Told(1.0, 0.1, "N")}), (0.1, {"level": Told(9.0, 0.1, "")}), (0.1, {})])
-    assert mixed.value == 1.0
-    assert _mixture("level", [(1.0, {})]) is None
-    assert _quantile([(1.0, Told(2.0, 0.0, ""))], 0.5) == pytest.approx(2.0)
 
 
 # --- twins by algebra ------------------------------------------------------------------------------------------------
@@ -319,16 +263,6 @@ def test_no_name_stands_against_a_misfit_that_counts_more_than_it(monkeypatch):
     assert kinds_of(found.problem, blurred).coarse
 
 
-def test_a_line_that_is_left_blurs_no_other_name():
-    def left(over, period):
-        force = SimpleNamespace(wins=True, evidence=300.0, cross_validated=300.0, period=period, over=over)
-        weight = SimpleNamespace(left=(SimpleNamespace(forces=(force,)),))
-        return posterior_module._temperature(SimpleNamespace(key="s"), {"s": weight})
-
-    assert left("line over position", 0.9) == 1.0
-    assert left("speed", np.nan) == pytest.approx((300.0 + np.log(posterior_module.PRIOR)) / np.log(19.0), rel=1e-3)
-
-
 # --- what matters ----------------------------------------------------------------------------------------------------
 
 
@@ -391,37 +325,6 @@ def test_what_does_not_matter_is_told_beside_the_answer_and_not_put_into_the_mod
     assert ("also detectable", "Constant load at v") in slight.facts()
 
 
-def test_the_member_of_an_open_kind_is_as_wide_in_the_model_as_the_kind_is_known():
-    found = searched(dahl_record(), (FRICTION, "presliding @ v", "bouc-wen @ v", LOAD))
-    fit = found.best.fit
-    (candidate,) = fit.hypothesis.candidates
-    (plain,) = updated_plant(found.problem, fit, "test").effects
-    size = next(iter(plain.values.values()))
-    level = EffectValue("level", size, "N", 0.5 * size, 1.5 * size, "")
-    member = KindMember(candidate.effect.id, "", candidate.site.name, 0.6)
-    wide = NamedKind("dry-friction", "dry friction", "v", 1.0, (level,), (member,), "")
-    (told,) = updated_plant(found.problem, fit, "test", (wide,)).effects
-    first = candidate.parameters[0].name
-    assert told.std[first] == pytest.approx(0.5 * size / 1.96)
-    assert told.std[first] > 5.0 * plain.std[first]
-    (settled,) = updated_plant(
-        found.problem, fit, "test", (replace(wide, members=(replace(member, share=1.0),)),)
-    ).effects
-    assert settled.std == plain.std
-
-
-def test_a_fault_in_what_matters_does_not_lose_the_names(monkeypatch):
-    def fails(*_):
-        raise np.linalg.LinAlgError("singular")
-
-    monkeypatch.setattr(module, "matter_of", fails)
-    monkeypatch.setattr(module, "_slight_elsewhere", fails)
-    found = rl.discover(AXIS, machine(friction=20.0, seed=3), exclude=tuple(set(catalogue()) - {"coulomb-friction"}))
-    assert found.names == ("coulomb-friction",)
-    assert found.verdict == "named"
-    assert {f.channel for f in found.findings if f.kind == "stage"} == {"what matters", "what matters in other sets"}
-
-
 # --- what may be an answer -------------------------------------------------------------------------------------------
 
 SEEN = Scales(speed=2.0, position=0.1, lowest=-0.05, highest=0.05, duration=4.0, position_unit="m")
@@ -443,36 +346,6 @@ def test_an_effect_whose_scale_the_record_does_not_visit_is_no_answer(name, insi
     assert not catalogue()[name].visited(outside, SEEN)
     if name in ("presliding", "bouc-wen", "end-stop"):  # of a joint whose position nobody knows nothing is said
         assert catalogue()[name].visited(outside, Scales())
-
-
-def test_a_hysteretic_spring_that_never_yields_is_refused_by_the_search():
-    fit_on, _, pool, allowed = opened(machine(friction=20.0, seed=3))
-    own = pool["bouc-wen @ v"]
-    fit = fit_on.fit(Hypothesis((own,)), first_noise(fit_on), np.zeros(len(fit_on.nuisances) + 3), plan=FitPlan(1))
-    at = len(fit_on.nuisances)
-
-    def yielding(qy):
-        z = fit.z.copy()
-        z[at:] = own.standardised({"Fy": 20.0, "qy": qy, "rho": 0.3})
-        return allowed(fit_on, replace(fit, z=z))
-
-    assert yielding(0.1 * own.scales.position)
-    assert not yielding(3.0 * own.scales.position)
-
-
-def test_no_pair_is_believed_before_every_single_effect_was_asked_in_full(monkeypatch):
-    """A look that keeps one effect a round passes over most of them."""
-    asked, plain = [], set_search.single_fits
-
-    def spied(problem, best, pool, *rest):
-        asked.append((best.hypothesis, {c.key for c in pool}))
-        return plain(problem, best, pool, *rest)
-
-    monkeypatch.setattr(set_search, "single_fits", spied)
-    short = {"kept_second": 1, "kept_last": 1, "kept_gains": 0, "most_scored": 1}
-    found = searched(machine(friction=20.0, load=8.0, seed=3), **short)
-    assert found.best.key == {FRICTION, LOAD}
-    assert [keys for _, keys in asked] == [set(POOL)]
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------

@@ -119,16 +119,16 @@ def test_what_is_in_no_catalogue_raises_an_alarm():
 
 
 def test_an_effect_that_the_model_never_had_comes_in():
-    load = lambda t: -1.5e-3 if t >= 8.0 else 0.0  # noqa: E731
+    load = lambda t: -4e-3 if t >= 8.0 else 0.0  # noqa: E731
     found = rl.watch(axis(), log(5, push=load), every=2.0, noise={"q": NOISE}, exclude=others())
     assert found.verdict == "changed"
     assert {"coulomb-friction", "constant-load"} <= set(found.found.names)
     load = next(e for e in found.found.effects if e.name == "constant-load").parameters[0]
-    assert load.lower <= 1.5e-3 <= load.upper
+    assert load.lower <= 4e-3 <= load.upper
     assert found.since_lower <= 8.0 <= found.since_upper
 
 
-def test_a_model_that_never_explained_the_log_is_told_at_once_where_the_noise_is_stated():
+def test_a_model_that_never_explained_the_log_is_told_at_once():
     found = rl.watch(bare(), log(6, seconds=6.0), every=2.0, noise={"q": NOISE}, exclude=others())
     assert not found.met
     assert found.alarm == found.pieces[0].stop
@@ -142,10 +142,9 @@ def test_a_machine_with_other_parameters_within_the_tolerances_is_no_alarm():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [{"q": NOISE}, None])
-def test_alarms_where_nothing_changes_are_as_rare_as_stated(noise):
+def test_alarms_where_nothing_changes_are_as_rare_as_stated():
     alarms = sum(
-        not rl.watch(axis(), log(100 + k, 5.0), every=1.0, noise=noise, false_alarm=0.02, exclude=others()).met
+        not rl.watch(axis(), log(100 + k, 5.0), every=1.0, noise={"q": NOISE}, false_alarm=0.02, exclude=others()).met
         for k in range(200)
     )
     assert alarms <= binom.ppf(0.999, 200, 0.02)
@@ -159,14 +158,14 @@ def test_alarms_where_nothing_changes_are_as_rare_as_stated(noise):
         ({"every": 2.0, "false_alarm": 1.0}, "between 0 and 1"),
         ({"every": 2.0, "noise": {"w": 1.0}}, "noise: 'w'"),
         ({"every": 2.0, "noise": {"q": -1.0}}, "above 0"),
-        ({"every": 2.0, "noise": 3.0}, "noise"),
+        ({"every": 2.0, "noise": {}}, "none of 'q'"),
         ({"every": 2.0, "exclude": ["coulomb"]}, "coulomb"),
         ({"every": 0.1}, "at least"),
     ],
 )
 def test_what_cannot_be_is_refused(given, said):
     with pytest.raises(rl.InputError, match=said):
-        rl.watch(axis(), log(1, 6.0), **given)
+        rl.watch(axis(), log(1, 6.0), **{"noise": {"q": NOISE}, **given})
 
 
 def test_pieces_of_another_kind_are_refused():

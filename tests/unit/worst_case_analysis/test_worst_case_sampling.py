@@ -181,7 +181,7 @@ def test_unstable_samples_are_reported_and_overflow_is_not_hidden():
 
 
 @pytest.mark.parametrize("damping", [-0.3, 0.0, 1e-10, 1e-3, 2.0])
-def test_what_traces_show_is_what_eigenvalues_show(damping):
+def test_instability_is_what_eigenvalues_show(damping):
     rng = np.random.default_rng(3)
     k, n = 400, 3
     A = np.zeros((k, 2 * n, 2 * n))
@@ -194,7 +194,6 @@ def test_what_traces_show_is_what_eigenvalues_show(damping):
     for margin in (1e-9, 1e-3):
         wanted = poles.real.max(axis=1) > margin * np.abs(poles).max(axis=1)
         np.testing.assert_array_equal(ensemble.is_unstable(margin), wanted)
-    assert damping > 0 or 0.2 * k < ensemble._by_traces(1e-9).sum() < k
 
 
 def test_an_integrator_is_not_called_unstable():
