@@ -1,4 +1,4 @@
-"""Sets of models: element by element, covers, bounds over frequency; samples, worst members, probabilities."""
+"""Sets of models: element by element, covers; samples, worst members, probabilities."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ def cases() -> Iterator[Case]:
         yield Case(f"elementwise, {structure}", lambda structure=structure: elementwise(structure))
     for form in ("elements", "pca"):
         yield Case(f"cover, {form}", lambda form=form: cover(form))
-    yield Case("overbound", overbound)
     yield Case("samples", samples)
     for metric in (*TIMED, "hinf"):
         yield Case(f"worst {metric}", lambda metric=metric: worst(metric))
@@ -70,15 +69,6 @@ def cover(form: str) -> dict[str, Any]:
     """A set around both motors."""
     made = rl.cover(pair(0), form)
     return {"status": made.status, "blocks": {b.name: b.rows for b in made.model.blocks}}
-
-
-def overbound() -> dict[str, Any]:
-    """A weight over a peak."""
-    omega = np.geomspace(0.1, 100, 60)
-    wanted = np.abs(1 / (1 - (omega / 5) ** 2 + 1j * omega / 5)) * 0.1
-    made = rl.overbound(omega, wanted, 4)
-    above = np.abs(np.ravel(rl.frequency_response(made.weight, omega)[:, 0, 0])) / wanted
-    return {"status": made.status, "above": bool(above.min() >= 1 - 1e-9), "states": made.weight.n_states}
 
 
 def samples() -> dict[str, Any]:
