@@ -101,7 +101,7 @@ def _numeric(value: Any) -> bool:
 
 
 def entry_of(case: Case, found: Any, cpu: float) -> dict[str, Any]:
-    """What is recorded of a case."""
+    """A case as it is recorded."""
     return {"cpu": cpu, "slow": case.slow, "shared": case.shared, "rtol": case.rtol, "answer": found}
 
 
@@ -158,6 +158,7 @@ def _gap(bracket: tuple[float, float]) -> float:
 def differences(subject: str, entry: Mapping[str, Any], found: Any) -> dict[str, tuple[Any, Any]]:
     """Path -> (old, new) of every leaf of the record that is no longer so."""
     module = import_module(f"characterisation.{subject}")
+    rtols: Mapping[str, float] = getattr(module, "RTOLS", {})
     now, wrong = dict(leaves(found)), {}
     for path, old in leaves(entry["answer"]):
         key, new = path.removesuffix(".bracket").rpartition(".")[2], now.get(path, "gone")
@@ -165,7 +166,7 @@ def differences(subject: str, entry: Mapping[str, Any], found: Any) -> dict[str,
         if None in pair:
             same = old == new
         else:
-            rtol = module.RTOL if isinstance(old, tuple) else module.RTOLS.get(key, module.RTOL)
+            rtol = module.RTOL if isinstance(old, tuple) else rtols.get(key, module.RTOL)
             noise = 3 * entry.get("noise", {}).get(path, 0.0)
             same = _same(key, *pair, max(rtol, entry.get("rtol", 0.0), noise))
         if not same:
@@ -184,8 +185,10 @@ seconds created elapsed file files path paths sha256 version command schema prov
 """
 CHOICE = """
 delta physical pole intervals open shares D_z G K K_shaped closed_loop proof boxes history evaluations gradients notes
-hints claims
+facts hints claims
 """
+# A longer word is a hash.
+LONGEST = 40
 DROPPED = frozenset(f"{MOMENT} {CHOICE}".split())
 
 
@@ -196,4 +199,4 @@ def kept(tree: Any) -> Any:
         return {key: item for key, item in found.items() if item is not None}
     if isinstance(tree, list):
         return tree if _numeric(tree) else {str(k): kept(item) for k, item in enumerate(tree)}
-    return None if isinstance(tree, str) and (" " in tree or "/" in tree) else tree
+    return None if isinstance(tree, str) and (" " in tree or "/" in tree or len(tree) > LONGEST) else tree

@@ -12,7 +12,6 @@ import robustlab as rl
 from .cases import HERE, Case
 
 RTOL = 1e-12
-RTOLS: dict[str, float] = {}
 FILES = HERE / "files"
 
 

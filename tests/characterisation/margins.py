@@ -13,7 +13,6 @@ from .bounds import structure
 from .cases import ROOT, Case, seeds
 
 RTOL = 1e-3
-RTOLS = {"frequency": 1e-2}
 
 
 def cases() -> Iterator[Case]:

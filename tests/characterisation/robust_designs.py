@@ -13,7 +13,6 @@ import robustlab as rl
 from .cases import SHARED, Case, seeds
 
 RTOL = 1e-3
-RTOLS: dict[str, float] = {}
 # With the usual effort a design takes up to minutes.
 SHORT = 0.02
 

@@ -22,7 +22,7 @@ recipes          9 recipes: verdicts, statuses, numbers                     1e-6
 naming           12 blind cases: verdict, kinds, effects, values, work      2 %, gaps 1 %, work 1.3 x     -, 170
 ================ ========================================================== ============================= ==============
 
-Statuses, verdicts, names and counts have to be the same. Where an answer changes for a reason, it is recorded anew::
+Where an answer changes for a reason, it is recorded anew::
 
     python tests/characterisation                     # the fast part: subject, cases, equal, different, CPU s
     python tests/characterisation --all > table.txt   # everything
