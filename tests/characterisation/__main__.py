@@ -13,12 +13,19 @@ import os
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 TESTS = Path(__file__).resolve().parents[1]
 sys.path[:1] = [str(TESTS), str(TESTS.parent / "benchmarks")]
 
 from characterisation import cases as c  # noqa: E402
+
+
+def moved_by(old: Any, new: Any) -> float:
+    """The relative distance of two numbers; of two brackets that of their upper ends."""
+    old, new = (x[1] if isinstance(x, tuple) else float(x) for x in (old, new))
+    return float(f"{abs(old - new) / max(abs(old), abs(new)):.2g}")
 
 
 def main() -> int:
@@ -34,25 +41,25 @@ def main() -> int:
     rows = [f"{'subject':16s}{'cases':>7s}{'equal':>7s}{'different':>11s}{'CPU s':>8s}"]
     told: list[str] = []
     for subject in asked.subjects:
-        entries, equal, spent, count = c.stored(subject), 0, 0.0, 0
-        for name, case in c.chosen(subject, asked.case, asked.all).items():
+        equal, spent, count = 0, 0.0, 0
+        for name, case in c.cases_of(subject).items():
+            if (case.slow and not asked.all) or (asked.case and not any(word in name for word in asked.case)):
+                continue
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 found, cpu = c.answer(case)
             spent, count = spent + cpu, count + 1
-            if asked.record:
-                entries[name] = c.entry_of(case, found, cpu)
-            elif asked.noise:
-                moved = {k: by for k, (by, _) in c.differences(subject, entries[name], found).items() if by < 1}
-                if moved:
-                    noise = entries[name].get("noise", {})
-                    entries[name]["noise"] = noise | {k: float(f"{by:.2g}") for k, by in moved.items()}
-            wrong = c.differences(subject, entries[name], found) if name in entries else {"": (0, "not recorded")}
-            equal += not wrong
-            told += [f"{subject}: {name}: {text}"[:300] for _, text in list(wrong.values())[:6]]
-            print(f"{subject}: {name}: {cpu} s", file=sys.stderr, flush=True)
+            entry = c.entry_of(case, found, cpu) if asked.record else c.stored(subject).get(name, {"answer": {"": 0}})
+            wrong = c.differences(subject, entry, found)
+            if asked.noise and (
+                moved := {k: moved_by(*pair) for k, pair in wrong.items() if not isinstance(pair[1], str)}
+            ):
+                entry["noise"] = entry.get("noise", {}) | moved
             if asked.record or asked.noise:  # read again: another process may record other cases
-                c.store(subject, c.stored(subject) | {name: entries[name]})
+                c.store(subject, c.stored(subject) | {name: entry})
+            equal += not wrong
+            told += [f"{subject}: {name}: {k}: {old} -> {new}"[:300] for k, (old, new) in list(wrong.items())[:6]]
+            print(f"{subject}: {name}: {cpu} s", file=sys.stderr, flush=True)
         rows.append(f"{subject:16s}{count:7d}{equal:7d}{count - equal:11d}{spent:8.1f}")
     print("\n".join([*rows, *told]))
     return int(any(told))

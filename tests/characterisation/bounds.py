@@ -10,7 +10,6 @@ import robustlab as rl
 from .cases import Case, seeds
 
 RTOL = 1e-4
-RTOLS: dict[str, float] = {}
 KINDS = ("real", "real x2", "real M", "mixed", "mixed x2", "mixed full", "complex", "complex x2", "full", "wide")
 
 

@@ -18,7 +18,6 @@ from .cases import Case
 from .sets import motor
 
 RTOL = 1e-9
-RTOLS: dict[str, float] = {}
 SAMPLES = 3000
 SCRIPT = """
 from importlib.metadata import entry_points

@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -101,7 +101,7 @@ def _numeric(value: Any) -> bool:
 
 
 def entry_of(case: Case, found: Any, cpu: float) -> dict[str, Any]:
-    """What is recorded of a case."""
+    """A case as it is recorded."""
     return {"cpu": cpu, "slow": case.slow, "shared": case.shared, "rtol": case.rtol, "answer": found}
 
 
@@ -138,55 +138,39 @@ def _number(value: Any) -> float | None:
     return float(value) if value in ("inf", "-inf") else None
 
 
-def _apart(old: Any, new: Any, rtol: float) -> float:
-    """By how much of the larger one two numbers differ, or two brackets fail to overlap; 0 within the tolerance."""
-    if isinstance(old, tuple):
-        apart = max(new[0] - old[1], old[0] - new[1], 0.0)
-        size = max(abs(x) for x in (*old, *new) if math.isfinite(x)) if any(map(math.isfinite, (*old, *new))) else 1.0
-        wide = max(_gap(new) - _gap(old) - GAP, 0.0)
-        return max(apart / max(size, 1e-300) if apart > rtol * size + ATOL else 0.0, wide)
+def _same(key: str, old: Any, new: Any, rtol: float) -> bool:
+    """Whether two numbers, or two brackets, are the same within a tolerance."""
+    if key == "work":
+        return new <= WORK * old
     if old == new:
-        return 0.0
-    if not (math.isfinite(old) and math.isfinite(new)):
-        return math.inf
-    size = max(abs(old), abs(new))
-    return 0.0 if abs(old - new) <= rtol * size + (ATOL if rtol else 0.0) else abs(old - new) / size
+        return True
+    if isinstance(old, tuple):
+        far = max((abs(x) for x in (*old, *new) if math.isfinite(x)), default=0.0)
+        return max(new[0] - old[1], old[0] - new[1]) <= rtol * far + ATOL and _gap(new) <= _gap(old) + GAP
+    return math.isfinite(old - new) and abs(old - new) <= rtol * max(abs(old), abs(new)) + (ATOL if rtol else 0.0)
 
 
 def _gap(bracket: tuple[float, float]) -> float:
     low, high = bracket
-    if low == high:
-        return 0.0
-    return 1.0 if math.isinf(high) else (high - low) / max(abs(high), 1e-300)
+    return 0.0 if low == high else 1.0 if math.isinf(high) else (high - low) / abs(high)
 
 
-def differences(subject: str, entry: Mapping[str, Any], found: Any) -> dict[str, tuple[float, str]]:
-    """Path -> (by how much, in words) of every leaf of the record that is no longer so."""
+def differences(subject: str, entry: Mapping[str, Any], found: Any) -> dict[str, tuple[Any, Any]]:
+    """Path -> (old, new) of every leaf of the record that is no longer so."""
     module = import_module(f"characterisation.{subject}")
+    rtols: Mapping[str, float] = getattr(module, "RTOLS", {})
     now, wrong = dict(leaves(found)), {}
     for path, old in leaves(entry["answer"]):
-        if path not in now:
-            wrong[path] = (math.inf, f"{path}: {old} -> gone")
-            continue
-        new, key = now[path], path.removesuffix(".bracket").rpartition(".")[2]
-        if isinstance(old, tuple) and isinstance(new, tuple):
-            rtol = module.RTOL
-        elif _number(old) is not None and _number(new) is not None:
-            rtol = module.RTOLS.get(key, module.RTOL)
+        key, new = path.removesuffix(".bracket").rpartition(".")[2], now.get(path, "gone")
+        pair = (old, new) if isinstance(old, tuple) and isinstance(new, tuple) else (_number(old), _number(new))
+        if None in pair:
+            same = old == new
         else:
-            if old != new:
-                wrong[path] = (math.inf, f"{path}: {old!r} -> {new!r}")
-            continue
-        least = max(entry.get("rtol", 0.0), 3 * entry.get("noise", {}).get(path, 0.0))
-        rtol = max(rtol, least)
-        if key == "work":
-            apart = 0.0 if new <= WORK * old else new / old
-        else:
-            apart = _apart(
-                old if isinstance(old, tuple) else _number(old), new if isinstance(new, tuple) else _number(new), rtol
-            )
-        if apart:
-            wrong[path] = (apart, f"{path}: {old} -> {new}")
+            rtol = module.RTOL if isinstance(old, tuple) else rtols.get(key, module.RTOL)
+            noise = 3 * entry.get("noise", {}).get(path, 0.0)
+            same = _same(key, *pair, max(rtol, entry.get("rtol", 0.0), noise))
+        if not same:
+            wrong[path] = old, new
     return wrong
 
 
@@ -195,24 +179,16 @@ def seeds(*numbers: int) -> np.random.Generator:
     return np.random.default_rng([2029, *numbers])
 
 
-def chosen(subject: str, words: Iterable[str], slow: bool) -> dict[str, Case]:
-    """Cases of a subject whose name holds one of the words (all where there is none), slow ones only if asked for."""
-    words = list(words)
-    return {
-        name: case
-        for name, case in cases_of(subject).items()
-        if (slow or not case.slow) and (not words or any(word in name for word in words))
-    }
-
-
 # Keys of the moment, and of what another method may choose otherwise: a critical member, coordinates, proofs.
 MOMENT = """
 seconds created elapsed file files path paths sha256 version command schema provenance evaluations_per host python size
 """
 CHOICE = """
 delta physical pole intervals open shares D_z G K K_shaped closed_loop proof boxes history evaluations gradients notes
-hints claims
+facts hints claims
 """
+# A longer word is a hash.
+LONGEST = 40
 DROPPED = frozenset(f"{MOMENT} {CHOICE}".split())
 
 
@@ -223,4 +199,4 @@ def kept(tree: Any) -> Any:
         return {key: item for key, item in found.items() if item is not None}
     if isinstance(tree, list):
         return tree if _numeric(tree) else {str(k): kept(item) for k, item in enumerate(tree)}
-    return None if isinstance(tree, str) and (" " in tree or "/" in tree) else tree
+    return None if isinstance(tree, str) and (" " in tree or "/" in tree or len(tree) > LONGEST) else tree

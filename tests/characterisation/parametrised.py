@@ -29,4 +29,4 @@ def check(subject: str, name: str) -> None:
         warnings.simplefilter("ignore")
         found, _ = c.answer(c.cases_of(subject)[name])
     wrong = c.differences(subject, entry, found)
-    assert not wrong, "\n".join(text for _, text in wrong.values())
+    assert not wrong, "\n".join(f"{path}: {old} -> {new}" for path, (old, new) in wrong.items())

@@ -12,7 +12,6 @@ import robustlab as rl
 from .cases import ROOT, SHARED, Case, seeds
 
 RTOL = 1e-6
-RTOLS: dict[str, float] = {}
 DT = 0.01
 
 

@@ -1,4 +1,4 @@
-"""Sets of models: element by element, covers, bounds over frequency; samples, worst members, probabilities."""
+"""Sets of models: element by element, covers; samples, worst members, probabilities."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ RTOL = 1e-9
 RTOLS = {"residual": 0.0, "value": 1e-6, "nominal_value": 1e-6}
 STRUCTURES = ("elements", "columns", "rows", "matrices", "single")
 STEP = np.linspace(0.0, 0.1, 101)
-TIMED = ("peak-deviation", "peak", "settling-time")
 
 
 def cases() -> Iterator[Case]:
@@ -25,9 +24,8 @@ def cases() -> Iterator[Case]:
         yield Case(f"elementwise, {structure}", lambda structure=structure: elementwise(structure))
     for form in ("elements", "pca"):
         yield Case(f"cover, {form}", lambda form=form: cover(form))
-    yield Case("overbound", overbound)
     yield Case("samples", samples)
-    for metric in (*TIMED, "hinf"):
+    for metric in ("peak-deviation", "peak", "settling-time", "hinf"):
         yield Case(f"worst {metric}", lambda metric=metric: worst(metric))
     for metric, limit in (("peak-deviation", 20.0), ("hinf", 18.6)):
         yield Case(f"probability, {metric}", lambda metric=metric, limit=limit: probability(metric, limit))
@@ -70,15 +68,6 @@ def cover(form: str) -> dict[str, Any]:
     """A set around both motors."""
     made = rl.cover(pair(0), form)
     return {"status": made.status, "blocks": {b.name: b.rows for b in made.model.blocks}}
-
-
-def overbound() -> dict[str, Any]:
-    """A weight over a peak."""
-    omega = np.geomspace(0.1, 100, 60)
-    wanted = np.abs(1 / (1 - (omega / 5) ** 2 + 1j * omega / 5)) * 0.1
-    made = rl.overbound(omega, wanted, 4)
-    above = np.abs(np.ravel(rl.frequency_response(made.weight, omega)[:, 0, 0])) / wanted
-    return {"status": made.status, "above": bool(above.min() >= 1 - 1e-9), "states": made.weight.n_states}
 
 
 def samples() -> dict[str, Any]:
