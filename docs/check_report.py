@@ -93,7 +93,7 @@ def faults_of(report: Path, browser: Any, pictures: Path | None) -> list[str]:
             if width >= SCREEN:
                 ends = page.evaluate(STORIES)
                 faults += [f"a story needs {end:.0f} px, a screen has {SCREEN}" for end in ends if end > SCREEN]
-            faults += _charts(page, scheme, _named(pictures, report, f"{width}-{scheme}-chart"))
+            faults += _brightness_of_pictures(page, scheme)
             faults += faults_in_sight(page, "body") + said
             found += [where + fault for fault in faults]
     return found + _without_scripts(browser, address, text) + _printed(browser, address, report, pictures)
@@ -110,61 +110,13 @@ def _brightness(picture: bytes) -> float:
     return float(median(imread(BytesIO(picture))[..., :3])) * 255
 
 
-def _charts(page: Any, scheme: str, picture: Path | None) -> list[str]:
-    """Open every figure; zoom the first chart, read a value from it, and go back."""
+def _brightness_of_pictures(page: Any, scheme: str) -> list[str]:
+    """Pictures that are bright on a dark page, or dark on a bright one."""
     found = []
     for figure in page.query_selector_all("figure"):
         shown = _brightness(figure.query_selector("img").screenshot())
         if (shown > DARK) if scheme == "dark" else (shown < LIGHT):
             found.append(f"{figure.get_attribute('id')}: the picture's brightness is {shown:.0f} of 255")
-        if button := figure.query_selector("button.explore"):
-            button.click()
-            chart = figure.wait_for_selector(".plots canvas")
-            if scheme == "dark" and _brightness(chart.screenshot()) > DARK:
-                found.append(f"{figure.get_attribute('id')}: the chart is not dark")
-    charts = page.query_selector_all(".plots")
-    if not charts:
-        return found
-    charts[0].screenshot(path=picture)
-    found += _zoomed(page, charts[0])
-    page.emulate_media(media="print")
-    hidden = page.eval_on_selector_all("figure img", "all => all.filter(e => !e.getClientRects().length).length")
-    if hidden or charts[0].is_visible():
-        found.append(f"on paper {hidden} pictures are hidden behind their charts")
-    page.emulate_media(media="screen")
-    return found
-
-
-def _zoomed(page: Any, chart: Any) -> list[str]:
-    """A drag over a part changes what a place reads, a double click changes it back; some curve has a value."""
-    area = chart.query_selector(".u-over")
-    area.scroll_into_view_if_needed()
-    box = area.bounding_box()
-
-    def at(across: float, down: float) -> tuple[float, float]:
-        return box["x"] + across * box["width"], box["y"] + down * box["height"]
-
-    def reading() -> list[str]:
-        page.mouse.move(*at(0.3, 0.3))
-        page.mouse.move(*at(0.35, 0.5))
-        page.wait_for_timeout(50)
-        return [e.inner_text() for e in chart.query_selector(".reading").query_selector_all(".value")]
-
-    before = reading()
-    page.mouse.move(*at(0.2, 0.3))
-    page.mouse.down()
-    page.mouse.move(*at(0.5, 0.6), steps=4)
-    page.mouse.up()
-    zoomed = reading()
-    page.mouse.dblclick(*at(0.5, 0.5))
-    after = reading()
-    found = []
-    if before[0] in ("–", zoomed[0]):
-        found.append(f"a drag does not zoom: one place reads {before[0]}, then {zoomed[0]}")
-    if after != before:
-        found.append(f"a double click does not go back: {before}, then {after}")
-    if all(value == "–" for value in before[1:] + zoomed[1:]):
-        found.append("no curve has a value at the cursor")
     return found
 
 

@@ -6,7 +6,6 @@ And of the linear part of a record and what is beyond it: its frequency response
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -35,7 +34,6 @@ FEW_LINES = 60  # drawn with a marker each
 MOST_INPUTS = 3  # beside each other
 SHOWN_BEYOND = 3.0  # times the highest excited line
 FEWEST_SHOWN = 20  # lines
-DRAWN_POINTS = 2000  # a longer curve is drawn as the smallest and largest value of each of 1000 stretches
 BINS_PER_DECADE = 30  # densities are drawn as their means over such bins of frequency
 DECADES = 12  # shown below the largest density
 MEASURED, FREE, WINDOWED = COLOURS["measured"], COLOURS["worst"], COLOURS["nominal"]
@@ -168,13 +166,13 @@ def time_figure(comparison: Comparison, output: str | None = None) -> Figure:
     gap, windows = comparison.outputs[output], comparison.windows[output]
     figure, (above, middle, below) = new_figure(3, 1, width=7.6, height=2.0, sharex=True)
     with house_style():
-        above.plot(*outline(t[:n], free), color=FREE, lw=1.3, ls=(0, (5, 1.5)), label="simulated, free run")
-        above.plot(*outline(t, y), color=MEASURED, lw=1.3, label="record")
+        above.plot(t[:n], free, color=FREE, lw=1.3, ls=(0, (5, 1.5)), label="simulated, free run")
+        above.plot(t, y, color=MEASURED, lw=1.3, label="record")
         above.set_ylabel(axis_label(output, unit))
         above.set_title(plain_label(f"{comparison.model} against {comparison.record}"))
         above.legend(loc="lower left", bbox_to_anchor=(0.0, -0.02), ncols=2)
         headroom(above, below=0.22)
-        middle.plot(*outline(t[:n], y[:n] - free), color=FREE, lw=1.2)
+        middle.plot(t[:n], y[:n] - free, color=FREE, lw=1.2)
         middle.set_ylabel(axis_label("error", unit))
         middle.set_title(
             f"free run: rms {gap.rms_percent:.3g} %, peak {gap.peak_percent:.3g} % of the range"
@@ -189,7 +187,7 @@ def time_figure(comparison: Comparison, output: str | None = None) -> Figure:
             lw=0,
             label="worst window",
         )
-        below.plot(*outline(t, y - windowed), color=WINDOWED, lw=0.9)
+        below.plot(t, y - windowed, color=WINDOWED, lw=0.9)
         below.set_ylabel(axis_label("error", unit))
         below.set_title(
             f"windows of {comparison.window:.3g} s, each from its best start: "
@@ -417,18 +415,6 @@ def _near(reference: Array, angle: Array) -> Array:
     """Angles in degrees, each within half a turn of the unwrapped ``reference``."""
     unwrapped = np.unwrap(reference)
     return np.degrees(unwrapped + np.angle(np.exp(1j * (angle - unwrapped))))
-
-
-def outline(t: Array, y: Array, points: int = DRAWN_POINTS) -> tuple[Array, Array]:
-    """A curve with at most ``points`` points that looks like ``y``: the extremes of each stretch, in their order."""
-    n = len(y)
-    if n <= points:
-        return t, y
-    edges = np.linspace(0, n, points // 2 + 1).astype(int)
-    index = [
-        i for a, b in pairwise(edges.tolist()) for i in sorted((a + int(y[a:b].argmin()), a + int(y[a:b].argmax())))
-    ]
-    return t[index], y[index]
 
 
 def _smoothed(f: Array, values: Array) -> tuple[Array, Array]:

@@ -10,16 +10,19 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import FuncFormatter, NullFormatter
+from numpy.typing import NDArray
 
 # Okabe and Ito (2008): told apart by colour-blind readers too, and in grey print by their lightness.
 COLOURS = {
@@ -63,6 +66,7 @@ _STYLE: dict[Any, Any] = {
 }
 
 PNG_DPI = 144
+MOST_POINTS = 2000  # of a curve
 
 # Where the next figures are drawn: a function that makes them, or Axes of somebody's figure.
 Canvas = Callable[[tuple[float, float]], Figure] | Axes
@@ -202,12 +206,27 @@ def _power_of_ten(value: float) -> str:
     return f"10{digits}" if abs(factor - 1) < 1e-6 else f"{factor:.3g}·10{digits}"
 
 
+def outline(t: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """A curve with `MOST_POINTS` points that looks like ``y``: the extremes of each stretch, in their order."""
+    edges = np.linspace(0, len(y), MOST_POINTS // 2 + 1).astype(int)
+    index = [
+        i for a, b in pairwise(edges.tolist()) for i in sorted((a + int(y[a:b].argmin()), a + int(y[a:b].argmax())))
+    ]
+    return t[index], y[index]
+
+
+def _thinned(figure: Figure) -> None:
+    """Leave of every long curve over a growing abscissa what can be seen of it."""
+    for line in (line for axes in figure.axes for line in axes.lines):
+        x, y = (np.asarray(part, dtype=float) for part in line.get_data(orig=False))
+        if len(x) > MOST_POINTS and (np.diff(x) >= 0).all() and line.get_linestyle() != "None":
+            line.set_data(*outline(x, y))
+
+
 def save_figure(figure: Figure, folder: str | Path, name: str, png: bool = True) -> tuple[Path, ...]:
     """Write ``name.svg``, and ``name.png``, into ``folder``; the same figure gives the same bytes.
 
-    The SVG is drawn by `robustlab.report.vector` and carries its curves as numbers, see `robustlab.report.curves`; the
-    PNG is drawn by matplotlib. Each file is written beside its final name first and then renamed, so that a reader
-    never sees half of one.
+    Each file is written beside its final name first and then renamed, so that a reader never sees half of one.
 
     Raises EnvironmentFault: the folder cannot be made, or a file not written.
 
@@ -218,8 +237,6 @@ def save_figure(figure: Figure, folder: str | Path, name: str, png: bool = True)
     """
     from robustlab.errors import EnvironmentFault
     from robustlab.files.atomic import atomic_write
-    from robustlab.report.curves import with_curves
-    from robustlab.report.vector import svg_of
 
     folder = Path(folder)
     try:
@@ -230,9 +247,11 @@ def save_figure(figure: Figure, folder: str | Path, name: str, png: bool = True)
     with house_style(), warnings.catch_warnings():
         # A name in a script that the font lacks is drawn as boxes; the caption in the report has it in full.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        if png:  # first, for it is laid out by matplotlib
+        _thinned(figure)
+        if png:
             FigureCanvasAgg(figure)
             metadata = {"Software": "robustlab"}
             atomic_write(raster, lambda path: figure.savefig(path, format="png", dpi=PNG_DPI, metadata=metadata))
-        atomic_write(svg, lambda path: path.write_text(with_curves(svg_of(figure), figure), encoding="utf-8"))
+        about = {"Date": None, "Creator": "robustlab"}
+        atomic_write(svg, lambda path: figure.savefig(path, format="svg", metadata=about))
     return (svg, raster) if png else (svg,)

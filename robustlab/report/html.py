@@ -1,27 +1,20 @@
 """The report of a run: a self-contained HTML page, and its requirements as JUnit tests for a CI system.
 
-The page opens offline and reaches no network. It is whole without scripts; where they run, figures can be zoomed and
-their values read with uPlot (MIT licence, 51 kB, its release file unchanged beside this module: no Python package
-carries a plotting library that small), inlined once.
+The page opens offline, reaches no network and runs no script.
 
 Every text in it may come from a file of somebody else (names of signals, steps, models). Jinja2 escapes all of it,
 control and bidirectional-override characters are shown as escapes, figures are images in ``data:`` addresses (an SVG in
-an image cannot run anything), their curves are packed JSON in an attribute, and the page's Content-Security-Policy
-forbids all but its own style, such images, and the one script by its hash.
+an image cannot run anything), and the page's Content-Security-Policy forbids all but its own style and such images.
 """
 
 from __future__ import annotations
 
-import base64
-import gzip
-import hashlib
 import json
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
@@ -29,13 +22,12 @@ from xml.etree import ElementTree as ET
 from markupsafe import Markup
 
 from robustlab.errors import InputError, plain_text
-from robustlab.report.curves import split
 from robustlab.result import Status
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
-MAX_FIGURES = 2_500_000  # characters of all figures in the page: pictures first, then the curves of the first ones
+MAX_FIGURES = 6_000_000  # characters of all figures in the page
 LEADING = 3  # figures that stand below the requirements
 MAX_NUMBERS = 20_000  # characters of a step's number list in the page; result.json has all of them
 
@@ -144,8 +136,7 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
 
     try:
         readable = _with_optional_parts(_readable(result))
-        pictures = _Pictures(Path(folder), readable)
-        script = _script() if pictures.with_curves else ""
+        pictures = _pictures(Path(folder), readable)
         return _template().render(
             r=readable,
             verdict=verdict(readable),
@@ -157,11 +148,7 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
             tone=tone,
             leading=leading_figures(readable),
             MARKS=_MARKS,
-            image=pictures.image,
-            curves=pictures.curves,
-            script=script,
-            script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
-            chart_style=_part("uplot/uPlot.min.css").strip() if script else "",
+            image=pictures.get,
         )
     except (UndefinedError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
@@ -277,31 +264,15 @@ def _pretty(numbers: Any) -> str:
     return text if len(text) <= MAX_NUMBERS else f"{text[:MAX_NUMBERS]}\n... (the rest is in result.json)"
 
 
-class _Pictures:
-    """Figures of a run, each read once: the picture as an address, and its curves, packed, while there is room."""
-
-    def __init__(self, folder: Path, result: Mapping[str, Any]) -> None:
-        stems = [f["stem"] for step in result["steps"] for f in step["figures"]]
-        parts = {stem: split(_svg(folder, stem)) for stem in stems}
-        room = MAX_FIGURES
-        self._images, self._curves = {}, {}
-        for kept, packed in (
-            (self._images, {stem: _address(svg) for stem, (svg, _) in parts.items()}),
-            (self._curves, {stem: _packed(curves) for stem, (_, curves) in parts.items() if curves}),
-        ):
-            for stem, text in packed.items():
-                if len(text) <= room and (kept is self._images or stem in self._images):
-                    kept[stem] = text
-                    room -= len(text)
-        self.with_curves = bool(self._curves)
-
-    def image(self, stem: str) -> Markup | None:
-        """The picture as a ``data:`` address for an attribute in single quotes; None where there is no room for it."""
-        return self._images.get(stem)
-
-    def curves(self, stem: str) -> str:
-        """The curves as JSON, packed; empty where there are none."""
-        return self._curves.get(stem, "")
+def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Markup]:
+    """Figures of a run by stem, as ``data:`` addresses for attributes in single quotes, while there is room."""
+    room, found = MAX_FIGURES, {}
+    for stem in dict.fromkeys(f["stem"] for step in result["steps"] for f in step["figures"]):
+        text = _address(_svg(folder, stem))
+        if len(text) <= room:
+            found[stem] = text
+            room -= len(text)
+    return found
 
 
 def _address(svg: str) -> Markup:
@@ -310,28 +281,11 @@ def _address(svg: str) -> Markup:
     return Markup(f"data:image/svg+xml,{text}")  # noqa: S704 - nothing in it can end the attribute
 
 
-def _packed(text: str) -> str:
-    """Text in a third of its characters: gzip (with no time in it), then base64."""
-    return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode("ascii") if text else ""
-
-
 def _svg(folder: Path, stem: str) -> str:
     path = folder / "figures" / f"{stem}.svg"
     if Path(stem).name != stem or not path.is_file():
         raise InputError(str(path), "no such figure", "the figures of the run beside its result.json")
     return path.read_bytes().decode("utf-8", errors="replace")
-
-
-@cache
-def _part(name: str) -> str:
-    """A file that lies beside this module."""
-    return resources.files("robustlab.report").joinpath(name).read_text(encoding="utf-8")
-
-
-def _script() -> str:
-    """The library with its licence, and what makes charts of curves; all of it files of ours."""
-    library = _part("uplot/uPlot.iife.min.js").split("\n", 1)[1]  # without the line that names its address
-    return f"/* uPlot 1.6.32\n{_part('uplot/LICENSE')}*/\n{library}\n{_part('interactive.js')}"
 
 
 def junit_xml(result: Mapping[str, Any]) -> str:

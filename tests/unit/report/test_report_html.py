@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import copy
-import gzip
-import hashlib
 import json
 import re
 import shutil
-from importlib import resources
 from urllib.parse import unquote
 
 import numpy as np
@@ -18,7 +14,6 @@ from check_report import ID, Tags
 
 from robustlab.errors import InputError
 from robustlab.recipe.run import read_result
-from robustlab.report.curves import split
 from robustlab.report.figures import new_figure, save_figure
 from robustlab.report.html import found_in_words, in_words, render, verdict
 
@@ -117,47 +112,13 @@ def test_the_page_has_everything_and_loads_nothing(folder):
         assert part in page
     assert page.index("The requirement is met") < page.index("A step")
     pictures = re.findall(r"src='data:image/svg\+xml,([^']*)'", page)
-    assert [unquote(p) for p in pictures] == [split((folder / "figures/a-y.svg").read_text(encoding="utf-8"))[0]]
+    assert [unquote(p) for p in pictures] == [(folder / "figures/a-y.svg").read_text(encoding="utf-8")]
     rest = re.sub(r"src='data:image/svg\+xml,[^']*'", "", page)
     addresses = re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?([^"\'>)]+)', rest)
     assert addresses
     assert all(address.startswith(("#step-", "#figure-")) for address in addresses)
-    assert page.count("<script") == 1
-    assert "default-src 'none'" in page
-
-
-def test_the_one_script_is_the_one_that_the_policy_allows(folder):
-    page = render(RESULT, folder)
-    (script,) = re.findall(r'<script id="charts">(.*?)</script>', page, re.DOTALL)
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    assert f"script-src 'sha256-{digest}'" in page
-    assert "Permission is hereby granted" in script  # the licence goes with every copy
-    assert not re.findall(r"https?://", re.sub(r"src='[^']*'", "", page))
-
-
-def test_the_library_is_its_release_file_unchanged():
-    file = resources.files("robustlab.report").joinpath("uplot/uPlot.iife.min.js").read_bytes()
-    assert hashlib.sha256(file).hexdigest() == "19c8d4c6ad88929a79f4ae49d6f7161566dfd0ba3d15cc495e974f787eb78f1f"
-
-
-def test_a_page_without_curves_has_no_script(folder):
-    (folder / "figures/a-y.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'></svg>")
-    page = render(RESULT, folder)
     assert "<script" not in page
-    assert "script-src" not in page
-
-
-def test_the_curves_of_a_figure_are_beside_it_and_a_hostile_name_stays_text(tmp_path):
-    figure, (axes,) = new_figure()
-    axes.plot([0.0, 1.0, 2.0], [1.0, 4.0, 9.0], label='"><script>alert(1)</script>]]>')
-    save_figure(figure, tmp_path / "figures", "a-y")
-    page = render(RESULT, tmp_path)
-    assert "alert(1)</script>" not in page
-    (packed,) = re.findall(r'data-curves="([^"]*)"', page)
-    (panel,) = json.loads(gzip.decompress(base64.b64decode(packed)))["panels"]
-    (series,) = panel["series"]
-    assert (series["x"], series["y"]) == ([0.0, 1.0, 2.0], [1.0, 4.0, 9.0])
-    assert series["label"] == '"><script>alert(1)</script>]]>'
+    assert "default-src 'none'" in page
 
 
 def test_a_long_report_keeps_its_size(tmp_path):
@@ -169,13 +130,12 @@ def test_a_long_report_keeps_its_size(tmp_path):
     for k in range(1, 40):
         shutil.copy(svg, tmp_path / f"figures/a-{k}.svg")
     figures = [{"stem": f"a-{k}", "caption": "Long curves."} for k in range(40)]
-    for kept in (40, 20):
+    for kept in (40, 15):
         page = render(changed(steps={"figures": figures[:kept]}), tmp_path)
-        assert len(page.encode()) < 3e6
+        assert len(page.encode()) < 7e6
         pictures = page.count("<img")
         assert pictures + page.count("No room in this page") == kept
-        assert pictures >= 20
-    assert 5 <= page.count("data-curves=") < 20  # the first ones can be zoomed, the last ones are pictures
+        assert pictures >= 15
 
 
 def test_something_that_remains_is_amber():
