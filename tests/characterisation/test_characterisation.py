@@ -19,7 +19,7 @@ robust_designs   12 D-K                                                     1e-3
 campaign         3000 samples, killed twice and resumed                     1e-9, same bits               -, 10
 commands         exit codes and ``--json`` of 88 commands in 8 chapters     1e-6; brackets; gamma 1e-3    9, 120
 recipes          9 recipes: verdicts, statuses, numbers                     1e-6 to 2e-2 (names, fits)    5, 830
-naming           12 blind cases: verdict, kinds, effects, values, work      2 %, gaps 1 %, work 1.3 x     -, 170
+naming           11 blind cases: verdict, kinds, effects, values, work      2 %, gaps 1 %, work 1.3 x     -, 170
 ================ ========================================================== ============================= ==============
 
 Where an answer changes for a reason, it is recorded anew::
