@@ -193,10 +193,16 @@ DROPPED = frozenset(f"{MOMENT} {CHOICE}".split())
 
 
 def kept(tree: Any) -> Any:
-    """A program's JSON without what is of the moment, of choice, or a sentence."""
+    """A program's JSON without what is of the moment, of choice, or a sentence; poles in an order of their own."""
     if isinstance(tree, Mapping):
-        found = {key: kept(item) for key, item in tree.items() if key not in DROPPED}
+        found = {
+            key: kept(_sorted(item) if key == "poles" else item) for key, item in tree.items() if key not in DROPPED
+        }
         return {key: item for key, item in found.items() if item is not None}
     if isinstance(tree, list):
         return tree if _numeric(tree) else {str(k): kept(item) for k, item in enumerate(tree)}
     return None if isinstance(tree, str) and (" " in tree or "/" in tree or len(tree) > LONGEST) else tree
+
+
+def _sorted(poles: list[Mapping[str, float]]) -> Any:
+    return {part: sorted(pole[part] for pole in poles) for part in ("re", "im")}
