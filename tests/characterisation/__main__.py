@@ -47,7 +47,10 @@ def main() -> int:
                 continue
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                found, cpu = c.answer(case)
+                try:
+                    found, cpu = c.answer(case)
+                except Exception as error:  # noqa: BLE001  an answer that is none is a difference
+                    found, cpu = {"": f"{type(error).__name__}: {error}"}, 0.0
             spent, count = spent + cpu, count + 1
             entry = c.entry_of(case, found, cpu) if asked.record else c.stored(subject).get(name, {"answer": {"": 0}})
             wrong = c.differences(subject, entry, found)
