@@ -101,8 +101,8 @@ _PUBLIC = {
     "minimal": "synthesis.reduction.minimal_realisation",
     "reduce_controller": "synthesis.reduction.controller_reduction",
     "discretise": "synthesis.sampled.sampled_controller",
-    "d2c": "synthesis.sampled.resampling",
-    "d2d": "synthesis.sampled.resampling",
+    "d2c": "synthesis.sampled.discretisation",
+    "d2d": "synthesis.sampled.discretisation",
     "sampled_data_norm": "synthesis.sampled.sampled_norm",
     # measurements
     "compare": "identification.comparison.comparison",

@@ -62,8 +62,8 @@ from robustlab.synthesis.reduction.controller_reduction import reduce_controller
 from robustlab.synthesis.reduction.minimal_realisation import minimal as minimal
 from robustlab.synthesis.reduction.model_reduction import hankel_singular_values as hankel_singular_values
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
-from robustlab.synthesis.sampled.resampling import d2c as d2c
-from robustlab.synthesis.sampled.resampling import d2d as d2d
+from robustlab.synthesis.sampled.discretisation import d2c as d2c
+from robustlab.synthesis.sampled.discretisation import d2d as d2d
 from robustlab.synthesis.sampled.sampled_controller import discretise as discretise
 from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model

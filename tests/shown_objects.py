@@ -281,7 +281,6 @@ OBJECTS: dict[str, Any] = {
     "IqcStability": lambda: rl.robust_stability(first_order(), natures={"pole": rl.Varying()}, order=0),
     "EffectGain": effect_gain,
     "RiccatiSolution": lambda: care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
-    "Resampled": lambda: rl.d2c(rl.discretise(lag(), 0.1)),
     "Passivity": lambda: rl.passivity(lag()),
     "PassivityIndex": lambda: rl.passivity(lag()).input_index,
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,

@@ -36,7 +36,7 @@ NUMBERS = {
     "ClassicalMargins", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
     "DelayStability", "DelayedDesign", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence",
     "IqcGain", "IqcStability", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap",
-    "Passivity", "PassivityIndex", "PlantSamples", "Reduction", "Resampled", "Result", "Verified",
+    "Passivity", "PassivityIndex", "PlantSamples", "Reduction", "Result", "Verified",
     "RiccatiSolution", "RobustGain", "TrackingProblem", "Trim", "WellPosedness", "Zeros",
     "Watch", "WatchedPiece",
 }  # fmt: skip
