@@ -65,7 +65,6 @@ _PUBLIC = {
     "robust_performance": "mu_analysis",
     "robust_gain": "mu_analysis.axis.robust_gain",
     "small_gain": "mu_analysis.margins.small_gain",
-    "gap": "uncertainty.distances.gap_metric",
     "nu_gap": "uncertainty.distances.gap_metric",
     "coprime_margin": "uncertainty.distances.coprime",
     "h2_norm": "norms",

@@ -82,7 +82,6 @@ from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
 from robustlab.uncertainty.blocks import RealScalar as RealScalar
 from robustlab.uncertainty.covering.overbound import overbound as overbound
 from robustlab.uncertainty.distances.coprime import coprime_margin as coprime_margin
-from robustlab.uncertainty.distances.gap_metric import gap as gap
 from robustlab.uncertainty.distances.gap_metric import nu_gap as nu_gap
 from robustlab.uncertainty.elementwise import elementwise as elementwise
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData as UncertainFrequencyData
@@ -149,7 +148,6 @@ __all__ = [
     "robust_performance",
     "robust_gain",
     "small_gain",
-    "gap",
     "nu_gap",
     "coprime_margin",
     "h2_norm",
