@@ -65,7 +65,6 @@ _PUBLIC = {
     "robust_performance": "mu_analysis",
     "robust_gain": "mu_analysis.axis.robust_gain",
     "small_gain": "mu_analysis.margins.small_gain",
-    "gap": "uncertainty.distances.gap_metric",
     "nu_gap": "uncertainty.distances.gap_metric",
     "coprime_margin": "uncertainty.distances.coprime",
     "h2_norm": "norms",
@@ -101,8 +100,8 @@ _PUBLIC = {
     "minimal": "synthesis.reduction.minimal_realisation",
     "reduce_controller": "synthesis.reduction.controller_reduction",
     "discretise": "synthesis.sampled.sampled_controller",
-    "d2c": "synthesis.sampled.resampling",
-    "d2d": "synthesis.sampled.resampling",
+    "d2c": "synthesis.sampled.discretisation",
+    "d2d": "synthesis.sampled.discretisation",
     "sampled_data_norm": "synthesis.sampled.sampled_norm",
     # measurements
     "compare": "identification.comparison.comparison",

@@ -62,8 +62,8 @@ from robustlab.synthesis.reduction.controller_reduction import reduce_controller
 from robustlab.synthesis.reduction.minimal_realisation import minimal as minimal
 from robustlab.synthesis.reduction.model_reduction import hankel_singular_values as hankel_singular_values
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
-from robustlab.synthesis.sampled.resampling import d2c as d2c
-from robustlab.synthesis.sampled.resampling import d2d as d2d
+from robustlab.synthesis.sampled.discretisation import d2c as d2c
+from robustlab.synthesis.sampled.discretisation import d2d as d2d
 from robustlab.synthesis.sampled.sampled_controller import discretise as discretise
 from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model
@@ -82,7 +82,6 @@ from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
 from robustlab.uncertainty.blocks import RealScalar as RealScalar
 from robustlab.uncertainty.covering.overbound import overbound as overbound
 from robustlab.uncertainty.distances.coprime import coprime_margin as coprime_margin
-from robustlab.uncertainty.distances.gap_metric import gap as gap
 from robustlab.uncertainty.distances.gap_metric import nu_gap as nu_gap
 from robustlab.uncertainty.elementwise import elementwise as elementwise
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData as UncertainFrequencyData
@@ -149,7 +148,6 @@ __all__ = [
     "robust_performance",
     "robust_gain",
     "small_gain",
-    "gap",
     "nu_gap",
     "coprime_margin",
     "h2_norm",

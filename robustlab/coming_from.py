@@ -23,7 +23,7 @@ NAMES = {  # answer -> names that it answers; docs/coming-from has them in full
     "rl.disk_margin": "diskmargin loopmargin wcdiskmargin disk_margins",
     "rl.classical_margins": "allmargin margin",
     "rl.mu": "mussv skew_mu",
-    "rl.gap, rl.nu_gap": "gapmetric",
+    "rl.nu_gap": "gapmetric",
     "rl.coprime_margin": "ncfmargin",
     "rl.loop_functions": "loopsens",
     "rl.hinf": "hinfsyn",

@@ -15,8 +15,8 @@ from robustlab.errors import InputError, UsageError
 
 STRUCTURES = ("elements", "columns", "rows", "matrices", "single", "cover")
 COVERS = (
-    "elements", "pca", "ellipsoid", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
-    "inverse-input-multiplicative", "inverse-output-multiplicative", "coprime",
+    "elements", "pca", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
+    "inverse-input-multiplicative", "inverse-output-multiplicative",
 )  # fmt: skip
 USUAL_SEARCH = Search()
 EXACT = 1e-12  # share of the largest entry that the ends of an element-wise set may miss
@@ -166,7 +166,7 @@ def cover(
         float, Number(least=0, below=1), "Relative differences up to this are noise; none where left out."
     ] = 1e-9,
     weight_order: Annotated[int, Whole(0, 12), "Largest order of the cover's weight."] = 4,
-    directions: Annotated[int | None, Whole(1, 100), "Number of directions of the forms pca and ellipsoid."] = None,
+    directions: Annotated[int | None, Whole(1, 100), "Number of directions of the form pca."] = None,
     controller: Annotated[
         Controller,
         "File of a controller, closed as it says: the cover's worst gain is that of its loop.",

@@ -1,4 +1,4 @@
-"""System norms with their evidence, the passivity index, and the bilinear map, which keeps the H-infinity norm."""
+"""System norms with their evidence, the index of passivity, and the bilinear map, which keeps the H-infinity norm."""
 
 from robustlab.norms.axis_integral import AxisTuning, panel_ends
 from robustlab.norms.bilinear_map import bilinear_to_continuous, bilinear_to_discrete

@@ -32,10 +32,7 @@ from robustlab.report.figures import (
     plain_label,
 )
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.covering.coprime_cover import NAME as COPRIME
-from robustlab.uncertainty.covering.coprime_cover import factors_of
 from robustlab.uncertainty.covering.overbound import Overbound
-from robustlab.uncertainty.covering.parametric_cover import least_ellipsoid
 from robustlab.uncertainty.covering.unstructured_cover import error_sizes
 from robustlab.uncertainty.unstructured import Form
 
@@ -61,10 +58,8 @@ def cover_figures(cover: Cover, models: Sequence[StateSpaceModel]) -> dict[str, 
 def weight_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
     """Errors of the models, their bound, and the weight above it; below, by how much it lies above."""
     assert cover.fit is not None
-    given, form, centre = tuple(models), cover.form, cover.model.nominal
-    if form == COPRIME and given:
-        given, form, centre = tuple(map(factors_of, given)), "additive", factors_of(centre)
-    errors = error_sizes(given, centre, cast(Form, form), cover.fit.omega) if given else ()
+    form = cast(Form, cover.form)
+    errors = error_sizes(tuple(models), cover.model.nominal, form, cover.fit.omega) if models else ()
     return overbound_figure(cover.fit, errors, f"{cover.form}: weight over the errors of {len(cover.sizes)} models")
 
 
@@ -103,7 +98,7 @@ def cloud_figure(cover: Cover) -> Figure:
     figure, axes = new_figure(1, 1 + wide, width=8.2 if wide else 5.0, height=3.4)
     with house_style():
         if wide:
-            _plane(axes[0], deltas, names, cover.form)
+            _plane(axes[0], deltas, names)
         rows = axes[-1]
         shown = deltas[:, :SHOWN]
         for k in range(shown.shape[1]):
@@ -119,21 +114,14 @@ def cloud_figure(cover: Cover) -> Figure:
     return figure
 
 
-def _plane(axes, deltas: Array, names: Sequence[str], form: str) -> None:  # type: ignore[no-untyped-def]
+def _plane(axes, deltas: Array, names: Sequence[str]) -> None:  # type: ignore[no-untyped-def]
     i, j = _least_tied(deltas)
-    if form == "ellipsoid" and len(deltas) > 2:
-        centre, shape = least_ellipsoid(deltas[:, [i, j]])
-        angle = np.linspace(0, 2 * np.pi, 181)
-        value, vector = np.linalg.eigh(shape)
-        edge = centre[:, None] + vector @ (np.sqrt(value)[:, None] * np.array([np.cos(angle), np.sin(angle)]))
-        axes.plot(*edge, color=COLOURS["good"], lw=1.2, label="least ellipse")
     box = np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
     axes.fill(*box, color=COLOURS["band"], alpha=0.2, lw=0)
     axes.plot(*box, color=COLOURS["band"], lw=1.2, label="box of the cover")
     axes.plot(deltas[:, i], deltas[:, j], "o", ms=4, color=COLOURS["nominal"], label="models", ls="none")
     axes.set_aspect("equal")
-    reach = 1.7 if form == "ellipsoid" else 1.3
-    axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+    axes.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3))
     axes.set_xlabel(plain_label(names[i]))
     axes.set_ylabel(plain_label(names[j]))
     axes.set_title("The two that are least tied" if len(names) > 2 else "The cloud in its box")

@@ -76,7 +76,7 @@ def loops() -> dict[str, Any]:
 
 
 def distances() -> dict[str, Any]:
-    """Gap, nu-gap and coprime margin of models far and near."""
+    """nu-gap of two motors."""
     first, second = (rl.load(ROOT / "models" / f"motor_{name}.h5") for name in ("nominal", "perturbed"))
-    found = {"gap": rl.gap(first, second), "nu": rl.nu_gap(first, second)}
-    return {key: {"status": f.status, "lower": f.lower, "upper": f.upper} for key, f in found.items()}
+    found = rl.nu_gap(first, second)
+    return {"nu": {"status": found.status, "lower": found.lower, "upper": found.upper}}

@@ -64,7 +64,7 @@ def test_a_loop_is_closed_before_the_gains_are_compared(tmp_path):
     result = run(
         tmp_path,
         '[step.K]\ndo = "load"\npath = "k.h5"\n[step.tied]\ndo = "cover-models"\nmodels = ["a", "b", "c"]\n'
-        'outputs = ["q"]\nform = "ellipsoid"\ntolerance = 1e-6\ncontroller = "K"\n',
+        'outputs = ["q"]\nform = "pca"\ntolerance = 1e-6\ncontroller = "K"\n',
     )
     tied = entry(result, "tied")
     assert 1.0 <= tied["numbers"]["conservatism"] <= 1.3, tied

@@ -62,7 +62,6 @@ CALLS: dict[str, Any] = {
     "frequency_response": lambda: {"model": made.lag(), "omega": OMEGA},
     "FrequencyData": lambda: {"omega": [1.0, 2.0], "response": [1.0, 1.0], "input": "u", "outputs": ["y"]},
     "FullBlock": lambda: {"name": "a", "rows": 1, "cols": 1},
-    "gap": lambda: {"P1": made.lag(), "P2": 2.0 * made.lag()},
     "generalized_plant": lambda: {"model": made.problem(), "measurements": ["y"], "controls": ["u"]},
     "h2": lambda: {"P": made.problem(), "n_meas": 1, "n_con": 1},
     "h2_norm": lambda: {"model": made.lag()},

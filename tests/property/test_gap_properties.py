@@ -1,4 +1,4 @@
-"""Gap and nu-gap are metrics, and they say how much of a stability margin is left."""
+"""The nu-gap is a metric, and it says how much of a stability margin is left."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.uncertainty.distances.coprime import coprime_margin
-from robustlab.uncertainty.distances.gap_metric import gap, nu_gap
+from robustlab.uncertainty.distances.gap_metric import nu_gap
 
 
 def near(seed: int, n: int, p: int, m: int, step: float) -> tuple[rl.StateSpaceModel, ...]:
@@ -34,7 +34,7 @@ CASES = {
 @settings(max_examples=8, deadline=None)
 def test_they_are_metrics(seed, n, p, m, step):
     a, b, c = near(seed, n, p, m, step)
-    for distance, slack in ((lambda x, y: nu_gap(x, y).value, 1e-8), (lambda x, y: gap(x, y).value, 1e-6)):
+    for distance, slack in ((lambda x, y: nu_gap(x, y).value, 1e-8),):
         ab, ba, bc, ac = distance(a, b), distance(b, a), distance(b, c), distance(a, c)
         assert 0 <= ab <= 1
         assert abs(ab - ba) <= slack

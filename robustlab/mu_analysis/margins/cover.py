@@ -15,7 +15,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, cast, get_args
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -26,8 +26,6 @@ from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Part, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.uncertainty.covering.coprime_cover import NAME as COPRIME
-from robustlab.uncertainty.covering.coprime_cover import coprime_cover
 from robustlab.uncertainty.covering.overbound import Overbound
 from robustlab.uncertainty.covering.parametric_cover import PARAMETRIC_FORMS, parametric_cover
 from robustlab.uncertainty.covering.unstructured_cover import model_set, unstructured_cover
@@ -40,7 +38,7 @@ EXACT = 1e-12  # what rounding may take from a member of a cover that is met exa
 
 __all__ = ["COVER_FORMS", "Conservatism", "Cover", "conservatism", "cover"]
 
-COVER_FORMS = (*PARAMETRIC_FORMS, *FORMS, COPRIME)
+COVER_FORMS = (*PARAMETRIC_FORMS, *FORMS)
 Loop = Callable[[UncertainModel], UncertainModel]
 
 
@@ -115,7 +113,7 @@ class Cover(Shown):
     radius
         Unstructured forms: largest error relative to the models' size. Parametric ones: 0.
     spread
-        Reach of the cloud along its directions (forms ``pca``, ``ellipsoid``), also of those left out.
+        Reach of the cloud along its directions (form ``pca``), also of those left out.
     fit
         Weight and bound of an unstructured form; None for a parametric one.
     conservatism
@@ -242,23 +240,20 @@ def cover(
     form
         ``elements``
             interval hull of the entries of A, B, C, D
-        ``pca``, ``ellipsoid``
+        ``pca``
             few real parameters along the axes of the cloud of the matrices
         ``additive``, ``input-multiplicative``, ``output-multiplicative``, and ``inverse-`` with one of these
             one full block with a stable minimum-phase weight, see `robustlab.uncertainty.unstructured`; the models
             may have different states
-        ``coprime``
-            one full block on the normalised coprime factors: models with any unstable poles and zeros, continuous
 
-        The first three need models with the same states.
+        The first two need models with the same states.
     nominal
-        Nominal model for all forms but ``pca`` and ``ellipsoid``; where left out the middle of the hull, or for a full
+        Nominal model for all forms but ``pca``; where left out the middle of the hull, or for a full
         block the candidate of least radius.
     tolerance
-        Relative size of an entry's error that counts as none; ``pca`` and ``ellipsoid`` keep as many directions as are
-        needed for it.
+        Relative size of an entry's error that counts as none; ``pca`` keeps as many directions as are needed for it.
     directions
-        Number of directions of ``pca`` and ``ellipsoid``, instead.
+        Number of directions of ``pca``, instead.
     order, excess
         Largest order of the weight; how far above the bound a weight of lower order may be.
     loop
@@ -303,7 +298,7 @@ def cover(
         made = _parametric(found, form, start, tolerance, directions)
     else:
         if directions is not None:
-            raise InputError("cover: directions", f"{directions} with form {form}", "form pca or ellipsoid")
+            raise InputError("cover: directions", f"{directions} with form {form}", "form pca")
         made = _unstructured(found, form, start, order, excess)
     if not gain:
         return made
@@ -341,11 +336,7 @@ def _parametric(
 def _unstructured(
     models: tuple[StateSpaceModel, ...], form: str, nominal: StateSpaceModel | None, order: int, excess: float
 ) -> Cover:
-    if form == COPRIME:
-        made = coprime_cover(models, nominal, order, excess)
-    else:
-        assert form in get_args(UnstructuredForm)
-        made = unstructured_cover(models, cast(UnstructuredForm, form), nominal, order, excess)
+    made = unstructured_cover(models, cast(UnstructuredForm, form), nominal, order, excess)
     inside = max(made.sizes) <= 1.0 + 1e-9
     status = Status.CERTIFIED if made.proved and inside else Status.CONVERGED
     reason = "" if made.proved else f"deltas evaluated at {len(made.fit.omega)} frequencies, not proved between them"

@@ -133,21 +133,19 @@ class CoverModelsStep(Step):
     form: Literal[
         "elements",
         "pca",
-        "ellipsoid",
         "additive",
         "input-multiplicative",
         "output-multiplicative",
         "inverse-additive",
         "inverse-input-multiplicative",
         "inverse-output-multiplicative",
-        "coprime",
     ] = "elements"
     nominal: ToOneModel | None = Field(None, description="Where left out, the middle, or what makes the set smallest.")
     outputs: Annotated[list[str], Names("outputs")] | None = None
     tolerance: Annotated[float, Field(ge=0, lt=1)] = Field(
-        1e-9, description="Share of its matrix' largest that an entry may be off: pca, ellipsoid need fewer directions."
+        1e-9, description="Share of its matrix' largest that an entry may be off: pca needs fewer directions."
     )
-    directions: Annotated[int, Field(ge=1, le=100)] | None = Field(None, description="Of pca and ellipsoid.")
+    directions: Annotated[int, Field(ge=1, le=100)] | None = Field(None, description="Of pca.")
     order: Annotated[int, Field(ge=0, le=12)] = Field(4, description="Largest order of the weight of a full block.")
     excess: Tolerance = Field(0.1, description="How far above the bound a weight of lower order may be.")
     controller: ToController | None = Field(

@@ -27,7 +27,6 @@ from robustlab.recipe.steps.contract import (
     Outcome,
     Step,
     Workspace,
-    facts_of,
     quantity,
     step,
 )
@@ -199,11 +198,11 @@ class ResampleStep(Step):
     """
 
     gives: ClassVar[str] = "model"
-    leaves: ClassVar[Any] = {**MODEL, "dt": "s", "error": float}
+    leaves: ClassVar[Any] = {**MODEL, "dt": "s"}
     do: Literal["resample"]
     of: ToOneModel
     dt: Annotated[float, Field(ge=0)] = Field(description="Sample time in s; 0: continuous.")
-    method: Literal["zoh", "foh", "tustin"] = "zoh"
+    method: Literal["zoh", "tustin"] = "zoh"
 
     foretell = same_signals
 
@@ -214,14 +213,11 @@ class ResampleStep(Step):
         if not model.is_discrete:
             if not self.dt:
                 raise InputError("dt", f"0, and {self.of} is continuous", "a sample time in s")
-            made, found = rl.discretise(model, self.dt, self.method), None
+            made = rl.discretise(model, self.dt, self.method)
         else:
-            found = rl.d2d(model, self.dt, self.method) if self.dt else rl.d2c(model, self.method)
-            made = found.model
-        facts = _model_facts(made) + (() if found is None else facts_of(found))
+            made = rl.d2d(model, self.dt, self.method) if self.dt else rl.d2c(model, self.method)
         summary = f"{self.of} with a sample time of {self.dt:g} s." if self.dt else f"{self.of} in continuous time."
-        numbers = {**_model_numbers(made), "dt": made.dt} | ({} if found is None else {"error": found.error})
-        return Outcome(made, summary, numbers, facts, None if found is None else found.status)
+        return Outcome(made, summary, {**_model_numbers(made), "dt": made.dt}, _model_facts(made))
 
 
 def _model_numbers(model: Any) -> dict[str, Any]:

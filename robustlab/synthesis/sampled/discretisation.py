@@ -16,28 +16,33 @@ Franklin, Powell, Workman, *Digital Control of Dynamic Systems* (1998), chapter 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Array
 from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
-from robustlab.norms import bilinear_to_discrete
+from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, series
 from robustlab.synthesis.sampled.held_delays import held_delays
 
 Method = Literal["tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
 SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
+Hold = Literal["zoh", "tustin"]
+HOLDS: tuple[Hold, ...] = ("zoh", "tustin")
 METHODS: tuple[Method, ...] = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
 
 # Two sampled modes closer than this, relative to their modulus, are one mode to a controller in floating point.
 MERGED = 1e-6
 # The poles and zeros of a matched model must give back its response to this accuracy.
 MATCHED = 1e-6
+# The exponential of a logarithm must give back the matrix to this accuracy.
+CLOSE = 1e-8
+EPS = float(np.finfo(float).eps)
 LARGEST = 300.0  # exponent of e up to which products of matched poles and zeros do not overflow
 
 
@@ -70,9 +75,9 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
     )  # fmt: skip
 
 
-def _require_sample_time(dt: object) -> None:
+def _require_sample_time(dt: object, where: str = "discretise") -> None:
     if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
-        raise InputError("discretise", f"dt is {dt!r}", "a positive sample time in s")
+        raise InputError(where, f"dt is {dt!r}", "a positive sample time in s")
 
 
 def _with_delays(model: DelayedModel, dt: float, method: str) -> StateSpaceModel:
@@ -111,6 +116,135 @@ def _tustin(m: StateSpaceModel, dt: float, prewarp: float | None) -> StateSpaceM
             "discretise", f"prewarp is {prewarp:g} rad/s", f"between 0 and the Nyquist frequency {np.pi / dt:g}"
         )
     return bilinear_to_discrete(m, 2 * float(np.tan(prewarp * dt / 2)) / prewarp)
+
+
+# --- back to continuous time, and to another sample time --------------------------------------------------------------
+
+
+@told_as("d2c")
+def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
+    r"""Continuous model of a discrete one.
+
+    .. math:: \begin{bmatrix} A & B \\ 0 & 0 \end{bmatrix}
+              = \frac{1}{T} \log \begin{bmatrix} A_d & B_d \\ 0 & I \end{bmatrix}
+
+    Parameters
+    ----------
+    model
+        Discrete StateSpaceModel with sample time T in s, controller or python-control object.
+    method
+        ``"zoh"``: the model whose samples under a held input these are, with its modes below the Nyquist frequency.
+        ``"tustin"``: the inverse of Tustin's rule.
+
+    Returns
+    -------
+    StateSpaceModel
+        Signals are those of the model; with ``"zoh"`` its states and its operating point, too.
+
+    Raises
+    ------
+    InputError
+        A continuous model, an unknown method.
+    NoTrustworthyNumber
+        ``"zoh"``: a pole on the closed negative real axis, or a logarithm that does not give the model back to 1e-8.
+        ``"tustin"``: a pole at z = -1.
+
+    References
+    ----------
+    Higham, *Functions of Matrices* (2008), theorem 1.31.
+
+    Examples
+    --------
+    >>> d2c(StateSpaceModel([[0.5]], [[0.5]], [[1.0]], [[0.0]], dt=0.1)).A.round(6)
+    array([[-6.931472]])
+    """
+    m = _discrete(model, method, "d2c")
+    if method == "tustin":
+        return replace(bilinear_to_continuous(m), inputs=m.inputs, outputs=m.outputs, states=m.states)
+    from scipy.linalg import expm, logm
+
+    poles, n = m.poles(), m.n_states
+    real = poles[np.abs(poles.imag) <= 1e-12 * np.abs(poles)].real
+    sizes = np.linalg.svd(m.A, compute_uv=False)
+    singular = n and sizes[-1] <= n * EPS * sizes[0]
+    if singular or (real <= 0).any():
+        found = (
+            f"a pole at z = {0.0 if singular else real.min():.6g}: no continuous model of this order has such samples"
+        )
+        hint = "rl.d2d to a whole multiple of the sample time needs no logarithm; method='tustin' maps this pole"
+        raise NoTrustworthyNumber("d2c (zoh)", found, "poles off the closed negative real axis", hint)
+    held = _held(m)
+    rate: Any = logm(held)
+    size = np.abs(held).max(initial=1.0)
+    off = np.abs(expm(rate.real) - held).max(initial=0.0) / size if np.isfinite(rate).all() else np.inf
+    if not off <= CLOSE:
+        raise NoTrustworthyNumber("d2c (zoh)", f"the exponential of log A gives A back to {off:.1e} of its size only")
+    rate = rate.real / m.dt
+    return replace(m, A=rate[:n, :n], B=rate[:n, n:], dt=0.0)
+
+
+@told_as("d2d")
+def d2d(model: Any, dt: float, method: Hold = "zoh") -> StateSpaceModel:
+    r"""Discrete model with another sample time.
+
+    With ``"zoh"`` and a whole multiple k of the sample time, k steps are one, whatever the poles:
+
+    .. math:: x_{i+k} = A_d^k x_i + (A_d^{k-1} + \cdots + A_d + I) B_d u_i
+
+    Every other case is `d2c`, then `discretise`.
+
+    Parameters
+    ----------
+    model
+        Discrete StateSpaceModel, controller or python-control object.
+    dt
+        The new sample time in s.
+    method
+        As for `d2c`.
+
+    Returns
+    -------
+    StateSpaceModel
+        With sample time ``dt``.
+
+    Raises
+    ------
+    InputError
+        A continuous model, a sample time that is not positive, an unknown method.
+    NoTrustworthyNumber
+        What `d2c` and `discretise` refuse. A whole multiple: numbers that overflow.
+
+    Examples
+    --------
+    >>> found = d2d(StateSpaceModel([[-0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1), 0.2)
+    >>> found.A, found.B
+    (array([[0.25]]), array([[0.5]]))
+    """
+    m = _discrete(model, method, "d2d")
+    _require_sample_time(dt, "d2d")
+    steps, n = dt / m.dt, m.n_states
+    if method != "zoh" or not 0.5 < steps < 1e9 or abs(steps - round(steps)) > 1e-9 * steps:
+        return by_formula(d2c(m, method), float(dt), method)
+    with np.errstate(over="ignore", invalid="ignore"):
+        power = np.linalg.matrix_power(_held(m), round(steps))
+    if not np.isfinite(power).all():
+        found = f"A^{round(steps)} overflows: a pole of modulus {1 + m.spectral_abscissa():.6g}"
+        raise NoTrustworthyNumber("d2d", found)
+    return replace(m, A=power[:n, :n], B=power[:n, n:], dt=float(dt))
+
+
+def _discrete(model: Any, method: str, where: str) -> StateSpaceModel:
+    m = as_model(getattr(model, "K", model), where)
+    if not m.is_discrete:
+        raise InputError(where, "the model is continuous (dt = 0)", "a discrete one", "rl.discretise makes one")
+    if method not in HOLDS:
+        raise InputError(where, f"method {method!r}", f"one of {', '.join(HOLDS)}", did_you_mean(str(method), HOLDS))
+    return m
+
+
+def _held(m: StateSpaceModel) -> Array:
+    """One step of the states with the held inputs below them."""
+    return np.block([[m.A, m.B], [np.zeros((m.n_inputs, m.n_states)), np.eye(m.n_inputs)]])
 
 
 # --- matched poles and zeros ------------------------------------------------------------------------------------------

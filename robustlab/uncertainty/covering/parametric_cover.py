@@ -8,13 +8,10 @@ r"""The smallest set of real parameters, of a chosen form, that holds every mode
 ``pca``
     The cloud of the :math:`S_i` has few directions: the E_j are its principal components, each as long as the cloud
     reaches along it, and S_0 is the middle of that box.
-``ellipsoid``
-    The same along the axes of the ellipsoid of least volume around the cloud.
 
 References
 ----------
-Jolliffe, *Principal Component Analysis* (2002); Khachiyan, "Rounding of polytopes in the real number model of
-computation", Math. Oper. Res. 21 (1996); Březina 2010, section 10.2 for the element-wise form.
+Jolliffe, *Principal Component Analysis* (2002); Březina 2010, section 10.2 for the element-wise form.
 """
 
 from __future__ import annotations
@@ -33,12 +30,7 @@ from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, sys
 from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 
-# Relative distance from the optimum at which Khachiyan's algorithm stops, and its steps at most; the box is fitted
-# to the cloud anyway, so that larger ones only turn it a little.
-ELLIPSOID_EXCESS = 1e-2
-ELLIPSOID_STEPS = 2000
-
-ParametricForm = Literal["elements", "pca", "ellipsoid"]
+ParametricForm = Literal["elements", "pca"]
 PARAMETRIC_FORMS: tuple[ParametricForm, ...] = get_args(ParametricForm)
 
 # Entries that differ by less than this share of their natural magnitude are equal: rounding of a linearisation.
@@ -55,7 +47,7 @@ class ParametricCover:
     # For each model the largest relative difference between the member at its delta and the model itself, an entry
     # against its matrix's largest.
     misses: tuple[float, ...]
-    # Reach of the cloud along each direction of `pca` or `ellipsoid`, longest first, in magnitudes of the entries
+    # Reach of the cloud along each direction of `pca`, longest first, in magnitudes of the entries
     # (see `tolerance`), also of those that were left out; empty for `elements`.
     spread: tuple[float, ...]
 
@@ -74,7 +66,7 @@ def parametric_cover(
     it, and symmetric in an entry where it lies at an end or outside.
     ``tolerance``: what an entry may be off, relative to the largest of its matrix (or to what its row and column make
     natural, where that is less): differences below it count as none, and as many directions are kept as it asks for.
-    ``directions``: number of directions of ``pca`` and ``ellipsoid``, instead of what the tolerance asks for.
+    ``directions``: number of directions of ``pca``, instead of what the tolerance asks for.
     Raises InputError: a tolerance outside [0, 1), a number of directions that is not positive, a nominal model for
     another form.
     """
@@ -83,12 +75,12 @@ def parametric_cover(
         whole("cover: directions", directions, 1)
     if form == "elements":
         if directions is not None:
-            raise InputError("cover: directions", f"{directions} with form elements", "form pca or ellipsoid")
+            raise InputError("cover: directions", f"{directions} with form elements", "form pca")
         made, deltas, spread = _hull(models, nominal, tolerance)
     else:
         if nominal is not None:
             raise InputError("cover: nominal", f"a nominal model for form {form}", "none: it is the middle of the box")
-        made, deltas, spread = _directions(models, form, tolerance, directions)
+        made, deltas, spread = _directions(models, tolerance, directions)
     misses = tuple(matrices_miss(made.evaluate(d), m) for d, m in zip(deltas, models, strict=True))
     return ParametricCover(made, deltas, misses, spread)
 
@@ -153,7 +145,7 @@ def _entries(e: Array, n: int) -> list[tuple[int, int]]:
 
 
 def _directions(
-    models: tuple[StateSpaceModel, ...], form: ParametricForm, tolerance: float, directions: int | None
+    models: tuple[StateSpaceModel, ...], tolerance: float, directions: int | None
 ) -> tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]:
     stack = system_matrices(models)
     scale = _magnitude(stack, models[0].n_states)
@@ -165,8 +157,6 @@ def _directions(
     count = _needed(cloud, axes, max(tolerance, ROUNDING)) if directions is None else min(directions, len(axes))
     reach = 0.5 * np.ptp(coordinates, axis=0)
     kept = axes[:count]
-    if form == "ellipsoid" and count > 1:
-        kept = _ellipsoid_axes(coordinates[:, :count]) @ kept
     along = cloud @ kept.T
     centre, half = 0.5 * (along.max(axis=0) + along.min(axis=0)), 0.5 * np.ptp(along, axis=0)
     order = np.argsort(-half, kind="stable")
@@ -194,39 +184,6 @@ def _needed(cloud: Array, axes: Array, tolerance: float) -> int:
             return count
         rest = rest - np.outer(rest @ axes[count], axes[count])
     return len(axes)
-
-
-def _ellipsoid_axes(points: Array) -> Array:
-    """Orthonormal axes (rows) of the ellipsoid of least volume around points (n, k)."""
-    _, shape = least_ellipsoid(points)
-    _, axes = np.linalg.eigh(shape)
-    return axes.T[::-1]
-
-
-def least_ellipsoid(points: Array) -> tuple[Array, Array]:
-    r"""Centre c (k,) and shape P (k, k) of the ellipsoid of least volume that holds points (n, k).
-
-    .. math:: (x - c)^T P^{-1} (x - c) \le 1
-
-    By Khachiyan's algorithm, to about one percent, then blown up to hold every point; the points span the space.
-    """
-    n, k = points.shape
-    size = np.abs(points).max(axis=0)
-    lifted = np.vstack([(points / size).T, np.ones(n)])
-    u = np.full(n, 1.0 / n)
-    for _ in range(ELLIPSOID_STEPS):
-        distance = np.einsum("in,in->n", lifted, np.linalg.solve(lifted * u @ lifted.T, lifted))
-        j = int(distance.argmax())
-        excess = distance[j] / (k + 1) - 1.0
-        if excess <= ELLIPSOID_EXCESS:
-            break
-        step = (distance[j] - k - 1.0) / ((k + 1.0) * (distance[j] - 1.0))
-        u *= 1.0 - step
-        u[j] += step
-    mean = points.T @ u
-    spread = k * ((points.T * u) @ points - np.outer(mean, mean))
-    off = points - mean
-    return mean, spread * float(np.einsum("nk,nk->n", off, np.linalg.solve(spread, off.T).T).max())
 
 
 def _model_of(s: Array, like: StateSpaceModel) -> StateSpaceModel:

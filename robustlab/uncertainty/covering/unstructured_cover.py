@@ -36,7 +36,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -180,26 +180,9 @@ def unstructured_cover(
             best = radius, number, candidate
     if best is None:
         assert refused is not None
-        call = f'rl.cover(models, form="{_form_that_holds(models, [c for _, c in candidates], form, omega)}")'
-        raise NoTrustworthyNumber(refused.where, refused.found, refused.expected, f"{refused.hint}: {call}") from None
+        raise refused
     radius, number, centre = best
     return _around(models, centre, number, form, (order, tolerance), omega, radius)
-
-
-def _form_that_holds(
-    models: tuple[StateSpaceModel, ...], centres: list[StateSpaceModel], form: Form, omega: Array
-) -> str:
-    """A form that these models do not refuse: the inverse of ``form``, or one that is additive; else coprime."""
-    inverse = form.removeprefix("inverse-") if form.startswith("inverse-") else f"inverse-{form}"
-    for other in (cast(Form, inverse), "inverse-additive", "additive"):
-        for centre in centres if other != form else ():
-            try:
-                _require_stable(models, centre, other)
-                _require_bounded(models, centre, other, omega, _bound(models, centre, other, omega))
-            except (NoTrustworthyNumber, np.linalg.LinAlgError):
-                continue
-            return other
-    return "coprime"
 
 
 def _around(
@@ -358,7 +341,7 @@ def _error(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: AnyAr
             return np.linalg.solve(other, g - other)
         return _right_divided(g - other, other)
     except np.linalg.LinAlgError:
-        hint = "form additive or coprime inverts no model"
+        hint = "form additive inverts no model"
         raise NoTrustworthyNumber(f"cover: form {form}", "a response without an inverse", None, hint) from None
 
 
@@ -444,7 +427,7 @@ def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel
         bad = _pole_that_stays(model, centre, form, singular)
         if bad is not None:
             text = f"model {i} differs from the nominal one by an unstable error (pole {bad.real:.6g}{bad.imag:+.6g}j)"
-            hint = "an inverse form holds other poles on the right, additive other zeros, coprime any"
+            hint = "an inverse form holds other poles on the right, additive other zeros"
             raise NoTrustworthyNumber(f"cover: form {form}", text, "a stable one", hint)
 
 

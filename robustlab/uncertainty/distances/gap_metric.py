@@ -1,52 +1,39 @@
-r"""Distances between two models that count for feedback: the nu-gap and the gap metric.
+r"""The distance between two models that counts for feedback: the nu-gap.
 
-Both lie between 0 and 1, and a controller that is good for one model is good for the other where they are small,
+It lies between 0 and 1, and a controller that is good for one model is good for the other where it is small,
 however different the open loops look: :math:`1/(s - 0.001)` and :math:`1/(s + 0.001)` are 0.002 apart. With the
 normalised graph symbols :math:`G = [N; M]`, :math:`\tilde G = [\tilde M, -\tilde N]`
 
 .. math:: \delta_\nu(P_1, P_2) = \| \tilde G_2 G_1 \|_\infty \; \text{ where } \det(G_2^* G_1) \ne 0 \text{ on the axis
    and winds zero times around the origin, else } 1
 
-.. math:: \delta_g(P_1, P_2) = \max(\vec\delta(P_1, P_2), \vec\delta(P_2, P_1)), \qquad
-   \vec\delta(P_1, P_2) = \inf_{Q \in H_\infty} \| G_1 - G_2 Q \|_\infty
-
 References
 ----------
-Vinnicombe, "Frequency domain uncertainty and the graph topology", IEEE TAC 38 (1993); Georgiou, "On the computation of
-the gap metric", Systems and Control Letters 11 (1988); Zhou, Doyle, Glover (1996), section 17.2.
+Vinnicombe, "Frequency domain uncertainty and the graph topology", IEEE TAC 38 (1993); Zhou, Doyle,
+Glover (1996), section 17.2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.linear_analysis.matrix_equations import care, lyapunov
-from robustlab.norms import HinfNorm, hinf_norm
+from robustlab.errors import InputError, told_as
+from robustlab.norms import hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, listed, number
-from robustlab.statespace import StateSpaceModel, as_model, parallel, series
+from robustlab.shown import Facts, Shown, bracket, number
+from robustlab.statespace import StateSpaceModel, as_model, series
 from robustlab.uncertainty.distances.coprime import (
     CoprimeFactors,
     MappedModels,
     continuous_models,
     coprime_factors,
-    inverse_root,
 )
 
-# Relative width of the bracket of the gap.
-GAP_RTOL = 1e-8
-
-# A step of the bisection, and a distance, that cannot be told from zero.
-ROUNDING = 1e-13
+# A distance that cannot be told from zero, and one from 1.
 NOTHING = 1e-12
-# Below this distance rounding hides in the spectral factor, and Q = 1 is tried as well.
-CLOSE = 1e-6
-# Both directed gaps are equal where they are below 1; they are computed from different equations.
 AGREE = 1e-6
 # An eigenvalue whose real part is below this share of the largest has no sure side of the axis.
 SIDE = 1e-11
@@ -99,61 +86,6 @@ class NuGap(Shown):
         return {"type": "NuGap", "value": self.value, **vars(self)}
 
 
-@dataclass(frozen=True)
-class GapMetric(Shown):
-    """The gap between two models, with its evidence.
-
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= gap <= upper``, in floating-point arithmetic.
-    directed
-        The two directed gaps (from the first model to the second, and back): equal where both are less than 1.
-    nu
-        The nu-gap, which is never larger.
-    status
-        CONVERGED, or INACCURATE where the directed gaps contradict each other or the nu-gap.
-    reason
-        Why it is inaccurate; else empty.
-    """
-
-    lower: float
-    upper: float
-    directed: tuple[float, float]
-    nu: NuGap
-    status: Status
-    reason: str = ""
-    quantities: ClassVar[Mapping[str, Any]] = {"value": "1", "lower": "1", "upper": "1", "nu_gap": "1"}
-
-    @property
-    def nu_gap(self) -> float:
-        """The nu-gap: that of ``nu``."""
-        return self.nu.value
-
-    def headline(self) -> str:
-        """The two distances."""
-        return f"gap {number(self.value)}, nu-gap {number(self.nu_gap)}"
-
-    @property
-    def value(self) -> float:
-        """The gap: the upper end of its bracket."""
-        return self.upper
-
-    def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
-        return [
-            ("gap", f"{number(self.lower)} .. {number(self.upper)}"),
-            ("directed gaps", listed(map(number, self.directed))),
-            ("nu-gap", bracket(self.nu.lower, self.nu.upper, ("attained", "proved"))),
-            ("largest at", number(self.nu.frequency, "rad/s")),
-            ("reason", self.reason),
-        ]
-
-    def to_json(self) -> dict[str, Any]:
-        """All attributes."""
-        return {"type": "GapMetric", "value": self.value, **vars(self)}
-
-
 @told_as("nu_gap")
 def nu_gap(P1: Any, P2: Any) -> NuGap:
     r"""Nu-gap metric between two models of equal size.
@@ -193,61 +125,6 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
     mapped = _mapped(P1, P2, "nu_gap")
     one, two = (coprime_factors(m) for m in mapped.models)
     return _nu_gap(one, two, mapped)
-
-
-@told_as("gap")
-def gap(P1: Any, P2: Any) -> GapMetric:
-    r"""Gap metric between two models of equal size.
-
-    With :math:`[G_2^*; \tilde G_2]` unitary the directed gap is a two-block problem,
-
-    .. math:: \vec\delta = \inf_Q \left\| \begin{bmatrix} G_2^* G_1 - Q \\ \tilde G_2 G_1 \end{bmatrix} \right\|_\infty
-       \le \gamma \Leftrightarrow \| (G_2^* G_1 \Phi_\gamma^{-1})_{antistable} \|_{Hankel} \le 1, \qquad
-       \Phi_\gamma^* \Phi_\gamma = \gamma^2 I - G_1^* \tilde G_2^* \tilde G_2 G_1
-
-    solved by bisection over gamma.
-
-    Parameters
-    ----------
-    P1, P2
-        As for `nu_gap`.
-
-    Returns
-    -------
-    GapMetric
-        The value with its bounds, and the nu-gap, which never exceeds it.
-
-    Raises
-    ------
-    InputError, NoTrustworthyNumber
-        As for `nu_gap`.
-
-    References
-    ----------
-    Georgiou (1988); Georgiou, Smith, "Optimal robustness in the gap metric", IEEE TAC 35 (1990).
-
-    Examples
-    --------
-    >>> one = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> round(gap(one, one).value, 6)
-    0.0
-    """
-    mapped = _mapped(P1, P2, "gap")
-    one, two = (coprime_factors(m) for m in mapped.models)
-    nu = _nu_gap(one, two, mapped)
-    there, back = _directed(one, two), _directed(two, one)
-    low, high = max(there[0], back[0], nu.lower), max(there[1], back[1], nu.lower)
-    reason = ""
-    if high < 1 and abs(there[1] - back[1]) > AGREE:
-        reason = f"the directed gaps {there[1]:.9g} and {back[1]:.9g} must be equal below 1"
-    elif nu.lower > max(there[1], back[1]) + AGREE:
-        reason = f"the nu-gap {nu.lower:.9g} exceeds {max(there[1], back[1]):.9g}: digits were lost"
-    elif high - low > AGREE:
-        reason = f"rounding leaves {high - low:.1e} between the bounds"
-    elif not nu.status.trustworthy:
-        reason = nu.reason
-    status = Status.INACCURATE if reason else Status.CONVERGED
-    return GapMetric(min(low, high), high, (there[1], back[1]), nu, status, reason)
 
 
 def _mapped(P1: Any, P2: Any, where: str) -> MappedModels:
@@ -313,69 +190,3 @@ def _winding(one: CoprimeFactors, two: CoprimeFactors) -> tuple[int | None, bool
     zeros = np.linalg.eigvals(A - B @ np.linalg.solve(D, C)) if len(A) else np.zeros(0)
     sure = bool((np.abs(zeros.real) > SIDE * np.abs(zeros).max(initial=0.0)).all())
     return int((zeros.real > 0).sum()) - g2.n_states, sure
-
-
-# --- the directed gap ------------------------------------------------------------------------------------------------
-
-
-def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
-    """Bracket of ``inf ||G1 - G2 Q||`` over stable Q."""
-    from scipy.optimize import brentq
-
-    distance = _distance(one, two)
-    norm: HinfNorm = hinf_norm(distance, rtol=GAP_RTOL)
-    low = min(norm.lower, 1.0)
-    if low <= NOTHING:
-        low = 0.0
-    if low <= CLOSE:
-        difference = hinf_norm(parallel(one.right, two.right, -1))
-        if difference.upper <= CLOSE:
-            return low, difference.upper
-    first = min(norm.upper * (1 + GAP_RTOL) + ROUNDING, 1.0)
-    if first == 1.0 or _hankel(one, two, distance, first) <= 1:
-        return low, first
-
-    def excess(gamma: float) -> float:
-        # Q = 0 reaches 1, where the spectral factor may not exist.
-        return float(np.clip(np.log(_hankel(one, two, distance, gamma)), -1.0, 1.0)) if gamma < 1.0 else -1.0
-
-    root = float(brentq(excess, first, 1.0, xtol=ROUNDING, rtol=GAP_RTOL))  # pyright: ignore[reportArgumentType]
-    # Each side of the root is asked by itself; rounding blurs it where the distance itself is next to nothing.
-    steps = (2 * GAP_RTOL, 1e-6, 1e-4, 1e-2, 1.0, 10.0, 100.0)
-    over = next((root * (1 + step) for step in steps if root * (1 + step) < 1 and excess(root * (1 + step)) <= 0), 1.0)
-    under = next((root * (1 - step) for step in steps[:4] if excess(max(root * (1 - step), first)) > 0), low)
-    return max(low, under), over
-
-
-def _hankel(one: CoprimeFactors, two: CoprimeFactors, distance: StateSpaceModel, gamma: float) -> float:
-    """Hankel norm of what Q cannot remove: some stable Q gives ``||G1 - G2 Q|| <= gamma`` iff it is at most 1.
-
-    Infinite where gamma is below the norm of the part that Q does not touch at all.
-    """
-    s, g1, g2 = distance, one.right, two.right
-    weight = gamma**2 * np.eye(s.n_inputs) - s.D.T @ s.D
-    if np.linalg.eigvalsh(weight)[0] <= 0:
-        return np.inf
-    try:
-        gain = care(s.A, s.B, s.C.T @ s.C, -weight, s.C.T @ s.D).gain
-    except NoTrustworthyNumber:
-        return np.inf
-    # Phi^-1 = (A + B K, B W^-1, K, W^-1) for W^2 = weight, and G1 Phi^-1 shares its states.
-    root = inverse_root(weight)
-    A, B = s.A + s.B @ gain, s.B @ root
-    C = np.hstack([g1.C, np.zeros((g1.n_outputs, two.left.n_states))]) + g1.D @ gain
-    D = g1.D @ root
-    if not g2.n_states:
-        return np.finfo(float).tiny
-    from scipy.linalg import solve_sylvester
-
-    # The antistable part of G2* (C (s - A)^-1 B + D), in the states of G2*.
-    across = solve_sylvester(g2.A.T, A, g2.C.T @ C) if len(A) else np.zeros((g2.n_states, 0))
-    into = g2.C.T @ D - across @ B
-    try:
-        reach = lyapunov(g2.A.T, into @ into.T)
-        see = lyapunov(g2.A, g2.B @ g2.B.T)
-    except NoTrustworthyNumber:
-        return np.inf
-    square = float(np.linalg.eigvals(reach @ see).real.max())
-    return float(np.sqrt(max(square, np.finfo(float).tiny)))

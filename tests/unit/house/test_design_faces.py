@@ -11,7 +11,7 @@ from robustlab.synthesis.problem.design import Design
 
 KINDS = [
     *("DKSynthesis", "DelayedDesign", "FixedSynthesis", "H2Synthesis", "HinfSynthesis"),
-    *("LPVSynthesis", "NcfSynthesis", "ReducedController", "ReducedModel", "Resampled"),
+    *("LPVSynthesis", "NcfSynthesis", "ReducedController", "ReducedModel"),
     *("SampledController", "TunedSynthesis", "TwoDegreeSynthesis"),
 ]
 

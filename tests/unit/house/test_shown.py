@@ -34,9 +34,9 @@ PLAIN = {
 # Nothing to draw: a few numbers.
 NUMBERS = {
     "ClassicalMargins", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
-    "DelayStability", "DelayedDesign", "EffectGain", "GapMetric", "H2Norm", "HinfNorm", "Influence",
+    "DelayStability", "DelayedDesign", "EffectGain", "H2Norm", "HinfNorm", "Influence",
     "IqcGain", "IqcStability", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap",
-    "Passivity", "PassivityIndex", "PlantSamples", "Reduction", "Resampled", "Result", "Verified",
+    "Passivity", "PlantSamples", "Reduction", "Result", "Verified",
     "RiccatiSolution", "RobustGain", "TrackingProblem", "Trim", "WellPosedness", "Zeros",
     "Watch", "WatchedPiece",
 }  # fmt: skip

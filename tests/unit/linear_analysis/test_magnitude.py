@@ -81,7 +81,6 @@ CALLS: dict[str, tuple[Callable[[Model], Any], str, bool]] = {
     "disk_margin": (lambda m: rl.disk_margin(m, K), "disk_margin", True),
     "disk_margin of a set": (lambda m: rl.disk_margin(real(m), K), "disk_margin", False),
     "small_gain": (lambda m: rl.small_gain(uncertain(m, rl.FullBlock("k", 1, 1))), "small_gain", True),
-    "gap": (lambda m: rl.gap(m, Model(m.A, m.B, 1.1 * m.C, m.D, m.dt)), "gap", True),
     "nu_gap": (lambda m: rl.nu_gap(m, Model(m.A, m.B, 1.1 * m.C, m.D, m.dt)), "nu_gap", True),
     "coprime_margin": (lambda m: rl.coprime_margin(m, K), "coprime_margin", True),
     "controllability": (rl.controllability, "controllability", True),
@@ -272,8 +271,8 @@ def test_hankel_values_and_gaps_at_any_magnitude():
         values = rl.hankel_singular_values(Model([[-0.5]], [[b]], [[c]], [[0.0]]))
         np.testing.assert_allclose(values, [float(Fraction(b) * Fraction(c))], rtol=1e-12)
     # The gap of b/(s + 1) and -b/(s + 1) goes to 1 with b; states of another size do not change it.
-    one = rl.gap(Model([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), Model([[-1.0]], [[1.0]], [[-1.0]], [[0.0]]))
-    two = rl.gap(Model([[-1.0]], [[1e300]], [[1e-300]], [[0.0]]), Model([[-1.0]], [[1e300]], [[-1e-300]], [[0.0]]))
+    one = rl.nu_gap(Model([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), Model([[-1.0]], [[1.0]], [[-1.0]], [[0.0]]))
+    two = rl.nu_gap(Model([[-1.0]], [[1e300]], [[1e-300]], [[0.0]]), Model([[-1.0]], [[1e300]], [[-1e-300]], [[0.0]]))
     assert two.upper == pytest.approx(one.upper, rel=1e-6)
 
 
@@ -308,7 +307,6 @@ ENTANGLED = Model(np.diag([1.0, -1.0]), [[0.0], [1.0]], [[1.0, 1.0]], [[0.0]])
         (lambda: rl.robust_performance(SET), "robust_performance"),
         (lambda: rl.peak_gain(SET), "peak_gain"),
         (lambda: rl.coprime_margin(ENTANGLED, K), "coprime_margin"),
-        (lambda: rl.gap(ENTANGLED, ENTANGLED), "gap"),
         (lambda: rl.nu_gap(ENTANGLED, UNSTABLE), "nu_gap"),
         (lambda: rl.ncf(ENTANGLED), "synth ncf"),
         (lambda: rl.reduce_model(UNSTABLE, 0), "reduce_model"),
