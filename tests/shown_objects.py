@@ -284,7 +284,6 @@ OBJECTS: dict[str, Any] = {
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,
     "StructuralTest": lambda: rl.controllability(problem()),
     "HinfSynthesis": mixsyn,
-    "DelayedDesign": lambda: rl.hinf(rl.with_delays(problem(), inputs={"u": 0.1}), 1, 1),
     "H2Synthesis": lambda: rl.h2(problem(), 1, 1),
     "NcfSynthesis": lambda: rl.ncf(lag()),
     "DKSynthesis": lambda: rl.dk(problem(), [rl.ComplexScalar("gain")], 1, 1, direct=False),

@@ -5,28 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal, overload
 
-from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, told_as
-from robustlab.synthesis.hinf.delayed_design import DelayedDesign, delayed_hinf
 from robustlab.synthesis.hinf.hinf_synthesis import hinf as rational
 from robustlab.synthesis.problem.design import HinfSynthesis
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 from robustlab.synthesis.scheduling.scheduled_synthesis import LPVSynthesis, scheduled_hinf
 
 
-@overload
-def hinf(
-    P: DelayedModel,
-    n_meas: int | None = None,
-    n_con: int | None = None,
-    *,
-    gamma_rel: float = 1.05,
-    bandwidth: float | None = None,
-    tolerance: float | None = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-    progress: Callable[[str], None] | None = None,
-) -> DelayedDesign: ...
 @overload
 def hinf(
     P: LPVModel,
@@ -58,12 +43,11 @@ def hinf(
     *,
     gamma_rel: float = 1.05,
     bandwidth: float | None = None,
-    tolerance: float | None = None,
     lyapunov: Literal["constant", "varying"] | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
-) -> HinfSynthesis | DelayedDesign | LPVSynthesis:
+) -> HinfSynthesis | LPVSynthesis:
     r"""H-infinity controller ``u = K y`` with positive feedback into the lower LFT of P.
 
     .. math:: \min_K \|F_l(P, K)\|_\infty, \qquad F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
@@ -73,9 +57,6 @@ def hinf(
     ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and gamma is the
     verified norm of the loop rebuilt from the returned K.
     A discrete P is mapped by the bilinear rule and verified in discrete time.
-
-    A plant with exact delays gets designs for Padé's approximations of order 2, 4, 6, 8, until the gain that is proved
-    of the loop with its exact delays is within ``tolerance`` of the design's; the smallest proved one counts.
 
     The controller ``u = K(rho) y`` of a scheduled plant (`LPVModel`) is scheduled by the same measured parameters and
     needs no rates of theirs; gamma bounds the induced gain over all their trajectories, as far as a quadratic Lyapunov
@@ -87,7 +68,7 @@ def hinf(
     ----------
     P
         Generalised plant: `GeneralizedPlant`, StateSpaceModel, UncertainModel (with its perturbation channels as w and
-        z), `DelayedModel`, `LPVModel`, or python-control object; inputs [w; u], outputs [z; y], the ``n_con`` controls
+        z), `LPVModel`, or python-control object; inputs [w; u], outputs [z; y], the ``n_con`` controls
         and ``n_meas`` measurements last. An LPV model has no direct term from u to y; where B2, C2, D12 and D21 do not
         depend on the parameters the loop is multi-linear between the points, where they do its bend is bounded and a
         finer grid (`LPVModel.refined`) lowers what it costs: a lag before u or behind y makes them constant.
@@ -99,9 +80,6 @@ def hinf(
     bandwidth
         Where given, all controller poles must lie below it (modulus, rad/s; of a discrete controller those of its
         bilinear map); of the controllers allowed by ``gamma_rel`` the one of smallest gamma that obeys is taken.
-    tolerance
-        Of a plant with delays: how much larger than the gamma of the design the proved gain may be for the search to
-        end, 0.01 where left out.
     lyapunov
         Of an LPV model: ``"constant"``, shared R and S, for parameters of any rate; ``"varying"``, S, then R, varies
         over the grid at the bounded rates. Where left out: constant, and varying after it where rates are bounded; the
@@ -116,10 +94,9 @@ def hinf(
 
     Returns
     -------
-    HinfSynthesis, DelayedDesign or LPVSynthesis
+    HinfSynthesis or LPVSynthesis
         Always with a stabilising, verified K: ``K``, ``gamma``, ``closed_loop``, ``status`` and ``reason`` of `Design`,
-        and what there is of the kind of plant: of delays ``design`` is that of the rational model, of an LPV model
-        ``gain`` what `lpv_gain` proved.
+        and of an LPV model ``gain``, what `lpv_gain` proved.
 
     Raises
     ------
@@ -127,8 +104,8 @@ def hinf(
         Numbers of channels that P does not have, ``gamma_rel`` below 1, an option that P's kind does not have.
     NoTrustworthyNumber
         An unstable or marginal mode that no controller can stabilise (named), no controller could be verified, or none
-        has its poles below ``bandwidth``; no design is proved to stabilise the plant with its delays; the LMIs of an
-        LPV model have no solution, or no loop of theirs could be proved.
+        has its poles below ``bandwidth``; the LMIs of an LPV model have no solution, or no loop of theirs could be
+        proved.
 
     References
     ----------
@@ -144,12 +121,8 @@ def hinf(
     >>> design.status.value, round(design.gamma, 3)
     ('certified', 0.732)
 
-    With a delay of its control, and with a measured parameter:
+    With a measured parameter:
 
-    >>> from robustlab.delays import with_delays
-    >>> late = hinf(with_delays(P, inputs={2: 0.1}), 1, 1)
-    >>> late.stability.stable, late.gamma <= 1.02 * late.design.gamma
-    (True, True)
     >>> from robustlab.synthesis.scheduling.parameter_varying import LPVModel
     >>> def vertex(a):
     ...     return StateSpaceModel([[a]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
@@ -157,9 +130,8 @@ def hinf(
     >>> scheduled.status.value, scheduled.gamma < 1.45
     ('certified', True)
     """
-    delayed, varying = isinstance(P, DelayedModel), isinstance(P, LPVModel)
+    varying = isinstance(P, LPVModel)
     for name, given, fits, kind in (
-        ("tolerance", tolerance is not None, delayed, "a DelayedModel (rl.with_delays)"),
         ("lyapunov", lyapunov is not None, varying, "an LPVModel (rl.lpv_model)"),
         ("gamma_rel", gamma_rel != 1.05, not varying, "a plant without measured parameters"),
         ("bandwidth", bandwidth is not None, not varying, "a plant without measured parameters"),
@@ -170,7 +142,4 @@ def hinf(
         return scheduled_hinf(P, n_meas, n_con, lyapunov, effort, time_limit, progress)
     options: dict[str, Any] = {"gamma_rel": gamma_rel, "bandwidth": bandwidth, "time_limit": time_limit}
     options |= {"effort": effort, "progress": progress}
-    if delayed:
-        allowed = 0.01 if tolerance is None else tolerance
-        return delayed_hinf(P, lambda model: rational(model, n_meas, n_con, **options), allowed)
     return rational(P, n_meas, n_con, **options)

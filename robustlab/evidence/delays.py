@@ -8,19 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.closing import wired
 from robustlab.delays.model import DelayedModel
 from robustlab.delays.neglected import NeglectedWeight
 from robustlab.delays.pade import error_weight, pade
 from robustlab.evidence.norms import above
-from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, loop_numbers, matrices, model_numbers
+from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, matrices, model_numbers
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.margins.delay_loops import DelayDiskMargins
 from robustlab.mu_analysis.margins.delay_margins import DelayGain
 from robustlab.mu_analysis.margins.delay_stability import DelayStability
 from robustlab.mu_analysis.matrix.upper import upper_bounds
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.hinf.delayed_design import DelayedDesign
 from robustlab.uncertainty.blocks import Block, ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.verification.claim import Claim
@@ -46,16 +44,6 @@ def stability_claims(found: DelayStability) -> list[Claim]:
 def gain_claims(found: DelayGain) -> list[Claim]:
     """That the loop is stable with a gain of at most ``upper``."""
     return [] if found.system is None else _norm(loop_numbers_of(found.system), found)
-
-
-def design_claims(found: DelayedDesign) -> list[Claim]:
-    """The same of plant and controller as they are stored."""
-    plant, gain = found.plant, found.gain
-    if plant is None or gain is None:
-        return []
-    y, u = found.K.n_inputs, found.K.n_outputs
-    K = wired(found.K, plant.outputs[plant.n_outputs - y :], plant.inputs[plant.n_inputs - u :], "verify")
-    return _norm({**loop_numbers(plant.H, K), "delays": plant.delays}, gain)
 
 
 def _norm(numbers: Numbers, found: DelayGain) -> list[Claim]:

@@ -40,7 +40,6 @@ CLAIMS: Mapping[str, str] = {
     "DelayStability": "delays.stability_claims",
     "DelayGain": "delays.gain_claims",
     "DelayDiskMargins": "delays.disk_claims",
-    "DelayedDesign": "delays.design_claims",
     "NeglectedWeight": "delays.neglected_claims",
     "UncertainModel": "delays.set_claims",
     "IqcGain": "multipliers.gain_claims",

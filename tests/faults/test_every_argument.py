@@ -67,7 +67,6 @@ CALLS: dict[str, Any] = {
     "h2_norm": lambda: {"model": made.lag()},
     "hankel_singular_values": lambda: {"model": TWO},
     "hinf": lambda: {"P": made.problem(), "n_meas": 1, "n_con": 1},
-    "hinf of delays": lambda: {"P": rl.with_delays(made.problem(), inputs={"u": 0.1}), "n_meas": 1, "n_con": 1},
     "hinf of a schedule": lambda: {"P": made.scheduled_plant(), "n_meas": 1, "n_con": 1},
     "linearise": lambda: {"plant": made.motor()},
     "loop_functions": lambda: {"G": made.lag(), "K": GAIN},
@@ -201,7 +200,7 @@ SLOW = {"fixed_structure", "robust_stability of natures", "disk_margin of a set"
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CALLS]
 )
 def test_what_an_argument_cannot_be_is_refused_in_one_clear_line(name):
-    function = getattr(rl, name.partition(" ")[0])  # "hinf of delays": of a kind of what it is given
+    function = getattr(rl, name.partition(" ")[0])  # "peak_gain of delays": of a kind of what it is given
     function(**CALLS[name]())
     refused = 0
     for argument, parameter in inspect.signature(function).parameters.items():

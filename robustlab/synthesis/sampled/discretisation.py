@@ -22,13 +22,11 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, as_model, series
-from robustlab.synthesis.sampled.held_delays import held_delays
 
 Method = Literal["tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
 SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
@@ -49,8 +47,6 @@ LARGEST = 300.0  # exponent of e up to which products of matched poles and zeros
 @told_as("discretise")
 def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None) -> StateSpaceModel:
     """`robustlab.discretise` without a plant; see there."""
-    if isinstance(model, DelayedModel):
-        return _with_delays(model, dt, method)
     m = as_model(getattr(model, "K", model), "discretise")
     if m.is_discrete:
         raise InputError("discretise", f"the model has dt = {m.dt:g} s", "a continuous model (dt = 0)")
@@ -78,15 +74,6 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
 def _require_sample_time(dt: object, where: str = "discretise") -> None:
     if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
         raise InputError(where, f"dt is {dt!r}", "a positive sample time in s")
-
-
-def _with_delays(model: DelayedModel, dt: float, method: str) -> StateSpaceModel:
-    """A model with delays at inputs and outputs, exact at the samples."""
-    _require_sample_time(dt)
-    if method != "zoh":
-        hint = "method 'zoh' is exact for delays at inputs and outputs; .pade(order) gives a model for the others"
-        raise InputError("discretise", f"method {method!r} of a model with exact delays", "'zoh'", hint)
-    return held_delays(model, float(dt))
 
 
 def _sampled(m: StateSpaceModel, dt: float, method: str) -> StateSpaceModel:

@@ -230,9 +230,7 @@ def discretise(
     Parameters
     ----------
     model
-        Continuous StateSpaceModel with n states, controller, design or python-control object; with ``"zoh"`` also a
-        DelayedModel whose delays are at its inputs and outputs, of any length: what is kept from sample to sample are
-        further states, see `robustlab.synthesis.sampled.held_delays`.
+        Continuous StateSpaceModel with n states, controller, design or python-control object.
     dt
         Sample time in s.
     method

@@ -26,11 +26,6 @@ def pair():
     return rl.with_delays(late, inputs={0: 0.3, 1: 0.1}), rl.StateSpaceModel([], [], [], 2.0 * np.eye(2))
 
 
-def designed():
-    P = rl.StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    return rl.hinf(rl.with_delays(P, inputs={2: 0.5}), n_meas=1, n_con=1)
-
-
 def smaller(margin):
     return replace(margin, lower=1.0001 * margin.upper)
 
@@ -40,7 +35,6 @@ RESULTS = {
     "gain": lambda: rl.peak_gain((2.0 * LATE).feedback()),
     "disk margin": lambda: rl.disk_margin(2.0 * LATE),
     "disk margins": lambda: rl.disk_margin(*pair()),
-    "design": designed,
     "set": lambda: (2.0 * LATE).feedback().uncertain(4),
     "range": lambda: RANGE,
     "margin": lambda: rl.robust_stability(RANGE.feedback()),
@@ -68,8 +62,6 @@ def test_every_claim_is_proved(name):
         ("gain", lambda r: replace(r, system=(2.05 * LATE).feedback())),
         ("disk margin", lambda r: replace(r, gain=replace(r.gain, upper=0.9999 * r.gain.lower))),
         ("disk margins", lambda r: replace(r, simultaneous=smaller(r.simultaneous))),
-        ("design", lambda r: replace(r, K=3.0 * r.K)),
-        ("design", lambda r: replace(r, gain=replace(r.gain, upper=0.9999 * r.gain.lower))),
         ("neglected", lambda r: replace(r, delay=1.06 * r.delay)),
         ("neglected, order 3", lambda r: replace(r, delay=(1 + 1e-7) * r.delay)),
         ("pca", lambda r: replace(r, models=(*r.models[:-1], UNITS[0]))),
@@ -110,7 +102,7 @@ def test_a_member_is_within_the_ranges():
 
 
 def test_files_hold_the_claims(tmp_path):
-    for name in ("gain", "design", "additive", "stability"):
+    for name in ("gain", "additive", "stability"):
         rl.save(tmp_path / "found.h5", RESULTS[name]())
         assert rl.verify(tmp_path / "found.h5").proved
 

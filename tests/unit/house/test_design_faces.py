@@ -10,7 +10,7 @@ from robustlab.result import plain
 from robustlab.synthesis.problem.design import Design
 
 KINDS = [
-    *("DKSynthesis", "DelayedDesign", "FixedSynthesis", "H2Synthesis", "HinfSynthesis"),
+    *("DKSynthesis", "FixedSynthesis", "H2Synthesis", "HinfSynthesis"),
     *("LPVSynthesis", "NcfSynthesis", "ReducedController", "ReducedModel"),
     *("SampledController", "TunedSynthesis", "TwoDegreeSynthesis"),
 ]

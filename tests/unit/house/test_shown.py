@@ -34,7 +34,7 @@ PLAIN = {
 # Nothing to draw: a few numbers.
 NUMBERS = {
     "ClassicalMargins", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
-    "DelayStability", "DelayedDesign", "EffectGain", "H2Norm", "HinfNorm", "Influence",
+    "DelayStability", "EffectGain", "H2Norm", "HinfNorm", "Influence",
     "IqcGain", "IqcStability", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap",
     "Passivity", "PlantSamples", "Reduction", "Result", "Verified",
     "RiccatiSolution", "RobustGain", "TrackingProblem", "Trim", "WellPosedness", "Zeros",
