@@ -116,7 +116,7 @@ class Goals(Kind):
 
     def read(self, option: str, given: Given) -> Any:
         """The goals; ``outputs=a+b`` are names."""
-        from robustlab.synthesis.fixed.design_goals import goal_in_words
+        from robustlab.synthesis.fixed.goal_tuning import goal_in_words
 
         found = []
         for text in given or []:
@@ -144,7 +144,7 @@ class Goals(Kind):
 
     def of_field(self, given: Any) -> Any:
         """The goals."""
-        from robustlab.synthesis.fixed.design_goals import goal_in_words
+        from robustlab.synthesis.fixed.goal_tuning import goal_in_words
 
         words = [(g, g.model_dump(exclude={"goal", "hard"}, exclude_none=True)) for g in given or []]
         return [goal_in_words(g.goal, options, g.hard) for g, options in words] or None

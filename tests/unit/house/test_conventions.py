@@ -59,7 +59,7 @@ def designs():
 
 
 def rl_goal():
-    from robustlab.synthesis.fixed.design_goals import goal_in_words
+    from robustlab.synthesis.fixed.goal_tuning import goal_in_words
 
     return goal_in_words("tracking", {"response_time": 2.0})
 
