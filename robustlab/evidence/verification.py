@@ -43,8 +43,6 @@ CLAIMS: Mapping[str, str] = {
     "DelayedDesign": "delays.design_claims",
     "NeglectedWeight": "delays.neglected_claims",
     "UncertainModel": "delays.set_claims",
-    "LPVGain": "scheduling.gain_claims",
-    "LPVSynthesis": "scheduling.design_claims",
 }
 
 
