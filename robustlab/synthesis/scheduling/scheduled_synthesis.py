@@ -20,10 +20,9 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.norms import hinf_norm
 from robustlab.shown import Facts, number
 from robustlab.signals import Taken
-from robustlab.statespace import Signal, lower_lft
+from robustlab.statespace import Signal
 from robustlab.synthesis.hinf.lmi_synthesis import projection, reconstructed, shared
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.design import Design
@@ -32,7 +31,7 @@ from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_fir
 from robustlab.synthesis.scheduling.constants import BALANCINGS, NEAR, WORK
 from robustlab.synthesis.scheduling.induced_gain import LPVGain, gain_from, model_numbers
 from robustlab.synthesis.scheduling.lpv_loop import closed_loop, plant_matrices
-from robustlab.synthesis.scheduling.parameter_varying import EXACT, LPVModel
+from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 from robustlab.synthesis.scheduling.scheduled_controller import LPVController
 from robustlab.verification import Claim
 
@@ -45,8 +44,6 @@ COUPLINGS = (1.5, 1.05)
 # small, and how many times its gamma they may cost at the first start, and at the second.
 ADDED = tuple(10.0 ** (-0.5 * k) for k in range(17))
 COSTS = (30.0, 3.0)
-# Points at which frozen loops are looked at beside the grid, and the seed of their places.
-FROZEN_POINTS = 20
 
 __all__ = ["LPVSynthesis", "scheduled_hinf"]
 
@@ -72,23 +69,19 @@ class LPVSynthesis(Design):
         What `lpv_gain` says of it; ``gain.upper`` is ``gamma``.
     lmi_gamma
         Optimum of the LMIs at the grid points: what no controller of this method gets below.
-    frozen
-        Largest norm of frozen loops at random places between the points, each from plant and controller evaluated
-        there: sampled. NaN where none was looked at.
     status
         That of ``gain``.
     reason
         How it was found.
     """
 
-    quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("gamma", "lmi_gamma", "frozen"), float)
+    quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("gamma", "lmi_gamma"), float)
 
     K: LPVModel
     plant: LPVModel
     closed_loop: LPVModel
     gain: LPVGain
     lmi_gamma: float
-    frozen: float
 
     @property
     def controller(self) -> LPVController:
@@ -120,7 +113,7 @@ class LPVSynthesis(Design):
             ("gamma", self._gamma_text()),
             ("holds", self.gain.scope),
             ("optimum of the LMIs", number(self.lmi_gamma, digits=6)),
-            ("frozen loops", f"{number(max(self.frozen, self.gain.lower), digits=6)} at most of those looked at"),
+            ("frozen loops", f"{number(self.gain.lower, digits=6)} at most at the points"),
             ("controller", "; ".join(p.words for p in self.K.parameters) + f"; {self.K.n_states} states"),
             ("how", self.reason),
         ]
@@ -128,7 +121,7 @@ class LPVSynthesis(Design):
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""
         return {
-            "status": self.status, "gamma": self.gamma, "lmi_gamma": self.lmi_gamma, "frozen": self.frozen,
+            "status": self.status, "gamma": self.gamma, "lmi_gamma": self.lmi_gamma,
             "reason": self.reason, "K": self.K.to_json(), "gain": self.gain.to_json(),
         }  # fmt: skip
 
@@ -319,20 +312,10 @@ class _Task:
         if not np.isfinite(gain.upper):
             self.say(f"{how}: {gain.reason}")
             return None
-        frozen = self._frozen(K)
-        if not frozen <= gain.upper * (1 + 1e-6) and self.plant.known == EXACT:
-            raise NoTrustworthyNumber("hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}")
         return LPVSynthesis(
-            K=K, plant=self.plant, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen,
+            K=K, plant=self.plant, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum,
             status=gain.status, reason=f"{how}; loop rebuilt from plant and controller",
         )  # fmt: skip
-
-    def _frozen(self, K: LPVModel) -> float:
-        """Largest attained norm of frozen loops at random places, plant and controller evaluated there on their own."""
-        rng = np.random.default_rng(0)
-        low, high = (np.array([p.points[end] for p in K.parameters]) for end in (0, -1))
-        places = low + (high - low) * rng.uniform(size=(FROZEN_POINTS, len(low)))
-        return max(hinf_norm(lower_lft(self.plant.at(at), K.at(at))).lower for at in places)
 
 
 def _state_units(K: Array, n: int) -> Array:
