@@ -31,7 +31,6 @@ from robustlab.result import Status
 from robustlab.shown import Facts, listed, member, number
 from robustlab.verification import Claim
 
-# shares above the solver's least gain at which the proof is tried in turn; smaller: closer, with less slack
 # relative distance of a margin from a size that was not proved, of a gain from one attained; smaller: more work
 CLOSE = 1e-3
 NEAR = 0.05  # the same, from which on only the best basis so far is tried; smaller: closer, more work

@@ -43,7 +43,7 @@ BACK_OFFS = (1e-5, 1e-4, 1e-3, 1e-2, 5e-2, 0.2)
 MEMBERS = 64  # linear members at the ends of all ranges that bound the gain from below
 STATES = 60  # of the model with its filters; more unknowns than that are not begun
 
-__all__ = ["IqcProof", "Natures", "Posed", "Problem", "posed", "with_nonlinearities"]
+__all__ = ["IqcProof", "Natures", "Posed", "Problem", "posed"]
 
 MOST_ORDER = 8
 # Name of a block, or (output that is seen, input that is driven) -> what is there.
@@ -148,16 +148,12 @@ def _row(nature: Nature | None) -> tuple[int, int, int]:
 # --- what is asked ----------------------------------------------------------------------------------------------------
 
 
-def with_nonlinearities(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
-    """The model with a real block ``output:input`` for each law: the gain between them, in the range of its sector.
+def _opened(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
+    """The model with a real block ``output:input`` for each law, the gain between them; its channels are those of the
+    model, moved.
 
     The outputs stay, so that they can be looked at; the inputs are driven by the laws alone.
     """
-    return _normalised(_opened(model, laws), laws)
-
-
-def _opened(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
-    """The same, but in Delta stands the gain of a law itself: its channels are those of the model, moved."""
     given = model if isinstance(model, UncertainModel) else UncertainModel(as_model(model, "iqc"), [])
     M, (q, p) = given.M, given.delta_shape
     ins, outs = M.input_names[q:], M.output_names[p:]
