@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal, overload
+from typing import Any, overload
 
 from robustlab.errors import InputError, told_as
 from robustlab.synthesis.hinf.hinf_synthesis import hinf as rational
@@ -18,7 +18,6 @@ def hinf(
     n_meas: int | None = None,
     n_con: int | None = None,
     *,
-    lyapunov: Literal["constant", "varying"] | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
@@ -43,7 +42,6 @@ def hinf(
     *,
     gamma_rel: float = 1.05,
     bandwidth: float | None = None,
-    lyapunov: Literal["constant", "varying"] | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
@@ -80,10 +78,6 @@ def hinf(
     bandwidth
         Where given, all controller poles must lie below it (modulus, rad/s; of a discrete controller those of its
         bilinear map); of the controllers allowed by ``gamma_rel`` the one of smallest gamma that obeys is taken.
-    lyapunov
-        Of an LPV model: ``"constant"``, shared R and S, for parameters of any rate; ``"varying"``, S, then R, varies
-        over the grid at the bounded rates. Where left out: constant, and varying after it where rates are bounded; the
-        better loop wins.
     time_limit
         Time in s, asked between trials; none where left out. A controller verified by then is returned, but another
         run may find another one: the status is TIMEOUT, and ``reason`` says so.
@@ -132,14 +126,13 @@ def hinf(
     """
     varying = isinstance(P, LPVModel)
     for name, given, fits, kind in (
-        ("lyapunov", lyapunov is not None, varying, "an LPVModel (rl.lpv_model)"),
         ("gamma_rel", gamma_rel != 1.05, not varying, "a plant without measured parameters"),
         ("bandwidth", bandwidth is not None, not varying, "a plant without measured parameters"),
     ):
         if given and not fits:
             raise InputError(f"synth hinf: {name}", f"given with a {type(P).__name__}", f"{kind}, or none")
     if varying:
-        return scheduled_hinf(P, n_meas, n_con, lyapunov, effort, time_limit, progress)
+        return scheduled_hinf(P, n_meas, n_con, effort, time_limit, progress)
     options: dict[str, Any] = {"gamma_rel": gamma_rel, "bandwidth": bandwidth, "time_limit": time_limit}
     options |= {"effort": effort, "progress": progress}
     return rational(P, n_meas, n_con, **options)

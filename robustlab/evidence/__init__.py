@@ -1,6 +1,7 @@
 """The evidence of results as claims that `robustlab.verify` checks from the numbers alone.
 
-`claims_of` turns a result into claims; `verify` has them judged. What a class claims is said in one row of ``CLAIMS``.
+`claims_of` turns a result into claims; `verify` has them judged. What a class claims is said by its
+method ``claims``, or in one row of ``CLAIMS``.
 """
 
 from robustlab.evidence.verification import Verified, claims_of, verify

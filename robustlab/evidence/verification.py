@@ -42,11 +42,6 @@ CLAIMS: Mapping[str, str] = {
     "DelayDiskMargins": "delays.disk_claims",
     "NeglectedWeight": "delays.neglected_claims",
     "UncertainModel": "delays.set_claims",
-    "IqcGain": "multipliers.gain_claims",
-    "IqcStability": "multipliers.size_claims",
-    "EffectGain": "multipliers.effect_claims",
-    "LPVGain": "scheduling.gain_claims",
-    "LPVSynthesis": "scheduling.design_claims",
 }
 
 
@@ -123,6 +118,9 @@ def claims_of(result: Any) -> list[Claim]:
     """The claims of a result; none where its class has none, its evidence does not tell, or it comes from a file."""
     if isinstance(result, Result):
         return []
+    own = getattr(result, "claims", None)
+    if callable(own) and type(result).__module__.startswith("robustlab."):
+        return list(own())
     for kind in type(result).__mro__:
         if kind.__name__ in CLAIMS and kind.__module__.startswith("robustlab."):
             module, _, name = CLAIMS[kind.__name__].rpartition(".")

@@ -24,13 +24,13 @@ import numpy as np
 
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, told_as
-from robustlab.iqc.problem import IqcProof, Natures, Posed, posed
+from robustlab.iqc.problem import IqcProof, Natures, Posed, gain_claim, posed, size_claim
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.norms import PeakGain
 from robustlab.result import Status
 from robustlab.shown import Facts, listed, member, number
+from robustlab.verification import Claim
 
-# shares above the solver's least gain at which the proof is tried in turn; smaller: closer, with less slack
 # relative distance of a margin from a size that was not proved, of a gain from one attained; smaller: more work
 CLOSE = 1e-3
 NEAR = 0.05  # the same, from which on only the best basis so far is tried; smaller: closer, more work
@@ -62,7 +62,7 @@ class IqcGain(PeakGain):
     posed
         What it is about, so that it can be proved again.
     status
-        CERTIFIED: ``upper`` was proved outside of the solver. INCONCLUSIVE: nothing was proved, which says nothing of
+        CERTIFIED: ``upper`` was proved in ball arithmetic. INCONCLUSIVE: nothing was proved, which says nothing of
         the loop. INFEASIBLE: the member ``delta`` is unstable. TIMEOUT: the time limit ended the search.
     """
 
@@ -72,6 +72,11 @@ class IqcGain(PeakGain):
     posed: Posed | None = field(default=None, kw_only=True)
 
     unsaved: ClassVar[tuple[str, ...]] = ("posed",)
+
+    def claims(self) -> list[Claim]:
+        """That the gain is at most ``upper``, for `robustlab.verify`."""
+        known = self.posed is not None and self.proof is not None and np.isfinite(self.upper)
+        return [gain_claim(self.posed, self.proof, self.upper)] if known else []
 
     def evidence(self) -> Facts:
         """What each block was taken for, the worst linear member, and the proof."""
@@ -96,7 +101,7 @@ class IqcStability(StabilityMargin):
     nature, conditions, proof, posed
         As in `IqcGain`; the proof is that of ``lower``.
     status
-        CERTIFIED: ``lower`` was proved outside of the solver. INCONCLUSIVE: it is 0. TIMEOUT: the clock ended the
+        CERTIFIED: ``lower`` was proved in ball arithmetic. INCONCLUSIVE: it is 0. TIMEOUT: the clock ended the
         search; what was proved by then holds.
     """
 
@@ -106,6 +111,11 @@ class IqcStability(StabilityMargin):
     conditions: tuple[str, ...]
     proof: IqcProof | None
     posed: Posed | None = field(default=None, kw_only=True)
+
+    def claims(self) -> list[Claim]:
+        """That the set ``lower`` times as large is stable, for `robustlab.verify`."""
+        known = self.posed is not None and self.proof is not None and self.lower > 0
+        return [size_claim(self.posed, self.proof, self.lower)] if known else []
 
     @property
     def stable(self) -> bool:
@@ -145,7 +155,7 @@ def _proof_facts(proof: IqcProof | None) -> Facts:
     return [
         ("constraints", kinds),
         ("filters", filters),
-        ("slack", f"{number(proof.slack)}, rounding at most {number(proof.rounding, digits=2)}"),
+        ("slack", number(proof.slack)),
         ("homotopy", HOMOTOPY),
     ]
 
@@ -164,8 +174,7 @@ def iqc_gain(
     """`robustlab.peak_gain` with blocks that are nonlinear or vary with time; ``nature``: its ``natures``.
 
     Each block is described by integral quadratic constraints (`robustlab.iqc.multipliers`), a linear matrix inequality
-    finds the multipliers of least gamma, and what is reported is proved outside of the solver
-    (`robustlab.iqc.inequality`).
+    finds the multipliers of least gamma, and what is reported is proved in ball arithmetic.
 
     Raises InputError: no such block or signal, a discrete model, a nature that does not fit the block, no performance
     channel. Raises NoTrustworthyNumber: the model is unstable with all blocks at their middles.

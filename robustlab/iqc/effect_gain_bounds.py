@@ -31,6 +31,7 @@ from robustlab.iqc.nature import Nature, Nonlinearity, Varying
 from robustlab.mu_analysis import WorstCaseGain, worst_case_gain
 from robustlab.norms import PeakGain
 from robustlab.shown import Facts, bracket, listed
+from robustlab.verification import Claim
 
 __all__ = ["EffectGain", "effect_gain"]
 
@@ -67,6 +68,10 @@ class EffectGain(PeakGain):
     loop: str = ""
 
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "as_constants": float}
+
+    def claims(self) -> list[Claim]:
+        """Those of ``proved``."""
+        return self.proved.claims()
 
     def numbers(self) -> dict[str, Any]:
         """The bounds, and what is proved for constant gains."""

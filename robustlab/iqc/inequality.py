@@ -1,44 +1,35 @@
-r"""The inequality of Kalman, Yakubovich and Popov with unknown multipliers: solved, and then proved without the solver.
+r"""The inequality of Kalman, Yakubovich and Popov with unknown multipliers, as a solver takes it.
 
 .. math:: \begin{bmatrix} A^T P + P A & P B \\ B^T P & 0 \end{bmatrix}
     + \sum_i \begin{bmatrix} C_i & D_i \end{bmatrix}^T M_i(\lambda) \begin{bmatrix} C_i & D_i \end{bmatrix}
     + \begin{bmatrix} C_z & D_z \end{bmatrix}^T \begin{bmatrix} C_z & D_z \end{bmatrix} - \gamma^2 E \prec 0
 
-P is symmetric, of either sign: A is stable by itself. What the solver says counts for nothing. Two voices judge its P
-and lambda: the matrix above is formed again and shown to be negative definite by a Cholesky factorisation beyond the
-bound of all rounding (Rump), and the frequency-domain inequality is looked at at and between all frequencies which the
-eigenvalues of its Hamiltonian name, none left out by a tolerance.
+P is symmetric, of either sign: A is stable by itself. What the solver says counts for nothing: its P and lambda are
+proved in ball arithmetic for the model as it was given (`robustlab.iqc.claim`).
 
 References
 ----------
-Rantzer 1996; Megretski, Rantzer 1997; Rump, "Verification of positive definiteness", BIT 46 (2006).
+Rantzer 1996; Megretski, Rantzer 1997.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.conic import ACCEPTED, Cone, solve, triangle
 from robustlab.iqc.filtered_model import FilteredModel, Rows
-from robustlab.iqc.multipliers import Term, l1_norm
-from robustlab.uncertainty.upper_lft import balanced
+from robustlab.iqc.multipliers import Term
 
-__all__ = ["Channels", "Inequality", "Judgement", "Point"]
+__all__ = ["Inequality", "Point"]
 
-EPS = float(np.finfo(float).eps)
 STEPS = 200
 # Least eigenvalue of every multiplier's unknowns as a share of the inequality's slack.
 INSIDE = 1e-2
-# Frequencies in the model's own time unit that the second voice looks at besides its candidates.
-GRID = (1e-3, 1e3, 61)
-# Relative rounding of an L1 norm, well above what its few exponentials can lose.
-NORM_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,41 +39,6 @@ class Point:
     P: Array
     unknowns: tuple[Array, ...]
     square: float
-    slack: float
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """What both voices say of a point.
-
-    ``slack`` is the distance of the matrix from singular, ``rounding`` the bound of its error; ``highest`` the largest
-    eigenvalue of the frequency-domain inequality at any candidate, over the largest part of it there.
-    """
-
-    proved: bool
-    slack: float
-    rounding: float
-    highest: float
-    at: float
-
-
-class Channels(NamedTuple):
-    """Responses at one frequency over all inputs of an inequality: y, and block -> (z, w)."""
-
-    y: AnyArray
-    blocks: Mapping[str, tuple[AnyArray, AnyArray]]
-
-
-class Heard(Protocol):
-    """The loop as it was given, for the second voice."""
-
-    def at(self, omega: AnyArray) -> Iterator[tuple[float, Channels]]:
-        """Frequency and responses, frequencies in this inequality's time unit."""
-        ...
-
-    def given(self, point: Point, terms: Sequence[Term]) -> tuple[Array, Array]:
-        """P and all unknowns of a point in the units of the loop as it was given."""
-        ...
 
 
 class Inequality:
@@ -90,8 +46,6 @@ class Inequality:
 
     Parameters
     ----------
-    loop
-        The second voice's responses.
     model
         With all filters.
     terms
@@ -102,8 +56,8 @@ class Inequality:
         Which inputs the performance inputs are.
     """
 
-    def __init__(self, model: FilteredModel, terms: Sequence[Term], z: Rows | None, w: slice, loop: Heard) -> None:
-        self.A, self.B, self.terms, self.loop = model.A, model.B, list(terms), loop
+    def __init__(self, model: FilteredModel, terms: Sequence[Term], z: Rows | None, w: slice) -> None:
+        self.A, self.B, self.terms = model.A, model.B, list(terms)
         n, m = model.n, model.m
         self.n, self.m, self.has_gain = n, m, z is not None
         self.rows = [np.hstack([t.rows.padded(n, m).c, t.rows.padded(n, m).d]) for t in terms]
@@ -126,19 +80,6 @@ class Inequality:
             found = found + rows.T @ term.middle(x) @ rows
         return 0.5 * (found + found.T)
 
-    def _size(self, point: Point) -> float:
-        """Bound of the norm of the error with which the matrix is formed: one of its products, entry by entry."""
-        p, a, b = np.abs(point.P), np.abs(self.A), np.abs(self.B)
-        pa, pb = p @ a, p @ b
-        found = np.block([[pa + pa.T, pb], [pb.T, np.zeros((self.m, self.m))]])
-        found += np.abs(self.z).T @ np.abs(self.z) + point.square * self.E
-        for term, rows, x in zip(self.terms, self.rows, point.unknowns, strict=True):
-            found += np.abs(rows).T @ np.abs(term.middle(x)) @ np.abs(rows)
-        # Each entry is a sum of products of at most three factors; the entries of the model may be off by a rounding
-        # each (states and time are scaled), those of M by a few.
-        steps = 3 * (self.n + self.m) + max((len(r) for r in self.rows), default=0) + len(self.rows) + 20
-        return steps * EPS * float(found.sum(axis=1).max(initial=0.0))
-
     # --- the solver ---------------------------------------------------------------------------------------------------
 
     def solve(self, budget: Budget, square: float | None = None) -> Point | None:
@@ -151,9 +92,7 @@ class Inequality:
         parts = np.split(x[:-1], np.cumsum(self.counts)[:-1])
         P = np.zeros((self.n, self.n))
         P[np.triu_indices(self.n)] = parts[0]
-        last = float(x[-1])
-        found, slack = (last, 0.0) if least else (square or 0.0, last)
-        return Point(P + np.triu(P, 1).T, tuple(parts[1:]), found, slack)
+        return Point(P + np.triu(P, 1).T, tuple(parts[1:]), float(x[-1]) if least else square or 0.0)
 
     def _cone_data(
         self, least: bool, square: float | None
@@ -198,86 +137,10 @@ class Inequality:
             weight[k] = sum(float(np.trace(part)) for cone, part in parts if cone)
         return matrix, constant, cost, sizes, (weight, float(len(sizes)))
 
-    # --- the proof ----------------------------------------------------------------------------------------------------
-
-    def judged(self, point: Point) -> Judgement:
-        """Both voices on a point."""
+    def slack_of(self, point: Point) -> float:
+        """The inequality's distance from singular at a point; negative where it does not hold."""
         F = -(self._kyp(point.P) + self.supply(point.unknowns, point.square))
-        rounding = self._size(point)
-        matrix = is_positive(F, rounding)
-        slack = float(np.linalg.eigvalsh(F)[0]) - rounding if np.isfinite(F).all() else -np.inf
-        highest, at = self._over_frequency(point)
-        proved = matrix and highest < 0 and self.multipliers_hold(point)
-        return Judgement(proved, slack, rounding, highest, at)
-
-    def multipliers_hold(self, point: Point) -> bool:
-        """Whether every multiplier is one of its class: its X positive definite, its h within the L1 norm."""
-        for term, x in zip(self.terms, point.unknowns, strict=True):
-            for part in term.positive(x):
-                if not is_positive(part, 8 * EPS * len(part) * float(np.abs(part).max())):
-                    return False
-            if term.kernels is not None:
-                causal, anti, direct = term.kernels(x)
-                if l1_norm(causal) + l1_norm(anti) > direct * (1 - NORM_ROUNDING):
-                    return False
-        return True
-
-    def _over_frequency(self, point: Point) -> tuple[float, float]:
-        """The largest relative eigenvalue at all candidates, and its frequency in rad/s of this time unit.
-
-        From the transfer functions of the model as it was given and of the filters: nothing of this class's states.
-        """
-        omega = self._candidates(self.supply(point.unknowns, point.square))
-        if not len(omega):
-            return np.inf, np.nan
-        top = np.array([self._relative(point, w, channels) for w, channels in self.loop.at(omega)])
-        worst = int(np.argmax(top))
-        return float(top[worst]), float(omega[worst])
-
-    def _relative(self, point: Point, omega: float, channels: Channels) -> float:
-        """Largest eigenvalue of the inequality at one frequency, over its largest part."""
-        inputs = np.eye(self.m)
-        form = channels.y.conj().T @ channels.y - point.square * self.E[self.n :, self.n :]
-        size = np.abs(form).max(initial=0.0)
-        for term, x in zip(self.terms, point.unknowns, strict=True):
-            v = term.heard(1j * omega, *channels.blocks[term.block], inputs)
-            part = v.conj().T @ term.middle(x) @ v
-            form, size = form + part, max(size, np.abs(part).max())
-        return float(np.linalg.eigvalsh(0.5 * (form + form.conj().T))[-1] / max(size, 1e-300))
-
-    def _candidates(self, S: Array) -> AnyArray:
-        """Imaginary parts of all eigenvalues of the Hamiltonian, points between and beyond them, and a grid."""
-        n = self.n
-        Q, N, R = S[:n, :n], S[:n, n:], S[n:, n:]
-        try:
-            with np.errstate(all="ignore"):
-                feedback = np.linalg.solve(R, np.hstack([N.T, self.B.T]))
-                a = self.A - self.B @ feedback[:, :n]
-                hamiltonian = np.block([[a, -self.B @ feedback[:, n:]], [-Q + N @ feedback[:, :n], -a.T]])
-                height = np.abs(np.linalg.eigvals(balanced(hamiltonian)).imag)
-        except np.linalg.LinAlgError:  # no strict inequality at infinity, or numbers beyond all measure
-            return np.array([])
-        found = np.unique(np.append(height, 0.0))
-        between = 0.5 * (found[:-1] + found[1:])
-        beyond = [2 * found[-1] + 1.0, 10 * found[-1] + 10.0]
-        return np.unique(np.concatenate([found, between, beyond, np.geomspace(*GRID)]))
-
-
-def is_positive(matrix: Array, error: float = 0.0) -> bool:
-    """Whether a symmetric matrix is positive definite, and so is each within ``error`` of it in norm: proved.
-
-    Cholesky's factorisation of the matrix less the bound of its own rounding ends without a root of what is negative.
-    """
-    n = len(matrix)
-    if not np.isfinite(matrix).all():
-        return False
-    own = (n + 2) * EPS / (1 - (n + 2) * EPS)
-    shift = error + 2 * own * float(np.abs(np.diag(matrix)).sum()) + n * 1e-300
-    try:
-        np.linalg.cholesky(matrix - shift * np.eye(n))
-    except np.linalg.LinAlgError:
-        return False
-    return True
+        return float(np.linalg.eigvalsh(F)[0]) if np.isfinite(F).all() else -np.inf
 
 
 def _clarabel(

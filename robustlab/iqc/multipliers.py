@@ -37,11 +37,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import Array
 from robustlab.iqc.filtered_model import FilteredModel, Rows, stacked
 from robustlab.iqc.nature import Nonlinearity
 
-__all__ = ["POPOV", "Basis", "Term", "l1_norm", "nonlinear_terms", "rate_terms", "repeated_terms"]
+__all__ = ["POPOV", "Basis", "Term", "nonlinear_terms", "rate_terms", "repeated_terms"]
 
 POPOV = "Popov"  # the kind of a constraint that weighs a derivative
 
@@ -56,12 +56,7 @@ class Basis:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """One constraint: its signals v, its M and what must be positive semidefinite, both linear in ``count`` unknowns.
-
-    ``kernels`` gives the coefficients of h, causal and anticausal, and x0 of a Zames-Falb multiplier. ``heard`` is
-    v from transfer functions alone, for the second voice: of s, of z and w over all inputs there, (k, m) complex, and
-    of the inputs themselves, (m, m).
-    """
+    """One constraint: its signals v, its M what must be positive semidefinite; linear in ``count`` unknowns."""
 
     block: str
     kind: str
@@ -69,8 +64,6 @@ class Term:
     count: int
     middle: Callable[[Array], Array]
     positive: Callable[[Array], list[Array]]
-    heard: Callable[[complex, AnyArray, AnyArray, AnyArray], AnyArray]
-    kernels: Callable[[Array], tuple[Array, Array, float]] | None = None
 
 
 # --- one unknown and the other ----------------------------------------------------------------------------------------
@@ -92,17 +85,8 @@ def _triangle(size: int) -> int:
     return size * (size + 1) // 2
 
 
-Heard = Callable[[complex, AnyArray, AnyArray, AnyArray], AnyArray]
-
-
-def _filtered(s: complex, signals: AnyArray, basis: Basis, first: int = 0) -> AnyArray:
-    """Signals behind the powers of the filter from ``first`` on, one below the other."""
-    low = basis.pole / (s + basis.pole)
-    return np.vstack([low**j * signals for j in range(first, basis.order + 1)])
-
-
 def _scaled(
-    name: str, kind: str, above: Rows, below: Rows, size: int, real: bool, copies: tuple[int, int], heard: Heard
+    name: str, kind: str, above: Rows, below: Rows, size: int, real: bool, copies: tuple[int, int] = (1, 1)
 ) -> Term:
     """``above^T X above - below^T X below`` with X >= 0, and for a real scalar ``2 above^T Y below``.
 
@@ -117,7 +101,7 @@ def _scaled(
         return np.block([[over, cross], [cross.T, -under]])
 
     count = n_x + (size * (size - 1) // 2 if real else 0)
-    return Term(name, kind, stacked(above, below), count, middle, lambda x: [_symmetric(x[:n_x], size)], heard)
+    return Term(name, kind, stacked(above, below), count, middle, lambda x: [_symmetric(x[:n_x], size)])
 
 
 # --- linear blocks ----------------------------------------------------------------------------------------------------
@@ -132,11 +116,7 @@ def repeated_terms(
     what = ("real parameter" if real else "dynamics") + ("" if basis.order else ", static multiplier")
     copies = (1, 1) if scalar else (len(z), len(w))
     size = (basis.order + 1) * (len(z) if scalar else 1)
-
-    def heard(s: complex, seen: AnyArray, acts: AnyArray, _: AnyArray) -> AnyArray:
-        return np.vstack([_filtered(s, seen, basis), _filtered(s, acts, basis)])
-
-    return [_scaled(name, what, above, below, size, real, copies, heard)]
+    return [_scaled(name, what, above, below, size, real, copies)]
 
 
 def rate_terms(model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, rate: float) -> list[Term]:
@@ -147,21 +127,10 @@ def rate_terms(model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, 
     parts = [Rows(slow.c[i : i + count], rate * slow.d[i : i + count]) for i in range(0, order * count, count)]
     moved = model.low_passes(w, basis.pole, order, parts)
     size = (order + 1) * count
-    added = slice(model.m - order * count, model.m)
-
-    def heard_parameter(s: complex, seen: AnyArray, acts: AnyArray, inputs: AnyArray) -> AnyArray:
-        rows = [acts]
-        for extra in np.split(inputs[added], order):
-            rows.append((basis.pole * rows[-1] + rate * extra) / (s + basis.pole))
-        return np.vstack([_filtered(s, seen, basis), *rows])
-
-    def heard_rate(s: complex, seen: AnyArray, _: AnyArray, inputs: AnyArray) -> AnyArray:
-        return np.vstack([_filtered(s, seen, basis, 1), inputs[added]])
-
     above, below, states = stacked(z, *stages), stacked(w, *moved), stacked(*stages)
     return [
-        _scaled(name, "real parameter", above, below, size, True, (1, 1), heard_parameter),
-        _scaled(name, "its rate", states, slow, order * count, True, (1, 1), heard_rate),
+        _scaled(name, "real parameter", above, below, size, True),
+        _scaled(name, "its rate", states, slow, order * count, True),
     ]
 
 
@@ -178,10 +147,10 @@ def nonlinear_terms(
     """
     found: list[Term] = []
     if not loops:
-        found.append(_single(name, "sector", stacked(z, w), np.diag([1.0, -1.0]), True, _heard_sector))
+        found.append(_single(name, "sector", stacked(z, w), np.diag([1.0, -1.0]), True))
     if law.steady and not z.d.any():
         swap = np.array([[0.0, 1.0], [1.0, 0.0]])
-        found.append(_single(name, POPOV, stacked(model.derivative(z), w), swap, False, _heard_popov))
+        found.append(_single(name, POPOV, stacked(model.derivative(z), w), swap, False))
     if law.slope is not None:
         m, k = law.slope
         order = basis.order if law.steady else 0
@@ -189,17 +158,9 @@ def nonlinear_terms(
     return found
 
 
-def _single(name: str, kind: str, rows: Rows, M: Array, signed: bool, heard: Heard) -> Term:
+def _single(name: str, kind: str, rows: Rows, M: Array, signed: bool) -> Term:
     """``x M`` with one unknown, which must be positive where ``signed``."""
-    return Term(name, kind, rows, 1, lambda x: x[0] * M, lambda x: [x.reshape(1, 1)] if signed else [], heard)
-
-
-def _heard_sector(_: complex, seen: AnyArray, acts: AnyArray, _inputs: AnyArray) -> AnyArray:
-    return np.vstack([seen, acts])
-
-
-def _heard_popov(s: complex, seen: AnyArray, acts: AnyArray, _: AnyArray) -> AnyArray:
-    return np.vstack([s * seen, acts])
+    return Term(name, kind, rows, 1, lambda x: x[0] * M, lambda x: [x.reshape(1, 1)] if signed else [])
 
 
 def _zames_falb(
@@ -224,17 +185,12 @@ def _zames_falb(
             found.append(parts)
         return found
 
-    def kernels(x: Array) -> tuple[Array, Array, float]:
-        ways = [_coefficients(parts, order) for parts in split(x)]
-        half = len(signs)
+    def middle(x: Array) -> Array:
+        ways, half = [_coefficients(parts, order) for parts in split(x)], len(signs)
         causal = sum((s * c for s, c in zip(signs, ways[:half], strict=False)), np.zeros(order))
         anti = sum((s * c for s, c in zip(signs, ways[half:], strict=False)), np.zeros(order))
-        return causal, anti, float(x[0])
-
-    def middle(x: Array) -> Array:
-        causal, anti, direct = kernels(x)
         found = np.zeros((2 + 2 * order, 2 + 2 * order))
-        found[0, 1] = direct
+        found[0, 1] = x[0]
         found[0, 2 : 2 + order] = -causal  # p (h * q)
         found[1, 2 + order :] = -anti  # q (h~ * p)
         return found + found.T
@@ -244,15 +200,9 @@ def _zames_falb(
         mass = sum(float(_coefficients(part, order).sum()) for part in parts)
         return [np.array([[x[0] - mass]]), *(gram for part in parts for gram in part)]
 
-    def heard(s: complex, seen: AnyArray, acts: AnyArray, _: AnyArray) -> AnyArray:
-        p, q = k * seen - acts, acts - m * seen
-        if not order:
-            return np.vstack([p, q])
-        return np.vstack([p, q, _filtered(s, q, basis, 1), _filtered(s, p, basis, 1)])
-
     count = 1 + (2 * len(signs) * per_kernel if order else 0)
     kind = "Zames-Falb" if order else "slope, static multiplier"
-    return Term(name, kind, stacked(p, q, *stages), count, middle, positive, heard, kernels)
+    return Term(name, kind, stacked(p, q, *stages), count, middle, positive)
 
 
 def _coefficients(grams: list[Array], order: int) -> Array:
@@ -269,21 +219,3 @@ def _coefficients(grams: list[Array], order: int) -> Array:
                     gram[i, j] * math.factorial(i + j + shift) / math.factorial(i) / math.factorial(j)
                 )
     return found
-
-
-def l1_norm(coefficients: Array) -> float:
-    r"""Integral of |h|, :math:`h(t) = a e^{-a t} \sum_j c_j (a t)^j / j!`: between its zeros, in closed form."""
-    if not np.any(coefficients):
-        return 0.0
-    powers = [c / math.factorial(j) for j, c in enumerate(coefficients)]
-    roots = np.roots(powers[::-1]) if len(powers) > 1 else np.zeros(0)
-    ends = np.sort([r.real for r in np.atleast_1d(roots) if abs(r.imag) <= 1e-7 * max(abs(r), 1.0) and r.real > 0])
-    # The antiderivative of e^-t t^j / j! is -e^-t sum_{i <= j} t^i / i!, so that of h has the tail sums of c.
-    tails = np.cumsum(coefficients[::-1])[::-1]
-
-    def left(t: float) -> float:
-        """Integral of h from t on."""
-        return math.exp(-t) * sum(tail * t**i / math.factorial(i) for i, tail in enumerate(tails))
-
-    values = [left(t) for t in (0.0, *ends)] + [0.0]
-    return float(np.abs(np.diff(values)).sum())

@@ -3,25 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any
 
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError
 
-__all__ = ["WORDS", "Nature", "Nonlinearity", "Varying", "natures_in_words"]
-
-# Word of a command or recipe -> what its numbers are; those in brackets may be left out, all together.
-WORDS = {
-    "varying": "[rate]",
-    "saturation": "[limit:reach]",
-    "dead-zone": "[half width:reach]",
-    "friction": "level:stick speed",
-    "sector": "low:high",
-    "slope": "low:high",
-    "odd-slope": "low:high",
-}
+__all__ = ["Nature", "Nonlinearity", "Varying"]
 
 
 @dataclass(frozen=True)
@@ -183,52 +171,6 @@ class Nonlinearity:
 
 
 Nature = Varying | Nonlinearity
-
-
-def natures_in_words(given: Mapping[str, str], where: str, blocks: Sequence[str] = ()) -> dict[Any, Nature]:
-    """``{"k": "varying:0.5", "y:u": "saturation"}`` as `robustlab.iqc.iqc_gain` takes it.
-
-    A name that is none of the ``blocks`` and has a colon is (output, input). The words are those of `WORDS`; a law of
-    slope [low, high] has that sector, too.
-
-    Raises
-    ------
-    InputError
-        An unknown word, other numbers than it takes.
-
-    Examples
-    --------
-    >>> natures_in_words({"y:u": "sector:0:2"}, "iqc")
-    {('y', 'u'): Nonlinearity(sector=(0.0, 2.0), slope=None, odd=False, steady=True, holds='')}
-    """
-    found: dict[Any, Nature] = {}
-    for name, text in given.items():
-        output, colon, into = name.rpartition(":")
-        found[(output, into) if colon and name not in blocks else name] = _nature(f"{where}: {name}", text)
-    return found
-
-
-def _nature(where: str, text: str) -> Nature:
-    word, *texts = text.split(":")
-    if word not in WORDS:
-        raise InputError(where, f"{word!r}", f"one of {', '.join(WORDS)}", did_you_mean(word, tuple(WORDS)))
-    try:
-        numbers = [float(part) for part in texts]
-    except ValueError:
-        numbers = [math.nan]
-    count = WORDS[word].count(":") + 1
-    if len(numbers) not in ((0, count) if WORDS[word].startswith("[") else (count,)) or any(map(math.isnan, numbers)):
-        raise InputError(where, f"{text!r}", f"{word} with {WORDS[word]}, numbers with colons between them")
-    if word == "varying":
-        return Varying(numbers[0]) if numbers else Varying()
-    if word == "saturation":
-        return Nonlinearity.saturation(*numbers)
-    if word == "dead-zone":
-        return Nonlinearity.dead_zone(*numbers)
-    if word == "friction":
-        return Nonlinearity.friction(*numbers)
-    ends = numbers[0], numbers[1]
-    return Nonlinearity(ends, None if word == "sector" else ends, odd=word == "odd-slope")
 
 
 def _is_range(ends: Any) -> bool:

@@ -7,22 +7,21 @@ inequality for each basis of filters and each size of the set, in balanced state
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import Array
 from robustlab.budget import MILLION, Budget, search_budget
 from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.iqc.filtered_model import FilteredModel
-from robustlab.iqc.inequality import Channels, Inequality, Judgement, Point
+from robustlab.iqc.inequality import Inequality, Point
 from robustlab.iqc.multipliers import POPOV, Basis, Term, nonlinear_terms, rate_terms, repeated_terms
 from robustlab.iqc.nature import Nature, Nonlinearity, Varying
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.norms.level_set import balancing_units, well_scaled
 from robustlab.result import Evidence
@@ -31,6 +30,7 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.algebra import centred, upper
 from robustlab.uncertainty.blocks import Block, ParameterRange, RealScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.verification import Claim, Outcome, check
 
 WORK = 60 * MILLION  # the usual work of a proof at effort 1
 POLES = (1.0, 4.0, 0.25)
@@ -43,7 +43,7 @@ BACK_OFFS = (1e-5, 1e-4, 1e-3, 1e-2, 5e-2, 0.2)
 MEMBERS = 64  # linear members at the ends of all ranges that bound the gain from below
 STATES = 60  # of the model with its filters; more unknowns than that are not begun
 
-__all__ = ["IqcProof", "Natures", "Posed", "Problem", "posed", "with_nonlinearities"]
+__all__ = ["IqcProof", "Natures", "Posed", "Problem", "posed"]
 
 MOST_ORDER = 8
 # Name of a block, or (output that is seen, input that is driven) -> what is there.
@@ -52,7 +52,7 @@ Natures = Mapping[Any, Nature]
 
 @dataclass(frozen=True)
 class IqcProof(Evidence):
-    """What proves a bound; with it the bound is checked again without a solver.
+    """What proves a bound in ball arithmetic, without a solver.
 
     Attributes
     ----------
@@ -62,11 +62,8 @@ class IqcProof(Evidence):
         Of the multipliers' filters: pole in rad/s, highest power.
     states
         Of the model with all filters.
-    slack, rounding
-        Distance of the inequality's matrix from singular, and the bound of its rounding that was taken off it.
-    highest
-        Largest eigenvalue of the frequency-domain inequality over its largest entry, at all candidate frequencies:
-        negative.
+    slack
+        Distance of the inequality's matrix from singular.
     P, unknowns
         Lyapunov matrix (of either sign) and multipliers, for the states and the time of the model as it was given.
     """
@@ -76,8 +73,6 @@ class IqcProof(Evidence):
     order: int
     states: int
     slack: float
-    rounding: float
-    highest: float
     P: Array
     unknowns: Array
 
@@ -104,16 +99,61 @@ class Posed(Evidence):
     natures: tuple[Nature | None, ...]
 
 
-def with_nonlinearities(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
-    """The model with a real block ``output:input`` for each law: the gain between them, in the range of its sector.
+# --- what balls prove -------------------------------------------------------------------------------------------------
 
-    The outputs stay, so that they can be looked at; the inputs are driven by the laws alone.
-    """
-    return _normalised(_opened(model, laws), laws)
+CONSTANT, VARYING, SECTOR, SLOPE = 0, 1, 2, 3
+
+
+def gain_claim(posed: Posed, proof: IqcProof, gamma: float) -> Claim:
+    """That the gain is at most ``gamma`` for all blocks of their natures."""
+    M = posed.model
+    model = {"A": M.A, "B": M.B, "C": M.C, "D": M.D, "dt": np.array(0.0)}
+    return Claim("iqc-gain", {**model, **_proof_numbers(posed, proof), "gamma": np.array(gamma)})
+
+
+def size_claim(posed: Posed, proof: IqcProof, size: float) -> Claim:
+    """That the set ``size`` times as large is stable."""
+    q, p = (sum(sizes) for sizes in zip(*((b.rows, b.cols) for b in posed.blocks), strict=True))
+    M = posed.model
+    model = {"A": M.A, "B": M.B[:, :q], "C": M.C[:p], "D": M.D[:p, :q], "dt": np.array(0.0)}
+    return Claim("iqc-size", {**model, **_proof_numbers(posed, proof), "size": np.array(size)})
+
+
+def holds(claim: Claim) -> bool:
+    """Whether ball arithmetic proves it: of the model as it was given, put together by a program of its own."""
+    return check(claim).outcome is Outcome.PROVED
+
+
+def _proof_numbers(posed: Posed, proof: IqcProof) -> dict[str, Any]:
+    """Blocks with their natures, and what proves the bound."""
+    rows = [(0 if b.interval else 1 if b.is_scalar else 2, b.rows, b.cols) for b in posed.blocks]
+    slopes = [(n.slope or (0.0, 0.0)) if isinstance(n, Nonlinearity) else (0.0, 0.0) for n in posed.natures]
+    rates = [n.rate if isinstance(n, Varying) else np.inf for n in posed.natures]
+    return {
+        "blocks": np.array(rows, dtype=np.int64).reshape(-1, 3),
+        "nature": np.array([_row(nature) for nature in posed.natures], dtype=np.int64).reshape(-1, 3),
+        "ranges": posed.ranges, "slope": np.array(slopes, dtype=float).reshape(-1, 2),
+        "rate": np.array(rates, dtype=float), "pole": np.array(proof.pole),
+        "order": np.array(proof.order, dtype=np.int64), "P": proof.P, "multipliers": proof.unknowns,
+    }  # fmt: skip
+
+
+def _row(nature: Nature | None) -> tuple[int, int, int]:
+    """``[kind, odd, steady]``."""
+    if isinstance(nature, Nonlinearity):
+        return SECTOR if nature.slope is None else SLOPE, int(nature.odd), int(nature.steady)
+    return (CONSTANT if nature is None else VARYING), 0, 0
+
+
+# --- what is asked ----------------------------------------------------------------------------------------------------
 
 
 def _opened(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
-    """The same, but in Delta stands the gain of a law itself: its channels are those of the model, moved."""
+    """The model with a real block ``output:input`` for each law, the gain between them; its channels are those of the
+    model, moved.
+
+    The outputs stay, so that they can be looked at; the inputs are driven by the laws alone.
+    """
     given = model if isinstance(model, UncertainModel) else UncertainModel(as_model(model, "iqc"), [])
     M, (q, p) = given.M, given.delta_shape
     ins, outs = M.input_names[q:], M.output_names[p:]
@@ -214,6 +254,14 @@ def _posed(opened: UncertainModel, laws: Mapping[tuple[str, str], Nonlinearity],
     return Posed(opened.M, tuple(opened.blocks), np.array(ranges, dtype=float).reshape(-1, 2), tuple(natures))
 
 
+class Units(NamedTuple):
+    """Of an inequality: of each block's channels, of time, of the states."""
+
+    blocks: Mapping[str, float]
+    rate: float
+    states: Array
+
+
 class Problem:
     """The set about its middles, what each block is, and the inequalities at a basis and a size."""
 
@@ -303,10 +351,11 @@ class Problem:
         Clarabel stops far above the least gain where P's entries are of very different sizes: what it found tells how
         the states should have been measured.
         """
-        inequality, terms = self._inequality(basis, 1.0, unit, states)
-        least = None if inequality is None else inequality.solve(budget)
-        if inequality is None or least is None or not least.square > 0:
+        made = self._inequality(basis, 1.0, unit, states)
+        least = None if made is None else made[0].solve(budget)
+        if made is None or least is None or not least.square > 0:
             return None, states
+        inequality, units = made
         size = np.abs(np.diag(least.P))[: len(states)]
         with np.errstate(divide="ignore"):
             again = states * 2.0 ** np.where(size > 0, np.clip(np.rint(-0.5 * np.log2(size)), -20, 20), 0.0)
@@ -314,30 +363,31 @@ class Problem:
             point = inequality.solve(budget, least.square * (1 + share) ** 2)
             if point is None:
                 continue
-            judged = inequality.judged(point)
-            if judged.proved:
-                gain = unit * math.sqrt(point.square) * (1 + 1e-15)
-                return (gain, _proof(basis, inequality, terms, point, judged)), again
+            gain = unit * math.sqrt(point.square) * (1 + 1e-15)
+            proof = self._proof(basis, inequality, point, units, unit)
+            if proof is not None and holds(gain_claim(self.posed, proof, gain)):
+                return (gain, proof), again
         return None, again
 
     def proved_stable(self, size: float, budget: Budget, thorough: bool = True) -> IqcProof | None:
         """The proof that the set times ``size`` is stable, with any basis or the best so far; None: none was found."""
         for basis in tuple(self.bases if thorough else self.bases[:1]):
-            inequality, terms = self._inequality(basis, size, None)
-            point = None if inequality is None or budget.over else inequality.solve(budget)
-            if inequality is None or point is None:
+            made = self._inequality(basis, size, None)
+            point = None if made is None or budget.over else made[0].solve(budget)
+            if made is None or point is None:
                 continue
-            judged = inequality.judged(point)
-            if judged.proved:
+            proof = self._proof(basis, made[0], point, made[1], 1.0)
+            if proof is not None and holds(size_claim(self.posed, proof, size)):
                 self.bases.sort(key=lambda one: one is not basis)  # the first to be tried at the next size
-                return _proof(basis, inequality, terms, point, judged)
+                return proof
         return None
 
     def _inequality(
         self, basis: Basis, size: float, unit: float | None, states: Array | float = 1.0
-    ) -> tuple[Inequality | None, list[Term]]:
-        """In balanced states and in a time unit of its own; ``unit`` of the gain, None for stability alone.
+    ) -> tuple[Inequality, Units] | None:
+        """In balanced states and in a time unit of its own, with these units; None: of too many states.
 
+        ``unit``: of the gain, None for stability alone.
         ``states``: powers of two by which each state is measured in a larger unit still.
         """
         M, q, p = self.middle.M, self.q, self.p
@@ -367,10 +417,27 @@ class Problem:
             terms += self._terms(model, block, w, z, own, size, rate)
             units = np.append(units, np.full(model.n - len(units), d))
         if model.n > STATES:
-            return None, terms
+            return None
         seen = model.outputs(slice(p, p + n_z)) if n_z else None
-        voice = _GivenLoop(self.middle, model.m, size, unit, balance, rate, units)
-        return Inequality(model, terms, seen, slice(q, q + n_w), voice), terms
+        blocks = {b.name: d for b, d in zip(self.middle.blocks, balance, strict=True)}
+        return Inequality(model, terms, seen, slice(q, q + n_w)), Units(blocks, rate, units)
+
+    def _proof(self, basis: Basis, inequality: Inequality, point: Point, units: Units, unit: float) -> IqcProof | None:
+        """P and all unknowns in the units of the loop as it was given; None where not even the solver's matrix holds.
+
+        But for roots these are powers of two.
+        """
+        slack, square = inequality.slack_of(point), unit**2
+        if not slack > 0:
+            return None
+        kinds: dict[str, str] = {}
+        parts: list[Array] = []
+        for t, x in zip(inequality.terms, point.unknowns, strict=True):
+            kinds[t.block] = f"{kinds[t.block]}, {t.kind}" if t.block in kinds else t.kind
+            # Popov's multiplier weighs a derivative.
+            parts.append(x * (square * units.blocks[t.block] ** 2) / (units.rate if t.kind == POPOV else 1.0))
+        P = point.P * units.states[:, None] * units.states * (square / units.rate)
+        return IqcProof(kinds, basis.pole, basis.order, inequality.n, slack, P, np.concatenate(parts))
 
     def _terms(
         self, model: FilteredModel, block: Block, w: slice, z: slice, basis: Basis, size: float, rate: float
@@ -437,54 +504,3 @@ def _channel_balance(blocks: Sequence[Block], m: StateSpaceModel) -> list[float]
         into, out = np.linalg.norm(m.B[:, w]), np.linalg.norm(m.C[z])
         found.append(2.0 ** round(0.5 * math.log2(into / out)) if into and out else 1.0)
     return found
-
-
-class _GivenLoop:
-    """Responses of the model as it was given, in the units of an inequality: what the second voice hears."""
-
-    def __init__(
-        self, middle: UncertainModel, inputs: int, size: float, unit: float | None, balance: list[float], rate: float,
-        states: Array,
-    ) -> None:  # fmt: skip
-        self.middle, self.inputs, self.size, self.unit = middle, inputs, size, unit
-        self.balance, self.rate, self.states = balance, rate, states
-
-    def at(self, omega: AnyArray) -> Iterator[tuple[float, Channels]]:
-        """Frequency in the inequality's time unit, and the responses there over its inputs."""
-        q, p = self.middle.delta_shape
-        kept = self.middle.M.n_inputs if self.unit is not None else q
-        slices = block_slices(self.middle.blocks)
-        into = np.ones(kept)
-        into[:q] = self.size
-        for d, (w, _) in zip(self.balance, slices, strict=True):
-            into[w] /= d
-        one = np.eye(self.inputs)
-        for w0, G in zip(omega, frequency_response(self.middle.M, omega * self.rate), strict=True):
-            wide = np.zeros((len(G), self.inputs), complex)
-            wide[:, :kept] = G[:, :kept] * into
-            blocks = {
-                b.name: (d * wide[z], one[w])
-                for b, d, (w, z) in zip(self.middle.blocks, self.balance, slices, strict=True)
-            }
-            yield float(w0), Channels(wide[p:] / self.unit if self.unit is not None else wide[:0], blocks)
-
-    def given(self, point: Point, terms: Sequence[Term]) -> tuple[Array, Array]:
-        """P and all unknowns of a point in the units of the loop as it was given: but for roots, powers of two."""
-        square = (self.unit or 1.0) ** 2
-        size = {b.name: square * d**2 for b, d in zip(self.middle.blocks, self.balance, strict=True)}
-        # Popov's multiplier weighs a derivative.
-        parts = [
-            x * size[t.block] / (self.rate if t.kind == POPOV else 1.0)
-            for t, x in zip(terms, point.unknowns, strict=True)
-        ]
-        return point.P * self.states[:, None] * self.states * (square / self.rate), np.concatenate(parts)
-
-
-def _proof(basis: Basis, inequality: Inequality, terms: list[Term], point: Point, judged: Judgement) -> IqcProof:
-    kinds: dict[str, str] = {}
-    for term in terms:
-        kinds[term.block] = f"{kinds[term.block]}, {term.kind}" if term.block in kinds else term.kind
-    P, unknowns = inequality.loop.given(point, terms)
-    return IqcProof(
-        kinds, basis.pole, basis.order, inequality.n, judged.slack, judged.rounding, judged.highest, P, unknowns
-    )

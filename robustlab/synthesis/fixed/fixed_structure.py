@@ -361,6 +361,13 @@ def bounded_law(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
     return RelabelledLaw(law, tuple(parameters))
 
 
+def parameter_values(law: Law, p: AnyArray) -> tuple[ParameterValue, ...]:
+    """The parameters of a law with their values."""
+    return tuple(
+        ParameterValue(q.name, float(x), q.unit, q.low, q.high) for q, x in zip(law.parameters, p, strict=True)
+    )
+
+
 def _place(name: str, names: list[str]) -> int:
     if name not in names:
         hint = did_you_mean(name, names)
@@ -523,10 +530,7 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
         plant=plants[worst],
         method="fixed",
         objective=objective,
-        parameters=tuple(
-            ParameterValue(q.name, float(x), q.unit, q.low, q.high)
-            for q, x in zip(law.parameters, start.p, strict=True)
-        ),
+        parameters=parameter_values(law, start.p),
         gammas=gammas,
         norms=norms,
         closed_loops=loops,

@@ -1,5 +1,9 @@
 r"""Controllers of a given structure for goals and several plants: hard goals met, the others made small.
 
+Every goal is a norm of a weighted closed loop of ``u = K (r - y)`` that is to be at most one. T_i leads from one group
+of signals to another: the references r, disturbances d at the controls and noise n on the measurements; the outputs y,
+the controls u, the total inputs u + d of the plant, and the errors r - y.
+
 With hard goals g and soft goals f the search makes :math:`\max(g, \alpha f)` small, first for alpha = 1, then again and
 again for alpha = 1 / (the f reached), from where it is: the value starts at 1 and falls, so that every step keeps the
 hard goals and lowers the soft ones, until both are 1. Where the hard goals are not met at first, alpha falls until they
@@ -9,20 +13,21 @@ are, at last to 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
+from robustlab.checks import number
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.norms import bilinear_to_discrete, h2_by_gramians, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, number
-from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.shown import Facts
+from robustlab.signals import Taken
+from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.fixed.constants import VERIFIED, WORK
-from robustlab.synthesis.fixed.design_goals import Goal, OvershootGoal, StandardLoop
 from robustlab.synthesis.fixed.fixed_structure import (
     KEPT,
     LimitValue,
@@ -31,8 +36,10 @@ from robustlab.synthesis.fixed.fixed_structure import (
     check_starts,
     given_starts,
     not_found,
+    parameter_values,
     require_finite_h2,
 )
+from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
 from robustlab.synthesis.laws.controller_laws import Law, model_of
 from robustlab.synthesis.laws.controller_structures import as_structure
 from robustlab.synthesis.nonsmooth.constants import BARRIER_CLOSER
@@ -42,34 +49,216 @@ from robustlab.synthesis.nonsmooth.parameter_search import central_path, multi_s
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
 from robustlab.synthesis.problem.gamma_bounds import pointwise_bound
 from robustlab.synthesis.problem.independent_check import norm_doubt
-from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.problem.scaling import common_scaling, equilibrated, paths_first
+from robustlab.synthesis.specifications.weight_design import performance_weight
 from robustlab.tables import Table, Tabular
 
+INPUTS = ("reference", "disturbance", "noise")
+OUTPUTS = ("output", "control", "total", "error")
 # Factor of hard goals in the search, so that they hold after it; most rounds, and the gain that is worth another.
 HARDER = 1 + 1e-5
 GOAL_ROUNDS = 12
+GOAL_PROGRESS = 1e-3
 # Share of the work for the first search, from many starts.
 GOAL_START = 0.6
 # Weights of the soft goals, in turn, until the hard ones are met.
 GOAL_SHARES = (0.5, 0.2, 0.05, 0.01, 0.0)
-GOAL_PROGRESS = 1e-3
+
+
+# --- goals ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Goal:
+    """What all goals have; ``hard`` ones must be met before the others are made small."""
+
+    hard: bool = False
+    norm: ClassVar[str] = "hinf"
+
+    @property
+    def text(self) -> str:
+        """The goal in words: its numbers by name."""
+        word = next(word for word, kind in GOALS.items() if isinstance(self, kind))
+        told = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("hard", "weight")}
+        said = [f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in told.items() if v is not None]
+        return f"{word}: {', '.join(said)}"
+
+    def channel(self, loop: GeneralizedPlant) -> GeneralizedPlant:
+        """The generalised plant whose norm is at most one where the goal is met."""
+        model, n_z, n_w = loop.model, loop.n_z, loop.n_w
+        into, out, weight = self._asked()
+        only = self.outputs if isinstance(self, TrackingGoal) else None
+        ins = _signals(model.input_names[:n_w], into, INPUTS, only)
+        outs = _signals(model.output_names[:n_z], out, OUTPUTS, only)
+        T, n = model.select([*ins, *model.input_names[n_w:]], [*outs, *model.output_names[n_z:]]), len(outs)
+        D = np.array(T.D)
+        if isinstance(self, MarginGoal):
+            D[:n, :n] -= 0.5 * np.eye(n)
+        if T.dt and isinstance(weight, StateSpaceModel) and not weight.dt:
+            weight = bilinear_to_discrete(weight, T.dt)
+        weight = weight_on_channels(weight, n, T.dt, "goal: weight")
+        weight = weight.renamed([f"v{i + 1}" for i in range(n)], [f"z{i + 1}" for i in range(weight.n_outputs)])
+        kept = StateSpaceModel([], [], [], np.eye(loop.n_meas), T.dt, outputs=T.outputs[n:])
+        weighted = series(StateSpaceModel(T.A, T.B, T.C, D, T.dt, T.inputs), append(weight, kept))
+        return GeneralizedPlant(weighted, loop.n_meas, loop.n_con)
+
+    def _asked(self) -> tuple[str, str, Any]:
+        """Groups of inputs and of outputs, and the weight of what is between them."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TrackingGoal(Goal):
+    """The named outputs (all where left out) follow their references: ``|W S| <= 1`` with the weight of
+    `robustlab.performance_weight` at the bandwidth 2 / response_time, with this steady-state error and peak.
+    """
+
+    response_time: float
+    error: float = 1e-2
+    peak: float = 2.0
+    outputs: Sequence[str] | None = None
+
+    def _asked(self) -> tuple[str, str, Any]:
+        bandwidth = 2 / _positive("response_time", self.response_time)
+        return "reference", "error", performance_weight(bandwidth, self.error, self.peak)
+
+
+@dataclass(frozen=True)
+class SensitivityGoal(Goal):
+    """The sensitivity at the plant's outputs (or inputs) stays below ``peak``, and, with a ``bandwidth`` in rad/s,
+    below ``error`` at low frequency: disturbances there are rejected.
+    """
+
+    peak: float = 2.0
+    at: str = "output"
+    bandwidth: float | None = None
+    error: float = 1e-2
+
+    def _asked(self) -> tuple[str, str, Any]:
+        peak, w_b = _positive("peak", self.peak), self.bandwidth
+        return *_cut(self.at), 1 / peak if w_b is None else performance_weight(w_b, self.error, peak)
+
+
+@dataclass(frozen=True)
+class GainGoal(Goal):
+    """The gain from one group of signals to another, times ``weight`` where given, is at most ``bound``; from
+    disturbances to outputs: rejection; from references to outputs: a bound of the resonance, and so of the overshoot.
+    """
+
+    bound: float = 1.0
+    inputs: str = "disturbance"
+    outputs: str = "output"
+    weight: Any = 1.0
+
+    def _asked(self) -> tuple[str, str, Any]:
+        share, weight = 1 / _positive("bound", self.bound), self.weight
+        numbers = isinstance(weight, (int, float, list, np.ndarray))
+        return self.inputs, self.outputs, share * (np.array(weight) if numbers else as_model(weight, "goal: weight"))
+
+
+@dataclass(frozen=True)
+class VarianceGoal(Goal):
+    """The root of the summed variances of a group of signals, for white noise of unit intensity in another, is at most
+    ``bound``: an H2 norm.
+    """
+
+    bound: float = 1.0
+    inputs: str = "disturbance"
+    outputs: str = "output"
+    norm: ClassVar[str] = "h2"
+
+    def _asked(self) -> tuple[str, str, Any]:
+        return self.inputs, self.outputs, 1 / _positive("bound", self.bound)
+
+
+@dataclass(frozen=True)
+class MarginGoal(Goal):
+    r"""A disk margin of at least ``disk`` at the plant's outputs, inputs: :math:`\|S - I/2\|_\infty \le 1/\alpha`.
+
+    With several loops the norm takes them as one full block, which asks for more than a margin of all loops at once.
+    """
+
+    disk: float
+    at: str = "output"
+
+    def _asked(self) -> tuple[str, str, Any]:
+        return *_cut(self.at), _positive("disk", self.disk)
+
+
+GOALS: Mapping[str, type[Goal]] = {
+    "tracking": TrackingGoal, "sensitivity": SensitivityGoal, "gain": GainGoal, "rejection": GainGoal,
+    "variance": VarianceGoal, "margin": MarginGoal,
+}  # fmt: skip
+
+
+def goal_in_words(word: str, options: Mapping[str, Any], hard: bool = False) -> Goal:
+    """A goal by its word and its numbers, as commands and recipes give it."""
+    if word not in GOALS:
+        raise InputError(f"goal {word!r}", "unknown", f"one of {', '.join(GOALS)}", did_you_mean(word, list(GOALS)))
+    known = {f.name: f for f in fields(GOALS[word]) if f.name not in ("hard", "weight")}
+    for name in options:
+        if name not in known:
+            where, hint = f"goal {word!r}: {name!r}", did_you_mean(name, tuple(known))
+            raise InputError(where, "unknown", f"one of {', '.join(known)}", hint)
+    if missing := [name for name, f in known.items() if f.default is MISSING and name not in options]:
+        raise InputError(f"goal {word!r}", f"{', '.join(missing)} missing", f"of {', '.join(known)}")
+    return GOALS[word](hard=hard, **options)
+
+
+def _positive(name: str, value: Any) -> float:
+    number(f"goal: {name}", value, "a positive number", above=0)
+    return float(value)
+
+
+def _cut(at: str) -> tuple[str, str]:
+    """Groups between which the sensitivity at the plant's outputs or inputs lies."""
+    if at not in ("output", "input"):
+        raise InputError("goal: at", f"{at!r}", '"output" or "input"')
+    return ("reference", "error") if at == "output" else ("disturbance", "total")
+
+
+def _signals(names: Sequence[str], group: str, groups: Sequence[str], only: Sequence[str] | None) -> list[str]:
+    """The signals of a group among the names; ``only`` those of the named outputs of the plant."""
+    if group not in groups:
+        where = f"goal: {'inputs' if groups is INPUTS else 'outputs'}"
+        raise InputError(where, f"{group!r}", f"one of {', '.join(groups)}", did_you_mean(group, groups))
+    known = [name.removeprefix(f"{group} ") for name in names if name.startswith(f"{group} ")]
+    return [f"{group} {known[i]}" for i in signal_positions(known if only is None else only, known, f"goal: {group}")]
+
+
+def _loop(g: StateSpaceModel) -> GeneralizedPlant:
+    """From (r, d, n, u) to (y, u, u + d, r - y, and what K takes, r - y - n), before K closes it."""
+    n, m, p = g.n_states, g.n_inputs, g.n_outputs
+    r, d, noise, u = np.split(np.eye(p + m + p + m), np.cumsum([p, m, p]))
+    through, none = g.D @ (u + d), np.zeros((m, n))
+    C = np.vstack([g.C, none, none, -g.C, -g.C])
+    D = np.vstack([through, u, u + d, r - through, r - through - noise])
+    y, v = g.output_names, g.input_names
+    ins = [f"{group} {s}" for group, names in zip(INPUTS, (y, v, y), strict=True) for s in names]
+    outs = [f"{group} {s}" for group, names in zip(OUTPUTS, (y, v, v, y), strict=True) for s in names]
+    taken = [Taken(f"error {s.name} measured", s.unit, "r - y", s.name) for s in g.outputs]
+    signals = [*ins, *g.inputs], [*outs, *taken], g.states
+    return GeneralizedPlant(StateSpaceModel(g.A, g.B @ (u + d), C, D, g.dt, *signals, where="tune"), p, m)
+
+
+# --- the design -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class GoalValue:
     """A goal, and what the design reaches of it."""
 
-    # text, hard: the goal in words, and whether it had to be met
+    # text, hard, norm: the goal in words, whether it had to be met, "hinf" or "h2"
     text: str
     hard: bool
+    norm: str
     # Verified norm of its weighted loop for every plant (H-infinity: upper bound): met where at most 1.
     values: tuple[float, ...]
     # Proved for every controller of any structure: no value is below it; NaN where it was not asked for.
-    floor: float = float("nan")
-    # The plants whose loops with K have these norms, "hinf" or "h2"; for `robustlab.verify`.
-    plants: tuple[GeneralizedPlant, ...] = ()
-    norm: str = "hinf"
+    floor: float
+    # The plants whose loops with K have these norms, for `robustlab.verify`.
+    plants: tuple[GeneralizedPlant, ...]
 
     @property
     def value(self) -> float:
@@ -104,22 +293,13 @@ class TunedSynthesis(Tabular, Synthesis):
         The limits with their values, the largest over all plants.
     parameters
         The controller's parameters.
-    overshoot
-        Largest overshoot in percent of the outputs' responses to steps of their own references, over all plants:
-        simulated, not proved; NaN where a response ends at zero.
-    history
-        Largest value of the soft goals after each round.
     """
 
-    quantities: ClassVar[Mapping[str, Any]] = {
-        **Synthesis.quantities, **dict.fromkeys(("missed", "overshoot"), float),
-    }  # fmt: skip
+    quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "missed": float}
 
     goals: tuple[GoalValue, ...]
     limits: tuple[LimitValue, ...]
     parameters: tuple[ParameterValue, ...]
-    overshoot: float
-    history: tuple[float, ...]
 
     @property
     def values(self) -> dict[str, float]:
@@ -136,7 +316,7 @@ class TunedSynthesis(Tabular, Synthesis):
         return {**super().numbers(), "missed": len(self.missed)}
 
     def _gamma_text(self) -> str:
-        return f"{self.gamma:.6g} (largest soft goal, verified)" if self.history else f"{self.gamma:.6g} (largest goal)"
+        return f"{self.gamma:.6g} (largest {'' if all(goal.hard for goal in self.goals) else 'soft '}goal, verified)"
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
@@ -146,7 +326,6 @@ class TunedSynthesis(Tabular, Synthesis):
             floor = f"; no controller below {goal.floor:.4g}" if goal.floor > 1 else ""
             rows.append((goal.text, f"{goal.value:.4g} ({word}{floor})"))
         rows += [("limit", f"{limit.text}{' (active)' if limit.active else ''}") for limit in self.limits]
-        rows.append(("overshoot, simulated", f"{number(self.overshoot)} %"))
         return rows + [(p.name, f"{p.value:.6g} {p.unit}".rstrip()) for p in self.parameters[:40]]
 
     def table(self) -> Table:
@@ -156,14 +335,8 @@ class TunedSynthesis(Tabular, Synthesis):
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the plants, with arrays."""
-        return super().to_json() | {
-            "goals": [goal.to_json() for goal in self.goals],
-            "missed": [goal.text for goal in self.missed],
-            "limits": [limit.to_json() for limit in self.limits],
-            "parameters": [p.to_json() for p in self.parameters],
-            "overshoot": self.overshoot,
-            "history": list(self.history),
-        }
+        parts = {key: [x.to_json() for x in getattr(self, key)] for key in ("goals", "limits", "parameters")}
+        return super().to_json() | parts | {"missed": [goal.text for goal in self.missed]}
 
 
 @told_as("synth tune")
@@ -186,7 +359,7 @@ def tune(
         u = K(p) (r - y)
 
     Every goal is a norm of a weighted closed loop, met where it is at most 1: tracking, sensitivity, gains, variances,
-    disk margins, overshoot (by a proxy). Limits of poles and of the controller are always kept.
+    disk margins. Limits of poles and of the controller are always kept.
 
     Parameters
     ----------
@@ -196,9 +369,8 @@ def tune(
     structure
         As for `robustlab.fixed_structure`; its measurements are the errors r - y.
     goals
-        `TrackingGoal`, `SensitivityGoal`, `GainGoal`, `VarianceGoal`, `MarginGoal`, `OvershootGoal` of
-        `robustlab.synthesis`, hard with ``hard=True``; and the limits `Decay`, `Damping`, `Bandwidth`,
-        `StableController`, `RollOff`.
+        `TrackingGoal`, `SensitivityGoal`, `GainGoal`, `VarianceGoal`, `MarginGoal` of `robustlab.synthesis`, hard with
+        ``hard=True``; and the limits `Decay`, `Damping`, `Bandwidth`, `StableController`, `RollOff`.
     bounds, start, starts, seed, time_limit, effort, progress
         As for `robustlab.fixed_structure`.
 
@@ -228,26 +400,22 @@ def tune(
     >>> found.status.value, found.gamma < 1, found.missed
     ('certified', True, ())
     """
-    where = "synth tune"
-    wanted = [goal for goal in goals if isinstance(goal, Goal)]
+    for goal in goals:
+        if not isinstance(goal, (Goal, Limit)):
+            raise InputError("synth tune: goals", f"{goal!r}", "TrackingGoal, MarginGoal, ..., Damping, Decay, ...")
     limits = [goal for goal in goals if isinstance(goal, Limit)]
-    if len(wanted) + len(limits) < len(goals):
-        other = next(goal for goal in goals if not isinstance(goal, (Goal, Limit)))
-        raise InputError(f"{where}: goals", f"{other!r}", "TrackingGoal, MarginGoal, ..., Damping, Decay, ...")
-    if not wanted:
-        raise InputError(f"{where}: goals", "none", "at least one goal beside the limits")
-    check_starts(where, starts)
-    budget = design_budget(where, WORK, effort, time_limit)
-    loops = [StandardLoop.of(g) for g in _plants(G)]
+    if len(limits) == len(goals):
+        raise InputError("synth tune: goals", "none", "at least one goal beside the limits")
+    check_starts("synth tune", starts)
+    budget = design_budget("synth tune", WORK, effort, time_limit)
+    loops = [_loop(g) for g in _plants(G)]
     with one_thread():
-        first = loops[0].plant
-        law = as_structure(structure, common_scaling([first])[0].rate).law(
-            first.measurements, first.controls, first.model.dt
-        )
-        law = bounded_law(law, bounds or {})
-        search = _GoalSearch(loops, wanted, limits, law, budget, progress or (lambda _: None))
-        p, history = search.found([("given", q) for q in given_starts(law, start)], starts, seed)
-        return search.judged(p, history)
+        first = loops[0]
+        law = as_structure(structure, common_scaling([first])[0].rate)
+        law = bounded_law(law.law(first.measurements, first.controls, first.model.dt), bounds or {})
+        task = _Task(loops, [goal for goal in goals if isinstance(goal, Goal)], limits, law, budget)
+        given = [("given", p) for p in given_starts(law, start)]
+        return task.judged(task.found(given, starts, seed, progress or (lambda _: None)))
 
 
 def _plants(G: Any) -> list[StateSpaceModel]:
@@ -257,113 +425,107 @@ def _plants(G: Any) -> list[StateSpaceModel]:
     models = [as_model(g, "synth tune: G") for g in given]
     first = models[0]
     if not first.n_inputs or not first.n_outputs:
-        raise InputError(
-            "synth tune: G", f"{first.n_outputs} outputs and {first.n_inputs} inputs", "at least one of each"
-        )
+        found = f"{first.n_outputs} outputs and {first.n_inputs} inputs"
+        raise InputError("synth tune: G", found, "at least one of each")
     for i, other in enumerate(models[1:], start=2):
         if (other.input_names, other.output_names, other.dt) != (first.input_names, first.output_names, first.dt):
             found = f"plant {i} has other signals or another sample time"
-            raise InputError(
-                "synth tune", found, f"those of plant 1: {', '.join(first.input_names + first.output_names)}"
-            )
+            expected = f"those of plant 1: {', '.join(first.input_names + first.output_names)}"
+            raise InputError("synth tune", found, expected)
     return models
 
 
 @dataclass(frozen=True, eq=False)
-class _GoalSearch:
+class _Task:
     """The search for the parameters, and the verdict about them."""
 
-    loops: Sequence[StandardLoop]
+    loops: Sequence[GeneralizedPlant]
     goals: Sequence[Goal]
     limits: Sequence[Limit]
     law: Law
     budget: Budget
-    say: Callable[[str], None]
 
-    def _problem(self, alpha: float, soft: bool = True, part: float = 1.0) -> DesignProblem:
-        """``max(g, alpha f)`` over all plants; without ``soft`` of the hard goals alone. Hard ones a little harder."""
+    def _problem(self, alpha: float, budget: Budget) -> DesignProblem:
+        """``max(g, alpha f)`` over all plants, hard goals a little harder; of the hard goals alone for alpha = 0."""
         plants: list[GeneralizedPlant] = []
         kinds: list[str] = []
         for goal in self.goals:
-            if goal.hard or soft:
-                share = HARDER if goal.hard else alpha
-                plants += [_times(goal.channel(loop), share) for loop in self.loops]
+            if goal.hard or alpha:
+                plants += [_times(goal.channel(loop), HARDER if goal.hard else alpha) for loop in self.loops]
                 kinds += [goal.norm] * len(self.loops)
-        inner = [loop.plant for loop in self.loops] if self.limits else []
-        budget = self.budget if part == 1 else self.budget.share(part)
-        return DesignProblem(plants, self.law, kinds, self.limits, budget, limited=inner)
-
-    def _reached(self, everything: DesignProblem, p: AnyArray) -> tuple[float, float]:
-        """Largest hard and largest soft goal."""
-        values = np.array(everything.norms(p)).reshape(len(self.goals), len(self.loops)).max(axis=1)
-        hard = np.array([goal.hard for goal in self.goals])
-        return float(values[hard].max(initial=0.0)), float(values[~hard].max(initial=0.0))
+        return DesignProblem(plants, self.law, kinds, self.limits, budget, limited=self.loops if self.limits else [])
 
     def found(
-        self, given: Sequence[tuple[str, AnyArray]], starts: int, seed: int
-    ) -> tuple[AnyArray, tuple[float, ...]]:
-        """Parameters, and the largest soft goal of every round (none where all goals are hard)."""
-        everything = self._problem(1.0, part=GOAL_START)
+        self, given: Sequence[tuple[str, AnyArray]], starts: int, seed: int, say: Callable[[str], None]
+    ) -> AnyArray:
+        """The best parameters."""
+        everything = self._problem(1.0, self.budget.share(GOAL_START))
         require_finite_h2(everything)
-        ends = multi_start(everything, given, starts, seed, self.say)
-        stable = [end for end in ends if np.isfinite(end.gamma)][:VERIFIED]
+        hard_ones = np.array([goal.hard for goal in self.goals])
+
+        def reached(p: AnyArray) -> tuple[float, float]:
+            """Largest hard and largest soft goal."""
+            values = np.array(everything.norms(p)).reshape(len(self.goals), len(self.loops)).max(axis=1)
+            return float(values[hard_ones].max(initial=0.0)), float(values[~hard_ones].max(initial=0.0))
+
+        def improved(alpha: float, p: AnyArray) -> AnyArray:
+            problem = self._problem(alpha, self.budget)
+            v, _ = central_path(problem, problem.variables(p), BARRIER_CLOSER)
+            q, value = polished(problem, problem.parameters(v)[0])
+            return q if value < problem.norm(problem.variables(p))[0] else p
+
+        ends = multi_start(everything, given, starts, seed, say)
+        stable = [(reached(end.p), end.p) for end in ends[:VERIFIED] if np.isfinite(end.gamma)]
         if not stable:
             raise not_found(everything, ends)
-        p, (hard, soft) = min(
-            ((end.p, self._reached(everything, end.p)) for end in stable),
-            key=lambda pair: (max(pair[1][0], 1.0), pair[1][1]),
-        )
+        (hard, soft), p = min(stable, key=lambda pair: (max(pair[0][0], 1.0), pair[0][1]))
         for alpha in GOAL_SHARES:
             if hard <= 1 or self.budget.over:
                 break
-            p = self._improved(self._problem(alpha, soft=alpha > 0), p)
-            hard, soft = self._reached(everything, p)
-        some_soft = not all(goal.hard for goal in self.goals)
-        history = [soft] * some_soft
-        rounds = GOAL_ROUNDS if some_soft and hard and hard <= 1 else 0
-        for k in range(rounds):
+            p = improved(alpha, p)
+            hard, soft = reached(p)
+        for k in range(GOAL_ROUNDS if hard <= 1 and hard_ones.any() else 0):
             if self.budget.over or soft <= 0:
                 break
-            q = self._improved(self._problem(1 / soft), p)
-            other = self._reached(everything, q)
+            q = improved(1 / soft, p)
+            other = reached(q)
             if not (other[0] <= 1 and other[1] < soft):
                 break
             settled = other[1] > soft * (1 - GOAL_PROGRESS)
             p, soft = q, other[1]
-            history.append(soft)
-            self.say(f"round {k + 1}: hard goals {other[0]:.5g}, soft goals {soft:.5g}")
+            say(f"round {k + 1}: hard goals {other[0]:.5g}, soft goals {soft:.5g}")
             if settled:
                 break
-        return p, tuple(history)
+        return p
 
-    def _improved(self, problem: DesignProblem, p: AnyArray) -> AnyArray:
-        v, _ = central_path(problem, problem.variables(p), BARRIER_CLOSER)
-        q, value = polished(problem, problem.parameters(v)[0])
-        return q if value < problem.norm(problem.variables(p))[0] else p
-
-    # --- the verdict ---------------------------------------------------------------------------------------------
-
-    def judged(self, p: AnyArray, history: tuple[float, ...]) -> TunedSynthesis:
+    def judged(self, p: AnyArray) -> TunedSynthesis:
         """The design with every goal verified on loops rebuilt from K."""
-        first = self.loops[0].plant
+        first = self.loops[0]
         K = model_of(self.law, p, first.model.dt, first.measurements, first.controls)
-        whole = [loop.plant.close(K) for loop in self.loops]
+        whole = [loop.close(K) for loop in self.loops]
         limits = tuple(LimitValue(c.text, max(c.value(loop, K) for loop in whole)) for c in self.limits)
         if any(limit.value > KEPT for limit in limits):
             raise NoTrustworthyNumber("synth tune", "the limits do not hold for the loop rebuilt from K")
         doubts: list[str] = []
         goals = tuple(self._value(goal, K, doubts) for goal in self.goals)
         soft = [goal.value for goal in goals if not goal.hard] or [goal.value for goal in goals]
-        status, parts = self._status(goals, doubts)
+        missed = [goal for goal in goals if goal.hard and not goal.met]
+        if doubts:
+            status, parts = Status.INACCURATE, doubts[:1]
+        elif missed:
+            parts = ["; ".join(f"hard goal missed: {goal.text} ({goal.value:.4g})" for goal in missed)]
+            proved = any(goal.floor > 1 for goal in missed)
+            status = Status.INFEASIBLE if proved else Status.INCONCLUSIVE
+            parts += ["no controller of any structure meets it (proved by a bound of gamma)"] * proved
+            parts += ["a local search: no proof that it cannot be met; take more starts"] * (not proved)
+        else:
+            status = Status.CONVERGED if any(goal.norm == "h2" for goal in goals) else Status.CERTIFIED
+            hard = "every hard goal is met" if any(goal.hard for goal in goals) else "no hard goals"
+            parts = [f"{hard}; loops rebuilt from K: stable, norms verified", "a local optimum"]
         status, reason = told(status, parts, self.budget)
         return TunedSynthesis(
             K=K, gamma=max(soft), closed_loop=whole[0], status=status, reason=reason, limit="", plant=first,
-            method="tune", goals=goals, limits=limits, history=history,
-            overshoot=max((_overshoot(loop, self.loops[0].g.output_names) for loop in whole), key=_nan_last),
-            parameters=tuple(
-                ParameterValue(q.name, float(x), q.unit, q.low, q.high)
-                for q, x in zip(self.law.parameters, p, strict=True)
-            ),
+            method="tune", goals=goals, limits=limits, parameters=parameter_values(self.law, p),
         )  # fmt: skip
 
     def _value(self, goal: Goal, K: StateSpaceModel, doubts: list[str]) -> GoalValue:
@@ -371,39 +533,20 @@ class _GoalSearch:
         plants = [goal.channel(loop) for loop in self.loops]
         for plant in plants:
             loop = plant.close(K)
-            norm: HinfNorm | H2Norm = hinf_norm(loop) if goal.norm == "hinf" else h2_by_gramians(loop)
+            norm = hinf_norm(loop) if goal.norm == "hinf" else h2_by_gramians(loop)
             value, doubt = norm_doubt(plant, K, loop, norm)
             doubts += [f"{goal.text}: {why}" for why in (doubt, "" if norm.status.trustworthy else norm.reason) if why]
             values.append(value)
-        floor = float("nan")
-        if goal.hard and goal.norm == "hinf" and max(values) > 1:
-            floor = max(_floor(plant) for plant in plants)
-        return GoalValue(goal.text, goal.hard, tuple(values), floor, tuple(plants), goal.norm)
-
-    def _status(self, goals: Sequence[GoalValue], doubts: Sequence[str]) -> tuple[Status, list[str]]:
-        if doubts:
-            return Status.INACCURATE, list(doubts[:1])
-        missed = [goal for goal in goals if goal.hard and not goal.met]
-        if missed:
-            said = "; ".join(f"hard goal missed: {goal.text} ({goal.value:.4g})" for goal in missed)
-            if any(goal.floor > 1 for goal in missed):
-                return Status.INFEASIBLE, [said, "no controller of any structure meets it (proved by a bound of gamma)"]
-            return Status.INCONCLUSIVE, [said, "a local search: no proof that it cannot be met; take more starts"]
-        computed = any(goal.norm == "h2" for goal in self.goals)
-        hard = "every hard goal is met" if any(goal.hard for goal in goals) else "no hard goals"
-        parts = [f"{hard}; loops rebuilt from K: stable, norms verified", "a local optimum"]
-        if any(isinstance(goal, OvershootGoal) for goal in self.goals):
-            parts.append("the overshoot is held by a proxy")
-        return (Status.CONVERGED if computed else Status.CERTIFIED), parts
+        asked = goal.hard and goal.norm == "hinf" and max(values) > 1
+        floor = max(_floor(plant) for plant in plants) if asked else float("nan")
+        return GoalValue(goal.text, goal.hard, goal.norm, tuple(values), floor, tuple(plants))
 
 
 def _times(plant: GeneralizedPlant, share: float) -> GeneralizedPlant:
     """With z in another unit."""
-    m, n_z = plant.model, plant.n_z
-    C, D = np.array(m.C), np.array(m.D)
-    C[:n_z] *= share
-    D[:n_z] *= share
-    return GeneralizedPlant(StateSpaceModel(m.A, m.B, C, D, m.dt, m.inputs, m.outputs), plant.n_meas, plant.n_con)
+    m, size = plant.model, np.where(np.arange(plant.model.n_outputs) < plant.n_z, share, 1.0)[:, None]
+    model = StateSpaceModel(m.A, m.B, size * m.C, size * m.D, m.dt, m.inputs, m.outputs)
+    return GeneralizedPlant(model, plant.n_meas, plant.n_con)
 
 
 def _floor(plant: GeneralizedPlant) -> float:
@@ -411,33 +554,3 @@ def _floor(plant: GeneralizedPlant) -> float:
     matrices = plant.continuous().matrices()
     bound = pointwise_bound(matrices, (paths_first(matrices), equilibrated(matrices)), plant.model.dt)
     return bound.value if bound.proved else 0.0
-
-
-def _nan_last(value: float) -> float:
-    return value if np.isfinite(value) else -np.inf
-
-
-def _overshoot(loop: StateSpaceModel, outputs: Sequence[str], steps: int = 4000) -> float:
-    """Largest overshoot in percent of y after steps of its own reference, over ten of the slowest time constants."""
-    from scipy.linalg import expm
-
-    worst = -np.inf
-    for name in outputs:
-        T = loop.select([f"reference {name}"], [f"output {name}"])
-        poles, final = T.poles(), float(T.dc_gain()[0, 0])
-        if abs(final) < 1e-9:
-            continue
-        if T.is_discrete:
-            slowest = max(float(np.abs(poles).max(initial=0.0)), 1e-6)
-            A, B, count = T.A, T.B, int(min(max(10 / -np.log(slowest), 10), 1e5))
-        else:
-            h, count = 10 / max(float(-poles.real.max(initial=-np.inf)), 1e-12) / steps, steps
-            n = T.n_states
-            moved = expm(h * np.block([[T.A, T.B], [np.zeros((1, n + 1))]]))
-            A, B = moved[:n, :n], moved[:n, n:]
-        x, top = np.zeros(T.n_states), -np.inf
-        for _ in range(count):
-            top = max(top, float((T.C @ x + T.D[:, 0])[0]) / final)
-            x = A @ x + B[:, 0]
-        worst = max(worst, 100 * (top - 1))
-    return max(worst, 0.0) if np.isfinite(worst) else float("nan")

@@ -11,14 +11,14 @@ A controller of full order with closed-loop norm below gamma exists iff there ar
 (Gahinet, Apkarian 1994, theorem 4.2). Nothing is assumed about ranks of D12 and D21 or zeros on the axis.
 
 Several plants may share R and S: those at the vertices of a polytope, between which the controllers are interpolated
-(Apkarian, Gahinet, Becker 1995). One of the two may then vary from plant to plant, at bounded rates.
+(Apkarian, Gahinet, Becker 1995).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -42,17 +42,12 @@ LMI_BOUND = 1e5
 NULL = 1e-10
 
 
-# For each plant the motions of the matrix that varies: factors of its values at the plants; their sum is its
-# derivative.
-Slopes = Sequence[Sequence[Mapping[int, float]]]
-
-
 @dataclass(frozen=True, eq=False)
 class Outer:
-    """R and S of each plant; equal ones where they are shared."""
+    """R and S, which all plants share."""
 
-    R: Sequence[AnyArray]
-    S: Sequence[AnyArray]
+    R: AnyArray
+    S: AnyArray
 
 
 @dataclass(frozen=True)
@@ -134,7 +129,7 @@ def lmi_controllers(
         for coupling in LMI_COUPLINGS:
             level = gamma * (1 + backoff) + 1e-9
             _, outer, outcome = projection([scaled], level, coupling, budget)
-            X = None if outer is None else shared(outer.R[0], outer.S[0])
+            X = None if outer is None else shared(outer.R, outer.S)
             if X is None:
                 continue
             K = reconstructed(scaled, X, level * (1 + 0.5 * backoff), budget)
@@ -145,13 +140,7 @@ def lmi_controllers(
 
 
 def projection(
-    plants: Sequence[PlantMatrices],
-    level: float | None,
-    coupling: float,
-    budget: Budget,
-    varying: Literal["", "R", "S"] = "",
-    slopes: Slopes = (),
-    widest: bool = False,
+    plants: Sequence[PlantMatrices], level: float | None, coupling: float, budget: Budget, widest: bool = False
 ) -> tuple[float | None, Outer | None, LmiOutcome]:
     """Smallest gamma (``level`` None), or R and S at a level, with ``[R t I; t I S] >= 0`` and both bounded.
 
@@ -160,30 +149,23 @@ def projection(
 
     ``plants``: of equal sizes, without D22.
     ``level``, ``coupling``: the level asked for, and t.
-    ``varying``, ``slopes``: which of the two varies with the plant, and how it may move at each: ``- dR/dt`` stands in
-    the first inequality, ``dS/dt`` in the second.
     ``widest``: R and S of the largest margin, in rows of one size; else of small trace.
     """
     if budget.over:
         return None, None, LmiOutcome(False, "no work was left for the LMI")
     n = plants[0].sizes[0]
-    basis, count = symmetric_basis(n), {kind: len(plants) if kind == varying else 1 for kind in "RS"}
+    basis = symmetric_basis(n)
     size = len(basis)
-    start = {"R": 0, "S": size * count["R"]}
-    last = size * (count["R"] + count["S"])  # gamma, or the margin
+    last = 2 * size  # gamma, or the margin; before it R, then S
     conditions = Inequalities(last + 1)
-    for k, p in enumerate(plants):
-        at = {kind: start[kind] + size * (k if kind == varying else 0) for kind in "RS"}
-        for kind, one, sign in (("R", _dual(p), -1.0), ("S", p, 1.0)):
-            for slope in slopes[k] if kind == varying else ({},):
-                moving = {start[kind] + size * i: sign * part for i, part in slope.items()}
-                _add_outer(conditions, one, basis, at[kind], moving, last, level)
-        if k == 0 or varying:
-            corners = np.zeros((2, size, 2 * n, 2 * n))
-            corners[0, :, :n, :n] = corners[1, :, n:, n:] = basis
-            across = np.kron([[0.0, coupling], [coupling, 0.0]], np.eye(n))
-            conditions.add({at["R"]: corners[0], at["S"]: corners[1]}, across)
-    for first in range(0, last, size):
+    for p in plants:
+        _add_outer(conditions, _dual(p), basis, 0, last, level)
+        _add_outer(conditions, p, basis, size, last, level)
+    corners = np.zeros((2, size, 2 * n, 2 * n))
+    corners[0, :, :n, :n] = corners[1, :, n:, n:] = basis
+    across = np.kron([[0.0, coupling], [coupling, 0.0]], np.eye(n))
+    conditions.add({0: corners[0], size: corners[1]}, across)
+    for first in (0, size):
         conditions.add({first: -basis}, LMI_BOUND * np.eye(n))
     cost = np.zeros(last + 1)
     if level is None:
@@ -191,16 +173,14 @@ def projection(
     elif widest:
         cost[last] = -1.0
     else:
-        cost[:last] = np.tile(np.einsum("bii->b", basis), last // size)
+        cost[:last] = np.tile(np.einsum("bii->b", basis), 2)
         conditions.add({last: -np.ones((1, 1, 1))}, np.zeros((1, 1)))
     if level is not None:
         conditions.add({last: np.ones((1, 1, 1))}, np.zeros((1, 1)))
     answer = conditions.least(cost, budget, LMI_STEPS)
     if answer.x is None:
         return None, None, LmiOutcome(False, f"the LMI solver says {answer.text}")
-    found = np.einsum("kb,bij->kij", answer.x[:last].reshape(-1, size), basis)
-    R, S = found[: count["R"]], found[count["R"] :]
-    R, S = (list(one) * (len(plants) // len(one)) for one in (R, S))
+    R, S = np.einsum("kb,bij->kij", answer.x[:last].reshape(2, size), basis)
     gamma = float(answer.x[last]) if level is None else level
     return gamma, Outer(R, S), LmiOutcome(True, answer.text)
 
@@ -210,9 +190,8 @@ def _dual(p: PlantMatrices) -> PlantMatrices:
 
 
 def _add_outer(
-    conditions: Inequalities, p: PlantMatrices, basis: AnyArray, at: int, moving: Mapping[int, float], last: int,
-    level: float | None,
-) -> None:  # fmt: skip
+    conditions: Inequalities, p: PlantMatrices, basis: AnyArray, at: int, last: int, level: float | None
+) -> None:
     """The second inequality of a plant, in an orthonormal basis of its null space and rows of one size.
 
     ``last``: the unknown that is gamma, or at a level the margin.
@@ -234,9 +213,6 @@ def _add_outer(
     size = np.diag(np.abs(N).T @ (np.abs(fixed) + np.abs(part[diagonal]).sum(axis=0) + levels) @ np.abs(N))
     N = N / np.sqrt(np.where(size > 0, size, 1.0))
     columns = {at: -(N.T @ part @ N)}
-    for first, factor in moving.items():
-        states = factor * (N[:n].T @ basis @ N[:n])
-        columns[first] = columns[first] - states if first in columns else -states
     fixed = -(N.T @ fixed @ N)
     if level is None:
         columns[last] = (N.T @ levels @ N)[None]
@@ -258,17 +234,8 @@ def shared(R: AnyArray, S: AnyArray) -> AnyArray | None:
     return 0.5 * (X + X.T)
 
 
-def reconstructed(
-    p: PlantMatrices,
-    X: AnyArray,
-    gamma: float,
-    budget: Budget,
-    motions: Sequence[AnyArray] = (),
-) -> Realisation | None:
-    """Controller of full order for a given X: the bounded real LMI, linear in it, at the largest margin.
-
-    ``motions`` are the derivatives ``dX/dt`` with which it has to hold; none where X stands still.
-    """
+def reconstructed(p: PlantMatrices, X: AnyArray, gamma: float, budget: Budget) -> Realisation | None:
+    """Controller of full order for a given X: the bounded real LMI, linear in it, at the largest margin."""
     n, m, n_u, q, n_y = p.sizes
     values, vectors = np.linalg.eigh(X)
     if values[0] <= 1e-12 * values[-1]:
@@ -296,13 +263,7 @@ def reconstructed(
     fixed[2 * n :, 2 * n :] -= gamma * np.eye(m + q)
     conditions = Inequalities(len(parts) + 1)
     unit = equal_rows(fixed)
-    for motion in motions or (np.zeros_like(X),):
-        moving = np.zeros_like(fixed)
-        moving[: 2 * n, : 2 * n] = 0.5 * (T.T @ (motion + motion.T) @ T)
-        conditions.add(
-            {0: -unit[:, None] * parts * unit, len(parts): -np.eye(whole)[None]},
-            -unit[:, None] * (fixed + moving) * unit,
-        )
+    conditions.add({0: -unit[:, None] * parts * unit, len(parts): -np.eye(whole)[None]}, -unit[:, None] * fixed * unit)
     cost = np.append(np.zeros(len(parts)), -1.0)
     answer = conditions.least(cost, budget, LMI_STEPS)
     if answer.x is None:

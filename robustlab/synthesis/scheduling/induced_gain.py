@@ -19,6 +19,7 @@ from robustlab.synthesis.problem.semidefinite import Inequalities, equal_rows, s
 from robustlab.synthesis.scheduling.constants import BALANCINGS, NEAR, WORK
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
+from robustlab.verification import Claim, Outcome, check
 
 # Back-offs from the optimum of the LMIs at which the largest margin is looked for. Smaller: tighter bounds, more
 # of which rounding leaves unproved.
@@ -28,7 +29,7 @@ SMALLEST = 1e-5
 # Steps of the solver, at most.
 STEPS = 200
 # Bisections for the smallest gamma that a Lyapunov matrix still proves.
-GAIN_BISECTIONS = 12
+GAIN_BISECTIONS = 5
 # Inequalities of one problem, at most: beyond it they outlast any patience.
 INEQUALITIES = 4000
 
@@ -60,8 +61,8 @@ class LPVGain(PeakGain, Traced):
     model
         The model that it is about, so that it can be checked again.
     status
-        CERTIFIED: every inequality was checked from P and the model outside of the solver. CONVERGED: checked likewise,
-        but how far the family is from its interpolation was only sampled. INFEASIBLE: no such Lyapunov function,
+        CERTIFIED: proved in ball arithmetic from P and the model. CONVERGED: proved likewise, but how far the
+        family is from its interpolation was only sampled. INFEASIBLE: no such Lyapunov function,
         because the frozen model at ``at`` is not stable (``lower`` is infinite), or as the solver says, which proves no
         instability. INCONCLUSIVE: nothing was proved, or a pole cannot be told from the stability boundary.
     reason
@@ -92,11 +93,13 @@ class LPVGain(PeakGain, Traced):
         return f"{known}; {'any rate of change' if free else ', '.join(names)}"
 
     def recheck(self) -> bool:
-        """Whether ``P`` still proves ``upper`` for ``model``; no solver is asked."""
-        if not self.P.size:
-            return False
-        posed = Inequality(self.model, self.lyapunov == "varying", self.lower)
-        return posed.proves(posed.scaled(self.P), self.upper * posed.gain)
+        """Whether ``P`` still proves ``upper`` for ``model``, in ball arithmetic."""
+        return bool(self.P.size) and holds(gain_claim(self.model, self.P, self.upper))
+
+    def claims(self) -> list[Claim]:
+        """That the gain is at most ``upper``; nothing where the model between the points was only sampled."""
+        proved = self.status is Status.CERTIFIED and self.P.size and np.isfinite(self.upper)
+        return [gain_claim(self.model, self.P, self.upper)] if proved else []
 
     def bounds(self) -> str:
         """The bracket, with what each side rests on."""
@@ -237,20 +240,40 @@ def _level_of(
     return None if level is None else (level, P)
 
 
-def _smallest(
-    posed: Inequality,
-    P: Array,
-    low: float,
-) -> float | None:
+def _smallest(posed: Inequality, P: Array, low: float) -> float | None:
     """The smallest level that P proves, from just above ``low`` on; None where not even a hundred times it is."""
-    judged = posed.judged(P)
-    high = next((low * f for f in (1.0001, 1.001, 1.01, 1.1, 2.0, 10.0, 100.0) if judged.proves(low * f)), None)
+    given = posed.as_given(P)
+
+    def proves(level: float) -> bool:
+        return holds(gain_claim(posed.given, given, level / posed.gain))
+
+    if not (np.isfinite(given).all() and np.array_equal(given, np.swapaxes(given, -1, -2))):
+        return None
+    high = next((low * f for f in (1.0001, 1.001, 1.01, 1.1, 2.0, 10.0, 100.0) if proves(low * f)), None)
     if high is None:
         return None
     for _ in range(GAIN_BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if judged.proves(middle) else (middle, high)
+        low, high = (low, middle) if proves(middle) else (middle, high)
     return high
+
+
+def gain_claim(model: LPVModel, P: Array, gamma: float) -> Claim:
+    """That the gain of the model, what it deviates included, is at most ``gamma``."""
+    return Claim("lpv-gain", {**model_numbers(model), "P": P, "gamma": np.array(gamma)})
+
+
+def model_numbers(model: LPVModel) -> dict[str, Any]:
+    """Grid, matrices at its points, rates, and the deviation between them where there is any."""
+    numbers = {f"points{i}": np.array(p.points) for i, p in enumerate(model.parameters)}
+    numbers |= {"M": model.matrices, "n": np.array(model.n_states)}
+    numbers["rate"] = np.array([p.rate for p in model.parameters])
+    return {**numbers, "deviation": model.deviation} if model.deviation.any() else numbers
+
+
+def holds(claim: Claim) -> bool:
+    """Whether ball arithmetic proves it."""
+    return check(claim).outcome is Outcome.PROVED
 
 
 def _solved(
@@ -280,8 +303,8 @@ def _solved(
             back = np.linalg.inv(basis)
             P = back.T @ found @ back
             P = 0.5 * (P + np.swapaxes(P, -1, -2))
-            if posed.proves(P, level * (1 + 1e-9)):
-                smallest = _smallest(posed, P, start) or level * (1 + 1e-9)
+            smallest = _smallest(posed, P, start)
+            if smallest is not None:
                 if best is None or smallest < best[0]:
                     best = smallest, P
                 break
@@ -292,7 +315,7 @@ def _solved(
         last, basis = gamma, basis @ _basis(found[tuple(size // 2 for size in posed.shape)], np.eye(posed.n))
     if best is None:
         return None, text if last == np.inf else f"an optimum of {last / posed.gain:.6g} could not be proved ({text})"
-    return best, f"LMIs; {len(posed.coefficients)} inequalities checked outside of the solver"
+    return best, f"LMIs; {len(posed.coefficients)} inequalities, proved in ball arithmetic"
 
 
 def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[float | None, Array | None, str]:

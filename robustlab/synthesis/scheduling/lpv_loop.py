@@ -16,14 +16,12 @@ with the largest changes :math:`\Delta_i` along parameter i over the cell.
 from __future__ import annotations
 
 from itertools import product
-from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.closing import wired
 from robustlab.errors import InputError
-from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.statespace import Signal
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, KNOWN, PROVED, LPVModel
 
@@ -31,13 +29,7 @@ __all__ = ["closed_loop", "plant_matrices"]
 
 
 def plant_matrices(plant: LPVModel, n_meas: int, n_con: int, where: str) -> list[PlantMatrices]:
-    """The generalised plants at the points of the grid.
-
-    Raises
-    ------
-    InputError
-        More channels than the plant has, or a direct term from the controls to the measurements.
-    """
+    """The generalised plants at the points of the grid."""
     n, (n_z, n_w) = plant.n_states, _performance(plant, n_meas, n_con, where)
     m = plant.matrices.reshape(-1, *plant.matrices.shape[-2:])
     if m[:, n + n_z :, n + n_w :].any() or plant.deviation[..., n + n_z :, n + n_w :].any():
@@ -58,36 +50,9 @@ def _performance(plant: LPVModel, n_meas: int, n_con: int, where: str) -> tuple[
     return n_z, n_w
 
 
-def closed_loop(plant: LPVModel, K: LPVModel | StateSpaceModel, where: str = "closed_loop") -> LPVModel:
-    """The loop from w to z of ``u = K(rho) y``, on the grid of both.
-
-    Parameters
-    ----------
-    plant
-        Generalised LPV plant; its last inputs and outputs are K's outputs and inputs. No direct term from u to y.
-    K
-        Controller over the same parameters and ranges, or a constant one.
-
-    Raises
-    ------
-    InputError
-        Other parameters or sizes.
-    """
-    if isinstance(K, StateSpaceModel):
-        y, u = plant.outputs[len(plant.outputs) - K.n_inputs :], plant.inputs[len(plant.inputs) - K.n_outputs :]
-        K = wired(K, y, u, where)
-    law = _as_lpv(K, plant, where)
-    if [(p.name, p.points[0], p.points[-1]) for p in law.parameters] != [
-        (p.name, p.points[0], p.points[-1]) for p in plant.parameters
-    ]:
-        found = "; ".join(p.words for p in law.parameters)
-        raise InputError(where, f"a controller over {found}", "; ".join(p.words for p in plant.parameters))
-    points = {
-        p.name: sorted({*p.points, *other.points}) for p, other in zip(plant.parameters, law.parameters, strict=True)
-    }
-    plant, law = plant.on_points(points), law.on_points(points)
+def closed_loop(plant: LPVModel, law: LPVModel, where: str) -> LPVModel:
+    """The loop from w to z of ``u = K(rho) y``; the law on the grid of the plant, whose last signals are its own."""
     n_meas, n_con = len(law.inputs), len(law.outputs)
-    plant_matrices(plant, n_meas, n_con, where)
     n_z, n_w = _performance(plant, n_meas, n_con, where)
     n, n_k = plant.n_states, law.n_states
 
@@ -121,16 +86,6 @@ def closed_loop(plant: LPVModel, K: LPVModel | StateSpaceModel, where: str = "cl
         plant.parameters, P + U @ law.matrices @ V, n + n_k, plant.inputs[:n_w], plant.outputs[:n_z], states,
         deviation, known if deviation.any() else EXACT,
     )  # fmt: skip
-
-
-def _as_lpv(K: Any, plant: LPVModel, where: str) -> LPVModel:
-    """A controller as an LPV model; a constant one is the same at the ends of the ranges."""
-    if isinstance(K, LPVModel):
-        if K.deviation.any():
-            raise InputError(where, "a controller with a deviation between its points", "one that is its interpolation")
-        return K
-    ends = {p.name: (p.points[0], p.points[-1]) for p in plant.parameters}
-    return LPVModel(ends, [K] * 2 ** len(ends))
 
 
 def _largest(m: Array, cell: tuple[int, ...]) -> tuple[Array, list[Array]]:

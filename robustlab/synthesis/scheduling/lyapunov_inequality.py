@@ -1,4 +1,4 @@
-r"""The dissipation inequality of an LPV model over whole cells: its coefficients, and their check outside a solver.
+r"""The dissipation inequality of an LPV model over whole cells: its coefficients, as a solver takes them.
 
 :math:`V = x^T P(\rho) x` proves an induced gain below :math:`\gamma` where :math:`P \succ 0` and
 
@@ -14,8 +14,8 @@ parameter along which P varies and of degree 1 in the others. In Bernstein form,
 it is a convex combination of its coefficients, each the mean of :math:`L(M_v, P_w)` over the pairs of vertices with
 :math:`v + w = c`. Where all of them are negative definite, so is L everywhere in the cell. It is affine in the rates,
 whose ends suffice. It is affine in the model's deviation from its interpolation too: where few entries deviate, each
-coefficient is asked for with both signs of each; where many do, and of the rounding errors of the evaluation, a bound
-entry by entry is allowed for in the check.
+coefficient is asked for with both signs of each; where many do, a bound entry by entry is allowed for. What the solver
+finds is proved in ball arithmetic for the model as it was given (`robustlab.verification.parameters`).
 """
 
 from __future__ import annotations
@@ -30,8 +30,6 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.mu_analysis.matrix.certificate import EPS, positive_definite
-from robustlab.synthesis.problem.double_double import close_sum_of_products, sum_of_products
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel
@@ -46,41 +44,20 @@ Index = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class Coefficient:
-    """One ``L_c``: means over the pairs, and what of P its derivative along the motion is.
+    """One ``L_c``: means over the pairs, and what of P its derivative along the motion is."""
 
-    Attributes
-    ----------
-    pairs
-        Vertex of the model, and of P.
-    slopes
-        Factor and vertex of P: their sum is the derivative of P.
-    cell
-        Vertices of P in the cell.
-    shift
-        Added to the model: its deviation with one choice of signs; zero where the next takes its place.
-    deviation
-        Bound of what the model deviates beside it.
-    """
-
-    pairs: tuple[tuple[Index, Index], ...]
-    slopes: tuple[tuple[float, Index], ...]
-    cell: tuple[Index, ...]
-    shift: Array
-    deviation: Array
+    pairs: tuple[tuple[Index, Index], ...]  # vertex of the model, and of P
+    slopes: tuple[tuple[float, Index], ...]  # factor and vertex of P: their sum is the derivative of P
+    shift: Array  # added to the model: its deviation with one choice of signs; zero where the next takes its place
+    deviation: Array  # bound of what the model deviates beside it
 
 
 class Inequality:
     """The coefficients of one model, scaled by powers of two.
 
-    Parameters
-    ----------
-    model
-        LPV model.
-    varying
-        Whether P varies along the parameters whose rates are bounded, multi-linear on the model's own grid; else P is
-        one matrix, and the rates do not matter.
-    size
-        A gain, if one is known: in the scaled units it is about one. A solver's tolerances are absolute.
+    ``varying``: whether P varies along the parameters whose rates are bounded, multi-linear on the model's own grid;
+    else P is one matrix, and the rates do not matter.
+    ``size``: a gain, if one is known: in the scaled units it is about one. A solver's tolerances are absolute.
     """
 
     def __init__(self, model: LPVModel, varying: bool, size: float = 0.0) -> None:
@@ -102,6 +79,7 @@ class Inequality:
         factor = rows[:, None] * cols
         self.model = model.with_matrices(model.matrices * factor, model.deviation * factor)
         self.scaling: Scaling = scaling
+        self.given = model
         self.rates = tuple(p.rate / scaling.rate for p in model.parameters)
         self.n = n
 
@@ -141,8 +119,7 @@ class Inequality:
         for cell in self.model.cells():
             for made in self._of_cell(cell):
                 key = (made.pairs, made.slopes, made.shift.tobytes(), made.deviation.tobytes())
-                known = found.get(key)
-                found[key] = made if known is None else replace(made, cell=tuple({*known.cell, *made.cell}))
+                found[key] = made
         return list(found.values())
 
     def count(self) -> int:
@@ -166,7 +143,6 @@ class Inequality:
     def _of_cell(self, cell: Index) -> list[Coefficient]:
         k, made = len(cell), []
         shifts, rest = self._signed(self.model.deviation[cell])
-        own = tuple(product(*((i, i + 1) if v else (0,) for i, v in zip(cell, self.varies, strict=True))))
         signs = [(1.0, -1.0) if v and rate > 0 else (0.0,) for v, rate in zip(self.varies, self.rates, strict=True)]
         for c in product(*((0, 1, 2) if v else (0, 2) for v in self.varies)):
             halves = [((0, 1), (1, 0)) if ci == 1 else ((ci // 2, ci // 2),) for ci in c]
@@ -176,7 +152,7 @@ class Inequality:
                 pairs.append((v, tuple(cell[i] + bits[i][1] if self.varies[i] else 0 for i in range(k))))
             for sign in product(*signs):
                 slopes = self._slopes(cell, pairs, sign)
-                made += [Coefficient(tuple(pairs), slopes, own, shift, rest) for shift in shifts]
+                made += [Coefficient(tuple(pairs), slopes, shift, rest) for shift in shifts]
         return made
 
     def _slopes(
@@ -215,112 +191,3 @@ class Inequality:
         for factor, w in c.slopes:
             found.setdefault(w, np.zeros((len(basis), whole, whole)))[:, :n, :n] += factor * basis
         return found, out, direct
-
-    # --- checked -----------------------------------------------------------------------------------------------------
-
-    def judged(self, P: Array) -> Judged:
-        """What P (scaled, stacked) proves; evaluated once, for levels asked for one after the other."""
-        return Judged(self, P)
-
-    def proves(self, P: Array, gamma: float) -> bool:
-        """Whether P (scaled, stacked) proves the gain gamma (scaled): every coefficient, errors allowed for."""
-        return self.judged(P).proves(gamma)
-
-    def evaluated(self, c: Coefficient, P: Array, closely: bool) -> tuple[Array, Array, Array]:
-        """L of a coefficient without gamma in two parts, and a bound of its error: of the deviation, and of rounding.
-
-        ``closely``: with twice the digits, as what cancels in ``A^T P + P A`` of a stiff loop leaves few otherwise.
-        """
-        n, share = self.n, 1.0 / len(c.pairs)  # a power of two
-        n_z, n_w = (size - n for size in self.model.matrices.shape[-2:])
-        whole, wide = n + n_w + n_z, n + n_w
-        products: list[tuple[Array, Array]] = []
-        rates = np.zeros((n, n))
-        for v, w in c.pairs:
-            left = np.zeros((whole, n + n_z))  # L = left [A B 0; C D 0] and its transpose
-            left[:n, :n], left[wide:, n:] = share * P[w], share * np.eye(n_z)
-            for m in (self.model.matrices[v], c.shift)[: 1 + c.shift.any()]:
-                products.append((left, np.hstack([m, np.zeros((n + n_z, n_z))])))
-        for factor, w in c.slopes:
-            moving = np.zeros((whole, n)), np.zeros((n, whole))
-            moving[0][:n], moving[1][:, :n] = 0.5 * factor * np.eye(n), P[w]
-            products.append(moving)
-            rates += np.abs(factor * P[w])
-        absolute = sum((np.abs(x) @ np.abs(y) for x, y in products), start=np.zeros((whole, whole)))
-        absolute = absolute + absolute.T
-        terms = 2 * len(products) * (n + n_z)
-        if closely:
-            high, low = close_sum_of_products(*products, *((y.T, x.T) for x, y in products))
-            unit = terms * 2.0**-100 * absolute
-        else:
-            half = sum((x @ y for x, y in products), start=np.zeros((whole, whole)))
-            high, low = half + half.T, np.zeros((whole, whole))
-            unit = 4 * (n + n_z + 2 * len(products) + 4) * EPS * absolute
-        unit[:n, :n] += 8 * EPS * rates  # a factor is itself rounded
-        large = np.zeros((whole, n + n_z))
-        large[:n, :n], large[wide:, n:] = np.max([np.abs(P[w]) for w in c.cell], axis=0), np.eye(n_z)
-        moved = large @ np.hstack([c.deviation, np.zeros((n + n_z, n_z))])
-        return high, low, unit + moved + moved.T
-
-
-class Judged:
-    """The coefficients of an inequality evaluated with one P.
-
-    Each in ordinary arithmetic first; with twice the digits only where that does not tell.
-    """
-
-    def __init__(self, posed: Inequality, P: Array) -> None:
-        self.posed, self.P = posed, P
-        flat = P.reshape(-1, posed.n, posed.n)
-        self.positive = bool(np.isfinite(flat).all()) and np.array_equal(flat, np.swapaxes(flat, 1, 2))
-        self.positive = self.positive and all(_definite(one, np.zeros_like(one)) for one in flat)
-        self._known: dict[tuple[int, bool], tuple[Array, Array, Array]] = {}
-
-    def proves(self, gamma: float) -> bool:
-        """Whether every coefficient is negative definite at this level (scaled), errors allowed for."""
-        return self.positive and all(
-            self._negative(k, gamma, closely=False) or self._negative(k, gamma, closely=True)
-            for k in range(len(self.posed.coefficients))
-        )
-
-    def _negative(self, k: int, gamma: float, closely: bool) -> bool:
-        if (k, closely) not in self._known:
-            self._known[k, closely] = self.posed.evaluated(self.posed.coefficients[k], self.P, closely)
-        high, low, error = self._known[k, closely]
-        level = np.append(np.zeros(self.posed.n), np.full(len(high) - self.posed.n, gamma))
-        rest = np.diag(level) - high  # exactly: L has nothing on the diagonal there
-        return _closely_definite(rest, -low, error) if closely else _definite(0.5 * (rest + rest.T), error)
-
-
-def _closely_definite(high: Array, low: Array, error: Array) -> bool:
-    """Whether ``high + low`` is positive definite: so it is where ``T^T (high + low) T`` is, with any square T.
-
-    T is from the eigenvectors, so that this is nearly the identity: rounding counts little there.
-    """
-    diagonal = np.diag(high)
-    if not np.isfinite(high).all() or not diagonal.min(initial=1.0) > 0:
-        return False
-    s = np.exp2(np.rint(-0.5 * np.log2(diagonal)))
-    values, vectors = np.linalg.eigh(s[:, None] * high * s)
-    if values[0] < -1e-12:
-        return False
-    T = s[:, None] * vectors / np.sqrt(np.maximum(values, 1e-15))
-    half = close_sum_of_products((high, T), (low, T))
-    X = sum_of_products((T.T, half[0]), (T.T, half[1]))
-    unit = 4 * len(T) * 2.0**-100 * (np.abs(high) + np.abs(low))
-    return _definite(0.5 * (X + X.T), 2 * EPS * np.abs(X) + np.abs(T).T @ (2 * unit + error) @ np.abs(T))
-
-
-def _definite(X: Array, error: Array) -> bool:
-    """Whether every symmetric matrix within ``error`` (entry by entry) of X is positive definite.
-
-    Scaled to a unit diagonal by powers of two (exact) before Rump's criterion.
-    """
-    diagonal = np.diag(X)
-    if not len(X):
-        return True
-    if not np.isfinite(X).all() or not diagonal.min() > 0:
-        return False
-    s = np.exp2(np.rint(-0.5 * np.log2(diagonal)))
-    bound = error * s[:, None] * s
-    return positive_definite((X + 0j) * s[:, None] * s, 1.01 * float(np.linalg.norm(bound, 2)))

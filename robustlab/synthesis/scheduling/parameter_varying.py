@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -33,23 +32,13 @@ __all__ = ["EXACT", "KNOWN", "PROVED", "SAMPLED", "LPVModel", "SchedulingParamet
 EXACT, PROVED, SAMPLED = "exact", "proved", "sampled"
 # How the deviation between the points of the grid is known.
 KNOWN = (EXACT, PROVED, SAMPLED)
-MODELS_SHOWN = 4  # that print() writes out
 
 
 @dataclass(frozen=True)
 class SchedulingParameter:
-    """A measured parameter of an LPV model.
+    """A measured parameter: values at which the model is given, from one end of its range to the other.
 
-    Attributes
-    ----------
-    name
-        Unique in its model.
-    points
-        Values at which the model is given, ascending, at least two; the first and last are the ends of its range.
-    rate
-        Bound of ``|d rho/dt|`` in its unit per second; infinite where it may jump, 0 where it is unknown but constant.
-    unit
-        Its unit.
+    ``rate`` bounds ``|d rho/dt|`` in its unit per second; infinite where it may jump, 0 where it is constant.
     """
 
     name: str
@@ -116,7 +105,7 @@ class LPVModel(Behaviour, Shown, Traced):
 
     for_control = "G.at(...).to_control() is G as a control.StateSpace at one value of every parameter"
     no_model = (
-        "freeze it: .at(...) is the model at one value of every parameter; .simulate(t, u, rho) along a trajectory; "
+        "freeze it: .at(...) is the model at one value of every parameter; "
         "close a loop before rl.lpv_model makes the family of it"
     )
 
@@ -224,11 +213,6 @@ class LPVModel(Behaviour, Shown, Traced):
         return self.matrices.shape[:-2]
 
     @property
-    def is_polytopic(self) -> bool:
-        """Whether each parameter has two points: the model is given at the vertices of its box."""
-        return set(self.grid) == {2}
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return tuple(p.name for p in self.parameters)
@@ -283,7 +267,7 @@ class LPVModel(Behaviour, Shown, Traced):
         return np.array([float(given[name]) for name in self.names])
 
     def matrix_at(self, rho: Array) -> Array:
-        """``[A B; C D]`` at the values rho (k,), held at the ends of the ranges; unchecked, for simulations."""
+        """``[A B; C D]`` at the values rho (k,), held at the ends of the ranges; unchecked."""
         found = self.matrices
         for p, value in zip(self.parameters, rho, strict=True):
             i = min(max(int(np.searchsorted(p.points, value)) - 1, 0), len(p.points) - 2)
@@ -297,29 +281,23 @@ class LPVModel(Behaviour, Shown, Traced):
         for Lyapunov functions and controllers.
         """
         cuts = dict.fromkeys(self.names, pieces) if isinstance(pieces, int) else dict(pieces)
-        points = {}
-        for p in self.parameters:
+        matrices, deviation, parameters = self.matrices, self.deviation, []
+        for axis, p in enumerate(self.parameters):
             count = cuts.get(p.name, 1)
             if not count >= 1:
                 raise InputError("LPVModel.refined", f"{count} pieces of {p.name}", "at least 1")
-            ends = np.array(p.points)
-            steps = np.diff(ends)[:, None] * np.arange(count) / count
-            points[p.name] = tuple(np.append((ends[:-1, None] + steps).ravel(), ends[-1]))
-        return self.on_points(points)
-
-    def on_points(self, points: Mapping[str, Sequence[float]]) -> LPVModel:
-        """The same model on a grid that holds all its points, and more."""
-        matrices, deviation = self.matrices, self.deviation
-        parameters = []
-        for axis, p in enumerate(self.parameters):
-            values = np.array(points[p.name])
-            parent = np.clip(np.searchsorted(p.points, values, side="right") - 1, 0, len(p.points) - 2)
-            low, high = np.array(p.points)[parent], np.array(p.points)[parent + 1]
-            share = ((values - low) / (high - low)).reshape(-1, *([1] * (matrices.ndim - axis - 1)))
+            ends, cells = np.array(p.points), len(p.points) - 1
+            parent, share = (
+                np.append(np.repeat(range(cells), count), cells - 1),
+                np.arange(count * cells + 1) % count / count,
+            )
+            share[-1] = 1.0
+            points = np.where(share == 1, ends[parent + 1], ends[parent] + share * (ends[parent + 1] - ends[parent]))
+            share = share.reshape(-1, *([1] * (matrices.ndim - axis - 1)))
             before, after = np.take(matrices, parent, axis), np.take(matrices, parent + 1, axis)
             matrices = np.where(share == 1, after, before + share * (after - before))
             deviation = np.take(deviation, parent[:-1], axis)
-            parameters.append(SchedulingParameter(p.name, tuple(values), p.rate, p.unit))
+            parameters.append(SchedulingParameter(p.name, tuple(points), p.rate, p.unit))
         return LPVModel.of(
             tuple(parameters), matrices, self.n_states, self.inputs, self.outputs, self.states, deviation, self.known
         )
@@ -336,45 +314,6 @@ class LPVModel(Behaviour, Shown, Traced):
         return LPVModel.of(
             changed, self.matrices, self.n_states, self.inputs, self.outputs, self.states, self.deviation, self.known
         )
-
-    def simulate(self, t: ArrayLike, u: ArrayLike, rho: ArrayLike, x0: ArrayLike | None = None) -> tuple[Array, Array]:
-        r"""States (n, n_x) and outputs (n, n_y) along a trajectory of the parameters.
-
-        In each step the parameters are held at the mean of its ends and the inputs go straight from sample to sample;
-        that is solved exactly. The error is of second order in the steps.
-
-        Parameters
-        ----------
-        t
-            Times in s, ascending, (n,).
-        u
-            Inputs (n, n_u), or (n,) of one.
-        rho
-            Parameters (n, k), or (n,) of one; within their ranges.
-        x0
-            State at the first time; zero where left out.
-        """
-        from scipy.linalg import expm
-
-        clock = real_array("t", t, 1, "LPVModel.simulate")
-        count, n, m = len(clock), self.n_states, len(self.inputs)
-        into, place = (np.asarray(a, float).reshape(count, -1) for a in (u, rho))
-        if into.shape[1] != m or place.shape[1] != len(self.names) or not (np.diff(clock) > 0).all():
-            found = f"{count} times, u {np.shape(u)}, rho {np.shape(rho)}"
-            raise InputError("LPVModel.simulate", found, f"ascending times, u (n, {m}), rho (n, {len(self.names)})")
-        for values in (place.min(axis=0), place.max(axis=0)):
-            self.place(values)
-        x = np.zeros((count, n))
-        x[0] = 0.0 if x0 is None else x0
-        for k in range(count - 1):
-            step = clock[k + 1] - clock[k]
-            whole = self.matrix_at(0.5 * (place[k] + place[k + 1]))
-            held = np.zeros((n + 2 * m, n + 2 * m))
-            held[:n, : n + m] = step * whole[:n]
-            held[n : n + m, n + m :] = np.eye(m)
-            x[k + 1] = (expm(held) @ np.concatenate([x[k], into[k], into[k + 1] - into[k]]))[:n]
-        y = np.array([self.matrix_at(p)[n:] @ np.append(s, v) for p, s, v in zip(place, x, into, strict=True)])
-        return x, y
 
     # --- words -------------------------------------------------------------------------------------------------------
 
@@ -394,7 +333,7 @@ class LPVModel(Behaviour, Shown, Traced):
 
     def facts(self) -> Facts:
         """Parameters, signals, what is known between the points."""
-        kind = "polytopic" if self.is_polytopic else "gridded"
+        kind = "polytopic" if set(self.grid) == {2} else "gridded"
         return [
             ("parameters", "; ".join(p.words for p in self.parameters)),
             ("models", f"{int(np.prod(self.grid))}, {kind}, {self.n_states} states"),
@@ -402,14 +341,6 @@ class LPVModel(Behaviour, Shown, Traced):
             ("outputs", with_units(self.outputs)),
             ("between the points", self.between),
         ]
-
-    def _numbers(self) -> list[str]:
-        units, lines = {p.name: p.unit for p in self.parameters}, list[str]()
-        for values, model in islice(self.nodes(), MODELS_SHOWN):
-            point = ", ".join(f"{name} = {number(x, units[name])}" for name, x in values.items())
-            lines += [f"at {point}:", *model._numbers()]
-        more = int(np.prod(self.grid)) - MODELS_SHOWN
-        return [*lines, *([f"and {more} model{'s' * (more > 1)} more"] if more > 0 else [])]
 
     def __repr__(self) -> str:
         ins, outs = (short([s.name for s in side]) for side in (self.inputs, self.outputs))

@@ -1,42 +1,39 @@
 r"""`hinf` of an LPV model: H-infinity controllers scheduled by measured parameters, their loops verified by `lpv_gain`.
 
-At the points of the grid the projection LMIs are solved with shared R and S, or with one of them varying at bounded
-rates (`robustlab.synthesis.hinf.lmi_synthesis`); at each point a controller is reconstructed for the closed loop's
+At the points of the grid the projection LMIs are solved with shared R and S
+(`robustlab.synthesis.hinf.lmi_synthesis`); at each point a controller is reconstructed for the closed loop's
 Lyapunov matrix X, and between the points the controllers are interpolated. With shared R and S, and with B2, C2, D12,
 D21 that do not depend on the parameters, X proves the interpolated loop in every cell (Apkarian, Gahinet, Becker 1995).
 
-Where R varies, S and N are constant and :math:`M(\rho) = (I - R S) N^{-T}`; where S varies, R and M are, and
-:math:`N(\rho) = (I - S R) M^{-T}`. Either way the terms with :math:`\dot\rho` drop out of the controller (Apkarian,
-Adams 1998). Whatever the LMIs say, a controller is returned with what `lpv_gain` proves of the loop that is rebuilt
-from plant and controller.
+Whatever the LMIs say, a controller is returned with what `lpv_gain` proves of the loop that is rebuilt from plant and
+controller; where rates are bounded, with a Lyapunov matrix that varies.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import product
-from typing import Any, ClassVar, Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
-from robustlab.norms import hinf_norm
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.shown import Facts, number
 from robustlab.signals import Taken
-from robustlab.statespace import Signal, lower_lft
-from robustlab.synthesis.hinf.lmi_synthesis import Outer, Slopes, projection, reconstructed, shared
+from robustlab.statespace import Signal
+from robustlab.synthesis.hinf.lmi_synthesis import projection, reconstructed, shared
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.design import Design
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 from robustlab.synthesis.scheduling.constants import BALANCINGS, NEAR, WORK
-from robustlab.synthesis.scheduling.induced_gain import LPVGain, Lyapunov, gain_from
+from robustlab.synthesis.scheduling.induced_gain import LPVGain, gain_from, model_numbers
 from robustlab.synthesis.scheduling.lpv_loop import closed_loop, plant_matrices
-from robustlab.synthesis.scheduling.parameter_varying import EXACT, LPVModel
+from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 from robustlab.synthesis.scheduling.scheduled_controller import LPVController
+from robustlab.verification import Claim
 
 # Back-offs of a synthesis. Larger: better conditioned controllers, worse gamma.
 SYNTHESIS_BACKOFFS = (0.005, 0.02, 0.1, 0.3)
@@ -47,12 +44,9 @@ COUPLINGS = (1.5, 1.05)
 # small, and how many times its gamma they may cost at the first start, and at the second.
 ADDED = tuple(10.0 ** (-0.5 * k) for k in range(17))
 COSTS = (30.0, 3.0)
-# Points at which frozen loops are looked at beside the grid, and the seed of their places.
-FROZEN_POINTS = 20
 
 __all__ = ["LPVSynthesis", "scheduled_hinf"]
 
-Varying = Literal["", "R", "S"]
 # Rounds over the states of a controller, at most, until their units stand.
 SWEEPS = 30
 
@@ -75,28 +69,40 @@ class LPVSynthesis(Design):
         What `lpv_gain` says of it; ``gain.upper`` is ``gamma``.
     lmi_gamma
         Optimum of the LMIs at the grid points: what no controller of this method gets below.
-    frozen
-        Largest norm of frozen loops at random places between the points, each from plant and controller evaluated
-        there: sampled. NaN where none was looked at.
     status
         That of ``gain``.
     reason
         How it was found.
     """
 
-    quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("gamma", "lmi_gamma", "frozen"), float)
+    quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("gamma", "lmi_gamma"), float)
 
     K: LPVModel
     plant: LPVModel
     closed_loop: LPVModel
     gain: LPVGain
     lmi_gamma: float
-    frozen: float
 
     @property
     def controller(self) -> LPVController:
         """K with what was verified about it, as it is stored."""
         return LPVController(self.K, self.gamma, self.status, "lpv-hinf")
+
+    def claims(self) -> list[Claim]:
+        """That plant and controller, as they are stored, make a loop with that gain.
+
+        Nothing where B2, C2, D12 or D21 depend on a parameter: that loop is not multi-linear between the points.
+        """
+        plant, K, n = self.plant, self.K, self.plant.n_states
+        z, w = len(plant.outputs) - len(K.inputs), len(plant.inputs) - len(K.outputs)
+        M, E = (X.reshape(-1, *X.shape[-2:]) for X in (plant.matrices, plant.deviation))
+        moving = (M[0] != M).any(axis=0) | E.any(axis=0)
+        if not self.gain.claims() or moving[n + z :].any() or moving[:, n + w :].any():
+            return []
+        sizes = {"n_K": K.n_states, "n_meas": len(K.inputs), "n_con": len(K.outputs)}
+        numbers = {**model_numbers(plant), **{name: np.array(size) for name, size in sizes.items()}, "K": K.matrices}
+        # The loop that was proved was rounded.
+        return [Claim("lpv-gain", {**numbers, "P": self.gain.P, "gamma": np.array(self.gamma * (1 + 1e-6))})]
 
     def _gamma_text(self) -> str:
         return f"{number(self.gamma, digits=6)} (induced L2 gain, proved)"
@@ -107,7 +113,7 @@ class LPVSynthesis(Design):
             ("gamma", self._gamma_text()),
             ("holds", self.gain.scope),
             ("optimum of the LMIs", number(self.lmi_gamma, digits=6)),
-            ("frozen loops", f"{number(max(self.frozen, self.gain.lower), digits=6)} at most of those looked at"),
+            ("frozen loops", f"{number(self.gain.lower, digits=6)} at most at the points"),
             ("controller", "; ".join(p.words for p in self.K.parameters) + f"; {self.K.n_states} states"),
             ("how", self.reason),
         ]
@@ -115,7 +121,7 @@ class LPVSynthesis(Design):
     def to_json(self) -> dict[str, Any]:
         """Everything but the plant, with arrays."""
         return {
-            "status": self.status, "gamma": self.gamma, "lmi_gamma": self.lmi_gamma, "frozen": self.frozen,
+            "status": self.status, "gamma": self.gamma, "lmi_gamma": self.lmi_gamma,
             "reason": self.reason, "K": self.K.to_json(), "gain": self.gain.to_json(),
         }  # fmt: skip
 
@@ -124,15 +130,11 @@ def scheduled_hinf(
     plant: LPVModel,
     n_meas: int | None,
     n_con: int | None,
-    lyapunov: Lyapunov | None,
     effort: float,
     time_limit: float | None,
     progress: Callable[[str], None] | None,
 ) -> LPVSynthesis:
     """`hinf` of an LPV model; see there."""
-    kinds = ("constant", "varying")
-    if lyapunov is not None and lyapunov not in kinds:
-        raise InputError("hinf: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds))
     if n_meas is None or n_con is None:
         raise InputError("hinf", "n_meas or n_con is missing", "the numbers of measurements and of controls")
     matrices = plant_matrices(plant, n_meas, n_con, "hinf")
@@ -140,7 +142,7 @@ def scheduled_hinf(
         raise InputError("hinf", "a plant without states", "one with states")
     budget = search_budget("hinf", WORK, effort, time_limit)
     with one_thread():
-        return _Task(plant, matrices, lyapunov, budget, progress or (lambda _: None)).result()
+        return _Task(plant, matrices, budget, progress or (lambda _: None)).result()
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,72 +173,46 @@ class _Task:
 
     plant: LPVModel
     matrices: list[PlantMatrices]
-    lyapunov: Lyapunov | None
     budget: Budget
     say: Callable[[str], None]
-    known: list[tuple[_Conditioned | None, str]] = field(default_factory=list)
 
     def result(self) -> LPVSynthesis:
-        bounded = any(np.isfinite(p.rate) for p in self.plant.parameters)
-        asked = self.lyapunov or ("constant" if not bounded else None)
-        tried: list[Varying] = []
-        if asked != "varying" or not bounded:
-            tried.append("")
-        if asked != "constant" and bounded:
-            tried.extend(("S", "R"))
-        best: LPVSynthesis | None = None
-        notes = []
-        for varying in tried:
-            found, note = self._designed(varying)
-            notes.append(note)
-            self.say(note)
-            if found is not None and (best is None or found.gamma < best.gamma):
-                best = found
-        if best is None:
-            hint = "other weights, smaller ranges or rates, or a finer grid (LPVModel.refined)"
-            raise NoTrustworthyNumber("hinf", "; ".join(notes), None, hint)
-        return best
-
-    def _designed(self, varying: Varying) -> tuple[LPVSynthesis | None, str]:
-        """The best verified loop of one kind of Lyapunov matrices, and how it went."""
-        words = {"": "R and S shared", "R": "R varies, S shared", "S": "S varies, R shared"}[varying]
+        """The best verified loop."""
+        hint = "other weights, smaller ranges or rates, or a finer grid (LPVModel.refined)"
         problem, outcome = self._conditioned()
         if problem is None:
-            return None, f"R and S shared: {outcome}"
-        scaling, gamma = problem.scaling, problem.gamma
-        slopes = self._slopes(scaling.rate) if varying else ()
-        if varying:
-            gamma, _, solver = projection(problem.plants, None, 1.0, self.budget, varying=varying, slopes=slopes)
-            if gamma is None:
-                return None, f"{words}: {solver.text}"
-        optimum = gamma / scaling.gain
-        self.say(f"{words}: LMIs with optimum {optimum:.6g}")
-        best: LPVSynthesis | None = None
+            raise NoTrustworthyNumber("hinf", outcome, None, hint)
+        optimum, best = problem.optimum, None
+        self.say(f"LMIs with optimum {optimum:.6g}")
         for backoff in SYNTHESIS_BACKOFFS:
-            level = gamma * (1 + backoff) + 1e-9
-            # Of the largest margin, or small: neither is always the better one.
-            for widest in (True, False):
-                for coupling in (*COUPLINGS, 1 + 0.2 * backoff):
-                    _, outer, _ = projection(
-                        problem.plants, level, coupling, self.budget, varying=varying, slopes=slopes, widest=widest
-                    )
-                    lyapunov = None if outer is None else _closed_lyapunov(outer, slopes, varying)
-                    made = (
-                        None if lyapunov is None else self._controller(problem, lyapunov, level * (1 + 0.5 * backoff))
-                    )
-                    if made is None or lyapunov is None:
-                        continue
-                    K, units = made
-                    guess = problem.in_given_states(lyapunov[len(lyapunov) // 2][0], units)
-                    how = f"{words}, {backoff:.1%} above the LMIs' optimum"
-                    found = self._verified(K, guess, varying, optimum, how)
-                    if found is not None and (best is None or found.gamma < best.gamma):
-                        best = found
-                    break
-                # A larger back-off is for those that rounding, or the loop between the points, spoils.
-                if best is not None and best.gamma <= optimum * (1 + backoff + NEAR):
-                    return best, f"{words}: optimum {optimum:.6g}"
-        return best, f"{words}: optimum {optimum:.6g}" + (", no loop of it could be proved" if best is None else "")
+            found = self._backed_off(problem, backoff)
+            if found is not None and (best is None or found.gamma < best.gamma):
+                best = found
+            # A larger back-off is for those that rounding, or the loop between the points, spoils.
+            if best is not None and best.gamma <= optimum * (1 + backoff + NEAR):
+                break
+        if best is None:
+            raise NoTrustworthyNumber("hinf", f"optimum {optimum:.6g}, no loop of it could be proved", None, hint)
+        return best
+
+    def _backed_off(self, problem: _Conditioned, backoff: float) -> LPVSynthesis | None:
+        """The best verified loop so far above the LMIs' optimum."""
+        level, best = problem.gamma * (1 + backoff) + 1e-9, None
+        # R and S of the largest margin, or small: neither is always the better one.
+        for widest in (True, False):
+            for coupling in (*COUPLINGS, 1 + 0.2 * backoff):
+                _, outer, _ = projection(problem.plants, level, coupling, self.budget, widest=widest)
+                X = None if outer is None else shared(outer.R, outer.S)
+                made = None if X is None else self._controller(problem, X, level * (1 + 0.5 * backoff))
+                if made is None or X is None:
+                    continue
+                K, units = made
+                guess = problem.in_given_states(X, units)
+                found = self._verified(K, guess, problem.optimum, f"{backoff:.1%} above the LMIs' optimum")
+                if found is not None and (best is None or found.gamma < best.gamma):
+                    best = found
+                break
+        return best
 
     def _conditioned(self) -> tuple[_Conditioned | None, str]:
         """The plants in states in which R and S of the last optimum are equal and diagonal, until it stands.
@@ -245,8 +221,6 @@ class _Task:
         and S of a stiff or singular problem range over ten decades. The first states are those of the Riccati equations
         of one frozen plant.
         """
-        if self.known:
-            return self.known[0]
         middle = self.matrices[len(self.matrices) // 2]
         found: _Conditioned | None = None
         text = "the frozen plant in the middle has no controller"
@@ -258,9 +232,7 @@ class _Task:
                 if made is not None and (found is None or made.optimum < found.optimum):
                     found = made
                 if stands and found is made:
-                    self.known.append((found, text))
                     return found, text
-        self.known.append((found, text))
         return found, text
 
     def _frozen_states(self, p: PlantMatrices) -> list[tuple[Array, float]]:
@@ -307,39 +279,16 @@ class _Task:
             # Above the optimum R and S are moderate; where the solver has none there, those at the optimum serve.
             _, softer, _ = projection(plants, 1.05 * gamma + 1e-9, 1.5, self.budget)
             outer = outer if softer is None else softer
-            turn = turn @ _balancing(outer.R[0], outer.S[0])
+            turn = turn @ _balancing(outer.R, outer.S)
         return found, True, "the optimum still falls"
 
-    def _slopes(self, rate: float) -> Slopes:
-        """For each point the derivatives along the motions that leave it into the cells beside it, at rates' ends."""
-        grid, parameters = self.plant.grid, self.plant.parameters
-        strides = [int(np.prod(grid[i + 1 :])) for i in range(len(grid))]
-        found = []
-        for k, at in enumerate(np.ndindex(grid)):
-            ways: list[list[dict[int, float]]] = []
-            for i, p in enumerate(parameters):
-                if not np.isfinite(p.rate):
-                    raise InputError(
-                        "hinf", f"{p.name} may change at any rate", "a bound of its rate for lyapunov='varying'"
-                    )
-                sides = [s for s in (-1, 1) if 0 <= at[i] + s < grid[i]]
-                own = []
-                for side in sides:
-                    part = p.rate / rate / (p.points[at[i] + side] - p.points[at[i]])
-                    own += [{k + side * strides[i]: s * part, k: -s * part} for s in (1.0, -1.0)]
-                ways.append(own if p.rate > 0 else [{}])
-            found.append([_added(way) for way in product(*ways)])
-        return found
-
-    def _controller(
-        self, problem: _Conditioned, lyapunov: list[tuple[Array, list[Array]]], level: float
-    ) -> tuple[LPVModel, Array] | None:
+    def _controller(self, problem: _Conditioned, X: Array, level: float) -> tuple[LPVModel, Array] | None:
         """The controllers of the grid points in the units of the plant, and the units of their states; None where one
         has none.
         """
         made: list[Realisation] = []
-        for p, (X, motions) in zip(problem.plants, lyapunov, strict=True):
-            K = reconstructed(p, X, level, self.budget, motions=motions)
+        for p in problem.plants:
+            K = reconstructed(p, X, level, self.budget)
             if K is None:
                 return None
             made.append(problem.scaling.controller_to_plant(K))
@@ -356,35 +305,17 @@ class _Task:
         )  # fmt: skip
         return K, units
 
-    def _verified(self, K: LPVModel, guess: Array, varying: str, optimum: float, how: str) -> LPVSynthesis | None:
+    def _verified(self, K: LPVModel, guess: Array, optimum: float, how: str) -> LPVSynthesis | None:
         """The loop rebuilt from plant and controller, with its proved gain; None where there is none."""
         loop = closed_loop(self.plant, K, "hinf")
-        gain = gain_from(loop, "varying" if varying else "constant", self.budget, self.say, guess)
+        gain = gain_from(loop, None, self.budget, self.say, guess)
         if not np.isfinite(gain.upper):
             self.say(f"{how}: {gain.reason}")
             return None
-        frozen = self._frozen(K)
-        if not frozen <= gain.upper * (1 + 1e-6) and self.plant.known == EXACT:
-            raise NoTrustworthyNumber("hinf", f"a frozen loop has norm {frozen:.6g} above the proved {gain.upper:.6g}")
         return LPVSynthesis(
-            K=K, plant=self.plant, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum, frozen=frozen,
+            K=K, plant=self.plant, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum,
             status=gain.status, reason=f"{how}; loop rebuilt from plant and controller",
         )  # fmt: skip
-
-    def _frozen(self, K: LPVModel) -> float:
-        """Largest attained norm of frozen loops at random places, plant and controller evaluated there on their own."""
-        rng = np.random.default_rng(0)
-        low, high = (np.array([p.points[end] for p in K.parameters]) for end in (0, -1))
-        places = low + (high - low) * rng.uniform(size=(FROZEN_POINTS, len(low)))
-        return max(hinf_norm(lower_lft(self.plant.at(at), K.at(at))).lower for at in places)
-
-
-def _added(ways: Sequence[dict[int, float]]) -> dict[int, float]:
-    total: dict[int, float] = {}
-    for way in ways:
-        for at, part in way.items():
-            total[at] = total.get(at, 0.0) + part
-    return total
 
 
 def _state_units(K: Array, n: int) -> Array:
@@ -425,37 +356,3 @@ def _balancing(R: Array, S: Array) -> Array:
     root = vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1]))
     squares, turn = np.linalg.eigh(root.T @ S @ root)
     return root @ turn / np.maximum(squares, 1e-14 * squares[-1]) ** 0.25
-
-
-def _closed_lyapunov(outer: Outer, slopes: Slopes, varying: Varying) -> list[tuple[Array, list[Array]]] | None:
-    r"""X of the closed loop at each point, and its derivatives along the motions there; None where one is singular.
-
-    With :math:`X \Pi_1 = \Pi_2`, :math:`\Pi_1 = [R\ I; M^T\ 0]`, :math:`\Pi_2 = [I\ S; 0\ N^T]`.
-    """
-    if not varying:
-        X = shared(outer.R[0], outer.S[0])
-        return None if X is None else [(X, [])] * len(outer.R)
-    n = len(outer.R[0])
-    k = len(outer.R) // 2
-    U, s, Vt = np.linalg.svd(np.eye(n) - outer.R[k] @ outer.S[k])
-    fixed = U * np.sqrt(s) if varying == "S" else Vt.T * np.sqrt(s)  # M, or N
-    if not s[-1] > 1e-10 * s[0]:
-        return None
-    zero, eye, found = np.zeros((n, n)), np.eye(n), []
-    for R, S, ways in zip(outer.R, outer.S, slopes, strict=True):
-        other = np.linalg.solve(fixed, eye - (R @ S if varying == "S" else S @ R))  # N^T, or M^T
-        M_T, N_T = (fixed.T, other) if varying == "S" else (other, fixed.T)
-        first, second = np.block([[R, eye], [M_T, zero]]), np.block([[eye, S], [zero, N_T]])
-        if not np.linalg.cond(first) < 1e14:
-            return None
-        back = np.linalg.inv(first)
-        X, motions = second @ back, []
-        for way in ways:
-            moving = sum((part * (outer.S if varying == "S" else outer.R)[i] for i, part in way.items()), start=zero)
-            if varying == "S":
-                change = np.block([[zero, moving], [zero, -np.linalg.solve(fixed, R @ moving)]]) @ back
-            else:
-                change = -X @ np.block([[moving, zero], [-np.linalg.solve(fixed, S @ moving), zero]]) @ back
-            motions.append(0.5 * (change + change.T))
-        found.append((0.5 * (X + X.T), motions))
-    return found

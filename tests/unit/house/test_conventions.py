@@ -58,7 +58,6 @@ def designs():
 
 
 def rl_goal():
-    from robustlab.synthesis import TrackingGoal
 
     return TrackingGoal(2.0)
 

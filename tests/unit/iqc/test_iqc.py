@@ -7,15 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.iqc import inequality as inequality_module
-from robustlab.iqc.filtered_model import FilteredModel
-from robustlab.iqc.inequality import Point, is_positive
-from robustlab.iqc.multipliers import Basis, l1_norm, nonlinear_terms, rate_terms, repeated_terms
-from robustlab.iqc.problem import _channel_balance, posed
+from robustlab.iqc.inequality import Inequality
+from robustlab.iqc.problem import posed
 from robustlab.result import Status
 
 
@@ -160,134 +157,11 @@ def test_the_gain_of_constant_blocks_is_that_of_mu():
     assert found.upper < slow < fast < math.inf
 
 
-# --- every constraint holds for what it is said to hold for -----------------------------------------------------------
-
-
-def integrate(model, terms, inputs, dt):
-    """Integrals of v' M v of each term with random multipliers of its class, for given inputs (n, m), held."""
-    from scipy.linalg import expm
-
-    n, m = model.n, model.m
-    step = expm(np.block([[model.A, model.B], [np.zeros((m, n + m))]]) * dt)
-    rows = [t.rows.padded(n, m) for t in terms]
-    x, found = np.zeros(n), []
-    signals = [np.empty((len(inputs), len(r))) for r in rows]
-    for i, u in enumerate(inputs):
-        middle = 0.5 * (x + step[:n, :n] @ x + step[:n, n:] @ u)
-        for s, r in zip(signals, rows, strict=True):
-            s[i] = r.c @ middle + r.d @ u
-        x = step[:n, :n] @ x + step[:n, n:] @ u
-    rng = np.random.default_rng(0)
-    for s, term in zip(signals, terms, strict=True):
-        unknowns = interior(term, rng)
-        M = term.middle(unknowns)
-        found.append(
-            (dt * np.einsum("ti,ij,tj->", s, M, s), dt * np.einsum("ti,ij,tj->", np.abs(s), np.abs(M), np.abs(s)))
-        )
-    return found
-
-
-def interior(term, rng):
-    """Random unknowns that meet the constraints of the class."""
-    x = rng.normal(size=term.count)
-    if term.kernels is None:
-        parts = term.positive(x)
-        if parts:  # X = R R'
-            size = len(parts[0])
-            R = rng.normal(size=(size, size))
-            x[: size * (size + 1) // 2] = (R @ R.T)[np.triu_indices(size)]
-        return x
-    for size_free in range(200):
-        x = rng.normal(size=term.count) + 3e-2 * size_free * interior_direction(term)
-        x[0] = 0.0
-        grams = term.positive(x)[1:]
-        if all(np.linalg.eigvalsh(g)[0] > 0 for g in grams):
-            break
-    x[0] = -term.positive(x)[0][0, 0] * 1.001  # as small as the L1 norm lets it be
-    return x
-
-
-def interior_direction(term):
-    direction = np.zeros(term.count)
-    for k in range(term.count):
-        unit = np.zeros(term.count)
-        unit[k] = 1.0
-        direction[k] = 100 * any(np.trace(g) for g in term.positive(unit)[1:])
-    return direction
-
-
-def burst(t, rng):
-    """A smooth signal that begins and ends at zero."""
-    waves = sum(rng.normal() * np.sin(rng.uniform(0.2, 6.0) * t + rng.uniform(0, 6)) for _ in range(6))
-    return waves * np.sin(np.pi * np.clip(t / 12.0, 0, 1)) ** 2
-
-
 LAWS = {
-    "saturation": (lambda z: np.clip(z, -0.7, 0.7), rl.Nonlinearity((0.0, 1.0), (0.0, 1.0), odd=True)),
-    "dead zone": (lambda z: z - np.clip(z, -0.7, 0.7), rl.Nonlinearity((0.0, 1.0), (0.0, 1.0), odd=True)),
-    "one-sided": (lambda z: np.maximum(z, 0.0), rl.Nonlinearity((0.0, 1.0), (0.0, 1.0))),
-    "friction": (lambda z: 3 * np.clip(z / 0.1, -1, 1), rl.Nonlinearity.friction(3.0, 0.1)),
-    "wavy": (lambda z: z + 0.5 * np.sin(z), rl.Nonlinearity((0.8, 1.5), (0.5, 1.5), odd=True)),
+    "saturation": (lambda z: np.clip(z, -0.7, 0.7), True),
+    "dead zone": (lambda z: z - np.clip(z, -0.7, 0.7), True),
+    "one-sided": (lambda z: np.maximum(z, 0.0), False),
 }
-
-
-@pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize("seed", [0, 1])
-def test_constraints_of_laws_hold_in_simulation(name, seed):
-    function, law = LAWS[name]
-    rng = np.random.default_rng(seed)
-    dt = 2e-3
-    t = np.arange(0.0, 30.0, dt)
-    z = burst(t, rng) * 2.0
-    low, high = law.sector
-    w = (function(z) - 0.5 * (low + high) * z) / (0.5 * (high - low))
-    # z is the state of a lag, so that it has a derivative; w is the other input
-    lag = FilteredModel(np.array([[-1.0]]), np.array([[0.0, 1.0]]), np.eye(1), np.zeros((1, 2)))
-    terms = nonlinear_terms(
-        lag, name, lag.outputs(slice(0, 1)), lag.inputs(slice(0, 1)), Basis(1.5, 3), law.normalised(), False
-    )
-    drive = np.gradient(z, dt) + z
-    for value, size in integrate(lag, terms, np.column_stack([w, drive]), dt):
-        assert value >= -2e-3 * size
-    assert {term.kind for term in terms} == {"sector", "Popov", "Zames-Falb"}
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_constraints_of_varying_parameters_hold_in_simulation(seed):
-    rng = np.random.default_rng(seed)
-    dt, rate = 1e-3, 0.7
-    t = np.arange(0.0, 25.0, dt)
-    z = np.column_stack([burst(t, rng), burst(t, rng)])
-    delta = np.sin(rate * t + rng.uniform(0, 6))  # at most 1, its rate at most 0.7
-    slope = rate * np.cos(rate * t + 0.0) * 0 + np.gradient(delta, dt)
-    through = FilteredModel(np.zeros((0, 0)), np.zeros((0, 4)), np.zeros((2, 0)), np.eye(4)[2:])
-    seen, acts = through.outputs(slice(0, 2)), through.inputs(slice(0, 2))
-    terms = rate_terms(through, "k", seen, acts, Basis(1.3, 2), rate)
-    # the added inputs: delta' x / rate, x the states of the filters of z
-    x = np.zeros(4)
-    states = np.empty((len(t), 4))
-    for i, value in enumerate(z):
-        states[i] = x
-        for _ in range(1):
-            x = x + dt * 1.3 * np.concatenate([value - x[:2], x[:2] - x[2:]])
-    extra = slope[:, None] * states / rate
-    for value, size in integrate(through, terms, np.hstack([delta[:, None] * z, z, extra]), dt):
-        assert value >= -3e-3 * size
-
-
-def test_constraints_of_dynamics_hold_in_simulation():
-    dt = 2e-3
-    t = np.arange(0.0, 40.0, dt)
-    z = burst(t, np.random.default_rng(5))
-    w, state = np.empty_like(z), 0.0
-    for i, value in enumerate(z):  # (1 - s) / (1 + s): gain one at every frequency
-        w[i] = 2 * state - value
-        state += dt * (value - state)
-    through = FilteredModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[0.0, 1.0]]))
-    seen, acts = through.outputs(slice(0, 1)), through.inputs(slice(0, 1))
-    terms = repeated_terms(through, "g", seen, acts, Basis(1.0, 2), scalar=True, real=False)
-    for value, size in integrate(through, terms, np.column_stack([w, z]), dt):
-        assert abs(value) < 5e-3 * size  # an all-pass meets them with equality
 
 
 # --- attacks: no simulated loop has more than the proved gain ---------------------------------------------------------
@@ -310,11 +184,11 @@ def simulated_gains(model, law, d, dt):
     return np.linalg.norm(y, axis=0) / np.linalg.norm(d, axis=0)
 
 
-@pytest.mark.parametrize("name", ["saturation", "dead zone", "one-sided"])
+@pytest.mark.parametrize("name", LAWS)
 def test_no_input_reaches_more_than_the_proved_gain(name):
-    function, law = LAWS[name]
+    function, odd = LAWS[name]
     stiff = 3.0
-    law = rl.Nonlinearity((0.0, stiff), (0.0, stiff), odd=law.odd)
+    law = rl.Nonlinearity((0.0, stiff), (0.0, stiff), odd=odd)
     found = rl.peak_gain(CUBE, natures={("y", "u"): law}, order=3)
     assert found.status is Status.CERTIFIED
     rng, dt = np.random.default_rng(0), 0.03
@@ -384,66 +258,18 @@ def test_no_mixed_loop_reaches_more_than_the_proved_gain(seed, direct):
 # --- the proof --------------------------------------------------------------------------------------------------------
 
 
-def solved():
-    law = rl.Nonlinearity((0.0, 3.0), (0.0, 3.0), odd=True)
-    problem, budget = posed("iqc_gain", CUBE, {("y", "u"): law}, 3, 1.0, None, 1.0)
-    inequality, terms = problem._inequality(problem.bases[0], 1.0, 1.0)
-    least = inequality.solve(budget)
-    return inequality, terms, inequality.solve(budget, least.square * 1.01)
+@pytest.mark.parametrize("slip", ["z", "A", "B"])
+def test_a_model_that_was_put_together_wrongly_proves_nothing(monkeypatch, slip):
+    """A slip once doubled a direct term on its way into the inequality; the claim is about the model as given."""
+    made = Inequality.__init__
 
+    def slipped(self, *args):
+        made(self, *args)
+        setattr(self, slip, getattr(self, slip) * (1.1 if slip == "A" else 0.5))
 
-def test_the_proof_fails_where_it_must():
-    inequality, terms, point = solved()
-    assert inequality.judged(point).proved
-    assert not inequality.judged(Point(point.P + 0.5 * np.eye(len(point.P)), point.unknowns, point.square, 0)).proved
-    assert not inequality.judged(Point(point.P, point.unknowns, 0.9 * point.square, 0)).proved
-    k = next(i for i, t in enumerate(terms) if t.kernels)
-    loud = [x.copy() for x in point.unknowns]
-    loud[k][0] *= 0.1  # x0 below the norm of h
-    assert not inequality.multipliers_hold(Point(point.P, tuple(loud), point.square, 0))
-
-
-def test_the_frequency_domain_inequality_holds_for_the_multiplier_by_hand():
-    """The multiplier from its coefficients alone, the loop from its transfer function: no filter, no state."""
-    _, terms, point = solved()
-    unknowns = dict(zip([t.kind for t in terms], point.unknowns, strict=True))
-    causal, anti, direct = next(t for t in terms if t.kernels).kernels(unknowns["Zames-Falb"])
-    problem, _ = posed("iqc_gain", CUBE, {("y", "u"): rl.Nonlinearity((0, 3.0), (0, 3.0), odd=True)}, 3, 1.0, None, 1.0)
-    from robustlab.norms.level_set import well_scaled
-
-    scaled, rate = well_scaled(problem.middle.M)
-    (d,) = _channel_balance(problem.middle.blocks, scaled)  # z and w times d
-    for omega in np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 400)]):
-        G = rl.frequency_response(problem.middle.M, [omega])[0]
-        zw, zd, yw, yd = G[0, 0], G[0, 1] * d, G[1, 0] / d, G[1, 1]
-        low = 1 / (1j * omega + 1.0)
-        H = sum(c * low ** (j + 1) for j, c in enumerate(causal))
-        H = H + np.conj(sum(c * low ** (j + 1) for j, c in enumerate(anti)))
-        z, w = np.array([zw, zd]), np.array([1.0, 0.0])
-        p, q = z - w, w + z  # the slopes are -1 and 1 in these units
-        form = 2 * (direct - H) * np.outer(p.conj(), q)
-        form = 0.5 * (form + form.conj().T)
-        form = form + unknowns["sector"][0] * (np.outer(z.conj(), z) - np.outer(w.conj(), w))
-        popov = unknowns["Popov"][0] * np.outer(w.conj(), 1j * omega / rate * z)
-        form = form + popov + popov.conj().T
-        y = np.array([yw, yd])
-        form = form + np.outer(y.conj(), y) - point.square * np.diag([0.0, 1.0])
-        assert np.linalg.eigvalsh(form)[-1] < 0
-
-
-def test_the_second_voice_hears_a_model_that_was_put_together_wrongly():
-    """A slip once doubled a direct term on its way into the inequality; an attack found it, and now this voice does."""
-    law = rl.Nonlinearity((0.0, 3.0), (0.0, 3.0), odd=True)
-    problem, budget = posed("iqc_gain", CUBE, {("y", "u"): law}, 3, 1.0, None, 1.0)
-    for slip in ("z", "A", "B"):
-        inequality, _ = problem._inequality(problem.bases[0], 1.0, 1.0)
-        setattr(inequality, slip, getattr(inequality, slip) * (1.1 if slip == "A" else 0.9))
-        least = inequality.solve(budget)
-        point = inequality.solve(budget, least.square * 1.01)
-        judged = inequality.judged(point)
-        assert judged.slack > 0  # the matrix is negative definite: of another model
-        assert judged.highest > 0
-        assert not judged.proved
+    monkeypatch.setattr(Inequality, "__init__", slipped)
+    found = rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 3.0), (0.0, 3.0), odd=True)}, order=3)
+    assert (found.status, found.upper) == (Status.INCONCLUSIVE, math.inf)
 
 
 def test_a_solver_that_lies_proves_nothing(monkeypatch):
@@ -453,24 +279,6 @@ def test_a_solver_that_lies_proves_nothing(monkeypatch):
     )
     found = rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 3.0))})
     assert (found.status, found.upper, found.proof) == (Status.INCONCLUSIVE, math.inf, None)
-
-
-def test_positive_definite_is_proved_not_guessed():
-    assert is_positive(np.eye(3))
-    assert not is_positive(np.eye(3), 1.1)
-    assert not is_positive(np.diag([1.0, 1e-18]) + 1e-17 - 1e-17)
-    assert not is_positive(np.array([[np.nan]]))
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_norm_of_a_kernel_is_its_integral(seed):
-    c = np.random.default_rng(seed).normal(size=seed + 1)
-
-    def h(t):
-        return abs(math.exp(-t) * sum(x * t**j / math.factorial(j) for j, x in enumerate(c)))
-
-    value = sum(quad(h, a, a + 0.5, limit=200)[0] for a in np.arange(0.0, 40.0, 0.5))
-    assert l1_norm(c) == pytest.approx(value, rel=1e-6)
 
 
 # --- what is refused and said -----------------------------------------------------------------------------------------

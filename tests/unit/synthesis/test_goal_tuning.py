@@ -11,15 +11,13 @@ import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.synthesis import (
     Damping,
-    Decay,
     GainGoal,
     MarginGoal,
-    OvershootGoal,
     SensitivityGoal,
     TrackingGoal,
     VarianceGoal,
 )
-from robustlab.synthesis.fixed.goal_tuning import _overshoot
+from robustlab.synthesis.fixed.goal_tuning import goal_in_words
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
 SERVO = rl.StateSpaceModel(
@@ -48,18 +46,17 @@ def test_a_variance_under_a_hard_gain_limit_in_closed_form() -> None:
     assert soft.value == pytest.approx(10 / np.sqrt(12), rel=5e-3)
     assert found.values["Kp[1]"] == pytest.approx(5, rel=1e-2)
     assert found.gamma == soft.value
-    assert list(found.history) == sorted(found.history, reverse=True)
 
 
 def test_every_value_is_that_of_the_loop_at_its_worst_frequency_and_plant() -> None:
     goals = [TrackingGoal(2.0), SensitivityGoal(1.4, hard=True), GainGoal(20.0, "noise", "control", hard=True)]
-    found = rl.tune([SERVO, OTHER], "pd", [*goals, OvershootGoal(10.0), Damping(0.4)], starts=1)
+    found = rl.tune([SERVO, OTHER], "pd", [*goals, GainGoal(1.1, "reference"), Damping(0.4)], starts=1)
     assert found.status is rl.Status.CERTIFIED, found.reason
     assert not found.missed
     weight = rl.frequency_response(rl.performance_weight(1.0, 1e-2, 2.0), OMEGA)[:, 0, 0]
     for i, g in enumerate((SERVO, OTHER)):
         S, KS, T = loop_of(g, found.K)
-        by_hand = [weight * S, S / 1.4, KS / 20, T / OvershootGoal(10.0).peak]
+        by_hand = [weight * S, S / 1.4, KS / 20, T / 1.1]
         for goal, values in zip(found.goals, by_hand, strict=True):
             peak = np.abs(values).max()
             assert 0.995 * goal.values[i] <= peak <= goal.values[i] * (1 + 1e-9), goal.text
@@ -68,16 +65,6 @@ def test_every_value_is_that_of_the_loop_at_its_worst_frequency_and_plant() -> N
         )
         assert (-poles.real / np.abs(poles)).min() >= 0.4 - 1e-6
     assert found.table() is not None
-    assert "overshoot is held by a proxy" in found.reason
-
-
-def test_a_hard_goal_costs_the_soft_one() -> None:
-    """Against the soft goals alone; and the hard one is met at its end, where it binds."""
-    limit = GainGoal(5.0, "noise", "control", hard=True)
-    free, held = (rl.tune(SERVO, "pd", [TrackingGoal(1.0), *more], starts=1) for more in ([], [limit]))
-    assert free.gamma < held.gamma
-    assert held.goals[1].value == pytest.approx(1, abs=2e-3)
-    assert free.missed == ()
 
 
 @pytest.mark.parametrize("at", ["input", "output"])
@@ -86,9 +73,6 @@ def test_the_margin_is_that_of_disk_margin(at: Any) -> None:
     margin = rl.disk_margin(SERVO, found.K, at=at).simultaneous
     assert found.goals[1].value == pytest.approx(1.2 / margin.lower, rel=1e-4)
     assert margin.lower >= 1.2 * (1 - 1e-4)
-    same = MarginGoal.of(6.0, 40.0)
-    factor = 10 ** (6 / 20)
-    assert same.disk == pytest.approx(max(2 * (factor - 1) / (factor + 1), 2 * np.tan(np.radians(20))))
 
 
 def test_a_goal_beyond_a_zero_is_proved_to_be_out_of_reach() -> None:
@@ -110,22 +94,6 @@ def test_a_goal_beyond_the_structure_is_missed_without_a_proof() -> None:
     assert "no proof that it cannot be met" in found.reason
 
 
-def test_poles_of_weights_are_no_poles_of_the_loop() -> None:
-    """The tracking weight has a pole at 2e-3 rad/s; the loop decays at 0.5 1/s all the same."""
-    found = rl.tune(SERVO, "pd", [TrackingGoal(1.0, error=1e-3), Decay(0.5)], starts=1)
-    assert found.closed_loop_abscissa <= -0.5 * (1 - 1e-6)
-    assert found.limits[0].value <= 0
-
-
-@pytest.mark.parametrize("percent", [1.0, 10.0, 40.0])
-def test_the_proxy_is_exact_for_second_order(percent: float) -> None:
-    ratio = -np.log(percent / 100)
-    zeta = ratio / np.hypot(np.pi, ratio)
-    T = rl.StateSpaceModel([[0, 1], [-1, -2 * zeta]], [[0], [1]], [[1, 0]], [[0]])
-    assert OvershootGoal(percent).peak == pytest.approx(rl.peak_gain(T).value, rel=1e-6)
-    assert _overshoot(T.renamed(["reference y"], ["output y"]), ["y"]) == pytest.approx(percent, rel=1e-3)
-
-
 def test_a_sampled_plant() -> None:
     """z-domain by hand: P control of x+ = a x + b u; the gain from reference to output at z = 1 and z = -1."""
     g = rl.discretise(LAG, 0.1, "zoh")
@@ -137,20 +105,6 @@ def test_a_sampled_plant() -> None:
     assert found.goals[1].value == pytest.approx(max(at) / 5, rel=1e-4)
     S0 = 1 / (1 + k * b / (1 - a))
     assert found.goals[0].value >= 100 * S0 * (1 - 1e-6)  # 1/error at z = 1
-    assert found.overshoot < 1e-6
-
-
-def test_two_loops_and_names() -> None:
-    g = rl.StateSpaceModel(
-        -np.diag([1.0, 2.0]), np.eye(2), np.eye(2), 0 * np.eye(2), inputs=["a", "b"], outputs=["p", "q"]
-    )
-    found = rl.tune(g, "pi", [TrackingGoal(0.5, outputs=["p"]), TrackingGoal(5.0, outputs=["q"]),
-                              GainGoal(20.0, "noise", "control", hard=True)], starts=3)  # fmt: skip
-    assert found.status is rl.Status.CERTIFIED, found.reason
-    assert found.K.n_inputs == 2
-    assert len(found.goals) == 3
-    with pytest.raises(InputError, match="no such signal"):
-        rl.tune(g, "pi", [TrackingGoal(0.5, outputs=["r"])], starts=0)
 
 
 @pytest.mark.parametrize(
@@ -161,7 +115,6 @@ def test_two_loops_and_names() -> None:
         (["tracking"], InputError, "'tracking'"),
         ([TrackingGoal(0.0)], InputError, "response_time"),
         ([MarginGoal(1.0, "middle")], InputError, "middle"),
-        ([OvershootGoal(120.0)], InputError, "less than 100"),
         (MarginGoal(1.0), InputError, "a list"),
         ([GainGoal(1.0, "reference", "outputs")], InputError, "'outputs'"),
         ([VarianceGoal(1.0, "noise", "control")], InputError, "H2 norm is infinite"),
@@ -170,18 +123,6 @@ def test_two_loops_and_names() -> None:
 def test_what_is_no_goal_is_named(goals: Any, error: Any, text: str) -> None:
     with pytest.raises(error, match=text):
         rl.tune(LAG, "p", goals, starts=0)
-
-
-def test_what_was_tuned_is_a_start_and_numbers_are_checked() -> None:
-    found = rl.tune(LAG, "pi", [TrackingGoal(1.0)], starts=0, effort=0.1)
-    again = rl.tune(LAG, "pi", [TrackingGoal(1.0)], start=found, starts=0, effort=0.1)
-    assert again.gamma <= found.gamma * (1 + 1e-6)
-    wrong: list[tuple[Any, str]] = [({"starts": -1}, "starts"), ({"seed": -1}, "seed"), ({"start": 3}, "start")]
-    for options, text in wrong:
-        with pytest.raises(InputError, match=text):
-            rl.tune(LAG, "pi", [TrackingGoal(1.0)], **options)
-    with pytest.raises(InputError, match="less than 180"):
-        MarginGoal.of(6.0, 200.0)
 
 
 def test_plants_that_do_not_fit_and_a_structure_that_cannot() -> None:

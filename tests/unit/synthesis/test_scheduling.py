@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -18,10 +17,6 @@ from robustlab.result import Status
 from robustlab.statespace import lower_lft
 from robustlab.synthesis import LPVController
 from robustlab.synthesis.scheduling.lpv_loop import closed_loop
-from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality, _closely_definite
-
-sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
-from scheduling import disks_plant
 
 
 def lag(a: float) -> rl.StateSpaceModel:
@@ -117,12 +112,6 @@ def test_a_refined_model_is_the_same_model():
         np.testing.assert_allclose(fine.matrix_at(np.array(rho)), model.matrix_at(np.array(rho)), atol=1e-14)
 
 
-def test_a_simulation_with_parameters_that_stand_still_is_that_of_the_frozen_model():
-    t, u = np.linspace(0, 5, 51), np.sin(np.linspace(0, 5, 51))
-    _, y = lags().simulate(t, u, np.full(51, 2.5))
-    np.testing.assert_allclose(y[:, 0], rl.simulate(lag(2.5), t, u, hold="foh")["y1"], atol=1e-9)
-
-
 def test_the_loop_between_the_points_is_within_what_is_proved():
     rng = np.random.default_rng(0)
 
@@ -132,10 +121,10 @@ def test_the_loop_between_the_points_is_within_what_is_proved():
         return rl.StateSpaceModel(rng.normal(size=(n, n)), rng.normal(size=(n, m)), rng.normal(size=(p, n)), D)
 
     plant = rl.LPVModel({"a": [0, 1.0], "b": [0, 1.0, 3.0]}, [drawn(3, 2, 3, 1) for _ in range(6)])
-    K = rl.LPVModel({"a": [0, 1.0], "b": [0, 2.0, 3.0]}, [
+    K = rl.LPVModel({"a": [0, 1.0], "b": [0, 1.0, 3.0]}, [
         rl.StateSpaceModel(*(rng.normal(size=s) for s in ((2, 2), (2, 1), (1, 2), (1, 1)))) for _ in range(6)
     ])  # fmt: skip
-    loop = closed_loop(plant, K)
+    loop = closed_loop(plant, K, "test")
     for at in rng.uniform(size=(100, 2)) * [1, 3]:
         one = lower_lft(plant.at(at), K.at(at))
         error = np.abs(np.block([[one.A, one.B], [one.C, one.D]]) - loop.matrix_at(at))
@@ -258,28 +247,11 @@ def test_what_was_only_sampled_is_not_called_certified():
 
 def test_a_certificate_that_is_wrong_is_refused():
     found = rl.peak_gain(lags())
-    posed = Inequality(found.model, False)
-    P, gamma = posed.scaled(found.P), found.upper * posed.gain
-    assert posed.proves(P, gamma)
-    assert not posed.proves(P, 1.2499 * posed.gain)
-    assert not posed.proves(1.2 * P, gamma)
-    assert not posed.proves(-P, gamma)
-    assert not posed.proves(np.full_like(P, np.nan), gamma)
-    wider = found.model.with_matrices(found.model.matrices)
-    deviating = rl.LPVModel.of(
-        wider.parameters, wider.matrices, 1, wider.inputs, wider.outputs, wider.states,
-        np.full((1, 2, 2), 1e-3), "proved",
-    )  # fmt: skip
-    assert not Inequality(deviating, False).proves(P, gamma)
-
-
-def test_definiteness_is_told_where_ordinary_digits_end():
-    """[1 1; 1 1] + e I is positive definite for every e > 0 and for no other."""
-    ones, none = np.ones((2, 2)), np.zeros((2, 2))
-    assert _closely_definite(ones, 1e-17 * np.eye(2), none)
-    assert not _closely_definite(ones, -1e-17 * np.eye(2), none)
-    assert not _closely_definite(ones, none, none)
-    assert not _closely_definite(ones, 1e-17 * np.eye(2), 2e-17 * np.eye(2))
+    assert found.recheck()
+    assert not replace(found, upper=1.2499).recheck()
+    assert not any(replace(found, P=P).recheck() for P in (1.2 * found.P, -found.P, np.full_like(found.P, np.nan)))
+    deviating = rl.LPVModel({"a": [1.0, 4.0]}, [lag(1.0), lag(4.0)], deviation=np.full((1, 2, 2), 1e-3), known="proved")
+    assert not replace(found, model=deviating).recheck()
 
 
 def test_an_unstable_frozen_model_is_named_with_its_pole_and_certifies_nothing():
@@ -341,13 +313,12 @@ def test_a_scheduled_loop_keeps_what_is_proved_along_its_parameters():
         assert finite_gain(design.closed_loop, places, 0.1) <= design.gamma
 
 
-def test_a_bounded_rate_gives_a_verified_controller_that_does_not_need_it():
+def test_a_bounded_rate_is_used_by_the_proof_and_not_by_the_controller():
     plant = shown_objects.scheduled_plant().refined(2).with_rates(a=0.1)
-    design = rl.hinf(plant, 1, 1, lyapunov="varying")
+    design = rl.hinf(plant, 1, 1)
     assert design.status is Status.CERTIFIED
-    assert "da/dt" in design.gain.scope
     assert design.K.grid == (3,)
-    assert design.gamma < 1.1 * np.sqrt(2.0)
+    assert design.gamma < 1.02 * np.sqrt(2.0)
 
 
 def test_a_control_matrix_that_varies_is_bounded_between_the_points():
@@ -361,6 +332,33 @@ def test_a_control_matrix_that_varies_is_bounded_between_the_points():
     assert design.closed_loop.deviation.max() > 0
     for b in np.random.default_rng(0).uniform(1, 2, 20):
         assert rl.peak_gain(lower_lft(plant.at(b=b), design.controller.at(b=b))).upper <= design.gamma
+
+
+def disks_plant() -> rl.LPVModel:
+    """Two masses that slide on spinning disks, joined by a wire: rho_i = Omega_i^2, measured, in 0..9 and 0..25.
+
+    r1'' = (rho_1 - 200) r1 - 200 r2 - r1' + a + 0.1 d1, r2'' = 2 (-200 r1 - 200 r2 - r2' + 0.1 d2) + rho_2 r2, the
+    actuator a' = 100 (u - a); z = (Wu u, 1e-5 a, We (r2 - reference)), y = (reference, r2 + Wn n) with We = (0.3 s +
+    1.2) / (s + 0.04), Wu = (s + 0.1) / (0.01 s + 125), Wn = (s + 0.4) / (0.01 s + 400): the example of Wu's thesis
+    (Berkeley 1995) as the manual of LPVTools states it ("Modeling and Control of a LFT-based LPV System", Balas,
+    Hjartarson, Packard, Seiler 2015), gamma 1.3361 there.
+    """
+
+    def vertex(rho1: float, rho2: float) -> rl.StateSpaceModel:
+        A, B, C, D = np.zeros((8, 8)), np.zeros((8, 5)), np.zeros((5, 8)), np.zeros((5, 5))
+        A[0, 2] = A[1, 3] = A[2, 4] = 1.0
+        A[2, :3], A[3, :2], A[3, 3] = [rho1 - 200, -200, -1], [-400, rho2 - 400], -2
+        B[2, 1], B[3, 2] = 0.1, 0.2
+        A[4, 4], B[4, 4] = -100, 100
+        A[5, 5], B[5, 4], C[0, 5], D[0, 4] = -12500, 1, 100 * (0.1 - 12500), 100
+        A[6, 6], A[6, 1], B[6, 0] = -0.04, 1, -1
+        C[2, 6], C[2, 1], D[2, 0] = 1.2 - 0.3 * 0.04, 0.3, -0.3
+        A[7, 7], B[7, 3], C[4, 7], D[4, 3] = -40000, 1, 100 * (0.4 - 40000), 100
+        C[1, 4], D[3, 0], C[4, 1] = 1e-5, 1, 1
+        return rl.StateSpaceModel(A, B, C, D)
+
+    ranges = {"rho1": [0.0, 9.0], "rho2": [0.0, 25.0]}
+    return rl.LPVModel(ranges, [vertex(a, b) for a in ranges["rho1"] for b in ranges["rho2"]])
 
 
 def test_the_published_spinning_disks_are_beaten_and_a_simulation_stays_below():
