@@ -17,7 +17,6 @@ from robustlab.synthesis import (
     TrackingGoal,
     VarianceGoal,
 )
-from robustlab.synthesis.fixed.goal_tuning import goal_in_words
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
 SERVO = rl.StateSpaceModel(
