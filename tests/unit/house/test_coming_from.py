@@ -128,4 +128,3 @@ def test_help_begins_with_what_it_does_and_not_with_a_table_of_numbers(name):
     except ValueError:
         return
     assert len(told) < 700
-

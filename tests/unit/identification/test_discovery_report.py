@@ -14,7 +14,6 @@ from robustlab.cli.data import _fill_folder
 from robustlab.identification.experiment.next_experiment import NextExperiment, Pair, Tried
 from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.discovery_result import Discovery
-from robustlab.identification.naming.discovery_text import chance, compared, with_interval
 from robustlab.identification.naming.named_effects import (
     EffectValue,
     Gap,
@@ -31,14 +30,13 @@ from robustlab.identification.record_check.suitability import Finding
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.recipe.schema import Requirement, judge
-from robustlab.report.discovery import discovery_figures, facts, stretch_figure, write_page
+from robustlab.report.discovery import discovery_figures, facts, write_page
 from robustlab.report.drawings import caption_of
 from robustlab.result import Status, plain
 
 FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47, "friction level")
 COULOMB = NamedEffect("coulomb-friction", "Coulomb (dry) friction", "f = -Fc sgn(v)", "v", (FC,), 0.985, 512.0, ())
 RIVAL = Rival("presliding", "Presliding", "v", "coulomb-friction", 1.4, -0.7, 0.21, (replace(FC, name="Fb"),))
-LINE = {"over": "position", "period": 0.0025, "unit": "m", "amplitude": 0.98, "force_unit": "N", "p_value": 0.005}
 WINDOWS, LENGTH, DT = 5, 40, 0.01
 
 
@@ -198,31 +196,6 @@ def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
         assert part not in text
 
 
-def test_details_have_all_it_rests_on():
-    text = made().summary(details=True)
-    for part in (
-        "f = -Fc sgn(v)",
-        "nominal parameters, refitted within their tolerances:",
-        "+0.946 %: within its tolerance of 5 % (assumed)",
-        "gain          35.15 N/V (held fixed)",
-        "none: all sets without it have 1.5 % together",
-        "held from sample to sample; late by 0.4 ms (standard deviation 0.02 ms)",
-        "2 sets visited, 3 effects tried",
-        "coulomb-friction@v: best: no move improves it",
-    ):
-        assert part in text
-    assert "next experiment" not in text
-    assert "findings" not in text
-    fixed = made(clocks=(InputClock("u", "linear", 0.0, 0.0),)).summary(details=True)
-    assert "linear between samples; clock not fitted" in fixed
-
-
-@pytest.mark.parametrize(("probability", "said"), [(0.9799, False), (0.9801, True)])
-def test_rivals_are_none_only_where_the_rest_has_below_two_per_cent(probability, said):
-    text = made(effects=(replace(COULOMB, confidence=probability),)).summary(details=True)
-    assert ("rivals      none" in text) is said
-
-
 def test_a_parameter_beyond_its_tolerance_is_told_and_nothing_else_is_claimed():
     far = NominalValue("M", 95.1, 130.0, "kg", 129.0, 131.0, 0.05, False, beyond=True)
     short, long = (made(nominal=(far,)).summary(details) for details in (False, True))
@@ -231,14 +204,6 @@ def test_a_parameter_beyond_its_tolerance_is_told_and_nothing_else_is_claimed():
         assert "within their tolerances" not in text
     zero = replace(far, nominal=0.0, value=0.7, lower=0.5, upper=0.9, unit="N s/m", tolerance=1.0, beyond=False)
     assert "0 -> 0.7 N s/m (95 %: 0.5 to 0.9): within its tolerance of 1 N s/m" in made(nominal=(zero,)).summary(True)
-
-
-def test_refitted_parameters_are_printed_where_no_effect_is_named():
-    refitted = NominalValue("M", 130.0, 128.0, "kg", 127.0, 129.0, 0.05, False)
-    alone = made(nominal=(refitted,), effects=())
-    assert "130 -> 128 kg (95 %: 127 to 129)" in alone.summary()
-    assert "M: 128 kg (95 %: 127 to 129)" in repr(alone)
-    assert "130 -> 128" not in made(nominal=(refitted,)).summary()
 
 
 def test_what_is_periodic_is_told_by_amplitude_and_period():
@@ -251,33 +216,6 @@ def test_what_is_periodic_is_told_by_amplitude_and_period():
     assert "amplitude" not in numbers_of(made())["effects"]["coulomb-friction"]
     assert numbers_of(made(candidates=("cogging",)))["effects"]["cogging"]["amplitude"] == 0.0
     assert wave_amplitude({"Fc": 1.0}) is None
-
-
-def test_rivals_say_how_far_apart_they_are():
-    text = ambiguous().summary()
-    assert "60 %          coulomb-friction@v\n  38 %          presliding@v; 1.4 noise sigmas from the first" in text
-    assert "cogging" not in text  # the two have 95 % already
-    assert "Presliding, presliding at v (Fb 20.39 N): probability 21 %, 1.4 noise" in ambiguous().summary(details=True)
-
-
-def test_what_sets_have_in_common_is_told_once():
-    sets = (
-        SetProbability(("coulomb-friction@v", "cogging@v"), ("coulomb-friction", "cogging"), 0.6, 0.0, 0.0),
-        SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.3, -0.7, 1.1, "force over position"),
-        SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.1, -1.8, 2.0),
-    )
-    first = sentence(ambiguous(posterior=sets)).partition(":")[0]
-    assert first == (
-        "servo-axis lacks Coulomb (dry) friction, and either cogging (force ripple), an unnamed force over position or "
-        "nothing more"
-    )
-
-
-def test_the_collection_is_the_smallest_with_95_per_cent():
-    shares = (0.5, 0.3, 0.15, 0.04, 0.01)
-    found = made(posterior=tuple(SetProbability((), (), p, 0.0) for p in shares))
-    assert [p.probability for p in found.collection] == [0.5, 0.3, 0.15]
-    assert made().collection == made().posterior[:1]
 
 
 def test_what_diverges_is_told_as_such():
@@ -298,13 +236,6 @@ def test_an_interrupted_search_says_so_first():
     assert not made().interrupted
 
 
-@pytest.mark.parametrize(
-    ("probability", "words"), [(0.99951, "> 99.9 %"), (0.5, "50 %"), (0.012, "1.2 %"), (4e-4, "< 0.1 %")]
-)
-def test_probabilities_in_words(probability, words):
-    assert chance(probability) == words
-
-
 def test_the_next_experiment_is_told_and_kept(tmp_path):
     d = ambiguous(next_experiment=experiment())
     assert "next: measure what tells them apart: ramp u slowly through zero" in d.summary()
@@ -319,66 +250,11 @@ def test_the_next_experiment_is_told_and_kept(tmp_path):
     assert back["next_experiment"]["inputs"]["u"] == pytest.approx(d.next_experiment.inputs["u"])
 
 
-def test_what_remains_and_findings_are_said():
-    finding = Finding("quantisation", "q", "steps of 5e-08 m", "", "", False, {})
-    text = unknown(
-        structure={"share": 0.41, "p_value": 0.002, "strongest": "f(speed)"},
-        remaining_lines=(LINE,),
-        floor_excess={"q": 7.25},
-        findings=(finding,),
-    ).summary(details=True)
-    assert "share 0.41, p_value 0.002, strongest f(speed)" in text
-    assert "0.98 N over position, period 0.0025 m (p 0.005)" in text
-    assert "q: F 7.25" in text
-    assert "q: steps of 5e-08 m" in text
-    assert "incomplete: structure remains" in text
-    assert "rms 2.5 N; 40 % follow speed, 0 % follow position, 10 % follow time" in text
-    assert "speed in speed removes 38 % of the held-out variance" in text
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "words"),
-    [
-        (3.0, 0.1, "30 times smaller than nominal"),
-        (1.0, 4.0, "4 times larger than nominal"),
-        (1.0, 1.0, "as large as nominal"),
-        (5.0, 1e-3, "5000 times smaller than nominal"),
-        (1.0, 0.0, "zero, unlike nominal"),
-        (0.0, 1.0, "not zero, unlike nominal"),
-        (0.0, 0.0, "as large as nominal"),
-        (math.nan, 1.0, "not comparable with nominal"),
-        (1.0, math.inf, "not comparable with nominal"),
-        (math.inf, 1.0, "finite, unlike nominal"),
-    ],
-)
-def test_comparisons_in_words(before, after, words):
-    assert compared(before, after, "nominal") == words
-
-
-def test_an_interval_shows_the_digits_that_it_is_worth():
-    assert (
-        with_interval(EffectValue("x", 20.001234, "N", 20.0005, 20.0019, "")) == "20.0012 N (95 %: 20.0005 to 20.0019)"
-    )
-    assert with_interval(EffectValue("x", 1.5, "1", 1.0, 2.0, "")) == "1.5 (95 %: 1 to 2)"
-    assert with_interval(EffectValue("x", 0.0, "N", -1.0, 1.0, "")) == "0 N (95 %: -1 to 1)"
-    assert with_interval(EffectValue("x", 3.0, "N", 3.0, 3.0, "")) == "3 N (held fixed)"
-    assert with_interval(EffectValue("x", 2.0, "N", -math.inf, math.inf, "")) == "2 N (95 %: -inf to inf)"
-
-
 # --- figures and page ------------------------------------------------------------------------------------------------
 
 
 def curve(axes, label):
     return next(line for line in axes.get_lines() if line.get_label() == label)
-
-
-def test_a_run_about_a_recorded_motion_is_not_called_free():
-    d = made(free_run_on="held (linear about the recorded motion)")
-    figures = discovery_figures(d)
-    assert figures["story"].axes[1].get_title(loc="left") == "q: one linear run"
-    assert "linear about the recorded motion" in figures["run-q"].axes[0].get_title(loc="left")
-    assert any("one run, linear about the recorded motion" in label for label, *_ in facts(d))
-    assert not any("free run" in label for label, *_ in facts(d))
 
 
 def test_the_story_shows_the_three_errors_of_every_output_in_windows_and_in_free_run():
@@ -407,60 +283,6 @@ def test_a_model_that_diverges_is_drawn_as_one():
     assert "rms nominal diverges, refitted 0.2, updated 0.01 m" in middle.get_title(loc="left")
 
 
-def test_the_free_run_is_drawn_from_the_start_to_the_end():
-    above, _, below = discovery_figures(made())["run-q"].axes
-    x, y = curve(above, "record").get_data()
-    assert (x[0], x[-1]) == (0.0, 3.99)
-    assert y == pytest.approx(np.sin(3.0 * x))
-    assert below.get_lines()[0].get_ydata() == pytest.approx(-0.01 * x)
-
-
-@pytest.mark.parametrize("apart", [1, 4])
-def test_lines_break_between_windows_and_gaps_are_left_out(apart):
-    d = made(series=series(apart))
-    above, middle, below = stretch_figure(d, "q").axes
-    x, y = curve(above, "record").get_data()
-    assert np.isnan(y).sum() == 4  # one break after each of the four windows shown
-    # The worst window (the fourth) is among them, and no window is stretched.
-    assert np.nanmin(middle.get_lines()[0].get_ydata()) == pytest.approx(-0.12)
-    steps = np.diff(x)
-    assert np.nanmin(steps) == pytest.approx(DT)
-    assert np.nanmax(steps) == pytest.approx(DT)
-    span = np.nanmax(x) - np.nanmin(x)
-    assert span < 4.3 * LENGTH * DT
-    assert ("between them were fitted" in below.get_xlabel()) is (apart > 1)
-    if apart > 1:
-        ticks = below.xaxis.get_major_locator()()
-        shown = [below.xaxis.get_major_formatter()(tick) for tick in ticks]
-        assert shown == ["1.6", "3.2", "4.8", "6.4"]
-
-
-def test_the_sets_are_drawn_with_their_probability():
-    (axes,) = discovery_figures(ambiguous())["posterior"].axes
-    assert [bar.get_width() for bar in axes.patches] == pytest.approx([60.0, 38.0, 2.0])
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["coulomb-friction@v", "presliding@v", "cogging@v"]
-    colours = [bar.get_facecolor() for bar in axes.patches]
-    assert colours[0] == colours[1] != colours[2]  # the collection of 95 %
-
-
-def test_what_remains_is_drawn_over_every_coordinate():
-    panels = discovery_figures(unknown())["force"].axes
-    assert [panel.get_xlabel() for panel in panels[:3]] == ["speed [m/s]", "position [m]", "time [s]"]
-    assert "force" not in discovery_figures(made())
-
-
-def test_the_force_that_was_missing_is_drawn_beside_what_is_left():
-    left = unknown().residual_force
-    more = replace(left, rms=7.5, curves={k: replace(c, value=3 * c.value, share=0.9) for k, c in left.curves.items()})
-    figure = discovery_figures(made(residual_force=left, missing_force=more))["force"]
-    speed, *_, shares = figure.axes
-    assert speed.get_xlabel() == "speed [m/s]"
-    assert speed.get_title(loc="left") == "speed: explains 90 % → 40 %"
-    before, after = curve(speed, "refitted, mean over a bin"), curve(speed, "updated, mean over a bin")
-    assert before.get_ydata() == pytest.approx(3 * after.get_ydata())
-    assert "rms 7.5 → 2.5 N" in shares.get_title(loc="left")
-
-
 def test_an_output_with_an_odd_name_gets_a_file_name_of_its_own():
     d = made()
     signals = {"../x$": d.series["outputs"]["q"]}
@@ -471,13 +293,6 @@ def test_an_output_with_an_odd_name_gets_a_file_name_of_its_own():
     captions = [caption_of("discovery.discovery_figures", name) for name in discovery_figures(odd)]
     assert all(len(words.split()) > 5 for words in captions)
     assert len(set(captions)) == len(captions)
-
-
-def test_missing_samples_do_not_stop_the_figures():
-    d = made()
-    signals = {name: values.copy() for name, values in d.series["outputs"]["q"].items()}
-    signals["measured"][10:60] = np.nan
-    assert discovery_figures(made(series={**d.series, "outputs": {"q": signals}}))
 
 
 @pytest.mark.parametrize(

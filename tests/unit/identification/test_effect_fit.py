@@ -6,13 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from oracle.stick_slip import stick_slip
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification.experiment.experiment_bench import _told_by_output
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
@@ -21,11 +18,10 @@ from robustlab.identification.hypotheses.effect_fit import (
     Hypothesis,
     Problem,
     _total,
-    simulated_outputs,
 )
 from robustlab.identification.hypotheses.noise import first_noise
-from robustlab.identification.hypotheses.normal_equations import Linearised, NoiseModel
-from robustlab.identification.hypotheses.prepared_record import averaged, prepare
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
+from robustlab.identification.hypotheses.prepared_record import prepare
 
 AXIS = rl.plant("servo-axis")
 T = np.arange(1000) * 2e-3
@@ -61,28 +57,6 @@ WHITE = NoiseModel(np.array([2e-4, 2e-3]), np.zeros((0, 2)))
 
 
 # --- the normal equations --------------------------------------------------------------------------------------------
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**31), st.integers(1, 4), st.integers(1, 3), st.integers(1, 4))
-def test_eliminated_starts_give_the_step_of_dense_least_squares(seed, n_w, n_x, n_z):
-    rng = np.random.default_rng(seed)
-    m = 7
-    r, j, x = rng.normal(size=(n_w, m)), rng.normal(size=(n_w, m, n_z)), rng.normal(size=(n_w, m, n_x))
-    xi, z = rng.normal(size=(n_w, n_x)), rng.normal(size=n_z)
-    # |r + J dz + X dxi|^2 + |xi + dxi|^2 + |z + dz|^2 over all unknowns at once.
-    wide = np.zeros((n_w * m, n_w * n_x))
-    for w in range(n_w):
-        wide[w * m : (w + 1) * m, w * n_x : (w + 1) * n_x] = x[w]
-    a = np.vstack([np.hstack([j.reshape(-1, n_z), wide]), np.eye(n_z + n_w * n_x)])
-    b = np.concatenate([r.ravel(), z, xi.ravel()])
-    dense = -np.linalg.lstsq(a, b, rcond=None)[0]
-
-    reduced = Linearised.of(r, j, x, xi).reduced(0.0)
-    dz = -np.linalg.solve(np.eye(n_z) + reduced.hessian, z + reduced.gradient)
-    dxi = -(reduced.offset + reduced.slope @ dz)
-    assert dz == pytest.approx(dense[:n_z], abs=1e-9)
-    assert dxi.ravel() == pytest.approx(dense[n_z:], abs=1e-9)
 
 
 def dense_parts(problem: Problem, hypothesis: Hypothesis, noise: NoiseModel):
@@ -151,18 +125,6 @@ def test_the_evidence_is_the_marginal_likelihood_with_the_starts_integrated_out(
     assert len({round(v, 2) for v in theirs.values()}) == 4  # they differ at all
 
 
-def test_the_marginal_likelihood_agrees_with_that_of_the_whole_covariance():
-    r, j, x = dense_parts(exact()[0], linear_hypotheses()["both"], WHITE)
-    n_w, m = r.shape
-    s = np.eye(n_w * m)
-    for w in range(n_w):
-        s[w * m : (w + 1) * m, w * m : (w + 1) * m] += x[w] @ x[w].T
-    flat = j.reshape(n_w * m, -1)
-    s += flat @ flat.T
-    direct = -0.5 * r.ravel() @ np.linalg.solve(s, r.ravel()) - 0.5 * np.linalg.slogdet(s)[1]
-    assert marginal(r, j, x)["evidence"] == pytest.approx(direct, rel=1e-9)
-
-
 def test_the_robust_covariance_is_the_sandwich_over_windows():
     hypothesis = linear_hypotheses()["both"]
     r, j, x = dense_parts(exact()[0], hypothesis, WHITE)
@@ -179,62 +141,7 @@ def test_the_robust_covariance_is_the_sandwich_over_windows():
     assert fitted(hypothesis).std == pytest.approx(np.sqrt(np.diag(bread)), rel=1e-4)
 
 
-def test_with_fixed_parameters_only_the_starts_are_fitted():
-    problem, hypothesis = exact()[0], linear_hypotheses()["both"]
-    z = np.array([0.7, -1.3])
-    fit = problem.fit(hypothesis, WHITE, z, plan=FitPlan(fixed=True, tolerance=1e-9))
-    assert fit.z.tolist() == z.tolist()
-    r, j, x = dense_parts(problem, hypothesis, WHITE)
-    for w, start in enumerate(fit.starts[0]):
-        rows = np.vstack([x[w], np.eye(2)])
-        best = -np.linalg.lstsq(rows, np.concatenate([r[w] + j[w] @ z, np.zeros(2)]), rcond=None)[0]
-        assert start == pytest.approx(best, abs=1e-5 * np.abs(fit.starts[0]).max())
-
-
-def test_the_windows_share_the_cost_and_the_prior_takes_the_rest():
-    fit = fitted(linear_hypotheses()["both"])
-    assert len(fit.window_cost) == exact()[0].records[0].count
-    assert fit.window_cost.sum() + fit.z @ fit.z == pytest.approx(fit.cost, rel=1e-12)
-
-
-def test_borrowed_derivatives_give_the_same_step():
-    problem, _ = problem_of(noisy(rl.simulate(AXIS, T, U)))
-    load = linear_hypotheses()["load"]
-    base = problem.fit(NONE, WHITE, np.zeros(2))
-    borrowed = problem.derivatives(base)
-    z = np.append(base.z, 0.0)
-    own = problem.fit(load, WHITE, z, base.starts, FitPlan(1))
-    lent = problem.fit(load, WHITE, z, base.starts, FitPlan(1), borrowed)
-    assert lent.z == pytest.approx(own.z, abs=1e-4)
-    assert lent.cost == pytest.approx(own.cost, rel=1e-4)
-
-
 # --- errors ----------------------------------------------------------------------------------------------------------
-
-
-def test_borrowed_derivatives_of_a_parameter_that_an_effect_replaces_move_nothing():
-    run = noisy(rl.simulate(AXIS.with_parameters(M=1.3 * AXIS.values["M"]), T, U))
-    problem, pool = problem_of(run, tolerances={"M": 0.05})
-    base = problem.fit(Hypothesis(()), WHITE, np.zeros(len(problem.nuisances)))
-    heavier = Hypothesis((pool["inertia @ M"],))
-    z = np.array([*base.z, *pool["inertia @ M"].standardised({"s": 1.2})])
-    plan = FitPlan(1, draft=True)
-    borrowed = problem.fit(heavier, WHITE, z, base.starts, plan, problem.derivatives(base))
-    own = problem.fit(heavier, WHITE, z, base.starts, plan)
-    assert borrowed.cost < 2.0 * own.cost
-    assert borrowed.z[0] == pytest.approx(own.z[0], abs=1e-6)
-
-
-def test_errors_are_averaged_over_known_samples():
-    error = np.arange(14.0).reshape(1, 7, 2)
-    assert averaged(error, 3)[0].tolist() == [[2.0, 3.0], [8.0, 9.0]]  # the seventh sample is left over
-    assert averaged(error, 1)[0].tolist() == error[0].tolist()
-    error[0, 0, 0] = error[0, 1, 0] = np.nan
-    error[0, 3:6, 1] = np.nan
-    found = averaged(error, 3)[0]
-    assert found[:, 0].tolist() == [4.0, 8.0]
-    assert found[0, 1] == 3.0
-    assert np.isnan(found[1, 1])
 
 
 def test_whitening_gives_the_innovations_back():
@@ -250,18 +157,6 @@ def test_whitening_gives_the_innovations_back():
     assert found == pytest.approx(steps[:, 2:], abs=1e-12)
 
 
-def test_a_missing_error_takes_its_point_and_those_that_need_it_out():
-    e = np.ones((1, 6, 1))
-    e[0, 2, 0] = np.nan
-    assert NoiseModel(np.array([0.5]), np.array([[0.5]])).whitened(e)[0].tolist() == [1.0, 0.0, 0.0, 1.0, 1.0]
-
-
-@pytest.mark.parametrize("shape", [(0, 30, 1), (3, 2, 2), (2, 1, 1), (0, 0, 2)])
-def test_no_window_or_fewer_points_than_the_autoregression_asks_for_are_nothing(shape):
-    noise = NoiseModel(np.ones(shape[2]), np.full((3, shape[2]), 0.1))
-    assert noise.whitened(np.ones(shape)).shape == (shape[0], max(0, shape[1] - 3) * shape[2])
-
-
 def test_a_parameter_of_the_value_zero_is_found_within_its_absolute_tolerance():
     """Recorded with a viscosity of 30 N s/m, of which the model says 0 +- 50."""
     true = rl.simulate(rl.plant("servo-axis", Fv=30.0), T, U)
@@ -269,11 +164,6 @@ def test_a_parameter_of_the_value_zero_is_found_within_its_absolute_tolerance():
     fit = problem.fit(NONE, WHITE, np.zeros(1))
     factors, _ = problem.split(fit.hypothesis, fit.z)
     assert factors["Fv"] == pytest.approx(30.0, rel=0.05)
-
-
-def test_wild_errors_count_as_large_and_not_as_nothing():
-    e = np.array([[[np.inf], [-np.inf], [1e300], [0.0]]])
-    assert NoiseModel(np.array([1e-9]), np.zeros((0, 1))).whitened(e)[0].tolist() == [1e6, -1e6, 1e6, 0.0]
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
@@ -325,24 +215,7 @@ def test_records_of_different_sensors_are_fitted_together():
     assert np.isfinite(fit.std).all()
 
 
-def test_what_a_sensor_tells_is_learnt_from_the_records_that_have_it():
-    run = noisy(rl.simulate(AXIS, T, U))
-    encoder = rl.Record(T, run.inputs, {"q": run["q"]})
-    rich, poor = (prepare(AXIS, port_model(AXIS), r, 100, outputs={"q", "v"}) for r in (run, encoder))
-    problem = exact()[0]
-    np.testing.assert_array_equal(_told_by_output(problem.on([rich, poor]))[1], _told_by_output(problem.on([rich]))[1])
-
-
 # --- known parameters are found again --------------------------------------------------------------------------------
-
-
-def test_changed_parameters_of_the_plant_are_found():
-    true = AXIS.with_parameters(M=1.04 * AXIS.values["M"], Fv=1.5 * AXIS.values["Fv"])
-    problem, _ = problem_of(rl.simulate(true, T, U))
-    fit = problem.fit(NONE, first_noise(problem), np.zeros(2), plan=FitPlan(20))
-    assert problem.split(NONE, fit.z)[0] == pytest.approx({"M": 1.04, "Fv": 1.5}, rel=1e-6)
-    outputs = simulated_outputs(problem, fit)[0]
-    assert np.abs(outputs - problem.records[0].measured).max() < 1e-6 * np.ptp(problem.records[0].y)
 
 
 def test_tied_parameters_of_a_motor_are_found():
@@ -386,30 +259,3 @@ def test_parameters_lie_within_their_intervals():
         misses.append((fit.z - (true - centre) / spread) / fit.std)
     assert np.abs(misses).max() < 4.0
     assert np.sqrt(np.mean(np.square(misses))) < 2.0
-
-
-# --- which parameters ------------------------------------------------------------------------------------------------
-
-
-def test_a_wrong_parameter_takes_the_place_of_its_tolerance():
-    problem, pool = problem_of(noisy(rl.simulate(AXIS, T, U)))
-    wrong = Hypothesis((pool["inertia @ M"],))
-    factors, (values,) = problem.split(wrong, np.array([1.0, 1.0, 0.5]))
-    assert set(factors) == {"Fv"}
-    assert values == pool["inertia @ M"].values(np.array([0.5]))
-    assert problem.size(wrong) == 3
-
-
-def test_hypotheses_and_candidates_have_names():
-    load, bias = (exact()[1][key] for key in ("constant-load @ v", "sensor-bias @ v"))
-    assert Hypothesis((load, bias)).key == "constant-load @ v + sensor-bias @ v"
-    assert NONE.key == "none"
-
-
-def test_only_the_chosen_windows_are_fitted():
-    problem = exact()[0]
-    few = problem.on(problem.records, [np.array([1, 4])])
-    r, j, x = dense_parts(problem, linear_hypotheses()["load"], WHITE)
-    fit = few.fit(linear_hypotheses()["load"], WHITE, np.zeros(1), plan=FitPlan(tolerance=1e-9))
-    assert fit.z == pytest.approx(marginal(r[[1, 4]], j[[1, 4]], x[[1, 4]])["z"], abs=1e-5)
-    assert len(fit.window_cost) == 2

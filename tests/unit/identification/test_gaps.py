@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,10 +13,8 @@ import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
-from robustlab.identification.hypotheses.noise import spans
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming import held_out_gaps as module
 from robustlab.identification.naming.held_out_gaps import held_out_gaps
 
 AXIS = rl.plant("servo-axis")
@@ -95,53 +92,6 @@ def test_the_true_model_is_at_the_noise_and_the_wrong_one_far_from_it():
     assert found.free_run["q"].nominal > found.windows["q"].nominal  # windows start anew
     assert found.windows["q"].nominal == found.windows["q"].refitted
     assert found.windows["q"].range == pytest.approx(np.ptp(record()["q"]))
-
-
-def test_windows_are_those_held_out_and_the_free_run_is_over_the_whole_record():
-    found = held_out_gaps(*parts(chosen=(2, 6)))
-    assert len(found.series["t"]) == 2 * LENGTH
-    assert found.series["t"][:LENGTH] == pytest.approx(T[2 * LENGTH : 3 * LENGTH])
-    assert len(found.series["free_run"]["t"]) == N
-    assert found.free_run_on == "all of run 7, which the fit saw in part"
-    signals = found.series["outputs"]["q"]
-    assert found.windows["q"].nominal == pytest.approx(rms(signals["measured"] - signals["nominal"]), rel=1e-9)
-
-
-def test_a_run_keeps_to_the_longest_stretch_without_a_gap():
-    found = held_out_gaps(*parts(lost=(290, 330)))
-    run = found.series["free_run"]
-    assert run["t"][0] >= 0.66
-    assert run["t"][-1] == pytest.approx(T[-1], abs=LENGTH * DT)
-    assert np.diff(run["t"]) == pytest.approx(DT)
-    assert np.isfinite(run["outputs"]["q"]["measured"]).all()
-
-
-def test_a_model_that_diverges_has_an_infinite_gap_and_hides_no_other(monkeypatch):
-    honest = module.simulated_outputs
-
-    def beyond(problem, fit):
-        outputs = honest(problem, fit)
-        if fit.z.any() and outputs[0].shape[1] == N:  # the updated model in free run
-            outputs[0][0, 500:, 0] = np.inf
-            outputs[0][0, 700:] = np.nan
-        return outputs
-
-    monkeypatch.setattr(module, "simulated_outputs", beyond)
-    found = held_out_gaps(*parts())
-    assert found.free_run["q"].updated == found.free_run["v"].updated == np.inf
-    assert np.isfinite([found.free_run["q"].nominal, found.windows["q"].updated]).all()
-    drawn = found.series["free_run"]["outputs"]["q"]["updated"]
-    assert np.isfinite(drawn[:500]).all()
-    assert np.isnan(drawn[500:]).all()
-
-
-def test_the_range_is_the_largest_of_all_records():
-    problem, _ = parts()
-    (ready,) = problem.records
-    wide = replace(ready, y=3.0 * ready.y)
-    lacking = replace(ready, y=np.where([True, False], ready.y, np.nan))
-    assert spans([ready, wide, lacking]) == pytest.approx(3.0 * np.ptp(ready.y, axis=0))
-    assert spans([lacking])[1] == 0.0
 
 
 def test_a_wrong_model_starts_where_the_sensors_say_and_not_where_its_errors_pull():

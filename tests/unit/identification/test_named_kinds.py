@@ -1,6 +1,5 @@
 """Answers at the level at which they are sure: kinds of effects, their quantities, and what does not matter."""
 
-from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -8,30 +7,20 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, POOL, T, U, machine, noisy, opened, searched, usual
+from naming_cases import AXIS, FRICTION, LOAD, T, U, machine, noisy, searched
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
-from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
-from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.ports.motion_model import local_port_model
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis
-from robustlab.identification.hypotheses.noise import first_noise
-from robustlab.identification.hypotheses.normal_equations import NoiseModel
-from robustlab.identification.naming import answer as module
-from robustlab.identification.naming import posterior as posterior_module
-from robustlab.identification.naming import set_search
 from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.materiality import Errors, _matters
-from robustlab.identification.naming.named_effects import EffectValue, KindMember, NamedKind
+from robustlab.identification.naming.named_effects import NamedKind
 from robustlab.identification.naming.named_kinds import Kinds, Places, _mixture, _quantile, kinds_of
 from robustlab.identification.naming.posterior import weigh
-from robustlab.identification.naming.quantities import Told, force_share, quantities
-from robustlab.identification.naming.updated_plant import updated_plant
-from robustlab.statespace import Signal
+from robustlab.identification.naming.quantities import Told, quantities
 
 LEVEL, GIVES = 20.0, 2e-4  # N, m
 
@@ -46,11 +35,6 @@ def test_every_effect_has_a_kind_and_every_kind_leads_to_the_top():
         assert KINDS[way[-1]].wider is None
     assert all(k.wider is None or k.wider in KINDS for k in KINDS.values())
     assert all(q in MEANINGS for k in KINDS.values() for q in k.quantities)
-
-
-def test_no_kind_is_called_as_an_effect_or_as_a_number_of_a_discovery():
-    assert not set(KINDS) & set(catalogue())
-    assert not (set(KINDS) - {"kinds"}) & {"verdict", "names", "effects", "gaps", "line", "nominal", "structure"}
 
 
 def posterior_of(*sets):
@@ -96,18 +80,6 @@ def test_what_may_be_there_beside_what_is_sure_is_open():
     )  # fmt: skip
 
 
-def test_a_parameter_stands_at_the_joint_whose_motion_it_changes():
-    arm = rl.plant("two-mass")
-    places = Places(arm, port_model(arm))
-    dampings = [n for n, p in arm.parameters.items() if p.role == "viscous-friction"]
-    joints = [p.name for p in places.joints]
-    assert len(joints) == 2
-    assert {places.of(Site("parameter", n), KINDS["speed-friction"]) for n in dampings} <= set(joints)
-    motor = rl.plant("dc-motor")
-    there = Places(motor, port_model(motor))
-    assert there.of(Site("input", motor.inputs[0].name), KINDS["lateness"]).startswith(f"{motor.inputs[0].name} to ")
-
-
 @pytest.mark.parametrize("motors", [False, True])
 def test_input_and_sensor_of_one_leg_are_one_path(motors):
     """The rotor has nearly all of a leg's inertia: each input moves its own nut most, if through a current."""
@@ -118,20 +90,6 @@ def test_input_and_sensor_of_one_leg_are_one_path(motors):
     for leg in range(1, 7):
         ends = Site("input", f"{name}_{leg}"), Site("output", f"phi_{leg}")
         assert {places.of(end, lateness) for end in ends} == {f"{name}_{leg} to phi_{leg}"}
-
-
-def test_a_joint_that_two_inputs_move_most_has_no_path_of_one():
-    b, c = np.array([[0.0, 0.0], [1.0, 2.0], [0.0, 0.0], [0.3, 0.1]]), np.eye(4)[[0, 2]]
-    a = np.array([[0.0, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
-    states = tuple(Signal(n, unit) for n, unit in (("q", "rad"), ("v", "rad/s"), ("p", "rad"), ("w", "rad/s")))
-    inputs = Signal("a", "N m"), Signal("b", "N m")
-    plant = LinearPlant(
-        "two motors at one joint", {"J": Parameter("J", 1.0, "kg m2")}, inputs=inputs, outputs=states[::2],
-        states=states, equations=lambda p: Descriptor(E=np.diag([1.0, p["J"], 1.0, 1.0]), F=a, G=b, C=c),
-    )  # fmt: skip
-    places = Places(plant, port_model(plant))
-    assert places.of(Site("input", "a"), KINDS["lateness"]) == "a"
-    assert places.of(Site("output", "q"), KINDS["lateness"]) == "q"
 
 
 # --- quantities ------------------------------------------------------------------------------------------------------
@@ -159,30 +117,6 @@ def dahl_record():
     return rl.Record(T, {"u": U}, noisy({"q": q, "v": v}, 5), name="bristles")
 
 
-def test_the_level_of_coulomb_friction_is_its_force_and_its_spread_that_of_the_parameter():
-    found = usual(friction=20.0)
-    fit = found.best.fit
-    k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == FRICTION)
-    told = quantities(found.problem, fit, [k], KINDS["dry-friction"])["level"]
-    _, values = found.problem.split(fit.hypothesis, fit.z)
-    assert told.value == pytest.approx(values[k]["Fc"], rel=2e-3)
-    assert told.unit == "N"
-    at = len(found.problem.nuisances)
-    spread = fit.std[at] * fit.hypothesis.candidates[k].parameters[0].prior.spread * values[k]["Fc"]
-    assert told.std == pytest.approx(spread, rel=0.05)
-
-
-def test_the_share_of_a_force_is_that_of_the_force_that_moves_the_joint():
-    found = usual(friction=20.0)
-    fit = found.best.fit
-    k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == FRICTION)
-    scale = fit.hypothesis.candidates[k].scales.force
-    assert 0.5 * LEVEL / scale < force_share(found.problem, fit, k) <= 1.02 * LEVEL / scale  # less where it sticks
-    run = rl.simulate(AXIS, T, np.concatenate([np.zeros(4), U[:-4]]))
-    late = searched(rl.Record(T, {"u": U}, noisy({"q": run["q"]}, 0), name="late"), ("input-delay @ u",))
-    assert force_share(late.problem, late.best.fit, 0) == 0.0
-
-
 def test_a_load_is_the_mean_of_its_force_against_the_motion():
     found = searched(machine(friction=20.0, load=8.0, seed=3), (FRICTION, LOAD))
     fit = found.best.fit
@@ -202,32 +136,6 @@ def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
     assert level.lower < level.value < level.upper
     assert level.value == pytest.approx(LEVEL, rel=0.05)  # less what the bristles give back at reversals
     assert sum(m.share for m in named.members) == pytest.approx(1.0, abs=1e-6)
-
-
-def test_members_of_one_set_are_told_together():
-    """An input 4 ms late and a sensor 6 ms late are 10 ms late, with the spread of both; two gains multiply."""
-    run = rl.simulate(AXIS, T, np.concatenate([np.zeros(5), U[:-5]]))
-    record = rl.Record(T, {"u": U}, noisy({k: run[k] for k in ("q", "v")}, 0), name="late")
-    fit_on, _, pool, _ = opened(record)
-    own = tuple(pool[k] for k in ("input-delay @ u", "sensor-delay @ q", GAIN_OF_Q))
-    hypothesis, n = Hypothesis(own), len(fit_on.nuisances)
-    z = np.concatenate(
-        [np.zeros(n), *(c.standardised(v) for c, v in zip(own, ({"d": 4e-3}, {"d": 6e-3}, {"s": 1.25}), strict=True))]
-    )
-    starts = tuple(np.zeros((len(c), 2)) for c in fit_on.chosen)
-    noise = NoiseModel(np.ones(2), np.zeros((0, 2)))
-    curved = np.diag(np.r_[np.ones(n), 4.0, 9.0, 1.0])
-    fit = Fit(hypothesis, z, starts, 0.0, np.zeros(1), curved, noise, 0)
-    late = quantities(fit_on, fit, [0, 1], KINDS["lateness"])["delay"]
-    spread = [c.parameters[0].prior.spread for c in own]
-    assert late.value == pytest.approx(10e-3)
-    assert late.std == pytest.approx(np.hypot(4e-3 * spread[0] / 2, 6e-3 * spread[1] / 3), rel=0.1)
-    assert quantities(fit_on, fit, [0], KINDS["lateness"])["delay"].value == pytest.approx(4e-3)
-    twice = replace(fit, hypothesis=Hypothesis((*own, own[2])), z=np.append(z, own[2].standardised({"s": 0.8})),
-                    hessian=np.eye(len(z) + 1))  # fmt: skip
-    assert quantities(fit_on, twice, [2, 3], KINDS["factor"])["factor"].value == pytest.approx(1.0)
-    # One of them that cannot be asked: then neither can they together.
-    assert quantities(fit_on, fit, [0, 2], KINDS["lateness"]) == {}
 
 
 def test_a_mixture_has_the_mean_and_the_ends_of_its_members():
@@ -304,31 +212,6 @@ def test_gains_and_zeros_of_one_path_are_equally_probable(seed, pair, gain, bias
     assert found.verdict == ("named" if kinds else "ambiguous")
 
 
-# --- a misfit --------------------------------------------------------------------------------------------------------
-
-
-def test_no_name_stands_against_a_misfit_that_counts_more_than_it(monkeypatch):
-    found = usual(friction=20.0)
-    sharp = weigh(found)
-    assert sharp.temperature == 1.0
-    assert sharp.best.key == {FRICTION}
-    assert not kinds_of(found.problem, sharp).coarse
-    monkeypatch.setattr(posterior_module, "_temperature", lambda *_: 1e7)
-    blurred = weigh(found)
-    assert FRICTION not in blurred.best.key
-    assert kinds_of(found.problem, blurred).coarse
-
-
-def test_a_line_that_is_left_blurs_no_other_name():
-    def left(over, period):
-        force = SimpleNamespace(wins=True, evidence=300.0, cross_validated=300.0, period=period, over=over)
-        weight = SimpleNamespace(left=(SimpleNamespace(forces=(force,)),))
-        return posterior_module._temperature(SimpleNamespace(key="s"), {"s": weight})
-
-    assert left("line over position", 0.9) == 1.0
-    assert left("speed", np.nan) == pytest.approx((300.0 + np.log(posterior_module.PRIOR)) / np.log(19.0), rel=1e-3)
-
-
 # --- what matters ----------------------------------------------------------------------------------------------------
 
 
@@ -365,63 +248,6 @@ def test_what_only_a_parameter_beyond_its_tolerance_can_replace_matters():
     assert factor.value == pytest.approx(1.1, rel=0.03)
 
 
-def test_what_does_not_matter_is_told_beside_the_answer_and_not_put_into_the_model(monkeypatch):
-    few = tuple(set(catalogue()) - {"coulomb-friction", "constant-load"})
-    record = machine(friction=20.0, load=3.0, seed=3)
-    found = rl.discover(AXIS, record, exclude=few)
-    without = {e.name: e.error_without for e in found.effects}
-    assert without["coulomb-friction"] > without["constant-load"] > found.gap_after
-    assert not found.also_detectable
-    real = module.matter_of
-
-    def load_is_nothing(held, whole, less, needed):
-        made = real(held, whole, less, False)
-        return replace(made, material=made.error_without > 0.9 * without["coulomb-friction"])
-
-    monkeypatch.setattr(module, "matter_of", load_is_nothing)
-    slight = rl.discover(AXIS, record, exclude=few)
-    assert slight.names == ("coulomb-friction",)
-    assert [e.name for e in slight.also_detectable] == ["constant-load"]
-    assert [k.kind for k in slight.kinds] == ["dry-friction"]
-    assert [e.effect.id for e in slight.model.effects] == ["coulomb-friction"]
-    assert slight.verdict == "named"
-    text = slight.summary()
-    assert "also seen" in text
-    assert "constant-load at v" in text
-    assert ("also detectable", "Constant load at v") in slight.facts()
-
-
-def test_the_member_of_an_open_kind_is_as_wide_in_the_model_as_the_kind_is_known():
-    found = searched(dahl_record(), (FRICTION, "presliding @ v", "bouc-wen @ v", LOAD))
-    fit = found.best.fit
-    (candidate,) = fit.hypothesis.candidates
-    (plain,) = updated_plant(found.problem, fit, "test").effects
-    size = next(iter(plain.values.values()))
-    level = EffectValue("level", size, "N", 0.5 * size, 1.5 * size, "")
-    member = KindMember(candidate.effect.id, "", candidate.site.name, 0.6)
-    wide = NamedKind("dry-friction", "dry friction", "v", 1.0, (level,), (member,), "")
-    (told,) = updated_plant(found.problem, fit, "test", (wide,)).effects
-    first = candidate.parameters[0].name
-    assert told.std[first] == pytest.approx(0.5 * size / 1.96)
-    assert told.std[first] > 5.0 * plain.std[first]
-    (settled,) = updated_plant(
-        found.problem, fit, "test", (replace(wide, members=(replace(member, share=1.0),)),)
-    ).effects
-    assert settled.std == plain.std
-
-
-def test_a_fault_in_what_matters_does_not_lose_the_names(monkeypatch):
-    def fails(*_):
-        raise np.linalg.LinAlgError("singular")
-
-    monkeypatch.setattr(module, "matter_of", fails)
-    monkeypatch.setattr(module, "_slight_elsewhere", fails)
-    found = rl.discover(AXIS, machine(friction=20.0, seed=3), exclude=tuple(set(catalogue()) - {"coulomb-friction"}))
-    assert found.names == ("coulomb-friction",)
-    assert found.verdict == "named"
-    assert {f.channel for f in found.findings if f.kind == "stage"} == {"what matters", "what matters in other sets"}
-
-
 # --- what may be an answer -------------------------------------------------------------------------------------------
 
 SEEN = Scales(speed=2.0, position=0.1, lowest=-0.05, highest=0.05, duration=4.0, position_unit="m")
@@ -443,36 +269,6 @@ def test_an_effect_whose_scale_the_record_does_not_visit_is_no_answer(name, insi
     assert not catalogue()[name].visited(outside, SEEN)
     if name in ("presliding", "bouc-wen", "end-stop"):  # of a joint whose position nobody knows nothing is said
         assert catalogue()[name].visited(outside, Scales())
-
-
-def test_a_hysteretic_spring_that_never_yields_is_refused_by_the_search():
-    fit_on, _, pool, allowed = opened(machine(friction=20.0, seed=3))
-    own = pool["bouc-wen @ v"]
-    fit = fit_on.fit(Hypothesis((own,)), first_noise(fit_on), np.zeros(len(fit_on.nuisances) + 3), plan=FitPlan(1))
-    at = len(fit_on.nuisances)
-
-    def yielding(qy):
-        z = fit.z.copy()
-        z[at:] = own.standardised({"Fy": 20.0, "qy": qy, "rho": 0.3})
-        return allowed(fit_on, replace(fit, z=z))
-
-    assert yielding(0.1 * own.scales.position)
-    assert not yielding(3.0 * own.scales.position)
-
-
-def test_no_pair_is_believed_before_every_single_effect_was_asked_in_full(monkeypatch):
-    """A look that keeps one effect a round passes over most of them."""
-    asked, plain = [], set_search.single_fits
-
-    def spied(problem, best, pool, *rest):
-        asked.append((best.hypothesis, {c.key for c in pool}))
-        return plain(problem, best, pool, *rest)
-
-    monkeypatch.setattr(set_search, "single_fits", spied)
-    short = {"kept_second": 1, "kept_last": 1, "kept_gains": 0, "most_scored": 1}
-    found = searched(machine(friction=20.0, load=8.0, seed=3), **short)
-    assert found.best.key == {FRICTION, LOAD}
-    assert [keys for _, keys in asked] == [set(POOL)]
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------

@@ -15,8 +15,6 @@ from robustlab.identification.hypotheses.candidates import candidates, nuisance_
 from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.first_look import stretched
-from robustlab.identification.naming.materiality import late_clocks
 from robustlab.identification.naming.set_search import clock_nuisances, held_inputs, short_steps, step_error
 
 MASS, DAMPING, SPRING = 1.0, 0.4, 400.0  # 20 rad/s, lightly damped
@@ -105,56 +103,6 @@ def test_a_clock_that_is_late_is_found():
     assert 0.0 < std < 0.1 * DT
 
 
-def test_the_clock_of_an_input_is_a_nuisance_of_its_own():
-    first, second = clock_nuisances(("u", "f"), 1e-3)
-    assert (first.input, second.input) == ("u", "f")
-    assert first.names == ()
-    assert first.spread == pytest.approx(tuning.CLOCK_SHARE * 1e-3)
-    assert not first.additive
-
-
-def test_a_shift_moves_the_input_beside_a_delay_of_it():
-    problem = problem_of(record("held"))
-    (delay,) = (
-        c for c in candidates(OSCILLATOR, port_model(OSCILLATOR), problem.records) if c.key == "input-delay @ f"
-    )
-    z = np.array([0.0] * (len(problem.nuisances) - 1) + [1.0])
-    shift = tuning.CLOCK_SHARE * DT
-    assert problem.shift(z) == pytest.approx((shift,))
-    starts = [np.zeros((problem.records[0].count, 2))]
-    plain, moved = (problem.errors(NONE, v, starts)[0] for v in (0 * z, z))
-    assert np.nanmax(np.abs(plain - moved)) > 1e-3 * np.ptp(problem.records[0].y)
-    # A clock that is late and a shorter delay, or the other way round.
-    late = Hypothesis((delay,))
-    one, other = (
-        problem.errors(late, np.array([*(part * z), *delay.standardised({"d": d})]), starts)[0]
-        for part, d in ((1.0, DT), (0.0, DT + shift))
-    )
-    np.testing.assert_allclose(one, other, atol=1e-9 * np.ptp(problem.records[0].y))
-
-
-def test_what_a_clock_has_taken_beyond_its_part_of_a_sample_is_handed_over_to_a_delay():
-    """The fit of the set with the delay begins with the very errors of the set without: only the prior is another."""
-    problem = problem_of(record("late"), Clock(1, ("smooth",)))
-    pool = candidates(OSCILLATOR, port_model(OSCILLATOR), problem.records)
-    fit = fitted(problem)
-    assert stretched(problem, fit, [c for c in pool if c.effect.delay]) == []  # 0.3 of a sample is a clock's own
-    assert late_clocks(problem, fit) == frozenset()
-    z = np.append(fit.z[:-1], 5.0)
-    late = replace(fit, z=z)
-    assert late_clocks(problem, late) == {"clock of f"}
-    begun = {s.candidate.key: s for s in stretched(problem, late, [c for c in pool if c.effect.delay])}
-    assert set(begun) == {"input-delay @ f", "sensor-delay @ q"}
-    before = problem.errors(NONE, z, fit.starts)[0]
-    for start in begun.values():
-        (own,) = problem.split(start.hypothesis, start.z)[1]
-        assert own["d"] == pytest.approx(5.0 * tuning.CLOCK_SHARE * DT)
-        assert start.z[len(z) - 1] == 0.0
-    there = begun["input-delay @ f"]
-    after = problem.errors(there.hypothesis, there.z, fit.starts)[0]
-    np.testing.assert_allclose(after, before, atol=1e-9 * np.ptp(problem.records[0].y))
-
-
 def test_steps_are_halved_until_no_residual_changes():
     """A stiff cubic spring on a resonance of nine samples a period."""
     ready = problem_of(record("held", 4000.0))
@@ -171,11 +119,6 @@ def test_steps_are_halved_until_no_residual_changes():
     assert short_steps(ready, noisier).clock.sub == 1
     finer = replace(fit, noise=replace(fit.noise, std=1e-6 * fit.noise.std))
     assert short_steps(ready, finer).clock.sub == tuning.MOST_STEPS
-
-
-def test_halving_the_steps_of_a_linear_model_changes_nothing():
-    problem = problem_of(record("held"))
-    assert step_error(problem, fitted(problem)) < 0.01
 
 
 def test_discover_reports_the_clock():

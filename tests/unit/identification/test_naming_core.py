@@ -20,14 +20,11 @@ from robustlab.identification.hypotheses.effect_fit import (
     FitPlan,
     Hypothesis,
     Problem,
-    predicted,
     refit_distance,
-    simulated_outputs,
 )
 from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, whitening, window_errors
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.discovery import beyond_tolerance
 from robustlab.identification.naming.residual_after_naming import left_over
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -131,49 +128,7 @@ def test_a_gain_of_the_input_and_one_of_the_only_sensor_are_one_model():
     assert behind.evidence == pytest.approx(before.evidence, abs=1.5)
 
 
-def test_an_effect_has_no_distance_to_itself():
-    problem, fits = late()
-    assert all(refit_distance(problem, fit, fit) < 1e-3 for fit in fits.values())
-
-
-def test_the_distance_is_the_root_of_what_the_refit_leaves():
-    # The rival may move no parameter, only the starts: its refit is a linear least-squares problem in each window.
-    problem, _ = problem_of(noisy(rl.simulate(AXIS, T, U)))
-    z = np.array([1.5, -0.8])
-    true = problem.fit(NONE, noise_of(problem), z, plan=FitPlan(fixed=True))
-    goal = predicted(problem, true)
-    assert np.abs(goal.records[0].measured - simulated_outputs(problem, true)[0]).max() == 0.0
-    rigid = problem.on(problem.records)
-    rigid.nuisances = ()
-    rival = rigid.fit(NONE, true.noise, np.zeros(0))
-
-    bare = Problem(AXIS, goal.records, ())
-    zero = np.zeros_like(true.starts[0])
-    r = bare.whitened(bare.errors(NONE, np.zeros(0), [zero]), true.noise)[0]
-    x = [bare.whitened(bare.errors(NONE, np.zeros(0), [zero + e]), true.noise)[0] - r for e in np.eye(2)]
-    left = -z @ z - (true.starts[0] ** 2).sum()
-    for w in range(len(r)):
-        s = np.eye(r.shape[1]) + sum(np.outer(c[w], c[w]) for c in x)
-        left += r[w] @ np.linalg.solve(s, r[w])
-    assert left > 100.0  # 4 % more mass and a fourth less friction are seen
-    goal.nuisances = ()
-    fitted_again = goal.fit(NONE, true.noise, np.zeros(0), rival.starts, FitPlan(10))
-    assert np.sqrt(fitted_again.cost - z @ z - (true.starts[0] ** 2).sum()) == pytest.approx(np.sqrt(left), rel=1e-4)
-    held = Fit(rival.hypothesis, np.zeros(2), rival.starts, 0.0, rival.window_cost, np.eye(2), true.noise, 0)
-    assert refit_distance(problem, true, held) < 0.05 * np.sqrt(left)  # free to move, it comes there
-
-
 # --- what is left ----------------------------------------------------------------------------------------------------
-
-
-def test_with_the_true_effect_nothing_is_left_and_without_it_something_is():
-    problem, pool = problem_of(rubbing())
-    named = left_over(problem, fitted(problem, pool["coulomb-friction @ v"]), noise_of(problem))
-    bare = left_over(problem, fitted(problem), noise_of(problem))
-    assert named is not None
-    assert bare is not None
-    assert (bare.port, bare.unit) == ("v", "N")
-    assert np.sqrt(np.mean(named.force**2)) < 0.2 * np.sqrt(np.mean(bare.force**2))
 
 
 def test_what_is_left_without_friction_is_the_friction():
@@ -202,18 +157,6 @@ def test_whitening_finds_the_autoregression_of_the_errors():
     assert found.std == pytest.approx([0.03], rel=0.02)
 
 
-def test_errors_that_grow_along_a_window_are_whitened_by_a_stable_filter():
-    """A drift of a model looks unstable; a filter that amplifies would hide it."""
-    rng = np.random.default_rng(9)
-    drift = 1e-2 * 1.05 ** np.arange(80)
-    e = (rng.normal(size=(20, 1)) * drift + 1e-4 * rng.normal(size=(20, 80)))[:, :, None]
-    problem = SimpleNamespace(errors=lambda *_: [e])
-    for order in (1, 3):
-        found = whitening(problem, SimpleNamespace(hypothesis=NONE, z=None, starts=None), order)  # type: ignore[arg-type]
-        roots = np.abs(np.roots([1.0, *-found.ar[:, 0]]))
-        assert roots.max() == pytest.approx(np.exp(-1.0 / 80))
-
-
 def apart(problem: Problem) -> tuple[Problem, Problem]:
     """Problem and held-out problem: every fifth window is held out."""
     windows = np.arange(problem.records[0].count)
@@ -221,18 +164,6 @@ def apart(problem: Problem) -> tuple[Problem, Problem]:
         problem.on(problem.records, [windows[windows % 5 != 2]]),
         problem.on(problem.records, [windows[windows % 5 == 2]]),
     )
-
-
-def test_a_parameter_within_its_tolerance_is_no_missing_effect():
-    problem, pool = problem_of(plain())
-    wrong = pool["viscous-friction @ Fv"]
-    for factor, expected in ((1.9, False), (2.1, True), (0.6, False), (0.4, True)):
-        z = np.array([0.0, 0.0, *wrong.standardised({"s": factor})])
-        fit = Fit(Hypothesis((wrong,)), z, (), 0.0, np.zeros(0), np.eye(3), noise_of(problem), 0)
-        assert beyond_tolerance(problem, fit, wrong, {"M": 0.05, "Fv": 1.0}) is expected
-    other = pool["coulomb-friction @ v"]
-    fit = Fit(Hypothesis((other,)), np.zeros(3), (), 0.0, np.zeros(0), np.eye(3), noise_of(problem), 0)
-    assert beyond_tolerance(problem, fit, other, {"M": 0.05, "Fv": 1.0})
 
 
 def test_held_out_data_changes_no_parameter_and_shows_the_gap():
@@ -248,17 +179,6 @@ def test_held_out_data_changes_no_parameter_and_shows_the_gap():
     assert 100 * np.sqrt(others.mean()) > 3 * expected
     assert clearly_larger(others, errors)
     assert not clearly_larger(errors, others)
-
-
-def test_errors_are_clearly_larger_where_the_windows_agree_on_it():
-    rng = np.random.default_rng(2)
-    errors = rng.uniform(1.0, 2.0, 12)
-    assert clearly_larger(errors + 0.05, errors)
-    assert not clearly_larger(1.005 * errors, errors)  # as large
-    assert not clearly_larger(errors, errors)
-    by_chance = [clearly_larger(rng.uniform(1.0, 2.0, 12), rng.uniform(1.0, 2.0, 12)) for _ in range(400)]
-    assert 0.02 < np.mean(by_chance) < 0.09  # one-sided, 5 %
-    assert clearly_larger(np.array([2.0]), np.array([1.0]))
 
 
 # --- discover --------------------------------------------------------------------------------------------------------
@@ -332,14 +252,6 @@ def test_a_record_with_gaps_is_named():
     assert found.effects[0].parameters[0].value == pytest.approx(20.0, rel=0.03)
 
 
-def test_a_record_of_gaps_alone_is_refused():
-    run = rubbing()
-    lost = np.arange(N) % 80 >= 70
-    holes = rl.Record(run.t[~lost], {"u": run["u"][~lost]}, {"q": run["q"][~lost]}, {"u": "V", "q": "m"}, "holes")
-    with pytest.raises(InputError, match=r"holes.*windows of \d+ samples without gaps.*at least 4"):
-        rl.discover(AXIS, holes)
-
-
 def test_a_record_with_a_jittering_clock_is_named():
     t = T + 0.2 * DT * np.random.default_rng(6).uniform(-1, 1, N)
     run = noisy(stick_slip(AXIS, "v", 20.0, t, U).record, name="jitter")
@@ -360,49 +272,37 @@ def test_one_output_is_enough():
 # --- what is refused -------------------------------------------------------------------------------------------------
 
 
-def test_no_record_is_refused():
-    with pytest.raises(InputError, match=r"discover.*no record.*at least one"):
-        rl.discover(AXIS, [])
+def with_holes():
+    """Ten samples lost of every eighty."""
+    run, kept = rubbing(), np.arange(N) % 80 < 70
+    return rl.Record(run.t[kept], {"u": run["u"][kept]}, {"q": run["q"][kept]}, {"u": "V", "q": "m"}, "holes")
 
 
-def test_a_plant_with_effects_is_refused_with_the_way_out():
-    rubbed = rl.with_effects(rl.plant("dc-motor"), {"coulomb-friction": {"Fc": 5e-3}})
-    with pytest.raises(InputError, match=r"discover.*dc-motor with effects(?s:.*)give its plant"):
-        rl.discover(rubbed, plain())
+def only(inputs, outputs, n=N):
+    return rl.Record(T[:n], {k: x[:n] for k, x in inputs.items()}, {k: x[:n] for k, x in outputs.items()}, name="run 8")
 
 
-def test_a_discrete_model_and_no_plant_are_refused():
-    model = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=DT)
-    with pytest.raises(InputError, match=r"discover.*discrete"):
-        rl.discover(model, plain())
-    with pytest.raises(InputError):
-        rl.discover("servo-axis", plain())
-
-
-def test_records_with_other_names_are_refused():
-    run = plain()
-    with pytest.raises(InputError, match=r"run 8.*'u'"):
-        rl.discover(AXIS, rl.Record(T, {"voltage": U}, run.outputs, name="run 8"))
-    with pytest.raises(InputError, match=r"run 8"):
-        rl.discover(AXIS, rl.Record(T, {"u": U}, {"x": run["q"]}, name="run 8"))
-
-
-def test_a_record_that_is_too_short_is_refused():
-    run = plain()
-    short = rl.Record(T[:30], {"u": U[:30]}, {"q": run["q"][:30]}, name="blink")
-    with pytest.raises((InputError, NoTrustworthyNumber), match="blink"):
-        rl.discover(AXIS, short)
-
-
-def test_windows_of_which_four_do_not_fit_are_refused():
-    with pytest.raises(InputError, match=r"run 7.*1000 samples.*at least 1200 \(4 windows\)"):
-        rl.discover(AXIS, plain(), window=0.6)
-
-
-@pytest.mark.parametrize("window", [0.0, -1.0, np.nan, np.inf])
-def test_a_window_that_is_no_length_is_refused(window):
-    with pytest.raises(InputError, match=r"discover: window.*length in s above 0"):
-        rl.discover(AXIS, plain(), window=window)
+@pytest.mark.parametrize(
+    ("plant", "records", "options", "said"),
+    [
+        (AXIS, list, {}, r"discover.*no record.*at least one"),
+        (AXIS, with_holes, {}, r"holes.*windows of \d+ samples without gaps.*at least 4"),
+        (rl.with_effects(rl.plant("dc-motor"), {"coulomb-friction": {"Fc": 5e-3}}), plain, {},
+         r"discover.*dc-motor with effects(?s:.*)give its plant"),
+        (StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=DT), plain, {}, r"discover.*discrete"),
+        ("servo-axis", plain, {}, "discover"),
+        (AXIS, lambda: only({"voltage": U}, {"q": T}), {}, r"run 8.*'u'"),
+        (AXIS, lambda: only({"u": U}, {"x": T}), {}, "run 8"),
+        (AXIS, lambda: only({"u": U}, {"q": T}, 30), {}, "run 8"),
+        (AXIS, plain, {"window": 0.6}, r"run 7.*1000 samples.*at least 1200 \(4 windows\)"),
+        *((AXIS, plain, {"window": w}, r"discover: window.*length in s above 0") for w in (0.0, -1.0, np.nan, np.inf)),
+        (AXIS, plain, {"tolerances": {"Mx": 0.1}}, r"'Mx'.*no such parameter of servo-axis"),
+        (AXIS, plain, {"exclude": ["coulom-friction"]}, r"coulom-friction.*coulomb-friction"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_named_is_refused(plant, records, options, said):
+    with pytest.raises((InputError, NoTrustworthyNumber), match=said):
+        rl.discover(plant, records(), **options)
 
 
 def test_an_unexcited_record_says_nothing():
@@ -412,10 +312,3 @@ def test_an_unexcited_record_says_nothing():
     )
     with pytest.raises(NoTrustworthyNumber, match="idle"):
         rl.discover(AXIS, idle)
-
-
-def test_a_wrong_tolerance_or_effect_is_refused():
-    with pytest.raises(InputError, match=r"'Mx'.*no such parameter of servo-axis"):
-        rl.discover(AXIS, plain(), tolerances={"Mx": 0.1})
-    with pytest.raises(InputError, match=r"coulom-friction.*coulomb-friction"):
-        rl.discover(AXIS, plain(), exclude=["coulom-friction"])
