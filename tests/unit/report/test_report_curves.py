@@ -45,28 +45,6 @@ def test_a_band_has_both_edges_and_bars_their_heights():
     assert (rms["x"], rms["y"], rms["widths"]) == ([1.0, 2.0], [3.0, 4.0], [0.8, 0.8])
 
 
-def test_bars_and_points_drawn_one_by_one_are_one_series_with_the_name_in_the_legend():
-    figure, (axes,) = new_figure()
-    for k in range(3):
-        bars = axes.bar([k], [k + 1.0], width=0.5, color="#0072B2", alpha=0.5)
-        axes.plot([k], [0.1 * k], "o", color="#222222")
-    axes.legend([bars], ["rms forward"])
-    whole, panel = panel_of(figure)
-    assert whole
-    rms, means = panel["series"]
-    assert (rms["label"], rms["colour"], rms["y"]) == ("rms forward", "#0072b280", [1.0, 2.0, 3.0])
-    assert means["y"] == [0.0, 0.1, 0.2]
-
-
-def test_bars_that_stand_on_others_stay_in_the_picture():
-    figure, (axes,) = new_figure()
-    axes.plot([0.0, 1.0], [0.0, 1.0])
-    axes.bar([0.0, 1.0], [1.0, 1.0], bottom=[1.0, 2.0])
-    whole, panel = panel_of(figure)
-    assert not whole
-    assert len(panel["series"]) == 1
-
-
 def test_a_smooth_curve_is_told_by_its_corners_to_a_thousandth():
     figure, (axes,) = new_figure()
     t = np.linspace(0.0, 6.0, 20_000)
@@ -74,12 +52,6 @@ def test_a_smooth_curve_is_told_by_its_corners_to_a_thousandth():
     (series,) = panel_of(figure)[1]["series"]
     assert len(series["x"]) < 400
     assert np.abs(np.interp(t, series["x"], series["y"]) - np.sin(t)).max() < 1e-3 * 2
-
-
-def test_a_cloud_of_points_keeps_every_point():
-    figure, (axes,) = new_figure()
-    axes.plot(np.arange(500.0), np.zeros(500), "o")
-    assert len(panel_of(figure)[1]["series"][0]["x"]) == 500
 
 
 def test_a_long_curve_keeps_its_peaks():
@@ -91,15 +63,6 @@ def test_a_long_curve_keeps_its_peaks():
     assert len(series["x"]) <= 1000
     assert (max(series["y"]), min(series["y"])) == (9.0, -4.0)
     assert series["x"] == sorted(series["x"])
-
-
-def test_a_curve_without_a_name_has_that_of_its_colour():
-    figure, (above, below) = new_figure(2, 1)
-    above.plot([0, 1], [0, 1], color="#0072B2", label="updated")
-    below.plot([0, 1], [0, 2], color="#0072B2")
-    told = curves_of(figure)
-    assert told is not None
-    assert [panel["series"][0]["label"] for panel in told["panels"]] == ["updated", "updated"]
 
 
 @pytest.mark.parametrize("draw", ["loop", "text", "lying bars"])
@@ -125,9 +88,3 @@ def test_the_svg_carries_them_and_gives_the_picture_back(tmp_path):
     assert json.loads(curves)["panels"][0]["series"][0]["label"] == "</metadata>&<svg>"
     assert "curves" not in picture
     assert split(picture) == (picture, "")
-
-
-def test_a_figure_without_curves_has_none():
-    figure, (axes,) = new_figure()
-    axes.barh([0, 1], [1, 2])
-    assert curves_of(figure) is None

@@ -10,7 +10,7 @@ import pytest
 
 from robustlab.report import vector
 from robustlab.report.figures import house_style, legend_below, logarithmic, new_figure
-from robustlab.report.vector import COLUMN, OFF, corners_of, svg_of, thinned
+from robustlab.report.vector import COLUMN, OFF, svg_of, thinned
 
 
 def distance(points, line) -> float:
@@ -42,14 +42,6 @@ def test_what_is_left_out_lies_on_what_is_drawn(kind):
     assert distance(corners[::3], found) < COLUMN
     for end in (np.min, np.max):
         assert end(found, axis=0) == pytest.approx(end(corners, axis=0), abs=OFF)
-
-
-def test_corners_lie_within_the_tolerance():
-    x = np.linspace(0.0, 100.0, 1001)
-    y = np.cos(x / 10) * 30
-    chosen = corners_of(x, y)
-    assert distance(np.column_stack([x, y]), np.column_stack([x[chosen], y[chosen]])) <= OFF
-    assert len(chosen) < 120
 
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -112,34 +104,11 @@ def test_the_drawing_is_small_well_formed_and_keeps_its_texts():
     assert set(re.findall(r"url\(#([a-z0-9]+)\)", whole)) == set(names)
 
 
-def test_markers_that_cover_one_another_are_drawn_once_and_others_all():
-    figure, (axes,) = new_figure()
-    axes.plot([0.2] * 300 + [0.4, 0.6], [0.5] * 302, "o", color="#D55E00")
-    (dots,) = [e for e in drawn(figure).iter(f"{SVG}path") if e.get("stroke") == "#d55e00"]
-    assert dots.get("d").count("h0") == 3
-
-
-@pytest.mark.parametrize("kind", ["o", ".", "s", "D", "d", "^", "v", "x", "+", "|", "*"])
-@pytest.mark.parametrize("face", ["#D55E00", "none"])
-def test_every_marker_is_drawn(kind, face):
-    figure, (axes,) = new_figure()
-    axes.plot([0.2, 0.4], [0.5, 0.6], kind, color="#D55E00", mfc=face, mew=1.5)
-    assert "#d55e00" in ET.tostring(drawn(figure), encoding="unicode")
-
-
 def test_what_is_not_finite_is_a_gap():
     figure, (axes,) = new_figure()
     axes.plot([0, 1, 2, 3, 4], [0, 1, np.nan, 1, 0], color="#123456")
     (line,) = [e for e in drawn(figure).iter(f"{SVG}path") if e.get("stroke") == "#123456"]
     assert line.get("d").count("M") == 2
-
-
-def test_a_hatched_bar_keeps_its_hatching():
-    figure, (axes,) = new_figure()
-    axes.bar([0], [1], hatch="//")
-    root = drawn(figure)
-    (pattern,) = root.iter(f"{SVG}pattern")
-    assert f"url(#{pattern.get('id')})" in ET.tostring(root, encoding="unicode")
 
 
 def test_nothing_stands_outside_of_the_picture_or_on_one_another():
@@ -163,43 +132,6 @@ def test_nothing_stands_outside_of_the_picture_or_on_one_another():
     for k in (0, 1, 3, 4):
         assert boxes[k][0] + boxes[k][2] + 20 < boxes[k + 1][0]
     assert all(boxes[k][1] + boxes[k][3] + 10 < boxes[k + 3][1] for k in range(3))
-
-
-@pytest.mark.parametrize("place", ["best", "upper left", "lower right", "center", "lower center"])
-def test_a_legend_stands_where_it_is_asked_for(place):
-    figure, (axes,) = new_figure()
-    axes.plot([0, 1], [0, 1], label="rising")
-    axes.legend(loc=place)
-    root = drawn(figure)
-    (entry,) = [e for e in root.iter(f"{SVG}text") if e.text == "rising"]
-    box = root.find(f".//{SVG}clipPath/{SVG}rect")
-    x, y, width, height = (float(box.get(side)) for side in ("x", "y", "width", "height"))
-    across, down = (float(entry.get("x")) - x) / width, (float(entry.get("y")) - y) / height
-    assert 0 < across < 1
-    assert 0 < down < 1
-    assert {"best": across < 0.5 and down < 0.5, "upper left": across < 0.3 and down < 0.3}.get(place, True)
-    assert {"lower right": across > 0.7 and down > 0.7, "center": 0.3 < down < 0.7}.get(place, True)
-
-
-def test_an_empty_figure_is_a_picture():
-    figure, (axes,) = new_figure()
-    root = drawn(figure)
-    assert root.find(f".//{SVG}clipPath") is not None
-    axes.legend([], [])
-    axes.plot([], [], label="nothing")
-    axes.fill_between([], [], [])
-    axes.legend()
-    assert "nothing" in texts(drawn(figure))
-
-
-def test_a_picture_in_a_picture_is_drawn_by_matplotlib(monkeypatch):
-    monkeypatch.setattr(vector, "_of_matplotlib", lambda _figure: "by matplotlib")
-    figure, (axes,) = new_figure()
-    axes.imshow(np.eye(2))
-    assert svg_of(figure) == "by matplotlib"
-    figure, (axes,) = new_figure()
-    axes.annotate("there", (0.5, 0.5), (0.1, 0.1), arrowprops={"arrowstyle": "->"})
-    assert svg_of(figure) == "by matplotlib"
 
 
 def test_the_same_drawing_gives_the_same_characters():
