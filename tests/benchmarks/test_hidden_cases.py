@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hidden import ANYWHERE, CURRENT_ONLY, FAMILIES, make_case, told
+from hidden import CURRENT_ONLY, FAMILIES, make_case
 
 import robustlab as rl
 
@@ -24,14 +24,6 @@ def test_enough_classes():
         assert not set(family.outside) & {*family.classes}
         assert all(len(set(pair)) == 2 and set(pair) <= set(family.classes) for pair in family.pairs)
     assert {*CURRENT_ONLY} <= {*FAMILIES["motor-current"].classes} - {*MOTOR.classes}
-
-
-def test_exact_twins_are_told_as_one():
-    twins = FAMILIES["oscillator"].twins
-    assert told(twins, ["sensor-bias"]) == told(twins, ["constant-load"])
-    assert told(twins, ["sensor-delay", "inertia"]) == told(twins, ["inertia", "input-delay"])
-    assert told(ANYWHERE, ["sensor-bias"]) != told(ANYWHERE, ["constant-load"])
-    assert told(ANYWHERE, ["asymmetric-coulomb-friction"]) == {"coulomb-friction", "constant-load"}
 
 
 @pytest.mark.parametrize("effect", ["none", "stribeck-friction", "telegraph-load", PAIRS[0]])
@@ -88,46 +80,3 @@ def test_the_nominal_plant_of_none_is_the_truth_up_to_its_tolerance():
     got = rl.simulate(rl.plant("dc-motor", **exact), case.record.t, case.record["u"])
     assert np.abs(got["phi"] - case.record_clean["phi"]).max() < 1e-4
     assert np.abs(got["i"] - case.record_clean["i"]).max() < 1e-4
-
-
-@pytest.mark.parametrize("plant", ["mass-spring-damper", "two-mass"])
-def test_the_nominal_plants_with_a_spring_are_the_truth_up_to_their_tolerance(plant):
-    case = make_case("none", 7, plant=plant, duration=1.0)
-    exact = {name: p.value * case.perturbed[name] for name, p in case.plant.parameters.items()}
-    got = rl.simulate(rl.plant(plant, **exact), case.record.t, case.record[case.rig.setup.input])
-    for name, clean in case.record_clean.items():
-        assert np.abs(got[name] - clean).max() < 1e-6 * np.ptp(clean)
-
-
-def test_parameters_may_be_set():
-    case = make_case(
-        ("coulomb-friction", "input-dead-zone"),
-        1,
-        plant="linear-actuator",
-        excitation="square",
-        duration=0.5,
-        parameters={"coulomb-friction": {"Fc": 0.02}, "input-dead-zone": {"V": 0.6}},
-    )
-    assert (case.machine.Fc, case.machine.dead) == (0.02, 0.6)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "options"),
-    [
-        (("colomb", 1), {}),
-        (("none", 1), {"noise": "none"}),
-        (("none", 1), {"excitation": "chirp"}),
-        (("none", 1), {"plant": "stewart"}),
-        (("none", 1), {"hold": "linear"}),
-        (("none", 1), {"hold": "continuous", "closed_loop": True}),
-        (("none", 1), {"plant": "mass-spring-damper", "closed_loop": True}),
-        (("cogging", 1), {"plant": "mass-spring-damper"}),
-        (("resistance", 1), {"plant": "servo-axis"}),
-        (("none", 1), {"plant": "servo-axis", "current": True}),
-        ((("cogging", "cogging"), 1), {}),
-        (("none", 1), {"parameters": {"cogging": {"A": 1.0}}}),
-    ],
-)
-def test_what_does_not_exist_is_refused(arguments, options):
-    with pytest.raises(ValueError, match=r"\w"):
-        make_case(*arguments, **options)

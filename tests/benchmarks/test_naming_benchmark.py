@@ -1,37 +1,15 @@
 """The open benchmark of naming: its cases follow from the seed, and its scorer judges by hand-made answers."""
 
-import json
-from dataclasses import replace
-
 import h5py
 import naming_benchmark
 import numpy as np
 import pytest
-from hidden import FAMILIES
-from naming.answers import SCHEMA, read_answers
-from naming.composition import accepted, composition, drawn
+from naming.answers import read_answers
+from naming.composition import composition, drawn
 from naming.dataset import digest, make
-from naming.regression import answer
 from naming.scoring import is_right, score, table
 
 import robustlab as rl
-
-
-def entry(family, condition, *effects):
-    own = next(e for e in composition(1) if (e.family, e.condition) == (family, condition))
-    return replace(own, effects=effects)
-
-
-def test_every_class_of_every_family_is_there_once_and_the_seed_says_all():
-    cases = composition(5)
-    assert cases == composition(5) != composition(6)
-    assert len(cases) == 308
-    assert [c.id for c in cases] == [f"{k:04d}" for k in range(1, 309)]
-    for name, family in FAMILIES.items():
-        own = [c.effects[0] for c in cases if (c.family, c.condition) == (name, "single")]
-        assert sorted(own) == sorted(family.classes)
-    counts = {c: sum(e.condition == c for e in cases) for c in ("pair", "nothing", "outside", "poor")}
-    assert counts == {"pair": 48, "nothing": 30, "outside": 24, "poor": 30}
 
 
 def test_a_data_set_is_the_same_files_twice_and_holds_what_was_measured(tmp_path):
@@ -55,17 +33,6 @@ def test_a_data_set_is_the_same_files_twice_and_holds_what_was_measured(tmp_path
     with h5py.File(folder / "records.h5") as file:  # nothing of what is hidden is in what a program reads
         assert sorted(file) == ["held_out", "record"]
     assert b"truth" not in (folder / "model.h5").read_bytes()
-
-
-def test_the_sets_of_kinds_that_are_right():
-    motor = ("motor", "single")
-    assert accepted(entry(*motor, "coulomb-friction")) == [["dry-friction"]]
-    assert accepted(entry(*motor, "asymmetric-coulomb-friction")) == [["dry-friction"], ["dry-friction", "load"]]
-    assert accepted(entry("motor", "pair", "coulomb-friction", "constant-load")) == [["dry-friction", "load"]]
-    assert accepted(entry("oscillator", "single", "sensor-bias")) == [["load"], ["sensor-error"]]
-    assert accepted(entry("oscillator", "single", "constant-load")) == [["load"], ["sensor-error"]]
-    assert accepted(entry("motor", "nothing")) == [[]]
-    assert accepted(entry("motor", "outside", "telegraph-load")) == []
 
 
 def said(verdict, *kinds, possible=(), complete=True, **more):
@@ -105,20 +72,6 @@ def test_what_is_right(answer, truth, right):
     assert is_right(answer, truth) is right
 
 
-@pytest.mark.parametrize(
-    ("answer", "wrong"),
-    [
-        (said("named", "dry-friction", complete=False), "0/1"),  # one of two, and that there is more
-        (said("named", "dry-friction"), "1/1"),
-        (said("named", "spring", complete=False), "1/1"),
-        (said("named", "dry-friction", "load"), "0/1"),
-        (said("open", possible=["spring"]), "0/1"),
-    ],
-)
-def test_what_is_sure_and_wrong(answer, wrong):
-    assert dict(score({"1": PAIR}, {"1": answer}, {}))["pairs: sure and wrong"] == wrong
-
-
 def test_the_table_counts_what_it_says():
     truth = {"1": DRY, "2": DRY, "3": DRY, "4": PAIR, "5": NOTHING, "6": OUTSIDE}
     answers = {
@@ -140,52 +93,6 @@ def test_the_table_counts_what_it_says():
     assert rows["kinds stated at 0.95 to 1, on average: in the machine"] == "0.99: 1/1"
     assert rows["CPU s a case: median, at 95 %"] == "4, 5.8"
     assert "mine" in table(truth, {"mine": (answers, {})}).splitlines()[0]
-
-
-def test_only_another_explanation_is_one_that_the_records_cannot_tell(monkeypatch, tmp_path):
-    """What holds all that is hidden can be refitted to it whatever else it names: its distance would excuse it."""
-    monkeypatch.setattr("discover_distance.distance", lambda case, truth, told: 1.0)
-    own = {e.id: e for e in composition(1) if e.condition == "single"}
-    (first, *_), hidden = own, next(iter(own.values())).effects[0]
-    truth = {first: {**DRY, "effects": [hidden], "kinds": [["dry-friction"]]}}
-
-    def asked(verdict, *names):
-        found = [{"name": n, "at": "v", "values": {}} for n in names]
-        return naming_benchmark.apart(tmp_path, truth, {first: {**said(verdict), "named": [], "effects": found}}, 1)
-
-    assert asked("open", "another") == {first: 1.0}
-    assert asked("unknown") == {first: 1.0}
-    assert asked("open", hidden, "another") == {}
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"verdict": "sure"}, "verdict 'sure'"),
-        ({"verdict": "named", "named": [{"kind": "friction"}]}, "kind 'friction'"),
-        ({"verdict": "named"}, "with 0 names"),
-        ({"verdict": "nothing", "named": [{"kind": "load"}]}, "with 1 names"),
-    ],
-)
-def test_an_answer_that_cannot_be_judged_is_refused(tmp_path, change, told):
-    path = tmp_path / "a.json"
-    path.write_text(json.dumps({"schema": SCHEMA, "program": "x", "answers": {"0001": change}}))
-    with pytest.raises(ValueError, match=told) as refused:
-        read_answers(path)
-    assert "0001" in str(refused.value)
-    path.write_text("{}")
-    with pytest.raises(ValueError, match="schema None"):
-        read_answers(path)
-
-
-def test_the_regression_finds_what_is_large_and_linear_in_its_terms(tmp_path):
-    """A cubic spring of an oscillator is a force of the position, whatever else is named beside it."""
-    from naming.dataset import _write
-
-    _write(tmp_path / "c", drawn(entry("oscillator", "single", "cubic-stiffness")))
-    found = answer(tmp_path / "c", "stepwise")
-    assert found["verdict"] == "named"
-    assert "spring" in [one["kind"] for one in found["named"]]
 
 
 def test_the_commands_from_making_to_the_table(tmp_path, capsys, monkeypatch):

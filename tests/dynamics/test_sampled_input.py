@@ -8,12 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import SampledInput, Simulator, Windows, rising
+from robustlab.dynamics.extended.simulator import SampledInput, Simulator, Windows
 from robustlab.errors import InputError
 
 HOLDS = ("zoh", "linear", "smooth")
@@ -47,18 +46,6 @@ def test_a_shift_by_whole_samples_shifts_the_record(u, late, sub, hold):
         assert np.abs(moved[k] - expected).max() <= size
 
 
-@settings(deadline=None)
-@given(signals, st.floats(-60, 60), st.integers(1, 5))
-def test_the_mean_of_a_held_input_is_exact_for_any_shift(u, late, sub):
-    # the integral of a held input is a broken line through its sums, before and after at the slope of the ends
-    edges = np.arange(sub * len(u) + 1) / sub - late
-    far = 200.0
-    knots = np.concatenate([[-far], np.arange(len(u) + 1), [len(u) + far]])
-    totals = np.concatenate([[-far * u[0]], [0.0], np.cumsum(u), [np.sum(u) + far * u[-1]]])
-    expected = sub * np.diff(np.interp(edges, knots, totals))
-    assert SampledInput(u).steps(sub, late).mean(axis=1) == pytest.approx(expected, abs=1e-9)
-
-
 @pytest.mark.parametrize("hold", HOLDS)
 def test_the_line_of_a_step_has_the_first_moment_of_what_it_stands_for(hold):
     u = np.random.default_rng(3).normal(size=12)
@@ -71,22 +58,6 @@ def test_the_line_of_a_step_has_the_first_moment_of_what_it_stands_for(hold):
         p, q = signal.steps(sub, late).reshape(-1, sub, 2)[:, r].T
         assert 0.5 * (p + q) == pytest.approx(part.mean(axis=1), abs=2e-3)
         assert (q - p) / 3 == pytest.approx((part * tau).mean(axis=1), abs=2e-3)
-
-
-def test_a_polynomial_of_degree_five_is_its_own_spline():
-    t = np.arange(20.0)
-    p = np.polynomial.Polynomial([1.0, -2.0, 0.5, 0.03, -0.004, 1e-4])
-    for late in (0.4, -0.3):
-        found = SampledInput(p(t), "smooth").samples(late)
-        assert found[2:-2] == pytest.approx(p(t - late)[2:-2], rel=1e-10)
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
-@pytest.mark.parametrize("hold", HOLDS)
-def test_short_records_pass_through_their_samples(n, hold):
-    u = np.random.default_rng(n).normal(size=n)
-    assert SampledInput(u, hold).samples() == pytest.approx(u)
-    assert np.isfinite(SampledInput(u, hold).steps(3, 0.4)).all()
 
 
 @pytest.mark.parametrize("samples_a_period", [8, 9, 12])
@@ -153,38 +124,6 @@ def test_the_edges_of_a_held_input_lie_where_the_shift_puts_them(late):
     assert errors[1] < 0.3 * errors[0] + 1e-10
 
 
-@pytest.mark.parametrize("hold", HOLDS)
-def test_the_response_is_smooth_in_the_shift(hold):
-    plant, _ = oscillator(12, 0.05)
-    u = plant.values["k"] * np.random.default_rng(2).normal(size=(100, 1))
-    run = Simulator(plant, [], u, DT, sub=2, hold=(hold,))
-
-    def response(shift):
-        return run.run({}, [], np.zeros((1, 2)), whole(100), (shift,)).outputs[0, :, 0]
-
-    step = 2e-3 * 0.25 * DT
-    for shift in (0.0, 0.3 * DT, 0.5 * DT):  # 0 and half a sample: edges pass from one step to the next
-        right = (response(shift + step) - response(shift)) / step
-        left = (response(shift) - response(shift - step)) / step
-        middle = (response(shift + 20 * step) - response(shift - 20 * step)) / (40 * step)
-        scale = np.abs(middle).max()
-        assert np.abs(right - left).max() < 0.04 * scale
-        assert np.abs(0.5 * (right + left) - middle).max() < 0.03 * scale
-
-
-def test_effects_on_the_input_act_between_the_samples():
-    # a saturated sine into a free mass: its speed is the integral of the clipped sine
-    plant = rl.plant("mass-spring-damper", m=1.0, c=0.0, k=0.0)
-    n, omega = 200, 2 * np.pi / 40e-3
-    t = np.arange(n) * DT
-    fine = np.clip(np.sin(omega * (np.arange(n * 100) + 0.5) * DT / 100), -0.6, 0.6)
-    truth = np.concatenate([[0.0], np.cumsum(fine)])[: n * 100 : 100] * DT / 100
-    pair = (effect("input-saturation"), Site("input", "f"))
-    run = Simulator(plant, [pair], np.sin(omega * t)[:, None], DT, sub=4, hold=("smooth",))
-    found = run.run({}, [{"u_max": 0.6}], np.zeros((1, 2)), whole(n)).outputs[0, :, 1]
-    assert np.abs(found - truth).max() < 1e-3 * np.abs(truth).max()
-
-
 def test_a_delay_and_a_shift_are_one_and_the_same():
     plant, _ = oscillator(20)
     u = np.random.default_rng(4).normal(size=(90, 1))
@@ -205,22 +144,6 @@ def test_the_input_that_the_plant_sees_is_told_as_its_mean_over_each_sample(hold
     speed = run.run({}, [{"s": 1.5}], np.zeros((1, 2)), whole(40), (0.4 * DT,)).states[0, :, 1]
     mean, _ = run.seen_input([{"s": 1.5}], (0.4 * DT,))
     assert mean[:-1, 0] * DT == pytest.approx(np.diff(speed), abs=1e-15)
-
-
-@pytest.mark.parametrize("hold", HOLDS)
-def test_means_and_rises_held_over_each_sample_move_an_oscillator_as_the_input_does(hold):
-    plant, _ = oscillator(20)
-    u = np.random.default_rng(6).normal(size=(40, 1))
-    run = Simulator(plant, [], u, DT, sub=1, hold=(hold,))
-    states = run.run({}, [], np.zeros((1, 2)), whole(40), (0.4 * DT,)).states[0]
-    mean, rise = run.seen_input([], (0.4 * DT,))
-    model = run.model({}, [])
-    columns = np.hstack([model.B, rising(model.A, model.B, DT)])
-    phi = expm(DT * np.block([[model.A, columns], [np.zeros((2, 4))]]))
-    x = np.zeros(2)
-    for k in range(39):
-        x = phi[:2, :2] @ x + phi[:2, 2:] @ np.array([mean[k, 0], rise[k, 0]])
-        assert x == pytest.approx(states[k + 1], abs=1e-12 * np.abs(states).max())
 
 
 def test_what_cannot_be_is_named():

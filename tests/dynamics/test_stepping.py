@@ -121,26 +121,3 @@ def test_a_stop_far_too_stiff_for_the_steps_keeps_the_motion_bounded(kc):
     states = run.run({}, [values], np.zeros((1, 2)), Windows(np.array([0]), N)).states[0]
     assert np.abs(states[:, 0]).max() < 3.0
     assert np.abs(states[:, 1]).max() < 3.0 * omega
-
-
-@pytest.mark.parametrize("level", [0.0, 5e-324, 1e-310, 1e300])
-def test_forces_of_any_size_are_stepped(level):
-    plant, omega = oscillator(9)
-    run = Simulator(plant, [(effect("coulomb-friction"), JOINT)], drive(omega)[:, None], DT)
-    plain = Simulator(plant, [], drive(omega)[:, None], DT)
-    window = Windows(np.array([0]), N)
-    found = run.run({}, [{"Fc": level}], np.zeros((1, 2)), window).states
-    expected = plain.run({}, [], np.zeros((1, 2)), window).states if level < 1 else 0.0 * found
-    assert found == pytest.approx(expected, abs=1e-9)
-
-
-@pytest.mark.parametrize(("samples_a_period", "steps"), [(5, 4), (8, 3), (9, 3), (12, 2), (500, 2), (0.5, 16)])
-def test_the_steps_follow_the_fastest_oscillation(samples_a_period, steps):
-    assert stepping(oscillator(samples_a_period)[0], DT) == steps
-
-
-def test_all_effects_share_the_plants_steps():
-    plant, _ = oscillator(9)
-    u = np.zeros((5, 1))
-    found = {Simulator(plant, [(effect(name), JOINT)], u, DT).sub for name in (*LAWS, "end-stop", "backlash")}
-    assert found == {stepping(plant, DT)} == {Simulator(plant, [], u, DT).sub}

@@ -95,12 +95,6 @@ def test_the_free_flight_after_a_reversal():
     np.testing.assert_allclose(load[:-1], load[0], rtol=1e-10)
 
 
-def test_a_still_contact_carries_the_loads_share_of_the_torque():
-    values = {"gap": 0.02, "share": 0.4, "f": 120.0}
-    _, force = run(np.full(3000, 0.02), 1e-3, values)
-    assert force[-1] == pytest.approx(-0.4 * 0.02, rel=1e-9)
-
-
 random_values = st.fixed_dictionaries(
     {"gap": st.floats(0.0, 0.2), "share": st.floats(0.05, 0.9), "f": st.floats(20.0, 2000.0)}
 )
@@ -130,15 +124,3 @@ def test_momentum_is_what_the_torque_gave(values, seed):
     )
     given_so_far = dt * np.concatenate([[0.0], np.cumsum(u)[:-1]])
     np.testing.assert_allclose(momentum, given_so_far, atol=1e-9 * np.abs(given_so_far).max())
-
-
-def test_a_gap_never_crossed_leaves_the_drive_alone():
-    values = {"gap": 1e6, "share": 0.4, "f": 120.0}
-    states, force = run(np.full(100, 0.02), 1e-3, values)
-    assert not force.any()
-    np.testing.assert_allclose(states[:, 1], 0.02 / (0.6 * INERTIA) * 1e-3 * np.arange(100), rtol=1e-10)
-
-
-def test_the_footprint_is_half_the_gap():
-    footprint = effect("backlash").footprint(Site("joint", "v"), {"gap": 0.02, "share": 0.4, "f": 120.0}, 1.0)
-    assert (footprint.signal, footprint.offset) == ("position", 0.01)

@@ -66,41 +66,6 @@ SCALES = {
 }
 
 
-def test_the_catalogue_is_that_of_the_specification():
-    assert sorted(catalogue()) == sorted(IDS)
-    assert list(catalogue()) == sorted(catalogue())
-
-
-@pytest.mark.parametrize("name", IDS)
-def test_class_id_and_words(name):
-    known = effect(name)
-    assert type(known).__name__.lower() == name.replace("-", "")
-    assert known.title
-    assert known.equation
-    assert known.refines is None or known.refines in IDS
-    assert known.structural == (name in ("backlash", "flexible-coupling"))
-    assert known.nameable == (name != "quantisation")
-
-
-@pytest.mark.parametrize(
-    ("name", "kind"), [*((n, None) for n in IDS), ("stiffness", "joint"), ("viscous-friction", "joint")]
-)
-def test_priors_go_both_ways_and_starts_are_complete_and_likely(name, kind):
-    known = effect(name)
-    scales = SCALES[kind or known.site_kind]
-    parameters = {p.name: p.prior for p in known.parameters(scales)}
-    assert len(parameters) == len(known.parameters(scales))
-    for prior in parameters.values():
-        for z in (-1.7, 0.0, 0.9):
-            assert prior.standardised(prior.value(z)) == pytest.approx(z, abs=1e-9)
-    assert 1 <= len(known.starts(scales)) <= 6
-    for start in known.starts(scales):
-        assert start.keys() == parameters.keys()
-        for symbol, value in start.items():
-            assert abs(parameters[symbol].standardised(value)) < 4.0, symbol
-        assert known.checked(start) == start
-
-
 @pytest.mark.parametrize("plant_name", PLANTS)
 @pytest.mark.parametrize("name", IDS)
 def test_it_runs_at_each_of_its_sites(name, plant_name):
@@ -142,24 +107,11 @@ def test_missing_unknown_and_nan_values_are_named(name):
         known.checked({})
 
 
-def test_an_unknown_effect_is_answered_with_the_closest():
-    with pytest.raises(InputError, match="coulomb-friction"):
-        effect("coulomb-fricton")
-
-
 class Wind(Effect):
     id, title, equation, site_kind = "wind", "Wind", "f = w", "joint"
 
     def parameters(self, scales):
         return ()
-
-
-class Nameless(Wind):
-    title = None
-
-
-class Taken(Wind):
-    id = "inertia"
 
 
 def test_effects_of_ones_own_join_and_are_replaced(monkeypatch):
@@ -173,12 +125,3 @@ def test_effects_of_ones_own_join_and_are_replaced(monkeypatch):
     assert effect("wind") is second
     assert list(catalogue()) == sorted([*IDS, "wind"])
     assert effect("wind").sites(rl.plant("dc-motor"), port_model(rl.plant("dc-motor"))) == (Site("joint", "omega"),)
-
-
-@pytest.mark.parametrize(
-    ("added", "message"),
-    [(Wind, "an instance of a class"), (Nameless(), "no title"), (Taken(), "the id 'inertia'")],
-)
-def test_what_cannot_join_is_named(added, message):
-    with pytest.raises(InputError, match=message):
-        add_effect(added)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +13,6 @@ from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.errors import InputError
 from robustlab.statespace import Signal
 
 JOINT = Site("joint", "v")
@@ -131,42 +129,3 @@ def test_a_full_mass_matrix():
     inputs = change @ np.linalg.solve(e, np.eye(6)[:, 2:4])
     np.testing.assert_allclose(found.B, inputs, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(np.column_stack([found.ports[p].force for p in ("wa", "wb")]), inputs, atol=1e-12)
-
-
-def test_a_spring_to_ground_comes_before_or_after():
-    motor, joint = rl.plant("dc-motor"), Site("joint", "omega")
-    spring, coupling = effect("stiffness"), effect("flexible-coupling")
-    values = {"f": 40.0, "zeta": 0.05, "share": 0.4}
-    first = coupling.extend(spring.extend(port_model(motor), joint, {"k": 0.1}), joint, values)
-    last = spring.extend(coupling.extend(port_model(motor), joint, values), joint, {"k": 0.1})
-    np.testing.assert_allclose(first.A, last.A, rtol=1e-12)
-
-
-@pytest.mark.parametrize("second", ["flexible-coupling", "backlash"])
-def test_two_load_sides_at_one_joint_are_refused(second):
-    motor, joint = rl.plant("dc-motor"), Site("joint", "omega")
-    once = effect("flexible-coupling").extend(port_model(motor), joint, {"f": 40.0, "zeta": 0.05, "share": 0.4})
-    with pytest.raises(InputError, match="splits the joint in two"):
-        effect(second).extend(once, joint, {"f": 40.0, "zeta": 0.05, "share": 0.4, "gap": 0.1})
-
-
-def test_two_joints_may_have_one_each():
-    two = rl.plant("two-mass")
-    values = {"f": 40.0, "zeta": 0.05, "share": 0.4}
-    once = effect("flexible-coupling").extend(port_model(two), Site("joint", "omega1"), values)
-    twice = effect("flexible-coupling").extend(once, Site("joint", "omega2"), values)
-    other = effect("flexible-coupling").extend(port_model(two), Site("joint", "omega2"), values)
-    other = effect("flexible-coupling").extend(other, Site("joint", "omega1"), values)
-    order = [0, 1, 2, 3, 6, 7, 4, 5]
-    np.testing.assert_allclose(twice.A, other.A[np.array(order)[:, None], order], rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("site", "share", "message"), [("nowhere", 0.4, "no such joint"), ("v", 1.0, "between 0 and 1")]
-)
-def test_bad_sites_and_shares_are_named(site, share, message):
-    plant = rl.plant("mass-spring-damper")
-    with pytest.raises(InputError, match=message):
-        effect("flexible-coupling").extend(
-            port_model(plant), Site("joint", site), {"f": 40.0, "zeta": 0.05, "share": share}
-        )

@@ -15,13 +15,11 @@ from scipy.special import ellipk
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.circuit_effects import heating_drop
-from robustlab.dynamics.effects.contract import Scales, Site
+from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.effects.friction_effects import (
     asymmetric_force,
     drag_force,
     dry_force,
-    loss_force,
     presliding_force,
     stribeck_force,
     uneven_force,
@@ -29,14 +27,7 @@ from robustlab.dynamics.effects.friction_effects import (
 from robustlab.dynamics.effects.load_effects import cogging_force
 from robustlab.dynamics.effects.spring_effects import cubic_force, stop_force
 from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
-from robustlab.statespace import Signal, StateSpaceModel
 
-JOINT_EFFECTS = (
-    "asymmetric-viscous-friction", "cogging", "constant-load", "coulomb-friction", "cubic-stiffness", "end-stop",
-    "gear-efficiency", "position-dependent-friction", "presliding", "quadratic-drag", "stribeck-friction",
-)  # fmt: skip
-CURRENT_EFFECTS = ("brush-drop", "resistance-heating")
 MASS = 2.0
 
 
@@ -238,23 +229,6 @@ def test_a_stop_never_pulls_never_creates_energy_and_lets_go(kc, dc, q0, v0, dri
         assert s.work <= stored(q0) - stored(s.q) + rounding + 1e-12
 
 
-@asked
-@given(st.floats(0.05, 0.99), signed, signed, steps)
-def test_a_gear_takes_its_share_of_the_driving_force(eta, v0, drive, h):
-    s = Step(loss_force, [1 - eta], v0=v0, drive=drive, h=h)
-    assume(v0 != 0 and v0 * s.v > 0)
-    assert s.f == pytest.approx(-math.copysign((1 - eta) * abs(drive), v0), abs=1e-9 * (abs(drive) + abs(v0) / s.gv))
-
-
-@asked
-@given(positive, st.floats(0.1, 1e3), signed, signed, positive, steps)
-def test_a_warm_winding_drops_the_rise_of_its_resistance(kappa, T, i0, drive, warm, h):
-    s = Step(heating_drop, [kappa, T], v0=i0, drive=drive, h=h, z=warm)
-    mean = 0.5 * (i0 + s.v)
-    rounding = 1e-9 * warm * (abs(i0) + s.gv * abs(drive))
-    assert s.f == pytest.approx(-warm * mean, rel=1e-6, abs=rounding + 1e-12)
-
-
 def mass(effects, values, n, h, x0=(0.0, 0.0), force=None, t0=0.0, c=0.0):
     """States (n, 2) and forces (n, laws) of a free mass with effects at its joint."""
     plant = rl.plant("mass-spring-damper", m=MASS, c=c, k=0.0)
@@ -321,28 +295,6 @@ def test_presliding_hysteresis_loop_has_the_area_of_dahls():
     assert max(f[n:]) == pytest.approx(level * math.tanh(x), rel=1e-6)
 
 
-def test_presliding_gives_way_like_a_spring_and_then_slides():
-    level, stiffness = 2.0, 1e3
-    slow = np.minimum(np.arange(20000) * 1e-3 * 0.08, 1.0)  # half of the level
-    states, force = mass(["presliding"], [{"Fc": level, "sigma0": stiffness}], 20000, 1e-3, force=slow, c=200.0)
-    assert states[-1, 0] == pytest.approx(-level / stiffness * math.log(1 - 0.5), rel=1e-4)
-    assert force[-1, 0] == pytest.approx(-1.0, rel=1e-4)
-    states, _ = mass(["presliding"], [{"Fc": level, "sigma0": 1e9}], 2000, 1e-3, x0=(0.0, 1.0))
-    assert states[-1, 0] == pytest.approx(MASS / (2 * level), rel=1e-3)  # like Coulomb's, and without ringing
-    assert abs(states[-1, 1]) < 1e-9
-
-
-@pytest.mark.parametrize(("v0", "b"), [(2.0, 1.5), (-2.0, 0.5)])
-def test_asymmetric_viscous_friction_decays_by_its_direction(v0, b):
-    states, _ = mass(["asymmetric-viscous-friction"], [{"dFv": 0.5}], 3000, 1e-3, x0=(0.0, v0), c=1.0)
-    np.testing.assert_allclose(states[:, 1], v0 * np.exp(-b * np.arange(3000) * 1e-3 / MASS), rtol=1e-5)
-
-
-def test_a_constant_load_is_free_fall():
-    states, _ = mass(["constant-load"], [{"T0": 3.0}], 1000, 1e-3)
-    np.testing.assert_allclose(states[:, 0], -0.5 * 3.0 / MASS * (np.arange(1000) * 1e-3) ** 2, atol=1e-12)
-
-
 def test_drag_decays_and_holds_the_terminal_speed():
     states, _ = mass(["quadratic-drag"], [{"c": 0.3}], 3000, 1e-3, x0=(0.0, -5.0))
     np.testing.assert_allclose(states[:, 1], -5.0 / (1 + 0.3 * 5.0 * np.arange(3000) * 1e-3 / MASS), rtol=1e-6)
@@ -398,90 +350,6 @@ def test_a_gear_speeds_up_by_eta_and_slows_down_by_two_less_eta():
     assert v[1000] == pytest.approx(0.7 * 3.0 / MASS, rel=1e-9)
     down = v[1000] / (1.3 * 3.0 / MASS)  # time to stop
     assert v[-1] == pytest.approx(-0.7 * 3.0 / MASS * (0.999 - down), rel=1e-9)
-
-
-def test_no_current_flows_below_the_brush_drop_and_its_rest_above():
-    plant = rl.plant("dc-motor", J=1.0)  # as good as locked
-    p = plant.values
-    for volt, expected in ((0.55, 0.0), (-0.55, 0.0), (2.0, 1.4 / p["R"]), (-2.0, -1.4 / p["R"])):
-        simulator = Simulator(plant, [(effect("brush-drop"), Site("current", "i"))], np.full((50, 1), volt), 1e-3)
-        states = simulator.run({}, [{"Vb": 0.6}], np.zeros((1, 3)), Windows(np.array([0]), 50)).states[0]
-        assert states[-1, 2] == pytest.approx(expected, rel=2e-3, abs=1e-15)
-
-
-def test_a_winding_warms_up_exponentially_at_a_steady_current():
-    plant = rl.plant("dc-motor", J=1e3)
-    r, kappa, time = plant.values["R"], 1e-4, 0.3  # so small that the current stays what it is
-    simulator = Simulator(plant, [(effect("resistance-heating"), Site("current", "i"))], np.full((1000, 1), 4.0), 1e-3)
-    windows = Windows(np.array([0, 500]), 500)
-    start = np.array([[0.0, 0.0, 4.0 / r], [0.0, 0.0, 4.0 / r]])
-    states = simulator.run({}, [{"kappa": kappa, "T": time}], start, windows).states
-    for window, k in ((0, 499), (1, 499)):
-        warm = kappa * (4.0 / r) ** 2 * (1 - math.exp(-(0.5 * window + 1e-3 * k) / time))
-        assert 4.0 / states[window, k, 2] - r == pytest.approx(warm, rel=2e-2)
-
-
-def scales():
-    return Scales(
-        force=0.04, speed=300.0, position=40.0, lowest=-5.0, highest=35.0, inertia=2e-5, current=3.0, dt=1e-3,
-        duration=5.0, orders=(13.0,), force_unit="N m", speed_unit="rad/s", position_unit="rad",
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("name", JOINT_EFFECTS + CURRENT_EFFECTS)
-@pytest.mark.parametrize("seen", [Scales(), scales()], ids=["unknown", "motor"])
-def test_every_start_is_a_value_of_every_prior(name, seen):
-    one = effect(name)
-    names = [p.name for p in one.parameters(seen)]
-    starts = one.starts(seen)
-    assert 1 <= len(starts) <= 6
-    for start in starts:
-        assert one.checked(start) == start
-        for p in one.parameters(seen):
-            z = p.prior.standardised(start[p.name])
-            assert abs(z) < 3
-            assert p.prior.value(z) == pytest.approx(start[p.name], abs=1e-12)
-        (law,) = one.laws(Site(one.site_kind, "somewhere"), start)
-        assert law.port == "somewhere"
-        assert len(law.parameters) == len(names)
-        assert np.isfinite(law.parameters).all()
-
-
-@pytest.mark.parametrize(
-    ("name", "values", "where"),
-    [
-        ("coulomb-friction", {"Fc": 0.003}, "Fc"),
-        ("coulomb-friction", {"Fc": 0.03}, "Fc"),
-        ("stribeck-friction", {"Fc": 0.01, "dF": 0.01, "vs": 5.0}, "vs"),
-        ("presliding", {"Fc": 0.02, "sigma0": 5.0}, "sigma0"),
-        ("quadratic-drag", {"c": 0.01 / 400**2}, "c"),
-        ("gear-efficiency", {"eta": 0.7}, "eta"),
-        ("constant-load", {"T0": 0.01}, "T0"),
-        ("resistance-heating", {"kappa": 0.8 / 2.0**2, "T": 60.0}, "T"),
-    ],
-)
-def test_the_catalogues_magnitudes_lie_within_the_priors_of_a_motor(name, values, where):
-    seen = scales()
-    if name == "resistance-heating":
-        seen = Scales(force=12.0, speed=5.0, current=5.0, duration=5.0, force_unit="V")
-    for p in effect(name).parameters(seen):
-        assert abs(p.prior.standardised(values[p.name])) < 2.5, p.name
-
-
-def test_effects_of_the_position_sit_only_where_there_is_one():
-    fan = StateSpaceModel(
-        [[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["w"], states=[Signal("w", "rad/s")]
-    )
-    plant = linear_plant_of(fan)
-    model = port_model(plant)
-    motor = rl.plant("dc-motor")
-    for name in JOINT_EFFECTS:
-        needs = name in ("cogging", "cubic-stiffness", "end-stop", "position-dependent-friction")
-        assert len(effect(name).sites(plant, model)) == (0 if needs else 1)
-        assert [s.name for s in effect(name).sites(motor, port_model(motor))] == ["omega"]
-    for name in CURRENT_EFFECTS:
-        assert effect(name).sites(plant, model) == ()
-        assert [s.name for s in effect(name).sites(motor, port_model(motor))] == ["i"]
 
 
 @pytest.mark.parametrize("amplitude", [0.3, 2.0, 50.0])

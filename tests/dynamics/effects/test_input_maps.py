@@ -10,10 +10,8 @@ from hypothesis.extra import numpy as hnp
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Scales, Site
+from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.errors import InputError
-from robustlab.statespace import StateSpaceModel
 
 signals = hnp.arrays(np.float64, st.integers(2, 60), elements=st.floats(-12, 12))
 sizes = st.floats(0.01, 12)
@@ -28,13 +26,6 @@ def mapped(name, u, values, h=1e-3):
 def test_dead_zone_and_saturation_of_one_width_make_up_the_input(u, d):
     parts = mapped("input-dead-zone", u, {"d": d}) + mapped("input-saturation", u, {"u_max": d})
     np.testing.assert_allclose(parts, u, rtol=1e-15, atol=1e-15)
-
-
-def test_dead_zone_and_saturation_by_hand():
-    u = np.array([-3.0, -0.5, 0.0, 0.4, 2.0])
-    np.testing.assert_allclose(mapped("input-dead-zone", u, {"d": 0.5}), [-2.5, 0, 0, 0, 1.5])
-    np.testing.assert_allclose(mapped("input-saturation", u, {"u_max": 1.5}), [-1.5, -0.5, 0, 0.4, 1.5])
-    np.testing.assert_allclose(mapped("input-gain", u, {"s": 0.9}), [-2.7, -0.45, 0, 0.36, 1.8])
 
 
 @settings(deadline=None)  # the first call compiles
@@ -91,28 +82,3 @@ def test_a_delayed_step_response_is_the_step_response_late():
     delayed = Simulator(motor, [(effect("input-delay"), Site("input", "u"))], u, dt)
     found = delayed.run({}, [{"d": late * dt}], np.zeros((1, 3)), whole).outputs[0]
     np.testing.assert_allclose(found[late:], plain[:-late], rtol=1e-9, atol=1e-10)
-
-
-def test_what_goes_straight_through_is_mapped_too():
-    model = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[4.0]], 0.0, ["u"], ["y"], [("x", "m")])
-    from robustlab.dynamics.ports.port_model import linear_plant_of
-
-    simulator = Simulator(
-        linear_plant_of(model), [(effect("input-gain"), Site("input", "u"))], np.array([[1.0], [0.0]]), 0.1
-    )
-    found = simulator.run({}, [{"s": 0.5}], np.zeros((1, 1)), Windows(np.array([0]), 2)).outputs[0, :, 0]
-    np.testing.assert_allclose(found, [2.0, 0.5 * (1 - np.exp(-0.1))], rtol=1e-12)
-
-
-def test_a_saturation_is_below_what_was_commanded():
-    effective = effect("input-saturation")
-    (limit,) = effective.parameters(Scales(input=10.0, signal_unit="V"))
-    assert limit.unit == "V"
-    for z in (-5.0, 0.0, 5.0):
-        assert 0.0 < limit.prior.value(z) < 10.0
-    assert limit.prior.value(0.0) == pytest.approx(7.5)
-
-
-def test_a_negative_delay_is_named():
-    with pytest.raises(InputError, match="a delay of 0 s or more"):
-        mapped("input-delay", np.ones(3), {"d": -1e-3})

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Scales, Site
+from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError
 
 Y = np.array([[0.0, 1.0, 2.5], [-1.0, 0.2, 4.0]])
@@ -53,31 +52,6 @@ def test_a_delayed_sine_is_right_to_the_error_of_interpolation():
     assert np.abs(found - np.sin(w * (t - d)))[inside].max() <= (w * 1e-3) ** 2 / 8 * 1.001
 
 
-def test_a_single_sample_has_nothing_to_interpolate():
-    np.testing.assert_array_equal(mapped("sensor-delay", np.ones((2, 1)), {"d": 0.1}), np.ones((2, 1)))
-
-
-def test_only_the_named_output_is_mapped():
-    motor = rl.plant("dc-motor")
-    u = np.full((200, 1), 6.0)
-    whole = Windows(np.array([0]), 200)
-    plain = Simulator(motor, [], u, 1e-3).run({}, [], np.zeros((1, 3)), whole).outputs
-    simulator = Simulator(motor, [(effect("sensor-gain"), Site("output", "omega"))], u, 1e-3)
-    found = simulator.run({}, [{"s": 1.1}], np.zeros((1, 3)), whole).outputs
-    np.testing.assert_allclose(found, plain * [1.0, 1.1, 1.0], rtol=1e-12)
-
-
-def test_a_bias_is_offered_only_where_no_initial_state_takes_it():
-    def outputs(name):
-        plant = rl.plant(name)
-        return [s.name for s in effect("sensor-bias").sites(plant, port_model(plant))]
-
-    assert outputs("dc-motor") == ["omega", "i"]  # the zero of the angle is free
-    assert outputs("servo-axis") == ["v"]
-    assert outputs("mass-spring-damper") == ["q", "v"]  # the spring knows where zero is
-    assert outputs("two-mass") == ["phi1", "phi2"]  # one of two angles: the twist would show
-
-
 def test_a_biased_angle_of_a_free_shaft_is_another_start():
     motor = rl.plant("dc-motor")
     u = np.random.default_rng(3).normal(size=(300, 1))
@@ -85,22 +59,6 @@ def test_a_biased_angle_of_a_free_shaft_is_another_start():
     biased = Simulator(motor, [(effect("sensor-bias"), Site("output", "phi"))], u, 1e-3)
     shifted = Simulator(motor, [], u, 1e-3).run({}, [], np.array([[0.2, 0.0, 0.0]]), whole).outputs
     np.testing.assert_allclose(biased.run({}, [{"b": 0.2}], np.zeros((1, 3)), whole).outputs, shifted, atol=1e-12)
-
-
-def test_eccentricity_sits_on_positions_and_starts_at_the_lines_of_the_record():
-    motor = rl.plant("dc-motor")
-    eccentric = effect("sensor-eccentricity")
-    assert eccentric.sites(motor, port_model(motor)) == (Site("output", "phi"),)
-    starts = eccentric.starts(Scales(output=30.0, orders=(4.0, 13.0), signal_unit="rad"))
-    assert [s["k"] for s in starts] == [4.0, 13.0]
-    once = eccentric.parameters(Scales(output=30.0, signal_unit="rad"))
-    assert {p.name: p.prior.value(0.0) for p in once}["k"] == 1.0
-    assert [p.unit for p in once] == ["rad", "rad", "rad/rad"]
-
-
-def test_quantisation_is_no_name():
-    assert not effect("quantisation").nameable
-    assert effect("sensor-gain").nameable
 
 
 @pytest.mark.parametrize(

@@ -41,13 +41,6 @@ def test_the_model_is_the_plant_with_those_values(name, identity, label, scaled,
     np.testing.assert_allclose(found.B, rebuilt.B, rtol=1e-12)
 
 
-def test_factors_of_a_fit_and_of_an_effect_multiply():
-    motor = rl.plant("dc-motor")
-    simulator = Simulator(motor, [(effect("resistance"), Site("parameter", "R"))], np.zeros((2, 1)), 1e-3)
-    found = simulator.model({"R": 1.1}, [{"s": 1.5}])
-    np.testing.assert_allclose(found.A, motor.with_parameters(R=1.1 * 1.5 * 2.07).state_space().A, rtol=1e-12)
-
-
 def test_stiffness_at_a_joint_is_a_spring_to_ground():
     motor = rl.plant("dc-motor", J=2e-5)
     site = Site("joint", "omega")
@@ -56,22 +49,6 @@ def test_stiffness_at_a_joint_is_a_spring_to_ground():
     expected = motor.state_space().A.copy()
     expected[1, 0] -= 0.4 / 2e-5
     np.testing.assert_allclose(found.A, expected, rtol=1e-12)
-
-
-def test_viscous_friction_at_a_joint_that_has_none():
-    plant = rl.plant("mass-spring-damper", c=0.0)
-    site = Site("joint", "v")
-    assert effect("viscous-friction").sites(plant, port_model(plant)) == (site,)
-    found = matrices(plant, [(effect("viscous-friction"), site)], [{"b": 3.5}])
-    np.testing.assert_allclose(found.A, rl.plant("mass-spring-damper", c=3.5).state_space().A, rtol=1e-12)
-
-
-def test_a_spring_between_two_masses_is_none_to_ground():
-    two, chain = rl.plant("two-mass"), rl.plant("mass-spring-damper", m=[1.0, 2.0])
-    sites = [str(s) for s in effect("stiffness").sites(two, port_model(two))]
-    assert sites == ["k", "omega1", "omega2"]
-    grounded = [s for s in effect("stiffness").sites(chain, port_model(chain)) if s.kind == "joint"]
-    assert [s.name for s in grounded] == ["v2"]  # the first mass hangs on a wall already
 
 
 def test_a_bare_model():
@@ -113,12 +90,3 @@ def test_sites_that_do_not_fit_are_named(site, values, message):
     assert effect("stiffness").sites(plant, port_model(plant)) == ()
     with pytest.raises(InputError, match=message):
         matrices(plant, [(effect("stiffness"), site)], [values])
-
-
-def test_unknown_and_missing_values_are_named():
-    with pytest.raises(InputError, match="no such parameter"):
-        effect("inertia").checked({"t": 1.0})
-    with pytest.raises(InputError, match="no value for 's'"):
-        effect("inertia").checked({})
-    with pytest.raises(InputError, match="nan"):
-        effect("stiffness").checked({"k": np.nan})

@@ -14,10 +14,10 @@ from scipy.special import ellipk
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Scales, Site
+from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.extended.effect_loads import effect_loads
 from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
+from robustlab.dynamics.ports.port_model import linear_plant_of
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
 
@@ -42,43 +42,6 @@ def turned(pairs, n, h, x0=(0.0, 0.0), u=None, plant=None):
     return run.run({}, [values for _, values in pairs], np.array([x0]), Windows(np.array([0]), n)).states[0]
 
 
-def exact(force, n, h, x0, stiffness=0.0):
-    t = np.arange(n) * h
-    rate = lambda t, x: [x[1], force(t, *x) - stiffness * x[0]]  # noqa: E731
-    return solve_ivp(rate, (0, t[-1]), x0, t_eval=t, rtol=1e-9, atol=1e-11, max_step=2e-4).y.T
-
-
-# --- second order in the step ----------------------------------------------------------------------------------------
-
-SMOOTH = {
-    "pendulum-gravity": (
-        {"G": 0.3 * FAST**2, "H": 0.1 * FAST**2},
-        lambda t, q, v: -(0.3 * math.sin(q) + 0.1 * math.cos(q)) * FAST**2,
-    ),
-    "torque-ripple": (
-        {"Ac": 1e4, "As": 5e3, "f": 70.0},
-        lambda t, q, v: 1e4 * math.cos(140 * math.pi * t) + 5e3 * math.sin(140 * math.pi * t),
-    ),
-    "one-sided-spring": (
-        {"k": -0.5 * FAST**2, "q0": 0.2, "d": 0.1 * FAST},
-        lambda t, q, v: max(0.0, 0.5 * FAST**2 * (0.2 - q) - 0.1 * FAST * v) if q < 0.2 else 0.0,
-    ),
-}
-
-
-@pytest.mark.parametrize("name", SMOOTH)
-def test_half_the_step_leaves_a_quarter_of_the_error(name):
-    """On an oscillator of ten samples a period, over four periods."""
-    values, force = SMOOTH[name]
-    plant, errors = disc(FAST**2), []
-    for h in (5e-4, 2.5e-4):
-        n = round(0.04 / h) + 1
-        truth = exact(force, n, h, (1.0, 0.0), FAST**2)[:, 0]
-        errors.append(np.abs(turned([(name, values)], n, h, (1.0, 0.0), plant=plant)[:, 0] - truth).max())
-    assert errors[1] < 0.3 * errors[0]
-    assert errors[1] < 0.02
-
-
 # --- gravity ---------------------------------------------------------------------------------------------------------
 
 
@@ -96,38 +59,6 @@ def test_a_pendulum_swings_with_its_period_about_its_own_zero_and_keeps_its_ener
     assert np.diff(crossing).mean() == pytest.approx(period, rel=1e-5)
 
 
-def test_gravity_needs_a_joint_that_turns():
-    gravity = effect("pendulum-gravity")
-    for name, places in (("servo-axis", 0), ("mass-spring-damper", 0), ("dc-motor", 1)):
-        plant = rl.plant(name)
-        assert len(gravity.sites(plant, port_model(plant))) == places
-
-
-def test_a_plant_with_gravity_rests_where_it_hangs_and_has_its_stiffness():
-    motor = rl.plant("dc-motor")
-    real = rl.with_effects(motor, {"pendulum-gravity": {"G": 0.03, "H": -0.04}})
-    hangs = math.atan2(0.04, 0.03)
-    rates = real.derivative([hangs, 0.0, 0.0], [0.0])
-    assert rates == pytest.approx(np.zeros(3), abs=1e-6)
-    linear = real.linear_model(([hangs, 0.0, 0.0], [0.0]))
-    assert linear.A[1, 0] == pytest.approx(-0.05 / motor.values["J"], rel=1e-6)
-    footprint = effect("pendulum-gravity").footprint(Site("joint", "omega"), {"G": 0.03, "H": -0.04}, 1.0)
-    assert footprint.gain_upper == footprint.offset == pytest.approx(0.05)
-
-
-def test_m_g_l_is_told_with_its_deviation():
-    """Against a million draws of both parts."""
-    motor = rl.plant("dc-motor")
-    real = rl.with_effects(motor, {"pendulum-gravity": {"G": (0.03, 0.001), "H": (-0.04, 0.002)}})
-    (gravity,) = real.effects
-    rng = np.random.default_rng(0)
-    draws = np.hypot(rng.normal(0.03, 0.001, 10**6), rng.normal(-0.04, 0.002, 10**6))
-    name, value, std = gravity.amplitude
-    assert name == "m g l"
-    assert (value, std) == pytest.approx((draws.mean(), draws.std()), rel=2e-3)
-    assert "m g l = 0.05" in gravity.values_in_words
-
-
 # --- lag -------------------------------------------------------------------------------------------------------------
 
 
@@ -142,16 +73,6 @@ def test_a_lagged_step_is_the_mean_of_the_exact_one(T, h, seed):
         expected.append(level - T * (end - x) / h)
         x = end
     np.testing.assert_allclose(found, expected, atol=1e-10 * max(1.0, T / h))
-
-
-def test_a_lag_goes_with_its_limits():
-    lag, u = effect("actuator-lag"), np.r_[0.0, np.ones(20)]
-    np.testing.assert_array_equal(lag.input(u, {"T": 0.0}, 1e-3), u)
-    np.testing.assert_allclose(lag.input(u, {"T": 1e-9}, 1e-3), u, atol=1e-5)
-    np.testing.assert_allclose(lag.input(np.full(5, 2.0), {"T": 0.3}, 1e-3), 2.0, rtol=1e-15)
-    assert len(lag.input(u[:0], {"T": 0.3}, 1e-3)) == 0
-    with pytest.raises(InputError, match=r"actuator-lag: T.*-0.1 s"):
-        lag.input(u, {"T": -0.1}, 1e-3)
 
 
 def test_a_motor_behind_a_lag_moves_as_the_equations_say():
@@ -212,20 +133,6 @@ def test_a_body_stops_by_the_level_of_its_direction_and_stays(v0, level):
     assert (states[math.ceil(abs(v0) / level * 1e3) + 1 :, 1] == 0).all()
 
 
-@pytest.mark.parametrize(("force", "moves"), [(4.99, False), (5.01, True), (-1.99, False), (-2.01, True)])
-def test_it_breaks_away_at_the_level_of_its_direction(force, moves):
-    states = turned([("asymmetric-coulomb-friction", LEVELS)], 50, 1e-3, u=np.full(50, force))
-    assert (states[-1, 1] != 0.0) == moves
-
-
-def test_it_is_coulomb_friction_of_the_mean_level_and_a_load_of_half_the_difference():
-    u = 9.0 * np.sin(np.linspace(0, 30, 3000)) * np.linspace(0, 1, 3000)
-    one = turned([("asymmetric-coulomb-friction", LEVELS)], 3000, 1e-3, u=u)
-    two = turned([("coulomb-friction", {"Fc": 3.5}), ("constant-load", {"T0": 1.5})], 3000, 1e-3, u=u)
-    assert (one[:, 1] == 0).sum() > 100
-    np.testing.assert_allclose(one, two, atol=1e-12)
-
-
 # --- load-dependent friction -----------------------------------------------------------------------------------------
 
 
@@ -236,18 +143,6 @@ def test_a_gear_takes_one_share_while_driven_and_another_while_braking():
     stop = v[1000] / (1.6 * 3.0)
     assert v[1400] == pytest.approx(v[1000] - 1.6 * 3.0 * 0.4, rel=1e-9)
     assert v[-1] == pytest.approx(-0.8 * 3.0 * (0.999 - stop), rel=1e-9)
-
-
-def test_with_two_equal_shares_it_is_the_gears_efficiency():
-    u = 9.0 * np.sin(np.linspace(0, 30, 3000)) * np.linspace(0, 1, 3000)
-    one = turned([("load-dependent-friction", {"kd": 0.25, "kb": 0.25})], 3000, 1e-3, u=u)
-    two = turned([("gear-efficiency", {"eta": 0.75})], 3000, 1e-3, u=u)
-    np.testing.assert_allclose(one, two, atol=1e-10)
-
-
-def test_a_gear_that_takes_all_is_not_moved():
-    states = turned([("load-dependent-friction", {"kd": 1.5, "kb": 0.5})], 50, 1e-3, u=np.full(50, 7.0))
-    assert (states == 0.0).all()
 
 
 # --- hysteretic spring -----------------------------------------------------------------------------------------------
@@ -307,45 +202,6 @@ def test_a_slow_loop_has_the_area_and_the_corners_of_its_branches():
     assert footprint.gain_lower < first < footprint.gain_upper
 
 
-def test_with_rho_one_it_is_dahls_friction():
-    u = 9.0 * np.sin(np.linspace(0, 30, 6000))
-    one = turned([("bouc-wen", {"Fy": 4.0, "qy": 0.2, "rho": 1.0})], 6000, 5e-4, u=u)
-    two = turned([("presliding", {"Fc": 4.0, "sigma0": 20.0})], 6000, 5e-4, u=u)
-    np.testing.assert_allclose(one, two, atol=0.02 * np.ptp(one[:, 1]))
-    assert np.ptp(one[:, 0]) > 0.2  # beyond the displacement to yield
-
-
-@settings(deadline=None, max_examples=100, derandomize=True)
-@given(
-    st.floats(-3, 3).map(lambda e: 10.0**e), st.floats(-4, 2).map(lambda e: 10.0**e), st.floats(0, 5),
-    st.floats(-20, 20), st.integers(0, 9),
-)  # fmt: skip
-def test_a_hysteretic_spring_stays_within_its_force_and_comes_to_rest(level, width, rho, v0, seed):
-    """However stiff: no more than F_y, and no energy out of nothing over a free swing."""
-    u = np.random.default_rng(seed).normal(size=400) * 0.1
-    run = Simulator(disc(), [(effect("bouc-wen"), ROUND)], u[:, None], 1e-3)
-    values = {"Fy": level, "qy": width, "rho": rho}
-    motion = run.run({}, [values], np.array([[0.0, v0]]), Windows(np.r_[0], 400))
-    assert np.abs(motion.forces).max() <= level * (1 + 1e-9)
-    assert np.isfinite(motion.states).all()
-    free = Simulator(disc(), [(effect("bouc-wen"), ROUND)], 0.0 * u[:, None], 1e-3)
-    v = free.run({}, [values], np.array([[0.0, v0]]), Windows(np.r_[0], 400)).states[0, :, 1]
-    assert np.abs(v).max() <= abs(v0) * (1 + 1e-6) + 1e-12
-
-
-# --- a sensor without a sign -----------------------------------------------------------------------------------------
-
-
-def test_a_sensor_without_a_sign_shows_the_size():
-    motor, t = rl.plant("dc-motor"), np.arange(400) * 1e-3
-    u = 6.0 * np.sin(20 * t)
-    shown = rl.with_effects(motor, {"magnitude-sensor@i": {"c": 0.05}})
-    plain, told = (rl.simulate(p, t, {"u": u}) for p in (motor, shown))
-    assert plain["i"].min() < -0.1
-    np.testing.assert_allclose(told["i"], np.abs(plain["i"] - 0.05), atol=1e-12)
-    np.testing.assert_allclose(told["phi"], plain["phi"], rtol=1e-12)
-
-
 # --- ripple over time ------------------------------------------------------------------------------------------------
 
 
@@ -383,14 +239,6 @@ def test_a_ripple_is_a_bounded_load_and_moves_no_point_of_rest():
     np.testing.assert_allclose(along[:-1], expected[:-1], atol=100 * math.pi * 1e-4)
 
 
-@pytest.mark.parametrize(
-    ("dt", "expected"), [(1e-3, (50, 100, 60, 120)), (4.5e-3, (50, 100, 60)), (9e-3, (50,)), (0.02, (5,))]
-)
-def test_a_ripple_is_looked_for_at_the_mains_that_the_sampling_shows(dt, expected):
-    found = [s["f"] for s in effect("torque-ripple").starts(Scales(dt=dt))]
-    assert found == pytest.approx(list(expected))
-
-
 # --- contacts on one side --------------------------------------------------------------------------------------------
 
 
@@ -415,18 +263,3 @@ def test_a_damped_contact_gives_back_what_kelvin_and_voigt_say_at_any_step():
         assert -states[-1, 1] / 2.0 == pytest.approx(expected, rel=within)
     stiff = turned([("one-sided-spring", {"k": k, "q0": 0.1, "d": 1e5})], 400, 1e-3, (0.0, 2.0))
     assert np.abs(stiff[-100:, 1]).max() < 0.1  # a damper far too quick for the step does not throw it back
-
-
-def test_one_side_is_the_stop_whose_other_side_is_out_of_reach():
-    u = 30.0 * np.sin(np.linspace(0, 25, 2000))
-    one = turned([("one-sided-spring", {"k": 800.0, "q0": 0.1, "d": 2.0})], 2000, 1e-3, u=u)
-    two = turned([("end-stop", {"q_min": -1e9, "q_max": 0.1, "kc": 800.0, "dc": 2.0})], 2000, 1e-3, u=u)
-    np.testing.assert_array_equal(one, two)
-    assert one[:, 0].max() > 0.1
-
-
-def test_the_sector_of_a_contact_is_that_about_the_zero():
-    spring, site = effect("one-sided-spring"), ROUND
-    assert spring.footprint(site, {"k": -5.0, "q0": -1.0, "d": 0.0}, 0.9).gain_upper == 0.0
-    assert spring.footprint(site, {"k": -5.0, "q0": -1.0, "d": 0.0}, 1.1).gain_upper == 5.0
-    assert spring.footprint(site, {"k": 5.0, "q0": -1.0, "d": 0.0}, 1.1) is None  # pressed at the zero

@@ -18,7 +18,6 @@ from robustlab.campaign.campaign_result import (
     SHARES,
     _upper_rank,
     exceedance_curve,
-    probability_bounds,
     quantiles,
     share_beyond,
 )
@@ -31,7 +30,7 @@ from robustlab.campaign.evaluation import (
     delta_width,
     encode_delta,
 )
-from robustlab.campaign.settings import Identity, code_identity, differences, model_from_bytes, model_to_bytes
+from robustlab.campaign.settings import Identity, code_identity, differences, model_to_bytes
 from robustlab.campaign.store import Store
 from robustlab.campaign.workers import Workers
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
@@ -90,13 +89,6 @@ def test_all_vertices_are_met_once_and_hold_the_worst_case(tmp_path, motor):
     worst = rl.worst_case(motor, u={"u": 42.0}, t=np.linspace(0, 0.1, 51), n=16)
     assert store.worst(1).value == pytest.approx(worst.value, rel=1e-9)
     store.close()
-
-
-def test_more_real_deltas_than_vertices_asked_for(motor):
-    evaluator = Evaluator(motor, settings_of(3, kind="vertices"))
-    signs = [tuple(evaluator.delta(i).values()) for i in range(3)]
-    assert all(abs(sign) == 1.0 for row in signs for sign in row)
-    assert signs == [tuple(evaluator.delta(i).values()) for i in range(3)]
 
 
 def test_searches_find_what_worst_case_finds(tmp_path, motor):
@@ -173,14 +165,6 @@ def test_deltas_of_every_kind_survive(seed, index):
     np.testing.assert_array_equal(back["F"], delta["F"])
 
 
-def test_the_model_survives(motor):
-    back = model_from_bytes(model_to_bytes(motor), "x")
-    assert back.blocks == motor.blocks
-    np.testing.assert_array_equal(back.M.A, motor.M.A)
-    with pytest.raises(InputError, match="cannot be read"):
-        model_from_bytes(b"nonsense", "x")
-
-
 def test_identity_tells_what_changed(motor):
     old = Identity.of(motor, settings_of(10))
     assert Identity.from_json(json.loads(json.dumps(old.to_json()))) == old
@@ -231,21 +215,6 @@ def test_settings_that_are_refused(change, error, text):
     assert text in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("asked", "error", "text"),
-    [
-        (CampaignSettings("hinff", 10), UsageError, "did you mean hinf?"),
-        (settings_of(10, output="speed"), InputError, "no such signal"),
-        (settings_of(10, u={"v": 1.0}), InputError, "no such input"),
-    ],
-)
-def test_what_the_metric_refuses_is_said_before_any_worker_starts(motor, asked, error, text, tmp_path):
-    with pytest.raises(error) as caught:
-        runs.run_campaign(motor, asked, tmp_path / "s.sqlite")
-    assert text in str(caught.value)
-    assert not list(tmp_path.iterdir())
-
-
 # --- statistics ----------------------------------------------------------------------------------------------------
 
 
@@ -256,13 +225,6 @@ def store_of(path, model, values, lost=0):
     everything = np.concatenate([values, np.full(lost, np.nan)])
     store.save(Rows(0, everything, np.zeros((n, 2)), np.ones(n), reasons))
     return store
-
-
-def test_bounds_are_clopper_and_pearsons():
-    for k, n in ((0, 10), (3, 50), (50, 50)):
-        low, high = probability_bounds(k, n)
-        assert low == pytest.approx(beta.ppf(0.05, k, n - k + 1) if k else 0.0)
-        assert high == pytest.approx(beta.ppf(0.95, k + 1, n - k) if k < n else 1.0)
 
 
 def test_quantiles_are_order_statistics_with_binomial_bounds(tmp_path, motor):
@@ -307,19 +269,6 @@ def test_the_bound_of_a_quantile_holds_as_often_as_it_says():
     draws = np.sort(np.random.default_rng(0).random((2000, 200)), axis=1)
     held = (draws[:, _upper_rank(200, 0.9) - 1] >= 0.9).mean()
     assert 0.94 <= held <= 0.99  # at least 95 %, and not without end
-
-
-def test_the_curve_falls_from_one_to_the_worst(tmp_path, motor):
-    values = np.random.default_rng(1).standard_normal(5000)
-    store = store_of(tmp_path / "s.sqlite", motor, values)
-    at, share, upper = exceedance_curve(store, 1, 5000, 0)
-    assert (np.diff(at) >= 0).all()
-    assert (np.diff(share) <= 0).all()
-    assert (at[-1], share[-1]) == (values.max(), 0.0)
-    for value, part in zip(at[::20], share[::20], strict=True):
-        assert part == (values > value).mean()
-    assert (upper > share).all()
-    store.close()
 
 
 # --- from end to end, in real processes ----------------------------------------------------------------------------
@@ -369,17 +318,6 @@ def test_a_sample_is_replayed_with_the_same_bits(finished):
     assert replay.delta == result.delta
     with pytest.raises(InputError, match=r"no sample 300, expected 0 .. 299"):
         replay_sample(path, 300)
-
-
-def test_tiles_of_large_models_are_smaller(motor):
-    rng = np.random.default_rng(0)
-    n = 300
-    A = rng.standard_normal((n, n)) / 20 - 3 * np.eye(n)
-    M = rl.StateSpaceModel(A, rng.standard_normal((n, 2)), rng.standard_normal((2, n)), np.zeros((2, 2)))
-    large = rl.UncertainModel(M, [rl.RealScalar("k")])
-    assert Evaluator(motor, settings_of(10)).tile == TILE
-    assert 1 <= Evaluator(large, CampaignSettings("spectral-abscissa", 10)).tile < TILE / 4
-    assert Evaluator(motor, CampaignSettings("hinf", 10, kind="search")).tile == 1
 
 
 @pytest.mark.parametrize("metric", sorted(METRICS))

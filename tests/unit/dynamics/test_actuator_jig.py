@@ -24,14 +24,6 @@ def test_inertia_is_that_of_the_kinetic_energy():
     assert cart_travel(actuator, [RATIO * 2 * math.pi, 0.0]) == pytest.approx([LEAD, 0.0], abs=1e-16)
 
 
-def test_contract_of_the_registry():
-    actuator = rl.plant("linear-actuator")
-    assert [(s.name, s.unit) for s in actuator.inputs] == [("u", "V")]
-    assert [(s.name, s.unit) for s in actuator.outputs] == [("phi", "rad"), ("omega", "rad/s"), ("i", "A")]
-    assert all(p.source and p.meaning for p in actuator.parameters.values())
-    assert "not in the text" in actuator.parameters["m_cart"].source
-
-
 def test_time_constants_with_and_without_the_rotor():  # THESIS 28: 5.5 ms and 0.19 ms
     for rotor, expected in ((7.2e-6, 5.5e-3), (0.0, 0.19e-3)):
         actuator = linear_actuator(J=rotor, L=1e-9)  # mechanical time constant alone
@@ -54,14 +46,6 @@ def test_friction_of_the_motor_moves_the_peak_by_a_percent():  # THESIS 27: +1.2
     assert faster / speed - 1 == pytest.approx(exact, rel=1e-6)
     assert 100 * exact == pytest.approx(1.26, abs=0.005)
     assert 100 * (less / peak - 1) == pytest.approx(1.25, abs=0.02)
-
-
-def test_ten_percent_of_mass_and_inertia_move_nothing():  # THESIS 28: 0.003 %, and Kf = 0 gives +3.7 %
-    peak, _ = square_wave_peak(J=0.0)
-    heavier, _ = square_wave_peak(J=0.0, J_nut=1.1 * 2.2071e-5, m_screw=0.1232, m_cart=1.1 * 3.167 / 6)
-    assert 100 * abs(heavier / peak - 1) == pytest.approx(0.003, abs=0.001)
-    free, _ = square_wave_peak(J=0.0, Kf=0.0)
-    assert 100 * (free / peak - 1) == pytest.approx(3.7, abs=0.05)
 
 
 def test_uncertain_model_is_the_rebuilt_plant():

@@ -70,26 +70,3 @@ def test_simulated_records_are_called_simulated(path):
             assert "Simulated, not measured" in step["about"]
         elif step["do"] == "record":
             assert "simulated" not in step, name
-
-
-def test_the_thesis_recipe_says_what_was_chosen():
-    recipe = tomllib.loads((ROOT / "recipes/thesis.toml").read_text(encoding="utf-8"))
-    said = recipe["description"]
-    assert "Nothing was tuned" not in said
-    chosen = ("3.167 kg", "p_up = 236 /s", "57.7 ms", "+++-+-", "trimmed anew", "holding torque stays", "rows 27, 28")
-    assert [words for words in chosen if words not in said] == []
-
-
-def test_what_the_thesis_recipe_says_was_chosen_is_what_the_code_has():
-    from inspect import signature
-
-    from robustlab.dynamics.control.controllers import two_layer
-    from robustlab.dynamics.stewart.geometry import machine_parameters
-    from robustlab.thesis.runs import UP_TO
-
-    assert UP_TO == 0.0577
-    defaults = signature(two_layer).parameters
-    assert (defaults["p_up"].default, defaults["p_low"].default) == (236.0, 3000.0)
-    mass = next(p for p in machine_parameters("thesis", motors=False) if p.name == "platform_mass")
-    assert mass.value == 3.167
-    assert "not printed" in mass.source

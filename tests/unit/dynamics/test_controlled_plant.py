@@ -72,19 +72,6 @@ def test_bad_loops(actuator):
         controlled_plant(actuator, discrete, ["phi"], SEEN)
 
 
-@pytest.mark.parametrize(("p_up", "p_low"), [(0.0, 3000.0), (236.0, -1.0), (np.nan, 3000.0)])
-def test_bad_poles(actuator, p_up, p_low):
-    with pytest.raises(InputError):
-        actuator_cascade(actuator, p_up, p_low)
-
-
-def test_the_cascade_needs_an_actuator_with_a_rotor(actuator):
-    with pytest.raises(InputError, match="linear-actuator"):
-        actuator_cascade(rl.plant("servo-axis"))
-    with pytest.raises(InputError, match="positive"):
-        actuator_cascade(actuator.with_parameters(J=0.0))
-
-
 def test_the_upper_layer_above_the_torque_loops_is_the_two_layer_controller(machine):
     whole = two_layer(machine)
     layered = LayeredController(whole.upper_layer(), whole.lower, whole.at)
@@ -110,12 +97,3 @@ def test_another_upper_layer_follows_and_its_linear_loop_says_so(machine):
     again = follow(machine, layered, path, t)
     assert np.abs(plain.error[:, 2]).max() > 1e-5
     np.testing.assert_allclose(again.pose, plain.pose, atol=0.05 * np.abs(plain.error).max())
-
-
-def test_an_upper_layer_of_other_sizes_is_refused(machine):
-    whole = two_layer(machine)
-    with pytest.raises(InputError, match="r, phi, phidot"):
-        LayeredController(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), whole.lower, whole.at)
-    K = whole.upper_layer()
-    with pytest.raises(InputError, match="discrete"):
-        LayeredController(StateSpaceModel(K.A, K.B, K.C, K.D, 0.001), whole.lower, whole.at)

@@ -43,12 +43,6 @@ def test_an_invertible_e_keeps_the_states():
     assert [tuple(s) for s in m.states] == [("q", ""), ("v", "m/s")]
 
 
-def test_rates_of_very_different_sizes_are_no_algebraic_equations():
-    found = eliminated(-np.eye(2), np.ones((2, 1)), np.eye(2), np.zeros((2, 1)), np.diag([1e-9, 1e9]))
-    assert found.index == 0
-    assert found.model.A.diagonal() == pytest.approx([-1e9, -1e-9], rel=1e-14)
-
-
 def test_algebraic_equations_are_eliminated_and_the_other_states_keep_their_names():
     # v' = i / C, 0 = u - v - R i, y = i with R = 2, C = 0.5; the algebraic state first
     e, a = [[0, 0.5], [0, 0]], [[1, 0], [-2, -1]]
@@ -57,11 +51,6 @@ def test_algebraic_equations_are_eliminated_and_the_other_states_keep_their_name
     m = found.model
     assert (m.A.item(), m.B.item(), m.C.item(), m.D.item()) == (-1.0, 1.0, -0.5, 0.5)
     assert [tuple(s) for s in m.states] == [("v", "V")]
-
-
-def test_no_rate_at_all_is_a_gain():
-    m = rl.descriptor([[2.0, 0.0], [1.0, -1.0]], [[1.0], [0.0]], [[0.0, 1.0]], [[0.0]], np.zeros((2, 2)))
-    assert (m.n_states, m.D.item()) == (0, -0.5)
 
 
 def test_a_pendulum_of_index_three_without_impulses():
@@ -117,23 +106,6 @@ def test_an_improper_one_is_refused_with_index_and_differentiations(k, word, mix
     assert f"a lag of order {k - 1}" in str(caught.value.hint)
     with pytest.raises(InputError, match=f"needs input 'u2' {k - 1} samples ahead"):
         rl.descriptor(a, b, c, np.zeros((2, 2)), e, dt=0.1)
-
-
-def test_a_discrete_descriptor_form():
-    e, a = np.array([[1.0, 1.0], [0.0, 0.0]]), np.array([[0.5, 0.0], [1.0, -1.0]])
-    b, c, d = np.array([[1.0], [1.0]]), np.array([[1.0, 2.0]]), np.zeros((1, 1))
-    m = rl.descriptor(a, b, c, d, e, dt=0.1)
-    assert (m.dt, m.n_states) == (0.1, 1)
-    agrees(m, e, a, b, c, d)
-
-
-def test_units_of_the_equations_do_not_matter():
-    rng = np.random.default_rng(5)
-    e, a = rng.standard_normal((2, 5, 5))
-    e = e @ np.diag([1, 1, 1, 0, 0]) @ rng.standard_normal((5, 5))
-    b, c, d = rng.standard_normal((5, 1)), rng.standard_normal((1, 5)), np.zeros((1, 1))
-    rows, columns = np.diag(10.0 ** rng.integers(-6, 7, 5)), np.diag(10.0 ** rng.integers(-6, 7, 5))
-    agrees(rl.descriptor(rows @ a @ columns, rows @ b, c @ columns, d, rows @ e @ columns), e, a, b, c, d)
 
 
 def test_what_is_refused():

@@ -48,12 +48,6 @@ def test_no_load_speed_of_the_thesis():
     assert 100 * (maker - speed) / speed == pytest.approx(1.21, abs=0.02)
 
 
-def test_no_load_speed_is_simulated_too():
-    t = np.arange(2000) * 1e-4
-    record = rl.simulate(rl.plant("dc-motor"), t, np.full(2000, 42.0))
-    assert record["omega"][-1] == pytest.approx(779.065, abs=0.01)
-
-
 def test_friction_tolerance_covers_the_data_sheet():
     """Kf +-35 % gives 769.52 .. 788.85 rad/s, which holds the data sheet's 788.54; the exact need is -33.8 %.
 
@@ -104,20 +98,6 @@ def test_chain_modes_have_a_closed_form(n):
     assert model.input_names == (("f",) if n == 1 else tuple(f"f{j + 1}" for j in range(n)))
 
 
-def test_chain_statics():
-    """A force on the last mass stretches every spring by f/k_j: an independent sum of compliances."""
-    k = [10.0, 20.0, 40.0]
-    model = rl.linearise(rl.plant("mass-spring-damper", m=[1.0, 2.0, 3.0], k=k, c=[0.1, 0.2, 0.3]))
-    gain = model.select(["f3"], ["q1", "q2", "q3"]).dc_gain()[:, 0]
-    np.testing.assert_allclose(gain, np.cumsum(1 / np.array(k)), rtol=1e-12)
-
-
-def test_chain_takes_arrays_pairs_and_scalars():
-    plant = rl.plant("mass-spring-damper", m=np.array([1.0, 2.0]), c=(0.5, 0.2), k=[10, (20, 0.1)])
-    assert plant.values == {"m1": 1.0, "m2": 2.0, "c1": 0.5, "c2": 0.5, "k1": 10.0, "k2": 20.0}
-    assert [b.name for b in plant.uncertain().blocks] == ["c1", "c2", "k2"]
-
-
 @pytest.mark.parametrize("name", plant_names())
 def test_every_plant_keeps_the_contract(name):
     plant = rl.plant(name)
@@ -146,21 +126,3 @@ def test_linearise_keeps_the_operating_point():
     np.testing.assert_array_equal(model.operating_point.x, [1, 2, 3])
     np.testing.assert_array_equal(model.operating_point.y, [1, 2, 3])
     np.testing.assert_array_equal(model.A, rl.linearise(plant).A)
-
-
-def test_values_are_overridden_and_say_so():
-    plant = rl.plant("dc-motor", R=3.0, J=(8e-6, 0.1))
-    assert (plant.parameters["R"].value, plant.parameters["R"].tolerance) == (3.0, 0.0)
-    assert plant.parameters["J"].range == rl.ParameterRange(8e-6, 8e-7, "kg m2")
-    assert "user" in plant.parameters["R"].source
-    assert "Březina" in plant.parameters["L"].source
-    assert rl.plant("dc-motor", Kf=5e-5).parameters["Kf"].tolerance == 0.35
-    assert plant.with_parameters(R=(2.0, 0.2)).parameters["J"].value == 8e-6
-
-
-def test_published_tolerance_is_the_only_default_one():
-    assert {p.name: p.tolerance for p in rl.plant("dc-motor").parameters.values() if p.tolerance} == {"Kf": 0.35}
-    for name in ("servo-axis", "two-mass", "mass-spring-damper"):
-        uncertain = rl.plant(name).uncertain()
-        assert uncertain.blocks == ()
-        np.testing.assert_array_equal(uncertain.evaluate({}).A, rl.plant(name).state_space().A)

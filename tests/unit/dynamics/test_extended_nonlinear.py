@@ -14,11 +14,6 @@ from robustlab.dynamics.effects.contract import Scales
 from robustlab.dynamics.extended import nonlinear_steps
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_equations import extended_model
-from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
-from robustlab.identification.hypotheses.normal_equations import NoiseModel
-from robustlab.identification.hypotheses.prepared_record import ports_of, prepare
-from robustlab.identification.naming.updated_plant import updated_plant
 
 PLANTS = Path(__file__).parents[3] / "models" / "plants"
 
@@ -140,17 +135,6 @@ def test_an_arm_with_dry_friction_moves_as_its_events_say():
     assert (np.abs(x[::100, 2:][true[:, 2:] == 0]) < 1e-15).all()
 
 
-def test_a_joint_that_dry_friction_holds_stays():
-    rough = rl.with_effects(arm(), {"coulomb-friction@w_1": {"Fc": 40.0}})
-    t = 1e-3 * np.arange(500)
-    x, _ = rough.stepped(t, np.column_stack([10 * np.sin(9 * t), np.cos(7 * t)]), np.zeros(4))
-    assert np.abs(x[:, 2]).max() > 1.0
-    assert np.abs(x[:, :2]).max() < 1e-13
-    both = rl.with_effects(rough, {"coulomb-friction@w_2": {"Fc": 8.0}})
-    x, _ = both.stepped(t, np.column_stack([10 * np.sin(9 * t), np.cos(7 * t)]), np.zeros(4))
-    assert np.abs(x).max() < 1e-9  # two forces that hold each other are swept, not solved
-
-
 def test_energy_goes_into_dry_friction_and_nowhere_else():
     free = arm().with_parameters(b_1=0.0, b_2=0.0)
     rough = rl.with_effects(free, {"coulomb-friction@w_1": {"Fc": 0.6}})
@@ -186,16 +170,6 @@ def test_smooth_effects_are_fourth_order_in_the_step(effects):
     runs = [rough.stepped(t, u, np.zeros(4), 0.016 / parts)[0] for parts in (1, 2, 4, 32)]
     errors = [np.abs(run - runs[-1]).max() for run in runs[:-1]]
     assert errors[0] > 11 * errors[1] > 121 * errors[2]
-
-
-def test_steps_are_halved_where_none_is_given():
-    rough = rl.with_effects(arm(), {"cubic-stiffness@w_2": {"k3": 30.0}})
-    t = 0.02 * np.arange(40)
-    u = np.full((40, 2), 4.0)
-    x, y = rough.stepped(t, u, np.zeros(4))
-    fine, _ = rough.stepped(t, u, np.zeros(4), 1e-4)
-    assert np.abs(x - fine).max() < 1e-4 * np.abs(fine).max()
-    assert np.array_equal(y, x[:, [0, 2]])
 
 
 @pytest.mark.parametrize(
@@ -254,24 +228,6 @@ def test_a_delayed_input_is_the_shifted_input():
         assert np.abs(record[name] - own[name]).max() < 1e-7
 
 
-def test_a_biased_sensor_shows_the_motion_and_its_bias():
-    t, u = drive()
-    record = rl.simulate(rl.with_effects(arm(), {"sensor-bias@q_1": {"b": 0.03}}), t, u)
-    own = rl.simulate(arm(), t, u, rtol=1e-10)
-    assert np.abs(record["q_1"] - own["q_1"] - 0.03).max() < 1e-7
-    assert np.abs(record["q_2"] - own["q_2"]).max() < 1e-7
-
-
-def test_a_misjudged_parameter_is_the_plant_with_the_true_one():
-    t, u = drive()
-    rough = rl.with_effects(arm(), {"inertia@m_2": {"s": 1.2}})
-    record = rl.simulate(rough, t, u)
-    own = rl.simulate(arm().with_parameters(m_2=1.2 * arm().values["m_2"]), t, u, rtol=1e-10)
-    assert rough.values["m_2"] == arm().values["m_2"]
-    for name in ("q_1", "q_2"):
-        assert np.abs(record[name] - own[name]).max() < 1e-7
-
-
 # --- the platform ----------------------------------------------------------------------------------------------------
 
 
@@ -291,20 +247,6 @@ def test_viscous_friction_at_one_nut_is_a_torque_against_its_motor():
     assert np.abs(true[2]).max() > 0.02
     for i in range(6):
         assert np.abs(record[f"phi_{i + 1}"][::10] - true[i]).max() < 1e-7
-
-
-def test_viscous_friction_at_every_nut_is_that_of_the_motors():
-    plant = platform(motors=True)
-    home, more = rl.trim(plant), 2e-4
-    c = more * plant.values["ratio"] ** 2
-    t = 1e-3 * np.arange(201)
-    u = home.u + 1.5 * np.sin(np.outer(t, [9, 11, 7, 8, 10, 12.0]))
-    rough = rl.with_effects(plant, {f"viscous-friction@phidot_{i}": {"b": c} for i in range(1, 7)})
-    record = rl.simulate(rough, t, u, home.x)
-    own = rl.simulate(plant.with_parameters(Kf=plant.values["Kf"] + more), t, u, home.x, rtol=1e-10)
-    for i in range(1, 7):
-        assert np.abs(own[f"phi_{i}"]).max() > 0.05
-        assert np.abs(record[f"phi_{i}"] - own[f"phi_{i}"]).max() < 1e-6
 
 
 def test_a_platform_whose_nuts_stick_stays_where_it_is():
@@ -361,16 +303,6 @@ def test_the_linear_model_has_the_slopes_of_the_rates():
     assert model.C[0, 0] == pytest.approx(1.1)
 
 
-def test_an_amplitude_puts_the_middle_of_the_sector_in_place_of_dry_friction():
-    rough = rl.with_effects(arm(), {"coulomb-friction@w_1": {"Fc": 1.0}})
-    point = rl.trim(rough, q_1=0.4, q_2=0.2)
-    free, seen = rl.linearise(rough, point), rl.linearise(rough, point, amplitude={"w_1": 2.0})
-    mass, _ = arm_terms(point.x[[0, 2]], np.zeros(2), arm().values)
-    push = np.linalg.solve(mass, [1.0, 0.0])
-    assert np.allclose((free.A - seen.A)[1::2, 1], push * 0.5 * 4 / (np.pi * 2.0), rtol=1e-12)
-    assert [left.effect.key for left in rough.left_out(point)] == ["coulomb-friction@w_1"]
-
-
 # --- files, json, updated plants -------------------------------------------------------------------------------------
 
 
@@ -387,56 +319,3 @@ def test_a_platform_with_effects_comes_back_from_its_file(tmp_path):
     u = np.tile(home.u + 0.5, (50, 1))
     one, other = (rl.simulate(p, 1e-3 * np.arange(50), u, home.x, step=1e-3) for p in (rough, back))
     assert all(np.array_equal(one[name], other[name]) for name in one.outputs)
-
-
-def test_an_arm_with_effects_comes_back_from_its_file(tmp_path):
-    rough = rl.with_effects(arm(), {"coulomb-friction@w_1": {"Fc": 1.0}, "flexible-coupling@w_2": coupling()})
-    rl.save(tmp_path / "arm.h5", rough)
-    back = rl.load(tmp_path / "arm.h5")
-    assert repr(back) == repr(rough)
-    t, u = drive(100)
-    one, other = (rl.simulate(p, t, u, step=2e-3) for p in (rough, back))
-    assert all(np.array_equal(one[name], other[name]) for name in one.outputs)
-
-
-def test_other_parameters_keep_the_effects():
-    rough = rl.with_effects(arm(), {"coulomb-friction@w_1": {"Fc": 1.0}, "inertia@m_2": {"s": 1.2}})
-    heavy = rough.with_parameters(m_2=5.0)
-    assert heavy.effects == rough.effects
-    assert heavy.values["m_2"] == 5.0
-    assert heavy.changed.values["m_2"] == pytest.approx(6.0)
-    more = rl.with_effects(heavy, {"sensor-bias@q_2": {"b": 0.1}})
-    assert len(more.effects) == 3
-    assert more.plant is heavy.plant
-
-
-@cache
-def case():
-    plant = arm().with_parameters(b_1=(0.0, 0.4))  # not known but by its tolerance, in N m s/rad
-    t, u = drive(600)
-    record = rl.simulate(plant, t, u)
-    model = ports_of(plant, record)
-    ready = prepare(plant, model, record, 100)
-    problem = Problem(plant, [ready], nuisance_parameters(plant, stated_tolerances(plant, None)))
-    return problem, {c.key: c for c in candidates(plant, model, [ready])}
-
-
-def test_the_updated_arm_has_refitted_parameters_and_its_effect():
-    problem, pool = case()
-    friction = pool["coulomb-friction @ w_1"]
-    (z,) = friction.standardised({"Fc": 0.9})
-    n = len(problem.nuisances)
-    values, std = np.append(np.linspace(0.5, 1.0, n), z), np.full(n + 1, 0.1)
-    noise = NoiseModel(np.ones(2), np.zeros((0, 2)))
-    fit = Fit(Hypothesis((friction,)), values, (), 0.0, np.zeros(0), np.diag(std**-2.0), noise, 1)
-    factors, _ = problem.split(fit.hypothesis, fit.z)
-    found = updated_plant(problem, fit, "run 7")
-    assert [e.key for e in found.effects] == ["coulomb-friction@w_1"]
-    assert found.effects[0].values["Fc"] == pytest.approx(0.9)
-    assert set(factors) >= {"m_1", "m_2", "b_1", "b_2"}
-    for name, factor in factors.items():
-        assert found.values[name] == pytest.approx((problem.plant.values[name] or 1.0) * factor)
-        assert found.parameters[name].source == "run 7"
-    assert found.values["b_1"] > 0.1
-    t, u = drive(100)
-    assert np.isfinite(rl.simulate(found, t, u)["q_1"]).all()

@@ -72,14 +72,6 @@ def test_stick_slip_agrees_with_the_event_driven_solution():
     assert (stuck < 1e-15 * np.abs(found["v"]).max()).mean() > 0.98  # the rounding of the step, no creep
 
 
-def test_smaller_steps_come_closer():
-    u = 1.5 * np.sin(6 * T)
-    exact = stick_slip(rl.plant("servo-axis"), "v", 20.0, T, u).record["q"]
-    plant = axis(coulomb_friction={"Fc": 20.0})
-    errors = [np.abs(rl.simulate(plant, T, u, step=h)["q"] - exact).max() for h in (1e-3, 1e-4)]
-    assert errors[1] < 0.2 * errors[0]
-
-
 def test_a_smooth_effect_agrees_with_scipy_on_the_plants_own_derivative():
     plant = rl.with_effects(
         rl.plant("mass-spring-damper"), {"quadratic-drag": {"c": 0.4}, "cubic-stiffness": {"k3": 3.0}}
@@ -96,15 +88,6 @@ def test_a_smooth_effect_agrees_with_scipy_on_the_plants_own_derivative():
     assert np.abs(found["q"] - truth[0]).max() < 2e-6 * np.ptp(truth[0])
     for x in ([0.3, -0.7], [0.5, 2.0]):
         np.testing.assert_allclose(plant.derivative(x, [1.0]), by_hand(0, x), rtol=1e-9)
-
-
-def test_long_samples_are_divided():
-    u = np.sin(np.arange(41) * 0.3)
-    coarse = np.arange(41) * 0.05
-    fine = np.arange(41 * 50) * 1e-3
-    plant = axis(coulomb_friction={"Fc": 5.0})
-    found, truth = rl.simulate(plant, coarse, u)["q"], rl.simulate(plant, fine, np.repeat(u, 50))["q"][::50]
-    np.testing.assert_allclose(found, truth, rtol=0, atol=1e-14)
 
 
 def test_the_flexible_coupling_adds_its_states_and_the_two_mass_motion():
@@ -161,28 +144,6 @@ def test_friction_holds_an_input_up_to_its_level():
         rl.trim(plant, u=20.01 / gain)
 
 
-def test_friction_holds_a_motor_whose_current_must_settle():
-    plant = rl.with_effects(rl.plant("dc-motor"), {"coulomb-friction": {"Fc": 2e-3}})
-    trim = rl.trim(plant, u=0.05)
-    assert trim.x == pytest.approx([0.0, 0.0, 0.05 / 2.07])
-    assert trim.holding[0].force == pytest.approx(-0.052 * 0.05 / 2.07)
-
-
-def test_a_spring_and_a_load_are_balanced():
-    plant = rl.with_effects(rl.plant("mass-spring-damper"), {"cubic-stiffness": {"k3": 3.0}})
-    k = plant.values["k"]
-    trim = rl.trim(plant, q=0.4)
-    assert trim.u[0] == pytest.approx(0.4 * k + 3.0 * 0.4**3, rel=1e-9)
-    assert not trim.holding
-    load = axis(constant_load={"T0": 10.0})
-    assert abs(rl.trim(load).u[0]) == pytest.approx(10.0 / load.values["gain"])
-
-
-def test_an_output_may_be_asked_for():
-    plant = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}, "sensor-gain@q": {"s": 2.0}})
-    assert rl.trim(plant, q=0.1).y[0] == pytest.approx(0.2)  # a state is meant by its name
-
-
 # --- linear models ---------------------------------------------------------------------------------------------------
 
 
@@ -210,13 +171,6 @@ def test_dry_friction_is_left_out_at_rest_and_said_or_taken_at_an_amplitude():
     np.testing.assert_allclose(moving.A, rl.linearise(plant).A, atol=1e-12)
 
 
-def test_a_dead_zone_at_rest_keeps_the_gain_of_the_driver_and_is_said():
-    plant = axis(input_dead_zone={"d": 0.3})
-    np.testing.assert_array_equal(rl.linearise(plant).B, rl.plant("servo-axis").state_space().B)
-    assert "no gain" in plant.left_out()[0].reason
-    assert plant.derivative([0.0, 0.0], [0.2]).tolist() == [0.0, 0.0]
-
-
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_pade_delays_follow_the_true_phase(order):
     model = pade(0.01, order)
@@ -225,19 +179,6 @@ def test_pade_delays_follow_the_true_phase(order):
                          for w in omega])  # fmt: skip
     np.testing.assert_allclose(np.abs(response), 1.0, rtol=1e-11)
     np.testing.assert_allclose(response, np.exp(-0.01j * omega), atol=0.05 ** min(order, 3))
-
-
-def test_delays_are_left_out_or_rational():
-    plant = rl.with_effects(rl.plant("servo-axis"), {"input-delay": {"d": 5e-3}, "sensor-delay@q": {"d": 2e-3}})
-    assert rl.linearise(plant).n_states == 2
-    assert len(plant.left_out()) == 2
-    late = rl.linearise(plant, pade=3)
-    assert late.n_states == 8
-    s = 30j
-    bare = rl.plant("servo-axis").state_space()
-    g = (bare.C @ np.linalg.solve(s * np.eye(2) - bare.A, bare.B))[:, 0]
-    found = (late.C @ np.linalg.solve(s * np.eye(8) - late.A, late.B) + late.D)[:, 0]
-    np.testing.assert_allclose(found, g * np.exp(-s * np.array([7e-3, 5e-3])), rtol=1e-8)
 
 
 # --- uncertainty -----------------------------------------------------------------------------------------------------
@@ -286,16 +227,6 @@ def test_the_uncertain_model_is_the_plant_built_anew():
             )
 
 
-def test_what_the_uncertain_model_does_not_cover_is_said():
-    plant = axis(coulomb_friction={"Fc": (20.0, 1.0)}, inertia={"s": (1.1, 0.05)})
-    uncertain = plant.uncertain(sigmas=3.0)
-    (block,) = uncertain.blocks
-    assert block.parameter.nominal == pytest.approx(1.1 * plant.values["M"])
-    assert block.parameter.radius == pytest.approx(0.15 * plant.values["M"])
-    assert [item.effect.effect.id for item in plant.left_out()] == ["coulomb-friction"]
-    assert [s.name for s in plant.uncertain(outputs=["v"]).outputs] == ["v"]
-
-
 # --- a bare model, and more effects on a plant that has some ---------------------------------------------------------
 
 
@@ -306,18 +237,3 @@ def test_a_bare_model_takes_effects_as_accelerations():
     np.testing.assert_allclose(
         rl.simulate(on_model, T, u)["q"], rl.simulate(axis(coulomb_friction={"Fc": 20.0}), T, u)["q"], atol=1e-13
     )
-
-
-def test_effects_add_up():
-    first = axis(coulomb_friction={"Fc": 20.0})
-    both = rl.with_effects(first, {"input-delay": {"d": 5e-3}})
-    assert [e.effect.id for e in both.effects] == ["coulomb-friction", "input-delay"]
-    u = np.where(T < 1, 1.0, -1.0)
-    late = np.concatenate([np.full(5, u[0]), u[:-5]])
-    # The delay halves the steps, and with them those in which the friction sticks or slips.
-    np.testing.assert_allclose(rl.simulate(both, T, u)["q"], rl.simulate(first, T, late)["q"], atol=1e-7)
-    alone = rl.with_effects(rl.plant("servo-axis"), {"input-delay": {"d": 5e-3}})
-    bare = rl.simulate(rl.plant("servo-axis"), T, late)["q"]
-    np.testing.assert_allclose(rl.simulate(alone, T, u)["q"], bare, atol=1e-13)
-    facts = both.effects[0].to_json()
-    assert (facts["id"], facts["site"], facts["parameters"]["Fc"]["value"]) == ("coulomb-friction", "v", 20.0)

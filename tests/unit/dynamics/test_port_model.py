@@ -33,13 +33,6 @@ def test_a_motor_has_a_joint_with_its_angle_and_a_current_port():
     assert current.position is None
 
 
-def test_the_actuators_joint_carries_all_its_inertia():
-    p = rl.plant("linear-actuator").values
-    h = p["lead"] / (2 * np.pi * p["ratio"])
-    total = p["J"] + p["J_nut"] / p["ratio"] ** 2 + (p["m_screw"] + p["m_cart"]) * h**2
-    assert port_model(rl.plant("linear-actuator")).ports["omega"].force[1] == pytest.approx(1 / total, rel=1e-12)
-
-
 def test_two_masses_have_two_joints_each_with_its_own_angle():
     ports = port_model(rl.plant("two-mass")).ports
     assert {n: np.flatnonzero(p.position).tolist() for n, p in ports.items()} == {"omega1": [0], "omega2": [1]}
@@ -62,11 +55,6 @@ def test_factors_give_the_plant_with_those_parameters():
     there = MOTOR.with_parameters(J=2 * 7.2e-6, R=0.5 * 2.07).state_space()
     assert pytest.approx(there.A, rel=1e-13) == changed.A
     assert pytest.approx(there.B, rel=1e-13) == changed.B
-
-
-def test_a_factor_of_an_unknown_parameter_is_refused():
-    with pytest.raises(InputError, match=r"'Jx'.*no such parameter.*R, L, Km, Kb, Kf, J"):
-        port_model(MOTOR, {"Jx": 1.0})
 
 
 @settings(max_examples=25, deadline=None)
@@ -111,11 +99,6 @@ def test_what_one_misjudgement_changes_stands_in_one_group():
     assert groups(rl.plant("two-mass")) == {
         "J1": "inertia", "J2": "inertia", "c": "viscous-friction", "k": "stiffness",
     }  # fmt: skip
-
-
-def test_a_parameter_that_is_zero_belongs_to_no_group():
-    assert "Kf" not in groups(MOTOR.with_parameters(Kf=0.0))
-    assert "J_nut+m_screw+m_cart" in groups(rl.plant("linear-actuator", J=0.0))
 
 
 # --- bare models -----------------------------------------------------------------------------------------------------
@@ -169,17 +152,6 @@ def test_a_bare_models_forces_have_their_unit_where_the_inertia_is_told(plant, s
     assert linear_plant_of(model).values[f"inertia_{speed}"] == pytest.approx(inertia or 1.0, rel=1e-12)
 
 
-def test_a_force_on_two_bodies_tells_the_inertia_of_neither():
-    A, B = np.zeros((2, 2)), np.array([[1.0], [-0.5]])
-    states = [("v1", "m/s"), ("v2", "m/s")]
-    model = StateSpaceModel(A, B, np.eye(2), np.zeros((2, 1)), inputs=[("f", "N")], outputs=states, states=states)
-    assert {p.unit for p in port_model(linear_plant_of(model)).ports.values()} == {"N/kg"}
-
-
-def test_a_plant_stays_itself():
-    assert linear_plant_of(MOTOR) is MOTOR
-
-
 def test_a_discrete_model_and_what_is_none_are_refused():
     model = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.01)
     with pytest.raises(InputError, match=r"discover.*discrete model \(dt = 0.01 s\).*continuous"):
@@ -205,14 +177,6 @@ def test_windows_are_the_plants_own_response_from_their_starts():
     expected = np.stack([np.column_stack([run["q"], run["v"]])[s : s + 160] for s in starts])
     assert np.abs(motion.outputs - expected).max() < 1e-12
     assert motion.forces.shape == (3, 160, 0)
-
-
-def test_wrong_parameter_and_factor_multiply():
-    plant, effect = rl.plant("servo-axis"), catalogue()["inertia"]
-    simulator = Simulator(plant, [(effect, Site("parameter", "M"))], U[:, None], 2e-3)
-    name = effect.parameters(_scales())[0].name
-    model = simulator.model({"M": 1.25, "Fv": 0.5}, [{name: 1.6}])
-    assert model.A[1, 1] == pytest.approx(-0.5 * plant.values["Fv"] / (2.0 * plant.values["M"]), rel=1e-12)
 
 
 def _scales():
@@ -241,13 +205,3 @@ def test_input_and_output_effects_act_before_and_after_the_plant():
     assert seen.outputs[0, :, 0] == pytest.approx(1.2 * plain.outputs[0, :, 0], rel=1e-12)
     assert (seen.outputs[0, :, 1] == plain.outputs[0, :, 1]).all()
     assert (seen.states == plain.states).all()
-
-
-def test_direct_feedthrough_sees_the_input_of_the_same_sample():
-    model = StateSpaceModel(
-        [[-3.0]], [[1.0]], [[2.0]], [[0.7]], inputs=(Signal("u", "V"),), outputs=("y",), states=(Signal("v", "m/s"),)
-    )
-    run = rl.simulate(model, T, U)
-    windows = Windows(np.zeros(1, dtype=np.int64), len(T))
-    motion = Simulator(linear_plant_of(model), [], U[:, None], 2e-3).run({}, [], np.zeros((1, 1)), windows)
-    assert np.abs(motion.outputs[0, :, 0] - run["y"]).max() < 1e-12

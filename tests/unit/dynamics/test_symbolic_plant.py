@@ -1,13 +1,8 @@
 """Plants of one's own beside plants of the registry, and what they offer."""
 
-import pickle
-import subprocess
-import sys
-
 import numpy as np
 import own_plants
 import pytest
-from calls import calls
 from plant_files import NAMES, maker
 
 import robustlab as rl
@@ -99,16 +94,6 @@ def test_the_plants_of_the_files_say_where_their_values_are_from(name):
     assert len(plant.port_places) == joints[name]
 
 
-def test_other_parameters_are_another_plant():
-    make = maker("cart_pole")
-    plant = make(M=(2.0, 0.1))
-    again = make().with_parameters(M=(2.0, 0.1))
-    assert plant.parameters == again.parameters
-    x, u = np.array([0.1, 0.2, 0.3, 0.4]), np.array([1.0])
-    np.testing.assert_array_equal(plant.derivative(x, u), again.derivative(x, u))
-    assert abs(plant.derivative(x, u) - make().derivative(x, u)).max() > 0.1
-
-
 def test_a_tolerance_from_outside_keeps_the_role_of_the_file_and_asks_for_none():
     given = {"l": (0.3, 0.05), "m": (0.2, 0.1)}
     made, changed = maker("cart_pole")(**given), maker("cart_pole")().with_parameters(**given)
@@ -117,12 +102,6 @@ def test_a_tolerance_from_outside_keeps_the_role_of_the_file_and_asks_for_none()
         "l": (0.05, ""),
         "m": (0.1, "inertia"),
     }
-
-
-def test_it_goes_to_other_processes():
-    plant = maker("two_link_arm")()
-    x, u = np.array([0.1, 0.2, 0.3, 0.4]), np.array([1.0, 2.0])
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(plant)).derivative(x, u), plant.derivative(x, u))
 
 
 def test_inputs_that_break_are_honoured_exactly():
@@ -157,32 +136,3 @@ def test_the_chain_keeps_its_energy(chain):
     height = -np.cumsum(length * np.cos(q), axis=1)
     energy = (m * (0.5 * (vx**2 + vy**2) + 9.81 * height)).sum(axis=1)
     assert np.ptp(energy) < 1e-8 * np.abs(energy).max()
-
-
-def test_its_tapes_are_short(chain):
-    """A mass matrix of 6 x 6 is factorised, not inverted; the Jacobian's tape is some four times that of the rates."""
-    assert len(chain.equations.rates.operations) < 500
-    assert len(chain.equations.models.operations) < 2000
-
-
-def test_a_simulation_of_twelve_states_is_compiled(chain):
-    """Python is not asked for each sample: how long it takes is in benchmarks/results/own_plants.txt."""
-    counts = []
-    for n in (101, 1001):
-        t = np.linspace(0.0, 0.1 * (n // 100), n)
-        rl.simulate(chain, t, np.sin(20 * t), own_plants.START)
-        counts.append(calls(lambda t=t: rl.simulate(chain, t, np.sin(20 * t), own_plants.START)))
-    assert counts[0] == counts[1]
-
-
-def test_nothing_is_compiled_for_a_plant(chain):
-    from robustlab.dynamics.symbolic.tape import tape_kernels
-
-    before = len(tape_kernels().integrate.signatures)
-    maker("quadrotor_height")().derivative([0, 0, 0], [0])
-    assert len(tape_kernels().integrate.signatures) == before == 1
-
-
-def test_the_name_costs_no_import():
-    code = "import sys, robustlab as rl; rl.PlantEquations; assert not {'casadi', 'numba'} & sys.modules.keys()"
-    subprocess.run([sys.executable, "-c", code], check=True)

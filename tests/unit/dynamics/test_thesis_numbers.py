@@ -11,7 +11,6 @@ import pytest
 import robustlab as rl
 from robustlab.thesis import numbers as thesis_numbers
 from robustlab.thesis.numbers import PublishedNumber, published_numbers
-from robustlab.thesis.runs import sine_run
 
 
 @pytest.fixture(scope="module")
@@ -21,11 +20,6 @@ def found():
 
 def ours(found, key):
     return found.rows[key].ours
-
-
-def test_every_item_has_a_row(found):
-    assert {int(key.partition("-")[0]) for key in found.rows} == set(range(1, 30))
-    assert list(found.rows) == [row.key for row in found.rows.values()]
 
 
 def test_rows_r_agree(found):
@@ -46,19 +40,6 @@ def test_a_fit_is_no_reproduction(found):
         assert row.agrees is True
         assert "chosen so that this row agrees" in row.why
         assert row not in found.with_status("R")
-
-
-def test_the_page_of_what_was_measured_counts_the_rows(found):
-    page = " ".join((Path(__file__).parents[3] / "docs" / "measured.md").read_text(encoding="utf-8").split())
-    r, f, p, n = (len(found.with_status(status)) for status in "RFPN")
-    assert f"{len(found.rows)} rows of chapters 6-11" in page
-    assert f"{r} are reproduced, {f} are fits and not counted as such" in page
-    assert f"{p} are so in part or under a reading that is stated, {n} are not reproducible" in page
-
-
-def test_what_is_not_reproduced_has_a_reason(found):
-    for row in (*found.with_status("P"), *found.with_status("N"), *found.with_status("F")):
-        assert row.why, row.key
 
 
 def test_all_six_bearing_points_are_judged(found):
@@ -112,15 +93,6 @@ def test_ends_of_a_case_are_those_of_its_element_wise_set(found):
             gap = rl.simulate(member, t, u, hold="foh")["phi_1"] - nominal
             assert 100 * np.abs(gap).max() / np.abs(nominal).max() == pytest.approx(abs(change), rel=1e-8)
             assert np.sign(gap[np.abs(gap).argmax()]) == np.sign(change)
-
-
-def test_the_worst_delta_is_said(found):
-    for key, case, worst in zip(("15", "16", "17", "18"), found.cases, ("+I", "-I", "-I", "-I"), strict=True):
-        row = found.rows[f"{key}-worst"]
-        assert row.agrees is True
-        assert f"worst Δ = {worst}" in row.why
-        assert f"the thesis has {worst}" in row.why
-        assert ours(found, key) == case.largest_percent
 
 
 def test_poles_of_the_open_loop_are_those_of_the_page(found):
@@ -184,13 +156,6 @@ def test_case_2c_is_a_closed_form(found):
     assert case.released == pytest.approx(-0.025 * 0.8701e-3, rel=1e-4)
 
 
-def test_a_small_sine_is_linear():
-    run = sine_run(rl.plant("stewart-platform"), 1e-5, 20.0, 0.05, 2001)
-    _, angle, rate = run.percent()
-    assert max(np.abs(angle).max(), np.abs(rate).max()) < 1e-3
-    assert math.isinf(run.when_height(0.1407))
-
-
 def test_a_row_that_is_off_is_found():
     def row(ours, bound="equal", tolerance=0.1):
         return PublishedNumber("1", "q", "w", 1.0, ours, "", "R", tolerance, "", bound)
@@ -201,10 +166,3 @@ def test_a_row_that_is_off_is_found():
     assert row(1.2, "at most").agrees is row(0.8, "at least").agrees is False
     assert row(None).agrees is None
     assert row(math.nan).agrees is False
-
-
-def test_table_has_every_row_and_reason(found):
-    text = found.table()
-    for row in found.rows.values():
-        assert f"\n{row.key} " in text
-        assert row.why in text

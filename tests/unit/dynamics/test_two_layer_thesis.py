@@ -143,21 +143,3 @@ def test_small_motions_are_those_of_the_linear_loop(machines):
         np.testing.assert_allclose(torque, linear[f"torque_{i}"], atol=5e-3 * np.abs(torque).max())
         volts = run.voltage[:, i - 1] - controller.at.u[i - 1]
         np.testing.assert_allclose(volts, linear[f"u_{i}"], atol=5e-3 * np.abs(volts).max())
-
-
-def test_record_and_json_carry_the_run(following):
-    run = following("thesis")
-    record = run.record()
-    assert record.unit("torque_4") == "N m"
-    np.testing.assert_array_equal(record["u_2"], run.voltage[:, 1])
-    assert run.to_json()["within_limits"] is True
-
-
-def test_trajectory_is_where_it_should_be():
-    path = SineTrajectory(np.zeros(6), rise_time=0.5)
-    np.testing.assert_allclose(path.pose([0.0, 2.0])[:, 2], [0.0, 5e-3], atol=1e-18)
-    np.testing.assert_allclose(path.pose(2.5 + 2.0), [5e-3 * math.sin(2.5 * math.pi)] * 2 + [10e-3] + [20e-3] * 3)
-    h = 1e-7
-    for time in path.breaks:  # smooth: velocities match on both sides
-        before, at, after = path.pose([time - h, time, time + h])
-        np.testing.assert_allclose((after - at) / h, (at - before) / h, atol=1e-6)

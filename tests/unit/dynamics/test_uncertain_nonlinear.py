@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import complex_step_plant as plants
@@ -79,16 +78,6 @@ def test_where_no_input_can_hold_the_states_the_input_is_held():
         member = uncertain.evaluate(delta)
         np.testing.assert_allclose(member.A, [[-s1 / p["A"], 0], [s1 / p["B"], -s2 / p["B"]]], rtol=1e-11, atol=1e-15)
         np.testing.assert_allclose(member.B, [[1 / p["A"]], [0]], rtol=1e-12)
-
-
-def test_what_is_held_may_be_chosen():
-    plant = plants.tank().with_parameters(A=(0.1, 0.0), B=(0.2, 0.0), c=(1e-3, 0.0))
-    uncertain = plant.uncertain(hold=["h1"])
-    delta = {"e": 0.7}
-    assert uncertain.blocks[0].origin.endswith("held: h1; what follows: h2, q")
-    assert off(uncertain.evaluate(delta), rebuilt(plant, uncertain, delta)) < 1e-11  # rest() holds h1, too
-    by_level = plant.uncertain(hold=["h2"])
-    assert off(by_level.evaluate(delta), rebuilt(plant, by_level, delta)) > 1e-3
 
 
 class TestSampled:
@@ -178,15 +167,6 @@ def test_worst_gain_is_that_of_the_corners():
     assert found.upper <= 1.001 * max(gains)
 
 
-def test_samples_and_a_search():
-    uncertain = plants.tank().uncertain()
-    members = rl.sample(uncertain, 5, seed=3)
-    assert len(members) == 5
-    found = rl.worst_case(uncertain, "hinf", n=32)
-    assert found.status.trustworthy
-    assert found.value <= rl.peak_gain(uncertain).upper * (1 + 1e-9)
-
-
 @pytest.mark.parametrize(
     ("slope", "exact"),
     [
@@ -210,11 +190,6 @@ def test_polynomials_are_told_from_others(slope, exact):
         known = {"c": (value - 1) / 0.1}
         if exact:
             np.testing.assert_allclose(uncertain.evaluate(known).A, [[-2 * slope(value)]], rtol=1e-12)
-
-
-def test_json_is_plain():
-    data = json.loads(json.dumps([b.to_json() for b in plants.rotor().uncertain().blocks]))
-    assert [row["origin"].split(":")[0] for row in data] == ["sampled", "sampled", "exact", "sampled"]
 
 
 class TestBadInput:

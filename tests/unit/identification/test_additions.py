@@ -12,7 +12,6 @@ import pytest
 import robustlab as rl
 from robustlab.cli import main
 from robustlab.cli.ending import main_guard
-from robustlab.identification.comparison.additions import sensor_noise
 
 RESOLUTION = 2 * np.pi / 2000
 
@@ -183,45 +182,12 @@ def test_without_a_current_a_voltage_would_do_as_well_and_both_are_told():
     assert "or as one at torque at omega" in found.summary()
 
 
-@pytest.mark.parametrize("names", [["phi", "i"], ["phi", "omega", "i"]])
-def test_a_driver_that_loses_voltage_beside_friction_takes_two_places(names):
-    found = compared(motor, names, drop=0.6)
-    told = {d.place: d for d in found.located}
-    assert set(told) == {"input u", "torque at omega"}
-    assert all(d.together for d in told.values())
-    assert told["torque at omega"].forward == pytest.approx(-LEVEL, rel=0.3)
-    assert told["input u"].forward == pytest.approx(-0.6, rel=0.3)
-    assert "together" in found.summary()
-
-
-@pytest.mark.parametrize("bias", [0.3, -1.0])
-def test_a_biased_sensor_does_not_turn_the_sign(bias):
-    found = compared(motor, ["phi", "i"], bias=bias)
-    torques = [d for d in found.located if d.place == "torque at omega"]
-    assert torques
-    assert torques[0].forward < 0 < torques[0].backward
-    assert torques[0].backward - torques[0].forward == pytest.approx(2 * LEVEL, rel=0.3)
-
-
 def test_where_nothing_is_missing_nothing_is_told():
     for machine, names in ((motor, ["phi", "i"]), (motor, ["phi"])):
         found = compared(machine, names, off=0.0, level=0.0)
         assert found.located == ()
         assert "explains half of the error" in found.summary()
         assert "mean" not in found.summary().splitlines()[-1]
-
-
-def test_a_force_is_told_where_no_piece_moves_throughout_in_one_direction():
-    """It was said to be no mean that differs from zero."""
-    rng, t = np.random.default_rng(3), np.arange(5000) * 1e-3
-    f = 20.0 * np.sin(2 * np.pi * t) + 6.0 * np.sign(np.sin(2 * np.pi * 0.37 * t + 1))
-    x = integrated(lambda x, v: np.array([x[1], v + 2.0 - x[1] - 100.0 * x[0]]), [0.0, 0.0], f, 1e-3, 2)
-    signals = {"q": x[:, 0] + 8e-4 * rng.normal(size=5000), "v": x[:, 1] + 0.6 * rng.normal(size=5000)}
-    found = rl.compare(rl.plant("mass-spring-damper"), rl.Record(t, {"f": f}, signals, {}, "outside"))
-    mean, std = found.located[0].mean
-    assert abs(mean - 2.0) < 4 * std < 0.1
-    assert "mean +2 +- " in found.summary()
-    assert " over all pieces; too few pieces move throughout in one direction" in found.summary()
 
 
 def test_the_stated_errors_hold_the_truth():
@@ -285,32 +251,6 @@ def test_a_constant_force_that_noise_hides_in_short_pieces_is_told_in_longer_one
     assert d.place.startswith("input")
     assert abs(mean - hidden) < 4 * std < 0.25 * abs(hidden)
     assert d.seconds > found.window / 4 + 1e-9  # longer than it was
-
-
-@pytest.mark.parametrize(("plant", "noise"), [("servo-axis", (1e-3, 1e-2)), ("brushless-motor", (1e-3, 0.5))])
-@pytest.mark.parametrize("off", [0.0, 0.01])
-def test_longer_pieces_tell_nothing_where_no_force_is_hidden(plant, noise, off):
-    for seed in range(5):
-        record, _ = pushed(plant, 0.0, noise, off=off, seed=seed)
-        assert rl.compare(rl.plant(plant), record).located == ()
-
-
-def test_a_stated_window_keeps_its_pieces():
-    record, _ = pushed("servo-axis", 20.0, (1e-3, 1e-2))
-    found = rl.compare(rl.plant("servo-axis"), record, window=0.4)
-    assert next(iter(found.disturbance.values())).seconds == pytest.approx(0.1)
-
-
-def test_the_noise_of_sensors():
-    rng = np.random.default_rng(0)
-    t = np.arange(5000) * 1e-3
-    smooth = np.sin(3 * t)
-    y = np.column_stack([smooth + 1e-3 * rng.normal(size=5000), np.floor(smooth / 0.01) * 0.01, smooth])
-    noise = sensor_noise(y)
-    assert noise[0] == pytest.approx(1e-3, rel=0.05)
-    assert noise[1] == pytest.approx(0.01 / np.sqrt(12), rel=0.3)
-    assert noise[2] < 1e-6
-    assert (sensor_noise(np.zeros((5, 1))) > 0).all()
 
 
 def test_readmes_record_points_the_right_way(capfd):

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robustlab as rl
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
+from robustlab.errors import InputError, UnitMismatch
 
 G = rl.StateSpaceModel(
     [[0.0, 1.0], [-2.0, -0.25]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], inputs=[("u", "V")], outputs=[("y", "m")]
@@ -49,13 +49,6 @@ def test_a_discrete_model_is_asked_in_z():
 def test_what_is_no_number_is_refused(s):
     with pytest.raises(InputError, match="finite complex number"):
         G(s)
-
-
-def test_a_pole_has_no_value():
-    with pytest.raises(NoTrustworthyNumber, match="pole"):
-        rl.tf([1], [1, 0])(0)
-    with pytest.raises(InputError, match="the nearest of them 2 rad/s"):
-        DATA(2.1j)
 
 
 def test_feedback_is_that_of_python_control():
@@ -158,61 +151,6 @@ def test_every_kind_answers_or_names_the_way(kind, question, given):
     with pytest.raises(InputError) as error:
         ask(*given)
     assert way in (error.value.hint or "")
-
-
-def test_a_loop_around_a_model_with_a_scheduled_one_names_the_way():
-    with pytest.raises(InputError) as error:
-        G.feedback(LAGS)
-    assert ".at(...)" in (error.value.hint or "")
-
-
-def test_print_shows_the_numbers():
-    assert str(G).splitlines() == [
-        "StateSpaceModel(2 states, [u] -> [y], continuous)",
-        "  A:  0   1",
-        "     -2  -0.25",
-        "  B:  0",
-        "      1",
-        "  C:  1   0",
-        "  D:  0",
-    ]
-    assert repr(G) == str(G).splitlines()[0]
-    assert "a 1 .. 4" in str(SET)
-    assert "A: -2" in str(SET)
-    assert "delays: 0.3 s" in str(LATE)
-    assert "2 rad/s" in str(DATA)
-    lines = [[f"  at a = {a}:", f"  A: -{a}", "  B:  1", "  C:  1", "  D:  0"] for a in (1, 4)]
-    assert str(LAGS).splitlines() == [repr(LAGS), *lines[0], *lines[1]]
-    many = rl.LPVModel({"a": np.arange(1.0, 8.0)}, [rl.tf([1], [1, a]) for a in range(1, 8)], units={"a": "m"})
-    assert "  at a = 4 m:" in str(many)
-    assert "  at a = 5 m:" not in str(many)
-    assert str(many).splitlines()[-1] == "  and 3 models more"
-    assert str(rl.StateSpaceModel(-np.eye(40), np.eye(40, 1), np.eye(1, 40), [[0.0]])).splitlines()[1] == "  A: 40 x 40"
-
-
-def test_python_controls_ss_says_what_to_write():
-    """What the hint names is run: the hint named a method that sets and models with delays do not have."""
-    expected = {"model": G(1j), "delayed": LATE.pade(3)(1j), "set": SET.nominal(1j), "scheduled": LAGS.at(a=2.0)(1j)}
-    for kind, value in expected.items():
-        with pytest.raises(TypeError, match=r"control.ss takes no .*\nhint: G.*to_control\(\) is ") as error:
-            ct.ss(KINDS[kind])
-        way = str(error.value).partition("hint: ")[2].partition(" is ")[0].replace("(...)", "(a=2.0)")
-        found = eval(way, {"G": KINDS[kind]})
-        assert isinstance(found, ct.StateSpace)
-        assert found(1j) == pytest.approx(value[0, 0])
-    with pytest.raises(TypeError, match=r"hint: control.frd\(np.moveaxis\(G.nominal, 0, 2\), G.omega\)"):
-        ct.ss(DATA)
-    data = ct.frd(np.moveaxis(DATA.nominal, 0, 2), DATA.omega)
-    assert data(1j * DATA.omega[0]) == pytest.approx(DATA.nominal[0, 0, 0])
-    assert ct.ss(G.to_control())(1j) == pytest.approx(G(1j)[0, 0])
-    assert ct.poles(G).tolist() == G.poles().tolist()
-
-
-def test_a_model_is_no_function():
-    with pytest.raises(InputError, match="a function of the parameters"):
-        rl.lpv_model(G)
-    with pytest.raises(InputError, match="progress"):
-        rl.hinf(G, 1, 1, progress=G)
 
 
 def test_an_editor_knows_the_methods_of_plants_and_models(tmp_path):

@@ -118,13 +118,6 @@ def test_a_held_out_record_beyond_the_loads_of_the_set_does_not_pass():
     assert again.passes
 
 
-def test_effects_that_are_no_loads_and_plants_that_are_none_are_refused():
-    with pytest.raises(InputError, match="neither linear nor bounded"):
-        effect_loads(axis(**{"input-delay": {"d": 0.01}}))
-    with pytest.raises(InputError, match="a linear plant"):
-        effect_loads(rl.linearise(axis()))
-
-
 @pytest.mark.parametrize("gain", [28.0, 42.0])
 def test_a_wrong_gain_needs_its_own_share_of_the_input(gain):
     weak = record(rl.plant("servo-axis", M=95.0, Fv=200.0, gain=gain))
@@ -167,10 +160,3 @@ def test_bad_inputs(options, says):
         given["held_out"] = [run]
     with pytest.raises(InputError, match=says):
         rl.data_cover(axis(), given.pop("records"), {"q": 1e-6}, **given)
-
-
-def test_irregular_sampling_is_refused():
-    run = record(axis())
-    uneven = rl.Record(run.t + 1e-3 * np.sin(np.arange(run.n)), run.inputs, run.outputs, run.units)
-    with pytest.raises(InputError, match="irregular sampling"):
-        rl.data_cover(axis(**{"coulomb-friction": {"Fc": 20.0}}), [uneven], {"q": 1e-6})

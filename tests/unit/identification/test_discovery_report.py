@@ -36,7 +36,6 @@ from robustlab.result import Status, plain
 FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47, "friction level")
 COULOMB = NamedEffect("coulomb-friction", "Coulomb (dry) friction", "f = -Fc sgn(v)", "v", (FC,), 0.985, 512.0, ())
 RIVAL = Rival("presliding", "Presliding", "v", "coulomb-friction", 1.4, -0.7, 0.21, (replace(FC, name="Fb"),))
-LINE = {"over": "position", "period": 0.0025, "unit": "m", "amplitude": 0.98, "force_unit": "N", "p_value": 0.005}
 WINDOWS, LENGTH, DT = 5, 40, 0.01
 
 
@@ -196,25 +195,6 @@ def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
         assert part not in text
 
 
-def test_details_have_all_it_rests_on():
-    text = made().summary(details=True)
-    for part in (
-        "f = -Fc sgn(v)",
-        "nominal parameters, refitted within their tolerances:",
-        "+0.946 %: within its tolerance of 5 % (assumed)",
-        "gain          35.15 N/V (held fixed)",
-        "none: all sets without it have 1.5 % together",
-        "held from sample to sample; late by 0.4 ms (standard deviation 0.02 ms)",
-        "2 sets visited, 3 effects tried",
-        "coulomb-friction@v: best: no move improves it",
-    ):
-        assert part in text
-    assert "next experiment" not in text
-    assert "findings" not in text
-    fixed = made(clocks=(InputClock("u", "linear", 0.0, 0.0),)).summary(details=True)
-    assert "linear between samples; clock not fitted" in fixed
-
-
 def test_a_parameter_beyond_its_tolerance_is_told_and_nothing_else_is_claimed():
     far = NominalValue("M", 95.1, 130.0, "kg", 129.0, 131.0, 0.05, False, beyond=True)
     short, long = (made(nominal=(far,)).summary(details) for details in (False, True))
@@ -223,14 +203,6 @@ def test_a_parameter_beyond_its_tolerance_is_told_and_nothing_else_is_claimed():
         assert "within their tolerances" not in text
     zero = replace(far, nominal=0.0, value=0.7, lower=0.5, upper=0.9, unit="N s/m", tolerance=1.0, beyond=False)
     assert "0 -> 0.7 N s/m (95 %: 0.5 to 0.9): within its tolerance of 1 N s/m" in made(nominal=(zero,)).summary(True)
-
-
-def test_refitted_parameters_are_printed_where_no_effect_is_named():
-    refitted = NominalValue("M", 130.0, 128.0, "kg", 127.0, 129.0, 0.05, False)
-    alone = made(nominal=(refitted,), effects=())
-    assert "130 -> 128 kg (95 %: 127 to 129)" in alone.summary()
-    assert "M: 128 kg (95 %: 127 to 129)" in repr(alone)
-    assert "130 -> 128" not in made(nominal=(refitted,)).summary()
 
 
 def test_what_is_periodic_is_told_by_amplitude_and_period():
@@ -243,19 +215,6 @@ def test_what_is_periodic_is_told_by_amplitude_and_period():
     assert "amplitude" not in numbers_of(made())["effects"]["coulomb-friction"]
     assert numbers_of(made(candidates=("cogging",)))["effects"]["cogging"]["amplitude"] == 0.0
     assert wave_amplitude({"Fc": 1.0}) is None
-
-
-def test_what_sets_have_in_common_is_told_once():
-    sets = (
-        SetProbability(("coulomb-friction@v", "cogging@v"), ("coulomb-friction", "cogging"), 0.6, 0.0, 0.0),
-        SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.3, -0.7, 1.1, "force over position"),
-        SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.1, -1.8, 2.0),
-    )
-    first = sentence(ambiguous(posterior=sets)).partition(":")[0]
-    assert first == (
-        "servo-axis lacks Coulomb (dry) friction, and either cogging (force ripple), an unnamed force over position or "
-        "nothing more"
-    )
 
 
 def test_what_diverges_is_told_as_such():
@@ -290,36 +249,11 @@ def test_the_next_experiment_is_told_and_kept(tmp_path):
     assert back["next_experiment"]["inputs"]["u"] == pytest.approx(d.next_experiment.inputs["u"])
 
 
-def test_what_remains_and_findings_are_said():
-    finding = Finding("quantisation", "q", "steps of 5e-08 m", "", "", False, {})
-    text = unknown(
-        structure={"share": 0.41},
-        remaining_lines=(LINE,),
-        floor_excess={"q": 7.25},
-        findings=(finding,),
-    ).summary(details=True)
-    assert "share 0.41" in text
-    assert "0.98 N over position, period 0.0025 m (p 0.005)" in text
-    assert "q: F 7.25" in text
-    assert "q: steps of 5e-08 m" in text
-    assert "incomplete: structure remains" in text
-    assert "rms 2.5 N; 40 % follow speed, 0 % follow position, 10 % follow time" in text
-
-
 # --- figures and page ------------------------------------------------------------------------------------------------
 
 
 def curve(axes, label):
     return next(line for line in axes.get_lines() if line.get_label() == label)
-
-
-def test_a_run_about_a_recorded_motion_is_not_called_free():
-    d = made(free_run_on="held (linear about the recorded motion)")
-    figures = discovery_figures(d)
-    assert figures["story"].axes[1].get_title(loc="left") == "q: one linear run"
-    assert "linear about the recorded motion" in figures["run-q"].axes[0].get_title(loc="left")
-    assert any("one run, linear about the recorded motion" in label for label, *_ in facts(d))
-    assert not any("free run" in label for label, *_ in facts(d))
 
 
 def test_the_story_shows_the_three_errors_of_every_output_in_windows_and_in_free_run():
@@ -332,13 +266,6 @@ def test_the_story_shows_the_three_errors_of_every_output_in_windows_and_in_free
     assert figures["story"].get_suptitle().startswith("servo-axis lacks Coulomb")
     for model, error in (("nominal", -0.02), ("refitted", -0.01)):
         assert np.nanmax(curve(traces, model).get_ydata()) == pytest.approx(error)
-
-
-def test_missing_samples_do_not_stop_the_figures():
-    d = made()
-    signals = {name: values.copy() for name, values in d.series["outputs"]["q"].items()}
-    signals["measured"][10:60] = np.nan
-    assert discovery_figures(made(series={**d.series, "outputs": {"q": signals}}))
 
 
 @pytest.mark.parametrize(

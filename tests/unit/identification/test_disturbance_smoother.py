@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from calls import calls
 from scipy.linalg import expm
 
 from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses import disturbance_smoother as ds
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
-from robustlab.statespace import OperatingPoint, StateSpaceModel
+from robustlab.statespace import StateSpaceModel
 
 J, FRICTION, K, R, L = 2e-4, 1e-5, 0.05, 1.0, 3e-4
 H = 1e-3
@@ -170,40 +169,6 @@ def test_gaps_are_bridged_with_wider_bands():
     assert np.isnan(found.innovations[1000:1100]).all()
     assert found.x_std[1050, 0] > 3 * found.x_std[500, 0]
     assert (np.abs(found.x[1000:1100, 0] - x[1000:1100, 0]) < 4 * found.x_std[1000:1100, 0]).all()
-
-
-def test_deviations_from_the_operating_point():
-    t = H * np.arange(1000)
-    y, _ = record(motor(), t, np.ones(1000), np.zeros(1000), 1e-3)
-    base = motor()
-    point = OperatingPoint(np.zeros(3), np.array([7.0]), np.array([-30.0]))
-    moved = StateSpaceModel(base.A, base.B, base.C, base.D, operating_point=point)
-    one = smooth_disturbance(base, PORT, t, np.ones((1000, 1)), y)
-    two = smooth_disturbance(moved, PORT, t, np.full((1000, 1), 8.0), y - 30.0)
-    np.testing.assert_allclose(two.d, one.d, atol=1e-6)
-
-
-def test_quantised_rest_keeps_the_noise_of_the_resolution():
-    t = H * np.arange(2000)
-    y = np.round(5e-3 * np.sin(2 * np.pi * 0.1 * t) / 1e-3) * 1e-3
-    found = smooth_disturbance(motor(), PORT, t, np.zeros((2000, 1)), y[:, None])
-    assert found.noise_std[0] >= 1e-3 / np.sqrt(12) * (1 - 1e-9)
-
-
-def test_a_pass_is_compiled():
-    """Python is not asked for each sample: five times the samples are as many calls."""
-    a = np.zeros((4, 4))
-    a[:3, :3], a[3, 3] = motor().A, -50.0
-    model = StateSpaceModel(a, [[0], [0], [1 / L], [1.0]], [[1, 0, 0, 0.0]], [[0]])
-    counts = []
-    for n in (1000, 5000):
-        t = H * np.arange(n)
-        y = np.cumsum(np.random.default_rng(0).standard_normal(n))[:, None] * 1e-3
-        task = ds._prepared(model, np.vstack([PORT, [[0.0]]]), t, np.zeros((n, 1)), y, None)
-        choice = ds._Choice(np.array([np.log(20.0)]), task.guess, 0.0)
-        ds._smoothed(task, choice)
-        counts.append(calls(lambda task=task, choice=choice: ds._smoothed(task, choice)))
-    assert counts[0] == counts[1]
 
 
 @pytest.mark.parametrize(

@@ -79,12 +79,6 @@ def test_loads_and_noise_act_where_they_should():
     np.testing.assert_allclose(response[:, v, 1], 0.0, atol=1e-15)
 
 
-def test_a_fitted_gain_has_its_range():
-    made = effect_blocks(servo(input_gain={"s": (0.9, 0.02)}), ["v"], sigmas=3.0)
-    member = made.model.evaluate({"input-gain@u": 1.0})
-    assert member.dc_gain()[0, 0] == pytest.approx(0.96 * 35 / 200, rel=1e-9)
-
-
 @pytest.mark.parametrize(
     ("spread", "pade"), [(0.0, 1), (0.0, 3), (1e-5, 4), (3e-3, 1), (3e-3, 2), (10e-3, 2), (0.03, 3)]
 )
@@ -109,12 +103,6 @@ def test_every_delay_lies_inside_the_weight(spread, pade):
     # and is no larger than it needs to be: the error falls again and again, the weight lies above its hull
     hull = np.maximum.accumulate(largest)
     assert (np.abs(weight) / hull)[hull > 0.1].max() < 1.75
-
-
-def test_sectors_of_drivers():
-    made = effect_blocks(servo(input_saturation={"u_max": 5.0}), ["v"], amplitude={"u": 10.0})
-    gains = [made.model.evaluate({"input-saturation@u": d}).dc_gain()[0, 0] * 200 / 35 for d in (-1.0, 1.0)]
-    assert gains == pytest.approx([0.5, 1.0])
 
 
 def test_dry_friction_is_a_bounded_force_at_every_speed():
@@ -179,15 +167,6 @@ def test_gear_losses_scale_the_net_force_whatever_the_mass():
     np.testing.assert_allclose(rl.simulate(member, t, np.full(1500, 4.0))["v"], measured, rtol=2e-3, atol=1e-5)
 
 
-def test_gear_losses_count_the_other_forces_too():
-    made = effect_blocks(servo(gear_efficiency={"eta": 0.8}, coulomb_friction={"Fc": 20.0}), ["v"])
-    member = made.model.evaluate({"gear-efficiency@v": 0.5})
-    s = 1j * np.array([0.3, 40.0])
-    wanted = 1.1 / (95 * s + 1.1 * 200)
-    response = rl.frequency_response(member, s.imag)[:, 0]
-    np.testing.assert_allclose(response, wanted[:, None] * [20.0, 35.0], rtol=1e-9)
-
-
 def test_forces_over_the_position():
     """M s^2 + Fv s + k with k anywhere in the sector 0 .. k3 a^2; cogging is a bounded force, or a stiffness +- k A."""
     stiff = servo(cubic_stiffness={"k3": 1e4})
@@ -206,26 +185,6 @@ def test_forces_over_the_position():
     assert effect_blocks(wave, ["q"], amplitude={"q": 0.01}, dry="both").approximate == ()
 
 
-def test_what_has_no_block_is_said():
-    made = effect_blocks(servo(cubic_stiffness={"k3": 10.0}), amplitude={})
-    assert "only its slope" in next(iter(made.left_out.values()))
-    assert "not in it: cubic-stiffness" in made.summary()
-    assert "give an amplitude of q" in made.summary()
-
-
-def test_a_linear_plant_is_its_own_uncertainty():
-    made = uncertain_from(rl.plant("servo-axis", **SERVO), ["v"])
-    assert {b.name for b in made.model.blocks} == {"M", "Fv"}
-    assert all("parameter" in text for text in made.origins.values())
-
-
-def test_an_unnamed_force_becomes_an_input():
-    plant = rl.plant("servo-axis", **SERVO)
-    made = effect_blocks(plant, ["v"], unnamed=(4.0, "left over"))
-    assert made.noise[0].origin == "left over"
-    assert made.model.nominal.dc_gain()[0, 0] == pytest.approx(4.0 / 200)
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -242,22 +201,6 @@ def test_an_unnamed_force_becomes_an_input():
 def test_bad_inputs_are_named(options, words):
     with pytest.raises(rl.InputError, match=words):
         effect_blocks(servo(coulomb_friction={"Fc": 20.0}), **options)
-
-
-def test_things_that_are_no_plant():
-    with pytest.raises(rl.InputError, match="a linear plant"):
-        uncertain_from(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
-    with pytest.raises(rl.InputError, match="no effects"):
-        effect_blocks(rl.plant("servo-axis"), amplitude={"v": 1.0})
-    with pytest.raises(rl.InputError, match="positive delay"):
-        delay_block(0.0, 0.0, 2, "delay")
-
-
-def test_blocks_that_differ_in_origin_only_are_equal():
-    block = rl.RealScalar("k")
-    told = dataclasses.replace(block, origin="a data sheet")
-    assert told == block
-    assert "origin" not in repr(told)
 
 
 def test_a_discovery_becomes_a_set_with_what_it_could_not_explain():
@@ -297,9 +240,3 @@ def test_a_set_with_friction_as_a_load_makes_the_record_of_another_machine_withi
     member = made.model.evaluate({"M": mass})
     again = rl.simulate(member, t, np.column_stack([signal, u]))["q"]
     np.testing.assert_allclose(again, record["q"], atol=2e-5 * np.ptp(record["q"]))
-
-
-def test_an_effect_on_a_sensor_is_no_load_at_the_joint_of_the_same_name():
-    shown = rl.with_effects(rl.plant("dc-motor"), {"sensor-bias@omega": {"b": 0.5}})
-    with pytest.raises(rl.InputError, match="neither linear nor bounded"):
-        effect_loads(shown)

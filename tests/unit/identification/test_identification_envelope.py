@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.envelope import cover
-from robustlab.report.set_figures import envelope_figure
-from robustlab.result import Status, plain
+from robustlab.result import Status
 from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -64,13 +61,6 @@ def test_the_allowance_is_what_the_sensor_may_be_off():
     assert cover(gain(0.2), record(1.3), n=0, vertices=2, allowance={"y": 0.101}).covered
 
 
-def test_more_members_never_cover_less():
-    few, many = (cover(gain(0.2), record(1.15), n=n, seed=3).signals["y"] for n in (2, 40))
-    assert few.share <= many.share
-    assert (many.lower <= few.lower).all()
-    assert (many.upper >= few.upper).all()
-
-
 def test_the_rate_is_the_mean_rate():
     """From the step on, the mean rate over 0.5 s is (1 - exp(-0.5)) / 0.5 exp(-(t - 0.5)), t the window's start."""
     found = cover(gain(0.2), record(1.3), n=0, vertices=2, rate=0.5, allowance={"y": 0.01})
@@ -85,14 +75,6 @@ def test_the_rate_is_the_mean_rate():
     assert rate.miss_time == pytest.approx(0.75)
 
 
-def test_all_members_start_where_the_record_starts():
-    """A record that is under way: from 3 at t = 0 without input, every member decays alike."""
-    under_way = rl.Record(T, {"u": np.zeros(len(T))}, {"y": 3.0 * np.exp(-T)}, {"u": "V", "y": "m"}, "decay")
-    found = cover(gain(0.2), under_way, n=5, allowance={"y": 1e-9})
-    assert found.covered
-    np.testing.assert_allclose(found.signals["y"].nominal, 3.0 * np.exp(-T), atol=1e-9)
-
-
 def test_an_operating_point_is_taken_off_and_put_back():
     from robustlab.statespace import OperatingPoint
 
@@ -105,22 +87,6 @@ def test_an_operating_point_is_taken_off_and_put_back():
         np.testing.assert_allclose(
             getattr(found.signals["y"], key), getattr(plain_one.signals["y"], key) + 7.0, atol=1e-9
         )
-
-
-def test_it_can_be_kept_and_drawn(tmp_path):
-    found = cover(gain(0.2), record(1.3), n=3, rate=0.1)
-    json.dumps(plain(found), allow_nan=False)
-    assert "measured" not in found.to_json(series=False)["signals"]["y"]
-    rl.save(tmp_path / "cover.h5", found)
-    assert rl.load(tmp_path / "cover.h5").data["signals"]["y"]["miss_side"] == "above"
-    below = envelope_figure(found.signals["y"]).axes[1]
-    assert [t.get_text() for t in below.figure.legends[0].get_texts()] == [
-        "envelope of all members",
-        "nominal",
-        "record",
-        "largest miss",
-    ]
-    np.testing.assert_allclose(below.lines[1].get_ydata(), found.signals["y"].measured - found.signals["y"].nominal)
 
 
 # --- bad input -------------------------------------------------------------------------------------------------------

@@ -47,24 +47,6 @@ def test_coherence_is_one_for_an_error_made_by_the_input_and_low_otherwise():
     assert np.mean(s.coherence["w"] <= s.coherence_level) == pytest.approx(0.99, abs=0.01)
 
 
-def test_spectrum_of_an_uneven_clock_and_of_two_samples():
-    rng = np.random.default_rng(2)
-    t = np.cumsum(0.01 * (1 + 0.2 * rng.uniform(-1, 1, 4000)))
-    s = spectrum(t, {}, np.sin(2 * np.pi * 3 * t), np.zeros_like(t))
-    assert s.frequency[s.error.argmax()] == pytest.approx(3.0, abs=0.1)
-    short = spectrum(np.array([0.0, 1.0]), {}, np.array([1.0, -1.0]), np.zeros(2))
-    assert short.error_share.sum() == pytest.approx(1.0)
-
-
-def test_no_error_has_no_share():
-    zero = np.zeros(100)
-    s = spectrum(np.arange(100.0), {"u": zero}, zero, zero)
-    assert s.error_share.sum() == 0.0
-    assert s.relative_error.sum() == 0.0
-    assert s.coherence["u"].max() == 0.0
-    assert time_shares(zero, [0, 50, 100]).tolist() == [0.0, 0.0]
-
-
 samples = st.lists(st.floats(-1e3, 1e3).filter(lambda x: x == 0 or abs(x) > 1e-3), min_size=4, max_size=60)
 
 

@@ -1,6 +1,5 @@
 """Answers at the level at which they are sure: kinds of effects, their quantities, and what does not matter."""
 
-from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, T, U, machine, noisy, opened, searched, usual
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
@@ -16,16 +14,11 @@ from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
 from robustlab.dynamics.ports.motion_model import local_port_model
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis
-from robustlab.identification.hypotheses.normal_equations import NoiseModel
-from robustlab.identification.naming import answer as module
-from robustlab.identification.naming import posterior as posterior_module
 from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.materiality import Errors, _matters
 from robustlab.identification.naming.named_effects import NamedKind
 from robustlab.identification.naming.named_kinds import Kinds, Places, kinds_of
 from robustlab.identification.naming.posterior import weigh
-from robustlab.identification.naming.quantities import quantities
 
 LEVEL, GIVES = 20.0, 2e-4  # N, m
 
@@ -40,11 +33,6 @@ def test_every_effect_has_a_kind_and_every_kind_leads_to_the_top():
         assert KINDS[way[-1]].wider is None
     assert all(k.wider is None or k.wider in KINDS for k in KINDS.values())
     assert all(q in MEANINGS for k in KINDS.values() for q in k.quantities)
-
-
-def test_no_kind_is_called_as_an_effect_or_as_a_number_of_a_discovery():
-    assert not set(KINDS) & set(catalogue())
-    assert not (set(KINDS) - {"kinds"}) & {"verdict", "names", "effects", "gaps", "line", "nominal", "structure"}
 
 
 def posterior_of(*sets):
@@ -90,18 +78,6 @@ def test_what_may_be_there_beside_what_is_sure_is_open():
     )  # fmt: skip
 
 
-def test_a_parameter_stands_at_the_joint_whose_motion_it_changes():
-    arm = rl.plant("two-mass")
-    places = Places(arm, port_model(arm))
-    dampings = [n for n, p in arm.parameters.items() if p.role == "viscous-friction"]
-    joints = [p.name for p in places.joints]
-    assert len(joints) == 2
-    assert {places.of(Site("parameter", n), KINDS["speed-friction"]) for n in dampings} <= set(joints)
-    motor = rl.plant("dc-motor")
-    there = Places(motor, port_model(motor))
-    assert there.of(Site("input", motor.inputs[0].name), KINDS["lateness"]).startswith(f"{motor.inputs[0].name} to ")
-
-
 @pytest.mark.parametrize("motors", [False, True])
 def test_input_and_sensor_of_one_leg_are_one_path(motors):
     """The rotor has nearly all of a leg's inertia: each input moves its own nut most, if through a current."""
@@ -139,19 +115,6 @@ def dahl_record():
     return rl.Record(T, {"u": U}, noisy({"q": q, "v": v}, 5), name="bristles")
 
 
-def test_the_level_of_coulomb_friction_is_its_force_and_its_spread_that_of_the_parameter():
-    found = usual(friction=20.0)
-    fit = found.best.fit
-    k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == FRICTION)
-    told = quantities(found.problem, fit, [k], KINDS["dry-friction"])["level"]
-    _, values = found.problem.split(fit.hypothesis, fit.z)
-    assert told.value == pytest.approx(values[k]["Fc"], rel=2e-3)
-    assert told.unit == "N"
-    at = len(found.problem.nuisances)
-    spread = fit.std[at] * fit.hypothesis.candidates[k].parameters[0].prior.spread * values[k]["Fc"]
-    assert told.std == pytest.approx(spread, rel=0.05)
-
-
 def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
     found = searched(dahl_record(), (FRICTION, "presliding @ v", "bouc-wen @ v", LOAD))
     kinds = kinds_of(found.problem, weigh(found))
@@ -164,32 +127,6 @@ def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
     assert level.lower < level.value < level.upper
     assert level.value == pytest.approx(LEVEL, rel=0.05)  # less what the bristles give back at reversals
     assert sum(m.share for m in named.members) == pytest.approx(1.0, abs=1e-6)
-
-
-def test_members_of_one_set_are_told_together():
-    """An input 4 ms late and a sensor 6 ms late are 10 ms late, with the spread of both; two gains multiply."""
-    run = rl.simulate(AXIS, T, np.concatenate([np.zeros(5), U[:-5]]))
-    record = rl.Record(T, {"u": U}, noisy({k: run[k] for k in ("q", "v")}, 0), name="late")
-    fit_on, _, pool, _ = opened(record)
-    own = tuple(pool[k] for k in ("input-delay @ u", "sensor-delay @ q", GAIN_OF_Q))
-    hypothesis, n = Hypothesis(own), len(fit_on.nuisances)
-    z = np.concatenate(
-        [np.zeros(n), *(c.standardised(v) for c, v in zip(own, ({"d": 4e-3}, {"d": 6e-3}, {"s": 1.25}), strict=True))]
-    )
-    starts = tuple(np.zeros((len(c), 2)) for c in fit_on.chosen)
-    noise = NoiseModel(np.ones(2), np.zeros((0, 2)))
-    curved = np.diag(np.r_[np.ones(n), 4.0, 9.0, 1.0])
-    fit = Fit(hypothesis, z, starts, 0.0, np.zeros(1), curved, noise, 0)
-    late = quantities(fit_on, fit, [0, 1], KINDS["lateness"])["delay"]
-    spread = [c.parameters[0].prior.spread for c in own]
-    assert late.value == pytest.approx(10e-3)
-    assert late.std == pytest.approx(np.hypot(4e-3 * spread[0] / 2, 6e-3 * spread[1] / 3), rel=0.1)
-    assert quantities(fit_on, fit, [0], KINDS["lateness"])["delay"].value == pytest.approx(4e-3)
-    twice = replace(fit, hypothesis=Hypothesis((*own, own[2])), z=np.append(z, own[2].standardised({"s": 0.8})),
-                    hessian=np.eye(len(z) + 1))  # fmt: skip
-    assert quantities(fit_on, twice, [2, 3], KINDS["factor"])["factor"].value == pytest.approx(1.0)
-    # One of them that cannot be asked: then neither can they together.
-    assert quantities(fit_on, fit, [0, 2], KINDS["lateness"]) == {}
 
 
 # --- twins by algebra ------------------------------------------------------------------------------------------------
@@ -248,21 +185,6 @@ def test_gains_and_zeros_of_one_path_are_equally_probable(seed, pair, gain, bias
     assert found.verdict == ("named" if kinds else "ambiguous")
 
 
-# --- a misfit --------------------------------------------------------------------------------------------------------
-
-
-def test_no_name_stands_against_a_misfit_that_counts_more_than_it(monkeypatch):
-    found = usual(friction=20.0)
-    sharp = weigh(found)
-    assert sharp.temperature == 1.0
-    assert sharp.best.key == {FRICTION}
-    assert not kinds_of(found.problem, sharp).coarse
-    monkeypatch.setattr(posterior_module, "_temperature", lambda *_: 1e7)
-    blurred = weigh(found)
-    assert FRICTION not in blurred.best.key
-    assert kinds_of(found.problem, blurred).coarse
-
-
 # --- what matters ----------------------------------------------------------------------------------------------------
 
 
@@ -297,32 +219,6 @@ def test_what_only_a_parameter_beyond_its_tolerance_can_replace_matters():
     (factor,) = found.kinds[0].values
     assert found.kinds[0].kind == "factor"
     assert factor.value == pytest.approx(1.1, rel=0.03)
-
-
-def test_what_does_not_matter_is_told_beside_the_answer_and_not_put_into_the_model(monkeypatch):
-    few = tuple(set(catalogue()) - {"coulomb-friction", "constant-load"})
-    record = machine(friction=20.0, load=3.0, seed=3)
-    found = rl.discover(AXIS, record, exclude=few)
-    without = {e.name: e.error_without for e in found.effects}
-    assert without["coulomb-friction"] > without["constant-load"] > found.gap_after
-    assert not found.also_detectable
-    real = module.matter_of
-
-    def load_is_nothing(held, whole, less, needed):
-        made = real(held, whole, less, False)
-        return replace(made, material=made.error_without > 0.9 * without["coulomb-friction"])
-
-    monkeypatch.setattr(module, "matter_of", load_is_nothing)
-    slight = rl.discover(AXIS, record, exclude=few)
-    assert slight.names == ("coulomb-friction",)
-    assert [e.name for e in slight.also_detectable] == ["constant-load"]
-    assert [k.kind for k in slight.kinds] == ["dry-friction"]
-    assert [e.effect.id for e in slight.model.effects] == ["coulomb-friction"]
-    assert slight.verdict == "named"
-    text = slight.summary()
-    assert "also seen" in text
-    assert "constant-load at v" in text
-    assert ("also detectable", "Constant load at v") in slight.facts()
 
 
 # --- what may be an answer -------------------------------------------------------------------------------------------

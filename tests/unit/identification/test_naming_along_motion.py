@@ -10,20 +10,13 @@ import numpy as np
 import pytest
 from arm_machine import NOMINAL, arm_record
 from closed_loop import closed_loop
-from scipy.linalg import solve_continuous_are
 
 import robustlab as rl
-from robustlab import InputError
 from robustlab.dynamics.effects.catalogue import catalogue, effect
 from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.plant_contract import input_signal
-from robustlab.identification import tuning
-from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
-from robustlab.identification.hypotheses.noise import first_noise
-from robustlab.identification.hypotheses.prepared_record import ports_of, prepare, window_length
 
 MODELS = Path(__file__).parents[3] / "models" / "plants"
 FEW = {"coulomb-friction", "viscous-friction", "constant-load", "input-gain", "inertia", "sensor-bias"}
@@ -52,25 +45,6 @@ def simulated(plant, motion, x0=None, effects=(), values=()):
     windows = Windows(np.array([0, 60, 120, 180]), 60)
     start = x[windows.starts] if x0 is None else x0
     return Simulator(plant, effects, u, record.dt, sub=2, motion=motion).run({}, values, start, windows).states
-
-
-@pytest.mark.parametrize("name", ["presliding", "backlash", "input-delay", "sensor-bias"])
-def test_runs_beside_each_other_are_those_of_each_alone(name):
-    """Several starts of every window in one simulation: to the last bit, whatever an effect remembers."""
-    record, x = swing()
-    plant, found = arm(), effect(name)
-    place = {"input": "", "output": "q_1"}.get(found.site_kind, "w_1")
-    if found.site_kind == "input":
-        place = plant.inputs[0].name
-    values = found.starts(Scales(force=5.0, speed=1.0, position=0.4, dt=2e-3))[0]
-    u = np.column_stack(list(record.inputs.values()))
-    one = Simulator(plant, [(found, Site(found.site_kind, place))], u, record.dt, sub=2, motion=x)
-    windows = Windows(np.array([0, 60, 120, 180]), 60)
-    starts = [x[windows.starts] + off for off in (0.0, 0.01, -0.02)]
-    alone = [one.run({}, [values], x0, windows) for x0 in starts]
-    both = one.run({}, [values], np.concatenate(starts), windows)
-    for field in ("states", "outputs", "forces"):
-        assert np.array_equal(getattr(both, field), np.concatenate([getattr(run, field) for run in alone])), field
 
 
 def true_windows(x):
@@ -123,42 +97,6 @@ def test_dry_friction_holds_a_joint_still_to_rounding():
     assert np.abs(states[:, 0] - 0.3).max() < 1e-13
 
 
-def test_derivatives_from_near_by_matrices_are_those_of_the_plant():
-    record, x = swing()
-    u = np.column_stack(list(record.inputs.values()))
-    run = Simulator(arm(), [], u, record.dt, sub=1, motion=x)
-    windows = Windows(np.array([0, 60, 120, 180]), 60)
-    start, step = x[windows.starts], {"m_2": 1.002}
-    here = run.run({}, [], start, windows).outputs
-    exact = run.run(step, [], start, windows).outputs - here
-    near = run.run(step, [], start, windows, None, ({}, [])).outputs - here
-    assert np.abs(near - exact).max() < 0.02 * np.abs(exact).max()
-
-
-@pytest.mark.parametrize("name", ["viscous-friction", "inertia", "sensor-bias"])
-def test_a_fit_that_keeps_its_matrices_ends_where_one_does_that_makes_them_anew(name, monkeypatch):
-    """To the tolerance at which a fit ends; with an effect that changes nothing of the plant, its matrices, or the
-    motion that its sensors tell.
-    """
-    plant = arm()
-    record = arm_record(5, seconds=2.0, b_2=NOMINAL["b_2"] + 0.4, I_r2=1.1 * NOMINAL["I_r2"])
-    ready = prepare(plant, ports_of(plant, record), record, 80)
-    pool = candidates(plant, ports_of(plant, record), [ready])
-    chosen = next(c for c in pool if c.effect.id == name and c.site.name in ("w_2", "I_r2", "q_2"))
-    nuisances = nuisance_parameters(plant, stated_tolerances(plant, {}))
-
-    def fitted():
-        problem = Problem(plant, [ready], nuisances)
-        z = np.append(np.zeros(len(nuisances)), chosen.standardised(chosen.starts[0]))
-        return problem.fit(Hypothesis((chosen,)), first_noise(problem), z, plan=FitPlan(30, 1e-3))
-
-    kept = fitted()
-    monkeypatch.setattr(tuning, "NEAR", 0.0)
-    anew = fitted()
-    assert kept.cost == pytest.approx(anew.cost, abs=0.1)
-    assert kept.evidence == pytest.approx(anew.evidence, abs=0.2)
-
-
 # --- states from the sensors -----------------------------------------------------------------------------------------
 
 
@@ -193,47 +131,7 @@ def test_a_state_without_a_sensor_follows_its_own_equations_though_the_plant_has
     assert found.outputs["level"].windowed_rms < 0.02
 
 
-def test_a_joint_without_a_position_sensor_is_refused():
-    record = arm_record(5, seconds=1.0)
-    lame = rl.Record(record.t, record.inputs, {"q_1": record["q_1"]}, {"q_1": "rad"}, "lame")
-    with pytest.raises(InputError, match=r"no measured output shows q_2"):
-        rl.discover(arm(), lame)
-
-
-def test_windows_are_shorter_than_an_instability_allows():
-    record, _ = swing()
-    falling = runpy.run_path(str(MODELS / "cart_pole.py"))["cart_pole"]()
-
-    upright = rl.linearise(falling)
-    a, b = upright.A, upright.B
-    gain = b.T @ solve_continuous_are(a, b, np.eye(4), 0.1 * np.eye(1)) / 0.1
-    start = np.array([0.1, 0.1, 0.0, 0.0])
-    run, _ = closed_loop(falling, lambda _, x: -gain @ x, start, 1000, 2e-3, ["x", "theta"], 0.0)
-    growth = np.linalg.eigvals(ports_of(falling, run).A).real.max()
-    assert growth > 1.0
-    assert 20 <= window_length(falling, [run]) <= np.log(20.0) / (growth * run.dt) + 1
-    assert window_length(arm(), [record]) <= record.n // 4
-
-
 # --- effects of machines with several joints and motors --------------------------------------------------------------
-
-
-def test_a_motors_torque_constant_and_resistance_may_be_wrong_alone():
-    plant = rl.plant("stewart-platform", preset="physical", motors=True)
-    rest = plant.equilibrium()
-    n = 8
-    run = Simulator(plant, [], np.tile(rest.u, (n, 1)), 1e-3, sub=1, motion=np.tile(rest.x, (n, 1)))
-    model = run.model({}, [])
-    for name, names in (("torque-constant", ("Km", "Kb")), ("resistance", ("R",))):
-        one = effect(name)
-        assert [s.name for s in one.sites(plant, model)] == ["+".join(names), *(f"i_{k}" for k in range(1, 7))]
-        whole = run.model(dict.fromkeys(names, 1.2), [])
-        changed = model
-        for k in range(1, 7):
-            changed = one.extend(changed, Site("current", f"i_{k}"), {"s": 1.2})
-        # (The currents' torque also stiffens the mechanism, which to a deviation from the motion is of second order.)
-        for entries in ((slice(None), slice(None), slice(12, 18)), (slice(None), slice(12, 18), slice(None))):
-            assert np.allclose(changed.A[entries], whole.A[entries], rtol=1e-9, atol=1e-9 * np.abs(whole.A).max())
 
 
 def test_a_shifted_centre_and_a_tilted_base_are_parameters_of_the_platform():

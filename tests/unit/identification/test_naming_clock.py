@@ -1,6 +1,5 @@
 """The clock of a naming: what inputs do between their samples, their shift, and steps that are short enough."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,13 +9,10 @@ from scipy.integrate import solve_ivp
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification import tuning
-from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.first_look import stretched
-from robustlab.identification.naming.materiality import late_clocks
 from robustlab.identification.naming.set_search import clock_nuisances, held_inputs
 
 MASS, DAMPING, SPRING = 1.0, 0.4, 400.0  # 20 rad/s, lightly damped
@@ -103,28 +99,6 @@ def test_a_clock_that_is_late_is_found():
     std = problem.nuisances[-1].spread * fit.std[-1]
     assert shift == pytest.approx(0.3 * DT, abs=max(4 * std, 0.01 * DT))
     assert 0.0 < std < 0.1 * DT
-
-
-def test_what_a_clock_has_taken_beyond_its_part_of_a_sample_is_handed_over_to_a_delay():
-    """The fit of the set with the delay begins with the very errors of the set without: only the prior is another."""
-    problem = problem_of(record("late"), Clock(1, ("smooth",)))
-    pool = candidates(OSCILLATOR, port_model(OSCILLATOR), problem.records)
-    fit = fitted(problem)
-    assert stretched(problem, fit, [c for c in pool if c.effect.delay]) == []  # 0.3 of a sample is a clock's own
-    assert late_clocks(problem, fit) == frozenset()
-    z = np.append(fit.z[:-1], 5.0)
-    late = replace(fit, z=z)
-    assert late_clocks(problem, late) == {"clock of f"}
-    begun = {s.candidate.key: s for s in stretched(problem, late, [c for c in pool if c.effect.delay])}
-    assert set(begun) == {"input-delay @ f", "sensor-delay @ q"}
-    before = problem.errors(NONE, z, fit.starts)[0]
-    for start in begun.values():
-        (own,) = problem.split(start.hypothesis, start.z)[1]
-        assert own["d"] == pytest.approx(5.0 * tuning.CLOCK_SHARE * DT)
-        assert start.z[len(z) - 1] == 0.0
-    there = begun["input-delay @ f"]
-    after = problem.errors(there.hypothesis, there.z, fit.starts)[0]
-    np.testing.assert_allclose(after, before, atol=1e-9 * np.ptp(problem.records[0].y))
 
 
 def test_discover_reports_the_clock():

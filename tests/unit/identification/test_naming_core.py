@@ -23,7 +23,6 @@ from robustlab.identification.hypotheses.effect_fit import (
 )
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.discovery import beyond_tolerance
 from robustlab.identification.naming.residual_after_naming import left_over
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -130,16 +129,6 @@ def test_a_gain_of_the_input_and_one_of_the_only_sensor_are_one_model():
 # --- what is left ----------------------------------------------------------------------------------------------------
 
 
-def test_with_the_true_effect_nothing_is_left_and_without_it_something_is():
-    problem, pool = problem_of(rubbing())
-    named = left_over(problem, fitted(problem, pool["coulomb-friction @ v"]), noise_of(problem))
-    bare = left_over(problem, fitted(problem), noise_of(problem))
-    assert named is not None
-    assert bare is not None
-    assert (bare.port, bare.unit) == ("v", "N")
-    assert np.sqrt(np.mean(named.force**2)) < 0.2 * np.sqrt(np.mean(bare.force**2))
-
-
 def test_what_is_left_without_friction_is_the_friction():
     problem, _ = problem_of(rubbing())
     as_built = problem.fit(NONE, noise_of(problem), np.zeros(2), plan=FitPlan(fixed=True))
@@ -160,18 +149,6 @@ def apart(problem: Problem) -> tuple[Problem, Problem]:
         problem.on(problem.records, [windows[windows % 5 != 2]]),
         problem.on(problem.records, [windows[windows % 5 == 2]]),
     )
-
-
-def test_a_parameter_within_its_tolerance_is_no_missing_effect():
-    problem, pool = problem_of(plain())
-    wrong = pool["viscous-friction @ Fv"]
-    for factor, expected in ((1.9, False), (2.1, True), (0.6, False), (0.4, True)):
-        z = np.array([0.0, 0.0, *wrong.standardised({"s": factor})])
-        fit = Fit(Hypothesis((wrong,)), z, (), 0.0, np.zeros(0), np.eye(3), noise_of(problem), 0)
-        assert beyond_tolerance(problem, fit, wrong, {"M": 0.05, "Fv": 1.0}) is expected
-    other = pool["coulomb-friction @ v"]
-    fit = Fit(Hypothesis((other,)), np.zeros(3), (), 0.0, np.zeros(0), np.eye(3), noise_of(problem), 0)
-    assert beyond_tolerance(problem, fit, other, {"M": 0.05, "Fv": 1.0})
 
 
 # --- discover --------------------------------------------------------------------------------------------------------
@@ -249,30 +226,33 @@ def test_a_record_with_a_jittering_clock_is_named():
 # --- what is refused -------------------------------------------------------------------------------------------------
 
 
-def test_no_record_is_refused():
-    with pytest.raises(InputError, match=r"discover.*no record.*at least one"):
-        rl.discover(AXIS, [])
+def with_holes():
+    """Ten samples lost of every eighty."""
+    run, kept = rubbing(), np.arange(N) % 80 < 70
+    return rl.Record(run.t[kept], {"u": run["u"][kept]}, {"q": run["q"][kept]}, {"u": "V", "q": "m"}, "holes")
 
 
-def test_a_plant_with_effects_is_refused_with_the_way_out():
-    rubbed = rl.with_effects(rl.plant("dc-motor"), {"coulomb-friction": {"Fc": 5e-3}})
-    with pytest.raises(InputError, match=r"discover.*dc-motor with effects(?s:.*)give its plant"):
-        rl.discover(rubbed, plain())
-
-
-def test_a_discrete_model_and_no_plant_are_refused():
-    model = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=DT)
-    with pytest.raises(InputError, match=r"discover.*discrete"):
-        rl.discover(model, plain())
-    with pytest.raises(InputError):
-        rl.discover("servo-axis", plain())
-
-
-def test_a_record_that_is_too_short_is_refused():
-    run = plain()
-    short = rl.Record(T[:30], {"u": U[:30]}, {"q": run["q"][:30]}, name="blink")
-    with pytest.raises((InputError, NoTrustworthyNumber), match="blink"):
-        rl.discover(AXIS, short)
+@pytest.mark.parametrize(
+    ("plant", "records", "options", "said"),
+    [
+        (AXIS, list, {}, r"discover.*no record.*at least one"),
+        (AXIS, with_holes, {}, r"holes.*windows of \d+ samples without gaps.*at least 4"),
+        (rl.with_effects(rl.plant("dc-motor"), {"coulomb-friction": {"Fc": 5e-3}}), plain, {},
+         r"discover.*dc-motor with effects(?s:.*)give its plant"),
+        (StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=DT), plain, {}, r"discover.*discrete"),
+        ("servo-axis", plain, {}, "discover"),
+        (AXIS, lambda: only({"voltage": U}, {"q": T}), {}, r"run 8.*'u'"),
+        (AXIS, lambda: only({"u": U}, {"x": T}), {}, "run 8"),
+        (AXIS, lambda: only({"u": U}, {"q": T}, 30), {}, "run 8"),
+        (AXIS, plain, {"window": 0.6}, r"run 7.*1000 samples.*at least 1200 \(4 windows\)"),
+        *((AXIS, plain, {"window": w}, r"discover: window.*length in s above 0") for w in (0.0, -1.0, np.nan, np.inf)),
+        (AXIS, plain, {"tolerances": {"Mx": 0.1}}, r"'Mx'.*no such parameter of servo-axis"),
+        (AXIS, plain, {"exclude": ["coulom-friction"]}, r"coulom-friction.*coulomb-friction"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_named_is_refused(plant, records, options, said):
+    with pytest.raises((InputError, NoTrustworthyNumber), match=said):
+        rl.discover(plant, records(), **options)
 
 
 def test_an_unexcited_record_says_nothing():
@@ -282,10 +262,3 @@ def test_an_unexcited_record_says_nothing():
     )
     with pytest.raises(NoTrustworthyNumber, match="idle"):
         rl.discover(AXIS, idle)
-
-
-def test_a_wrong_tolerance_or_effect_is_refused():
-    with pytest.raises(InputError, match=r"'Mx'.*no such parameter of servo-axis"):
-        rl.discover(AXIS, plain(), tolerances={"Mx": 0.1})
-    with pytest.raises(InputError, match=r"coulom-friction.*coulomb-friction"):
-        rl.discover(AXIS, plain(), exclude=["coulom-friction"])

@@ -5,18 +5,13 @@ from functools import cache
 import numpy as np
 import pytest
 from hidden import make_case
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError
-from robustlab.identification.experiment import experiment_bench as bench
-from robustlab.identification.experiment.experiment_bench import experiment_menu
 from robustlab.identification.experiment.next_experiment import propose_experiment
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem, simulated_outputs
+from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import first_noise, whitening
-from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare, window_length
 from robustlab.result import plain
 
@@ -113,15 +108,6 @@ def test_stribeck_friction_asks_for_slow_motion_through_zero():
     assert max(fast) < 0.1 * found.separation
 
 
-def test_a_rival_too_weak_to_be_shown_buys_no_sensor():
-    _, _, _, found = proposal("asymmetric-viscous-friction", "oneway", "asymmetric-viscous-friction", "constant-load")
-    assert found.now < 3
-    assert found.separation < 10 < found.if_named
-    assert found.if_named == min(p.separation for p in found.pairs if p.truth == found.hypotheses[0])
-    assert found.added == ()
-    assert found.advice.startswith("if asymmetric-viscous-friction is right, this will show it")
-
-
 def test_a_torque_constant_and_a_sensor_gain_ask_for_an_independent_measurement():
     _, _, _, found = proposal("torque-constant", "rich", "torque-constant", "sensor-gain", factor=0.93)
     # What is left between them are the tolerances of the time constant: 3 to 4 noise sigmas for any signal.
@@ -147,63 +133,6 @@ def test_a_saturation_above_the_recorded_range_is_out_of_reach_and_says_so():
     assert np.abs(found.inputs["u"]).max() <= top
 
 
-# --- the parts -------------------------------------------------------------------------------------------------------
-
-
-def test_the_truth_predicts_its_own_experiment_without_error_and_the_windows_continue_the_run():
-    _, problem, fits = opened("coulomb-friction", "oneway", "coulomb-friction", "constant-load")
-    ranges = {"u": (-12.0, 12.0)}
-    limits = bench.Limits(ranges, {}, problem.records[0].record.n, 0.3, (1, 2))
-    trials = bench.trials_of(problem, fits, limits)
-    noise, assumed = bench.noise_of(problem, fits[0].noise, trials)
-    assert set(assumed) == {"omega", "i"}
-    trial = next(t for t in trials if t.excitation.name == "rich")
-    judge = bench.Bench(problem, fits, ("a", "b"), noise)
-    there = judge._predicted(trial, 0, (0, 1, 2), 12, noise)
-    windowed = there.records[0].y
-    np.testing.assert_allclose(windowed, trial.outputs[: len(windowed)], atol=1e-9 * np.ptp(trial.outputs))
-    again = simulated_outputs(there, bench._from_rest(fits[0], there, noise))[0]
-    np.testing.assert_allclose(again.reshape(windowed.shape), windowed, atol=1e-12 * np.ptp(windowed))
-
-
-def test_the_linearised_distance_is_a_least_squares_problem():
-    rng = np.random.default_rng(1)
-    windows, points, n_z, n_x = 3, 7, 2, 2
-    j, x, r = (rng.normal(size=(windows, points, k)) for k in (n_z, n_x, 1))
-    z = rng.normal(size=n_z)
-    columns = np.concatenate([j, x, r], axis=2)
-    products = np.swapaxes(columns, 1, 2) @ columns
-    # All unknowns at once: dz, and a start for each window.
-    size = n_z + windows * n_x
-    rows, right = [np.eye(size)], [np.concatenate([z, np.zeros(windows * n_x)])]
-    for w in range(windows):
-        block = np.zeros((points, size))
-        block[:, :n_z], block[:, n_z + w * n_x : n_z + (w + 1) * n_x] = j[w], x[w]
-        rows.append(block)
-        right.append(r[w, :, 0])
-    a, b = np.vstack(rows), np.concatenate(right)
-    step = np.linalg.lstsq(a, -b, rcond=None)[0]
-    expected = np.sum((a @ step + b) ** 2) - z @ z
-    assert bench._linearised_distance(products, z) == pytest.approx(np.sqrt(max(0.0, expected)), rel=1e-9)
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    lowest=st.floats(-50, 5), width=st.floats(0.01, 60), samples=st.integers(200, 3000),
-    share=st.floats(0.03, 0.25), warm=st.booleans(),
-)  # fmt: skip
-def test_no_signal_of_the_menu_leaves_its_range(lowest, width, samples, share, warm):
-    menu = experiment_menu("u", "V", lowest, lowest + width, samples, DT, share * samples * DT, warm)
-    assert len({e.name for e in menu}) == len(menu)
-    for entry in menu:
-        signal = entry.u
-        assert signal.min() >= lowest - 1e-9
-        assert signal.max() <= lowest + width + 1e-9
-        assert "from rest: " in entry.text
-    assert any(len(e.u) > samples for e in menu) == warm
-    assert all(len(e.u) >= samples for e in menu)
-
-
 # --- limits and the answer as an object ------------------------------------------------------------------------------
 
 
@@ -217,16 +146,6 @@ def test_the_limits_are_kept():
     assert {t.sensors for t in found.menu} == {("phi",)}
     assert len(found.t) == len(u)
     assert found.t[1] - found.t[0] == pytest.approx(DT)
-
-
-def test_an_axis_is_kept_within_its_travel():
-    case, problem, fits = opened("coulomb-friction", "rich", "coulomb-friction", "viscous-friction", plant="servo-axis")
-    found = propose_experiment(problem, fits[0], fits[1:])
-    span = np.ptp(problem.records[0].smoothed.x[:, 0])
-    moved = case.clean(found.inputs["u"])["q"]
-    assert np.ptp(moved) < 1.1 * span
-    tight = propose_experiment(problem, fits[0], fits[1:], travel={"q": 0.2 * span})
-    assert np.ptp(case.clean(tight.inputs["u"])["q"]) < 0.25 * span
 
 
 def test_nothing_open_asks_for_nothing():
@@ -270,14 +189,3 @@ def test_the_signal_is_saved_and_everything_becomes_json(tmp_path):
     assert "noise sigmas" in lines[1]
     with pytest.raises(ValueError, match="read-only"):
         found.t[0] = 1.0
-
-
-def test_noise_of_a_recorded_output_is_that_of_the_records():
-    _, problem, fits = opened("coulomb-friction", "oneway", "coulomb-friction", "constant-load")
-    present = NoiseModel(np.array([0.3]), np.array([[0.5]]))
-    trial = bench.trials_of(problem, fits, bench.Limits({"u": (-1.0, 1.0)}, {}, 2000, 0.1, ()))[0]
-    noise, assumed = bench.noise_of(problem, present, [trial])
-    assert noise.std[0] == 0.3
-    assert noise.ar.tolist() == [[0.5, 0.0, 0.0]]
-    assert assumed["i"] == pytest.approx(1e-3 * np.ptp(trial.outputs[:, 2]))
-    assert noise.std[2] == pytest.approx(assumed["i"] / np.sqrt(problem.records[0].thin))

@@ -7,7 +7,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.stewart import nut_angles
 from robustlab.identification.experiment import path_experiment
 from robustlab.identification.experiment.path_menu import PathLimits, menu, paths
@@ -51,13 +50,6 @@ def test_every_path_keeps_to_the_limits_uses_them_and_rests_at_both_ends(given):
             assert np.abs(speed[end]).max() < 1e-2 * np.abs(speed).max()
 
 
-def test_no_path_where_nothing_may_move():
-    plant = machine()
-    low = limits(plant, reach=1.0)
-    low.reach[:, 1] = low.reach[:, 0]
-    assert paths(plant.geometry, HOME, low, 1000, DT) == []
-
-
 def test_the_machine_under_the_stated_controller_is_that_of_another_integrator():
     """The loop written out here, with the plant's equations, by an explicit method with error control."""
     plant = machine()
@@ -84,25 +76,6 @@ def test_the_machine_under_the_stated_controller_is_that_of_another_integrator()
     assert np.abs(run.y[:6].T - y[:, :6]).max() < 1e-4 * np.ptp(y[:, :6])
     again = np.array([torque(time, x)[0] for time, x in zip(t, run.y.T, strict=True)])
     assert np.abs(again - u)[1:-1].max() < 5e-3 * np.ptp(u)
-
-
-def test_authority_is_the_acceleration_of_a_nut_by_its_own_torque():
-    plant = machine()
-    at = rl.trim(plant, pose=HOME)
-    b, _ = path_experiment._authority(plant, HOME)
-    for j in (0, 4):
-        more = at.u.copy()
-        more[j] += 1e-3
-        assert plant.derivative(at.x, more)[6 + j] == pytest.approx(1e-3 * b[j], rel=1e-6)
-
-
-@pytest.mark.parametrize(("name", "values"), [("input-delay", {"d": 0.007}), ("input-gain", {"s": 0.8})])
-def test_what_is_asked_for_becomes_what_is_needed_behind_the_effect(name, values):
-    needed = np.sin(np.arange(2000) * DT * 6.0)
-    law = effect(name)
-    asked = path_experiment._asked(law, values, needed, DT)
-    got = asked * values["s"] if "s" in values else np.interp(np.arange(2000) - 3.5, np.arange(2000), asked)
-    assert np.abs(got - needed)[10:-10].max() < 2e-4
 
 
 def test_the_damping_of_a_nut_with_a_motor_is_its_back_emf():

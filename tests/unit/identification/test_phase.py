@@ -77,10 +77,3 @@ def test_a_record_is_put_where_its_ripple_began():
     )
     assert after < 1.3 * points
     assert before > 5.0 * after
-
-
-def test_nothing_is_looked_for_without_an_effect_over_time_or_a_new_record():
-    problem, fit = parts()
-    assert in_phase(problem, fit, problem.records) == (problem, 0.0)
-    bare = Fit(Hypothesis(()), np.zeros(0), (), 0.0, np.zeros(0), np.eye(0), fit.noise, 0)
-    assert in_phase(problem, bare, ()) == (problem, 0.0)

@@ -1,17 +1,13 @@
 """Probabilities of sets: they sum to one, twins share them, what says nothing or fails on held-out data has none."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, POOL, T, U, machine, noisy, opened, quiet, searched, usual
+from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, T, U, machine, noisy, opened, quiet, searched, usual
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming import posterior as posterior_module
 from robustlab.identification.naming.posterior import Posterior, weigh
 from robustlab.identification.naming.set_search import Key, search_sets
 
@@ -32,30 +28,6 @@ def test_probabilities_sum_to_one_and_the_best_comes_first(weighed):
     assert posterior.best.probability > tuning.SURE
 
 
-def test_the_collection_is_the_smallest_with_the_probability_of_an_answer(weighed):
-    posterior, _ = weighed
-    inside = sum(w.probability for w in posterior.collection)
-    twins = [w for w in posterior.collection if w.distance < tuning.CANNOT_TELL]
-    assert inside >= tuning.SURE
-    assert posterior.collection[0] is posterior.best
-    assert all(w in posterior.sets for w in posterior.collection)
-    assert len(posterior.collection) == 1 or posterior.best in twins
-
-
-def test_an_effect_is_as_probable_as_all_sets_that_have_it(weighed):
-    posterior, truth = weighed
-    for key in POOL:
-        assert posterior.of_effect(key) == pytest.approx(sum(w.probability for w in posterior.sets if key in w.key))
-    assert all(posterior.of_effect(key) > tuning.SURE for key in truth)
-    assert sum(posterior.of_effect(key) for key in set(POOL) - truth) < 1.0 - tuning.SURE
-
-
-def test_the_errors_of_the_right_set_are_noise(weighed):
-    posterior, _ = weighed
-    assert posterior.noise_ratio < 1.2
-    assert posterior.generalises
-
-
 def test_twins_are_told_together():
     """An input that comes 4 ms late, seen by one sensor: as well the sensor may be late."""
     run = rl.simulate(AXIS, T, np.concatenate([np.zeros(2), U[:-2]]))
@@ -72,25 +44,6 @@ def test_twins_are_told_together():
     # One that cannot be told from the best has no less a probability than its distance and its prior say.
     ratio = rival.weighed.probability / posterior.best.probability
     assert ratio >= 0.99 * np.exp(-0.5 * rival.weighed.distance**2)
-
-
-def test_effects_that_can_be_told_are_no_twins():
-    posterior = weigh(usual(friction=20.0))
-    assert posterior.alternatives() == []
-    assert all(w.distance > tuning.CANNOT_TELL for w in posterior.sets[1:] if np.isfinite(w.distance))
-
-
-def test_an_effect_that_held_out_data_favour_by_accident_is_not_named(monkeypatch):
-    """Beside friction nothing is missing; held-out data like one effect more by five nats."""
-    found = usual(friction=20.0)
-    monkeypatch.setattr(tuning, "BEYOND_NOISE", 0.0)  # the simulated windows decide
-    larger = next(v for v in found.sets if v.key > {FRICTION} and v.allowed)
-    more = replace(larger, held_out=larger.held_out + found.best.evidence - larger.evidence + 5.0)
-    lucky = [more if v is larger else v for v in found.sets]
-    assert max(lucky, key=lambda v: v.evidence) is more
-    posterior = weigh(replace(found, sets=tuple(sorted(lucky, key=lambda v: -v.evidence))))
-    assert posterior.best.key == {FRICTION}
-    assert posterior.alternatives() == []
 
 
 def test_a_set_that_fails_on_held_out_data_is_never_the_answer():
@@ -114,18 +67,6 @@ def test_what_may_be_no_answer_has_no_probability():
     assert all(FRICTION not in w.key for w in posterior.sets)
     assert posterior.of_effect(FRICTION) == 0.0
     assert Key() in {w.key for w in posterior.sets}
-
-
-def test_a_random_force_beyond_that_of_a_machine_weighs_nothing_where_another_set_needs_less():
-    def weight(share):
-        return SimpleNamespace(random_share=share)
-
-    of_a_machine = posterior_module._as_machines_have
-    named, empty = frozenset({"coulomb-friction @ omega"}), frozenset()
-    weights = {named: weight(0.001), empty: weight(0.1)}
-    assert set(of_a_machine(weights, tuning.MOST_RANDOM)) == {named}
-    alike = {named: weight(0.2), empty: weight(0.1)}  # neither is noise: they are weighed alike
-    assert of_a_machine(alike, tuning.MOST_RANDOM) == alike
 
 
 # --- parameters beyond their tolerances ------------------------------------------------------------------------------

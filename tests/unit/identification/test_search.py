@@ -1,21 +1,12 @@
 """The search over sets of effects, on records of an event-driven integrator: what it finds, drops and merges."""
 
-import math
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from naming_cases import (
-    AXIS,
     FRICTION,
-    GAIN_OF_Q,
     LOAD,
     POOL,
-    T,
-    U,
     machine,
-    noisy,
     opened,
     quiet,
     searched,
@@ -24,13 +15,9 @@ from naming_cases import (
 )
 from scipy.linalg import block_diag
 
-import robustlab as rl
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Hypothesis, Problem
+from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.noise import first_noise, held_out_fit, predictive
-from robustlab.identification.naming import set_search as module
-from robustlab.identification.naming.set_search import Key, log_prior, search_sets
+from robustlab.identification.naming.set_search import Key, search_sets
 
 # --- what is found ---------------------------------------------------------------------------------------------------
 
@@ -57,67 +44,6 @@ def test_a_set_of_two_is_found():
     assert values(found, FRICTION)["Fc"] == pytest.approx(20.0, rel=0.005)
     assert values(found, LOAD)["T0"] == pytest.approx(8.0, rel=0.01)
     assert found.settled
-
-
-@pytest.fixture
-def seen_late(monkeypatch):
-    """Hide effects from the first looks; they are free to be found from then on."""
-
-    def hide(looks: int, *hidden: str) -> None:
-        plain, done = module.promising, []
-
-        def looked(problem, base, best, pool, *rest):
-            done.append(base)
-            seen = pool if len(done) > looks else [c for c in pool if c.key not in hidden]
-            return plain(problem, base, best, seen, *rest)
-
-        monkeypatch.setattr(module, "promising", looked)
-
-    return hide
-
-
-def test_two_names_for_one_are_merged(seen_late):
-    """A sensor that shows 8 % too much: a smaller inertia and a smaller friction together do just the same."""
-    run = rl.simulate(AXIS, T, U)
-    record = rl.Record(T, {"u": U}, noisy({"q": 1.08 * run["q"]}, 0), name="gain")
-    fit, held, pool, allowed = opened(record, (("M", 0.01), ("Fv", 0.01)))
-    keys = ["inertia @ M", "viscous-friction @ Fv", GAIN_OF_Q]
-    seen_late(2, GAIN_OF_Q)
-    found = search_sets(fit, held, [pool[k] for k in keys], allowed, quiet)
-    assert found.best.key == {GAIN_OF_Q}
-    assert len(found.best.key) < max(len(v.key) for v in found.sets)
-
-
-def test_an_effect_that_came_first_and_only_stood_for_others_is_dropped(seen_late, monkeypatch):
-    first, told, plain = "asymmetric-viscous-friction @ v", [], module._Search._sharpen
-
-    def sharpened(search):
-        told.append(search._told().key)
-        plain(search)
-
-    monkeypatch.setattr(module._Search, "_sharpen", sharpened)
-    seen_late(1, FRICTION, LOAD)
-    found = searched(machine(friction=20.0, load=8.0), (first, FRICTION, LOAD))
-    assert told[0] == {first}
-    assert found.best.key == {FRICTION, LOAD}
-    assert found.settled
-
-
-def test_what_stood_for_an_effect_and_goes_back_to_its_tolerance_leaves_the_effect_alone():
-    """Dry friction beside a viscous one within its tolerance is no answer; it alone is asked, and is the best."""
-    fit_on, held, pool, allowed = opened(machine(friction=20.0))
-    viscous, n = "viscous-friction @ Fv", len(fit_on.nuisances)
-    with ThreadPoolExecutor(1) as workers:
-        search = module._Search(fit_on, held, list(pool.values()), allowed, quiet, workers)
-        search.noise = first_noise(fit_on)
-        for keys in ((), (viscous, FRICTION)):
-            own = tuple(pool[k] for k in keys)
-            z = np.concatenate([np.zeros(n), *(c.standardised(c.starts[0]) for c in own)])
-            search._visit(fit_on.fit(Hypothesis(own), search.noise, z, plan=FitPlan(20)))
-        assert not search.visited[Key({viscous, FRICTION})].allowed
-        search._within_tolerance()
-        assert search.best.key == {FRICTION}
-        assert search.visited[Key({FRICTION})].fit.cost < 1.1 * search.visited[Key({viscous, FRICTION})].fit.cost
 
 
 # --- how sets are judged ---------------------------------------------------------------------------------------------
@@ -162,27 +88,6 @@ def test_fitted_and_held_out_windows_together_are_as_probable_as_one_after_the_o
         assert told > -0.5 * (fixed.cost - float(fit.z @ fit.z)) + 0.5
 
 
-def test_the_prior_pays_for_each_effect_more_for_a_refinement_and_for_the_choice_of_a_period():
-    _, _, pool, _ = opened(machine(friction=20.0))
-
-    def prior(*keys: str) -> float:
-        return log_prior(Hypothesis(tuple(pool[k] for k in keys)))
-
-    each = math.log(tuning.PRIOR_EFFECT)
-    assert prior() == 0.0
-    assert prior(FRICTION) == pytest.approx(each)
-    assert prior(FRICTION, LOAD) == pytest.approx(2 * each)
-    assert prior("stribeck-friction @ v") == pytest.approx(each + math.log(tuning.PRIOR_REFINEMENT))
-    assert prior("cogging @ v") == pytest.approx(each - math.log(tuning.LOOKED_ELSEWHERE))
-
-
-def test_what_equals_two_effects_together_is_told_by_their_names():
-    _, _, pool, _ = opened(machine(friction=20.0))
-    assert set(effect("asymmetric-coulomb-friction").equals) == {"coulomb-friction", "constant-load"}
-    assert {FRICTION, LOAD} <= pool.keys()
-    assert "asymmetric-coulomb-friction @ v" not in pool
-
-
 def test_a_set_that_may_be_no_answer_is_kept_and_never_the_best():
     fit, held, pool, _ = opened(machine(friction=20.0))
 
@@ -194,27 +99,6 @@ def test_a_set_that_may_be_no_answer_is_kept_and_never_the_best():
     judged = next(v for v in found.sets if v.key == {FRICTION})
     assert not judged.allowed
     assert judged.evidence > found.best.evidence
-
-
-@pytest.mark.parametrize("last", [0, 1])
-def test_a_ripple_that_may_be_the_answer_is_not_lost_to_one_of_another_period_that_may_not(last):
-    found = usual(friction=20.0)
-    fit = found.best.fit
-    (candidate,) = fit.hypothesis.candidates
-    other = replace(fit, hypothesis=Hypothesis((replace(candidate),)), cost=fit.cost - 20.0)
-
-    def allowed(_: Problem, fitted: Fit) -> bool:
-        return candidate in fitted.hypothesis.candidates
-
-    search = module._Search(found.problem, found.held, [], allowed, quiet, ThreadPoolExecutor(1))
-    search.noise = found.noise
-    for visit in [fit, other][:: 1 if last else -1]:
-        search._visit(visit)
-    assert search.visited[found.best.key].fit is fit
-    # Of the same effect the better fit stands, whether it may be the answer or not.
-    search.allowed = lambda *_: False
-    search._visit(replace(fit, cost=fit.cost - 1.0))
-    assert not search.visited[found.best.key].allowed
 
 
 # --- where it ends ---------------------------------------------------------------------------------------------------

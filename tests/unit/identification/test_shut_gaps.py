@@ -64,16 +64,3 @@ def test_a_load_that_always_follows_is_told_with_its_force_and_with_the_motion_t
 
 def test_nothing_is_said_where_some_record_takes_the_load_off():
     assert shut_gaps(hoist(), [swung(0.5 * FOLLOWS), swung(1.05 * FOLLOWS)]) == ()
-
-
-def test_nothing_is_said_where_no_parameter_tells_what_hangs_behind_the_drive():
-    assert shut_gaps(hoist(roles=False), [swung(0.5 * FOLLOWS)]) == ()
-    assert shut_gaps(rl.plant("servo-axis"), []) == ()
-
-
-def test_a_swing_beyond_the_travel_is_not_proposed():
-    record = swung(0.5 * FOLLOWS, 40.0)
-    record.motion[:, 0] *= 1e-3
-    (finding,) = shut_gaps(hoist(), [record])
-    assert "amplitude" not in finding.evidence
-    assert finding.hint

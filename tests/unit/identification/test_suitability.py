@@ -8,7 +8,7 @@ import pytest
 from oracle.stick_slip import stick_slip
 
 import robustlab as rl
-from robustlab.identification.record_check.channel_identity import derivative_pairs, derivative_slope, unit_factors
+from robustlab.identification.record_check.channel_identity import derivative_pairs
 from robustlab.identification.record_check.suitability import quantisation_step, suitability
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
@@ -229,22 +229,6 @@ def test_measured_emps():
 # --- parts ----------------------------------------------------------------------------------------------------------
 
 
-def test_derivative_slope_of_closed_forms():
-    t, good = 1e-3 * np.arange(4000), np.ones(4000, dtype=bool)
-    y = np.sin(3 * t) + 0.2 * t
-    slope, share = derivative_slope(-2.5 * y, 3 * np.cos(3 * t) + 7.0, 1e-3, good)
-    assert (slope, share) == (pytest.approx(-2.5, rel=1e-3), pytest.approx(1.0, abs=1e-6))
-    noise = np.random.default_rng(3).standard_normal((2, 4000))
-    assert derivative_slope(*noise, 1e-3, good)[1] < 0.5
-
-
-def test_unit_factors_convert_there_and_back():
-    assert unit_factors("rad")[DEGREES] == "deg"
-    assert unit_factors("deg")[1 / DEGREES] == "rad"
-    assert unit_factors("N*m") == unit_factors("N m")
-    assert set(unit_factors("").values()) == {""}
-
-
 @pytest.mark.parametrize("step", [5e-8, 1e-4, 2 * np.pi / 2000, 0.25, 1.0])
 @pytest.mark.parametrize("offset", [0.0, 0.37])
 def test_quantisation_step_of_encoders(step, offset):
@@ -252,8 +236,3 @@ def test_quantisation_step_of_encoders(step, offset):
     assert quantisation_step(offset + step * np.round(y)) == pytest.approx(step, rel=1e-6)
     assert quantisation_step(step * y) is None
     assert quantisation_step((step * y).astype(np.float32).astype(float)) is None
-
-
-def test_quantisation_step_needs_levels():
-    assert quantisation_step(np.zeros(10)) is None
-    assert quantisation_step(np.tile([0.0, 1.0], 50)) is None

@@ -5,10 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from robustlab.errors import InputError
-from robustlab.identification.unnamed.block_regression import held_out
 from robustlab.identification.unnamed.unnamed_effect import residual_force
-from robustlab.report.discovery import residual_force_figure
-from robustlab.report.figures import save_figure
 
 H = 1e-3
 UNITS = {"speed": "rad/s", "position": "rad", "time": "s", "input u": "V"}
@@ -58,31 +55,6 @@ def test_shares_are_of_blocks_never_seen():
     x, rng = motion(3), np.random.default_rng(0)
     for name, curve in residual_force(slow_noise(rng, 5000), np.ones(5000), x).curves.items():
         assert curve.share < 0.1, name
-
-
-def test_units_do_not_matter():
-    x = motion(5)
-    d = friction(x) + slow_noise(np.random.default_rng(5), 5000)
-    one = residual_force(d, np.full(5000, 0.3), x)
-    tiny = residual_force(1e-9 * d, np.full(5000, 3e-10), {k: 1e6 * v for k, v in x.items()})
-    for name in one.curves:
-        assert tiny.curves[name].share == pytest.approx(one.curves[name].share, abs=1e-6)
-
-
-def test_folds_hold_out_every_block_once():
-    assert (held_out(25).sum(axis=0) == 1).all()
-
-
-def test_figure(tmp_path):
-    x = motion(1)
-    d = friction(x) + 0.3 * slow_noise(np.random.default_rng(1), 5000)
-    residual = residual_force(d, np.full(5000, 0.1), x, UNITS, unit="N m")
-    figure, again = (residual_force_figure(residual, "torque") for _ in range(2))
-    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()]
-    assert len(titles) == 5
-    assert titles[0].startswith("speed: explains")
-    one, two = (save_figure(f, tmp_path / name, "force")[0].read_bytes() for f, name in ((figure, "a"), (again, "b")))
-    assert one == two
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from scipy.stats import multivariate_normal
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification.hypotheses import unnamed_force as module
 from robustlab.identification.hypotheses import unnamed_force as unnamed
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
@@ -142,31 +141,6 @@ def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
     assert best.cross_validated == pytest.approx(expected, abs=1e-7)
 
 
-def test_the_likelihood_does_not_depend_on_the_unit_of_the_force():
-    rng = np.random.default_rng(3)
-    o, j, x = rng.normal(size=(40, 14, 6)), np.zeros((40, 14, 0)), rng.normal(size=(40, 14, 2))
-    e = (o @ rng.normal(size=(40, 6, 1)))[:, :, 0] + rng.normal(size=(40, 14))
-    # Each unit puts the grid of sizes elsewhere.
-    units = 10.0 ** np.linspace(0.5, 0.75, 6)
-    found = [Dense(o * unit, j, x, e, np.zeros((40, 2)), np.zeros(0)).windows().alone for unit in units]
-    assert np.ptp([level.alone for level in found]) < 0.2
-    assert [level.size * unit for level, unit in zip(found, units, strict=True)] == pytest.approx([1.0] * 6, rel=0.3)
-
-
-@pytest.mark.parametrize("size", [1e-4, 1e-3])
-def test_a_start_that_shows_less_than_the_noise_tells_nothing(size):
-    rng = np.random.default_rng(3)
-    o, j, x = rng.normal(size=(40, 14, 6)), np.zeros((40, 14, 0)), rng.normal(size=(40, 14, 2))
-    e = (o @ rng.normal(size=(40, 6, 1)))[:, :, 0] + 0.1 * rng.normal(size=(40, 14))
-    hidden = o @ rng.normal(size=(40, 6, 1))  # as the random force does
-
-    def likely(share):
-        starts = np.concatenate([x, share * hidden], axis=2)
-        return Dense(10.0 * o, j, starts, 10.0 * e, np.zeros((40, 3)), np.zeros(0)).windows().log_likelihood
-
-    assert likely(size) == pytest.approx(likely(0.0), abs=0.1)
-
-
 def test_forces_at_several_ports_are_told_apart_and_none_is_missed_for_another():
     rng = np.random.default_rng(9)
     o, j, x = rng.normal(size=(30, 40, 18)), np.zeros((30, 40, 0)), rng.normal(size=(30, 40, 2))
@@ -240,17 +214,6 @@ def left_by(problem, fit):
     return unnamed_force(*fitted_windows(problem, fit)[0])
 
 
-@pytest.mark.parametrize("segments", [4, 5, 6, 7, 8, 12])
-def test_so_few_segments_that_no_line_can_be_told_are_no_fault(segments):
-    rng = np.random.default_rng(segments)
-    o, j, x = rng.normal(size=(2, 14, segments)), np.zeros((2, 14, 0)), rng.normal(size=(2, 14, 2))
-    windows = Dense(o, j, x, rng.normal(size=(2, 14)), np.zeros((2, 2)), np.zeros(0)).windows()
-    way = [np.tile(np.arange(segments, dtype=float), (2, 1))]
-    for least in np.linspace(0.2, 0.5 * segments, 25):
-        found = module._strongest(windows, way, None, least)
-        assert all(wave > 0.0 for wave, _ in found)
-
-
 def test_nothing_wins_where_nothing_is_missing():
     problem, fit = fitted(measured(lambda t, q, v: 0.0))
     left = left_by(problem, fit)
@@ -267,13 +230,6 @@ def test_a_ripple_over_time_is_found_with_its_period_and_amplitude():
     assert best.unit == "N"
     assert best.period == pytest.approx(1.0 / 7.0, rel=0.01)
     assert best.amplitude == pytest.approx(1.2, abs=max(4 * best.amplitude_std, 0.12))
-
-
-def test_the_noise_ratio_of_a_strong_ripple_is_well_above_one():
-    problem, fit = fitted(measured(lambda t, q, v: 12.0 * np.cos(2 * np.pi * 7.0 * t + 1.0)))
-    left = left_by(problem, fit)
-    assert left.forces[0].over == "line over time"
-    assert left.noise_ratio > 1.5
 
 
 def test_a_friction_over_speed_is_found_and_drawn():

@@ -50,28 +50,6 @@ def test_refitted_parameters_and_their_tolerances_are_the_fits():
     assert plant.parameters["gain"] == there.plant.parameters["gain"]  # held
 
 
-def test_a_hardly_known_parameter_keeps_a_tolerance_below_itself():
-    there, fit = fit_with("servo-axis", (), [0.0, 0.0], [1.0, 1e3])
-    assert updated_plant(there, fit, "run 7").parameters["Fv"].tolerance == 0.99
-
-
-def test_tied_parameters_move_together():
-    there, fit = fit_with("dc-motor", (), [0.0, 0.0, 2.0, 0.0, 0.0], np.full(5, 0.1))
-    plant = updated_plant(there, fit, "run 7")
-    ratio = np.exp(2.0 * np.log1p(0.03) / np.sqrt(3))
-    assert (plant.values["Km"], plant.values["Kb"]) == pytest.approx((0.052 * ratio, 0.052 * ratio))
-    assert plant.values["R"] == 2.07
-
-
-def test_exact_parameters_and_zeros_stay():
-    there, fit = fit_with("linear-actuator", (), np.ones(5), np.full(5, 0.1))
-    plant = updated_plant(there, fit, "run 7")
-    for name in ("ratio", "lead"):
-        assert plant.parameters[name] == there.plant.parameters[name]
-    changed = {n for n in plant.values if plant.values[n] != there.plant.values[n]}
-    assert changed == {"R", "L", "Km", "Kb", "Kf", "J", "J_nut", "m_screw", "m_cart"}
-
-
 def test_a_named_effect_is_attached_with_its_values_and_their_spread():
     there, pool = problem("servo-axis")
     friction = pool["coulomb-friction @ v"]
@@ -146,26 +124,3 @@ def test_the_plant_gives_what_the_fit_predicted():
     predicted = simulator.run(factors, values, np.zeros((1, 2)), windows).outputs[0]
     run = rl.simulate(plant, T[:300], U[:300], step=2e-3)
     assert np.abs(predicted[:, 1] - run["v"]).max() < 2e-3 * np.ptp(run["v"])  # the steps of friction's law differ
-
-
-def test_parameters_scaled_by_one_factor_have_one_range(tmp_path):
-    """The record shows the sum of the inertias: one block moves them all, in a plant from a file, too."""
-    there, _ = problem("linear-actuator")
-    z = np.zeros(there.size(Hypothesis(())))
-    there, fit = fit_with("linear-actuator", (), z, 0.1 + z)
-    plant = updated_plant(there, fit, "fitted to run 7")
-    for given in (plant, rl.load(rl.save(tmp_path / "p.h5", with_friction(plant)))):
-        model = rl.uncertain_from(given, ["omega"]).model
-        assert "J+J_nut+m_screw+m_cart" in [b.name for b in model.blocks]
-        assert "Km+Kb" in [b.name for b in model.blocks]
-        assert not {"J", "J_nut", "Km", "Kb"} & {b.name for b in model.blocks}
-        heavy = {n: v * (1 + plant.parameters[n].tolerance) for n, v in plant.values.items() if n[0] in "Jm"}
-        rebuilt = rl.linearise(plant.with_parameters(**{n: (v, 0.0) for n, v in heavy.items()}))
-        member = model.evaluate({"J+J_nut+m_screw+m_cart": 1.0}).select(["u"], ["omega"])
-        omega = np.array([1.0, 50.0, 900.0])
-        wanted = rl.frequency_response(rebuilt.select(["u"], ["omega"]), omega)
-        np.testing.assert_allclose(rl.frequency_response(member, omega), wanted, rtol=1e-9)
-
-
-def with_friction(plant):
-    return rl.with_effects(plant, {"coulomb-friction": {"Fc": (0.005, 1e-4)}})

@@ -11,10 +11,7 @@ from hypothesis import strategies as st
 import robustlab as rl
 from robustlab.cli.data import app
 from robustlab.cli.ending import main_guard
-from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.validation import time_domain
-from robustlab.identification.validation.constant_parameters import Parameters
-from robustlab.result import plain
+from robustlab.errors import InputError
 
 
 def check(case, gamma, within=0.006, **more):
@@ -145,17 +142,6 @@ def test_what_is_refused():
         rl.validate(model, record, {"y": 0.1}, precision=0.0)
 
 
-def test_the_result_is_plain_and_says_what_was_assumed():
-    model, record = small()
-    found = rl.validate(model, record, {"y": 0.1}, per_block=True)
-    assert (found.lower, found.upper) == (pytest.approx(0.4, rel=0.01), pytest.approx(0.4, rel=0.01))
-    text = json.dumps(plain(found.to_json()))
-    assert "not invalidated at gamma" in text
-    assert "unmodelled" in found.summary()
-    assert found.blocks["unmodelled"].upper == pytest.approx(0.4, rel=0.01)
-    assert "w" not in found.to_json(series=False)
-
-
 @pytest.fixture
 def files(tmp_path):
     model, record = small()
@@ -233,13 +219,3 @@ def test_without_blocks_noise_alone_explains_a_record_or_nothing_does(norm, boun
     assert far.excess == pytest.approx(2 * near.excess, rel=1e-3)  # affine in the noise, free states included
     with pytest.raises(InputError, match="without blocks"):
         rl.validate(alone, far_record, {"y": bound}, domain="frequency")
-
-
-def test_bounds_that_contradict_each_other_are_no_result(monkeypatch):
-    alone = Parameters(0.3, np.array([0.3]), np.zeros((4, 1)), 1.0)
-    monkeypatch.setattr(time_domain, "smallest_parameters", lambda *_: alone)
-    monkeypatch.setattr(time_domain._Job, "relaxed", lambda *_: (0.4, {}))
-    gain = rl.UncertainModel(rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 2.0]], dt=1.0), [rl.RealScalar("k")])
-    steps = rl.Record(range(4), {"u2": [1, 0, 0, 0]}, {"y2": [2.3, 0, 0, 0]})
-    with pytest.raises(NoTrustworthyNumber, match=r"lower bound of gamma, 0\.4, above"):
-        rl.validate(gain, steps, {"y2": 0.1})

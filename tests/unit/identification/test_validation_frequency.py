@@ -1,8 +1,5 @@
 """`rl.validate` in the frequency domain: against brute force, closed forms and cvxpy, and what it refuses."""
 
-import itertools
-import json
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,14 +7,10 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.budget import Budget
-from robustlab.cli.data import app
-from robustlab.cli.ending import main_guard
 from robustlab.identification.comparison.best_linear_approximation import held_response
 from robustlab.identification.validation.frequency_domain import line_lagrangian, smallest_by_lines
 from robustlab.identification.validation.gamma_search import Search
-from robustlab.identification.validation.spectral_problem import spectrum_of_record, spectrum_of_response
-from robustlab.report.set_figures import validation_figures
-from robustlab.result import plain
+from robustlab.identification.validation.spectral_problem import spectrum_of_response
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"])
 OMEGA = np.geomspace(0.1, 10, 9)
@@ -232,34 +225,3 @@ def test_what_is_refused():
     for omega, G in (([1.0, 1.0], [1, 1]), ([1.0, np.nan], [1, 1]), ([1.0], [1, 2]), ([1.0, 2.0], [1, np.inf])):
         with pytest.raises(rl.InputError):
             rl.FrequencyData(omega, G, "u", ["y"])
-
-
-def test_figures_json_and_the_command(tmp_path, capsys):
-    model = rl.unstructured(LAG, 0.3)
-    record = steady(model, {"unmodelled": 0.5}, noise=0.02)
-    of_record = rl.validate(model, record, {"y": 0.03}, domain="frequency")
-    of_data = rl.validate(
-        model, rl.FrequencyData(OMEGA, response("additive"), "u", ["y"]), {"y": 0.1}, domain="frequency"
-    )
-    for found in (of_record, of_data):
-        assert list(validation_figures(found)) == ["y", "delta"]
-        assert "frequency" in json.dumps(plain(found.to_json()))
-    rl.save(tmp_path / "set.h5", model)
-    rl.save(tmp_path / "run.h5", record)
-    options = ["validate", tmp_path / "set.h5", tmp_path / "run.h5", "--noise", "y=0.03", "--domain", "frequency"]
-    code = main_guard(
-        lambda: app([*map(str, options), "--json", "--out", str(tmp_path / "v.h5")], standalone_mode=False)
-    )
-    result = json.loads(capsys.readouterr().out)
-    assert (code, result["status"], result["domain"]) == (0, "certified", "frequency")
-    assert result["upper"] == pytest.approx(of_record.upper)
-    assert rl.load(tmp_path / "v.h5").status is rl.Status.CERTIFIED
-
-
-def test_every_period_is_used():
-    model = rl.unstructured(LAG, 0.3)
-    spectrum = spectrum_of_record(model, steady(model, {"unmodelled": 0.5}, periods=4), {"y": 0.1}, None)
-    assert spectrum.problem.n == 33
-    assert any("4 periods" in text for text in spectrum.said)
-    for i, j in itertools.combinations(range(3), 2):
-        assert spectrum.problem.omega[i] < spectrum.problem.omega[j]

@@ -89,28 +89,6 @@ def test_wear_raises_an_alarm_and_the_pieces_since_have_the_larger_friction(worn
     assert "no longer explains the log since" in worn.headline()
 
 
-def test_pieces_one_by_one_say_the_same_and_are_asked_for_one_by_one(worn):
-    whole, asked, told = log(2, friction=wear), [], []
-
-    def pieces():
-        for k in range(8):
-            asked.append(len(told))
-            yield whole.between(2.0 * k - 1e-6, 2.0 * k + 2.0 - 1e-3)
-
-    found = rl.watch(axis(), pieces(), noise={"q": NOISE}, exclude=others(), progress=told.append)
-    assert asked == list(range(8))
-    assert [p.evidence for p in found.pieces] == pytest.approx([p.evidence for p in worn.pieces], rel=1e-6)
-    assert sum(text.startswith("ALARM") for text in told) == sum(p.evidence > math.log(100.0) for p in found.pieces)
-
-
-def test_pieces_that_each_begin_at_zero_follow_one_another():
-    whole = log(4, seconds=6.0)
-    pieces = [whole.between(a - 1e-6, a + 2.0 - 1e-3) for a in (0.0, 2.0, 4.0)]
-    again = [rl.Record(p.t - p.t[0], p.inputs, p.outputs, UNITS, p.name) for p in pieces]
-    found = rl.watch(axis(), again, noise={"q": NOISE}, exclude=others())
-    assert [p.start for p in found.pieces] == pytest.approx([0.0, 2.0, 4.0])
-
-
 def test_what_is_in_no_catalogue_raises_an_alarm():
     wave = lambda t: 4e-3 * math.sin(14.0 * t + 3.0 * math.sin(5.0 * t)) if t >= 6.0 else 0.0  # noqa: E731
     found = rl.watch(axis(), log(3, push=wave, fine=10), every=2.0, noise={"q": NOISE}, exclude=others())
@@ -126,12 +104,6 @@ def test_an_effect_that_the_model_never_had_comes_in():
     load = next(e for e in found.found.effects if e.name == "constant-load").parameters[0]
     assert load.lower <= 4e-3 <= load.upper
     assert found.since_lower <= 8.0 <= found.since_upper
-
-
-def test_a_model_that_never_explained_the_log_is_told_at_once():
-    found = rl.watch(bare(), log(6, seconds=6.0), every=2.0, noise={"q": NOISE}, exclude=others())
-    assert not found.met
-    assert found.alarm == found.pieces[0].stop
 
 
 def test_a_machine_with_other_parameters_within_the_tolerances_is_no_alarm():

@@ -43,38 +43,6 @@ def test_all_figures_are_drawn_and_small(comparison, tmp_path):
         assert not any("$" in label for label in text)  # ticks are readable without mathematics
 
 
-def test_figures_say_what_they_show(comparison):
-    figures = comparison_figures(comparison)
-    assert figures["time-q"].axes[0].get_ylabel() == "q [m]"
-    assert figures["time-q"].axes[0].get_title(loc="left") == "servo-axis against $run$ <3>"
-    assert figures["speed-q"].axes[1].get_ylabel() == "what is lacking [V]"
-    assert figures["speed-q"].axes[0].get_xlabel() == "speed [m/s]"
-    band = figures["time-q"].axes[2].patches[0].get_extents()
-    assert band.width > 0
-
-
-def test_without_speed_and_with_a_hostile_name():
-    t = np.arange(300) * 0.01
-    model = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["../q"])
-    u = np.sign(np.sin(t))
-    found = rl.compare(model, rl.Record(t, {"u": u}, {"../q": rl.simulate(model, t, 2 * u)["../q"]}))
-    assert list(comparison_figures(found)) == [
-        "where-output1",
-        "time-output1",
-        "spectrum-output1",
-        "response-output1",
-        "residual-output1",
-    ]
-
-
-def test_where_figure_has_a_panel_for_everything_that_is_known(comparison):
-    where = comparison_figures(comparison)["where-q"]
-    labels = {axes.get_xlabel() for axes in where.axes}
-    assert {"time [s]", "speed [m/s]", "q [m]", "|u| [V]", "frequency [Hz]"} <= labels
-    bars = next(axes for axes in where.axes if axes.get_xlabel() == "|u| [V]").patches
-    assert [bar.get_height() for bar in bars] == [b.rms for b in comparison.amplitude["q"]["u"]]
-
-
 def test_harmonics_are_drawn_where_the_excitation_leaves_some_out(tmp_path):
     n, t = 400, np.arange(1600) * 0.01
     u = sum(np.cos(2 * np.pi * k * np.arange(1600) / n + k * k) for k in (1, 3, 7, 9))

@@ -7,8 +7,8 @@ import pytest
 
 import robustlab as rl
 from robustlab.mu_analysis import Margin
-from robustlab.report.figures import axis_label, house_style, logarithmic, new_figure, save_figure
-from robustlab.report.robustness_figures import mu_figure, response_figure, shares_figure, worst_case_figure
+from robustlab.report.figures import save_figure
+from robustlab.report.robustness_figures import mu_figure, response_figure, worst_case_figure
 from robustlab.worst_case_analysis.worst_case_search import WorstCase, WorstResponse
 
 T = np.linspace(0.0, 1.0, 101)
@@ -31,29 +31,6 @@ def test_the_same_figure_gives_the_same_bytes(tmp_path, suffix):
     first, second = ((tmp_path / folder / f"r.{suffix}").read_bytes() for folder in ("a", "b"))
     assert first == second
     assert b"20" + b"26-" not in first[:2000]  # no date
-
-
-def test_saving_leaves_no_other_file(tmp_path):
-    svg, png = save_figure(response(), tmp_path, "r")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["r.png", "r.svg"]
-    assert svg.read_bytes().startswith(b"<?xml")
-    assert png.read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_house_style_does_not_leak():
-    import matplotlib as mpl
-
-    before = dict(mpl.rcParams)
-    response()
-    assert dict(mpl.rcParams) == before
-
-
-def test_the_enlarged_panel_shows_the_end_and_the_known_value():
-    _, zoom = response().axes
-    assert zoom.get_xlim() == pytest.approx((0.8, 1.0))
-    low, high = zoom.get_ylim()
-    assert low < rise(0.8)[-20:].min() < 1.1 < rise(1.2)[-1] < high
-    assert high < 1.4
 
 
 def test_the_envelope_is_drawn_as_given():
@@ -103,28 +80,6 @@ def test_the_mu_figure_shades_what_is_proved_up_to_infinity():
     assert axes.get_xlim() == pytest.approx((1.0, 100.0))
 
 
-def test_the_mu_figure_of_no_uncertainty():
-    mu_figure(margin(np.array([1.0, 2.0]), np.zeros(2), np.zeros(2), [(0.0, np.inf, 0.0)]))
-
-
-def test_shares_are_ranked_with_the_largest_on_top():
-    (axes,) = shares_figure({"a": 0.2, "b": 0.9, "c": -0.1}).axes
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["b", "a", "c"]
-    assert [bar.get_width() for bar in axes.patches] == [0.9, 0.2, -0.1]
-
-
-def test_logarithmic_ticks_are_plain_text(tmp_path):
-    figure, (axes,) = new_figure()
-    with house_style():
-        axes.plot([1e-6, 1.0, 1e9], [1.0, 2.0, 3.0])
-    logarithmic(axes.xaxis)
-    figure.draw_without_rendering()
-    texts = [tick.get_text() for tick in axes.get_xticklabels()]
-    assert "10⁻⁶" in texts
-    assert "10⁶" in texts
-    assert not any("$" in text for text in texts)
-
-
 def test_hostile_names_are_drawn_as_text(tmp_path):
     name = "$\\frac{1}{$ <script> \x1b[31m \u202e 電流 %s"
     figure = response_figure(
@@ -132,9 +87,3 @@ def test_hostile_names_are_drawn_as_text(tmp_path):
     )
     svg, _ = save_figure(figure, tmp_path, "hostile")
     assert b"<script>" not in svg.read_bytes()
-
-
-def test_axis_labels():
-    assert axis_label("omega", "rad/s") == "omega [rad/s]"
-    assert axis_label("gain", "") == "gain"
-    assert axis_label("gain", "1") == "gain"

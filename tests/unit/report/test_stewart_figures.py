@@ -12,12 +12,8 @@ from robustlab.report.figures import save_figure
 from robustlab.thesis.figures import (
     case_figure,
     condition_figure,
-    excitation_figure,
-    percent_figure,
     sine_figure,
     tracking_effort_figure,
-    tracking_error_figure,
-    tracking_path_figure,
 )
 from robustlab.thesis.runs import sine_run
 
@@ -44,13 +40,6 @@ def test_sine_figure_ends_where_asked_and_shows_the_difference(sine):
     )
 
 
-def test_excitation_figure_shows_torque_and_height(sine):
-    drive, height = excitation_figure(sine, 0.03).axes
-    t = sine.t[sine.t <= 0.03]
-    np.testing.assert_allclose(drive.lines[0].get_ydata(), 100 * np.sin(2 * np.pi * 20 * t))
-    np.testing.assert_allclose(height.lines[0].get_ydata(), 1e3 * sine.height[: len(t)])
-
-
 def test_case_figure_has_nominal_worst_and_all_members():
     """The enlarged end is so near that the members are told apart there, however little they differ."""
     members = (1 + 1e-4 * np.linspace(-1, 1, 20))[:, None, None] * np.stack([T, 3 * T], axis=1)
@@ -67,35 +56,12 @@ def test_case_figure_has_nominal_worst_and_all_members():
         assert row[2].lines[21].get_ydata()[-1] == pytest.approx(0.01, rel=1e-6)
 
 
-def test_tracking_path_has_what_was_desired_and_what_was_reached():
-    run = following(0.1)
-    position, _, lengths = tracking_path_figure(run, run.lengths - 1e-3).axes
-    np.testing.assert_allclose(position.lines[0].get_ydata(), 0.0)
-    np.testing.assert_allclose(position.lines[1].get_ydata(), np.sin(T))
-    np.testing.assert_allclose(lengths.lines[1].get_ydata() - lengths.lines[0].get_ydata(), 1.0)
-    assert "desired" in position.get_title(loc="left")
-    assert "simulated" in position.get_title(loc="left")
-
-
-def test_percent_figure_has_the_published_band():
-    curves = np.array([[-1.0], [0.5], [2.0]]) * T
-    left, right = percent_figure(T, {"phi_1": curves, "phidot_1": 2 * curves}, 2.54).axes
-    assert {line.get_ydata()[0] for line in left.lines if len(line.get_ydata()) == 2} == {-2.54, 2.54}
-    (band,) = right.collections
-    assert band.get_paths()[0].vertices[:, 1].max() == 4.0
-
-
 @pytest.mark.parametrize(("torque", "drawn"), [(0.2, True), (0.001, False)])
 def test_a_limit_is_drawn_or_told(torque, drawn):
     panel = tracking_effort_figure(following(torque)).axes[0]
     levels = {round(float(line.get_ydata()[0]), 6) for line in panel.lines if len(line.get_ydata()) == 2}
     assert (levels == {-97.7, 97.7}) is drawn
     assert ("97.7" in panel.get_title(loc="left")) is not drawn
-
-
-def test_tracking_errors_are_in_millimetres():
-    position, _ = tracking_error_figure(following(0.1)).axes
-    np.testing.assert_allclose(position.lines[2].get_ydata(), np.sin(T))
 
 
 def test_condition_figure_is_blank_out_of_the_workspace_and_deterministic(tmp_path):

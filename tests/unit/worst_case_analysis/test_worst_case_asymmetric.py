@@ -13,10 +13,10 @@ from robustlab.budget import Budget
 from robustlab.campaign import CampaignSettings
 from robustlab.campaign.evaluation import TILE, Evaluator
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import ComplexScalar, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import MetricBatch, MetricRequest, sample, violation_probability, worst_case
-from robustlab.worst_case_analysis.draws import RealSet, delta_of_sample
+from robustlab.worst_case_analysis.draws import RealSet
 from robustlab.worst_case_analysis.ensemble import delta_stack, members
 from robustlab.worst_case_analysis.metrics import make_metric
 from robustlab.worst_case_analysis.worst_case_search import _Climb, _Search
@@ -47,13 +47,6 @@ def test_worst_of_a_lag_is_at_its_true_end(metric, value):
     assert found.value == pytest.approx(value, rel=1e-9)
     assert found.delta == {"pole": -1.0}
     assert found.physical == {"pole": (0.25, "1/s")}
-
-
-@pytest.mark.parametrize("pole", [0.4, 1.3])
-def test_a_worst_member_inside_the_range_is_found_on_either_side(pole):
-    found = worst_case(lag(), lambda model: -abs(model.A[0, 0] + pole), n=16)
-    assert found.physical["pole"][0] == pytest.approx(pole, abs=1e-6)
-    assert found.delta["pole"] == pytest.approx(POLE.parameter.delta(pole), abs=1e-6)
 
 
 def test_beside_a_complex_block_the_entry_keeps_its_side():
@@ -128,23 +121,6 @@ def test_samples_are_uniform_in_the_range():
 
 def test_vertices_are_the_ends():
     np.testing.assert_array_equal(poles(sample(lag(), 0, vertices="all")), [0.25, 1.5])
-
-
-def test_symmetric_ranges_keep_their_draws():
-    plain = delta_of_sample([RealScalar("a"), RealScalar("b", 2, ParameterRange(1.0, 0.5))], 7, 3)
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(7, spawn_key=(3,))))
-    assert list(plain.values()) == rng.uniform(-1.0, 1.0, 2).tolist()
-
-
-def test_a_wider_side_does_not_shift_the_draws_of_other_blocks():
-    full = FullBlock("f", 2, 2)
-    one = delta_of_sample([POLE, RealScalar("b"), full], 1, 5)
-    two = delta_of_sample([RealScalar("pole"), RealScalar("b"), full], 1, 5)
-    assert one["b"] == two["b"]
-    np.testing.assert_array_equal(one["f"], two["f"])
-    # The same place of the range, from its lower end: 0.25 + 1.25 share = 1 + 0.5 entry.
-    share = 0.5 * (two["pole"] + 1)
-    assert POLE.parameter.value(one["pole"]) == pytest.approx(0.25 + 1.25 * share, rel=1e-14)
 
 
 def test_every_way_to_a_member_is_the_same():

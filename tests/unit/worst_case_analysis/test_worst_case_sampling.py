@@ -15,7 +15,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis import sample, worst_case
+from robustlab.worst_case_analysis import sample
 from robustlab.worst_case_analysis.ensemble import split
 
 T = np.linspace(0.0, 4.0, 81)
@@ -48,13 +48,6 @@ def test_sample_i_does_not_depend_on_n():
     assert sample(mixed(), 3, seed=8).deltas[0]["r"] != few.deltas[0]["r"]
 
 
-def test_numbers_of_a_block_are_those_of_its_deltas():
-    deltas = sample(uncertain(), 20_000, seed=3, vertices=4).deltas
-    part = slice(19_000, 20_003)
-    rows = [list(deltas[i].values()) for i in range(part.start, part.stop)]
-    np.testing.assert_array_equal(deltas.numbers(part), rows)
-
-
 def test_samples_lie_in_the_set_and_fill_it():
     deltas = sample(mixed(), 400, seed=1).deltas
     real = np.array([d["r"] for d in deltas])
@@ -84,18 +77,6 @@ def test_some_vertices_are_different_and_seeded():
     boundary = sample(mixed(), 0, vertices="all").deltas
     assert [d["r"] for d in boundary] == [-1.0, 1.0]
     assert all(abs(abs(d["c"]) - 1) < 1e-12 and abs(np.linalg.norm(d["f"], 2) - 1) < 1e-12 for d in boundary)
-
-
-def test_many_parameters():
-    n = 5
-    a = np.random.default_rng(0).standard_normal((n, n))
-    rest = (np.ones((n, 1)), np.ones((1, n)), [[0.0]])
-    model = elementwise(StateSpaceModel(a, *rest), StateSpaceModel(1.1 * a, *rest))
-    with pytest.raises(InputError, match="all vertices of 25 real deltas"):
-        sample(model, 0, vertices="all")
-    picked = sample(model, 0, vertices=200).deltas
-    assert len({tuple(d.values()) for d in picked}) == len(picked) == 200
-    assert all(set(d.values()) <= {-1.0, 1.0} for d in picked)
 
 
 @pytest.mark.parametrize(
@@ -153,20 +134,6 @@ def test_discrete_models():
         samples.respond(np.arange(6) * 0.2)
     with pytest.raises(InputError, match="hold"):
         samples.respond(np.arange(6) * 0.1, hold="foh")
-
-
-def test_static_gains():
-    def gain(d):
-        return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[d]])
-
-    found = sample(elementwise(gain(2.0), gain(3.0)), 0, vertices="all").respond([0.0, 1.0])
-    np.testing.assert_array_equal(found.y[:, :, 0], [[1.0, 1.0], [3.0, 3.0]])
-
-
-def test_no_uncertainty():
-    found = sample(elementwise(oscillator(), oscillator()), 3).respond(T)
-    np.testing.assert_array_equal(found.peak_deviation, [0.0, 0.0])
-    assert found.unstable == ()
 
 
 def test_unstable_samples_are_reported_and_overflow_is_not_hidden():
@@ -227,28 +194,3 @@ def test_what_cannot_respond():
 def test_requests_that_make_no_sense(t, u, x0, text):
     with pytest.raises(InputError, match=text):
         sample(uncertain(), 1).respond(t, u, x0)
-
-
-def test_several_inputs_need_to_be_told_apart():
-    model = elementwise(*(StateSpaceModel([[-a]], [[1.0, 2.0]], [[1.0]], [[0.0, 0.0]]) for a in (1.0, 2.0)))
-    with pytest.raises(InputError, match="2 inputs and no u"):
-        sample(model, 1).respond(T)
-    assert sample(model, 1).respond(T, {"u2": 1.0}).y.shape == (1, 81, 1)
-
-
-def test_size_of_a_response_is_limited():
-    with pytest.raises(InputError, match="fewer samples or times"):
-        sample(uncertain(), 1000).respond(np.linspace(0, 1, 100_000))
-
-
-def test_chunks_do_not_change_the_answer(monkeypatch):
-    samples = sample(uncertain(), 7)
-    whole = samples.respond(T)
-    monkeypatch.setattr("robustlab.worst_case_analysis.ensemble.CHUNK", 100)
-    np.testing.assert_allclose(samples.respond(T).y, whole.y, rtol=1e-12, atol=1e-14)
-
-
-@pytest.mark.parametrize("call", [lambda m: sample(m, 2, 0), lambda m: worst_case(m, "hinf")])
-def test_a_model_without_uncertainty_is_refused_by_name(call):
-    with pytest.raises(InputError, match=r"StateSpaceModel.*, expected an UncertainModel"):
-        call(StateSpaceModel(-1, 1, 1, 0))
