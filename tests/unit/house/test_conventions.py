@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 
 import numpy as np
@@ -58,8 +59,9 @@ def designs():
 
 
 def rl_goal():
+    from robustlab.synthesis.fixed.design_goals import goal_in_words
 
-    return TrackingGoal(2.0)
+    return goal_in_words("tracking", {"response_time": 2.0})
 
 
 def lag(time):
@@ -71,7 +73,7 @@ def test_a_design_says_what_its_controller_takes_and_files_keep_it(make, expecte
     found = make()
     held = found if isinstance(found, rl.Controller) else found.controller
     assert held.law == expected
-    for suffix in (".h5", ".mat"):
+    for suffix in (".h5", ".json", ".mat"):
         rl.export_controller(tmp_path / f"k{suffix}", held)
         again = rl.load(tmp_path / f"k{suffix}")
         model = getattr(again, "K", again)
@@ -164,7 +166,7 @@ def test_products_carry_what_is_taken():
 def test_digital_and_smaller_controllers_take_the_same():
     K = rl.ncf(PLANT, 4.0).K
     digital = rl.discretise(K, 0.01)
-    for other in (digital, rl.d2d(digital, 0.02), rl.d2c(digital), rl.reduce_model(K, 1).model):
+    for other in (digital, rl.d2d(digital, 0.02).model, rl.d2c(digital).model, rl.reduce_model(K, 1).model):
         assert law(other.inputs) == "u = K y"
 
 
@@ -307,6 +309,18 @@ def test_files_of_before_say_it_by_method_and_names(method, names, expected, tmp
     K = rl.StateSpaceModel([], [], [], [[1.0] * len(names)], inputs=names)
     rl.save(tmp_path / "k.h5", rl.Controller(K, method=method))
     assert rl.load(tmp_path / "k.h5").law == expected
+    rl.export_controller(tmp_path / "k.json", rl.Controller(K, method=method))
+    assert rl.load(tmp_path / "k.json").law == expected
+
+
+def test_a_damaged_word_is_named(tmp_path):
+    rl.export_controller(tmp_path / "k.json", pd("y"))
+    data = json.loads((tmp_path / "k.json").read_text())
+    assert data["convention"].startswith("u = K y; ")
+    data["inputs"][0]["takes"] = "minus y"
+    (tmp_path / "k.json").write_text(json.dumps(data))
+    with pytest.raises(InputError, match=r"inputs\[0\]: takes: 'minus y'"):
+        rl.load(tmp_path / "k.json")
 
 
 def test_hdf5_with_a_damaged_word_is_named(tmp_path):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from naming_cases import AXIS, FRICTION, LOAD, T, U, machine, noisy, searched
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
@@ -15,10 +16,10 @@ from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
 from robustlab.dynamics.ports.motion_model import local_port_model
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.naming.discovery_numbers import numbers_of
-from robustlab.identification.naming.materiality import Errors, _matters
 from robustlab.identification.naming.named_effects import NamedKind
-from robustlab.identification.naming.named_kinds import Kinds, Places, kinds_of
+from robustlab.identification.naming.named_kinds import Kinds, Places, _mixture, _quantile, kinds_of
 from robustlab.identification.naming.posterior import weigh
+from robustlab.identification.naming.quantities import Told
 
 LEVEL, GIVES = 20.0, 2e-4  # N, m
 
@@ -129,6 +130,24 @@ def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
     assert sum(m.share for m in named.members) == pytest.approx(1.0, abs=1e-6)
 
 
+def test_a_mixture_has_the_mean_and_the_ends_of_its_members():
+    one = _mixture("level", [(1.0, {"level": Told(3.0, 0.5, "N")})])
+    assert (one.lower, one.upper) == pytest.approx((3.0 - 1.96 * 0.5, 3.0 + 1.96 * 0.5), abs=1e-3)
+    apart = _mixture("level", [(0.5, {"level": Told(1.0, 0.01, "N")}), (0.5, {"level": Told(2.0, 0.01, "N")})])
+    assert apart.value == pytest.approx(1.5)
+    assert apart.lower < 1.0 < 2.0 < apart.upper
+    # Sampled, as a check of the bisection.
+    parts = [(0.3, Told(0.0, 1.0, "")), (0.7, Told(4.0, 0.2, ""))]
+    rng = np.random.default_rng(0)
+    drawn = np.where(rng.uniform(size=200_000) < 0.3, rng.normal(size=200_000), 4.0 + 0.2 * rng.normal(size=200_000))
+    assert _quantile(parts, 0.1) == pytest.approx(np.quantile(drawn, 0.1), abs=0.02)
+    # What has another unit, or cannot be asked, is left out; where nobody can be asked there is no value.
+    mixed = _mixture("level", [(0.9, {"level": Told(1.0, 0.1, "N")}), (0.1, {"level": Told(9.0, 0.1, "")}), (0.1, {})])
+    assert mixed.value == 1.0
+    assert _mixture("level", [(1.0, {})]) is None
+    assert _quantile([(1.0, Told(2.0, 0.0, ""))], 0.5) == pytest.approx(2.0)
+
+
 # --- twins by algebra ------------------------------------------------------------------------------------------------
 
 
@@ -186,26 +205,6 @@ def test_gains_and_zeros_of_one_path_are_equally_probable(seed, pair, gain, bias
 
 
 # --- what matters ----------------------------------------------------------------------------------------------------
-
-
-def errors(*rms, size=4000):
-    rng = np.random.default_rng(0)
-    return [np.stack([r * rng.normal(size=(4, size // 4)) for r in rms], axis=-1)]
-
-
-def test_an_effect_is_material_where_the_error_without_it_is_larger_and_seen_by_the_sensor():
-    none = np.zeros(1)
-    assert _matters(errors(1.0), errors(1.2), none, 0.05)
-    assert not _matters(errors(1.0), errors(1.03), none, 0.05)
-    assert not _matters(errors(1.0), errors(0.5), none, 0.05)
-    # Less than half a step of the sensor apart; of two outputs one is enough.
-    assert not _matters(errors(1.0), errors(1.2), np.ones(1), 0.05)
-    assert _matters(errors(1.0, 1.0), errors(1.0, 2.0), np.array([5.0, 1.0]), 0.05)
-    # A model that diverges without it needs it; one that diverges with it does not.
-    with np.errstate(all="ignore"):
-        assert _matters(errors(1.0), [np.full((4, 1000, 1), np.inf)], none, 0.05)
-        assert not _matters([np.full((4, 1000, 1), np.inf)], errors(1.0), none, 0.05)
-    assert Errors(errors(1.0), errors(1.0)).windows
 
 
 def test_what_only_a_parameter_beyond_its_tolerance_can_replace_matters():

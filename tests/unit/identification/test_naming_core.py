@@ -11,7 +11,6 @@ from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification import tuning
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
@@ -19,8 +18,8 @@ from robustlab.identification.hypotheses.effect_fit import (
     FitPlan,
     Hypothesis,
     Problem,
-    refit_distance,
 )
+from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, window_errors
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.residual_after_naming import left_over
@@ -78,54 +77,6 @@ def fitted(problem: Problem, *effects: Candidate) -> Fit:
     return min(fits, key=lambda f: f.cost)
 
 
-# --- how far apart two effects are -----------------------------------------------------------------------------------
-
-
-@cache
-def late() -> tuple[Problem, dict[str, Fit]]:
-    """An input that comes 4 ms late, seen on the position alone, with the fits of several explanations."""
-    run = rl.simulate(AXIS, T, np.concatenate([np.zeros(2), U[:-2]]))
-    record = rl.Record(T, {"u": U}, {"q": run["q"], "v": run["v"]}, name="late")
-    problem, pool = problem_of(noisy(record, outputs=("q",)))
-    keys = ("input-delay @ u", "sensor-delay @ q", "sensor-gain @ q")
-    return problem, {key: fitted(problem, pool[key]) for key in keys}
-
-
-def test_a_delay_before_and_behind_a_linear_plant_cannot_be_told_apart():
-    problem, fits = late()
-    before, behind = fits["input-delay @ u"], fits["sensor-delay @ q"]
-    for fit in (before, behind):
-        found = fit.hypothesis.candidates[0].values(fit.z[2:])
-        assert found["d"] == pytest.approx(0.004, abs=5e-4)
-    # They differ in how far the starts of the windows move, which has a price, and in the sensor's past before them.
-    assert refit_distance(problem, before, behind) < tuning.CANNOT_TELL / 3
-    assert refit_distance(problem, behind, before) < tuning.CANNOT_TELL / 3
-
-
-def test_a_delay_and_a_gain_are_told_apart_safely():
-    problem, fits = late()
-    assert refit_distance(problem, fits["input-delay @ u"], fits["sensor-gain @ q"]) > 10.0
-
-
-@cache
-def louder() -> tuple[Problem, dict[str, Fit]]:
-    """An input that acts 8 % stronger than logged, seen on the position alone."""
-    run = rl.simulate(AXIS, T, 1.08 * U)
-    record = rl.Record(T, {"u": U}, {"q": run["q"], "v": run["v"]}, name="louder")
-    problem, pool = problem_of(noisy(record, outputs=("q",)))
-    return problem, {key: fitted(problem, pool[key]) for key in ("input-gain @ u", "sensor-gain @ q")}
-
-
-def test_a_gain_of_the_input_and_one_of_the_only_sensor_are_one_model():
-    problem, fits = louder()
-    before, behind = fits["input-gain @ u"], fits["sensor-gain @ q"]
-    for fit in (before, behind):
-        assert fit.hypothesis.candidates[0].values(fit.z[2:])["s"] == pytest.approx(1.08, abs=0.02)
-    assert refit_distance(problem, before, behind) < tuning.CANNOT_TELL / 3
-    assert refit_distance(problem, behind, before) < tuning.CANNOT_TELL / 3
-    assert behind.evidence == pytest.approx(before.evidence, abs=1.5)
-
-
 # --- what is left ----------------------------------------------------------------------------------------------------
 
 
@@ -151,6 +102,21 @@ def apart(problem: Problem) -> tuple[Problem, Problem]:
     )
 
 
+def test_held_out_data_changes_no_parameter_and_shows_the_gap():
+    problem, pool = problem_of(rubbing())
+    fit, held = apart(problem)
+    true, bare = fitted(fit, pool["coulomb-friction @ v"]), fitted(fit)
+    there, without = (held_out_fit(held, f, noise_of(problem)) for f in (true, bare))
+    assert (there.z == true.z).all()
+    # The noise is 0.1 % of the range; averaging over `thin` samples lowers it.
+    expected = 0.1 / np.sqrt(problem.records[0].thin)
+    errors, others = window_errors(held, there), window_errors(held, without)
+    assert 100 * np.sqrt(errors.mean()) == pytest.approx(expected, rel=0.25)
+    assert 100 * np.sqrt(others.mean()) > 3 * expected
+    assert clearly_larger(others, errors)
+    assert not clearly_larger(errors, others)
+
+
 # --- discover --------------------------------------------------------------------------------------------------------
 
 FEW = tuple(set(catalogue()) - {"coulomb-friction", "constant-load", "sensor-gain", "inertia"})
@@ -173,6 +139,14 @@ def test_discover_names_the_friction_and_gives_a_plant_that_has_it():
     assert found.model.effects[0].values["Fc"] == force.value
     assert found.held_out == "every 4th window of the records, kept from the fit"
     assert set(found.candidates) == set(catalogue()) - set(FEW)
+
+
+def test_discover_names_nothing_where_nothing_is_missing():
+    found = discovered(plain(seed=5))
+    assert found.verdict == "no missing effect"
+    assert found.complete
+    assert found.effects == found.rivals == ()
+    assert found.gap_after == pytest.approx(0.1, rel=0.25)  # the noise, in percent of the range
 
 
 def test_held_out_records_are_judged_and_named():
@@ -223,6 +197,14 @@ def test_a_record_with_a_jittering_clock_is_named():
     assert found.effects[0].parameters[0].value == pytest.approx(20.0, rel=0.03)
 
 
+def test_one_output_is_enough():
+    run = rubbing()
+    only = rl.Record(run.t, run.inputs, {"q": run["q"]}, {"u": "V", "q": "m"}, "one sensor")
+    found = discovered(only)
+    assert found.names == ("coulomb-friction",)
+    assert set(found.gaps) == {"q"}
+
+
 # --- what is refused -------------------------------------------------------------------------------------------------
 
 
@@ -230,6 +212,10 @@ def with_holes():
     """Ten samples lost of every eighty."""
     run, kept = rubbing(), np.arange(N) % 80 < 70
     return rl.Record(run.t[kept], {"u": run["u"][kept]}, {"q": run["q"][kept]}, {"u": "V", "q": "m"}, "holes")
+
+
+def only(inputs, outputs, n=N):
+    return rl.Record(T[:n], {k: x[:n] for k, x in inputs.items()}, {k: x[:n] for k, x in outputs.items()}, name="run 8")
 
 
 @pytest.mark.parametrize(
