@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-import validate as benchmark
+import validation_cases as benchmark
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -62,10 +62,10 @@ def test_a_system_in_the_loop_is_bracketed_too():
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=12, deadline=None)
 def test_a_true_model_is_never_invalidated(seed):
-    model, inputs, y, noise, bound = benchmark._plausible(seed, 40)
+    model, inputs, y, noise, bound = benchmark.plausible(seed, 40)
     for norm, size in (("peak", bound), ("rms", float(np.sqrt(np.mean(noise**2))) * (1 + 1e-9))):
         found = rl.validate(
-            model, benchmark._record(inputs, {"y": y + noise}), {"y": size}, noise_norm=norm, at_rest=True
+            model, benchmark.record_of(inputs, {"y": y + noise}), {"y": size}, noise_norm=norm, at_rest=True
         )
         assert not found.invalidated
 
@@ -90,8 +90,8 @@ def test_a_record_from_elsewhere_is_invalidated_at_every_gamma():
 
 
 def test_windows_and_free_starts_are_weaker_tests():
-    model, inputs, y, noise, bound = benchmark._plausible(5, 60)
-    record = benchmark._record(inputs, {"y": y + noise})
+    model, inputs, y, noise, bound = benchmark.plausible(5, 60)
+    record = benchmark.record_of(inputs, {"y": y + noise})
     rest, free, windows = (
         rl.validate(model, record, {"y": bound}, **options) for options in ({"at_rest": True}, {}, {"window": 0.2})
     )
