@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 import robustlab as rl
 
 DT = 0.01
-    "coulomb",
-    "coulomb, axis",
-    "dead zone",
-    "dead zone, axis",
-    "quadratic, axis",
-    "hardening",
-    "offset, axis",
-)
 
 
 def _first_order(rng, proper=True):
