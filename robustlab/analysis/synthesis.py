@@ -50,10 +50,9 @@ def hinf(
 
     .. math:: \min_K \|F_l(P, K)\|_\infty, \qquad F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
 
-    Two Riccati equations (Glover, Doyle; general D11, D22) on a scaled and regularised plant; linear matrix
-    inequalities where they give nothing; nonsmooth descent where what was found is poor. Nothing is assumed about the
-    ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and gamma is the
-    verified norm of the loop rebuilt from the returned K.
+    Two Riccati equations (Glover, Doyle; general D11, D22) on a regularised plant in two scalings. Nothing is assumed
+    about the ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and gamma is
+    the verified norm of the loop rebuilt from the returned K.
     A discrete P is mapped by the bilinear rule and verified in discrete time.
 
     The controller ``u = K(rho) y`` of a scheduled plant (`LPVModel`) is scheduled by the same measured parameters and

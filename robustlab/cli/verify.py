@@ -20,9 +20,6 @@ def verify(
     *,
     files: Annotated[list[str], typer.Argument(help="HDF5 files of results, or folders of runs.", metavar="FILE")],
     effort: Annotated[float, typer.Option("--effort", help="Work allowed, as a multiple of the usual.")] = 1.0,
-    export: Annotated[
-        str | None, typer.Option("--export", help="Write the claims as JSON with hexadecimal numbers.", metavar="PATH")
-    ] = None,
     progress: ProgressOptions,
     as_json: JsonOption = False,
 ) -> None:
@@ -35,7 +32,6 @@ def verify(
     """
     import robustlab as rl
     from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, InputError, NoTrustworthyNumber
-    from robustlab.evidence.exported import write_claims
     from robustlab.verification.reading import claims_in_file
 
     chosen = {path: claims_in_file(path) for given in files for path in _files_in(given)}
@@ -43,8 +39,6 @@ def verify(
     if not holding:
         hint = "files of earlier versions hold none; docs/proved.md says which results have them"
         raise InputError(", ".join(files), "no claims", "results that were saved with their evidence", hint)
-    if export is not None:
-        write_claims(export, [claim for claims in holding.values() for claim in claims])
     found: dict[str, Any] = {}
     with progress.shown("verify", len(holding), budgets=False) as display:
         for done, path in enumerate(holding):
@@ -54,7 +48,6 @@ def verify(
     for name, one in found.items():
         rows += [f"{name}: {one.headline()}", *(f"  {label}: {text}" for label, text in one.facts() if text)]
     rows += [f"{path}: no claims" for path in chosen if path not in holding]
-    rows += [f"written: {export}"] if export is not None else []
     emit("verify", {"files": {name: one.to_json() for name, one in found.items()}}, "\n".join(rows), as_json)
     if any(one.refuted for one in found.values()):
         raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from robustlab.mu_analysis.axis.intervals import Piece
@@ -64,8 +64,6 @@ class DKSynthesis(Tabular, Synthesis):
     why
         One sentence: what was gained over ``start_mu``, and what ends the way down: the limit of every controller, a
         structure that leaves D nothing to change, scalings worth nothing at the peak, or nothing that is proved.
-    parameters
-        Of a controller of given structure: its parameters by name; ``K0`` of another design.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -83,7 +81,6 @@ class DKSynthesis(Tabular, Synthesis):
     start_mu: float
     lower_bound: GammaBound
     why: str
-    parameters: Mapping[str, float] = field(default_factory=dict)
 
     def proved_again(self) -> float:
         """What the scalings prove for mu of the loop rebuilt from plant and K, computed anew; inf: nothing."""
@@ -112,7 +109,6 @@ class DKSynthesis(Tabular, Synthesis):
             ("orders of the scalings", orders or "constant"),
             ("iterates", f"{len(self.history)}, from {self.history[0].gamma:.6g}"),
             *rows[5:],
-            *((name, f"{value:.6g}") for name, value in list(self.parameters.items())[:40]),
         ]
 
     def table(self) -> Table:
@@ -134,5 +130,4 @@ class DKSynthesis(Tabular, Synthesis):
             "start_mu": self.start_mu,
             "lower_bound": self.lower_bound.to_json(),
             "why": self.why,
-            "parameters": dict(self.parameters),
         }

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ from robustlab.synthesis.dk.dynamic_scalings import (
     unit_scalings,
 )
 from robustlab.synthesis.dk.mu_floor import mu_floor, why_not_less
-from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, StructuredProblem, nominal_start
+from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, nominal_start
 from robustlab.synthesis.dk.scalings_fit import MuCurve, as_complex, fitted_scalings, mu_curve
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.controller import Controller
@@ -74,9 +73,6 @@ def dk(
     n_con: int | None = None,
     *,
     K0: Any = None,
-    structure: Any = None,
-    starts: int = 16,
-    seed: int = 0,
     direct: bool = True,
     mixed: bool = True,
     max_order: int | None = None,
@@ -109,12 +105,7 @@ def dk(
         Numbers of measurements and controls; left out for a `GeneralizedPlant`.
     K0
         Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); a `DKSynthesis` of the same
-        blocks also gives its scalings. With a structure: values by parameter name. H-infinity synthesis where left out.
-    structure
-        What the controller may look like, as for `robustlab.fixed_structure`: "pid", an order, a mask, ... Then D-K
-        iteration alone: for given D a nonsmooth descent of the parameters, a local search.
-    starts, seed
-        Random starts of the first search for a structure, and their seed.
+        blocks also gives its scalings. H-infinity synthesis where left out.
     direct
         Whether to go on with direct minimisation after D-K iteration.
     mixed
@@ -172,11 +163,6 @@ def dk(
     with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is found is verified on its own
         compile_kernels()
         search = _Search(plant, all_blocks, budget, int(max_order), mixed, progress)
-        if structure is not None:
-            search.problem = StructuredProblem(plant, structure, starts, seed, search.search)
-            search.start_structured(K0)
-            search.alternate(False)
-            return search.finished(order_rel)
         search.start(K0)
         search.alternate(direct)
         if direct:
@@ -292,21 +278,6 @@ class _Search:
             if other is not None:
                 self._prefer(other, found)
 
-    def start_structured(self, K0: Any) -> None:
-        """The end of smallest mu of the search for the structure without scalings; or the values given."""
-        assert isinstance(self.problem, StructuredProblem)
-        if K0 is not None and not isinstance(K0, Mapping):
-            raise InputError("synth dk: K0", f"a {type(K0).__name__}", "values by parameter name, beside a structure")
-        self.problem.budget = self.search.share(START_SHARE)
-        found = self.problem.first(K0, unit_scalings(self.blocks))
-        self.problem.budget = self.search
-        if not found:
-            hint = "not found is no proof that there is none: try more starts, or a richer structure"
-            raise NoTrustworthyNumber("synth dk", "no start stabilised the plant with this structure", hint=hint)
-        best = min(found, key=lambda iterate: mu_curve(iterate.loop, self.blocks, self.search).peak)
-        self.problem.follow(best)
-        self._keep(best, "start")
-
     def _prefer(self, other: Iterate, found: Iterate) -> None:
         """Go on from the other start where its mu is clearly smaller."""
         before = self._followed(found)
@@ -328,7 +299,6 @@ class _Search:
             before = self.best.level
             scalings = self._fitted(self.curve, FIT_LOSS, self.problem.budget)
             refitted = self.problem.proved(now.K, scalings, now.level)
-            refitted = refitted and replace(refitted, p=now.p)
             if refitted is not None and refitted.level < before:
                 self._keep(refitted, "D-K", self.curve.peak)
             self.problem.regularise(refitted or now, ROUGH)
@@ -493,7 +463,6 @@ class _Search:
             start_mu=start_mu,
             lower_bound=floor.bound,
             why=why,
-            parameters=self.problem.values(chosen) if isinstance(self.problem, StructuredProblem) else {},
         )
 
     def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...], peak: float) -> MuCurve:

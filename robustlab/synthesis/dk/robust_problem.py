@@ -13,15 +13,14 @@ small disturbance d on the controls asks for feedback:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.certificate import level as certificate_level
@@ -31,17 +30,11 @@ from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, plant_at_le
 from robustlab.synthesis.dk.riccati_level import LevelSearch
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.search import Search, soften
-from robustlab.synthesis.laws.controller_laws import Law, model_of
-from robustlab.synthesis.laws.controller_structures import as_structure
-from robustlab.synthesis.nonsmooth.constants import BARRIER_KNOWN
-from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.parameter_search import central_path, multi_start, polished
 from robustlab.synthesis.problem.independent_check import AGREEMENT, hinf_voice, separate_responses
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
-from robustlab.synthesis.problem.scaling import common_scaling, equilibrated, paths_first
+from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 
-STRUCTURED_ENDS = 3  # ends of the search for a controller of given structure whose mu is looked at
 # A central controller at the smallest level itself is ill-conditioned: the level is backed off by these shares
 # until the proof agrees. The last ones are for plants of such spread that digits are lost in the controller.
 BACKOFF = (1e-4, 1e-3, 1e-2, 5e-2, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0)
@@ -101,7 +94,6 @@ class Iterate:
     loop: StateSpaceModel  # the closed loop rebuilt with it, mapped to continuous time where the plant is discrete
     scalings: DynamicScalings  # D, G whose scaled loop proves `level`
     level: float  # mu of the loop is at most this, at all frequencies
-    p: AnyArray | None = None  # parameters of a controller of given structure
 
     @property
     def pace(self) -> float:
@@ -312,94 +304,3 @@ class RobustProblem:
 def _mapped(model: StateSpaceModel) -> StateSpaceModel:
     """In continuous time."""
     return bilinear_to_continuous(model) if model.is_discrete else model
-
-
-# --- a controller of given structure ---------------------------------------------------------------------------------
-
-
-class StructuredProblem(RobustProblem):
-    """See `RobustProblem`; an `Iterate` has the parameters of its controller, too.
-
-    ``plant``, ``budget``: as there.
-    ``structure``: as for `robustlab.fixed_structure`.
-    ``starts``, ``seed``: random starts of the first search, for D = I.
-    """
-
-    def __init__(
-        self,
-        plant: GeneralizedPlant,
-        structure: Any,
-        starts: int,
-        seed: int,
-        budget: Budget,
-    ) -> None:
-        super().__init__(plant, budget)
-        rate = common_scaling([plant])[0].rate
-        self.law: Law = as_structure(structure, rate).law(plant.measurements, plant.controls, plant.model.dt)
-        self.starts, self.seed = starts, seed
-        self._last: AnyArray = np.array([q.start for q in self.law.parameters], dtype=float)
-
-    def values(self, iterate: Iterate) -> dict[str, float]:
-        """The parameters of an iterate by name."""
-        assert iterate.p is not None
-        return {q.name: float(x) for q, x in zip(self.law.parameters, iterate.p, strict=True)}
-
-    def first(self, given: Mapping[str, float] | None, scalings: DynamicScalings) -> list[Iterate]:
-        """The best ends of a search from many starts for the plant without scalings, or what the given values make."""
-        if given is not None:
-            found = [self._given(given)]
-        else:
-            problem = DesignProblem([self.plant], self.law, "hinf", (), self.budget)
-            ends = multi_start(problem, [], self.starts, self.seed, lambda _: None)
-            found = [end.p for end in ends if np.isfinite(end.gamma)][:STRUCTURED_ENDS]
-        proved = [self._proved(p, scalings, 1.0) for p in found]
-        return [iterate for iterate in proved if iterate is not None]
-
-    def follow(self, iterate: Iterate) -> None:
-        """Go on from this one."""
-        assert iterate.p is not None
-        self._last = iterate.p
-
-    def solve(self, scalings: DynamicScalings, start: float) -> Iterate | None:
-        """Descent of the scaled loop's norm from the parameters followed; those themselves where nothing is better."""
-        scaled = self._scaled(scalings, 1.0)
-        if self.plant.model.is_discrete:
-            model = bilinear_to_discrete(scaled.model, self.plant.model.dt)
-            scaled = GeneralizedPlant(model, scaled.n_meas, scaled.n_con)
-        problem = DesignProblem([scaled], self.law, "hinf", (), self.budget)
-        v = problem.variables(self._last)
-        if np.isfinite(problem.norm(v)[0]):
-            v, _ = central_path(problem, v, BARRIER_KNOWN)
-            p, _ = polished(problem, problem.parameters(v)[0])
-            found = self._proved(p, scalings, start)
-            if found is not None:
-                self._last = p
-                return found
-        return self._proved(self._last, scalings, start)
-
-    def softened(self, iterate: Iterate, limit: float) -> Iterate:
-        """The iterate itself: its structure says how fast it may be."""
-        return iterate
-
-    def regularise(self, iterate: Iterate, share: float) -> None:
-        """Nothing: a descent needs no regular plant."""
-
-    def _proved(self, p: AnyArray, scalings: DynamicScalings, guess: float) -> Iterate | None:
-        try:
-            K = model_of(self.law, p, self.plant.model.dt)
-        except (InputError, NoTrustworthyNumber):  # entries overflow
-            return None
-        found = self.proved(K, scalings, guess)
-        if found is None:
-            return None
-        return replace(found, p=p)
-
-    def _given(self, values: Mapping[str, float]) -> AnyArray:
-        names = [q.name for q in self.law.parameters]
-        p = self._last.copy()
-        for name, value in values.items():
-            if name not in names:
-                where, known = f"synth dk: K0: parameter {name!r}", ", ".join(names[:20])
-                raise InputError(where, "no such parameter", f"one of {known}", did_you_mean(name, names))
-            p[names.index(name)] = float(value)
-        return p

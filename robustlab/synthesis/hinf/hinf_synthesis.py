@@ -1,8 +1,7 @@
 """H-infinity synthesis: the controller of smallest verified closed-loop norm, or a sane one close to it.
 
-Two Riccati equations come first; projection LMIs where they give nothing; a nonsmooth search where both fail or what
-was found is poor, because it needs no equation to be solvable, only loops to be evaluated. Whatever finds a controller
-adds it to the candidates of one search, which are verified and softened alike.
+Two Riccati equations on the plant in two scalings give the candidates of one search, which are verified and softened.
+LMIs and a nonsmooth search behind them decided none of 55 COMPleib plants.
 """
 
 from __future__ import annotations
@@ -15,26 +14,19 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
+from robustlab.budget import NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.constants import WORK
-from robustlab.synthesis.hinf.lmi_synthesis import lmi_controllers
-from robustlab.synthesis.hinf.search import Candidate, Portfolio, Search, portfolio, soften
-from robustlab.synthesis.laws.controller_laws import model_of
-from robustlab.synthesis.laws.controller_structures import FixedOrder
-from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.parameter_search import descend, multi_start
+from robustlab.synthesis.hinf.search import Candidate, Portfolio, portfolio, soften
 from robustlab.synthesis.problem.assumptions import broken_assumptions, require_stabilisable
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.gamma_bounds import GammaBound, pointwise_bound
 from robustlab.synthesis.problem.independent_check import SecondVoice, hinf_voice
 from robustlab.synthesis.problem.partition import (
     GeneralizedPlant,
-    PlantMatrices,
-    Realisation,
     as_generalized_plant,
     require_performance,
 )
@@ -54,17 +46,6 @@ DRIFT = 1e-5
 CREDIBLE = 0.05
 # How much more a certified norm may be than a credible one. Larger: worse gammas for the sake of certificates.
 CERTIFICATE_WORTH = 2.0
-# A gamma this far above the estimated optimum (or proved bound) is worth a descent. Smaller: more descents.
-POOR = 1.02
-# Scaled gains below it mean an infimum of zero, where ratios mean nothing.
-NEAR_ZERO = 1e-4
-# Share of the work left for a descent, and most of it: beyond that they creep.
-DESCENT_SHARE = 0.25
-DESCENT_WORK = 15 * MILLION
-# Weights of its barrier: larger ones than for a controller that is known to be good look further around.
-DESCENT_BARRIER = (3.0, 1.0, 0.3, 0.1, 0.03)
-# Random starts for each order where nothing stabilises yet.
-STABILISING_STARTS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,14 +261,16 @@ class _Task:
         lower = pointwise_bound(matrices, scalings, plant.model.dt)
         verifier = Verifier(plant, continuous.D22, budget)
         found = portfolio(matrices, scalings, budget, lower.value, continuous.D22)
-        best, by = self._best_of_all_methods(matrices, found, verifier, lower.value)
+        best = verifier.smallest(found.candidates)
         if best is None:
             raise NoTrustworthyNumber(
                 f"synth {self.method}",
-                f"no controller could be verified{_ended(budget)} ({len(found.candidates)} were found; {by})",
+                f"no controller could be verified{_ended(budget)} ({len(found.candidates)} were found by two Riccati "
+                "equations in two scalings)",
                 hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
                 more=broken_assumptions(scaled, plant, rate),
             )
+        self.say(f"two Riccati equations: gamma {best.gamma:.6g}")
         if not best.certified:  # so fast a controller that digits are lost: a little more gamma buys a calmer one
             soften(found.leader, best.candidate, (0.2 + 0.8 * calmer) * best.gamma)
             best = verifier.accurate(found.candidates, best, calmer)
@@ -300,58 +283,19 @@ class _Task:
             chosen = verifier.within(found.candidates, best, self.gamma_rel, self.bandwidth)
         if chosen.gamma < best.gamma:  # on the way to a softer one a smaller one was found
             best = chosen
-        return self._finished(chosen, best, by, found, lower, broken_assumptions(scaled, plant, rate))
-
-    def _best_of_all_methods(
-        self, matrices: PlantMatrices, found: Portfolio, verifier: Verifier, lower: float
-    ) -> tuple[Verified | None, str]:
-        """The best verified controller, by Riccati equations, then LMIs, then nonsmooth search; and what gave it."""
-        best, by = verifier.smallest(found.candidates), "two Riccati equations"
-        self._say_of("two Riccati equations", best)
-        optimum, disagree = found.estimated_optimum(), found.disagree
-        if best is None:
-            note = self._by_lmi(matrices, found.leader)
-            best, by = verifier.smallest(found.candidates), f"two Riccati equations gave none; {note}"
-            optimum = disagree = float("nan")
-            self._say_of(note, best)
-        if best is None:
-            note = stabilise(matrices, found.leader, self.budget, self.say)
-            found.leader.polish(found.leader.best)
-            best, by = verifier.smallest(found.candidates), f"{by}; {note}"
-            self._say_of(note, best)
-        scale = found.leader.scaling.gain
-        if best is None or not is_poor(best.gamma, optimum, lower, disagree, scale):
-            return best, by
-        descended = descend_from(matrices, found.leader, best.candidate, self.budget)
-        again = None if descended is None else verifier.smallest(found.candidates)
-        if again is not None and again.certified >= best.certified and again.gamma < best.gamma:
-            best, by = again, f"{by}; nonsmooth descent"
-        self._say_of("nonsmooth descent", best)
-        return best, by
-
-    def _say_of(self, stage: str, best: Verified | None) -> None:
-        self.say(f"{stage}: none verified yet" if best is None else f"{stage}: gamma {best.gamma:.6g}")
-
-    def _by_lmi(self, matrices: PlantMatrices, search: Search) -> str:
-        """Add the controllers of the projection LMIs to the search, and refine the best of them; how it went."""
-        controllers, note = lmi_controllers(matrices, search.scaling, self.budget)
-        for K in controllers:
-            search.adopt(K)
-        search.polish(search.best)
-        return note
+        return self._finished(chosen, best, found, lower, broken_assumptions(scaled, plant, rate))
 
     def _finished(
         self,
         chosen: Verified,
         best: Verified,
-        by: str,
         found: Portfolio,
         lower: GammaBound,
         assumptions: tuple[str, ...],
     ) -> HinfSynthesis:
         status = Status.CERTIFIED if chosen.certified else Status.INACCURATE
         text = "loop rebuilt from K is stable, its norm was verified, and P(jw), K(jw) on their own give the same"
-        parts = [text if status.trustworthy else chosen.doubt, f"by {by}"]
+        parts = [text if status.trustworthy else chosen.doubt, "by two Riccati equations"]
         if chosen is not best:
             allowed = f"allowed {self.gamma_rel - 1:.0%} above the smallest gamma {best.gamma:.6g}"
             parts.append(f"the softest controller within the {allowed}")
@@ -379,68 +323,3 @@ class _Task:
 def _ended(budget: Budget) -> str:
     """Words for an error about what ended the search, where that was the budget."""
     return f": {NOT_REPEATABLE}" if budget.struck else " within the work budget" if budget.over else ""
-
-
-# --- nonsmooth search -------------------------------------------------------------------------------------------------
-
-
-def is_poor(
-    gamma: float,
-    optimum: float,
-    lower: float,
-    disagree: float,
-    scale: float = 1.0,
-) -> bool:
-    """Whether a verified gamma is so far above what is possible that a descent is worth its time.
-
-    ``gamma``: the smallest verified one.
-    ``optimum``: estimated optimum; NaN where unknown.
-    ``lower``: proved lower bound, often far below the optimum.
-    ``disagree``: relative difference of what two scalings reached; NaN where one of them gave none.
-    ``scale``: factor from gamma to the gain of the plant scaled to order one.
-    """
-    if gamma <= POOR * lower or gamma * scale <= NEAR_ZERO:
-        return False
-    return gamma > POOR * optimum if np.isfinite(optimum) else not disagree <= POOR - 1
-
-
-def descend_from(p: PlantMatrices, search: Search, start: Candidate, budget: Budget) -> Candidate | None:
-    """The candidate that nonsmooth descent reaches from one of the search; None where it reaches nothing better.
-
-    The search adopts it, so that it is verified and softened like every other.
-    """
-    if budget.over:
-        return None
-    part = budget.share(min(DESCENT_SHARE, DESCENT_WORK / budget.left))
-    K0 = StateSpaceModel(*start.K)
-    try:
-        K = descend(p.plant(), K0, part, DESCENT_BARRIER)
-    except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow on the way
-        return None
-    if K is K0:
-        return None
-    found = search.adopt(Realisation.of(K))
-    return found if found is not None and found.gamma < start.gamma else None
-
-
-def stabilise(p: PlantMatrices, search: Search, budget: Budget, say: Callable[[str], None]) -> str:
-    """Add controllers found by minimising the loop's spectral abscissa, then its norm; how it went in words.
-
-    Static gains first, then 2 states, then as many as the plant has: low orders are quick, and often enough.
-    """
-    plant = p.plant()
-    n, starts = p.sizes[0], STABILISING_STARTS
-    for order in sorted({0, min(2, n), n}):
-        if budget.over:
-            return "no work was left for a nonsmooth search"
-        part = budget.share(0.5)
-        try:
-            law = FixedOrder(order).law(plant.measurements, plant.controls, 0.0)
-            found = multi_start(DesignProblem([plant], law, "hinf", (), part), [], starts, 0, say)
-        except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
-            continue
-        for start in (s for s in found if np.isfinite(s.gamma)):
-            K = model_of(law, start.p, 0.0, plant.measurements, plant.controls)
-            if search.adopt(Realisation.of(K)) is not None:
-                return f"a nonsmooth search over controllers with {order} states"
-    return "a nonsmooth search stabilised it with no order either"

@@ -1,4 +1,4 @@
-r"""H-infinity synthesis by linear matrix inequalities: the fallback behind the Riccati equations.
+r"""H-infinity synthesis by linear matrix inequalities, for scheduled plants.
 
 A controller of full order with closed-loop norm below gamma exists iff there are symmetric R and S with
 
@@ -18,23 +18,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.budget import NOT_REPEATABLE, Budget
+from robustlab.budget import Budget
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
-from robustlab.synthesis.problem.scaling import Scaling
 from robustlab.synthesis.problem.semidefinite import Inequalities, equal_rows, symmetric_basis
 
-# The programs have n (n + 1) unknowns: beyond this many states they outlast any patience.
-LMI_STATES = 30
 # Steps of the solver: three times what it ever needed.
 LMI_STEPS = 200
-# Back-offs from the optimum, and couplings t of [R tI; tI S] >= 0. Larger: better conditioned, worse gamma.
-LMI_BACKOFFS = (0.002, 0.02, 0.1)
-LMI_COUPLINGS = (1.5, 1.05)
 # Largest eigenvalue of R and S in the coordinates of the solver: without it many optima are not attained.
 LMI_BOUND = 1e5
 
@@ -56,87 +49,6 @@ class LmiOutcome:
 
     usable: bool
     text: str
-
-
-def solve_conic(
-    problem: Any,
-    budget: Budget,
-    work: float = 0.0,
-) -> LmiOutcome:
-    """Solve a cvxpy problem with Clarabel, counted as ``work``, and map every way in which it can end.
-
-    Clarabel is Rust: where it panics, a ``PanicException`` comes up that is no ``Exception``.
-    """
-    import warnings
-
-    import cvxpy as cp
-
-    if budget.over:
-        return LmiOutcome(False, "no work was left for the LMI")
-    budget.spend(work)
-    # Its iterations end it; the clock is a guard that the user may have set.
-    limits: dict[str, Any] = {"max_iter": LMI_STEPS}
-    if np.isfinite(budget.seconds_left):
-        limits["time_limit"] = max(budget.seconds_left, 1e-3)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "optimal_inaccurate" is a warning there and a status here
-            problem.solve(solver=cp.CLARABEL, **limits)
-    except cp.SolverError as error:
-        return LmiOutcome(False, f"the LMI solver gave up ({str(error).splitlines()[0][:120]})")
-    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-        return LmiOutcome(False, f"the LMI could not be posed ({error})")
-    except BaseException as error:
-        if type(error).__name__ != "PanicException":
-            raise
-        return LmiOutcome(False, f"the LMI solver panicked ({str(error)[:120]})")
-    late = problem.status == cp.USER_LIMIT and budget.over and budget.struck
-    limit = NOT_REPEATABLE if late else f"the LMI solver had no answer in {LMI_STEPS} steps"
-    known = {
-        cp.OPTIMAL: (True, "solved"),
-        cp.OPTIMAL_INACCURATE: (True, "solved, not to full accuracy"),
-        cp.USER_LIMIT: (False, limit),
-        cp.INFEASIBLE: (False, "the LMI solver says infeasible"),
-        cp.INFEASIBLE_INACCURATE: (False, "the LMI solver says infeasible, not to full accuracy"),
-        cp.UNBOUNDED: (False, "the LMI solver says unbounded"),
-        cp.UNBOUNDED_INACCURATE: (False, "the LMI solver says unbounded, not to full accuracy"),
-    }
-    return LmiOutcome(*known.get(problem.status, (False, f"the LMI solver ended with {problem.status!r}")))
-
-
-def lmi_controllers(
-    p: PlantMatrices,
-    scaling: Scaling,
-    budget: Budget,
-) -> tuple[list[Realisation], str]:
-    """Controllers from the projection LMIs, unverified, in the units of the plant; and how it went in words.
-
-    ``p``: continuous plant without D22.
-    ``scaling``: scaling in which the LMIs are solved.
-    ``budget``: every solve is counted there, and none is begun once it is over.
-    """
-    n = p.sizes[0]
-    if not n:  # matrices without rows are no variables of an LMI
-        return [], "the LMI was not tried: no states"
-    if n > LMI_STATES:
-        return [], f"the LMI was not tried: {n} states, at most {LMI_STATES}"
-    scaled = scaling.apply(p)
-    gamma, _, outcome = projection([scaled], None, 1.0, budget)
-    if gamma is None:
-        return [], outcome.text
-    found: list[Realisation] = []
-    for backoff in LMI_BACKOFFS:
-        for coupling in LMI_COUPLINGS:
-            level = gamma * (1 + backoff) + 1e-9
-            _, outer, outcome = projection([scaled], level, coupling, budget)
-            X = None if outer is None else shared(outer.R, outer.S)
-            if X is None:
-                continue
-            K = reconstructed(scaled, X, level * (1 + 0.5 * backoff), budget)
-            if K is not None:
-                found.append(scaling.controller_to_plant(K))
-                break
-    return found, f"LMI optimum {gamma / scaling.gain:.6g} ({outcome.text}), {len(found)} controllers from it"
 
 
 def projection(

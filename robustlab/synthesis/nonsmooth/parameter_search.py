@@ -293,7 +293,6 @@ def descend(
     plant: GeneralizedPlant,
     K0: StateSpaceModel,
     budget: Budget,
-    weights: tuple[float, ...] | None = None,
 ) -> StateSpaceModel:
     """A controller of the order of K0 with a norm that is at most K0's, by descent from K0.
 
@@ -303,8 +302,6 @@ def descend(
     ``plant``: the generalised plant.
     ``K0``: a stabilising controller, ``u = K y`` with positive feedback.
     ``budget``: evaluations are counted there; once it is over the descent ends.
-    ``weights``: weights of the barrier, largest first: larger ones look further around. Left out: K0 is near its
-    optimum.
     Returns: K0 itself where nothing better was found or K0 does not stabilise. Nothing here is verified: the caller
     does.
     """
@@ -317,7 +314,7 @@ def descend(
     before = problem.norm(v)[0]
     if not np.isfinite(before) or budget.over:
         return K0
-    v, _ = central_path(problem, v, BARRIER_KNOWN if weights is None else weights)
+    v, _ = central_path(problem, v, BARRIER_KNOWN)
     q, after = polished(problem, problem.parameters(v)[0])
     if not after < before:
         return K0
