@@ -1,4 +1,4 @@
-"""Kinds of values of designs: channels by number or by name, weights, goals."""
+"""Kinds of values of designs: channels by number or by name, weights."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from robustlab.doors.kinds import Given, Kind
+from robustlab.doors.kinds import Kind
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.units import amount
 
@@ -94,57 +94,3 @@ class Weight(Kind):
     def of_field(self, given: Any) -> Any:
         """The same."""
         return given if given is None or isinstance(given, float) else self._made(given.model_dump())
-
-
-@dataclass(frozen=True)
-class Goals(Kind):
-    """Goals of a tuned loop: ``tracking:response_time=1,peak=2``, repeatable; a list of tables in a recipe.
-
-    ``hard``: whether those of a command must be met.
-    """
-
-    hard: bool = False
-
-    def annotation(self) -> Any:
-        """A repeatable option."""
-        return list[str]
-
-    @property
-    def metavar(self) -> str | None:
-        """A word of its own."""
-        return "GOAL"
-
-    def read(self, option: str, given: Given) -> Any:
-        """The goals; ``outputs=a+b`` are names."""
-        from robustlab.synthesis.fixed.goal_tuning import goal_in_words
-
-        found = []
-        for text in given or []:
-            word, _, rest = text.partition(":")
-            options: dict[str, Any] = {}
-            for part in [p for p in rest.split(",") if p.strip()]:
-                key, equals, value = part.partition("=")
-                if not equals:
-                    raise UsageError(f"goal {text!r}", repr(part), "key=value")
-                try:
-                    options[key.strip()] = float(value)
-                except ValueError:
-                    listed = word == "tracking" and key.strip() == "outputs"
-                    options[key.strip()] = value.split("+") if listed else value.strip()
-            found.append(goal_in_words(word.strip(), options, self.hard))
-        return found or None
-
-    def field(self) -> Any:
-        """A list of tables."""
-        from pydantic import Field
-
-        from robustlab.doors.vocabulary import GoalWords
-
-        return Annotated[list[GoalWords], Field(min_length=1, max_length=50)]
-
-    def of_field(self, given: Any) -> Any:
-        """The goals."""
-        from robustlab.synthesis.fixed.goal_tuning import goal_in_words
-
-        words = [(g, g.model_dump(exclude={"goal", "hard"}, exclude_none=True)) for g in given or []]
-        return [goal_in_words(g.goal, options, g.hard) for g, options in words] or None

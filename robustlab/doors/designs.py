@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.design_kinds import ByNumber, Goals, Weight
-from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Table, Thing, Whole
+from robustlab.doors.design_kinds import ByNumber, Weight
+from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Thing, Whole
 from robustlab.doors.words import Design, Model, Search, Seed, Signals
 from robustlab.errors import InputError, UsageError
 
@@ -349,53 +349,3 @@ def ncf(
     if reference_model is not None:
         options |= {"reference_model": reference_model, "rho": rho, "outputs": follow}
     return rl.ncf(signals.of(system), w1, w2, **options)
-
-
-@dataclass(frozen=True)
-class Asked:
-    """Goals: those that are made small, and those that must be met."""
-
-    goals: Annotated[
-        Any,
-        Goals(),
-        'Made small: "tracking:response_time=1,error=0.01", "gain:bound=20,inputs=noise".',
-        Named(option="--goal", in_step=...),
-    ] = None
-    hard: Annotated[Any, Goals(hard=True), 'Must be met: "margin:disk=0.8,at=input".', Named(only="command")] = None
-
-
-@dataclass(frozen=True)
-class PoleLimits:
-    """Where the poles of the loop must lie."""
-
-    pole_limit: Annotated[
-        dict[str, float] | None,
-        Table(Number(above=0)),
-        "Always kept by the loop's poles: damping=0.5, decay=1 (1/s), bandwidth=100 (rad/s).",
-    ] = None
-    damping: Annotated[
-        float | None, Number(above=0, most=1), "Least damping of the loop's poles.", Named(only="step")
-    ] = None
-    decay: Annotated[
-        float | None, Number(above=0), "Least decay rate of the loop's poles, in 1/s.", Named(only="step")
-    ] = None
-    bandwidth: Annotated[
-        float | None, Number(above=0), "Largest modulus of the loop's poles, in rad/s.", Named(only="step")
-    ] = None
-
-    @property
-    def limits(self) -> list[Any]:
-        """As the function takes them. Raises UsageError: no such limit."""
-        from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay
-
-        known: dict[str, Any] = {"damping": Damping, "decay": Decay, "bandwidth": Bandwidth}
-        given = {**{name: getattr(self, name) for name in known}, **(self.pole_limit or {})}
-        unknown = [name for name in given if name not in known]
-        if unknown:
-            raise UsageError("--pole-limit", repr(unknown[0]), f"one of {', '.join(known)}, each =NUMBER")
-        return [known[name](value) for name, value in given.items() if value is not None]
-
-
-NOTHING_ASKED, FREE_POLES = Asked(), PoleLimits()
-
-

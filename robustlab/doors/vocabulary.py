@@ -154,21 +154,3 @@ class ReferenceLine(Strict):
     output: str
     value: float
     text: Text
-
-
-class GoalWords(Strict):
-    """A goal of a loop; which numbers it takes depends on its word."""
-
-    goal: Literal["tracking", "sensitivity", "gain", "rejection", "variance", "margin"]
-    hard: bool = Field(False, description="Must be met before the others are made small.")
-    response_time: Positive | None = Field(None, description="tracking, in s")
-    error: Positive | None = Field(None, description="tracking, sensitivity: at low frequency")
-    peak: Positive | None = Field(None, description="tracking, sensitivity")
-    bandwidth: Positive | None = Field(None, description="sensitivity, in rad/s")
-    bound: Positive | None = Field(None, description="gain, rejection, variance")
-    disk: Positive | None = Field(None, description="margin")
-    at: Literal["input", "output"] | None = Field(None, description="sensitivity, margin")
-    inputs: Literal["reference", "disturbance", "noise"] | None = Field(None, description="gain, variance")
-    outputs: Literal["output", "control", "total", "error"] | list[str] | None = Field(
-        None, description="gain, variance; names of outputs for tracking"
-    )

@@ -59,9 +59,9 @@ def designs():
 
 
 def rl_goal():
-    from robustlab.synthesis.fixed.goal_tuning import goal_in_words
+    from robustlab.synthesis import TrackingGoal
 
-    return goal_in_words("tracking", {"response_time": 2.0})
+    return TrackingGoal(2.0)
 
 
 def lag(time):

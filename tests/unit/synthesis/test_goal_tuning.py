@@ -17,7 +17,6 @@ from robustlab.synthesis import (
     TrackingGoal,
     VarianceGoal,
 )
-from robustlab.synthesis.fixed.goal_tuning import goal_in_words
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
 SERVO = rl.StateSpaceModel(
@@ -131,14 +130,3 @@ def test_plants_that_do_not_fit_and_a_structure_that_cannot() -> None:
     double = rl.StateSpaceModel([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]])
     with pytest.raises(NoTrustworthyNumber, match="no start stabilised"):
         rl.tune(double, "p", [TrackingGoal(1.0)], starts=0)
-
-
-def test_goals_in_words() -> None:
-    assert goal_in_words("margin", {"disk": 0.8, "at": "input"}, True) == MarginGoal(0.8, "input", hard=True)
-    assert goal_in_words("rejection", {"bound": 0.1}) == GainGoal(0.1)
-    with pytest.raises(InputError, match="did you mean"):
-        goal_in_words("traking", {})
-    with pytest.raises(InputError, match="'bandwith': unknown"):
-        goal_in_words("sensitivity", {"bandwith": 1.0})
-    with pytest.raises(InputError, match="response_time"):
-        goal_in_words("tracking", {})
