@@ -1,4 +1,4 @@
-"""Kinds of values of designs: channels by number or by name, weights, goals."""
+"""Kinds of values of designs: channels by number or by name, weights."""
 
 from __future__ import annotations
 

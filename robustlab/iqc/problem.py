@@ -436,7 +436,7 @@ class Problem:
             kinds[t.block] = f"{kinds[t.block]}, {t.kind}" if t.block in kinds else t.kind
             # Popov's multiplier weighs a derivative.
             parts.append(x * (square * units.blocks[t.block] ** 2) / (units.rate if t.kind == POPOV else 1.0))
-        P = point.P * units.states[:, None] * units.states * (square / units.rate)
+        P = point.P * np.outer(units.states, units.states) * (square / units.rate)  # symmetric to the last bit
         return IqcProof(kinds, basis.pole, basis.order, inequality.n, slack, P, np.concatenate(parts))
 
     def _terms(

@@ -13,7 +13,7 @@ are, at last to 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -79,7 +79,7 @@ class Goal:
     @property
     def text(self) -> str:
         """The goal in words: its numbers by name."""
-        word = next(word for word, kind in GOALS.items() if isinstance(self, kind))
+        word = type(self).__name__.removesuffix("Goal").lower()
         told = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("hard", "weight")}
         said = [f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in told.items() if v is not None]
         return f"{word}: {', '.join(said)}"
@@ -184,26 +184,6 @@ class MarginGoal(Goal):
 
     def _asked(self) -> tuple[str, str, Any]:
         return *_cut(self.at), _positive("disk", self.disk)
-
-
-GOALS: Mapping[str, type[Goal]] = {
-    "tracking": TrackingGoal, "sensitivity": SensitivityGoal, "gain": GainGoal, "rejection": GainGoal,
-    "variance": VarianceGoal, "margin": MarginGoal,
-}  # fmt: skip
-
-
-def goal_in_words(word: str, options: Mapping[str, Any], hard: bool = False) -> Goal:
-    """A goal by its word and its numbers, as commands and recipes give it."""
-    if word not in GOALS:
-        raise InputError(f"goal {word!r}", "unknown", f"one of {', '.join(GOALS)}", did_you_mean(word, list(GOALS)))
-    known = {f.name: f for f in fields(GOALS[word]) if f.name not in ("hard", "weight")}
-    for name in options:
-        if name not in known:
-            where, hint = f"goal {word!r}: {name!r}", did_you_mean(name, tuple(known))
-            raise InputError(where, "unknown", f"one of {', '.join(known)}", hint)
-    if missing := [name for name, f in known.items() if f.default is MISSING and name not in options]:
-        raise InputError(f"goal {word!r}", f"{', '.join(missing)} missing", f"of {', '.join(known)}")
-    return GOALS[word](hard=hard, **options)
 
 
 def _positive(name: str, value: Any) -> float:

@@ -59,9 +59,8 @@ def designs():
 
 
 def rl_goal():
-    from robustlab.synthesis.fixed.design_goals import goal_in_words
 
-    return goal_in_words("tracking", {"response_time": 2.0})
+    return TrackingGoal(2.0)
 
 
 def lag(time):

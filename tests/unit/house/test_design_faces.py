@@ -35,10 +35,8 @@ LEFT = {
     "ncf": ["NcfSynthesis", "TwoDegreeSynthesis"],
     "dk": ["DKSynthesis"],
     "fixed": ["FixedSynthesis"],
-    "tune": ["TunedSynthesis"],
     "reduce-controller": ["ReducedController"],
     "reduce-model": ["ReducedModel"],
-    "lpv-hinf": ["LPVSynthesis"],
 }
 
 

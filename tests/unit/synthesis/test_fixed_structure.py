@@ -15,13 +15,9 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.fixed.structure_starts import informed_starts
-from robustlab.synthesis.laws.controller_laws import model_of
 from robustlab.synthesis.laws.controller_structures import PID, FixedOrder
 from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay, RollOff, StableController
-from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import descend
-from robustlab.synthesis.problem.partition import as_generalized_plant
 
 GAIN = "K[u2,y3]"
 
@@ -166,12 +162,6 @@ def test_the_time_limit_is_kept_and_said():
     assert len(design.starts) < 1000
 
 
-def test_progress_says_the_norm():
-    lines: list[str] = []
-    rl.fixed_structure(lag(1, 1), "static", n_meas=1, n_con=1, objective="h2", starts=0, progress=lines.append)
-    assert lines[0].startswith("start 1 of 1: norm 1.55")
-
-
 def test_the_result_is_readable_and_plain():
     design = rl.fixed_structure(noisy_lag(1, 1), "pi", n_meas=1, n_con=1, starts=0)
     rows = dict(design.facts())
@@ -200,28 +190,6 @@ def test_a_given_order_starts_from_the_static_gain_and_from_the_reduced_full_ord
     assert {s.kind for s in second.starts} == {"static", "reduced", "structure"}
     assert full.gamma * (1 - 1e-3) <= second.gamma
     assert second.gamma <= 0.95 * static.gamma
-
-
-def test_starts_of_a_given_order_are_stabilising_and_not_stationary():
-    for structure, kinds in (
-        (FixedOrder(2), ["static", "reduced"]),
-        (FixedOrder(2, strictly_proper=True), ["reduced"]),
-        (PID(tau=0.1), []),
-    ):
-        plant = as_generalized_plant(position_loop(), 2 if kinds else 1, 1, "test")
-        law = structure.law(plant.measurements, plant.controls, 0.0)
-        problem = DesignProblem([plant], law, "hinf", (), Budget(20 * MILLION))
-        found = informed_starts(problem, 0, lambda _: None)
-        assert [kind for kind, _ in found] == kinds
-        for kind, p in found:
-            K = model_of(law, p, 0.0, plant.measurements, plant.controls)
-            assert K.n_states == 2
-            assert plant.close(K).is_stable()
-            problem = DesignProblem([plant], law, "hinf", ())
-            slope = problem.norm(problem.variables(p))[1]
-            outputs = [q.name.startswith("C[") for q in law.parameters]
-            assert slope is not None
-            assert np.abs(slope[outputs]).max() > 1e-6, kind
 
 
 def test_no_time_at_all_is_said():

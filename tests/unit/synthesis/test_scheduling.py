@@ -103,15 +103,6 @@ def test_a_function_is_sampled_and_a_linearised_plant_keeps_its_states():
     assert 0 < model.deviation.max() < 1e-2 * np.abs(model.matrices).max()
 
 
-def test_a_refined_model_is_the_same_model():
-    model = rl.lpv_model(springs(), {"m": 3})
-    fine = model.refined({"m": 2, "k": 3})
-    assert fine.grid == (5, 4)
-    for at in np.random.default_rng(1).uniform(size=(20, 2)):
-        rho = [p.points[0] + s * (p.points[-1] - p.points[0]) for p, s in zip(model.parameters, at, strict=True)]
-        np.testing.assert_allclose(fine.matrix_at(np.array(rho)), model.matrix_at(np.array(rho)), atol=1e-14)
-
-
 def test_the_loop_between_the_points_is_within_what_is_proved():
     rng = np.random.default_rng(0)
 
@@ -156,13 +147,6 @@ def test_of_a_lag_that_jumps_the_gain_is_five_quarters():
         finite_gain(lags(), np.concatenate([np.full(n, 1.0), np.full(60 - n, 4.0)]), 0.1) for n in (10, 20, 30, 40, 50)
     )
     assert 1.1 < max(best, other) <= found.upper
-
-
-def test_slow_parameters_cost_nothing_and_fast_ones_as_much_as_jumps():
-    uppers = [rl.peak_gain(lags(rate).refined(8)).upper for rate in (0.0, 0.1, 10.0)]
-    assert uppers[0] == pytest.approx(1.0, abs=1e-3)
-    assert uppers == sorted(uppers)
-    assert uppers[-1] <= rl.peak_gain(lags()).upper
 
 
 def test_rate_bounded_trajectories_stay_below_the_bound():
@@ -223,16 +207,6 @@ def test_a_model_that_does_not_vary_has_its_hinf_norm():
     found = rl.peak_gain(rl.LPVModel({"a": [0, 1]}, [one, one]))
     assert found.upper == pytest.approx(rl.peak_gain(one).upper, rel=2e-4)
     assert found.upper >= rl.peak_gain(one).lower
-
-
-def test_frozen_members_between_the_points_of_a_rational_set_stay_below():
-    source, rng = springs(), np.random.default_rng(0)
-    found = rl.peak_gain(rl.lpv_model(source, {"m": 9}))
-    assert found.status is Status.CERTIFIED
-    assert "proved and allowed for" in found.scope
-    for _ in range(50):
-        delta = {b.name: rng.uniform(-1, 1) for b in source.blocks}
-        assert rl.peak_gain(source.evaluate(delta)).upper <= found.upper
 
 
 def test_what_was_only_sampled_is_not_called_certified():
