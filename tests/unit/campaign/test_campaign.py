@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from concurrent.futures import ThreadPoolExecutor
 
@@ -18,7 +17,6 @@ from robustlab.campaign.campaign_result import (
     SHARES,
     _upper_rank,
     exceedance_curve,
-    probability_bounds,
     quantiles,
     share_beyond,
 )
@@ -31,7 +29,7 @@ from robustlab.campaign.evaluation import (
     delta_width,
     encode_delta,
 )
-from robustlab.campaign.settings import Identity, code_identity, differences, model_from_bytes, model_to_bytes
+from robustlab.campaign.settings import Identity, model_to_bytes
 from robustlab.campaign.store import Store
 from robustlab.campaign.workers import Workers
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
@@ -92,13 +90,6 @@ def test_all_vertices_are_met_once_and_hold_the_worst_case(tmp_path, motor):
     store.close()
 
 
-def test_more_real_deltas_than_vertices_asked_for(motor):
-    evaluator = Evaluator(motor, settings_of(3, kind="vertices"))
-    signs = [tuple(evaluator.delta(i).values()) for i in range(3)]
-    assert all(abs(sign) == 1.0 for row in signs for sign in row)
-    assert signs == [tuple(evaluator.delta(i).values()) for i in range(3)]
-
-
 def test_searches_find_what_worst_case_finds(tmp_path, motor):
     asked = CampaignSettings("hinf", 2, kind="search", starts=2)
     store = filled(tmp_path / "s.sqlite", motor, asked)
@@ -142,8 +133,8 @@ def test_an_exception_in_a_stack_costs_only_its_own_sample(motor, monkeypatch):
 
 
 def test_more_than_one_percent_lost_stops(tmp_path, motor, monkeypatch):
-    monkeypatch.setattr(Evaluator, "_values", lambda _, deltas: np.array([d["R"] for d in deltas]) / 0.0 * 0.0)
-    with np.errstate(all="ignore"), pytest.raises(NoTrustworthyNumber, match="of 300 samples are lost") as caught:
+    monkeypatch.setattr(Evaluator, "_values", lambda _, deltas: np.full(len(deltas), np.nan))
+    with pytest.raises(NoTrustworthyNumber, match="of 300 samples are lost") as caught:
         filled(tmp_path / "s.sqlite", motor, settings_of(300))
     assert "campaign replay" in str(caught.value)
     assert "the metric is not a number" in str(caught.value)
@@ -171,46 +162,6 @@ def test_deltas_of_every_kind_survive(seed, index):
     back = decode_delta(blocks, numbers)
     assert (back["k"], back["c"]) == (delta["k"], delta["c"])
     np.testing.assert_array_equal(back["F"], delta["F"])
-
-
-def test_the_model_survives(motor):
-    back = model_from_bytes(model_to_bytes(motor), "x")
-    assert back.blocks == motor.blocks
-    np.testing.assert_array_equal(back.M.A, motor.M.A)
-    with pytest.raises(InputError, match="cannot be read"):
-        model_from_bytes(b"nonsense", "x")
-
-
-def test_identity_tells_what_changed(motor):
-    old = Identity.of(motor, settings_of(10))
-    assert Identity.from_json(json.loads(json.dumps(old.to_json()))) == old
-    assert old.hash == Identity.of(motor, settings_of(10)).hash
-    wider = rl.plant("dc-motor", Kf=(4.8e-5, 0.36), R=(2.07, 0.1)).uncertain(outputs=["omega"])
-    assert differences(old, Identity.of(wider, settings_of(10)))[0].startswith("the uncertain model: ")
-    assert differences(old, Identity.of(motor, settings_of(10, seed=3))) == ["settings.seed: 0 -> 3"]
-    newer = Identity(old.model, old.settings, {**code_identity(), "numpy": "9.9"})
-    assert differences(old, newer)[0].endswith("-> 9.9")
-
-
-def test_gaps_are_found(tmp_path, motor):
-    store = new_store(tmp_path / "s.sqlite", motor, settings_of(300))
-    assert store.missing(300) == [(0, 300)]
-    store.save(Rows(64, np.zeros(64), np.zeros((64, 2)), np.zeros(64)))
-    store.save(Rows(200, np.zeros(1), np.zeros((1, 2)), np.zeros(1)))
-    assert store.missing(300) == [(0, 64), (128, 200), (201, 300)]
-    assert store.missing(128) == [(0, 64)]
-    store.close()
-
-
-def test_a_transaction_that_fails_leaves_nothing(tmp_path, motor):
-    store = new_store(tmp_path / "s.sqlite", motor, settings_of(300))
-    store._db.execute(
-        "CREATE TRIGGER full BEFORE INSERT ON sample WHEN NEW.idx = 5 BEGIN SELECT RAISE(ABORT, 'no'); END"
-    )
-    with pytest.raises(InputError):
-        store.save(Rows(0, np.zeros(10), np.zeros((10, 2)), np.zeros(10)))
-    assert store.counts() == (0, 0)
-    store.close()
 
 
 @pytest.mark.parametrize(
@@ -258,13 +209,6 @@ def store_of(path, model, values, lost=0):
     return store
 
 
-def test_bounds_are_clopper_and_pearsons():
-    for k, n in ((0, 10), (3, 50), (50, 50)):
-        low, high = probability_bounds(k, n)
-        assert low == pytest.approx(beta.ppf(0.05, k, n - k + 1) if k else 0.0)
-        assert high == pytest.approx(beta.ppf(0.95, k + 1, n - k) if k < n else 1.0)
-
-
 def test_quantiles_are_order_statistics_with_binomial_bounds(tmp_path, motor):
     rng = np.random.default_rng(3)
     values = rng.standard_normal(2000)
@@ -307,19 +251,6 @@ def test_the_bound_of_a_quantile_holds_as_often_as_it_says():
     draws = np.sort(np.random.default_rng(0).random((2000, 200)), axis=1)
     held = (draws[:, _upper_rank(200, 0.9) - 1] >= 0.9).mean()
     assert 0.94 <= held <= 0.99  # at least 95 %, and not without end
-
-
-def test_the_curve_falls_from_one_to_the_worst(tmp_path, motor):
-    values = np.random.default_rng(1).standard_normal(5000)
-    store = store_of(tmp_path / "s.sqlite", motor, values)
-    at, share, upper = exceedance_curve(store, 1, 5000, 0)
-    assert (np.diff(at) >= 0).all()
-    assert (np.diff(share) <= 0).all()
-    assert (at[-1], share[-1]) == (values.max(), 0.0)
-    for value, part in zip(at[::20], share[::20], strict=True):
-        assert part == (values > value).mean()
-    assert (upper > share).all()
-    store.close()
 
 
 # --- from end to end, in real processes ----------------------------------------------------------------------------
@@ -369,17 +300,6 @@ def test_a_sample_is_replayed_with_the_same_bits(finished):
     assert replay.delta == result.delta
     with pytest.raises(InputError, match=r"no sample 300, expected 0 .. 299"):
         replay_sample(path, 300)
-
-
-def test_tiles_of_large_models_are_smaller(motor):
-    rng = np.random.default_rng(0)
-    n = 300
-    A = rng.standard_normal((n, n)) / 20 - 3 * np.eye(n)
-    M = rl.StateSpaceModel(A, rng.standard_normal((n, 2)), rng.standard_normal((2, n)), np.zeros((2, 2)))
-    large = rl.UncertainModel(M, [rl.RealScalar("k")])
-    assert Evaluator(motor, settings_of(10)).tile == TILE
-    assert 1 <= Evaluator(large, CampaignSettings("spectral-abscissa", 10)).tile < TILE / 4
-    assert Evaluator(motor, CampaignSettings("hinf", 10, kind="search")).tile == 1
 
 
 @pytest.mark.parametrize("metric", sorted(METRICS))
