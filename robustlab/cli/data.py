@@ -160,7 +160,7 @@ def _validated(found: Any, values: Mapping[str, Any], options: Mapping[str, Any]
         vertices: Any = "all" if len(model.blocks) <= 6 else 64
         peak = found.noise_bound if found.noise_norm == "peak" else {}
         beside = cover(model, values["record"], n=members, vertices=vertices, allowance=peak)
-        json, text = {"cover": beside.to_json(series=False)}, f"{text}\n{beside.summary()}"
+        json, text = {"cover": beside.to_json(series=False)}, f"{text}\n{beside.headline()}\n{beside.summary()}"
     if found.status.trustworthy and bound is not None and not found.upper <= bound:
         return Beyond(json, text, f"gamma is not shown to be at most {bound:g} (exit code 1)", EXIT_REQUIREMENT_NOT_MET)
     return Beyond(json, text)

@@ -128,5 +128,5 @@ def test_the_envelope_stands_beside_a_set_of_constants(call):
     code, out, _ = call(model, rl.Record(T, {"f": U}, {"q": q}), "--at-rest", bound="q=1e-3")
     assert code == 0
     assert "not invalidated at gamma" in out
-    assert "inside the envelope of 22 members" in out
+    assert "envelope of 22 members" in out
     assert "envelope" not in call(model, rl.Record(T, {"f": U}, {"q": q}), "--cover", "0", bound="q=1e-3")[1]

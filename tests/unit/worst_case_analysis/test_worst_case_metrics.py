@@ -63,7 +63,7 @@ def test_two_ways_and_the_gradient_agree(metric, dt, hold, seed):
     h = 1e-5
     steps = h * np.eye(3)
     central = judge.sense * (search._measure(theta + steps) - search._measure(theta - steps)) / (2 * h)
-    rounding = 100 * 100 * np.finfo(float).eps / h  # of differences of numbers of about 100, the final value in percent
+    rounding = 1e5 * np.finfo(float).eps / h  # of differences of numbers of about 100, the final value in percent
     np.testing.assert_allclose(slope, central, rtol=1e-4, atol=1e-4 * np.abs(slope).max() + rounding)
 
 
