@@ -29,6 +29,7 @@ from robustlab.campaign.evaluation import (
     delta_width,
     encode_delta,
 )
+from robustlab.campaign.settings import Identity, model_to_bytes
 from robustlab.campaign.store import Store
 from robustlab.campaign.workers import Workers
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
@@ -179,6 +180,21 @@ def test_settings_that_are_refused(change, error, text):
     with pytest.raises(error, match="campaign") as caught:
         CampaignSettings(**{"metric": "hinf", "n": 10, **change})
     assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("asked", "error", "text"),
+    [
+        (CampaignSettings("hinff", 10), UsageError, "did you mean hinf?"),
+        (settings_of(10, output="speed"), InputError, "no such signal"),
+        (settings_of(10, u={"v": 1.0}), InputError, "no such input"),
+    ],
+)
+def test_what_the_metric_refuses_is_said_before_any_worker_starts(motor, asked, error, text, tmp_path):
+    with pytest.raises(error) as caught:
+        runs.run_campaign(motor, asked, tmp_path / "s.sqlite")
+    assert text in str(caught.value)
+    assert not list(tmp_path.iterdir())
 
 
 # --- statistics ----------------------------------------------------------------------------------------------------

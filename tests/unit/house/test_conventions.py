@@ -59,6 +59,7 @@ def designs():
 
 
 def rl_goal():
+    from robustlab.synthesis.fixed.goal_tuning import TrackingGoal
 
     return TrackingGoal(2.0)
 
