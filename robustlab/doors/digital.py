@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import robustlab as rl
-from robustlab.doors.declaration import Named, door
+from robustlab.doors.declaration import InLoop, Named, door
 from robustlab.doors.designs import Channels, Controls, K, Measured, Of, Order, Plant
 from robustlab.doors.kinds import Choice, Number, Thing
 from robustlab.doors.words import Band, SampleTime, Search, Sign
@@ -187,6 +187,36 @@ def _foretold_loop(step: Any, ahead: Any) -> Any:
         return ahead[None]
     references = {f"{name}_ref": unit for name, unit in outputs.items()}
     return replace(ahead[None], inputs=references, outputs={**outputs, **inputs})
+
+
+@door("model discretise", result="statespace.StateSpaceModel", gives="model")
+def discretise_by_formula(
+    system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file.", Named(key="of")],
+    dt: SampleTime,
+    method: Annotated[
+        str,
+        Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
+        "The formula.",
+    ] = "tustin",
+    prewarp: Annotated[
+        float | None, Number("rad/s", above=0), "Of tustin-prewarp: frequency in rad/s where it is exact."
+    ] = None,
+) -> Any:
+    """A discrete model of a continuous one, by formula.
+
+    A model with exact delays at inputs and outputs takes zoh, which is exact.
+    What a loop loses by it is what "synth discretise" computes.
+
+    Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.synthesis.sampled.discretisation import merged_modes
+
+    late = isinstance(system, rl.DelayedModel)
+    model: Any = system if late else as_model(system, "model discretise")
+    given: Any = method
+    found = rl.discretise(model, dt, given, prewarp=prewarp)
+    return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if late else model, dt)))
 
 
 @door("", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",

@@ -151,6 +151,7 @@ class Ensemble:
         size = np.abs(poles).max(axis=1)
         return self.ill_posed | (size - 1.0 > margin if self.dt else poles.real.max(axis=1) > margin * size)
 
+
 def chunks(count: int, numbers_each: int) -> Iterator[slice]:
     """Slices of ``range(count)``, each of which needs about ``CHUNK`` numbers."""
     step = max(1, CHUNK // max(1, numbers_each))

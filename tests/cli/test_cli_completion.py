@@ -169,7 +169,6 @@ def test_choices_are_those_of_the_library():
     from robustlab.campaign.settings import CampaignSettings
     from robustlab.dynamics.extended.force_blocks import Dry
     from robustlab.identification.validation.sampled_problem import NoiseNorm
-    from robustlab.identification.validation.time_domain import DeltaKind
     from robustlab.mu_analysis.margins.cover import COVER_FORMS
     from robustlab.mu_analysis.margins.disk_margin import Place
     from robustlab.synthesis.problem.performance_measure import MeasureName
@@ -186,7 +185,6 @@ def test_choices_are_those_of_the_library():
         (("uncertain", "build"), "--form", COVERS),
         (("uncertain", "build"), "--dry", get_args(Dry)),
         (("data", "validate"), "--noise-norm", get_args(NoiseNorm)),
-        (("data", "validate"), "--delta", get_args(DeltaKind)),
         (("campaign", "run"), "--kind", kinds),
     ]:
         assert set(offered(*words)[option]) == set(known), (words, option)

@@ -29,6 +29,7 @@ NAMES = [d.function.__name__ for d in DOORS]
 ONE_DOOR: dict[str, str] = {
     "expressions": "a recipe loads the set that the command wrote",
     "cover": "the step takes a plant at several poses, and compares loops with references",
+    "discretise_by_formula": "the step resample",
     **dict.fromkeys(("steady_state", "close_loop"), "one line in Python; shipped recipes use the step"),
     "robustness_at": "`mu --frequency`, with or without --gain",
 }

@@ -293,5 +293,3 @@ def test_the_magnitudes_are_those_of_the_record():
 
 
 # --- records made ready ----------------------------------------------------------------------------------------------
-
-
