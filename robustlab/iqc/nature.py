@@ -191,11 +191,6 @@ def natures_in_words(given: Mapping[str, str], where: str, blocks: Sequence[str]
     A name that is none of the ``blocks`` and has a colon is (output, input). The words are those of `WORDS`; a law of
     slope [low, high] has that sector, too.
 
-    Raises
-    ------
-    InputError
-        An unknown word, other numbers than it takes.
-
     Examples
     --------
     >>> natures_in_words({"y:u": "sector:0:2"}, "iqc")

@@ -288,10 +288,7 @@ GOALS: Mapping[str, type[Goal]] = {
 
 
 def goal_in_words(word: str, options: Mapping[str, Any], hard: bool = False) -> Goal:
-    """A goal by its word and its numbers, as commands and recipes give it.
-
-    Raises InputError: an unknown word or option, or one that is missing.
-    """
+    """A goal by its word and its numbers, as commands and recipes give it."""
     if word not in GOALS:
         raise InputError(f"goal {word!r}", "unknown", f"one of {', '.join(GOALS)}", did_you_mean(word, list(GOALS)))
     kind = GOALS[word]

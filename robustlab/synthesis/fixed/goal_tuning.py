@@ -82,7 +82,6 @@ class GoalValue:
         return self.value <= 1
 
     def to_json(self) -> dict[str, Any]:
-        """All fields but ``plants`` and ``norm``."""
         told = {name: value for name, value in vars(self).items() if name not in ("plants", "norm")}
         return told | {"value": self.value, "met": self.met}
 
@@ -132,14 +131,12 @@ class TunedSynthesis(Tabular, Synthesis):
         return tuple(goal for goal in self.goals if goal.hard and not goal.met)
 
     def numbers(self) -> dict[str, Any]:
-        """Those of every design, and how many hard goals are missed."""
         return {**super().numbers(), "missed": len(self.missed)}
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (largest soft goal, verified)" if self.history else f"{self.gamma:.6g} (largest goal)"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         rows = super().facts()
         for goal in self.goals:
             word = ("hard" if goal.hard else "soft") + ("" if goal.met else ", missed" if goal.hard else ", above 1")
@@ -155,7 +152,6 @@ class TunedSynthesis(Tabular, Synthesis):
         return Table(("goal", [goal.text for goal in self.goals]), columns)
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plants, with arrays."""
         return super().to_json() | {
             "goals": [goal.to_json() for goal in self.goals],
             "missed": [goal.text for goal in self.missed],

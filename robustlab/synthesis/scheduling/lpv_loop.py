@@ -31,13 +31,7 @@ __all__ = ["closed_loop", "plant_matrices"]
 
 
 def plant_matrices(plant: LPVModel, n_meas: int, n_con: int, where: str) -> list[PlantMatrices]:
-    """The generalised plants at the points of the grid.
-
-    Raises
-    ------
-    InputError
-        More channels than the plant has, or a direct term from the controls to the measurements.
-    """
+    """The generalised plants at the points of the grid."""
     n, (n_z, n_w) = plant.n_states, _performance(plant, n_meas, n_con, where)
     m = plant.matrices.reshape(-1, *plant.matrices.shape[-2:])
     if m[:, n + n_z :, n + n_w :].any() or plant.deviation[..., n + n_z :, n + n_w :].any():
@@ -59,20 +53,7 @@ def _performance(plant: LPVModel, n_meas: int, n_con: int, where: str) -> tuple[
 
 
 def closed_loop(plant: LPVModel, K: LPVModel | StateSpaceModel, where: str = "closed_loop") -> LPVModel:
-    """The loop from w to z of ``u = K(rho) y``, on the grid of both.
-
-    Parameters
-    ----------
-    plant
-        Generalised LPV plant; its last inputs and outputs are K's outputs and inputs. No direct term from u to y.
-    K
-        Controller over the same parameters and ranges, or a constant one.
-
-    Raises
-    ------
-    InputError
-        Other parameters or sizes.
-    """
+    """The loop from w to z of ``u = K(rho) y``, on the grid of both."""
     if isinstance(K, StateSpaceModel):
         y, u = plant.outputs[len(plant.outputs) - K.n_inputs :], plant.inputs[len(plant.inputs) - K.n_outputs :]
         K = wired(K, y, u, where)
