@@ -11,10 +11,7 @@ from robustlab.errors import InputError
 def options_of(
     question: str, kind: str, given: Mapping[str, Any], names: Mapping[str, str], hint: str | None = None
 ) -> dict[str, Any]:
-    """What was given, under the names that the kind's own method has for it; None is what was left out.
-
-    Raises InputError: an option that this kind does not know.
-    """
+    """What was given, under the names that the kind's own method has for it; None is what was left out."""
     chosen = {name: value for name, value in given.items() if value is not None}
     for name, value in chosen.items():
         if name not in names:

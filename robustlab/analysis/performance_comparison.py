@@ -29,7 +29,6 @@ class Performance(NamedTuple):
         return f"Performance(mu at most {inverse(self.margin.lower):.4g}, order {self.order})"
 
     def numbers(self) -> dict[str, Any]:
-        """By name, for requirements."""
         found = {
             "order": self.order, "nominal_gain": self.nominal_gain, "mu_lower": inverse(self.margin.upper),
             "mu_upper": inverse(self.margin.lower), "frequency": self.margin.frequency,
@@ -77,16 +76,13 @@ class PerformanceComparison(Shown):
         return found
 
     def headline(self) -> str:
-        """How many controllers."""
         return f"robust performance under {len(self.controllers)} controllers, the same requirement for all"
 
     def facts(self) -> Facts:
-        """Who meets the requirement."""
         met = [name for name, one in self.controllers.items() if inverse(one.margin.lower) <= 1]
         return [("requirement met by every member, proved", ", ".join(met) or "by none of them")]
 
     def details(self) -> list[Part]:
-        """A row for each controller."""
         with_gain = any(one.gain is not None for one in self.controllers.values())
         header = ("controller", "order", "nominal gain", "μ, attained .. proved", *["worst-case gain"] * with_gain)
         rows = []
@@ -98,11 +94,9 @@ class PerformanceComparison(Shown):
         return [Part("", header, rows)]
 
     def numbers(self) -> dict[str, Any]:
-        """Every controller's."""
         return {"controllers": {name: one.numbers() for name, one in self.controllers.items()}}
 
     def to_json(self) -> dict[str, Any]:
-        """Numbers and status."""
         return {"status": self.status, **self.numbers()}
 
 
@@ -118,8 +112,6 @@ def compare_performance(
 
     ``loops``: controller -> the weighted loop under it, whose gain is to be at most 1, and the controller's order.
     ``points``: frequencies of the margins' curves. ``options``: ``effort``, ``time_limit``, ``seed`` of the proofs.
-
-    Raises InputError: a nominal loop is unstable.
     """
     found: dict[str, Performance] = {}
     for name, (loop, order) in loops.items():

@@ -383,16 +383,13 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         return as_delayed(star(self, k, k.n_inputs, k.n_outputs), "close")
 
     def to_json(self) -> dict[str, object]:
-        """H and delays as plain types."""
         return {"H": self.H, "delays": self.delays}
 
     def headline(self) -> str:
-        """Its size."""
         states = f"{self.H.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
         return f"model with {len(self.delays)} exact delays, {states}"
 
     def facts(self) -> Facts:
-        """Signals with units, states, delays."""
         return [
             ("time", "continuous"),
             ("inputs", with_units(self.inputs)),
@@ -416,10 +413,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
 
 
 def as_delayed(system: Any, where: str = "as_delayed") -> DelayedModel:
-    """A delayed model as it is; a model or a matrix as one without delays.
-
-    Raises InputError: none of these; an uncertain model, whose blocks and exact delays do not mix.
-    """
+    """A delayed model as it is; a model or a matrix as one without delays."""
     if isinstance(system, DelayedModel):
         return system
     if isinstance(system, UncertainModel) and system.blocks:

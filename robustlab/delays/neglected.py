@@ -92,26 +92,20 @@ class NeglectedWeight(Shown):
     quantities: ClassVar[Mapping[str, Any]] = StateSpaceModel.quantities
 
     def numbers(self) -> dict[str, Any]:
-        """Those of the weight."""
         return self.weight.numbers()
 
     def headline(self) -> str:
-        """What it covers."""
         return f"weight of the relative error of a model that leaves out {self.neglected}"
 
     def facts(self) -> Facts:
-        """What it covers, and why."""
         return [("leaves out", self.neglected), ("weight", repr(self.weight)), ("proof", self.proof)]
 
     def to_json(self) -> dict[str, object]:
-        """All fields."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
 def neglected_weight(delay: float | None = None, lag: float | None = None, order: int = 1) -> NeglectedWeight:
     """The weight for a delay or a lag up to a length in s; see `neglected_dynamics`.
-
-    Raises InputError: not just one of both.
 
     Examples
     --------

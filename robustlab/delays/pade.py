@@ -76,10 +76,7 @@ class PhaseBound(NamedTuple):
 
 @cache
 def phase_bound(order: int) -> PhaseBound:
-    r"""The bound :math:`\theta_n(x) \le c_n x^{2n+1}`, with its two conditions checked in whole numbers.
-
-    Raises NoTrustworthyNumber: a condition does not hold (it does for every order that was ever checked).
-    """
+    r"""The bound :math:`\theta_n(x) \le c_n x^{2n+1}`, with its two conditions checked in whole numbers."""
     p = _polynomial(order)
     mirrored = [c * (-1) ** i for i, c in enumerate(p)]
     derivative = [i * c for i, c in enumerate(p)][1:] or [0]
@@ -195,8 +192,6 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
     lies above the smaller of r x and g everywhere. Each cell after it uses that the error rises: with x at its
     beginning and E at its end :math:`a^{2k} (r^2 x^2 - E^2) + x^{2k} (g^2 - E^2) \ge 0`. Where the phase has reached
     :math:`\pi` the error is bounded by 2, and the left side goes on rising.
-
-    Raises InputError: a weight's order that is not between 1 and 2n + 1; with a spread, between 2 and that.
     """
     bound, s = phase_bound(order), spread
     if s and not order:  # no approximation: the error is that of the longest delay

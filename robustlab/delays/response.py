@@ -53,11 +53,7 @@ class Answer:
 def delayed_response(
     model: DelayedModel, t: Array, u: Array, x0: Array, hold: Literal["zoh", "foh"], rtol: float
 ) -> Answer:
-    """Response to samples u (n, n_u) at the times t, from the state x0 of H, with nothing in the delays.
-
-    Raises NoTrustworthyNumber: more cells are needed than can be afforded, or halving them does not bring the error
-    below ``rtol``.
-    """
+    """Response to samples u (n, n_u) at the times t, from the state x0 of H, with nothing in the delays."""
     inside = _inside(model)
     points = _mesh(model, t, inside)
     if not inside.any():

@@ -85,7 +85,6 @@ class Verified(Shown):
         return sum(c.boxes for c in self.claims)
 
     def headline(self) -> str:
-        """What became of them."""
         if self.refuted:
             return "REFUTED: a counterexample was proved"
         if self.proved:
@@ -93,7 +92,6 @@ class Verified(Shown):
         return "not proved"
 
     def facts(self) -> Facts:
-        """Each claim with what became of it, and what no claim speaks of."""
         return [
             *((c.outcome.value, _said(c)) for c in self.claims),
             ("not covered by a proof", ", ".join(self.not_covered)),
@@ -101,7 +99,6 @@ class Verified(Shown):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All fields."""
         rows = [
             {"claim": c.claim, "outcome": c.outcome.value, "bound": c.bound, "where": c.where, "boxes": c.boxes}
             for c in self.claims

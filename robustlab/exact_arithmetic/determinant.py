@@ -62,24 +62,7 @@ class _Whole(NamedTuple):
 
 
 def determinant(M: Array, n: int) -> Determinant:
-    r"""The determinant of ``M - s E`` with E the identity in its first n rows and columns, zero elsewhere.
-
-    Parameters
-    ----------
-    M
-        Finite real matrix, shape (k, k).
-    n
-        How many states there are, at most k.
-
-    Returns
-    -------
-    Determinant
-        Of degree n at most; without coefficients where it is zero at every s.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        Entries of so different sizes, and so many of them, that it takes too long.
+    """The determinant of ``M - s E`` with E the identity in its first n rows and columns, zero elsewhere.
 
     Examples
     --------

@@ -190,11 +190,6 @@ def roots(f: list[int]) -> list[Root]:
 
     ``f``: whole coefficients, the constant first, the last not zero.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        Different roots that thirty digits do not tell apart.
-
     Examples
     --------
     >>> [(root.value, root.multiplicity) for root in roots([0, 1, 2, 1])]  # s (s + 1)^2
@@ -363,10 +358,7 @@ def _newton(p: _Polynomial, z: _Points, i: int, bits: int) -> tuple[complex, int
 
 
 def _told_apart(p: _Polynomial, z: _Points) -> tuple[Mask, Mask]:
-    """Which roots are real, and which lie above: from discs with one root each.
-
-    Raises NoTrustworthyNumber: discs meet.
-    """
+    """Which roots are real, and which lie above: from discs with one root each."""
     apart, radius = np.abs(z.apart()), np.empty(p.n)
     for i in range(p.n):
         bits = 2 * BITS

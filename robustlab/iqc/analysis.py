@@ -128,11 +128,9 @@ class IqcStability(StabilityMargin):
         return self.lower
 
     def headline(self) -> str:
-        """Whether the set as given is proved stable."""
         return "proved stable for all blocks of their classes" if self.stable else "not proved stable"
 
     def facts(self) -> Facts:
-        """The margin and what it rests on."""
         return [
             ("stable as given", "proved" if self.stable else "not proved"),
             ("margin", f"{number(self.margin)} (proved)"),
@@ -142,7 +140,6 @@ class IqcStability(StabilityMargin):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
         kept = {name: value for name, value in vars(self).items() if name != "posed"}
         return {"type": "IqcStability", "stable": self.stable, "margin": self.margin, **kept}
 
@@ -175,9 +172,6 @@ def iqc_gain(
 
     Each block is described by integral quadratic constraints (`robustlab.iqc.multipliers`), a linear matrix inequality
     finds the multipliers of least gamma, and what is reported is proved in ball arithmetic.
-
-    Raises InputError: no such block or signal, a discrete model, a nature that does not fit the block, no performance
-    channel. Raises NoTrustworthyNumber: the model is unstable with all blocks at their middles.
     """
     problem, budget = posed("iqc_gain", model, nature, order, pole, time_limit, effort, (inputs, outputs))
     if not problem.n_w or not problem.n_z:

@@ -74,11 +74,9 @@ class EffectGain(PeakGain):
         return self.proved.claims()
 
     def numbers(self) -> dict[str, Any]:
-        """The bounds, and what is proved for constant gains."""
         return {**super().numbers(), "as_constants": self.as_constants.upper}
 
     def facts(self) -> Facts:
-        """The loop, and both gains."""
         return [("loop", self.loop), *super().facts()]
 
     def evidence(self) -> Facts:
@@ -99,11 +97,7 @@ def effect_gain(
     time_limit: float | None = None,
     effort: float = 1.0,
 ) -> EffectGain:
-    """`robustlab.peak_gain` of a plant with effects in a loop, from disturbances at its inputs to its outputs.
-
-    Raises InputError: no plant with effects; dry friction without a stick speed; an effect that needs an amplitude.
-    Raises NoTrustworthyNumber: the loop is unstable with all effects at the middles of their sectors.
-    """
+    """`robustlab.peak_gain` of a plant with effects in a loop, from disturbances at its inputs to its outputs."""
     if not isinstance(plant, ExtendedPlant):
         raise InputError("effect_gain", type(plant).__name__, "a linear plant with effects (rl.with_effects)")
     slow = dict(stick_speed or {})

@@ -194,13 +194,7 @@ def posed(
     where: str, model: Any, nature: Natures | None, order: int, pole: float | None, time_limit: float | None,
     effort: float, channel: tuple[Sequence[str] | None, Sequence[str] | None] = (None, None),
 ) -> tuple[Problem, Budget]:  # fmt: skip
-    """The problem of a public function's arguments, checked, and its budget; the channel: names of inputs, outputs.
-
-    Raises
-    ------
-    InputError, NoTrustworthyNumber
-        As `robustlab.iqc.iqc_gain`.
-    """
+    """The problem of a public function's arguments, checked, and its budget; the channel: names of inputs, outputs."""
     if isinstance(order, bool) or not isinstance(order, int) or not 0 <= order <= MOST_ORDER:
         raise InputError(f"{where}: order", f"{order!r}", f"a whole number from 0 to {MOST_ORDER}")
     if pole is not None:

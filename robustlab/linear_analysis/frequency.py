@@ -90,10 +90,7 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
 
 
 def solved_response(model: StateSpaceModel, omega: Array) -> ComplexArray:
-    """`frequency_response` of a model of ordinary entries at valid frequencies, which may be infinite.
-
-    Raises NoTrustworthyNumber: a frequency hits a pole exactly.
-    """
+    """`frequency_response` of a model of ordinary entries at valid frequencies, which may be infinite."""
     response = np.empty((len(omega), *model.D.shape), dtype=complex)
     response[:] = model.D
     where = np.flatnonzero(np.isfinite(omega))

@@ -126,17 +126,14 @@ class Zeros(Shown):
         return len(self)
 
     def headline(self) -> str:
-        """How many there are."""
         return f"{len(self)} finite invariant zero{'s' * (len(self) != 1)}"
 
     def details(self) -> list[Part]:
-        """Each zero with its kind and how near to it the model is singular."""
         found = zip(self.values.tolist(), self.kinds, self.residuals.tolist(), strict=True)
         rows = [(f"{complex(z):.6g}" if z.imag else f"{z.real:.6g}", kind, f"{r:.2g}") for z, kind, r in found]
         return [Part("zeros:", ("zero", "kind", "residual"), rows)]
 
     def facts(self) -> Facts:
-        """The zeros, how many of each kind, and the normal rank."""
         kinds = ", ".join(f"{count} {kind}" for kind, count in Counter(self.kinds).items())
         missed = [number(complex(z)) for z, exact in zip(self.values, self.exact, strict=True) if not exact]
         return [
@@ -151,7 +148,6 @@ class Zeros(Shown):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes; arrays stay arrays."""
         return {"type": "Zeros", **{field.name: getattr(self, field.name) for field in fields(self)}}
 
 
@@ -211,10 +207,7 @@ def zeros(model: Any) -> Zeros:
 
 
 def transmission_zeros(model: Any, *, complete: bool = False) -> ComplexArray:
-    """The finite invariant zeros alone, shape (n_zeros,): the ``values`` of `zeros` without their evidence.
-
-    Raises NoTrustworthyNumber: with ``complete``, where they are computed in floating point and some may be missing.
-    """
+    """The finite invariant zeros alone, shape (n_zeros,): the ``values`` of `zeros` without their evidence."""
     found = _found(as_model(model, "zeros"))
     if complete and found.reason:
         raise NoTrustworthyNumber("zeros", found.reason)
@@ -262,10 +255,7 @@ def _found(m: StateSpaceModel) -> _Found:
 
 
 def _roots(S: Array, n: int, rank: int, exactly: int) -> tuple[ComplexArray, ComplexArray]:
-    """Exact zeros by rising modulus, and those that the entries miss by rounding.
-
-    Raises NoTrustworthyNumber: too many states, or zeros that thirty digits do not tell apart.
-    """
+    """Exact zeros by rising modulus, and those that the entries miss by rounding."""
     if n > MOST_STATES:
         raise NoTrustworthyNumber("zeros", f"{n} states: more than {MOST_STATES} are not solved exactly")
     p, m = S.shape[0] - n, S.shape[1] - n

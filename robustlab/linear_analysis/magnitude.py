@@ -105,17 +105,11 @@ class Moderated:
     states: AnyArray  # exponents of the states, `x = 2^states x'`, shape (n_x,)
 
     def value(self, size: float, where: str, rate_power: float = 0.0) -> float:
-        """``size * 2^-gain * 2^(rate * rate_power)``: a norm of the model as given.
-
-        Raises NoTrustworthyNumber: it is larger than the largest floating-point number.
-        """
+        """``size * 2^-gain * 2^(rate * rate_power)``: a norm of the model as given."""
         return scaled_down(size, self.gain - self.rate * rate_power, where)
 
     def as_given(self, model: StateSpaceModel, where: str) -> StateSpaceModel:
-        """The model ``2^-gain M(2^-rate s)`` that belongs to one of ordinary entries, M.
-
-        Raises NoTrustworthyNumber: entries of it overflow.
-        """
+        """The model ``2^-gain M(2^-rate s)`` that belongs to one of ordinary entries, M."""
         if not (self.rate or self.gain):
             return model
         rate = 0 if model.is_discrete else self.rate
@@ -158,20 +152,14 @@ def moderated(model: StateSpaceModel, where: str) -> Moderated:
 
 
 def refuse_overflow(where: str, *arrays: AnyArray) -> None:
-    """Refuse what finite input became by multiplication: NaN and infinite entries.
-
-    Raises NoTrustworthyNumber: there are such entries.
-    """
+    """Refuse what finite input became by multiplication: NaN and infinite entries."""
     if not all(np.isfinite(array).all() for array in arrays):
         hint = "choose units in which the model's entries are closer to one another"
         raise NoTrustworthyNumber(where, "a product of the model's entries overflows", "numbers below 1e308", hint)
 
 
 def scaled_down(size: float, exponent: float, where: str) -> float:
-    """``size * 2^-exponent``, to the nearest floating-point number.
-
-    Raises NoTrustworthyNumber: there is none: it overflows.
-    """
+    """``size * 2^-exponent``, to the nearest floating-point number."""
     if not exponent or not np.isfinite(size) or not size:
         return size
     whole = int(np.floor(exponent))

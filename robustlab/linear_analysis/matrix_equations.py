@@ -60,7 +60,6 @@ class RiccatiSolution(Shown, AllFields):
     residual: float
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         residual = number(self.residual, digits=2)
         return [("X", in_words(self.X)), ("gain", in_words(self.gain)), ("relative residual", residual)]
 
@@ -74,26 +73,6 @@ def care(
     .. math:: A^T X + X A + Q - (X B + S) R^{-1} (B^T X + S^T) = 0, \qquad A - B R^{-1} (B^T X + S^T) \text{ stable}
 
     R is symmetric and invertible and may be indefinite, as in H-infinity synthesis.
-
-    Parameters
-    ----------
-    A, B, Q, R, S
-        Shapes (n, n), (n, m), (n, n), (m, m), (n, m); S is zero where left out.
-    tolerance
-        Largest relative residual that is accepted.
-
-    Returns
-    -------
-    RiccatiSolution
-        X, the gain F and the residual.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, or NaN or Inf.
-    NoTrustworthyNumber
-        No stabilising solution was found, or none whose residual is small enough; the message gives the eigenvalue of
-        the Hamiltonian nearest to the imaginary axis, or the residual.
 
     Notes
     -----
@@ -130,31 +109,11 @@ def care(
 def dare(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:
-    r"""Stabilising solution of the discrete-time algebraic Riccati equation.
+    """Stabilising solution of the discrete-time algebraic Riccati equation.
 
     .. math:: A^T X A - X + Q - (A^T X B + S) (R + B^T X B)^{-1} (B^T X A + S^T) = 0
 
     with ``A + B F`` stable for the gain ``F = -(R + B^T X B)^-1 (B^T X A + S^T)``. R is symmetric and may be singular.
-
-    Parameters
-    ----------
-    A, B, Q, R, S
-        Shapes (n, n), (n, m), (n, n), (m, m), (n, m); S is zero where left out.
-    tolerance
-        Largest relative residual that is accepted.
-
-    Returns
-    -------
-    RiccatiSolution
-        X, the gain F and the residual.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, or NaN or Inf.
-    NoTrustworthyNumber
-        No stabilising solution was found, or its residual is too large; the message gives the eigenvalue of the pencil
-        nearest to the unit circle, or the residual.
 
     Examples
     --------
@@ -186,19 +145,6 @@ def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: flo
     r"""Stabilising solution of a Riccati equation with its quadratic term given whole: the inner loop of searches.
 
     .. math:: A^T X + X A - X G X + Q = 0, \qquad A - G X \text{ stable}
-
-    Parameters
-    ----------
-    A, G, Q
-        Shapes (n, n); G and Q symmetric, both may be indefinite. Shapes are not checked.
-    tolerance
-        Largest relative residual that is accepted.
-
-    Returns
-    -------
-    ndarray or None
-        X, symmetric; None where the Hamiltonian has eigenvalues on the imaginary axis, where it has no graph subspace,
-        for input that is not finite, and where the residual is too large.
 
     Examples
     --------
@@ -425,14 +371,6 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: f
 
     .. math:: A X + X A^T + Q = 0 \qquad\text{or, discrete,}\qquad A X A^T - X + Q = 0
 
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, NaN or Inf.
-    NoTrustworthyNumber
-        No unique solution (eigenvalues that mirror each other at the stability boundary), or a relative residual above
-        ``tolerance``.
-
     Examples
     --------
     >>> float(lyapunov([[-0.5]], [[2.0]])[0, 0])
@@ -457,10 +395,7 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: f
 
 
 def unique_solution(where: str, apart: AnyArray, size: float, solve: Callable[[], AnyArray]) -> AnyArray:
-    """What ``solve`` gives of a linear matrix equation; ``apart`` is 0 where two eigenvalues mirror each other.
-
-    Raises NoTrustworthyNumber: two of them do, beside their ``size``; no solution, or one that is not finite.
-    """
+    """What ``solve`` gives of a linear matrix equation; ``apart`` is 0 where two eigenvalues mirror each other."""
     # LAPACK moves eigenvalues that mirror each other apart and answers with a huge X of small residual: refuse before.
     with np.errstate(over="ignore", invalid="ignore"):
         gap = np.abs(apart).min()

@@ -58,10 +58,7 @@ class SchurForm:
 
 
 def balanced_schur(model: StateSpaceModel) -> tuple[SchurForm, AnyArray]:
-    """The Schur form of a model's A in balanced states ``x / t``, and t (n,); kept, with the poles and modes.
-
-    Raises NoTrustworthyNumber: the QR algorithm did not converge.
-    """
+    """The Schur form of a model's A in balanced states ``x / t``, and t (n,); kept, with the poles and modes."""
     known = vars(model).get("_schur")
     if known is not None:
         return SchurForm(*known[:2]), known[2]
@@ -134,13 +131,6 @@ def lyapunov_factors(
     .. math:: A P + P A^T + B B^T = 0, \quad P = L_c L_c^T, \qquad A^T Q + Q A + C^T C = 0, \quad Q = L_o L_o^T
 
     Eigenvalues of P and Q down to ``eps^2`` of the largest keep their sign, which a decomposition of them loses.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, NaN or Inf.
-    NoTrustworthyNumber
-        A is not stable (continuous time), or a relative residual is above ``tolerance``.
 
     References
     ----------

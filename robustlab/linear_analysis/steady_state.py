@@ -37,35 +37,18 @@ class SteadyState(Shown):
     quantities: ClassVar[Mapping[str, Any]] = {"outputs": {"*": float}}
 
     def headline(self) -> str:
-        """Where it is."""
         given = ", ".join(f"{name} = {number(value, self.units[name], 5)}" for name, value in self.inputs.items())
         return f"steady state at {given or 'zero'}"
 
     def facts(self) -> Facts:
-        """The outputs."""
         return [(name, number(value, self.units[name], 6)) for name, value in self.outputs.items()]
 
     def to_json(self) -> dict[str, object]:
-        """All fields."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
 def steady_state(model: Any, inputs: Mapping[str, float], outputs: Sequence[str] | None = None) -> SteadyState:
-    r"""Outputs :math:`y = G(0) u`, of a discrete model :math:`G(1) u`, under constant inputs; others are zero.
-
-    Parameters
-    ----------
-    model
-        A stable model; with ``outputs`` the states that these do not show are left out first.
-    inputs
-        Name -> value.
-    outputs
-        Outputs to keep; all where left out.
-
-    Raises
-    ------
-    InputError
-        An unknown input, or a model that is not stable.
+    """Outputs :math:`y = G(0) u`, of a discrete model :math:`G(1) u`, under constant inputs; others are zero.
 
     Examples
     --------

@@ -104,7 +104,6 @@ class StructuralTest(Shown):
         return tuple(mode for mode in self.modes if not mode.stable)
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         head, *modes = str(self).splitlines()
         return [
             (self.kind, head.rpartition(" (")[0]),
@@ -113,7 +112,6 @@ class StructuralTest(Shown):
         ]
 
     def to_json(self) -> dict[str, object]:
-        """All attributes as plain types."""
         return {**vars(self), "modes": [mode.to_json() for mode in self.modes], "complete": self.complete}
 
     def __str__(self) -> str:
@@ -160,18 +158,15 @@ class Structure(Shown):
         return max((self.controllability.status, self.observability.status), key=list(Status).index)
 
     def numbers(self) -> dict[str, Any]:
-        """The ranks, and whether they are full."""
         tests = {test.kind: test for test in (self.controllability, self.observability)}
         ranks = {k: {"rank": t.rank, "states": t.n_states, "full": t.complete} for k, t in tests.items()}
         return {**super().numbers(), **ranks}
 
     def headline(self) -> str:
-        """Stability and both ranks."""
         ranks = [f"rank of {t.kind} {t.rank} of {t.n_states}" for t in (self.controllability, self.observability)]
         return f"{'stable' if self.stable else 'NOT stable'}, {', '.join(ranks)}"
 
     def facts(self) -> Facts:
-        """Stability, and what either test found."""
         what = ("largest pole modulus", 1 + self.spectral_abscissa, "") if self.discrete else (
             "spectral abscissa", self.spectral_abscissa, "1/s"
         )  # fmt: skip
@@ -183,11 +178,9 @@ class Structure(Shown):
         ]
 
     def details(self) -> list[Part]:
-        """The poles."""
         return [Part("", ("pole" if self.discrete else "pole [1/s]",), [(number(p, "", 6),) for p in self.poles])]
 
     def to_json(self) -> dict[str, object]:
-        """All fields."""
         return {**{f.name: getattr(self, f.name) for f in fields(self)}, "status": self.status}
 
 

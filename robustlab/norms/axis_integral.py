@@ -97,15 +97,7 @@ class AxisIntegral(NamedTuple):
 def axis_integral(
     functions: Callable[[AnyArray], AnyArray], poles: AnyArray, dt: float, tuning: AxisTuning = TUNING
 ) -> AxisIntegral:
-    r"""Integrals of functions that have the resonances of ``poles`` over :math:`0 .. \infty` or :math:`0 .. \pi / dt`.
-
-    Parameters
-    ----------
-    functions
-        Values (k, q) of q functions at increasing frequencies (k,) in rad/s; they fall with the square of high ones.
-    poles
-        In the s-plane, also for ``dt > 0``; not empty.
-    """
+    r"""Integrals of functions with the resonances of ``poles`` over :math:`0 .. \infty` or :math:`0 .. \pi / dt`."""
     ends = panel_ends(poles, dt, tuning)
     last = np.inf if dt else ends[-2]
 
@@ -155,19 +147,7 @@ def panel_ends(poles: AnyArray, dt: float, tuning: AxisTuning = TUNING) -> AnyAr
 
 
 def mean_square_gain(m: StateSpaceModel, tuning: AxisTuning = TUNING, *, careful: bool = False) -> tuple[float, bool]:
-    """The square of the H2 norm of a stable model, strictly proper where it is continuous, and whether it settled.
-
-    Parameters
-    ----------
-    careful
-        Whether every frequency is solved for with A, and the solution refined by its residual in extended precision:
-        next to a pole of damping 1e-9 the peak is else known to 1e-7 of it only.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        The frequency response overflows.
-    """
+    """The square of the H2 norm of a stable model, strictly proper where it is continuous, and whether it settled."""
     if not m.n_states or not m.n_inputs or not m.n_outputs:
         return float((m.D**2).sum()), True
     modes = None if careful else ModalResponse.of_model(m)

@@ -17,13 +17,8 @@ OUTSIDE = 1e15
 
 
 def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
-    r"""Continuous model with ``G_c(s) = G(z)`` under ``s = (2/dt)(z - 1)/(z + 1)``; stability and H-infinity norm are
+    """Continuous model with ``G_c(s) = G(z)`` under ``s = (2/dt)(z - 1)/(z + 1)``; stability and H-infinity norm are
     the same.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        A pole at z = -1, which the map sends to infinity, or one so far outside that it comes from there.
     """
     a = 2 / model.dt
     t, m, b, c = _in_balanced_states(model)
@@ -42,13 +37,7 @@ def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
 
 
 def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
-    r"""Inverse of `bilinear_to_continuous` (Tustin's rule, with the input and output scaling that keeps Gramians).
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        A pole at s = 2 / dt, which the map sends to infinity.
-    """
+    """Inverse of `bilinear_to_continuous` (Tustin's rule, with the input and output scaling that keeps Gramians)."""
     a = 2 / dt
     t, m, b, c = _in_balanced_states(model)
     minus = a * np.eye(model.n_states) - m

@@ -91,7 +91,6 @@ class HinfNorm(PeakGain):
         return [("reason", self.reason)]
 
     def to_json(self) -> dict[str, Any]:
-        """All fields and the value."""
         return {**super().to_json(), "value": self.value}
 
 
@@ -101,7 +100,7 @@ Infinite = Callable[[StateSpaceModel, int], HinfNorm | None]
 
 @told_as("hinf_norm")
 def hinf_norm(model: Any, rtol: float = 1e-6, *, tuning: NormTuning = TUNING) -> HinfNorm:
-    r"""`robustlab.peak_gain` of a model: the H-infinity norm, infinite where the model is not stable.
+    """`robustlab.peak_gain` of a model: the H-infinity norm, infinite where the model is not stable.
 
     Level-set method on the Hamiltonian: ``sigma_max(G(jw)) = g`` for some w iff H(g) has the eigenvalue jw. The
     imaginary part of *every* eigenvalue of H(g) counts as a candidate crossing, without a tolerance on its real part,
@@ -110,9 +109,6 @@ def hinf_norm(model: Any, rtol: float = 1e-6, *, tuning: NormTuning = TUNING) ->
     expansions of the response with bounds of their remainders and of rounding (`ModalResponse.above`). A zoom on the
     highest peaks looks for what rounding may have hidden. Values come from the model's modes where a bound of their
     error shows that this is enough; what is told is solved for with A.
-
-    Raises InputError: no model, or an ``rtol`` that is not between 1e-12 and 1. Raises NoTrustworthyNumber: the norm is
-    larger than the largest floating-point number.
     """
     given = as_model(model, "hinf_norm")
     return _norm_of(given, rtol, tuning, unstable_norm, None, "hinf_norm")
@@ -126,8 +122,6 @@ def linf_norm(
 
     Whether a pole lies on the stability boundary is decided in exact arithmetic up to 12 states; beyond them a pole
     that rounding cannot tell from the boundary makes the norm infinite with status INACCURATE.
-
-    Raises as `hinf_norm`, and InputError: a band without width or beyond pi / dt.
     """
     given = as_model(model, "linf_norm")
     part = None if band is None else checked_band(band, given.dt, "linf_norm")
@@ -147,13 +141,7 @@ def _norm_of(
 
 
 def checked_band(band: tuple[float, float], dt: float, where: str) -> tuple[float, float]:
-    """A band of frequencies in rad/s; its upper end may be infinite, or pi / dt of a discrete model.
-
-    Raises
-    ------
-    InputError
-        No two numbers in order, below zero, or beyond pi / dt.
-    """
+    """A band of frequencies in rad/s; its upper end may be infinite, or pi / dt of a discrete model."""
     last = np.pi / dt if dt else np.inf
     try:
         low, high = (float(omega) for omega in band)

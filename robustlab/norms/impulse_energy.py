@@ -59,16 +59,13 @@ class H2Norm(Shown):
     quantities: ClassVar[Mapping[str, Any]] = {"value": float, "integral": float}
 
     def headline(self) -> str:
-        """The norm."""
         return f"H2 norm {number(self.value, digits=8)}"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         by_integral = number(self.integral, digits=6)
         return [("norm", number(self.value, digits=6)), ("by the integral", by_integral), ("reason", self.reason)]
 
     def to_json(self) -> dict[str, object]:
-        """All fields but the model."""
         return {name: value for name, value in vars(self).items() if name != "system"}
 
 

@@ -50,14 +50,12 @@ class PeakGain(Bracket):
         return number(self.frequency, "rad/s")
 
     def headline(self) -> str:
-        """The proved bound, or that there is none."""
         if math.isinf(self.lower):
             return f"the gain is {self.unstable}" if self.unstable.startswith("infinite") else self.unstable
         proved = f"is at most {number(self.upper)}" if math.isfinite(self.upper) else "has no proved bound"
         return f"the gain {proved}; {number(self.lower)} is attained"
 
     def facts(self) -> Facts:
-        """Both bounds, where the lower is attained, the evidence of this kind, conditions and notes."""
         return [
             ("largest gain", self.bounds()),
             ("attained at", self.place()),
@@ -71,6 +69,5 @@ class PeakGain(Bracket):
         return []
 
     def to_json(self) -> dict[str, Any]:
-        """All fields but those that can be made anew; arrays stay arrays."""
         kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.unsaved}
         return {"type": type(self).__name__, **kept}

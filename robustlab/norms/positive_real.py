@@ -52,12 +52,10 @@ class Passivity(Shown):
     quantities: ClassVar[Mapping[str, Any]] = {"lower": "1", "upper": "1", "frequency": "rad/s", "passive": bool}
 
     def headline(self) -> str:
-        """Whether it is passive."""
         words = {True: "passive", False: "not passive", None: "on the boundary of passivity, or not decided"}
         return words[self.passive]
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         words = {True: "yes", False: "no", None: f"to within {number(self.upper - 1)} of the relative index"}
         return [
             ("passive", words[self.passive]),
@@ -67,7 +65,6 @@ class Passivity(Shown):
         ]
 
     def to_json(self) -> dict[str, object]:
-        """All fields but ``system``."""
         return {name: value for name, value in vars(self).items() if name != "system"}
 
 

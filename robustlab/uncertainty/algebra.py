@@ -90,10 +90,8 @@ def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: in
 
 
 def upper(M: Any, K: Any) -> UncertainModel:
-    r"""Upper LFT :math:`F_u(M, K) = M_{22} + M_{21} K (I - M_{11} K)^{-1} M_{12}` of two sets: K closes the first
+    """Upper LFT :math:`F_u(M, K) = M_{22} + M_{21} K (I - M_{11} K)^{-1} M_{12}` of two sets: K closes the first
     channels (of the model's own signals; its blocks stay).
-
-    Raises InputError: K is larger than M; NoTrustworthyNumber: the nominal loop is not well posed.
     """
     m, k = as_uncertain(M, "upper"), as_uncertain(K, "upper")
     _check_inside("upper", k, m)
@@ -102,8 +100,6 @@ def upper(M: Any, K: Any) -> UncertainModel:
 
 def inverse(system: Any) -> UncertainModel:
     """The set of the inverses of a square set; inputs and outputs change places.
-
-    Raises InputError: not square; NoTrustworthyNumber: D is singular at Delta = 0: the inverse is not proper there.
 
     Examples
     --------
@@ -275,7 +271,6 @@ class Reduction(Shown):
     status: Status
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         sizes = [f"{name} {size} -> {self.after.get(name, 0)}" for name, size in self.before.items()]
         return [
             ("sizes", listed(sizes)),
@@ -285,7 +280,6 @@ class Reduction(Shown):
         ]
 
     def to_json(self) -> dict[str, object]:
-        """Sizes and evidence; the model as its own plain types."""
         return {**vars(self), "model": self.model.to_json()}
 
     def __str__(self) -> str:
@@ -295,10 +289,7 @@ class Reduction(Shown):
 
 
 def reduction(uncertain: UncertainModel, tolerance: float = 1e-12, seed: int = 0) -> Reduction:
-    """`reduce_model` of a set, which see; ``seed`` is that of the Deltas and frequencies at which both are compared.
-
-    Raises InputError: a tolerance that is not between 0 and 1.
-    """
+    """`reduce_model` of a set, which see; ``seed`` is that of the Deltas and frequencies at which both are compared."""
     found = reduced(uncertain.M, uncertain.blocks, tolerance, seed)
     same = found.blocks == uncertain.blocks
     model = uncertain if same else UncertainModel(found.M, found.blocks, uncertain.operating_point)

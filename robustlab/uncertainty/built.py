@@ -52,17 +52,14 @@ class BuiltModel(Shown):
         return None if self.residual is None else self.residual.largest
 
     def numbers(self) -> dict[str, Any]:
-        """Those of the model, and the residual."""
         residual = self.endpoint_residual
         return self.model.numbers() | ({} if residual is None else {"endpoint_residual": residual})
 
     def headline(self) -> str:
-        """What is uncertain."""
         names = ", ".join(b.name for b in self.model.blocks) or "nothing"
         return f"{'sampled' if self.model.sampled else 'exact'} uncertain model ({self.structure}); uncertain: {names}"
 
     def facts(self) -> Facts:
-        """How it was made, and the model."""
         off = "" if self.residual is None else f"{self.residual.largest:.2g} of each matrix's largest entry"
         return [
             ("structure", self.structure),
@@ -72,10 +69,8 @@ class BuiltModel(Shown):
         ]
 
     def details(self) -> list[Part]:
-        """The blocks."""
         return self.model.details()
 
     def to_json(self) -> dict[str, object]:
-        """The model's, and the evidence."""
         more = {"structure": self.structure, "residual": self.residual, "parts": dict(self.parts)}
         return {**self.model.to_json(), **more, "status": self.status}

@@ -175,7 +175,6 @@ class EndpointResidual:
         return max(self.relative.values())
 
     def to_json(self) -> dict[str, object]:
-        """All fields."""
         return {"absolute": self.absolute, "relative": self.relative, "largest": self.largest}
 
 
@@ -429,10 +428,7 @@ def check_pair(
     second: str = "perturbed",
     where: str = "elementwise",
 ) -> None:
-    """Whether two models have the same sizes, sample time, signals and units; ``first``, ``second`` are their names.
-
-    Raises InputError, UnitMismatch: they have not.
-    """
+    """Whether two models have the same sizes, sample time, signals and units; ``first``, ``second`` are their names."""
     shapes = {name: (getattr(perturbed, name).shape, getattr(nominal, name).shape) for name in "ABCD"}
     wrong = [
         f"{second} {name} is {found}, expected {wanted} to match {first} {name}"

@@ -268,7 +268,6 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
         )
 
     def facts(self) -> Facts:
-        """Frequencies, signals, and what is uncertain."""
         ends = f"{number(float(self.omega[0]))} .. {number(float(self.omega[-1]), 'rad/s')}"
         return [
             ("frequencies", f"{len(self.omega)}, {ends}; nothing is known between them"),
@@ -278,7 +277,6 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """Frequencies, responses and blocks."""
         return {"omega": self.omega, "M": self.M, "blocks": [b.to_json() for b in self.blocks]}
 
     def _numbers(self) -> list[str]:

@@ -53,10 +53,7 @@ class Wiring(NamedTuple):
 
 
 def join(parts: Sequence[Part], where: str) -> Joint:
-    """All operands side by side, not yet wired.
-
-    Raises InputError: a block name that stands for two different uncertainties.
-    """
+    """All operands side by side, not yet wired."""
     plain = [
         StateSpaceModel(
             m.A, m.B, m.C, m.D, m.dt,
@@ -106,10 +103,7 @@ def _merged(same: list[Block], where: str) -> Block:
 
 
 def wired(joint: Joint, wiring: Wiring, inputs: Sequence[Signal], outputs: Sequence[Signal], where: str) -> Part:
-    """Close the wires of an interconnection: y = C2 x + D21 w + D22 u with u = K y + E v.
-
-    Raises NoTrustworthyNumber: the nominal loop is not well posed.
-    """
+    """Close the wires of an interconnection: y = C2 x + D21 w + D22 u with u = K y + E v."""
     m, q, p = joint.model, joint.q, joint.p
     n = m.n_states
     b2, c2, d12, d22 = m.B[:, q:], m.C[p:], m.D[:p, q:], m.D[p:, q:]
@@ -189,9 +183,6 @@ def weighted(
     """M and blocks with a stable weight in the channels of each named block; see `UncertainModel.weighted`.
 
     ``read(weight, where)`` makes M and blocks of what was given as a weight, once it is known to be wanted.
-
-    Raises InputError: no such block, a real block (its range is its weight), a weight that is unstable, of another
-    sample time or of a size that does not fit.
     """
     if side not in ("z", "w"):
         raise InputError("weighted", f"side {side!r}", "'z' (before Delta) or 'w' (after it)")

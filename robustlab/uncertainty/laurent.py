@@ -211,8 +211,6 @@ def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
 def parsed(entry: Any, algebra: Algebra, where: str) -> Laurent:
     """One matrix entry, a number or a text, in normal form.
 
-    Raises InputError: NaN, complex numbers, anything but ``+ - * / **``, parentheses, numbers and parameter names.
-
     Examples
     --------
     >>> str(parsed("c*(1 + 2*k)/m**2", Algebra(("c", "k", "m")), "A[0,0]"))

@@ -417,22 +417,18 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return self if found.blocks == self.blocks else UncertainModel(found.M, found.blocks, self.operating_point)
 
     def to_json(self) -> dict[str, object]:
-        """M and blocks as plain types."""
         data: dict[str, object] = {"M": self.M, "blocks": [b.to_json() for b in self.blocks]}
         data["delta_shape"] = list(self.delta_shape)
         return {**data, "sampled": list(self.sampled)} if self.sampled else data
 
     def numbers(self) -> dict[str, Any]:
-        """Those of the nominal model, and the size of Delta; which blocks are held by samples, if any."""
         size = {"blocks": [b.name for b in self.blocks], "channels": self.delta_shape[0]}
         return {**self.nominal.numbers(), **size} | ({"sampled": list(self.sampled)} if self.sampled else {})
 
     def headline(self) -> str:
-        """Its size."""
         return f"uncertain model with {len(self.blocks)} blocks, {self.M.n_states} states"
 
     def details(self) -> list[TablePart]:
-        """The blocks with what they stand for, and where they come from."""
         shown = self.blocks[:SHOWN_BLOCKS]
         words = [b.parameter.words if b.parameter else "-" for b in shown]
         rows = [(b.name, type(b).__name__, f"{b.rows} x {b.cols}", w) for b, w in zip(shown, words, strict=True)]
@@ -443,7 +439,6 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return [TablePart(title, ("block", "kind", "size", "stands for"), rows), TablePart("", (), origins)]
 
     def facts(self) -> Facts:
-        """Signals with units, states, and what is uncertain."""
         return [
             ("time", f"discrete, dt = {self.dt:g} s" if self.dt else "continuous"),
             ("inputs", with_units(self.inputs)),
@@ -473,8 +468,6 @@ class UncertainModel(TransferMatrix, Shown, Traced):
 def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:
     """An uncertain model as it is; a model, a matrix or a number as one without blocks.
 
-    Raises InputError: none of these, complex entries, NaN or Inf.
-
     Examples
     --------
     >>> as_uncertain([[2.0, 0.0]])
@@ -496,13 +489,10 @@ def _part(system: Any, where: str) -> Part:
 
 
 def product(second: Any, first: Any) -> UncertainModel:
-    r"""``second @ first``: the transfer matrix :math:`G_2(s) G_1(s)`; what leaves ``first`` enters ``second``.
+    """``second @ first``: the transfer matrix :math:`G_2(s) G_1(s)`; what leaves ``first`` enters ``second``.
 
     A number multiplies every channel. The result has the inputs of ``first`` and the outputs of ``second``; the
     signals of a matrix or a number are not named, and the other side's are kept where sizes allow it.
-
-    Raises InputError: sizes or sample times that do not fit; a block name that stands for two different uncertainties.
-    UnitMismatch: an output of ``first`` and the input of ``second`` that it drives carry different units.
 
     Examples
     --------
@@ -536,9 +526,6 @@ def parallel(first: Any, second: Any, sign: int = 1) -> UncertainModel:
 
     A number stands for a 1 x 1 gain: for more channels it could mean the identity or every entry, so a matrix is asked
     for.
-
-    Raises InputError: sizes or sample times that do not fit; a block name that stands for two different uncertainties.
-    UnitMismatch: signals that are added carry different units.
     """
     if sign not in (1, -1):
         raise InputError("parallel", f"sign {sign!r}", "1 or -1")
@@ -563,9 +550,6 @@ def feedback(forward: Any, back: Any = 1.0, sign: int | None = None) -> Uncertai
 
     Without a sign a controller that comes from a design is closed as it says of itself, anything else with negative
     feedback. Signals that H shares with G by name are the ones it takes and drives.
-
-    Raises InputError: sizes or sample times that do not fit, a sign that contradicts the controller;
-    NoTrustworthyNumber: the nominal loop is not well posed: ``I - sign D_G D_H`` is singular at Delta = 0.
     """
     g = as_uncertain(forward, "feedback")
     n_u, n_y = len(g.inputs), len(g.outputs)

@@ -218,10 +218,7 @@ def _check_fed(parts: Sequence[_Part], known: list[str]) -> None:
 
 
 def _units(parts: Sequence[_Part]) -> dict[str, str]:
-    """The unit of each signal for which one is stated anywhere; terms of a sum have one unit.
-
-    Raises UnitMismatch: two units for one signal, or for one sum.
-    """
+    """The unit of each signal for which one is stated anywhere; terms of a sum have one unit."""
     group = {s.name: s.name for part in parts for s in (*part.model.inputs, *part.model.outputs)}
 
     def root(name: str) -> str:

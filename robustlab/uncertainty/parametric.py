@@ -110,8 +110,6 @@ def parametric(
 def as_range(name: str, given: Any) -> ParameterRange | float:
     """A parameter's range from what users write; a plain number, or a range without width, is an exact value.
 
-    Raises InputError: not a range: NaN, ``low >= high``, a nominal value outside, a relative tolerance of the value 0.
-
     Examples
     --------
     >>> as_range("tau", (1.0, 0.75, 1.5))

@@ -51,32 +51,6 @@ def realise_delta(
 ) -> dict[str, float | StateSpaceModel]:
     r"""A stable system for each block of a complex Delta, of the same H-infinity norm, equal to it at ``omega``.
 
-    Parameters
-    ----------
-    blocks
-        Blocks of Delta.
-    delta
-        One value per block name: a number, or a matrix (rows, cols) for a full block; what `robust_stability` returns.
-    omega
-        Frequency in rad/s; ``inf`` for a direct term in continuous time, ``pi / dt`` at most in discrete time.
-    dt
-        Sample time in s of the realised systems; 0 for continuous time.
-
-    Returns
-    -------
-    dict
-        For a real scalar its number; for a complex scalar, repeated or not, a single-input single-output model of at
-        most two states; for a full block a model with ``cols`` inputs and ``rows`` outputs. Blocks that ``delta``
-        leaves out are left out.
-
-    Raises
-    ------
-    InputError
-        A frequency outside the axis, values that do not fit the blocks, or a complex value at ``omega = 0`` (or at the
-        end of the axis), where systems with real coefficients are real.
-    NoTrustworthyNumber
-        A realisation misses its value.
-
     Notes
     -----
     With a critical Delta of `robust_stability` the loop of these systems has a pole at :math:`j \omega_0`
@@ -112,27 +86,6 @@ def realise_delta(
 @told_as("perturbed_model")
 def perturbed_model(uncertain: UncertainModel, delta: Mapping[str, Any]) -> StateSpaceModel:
     """The member of the set for blocks that are numbers, real matrices or models, such as `realise_delta` gives.
-
-    Parameters
-    ----------
-    uncertain
-        The set.
-    delta
-        One value per block name: a number or a real matrix, or, for complex blocks, a model: of one input and one
-        output for a complex scalar (it is repeated as often as the block), of ``cols`` inputs and ``rows`` outputs for
-        a full block. Blocks left out are zero.
-
-    Returns
-    -------
-    StateSpaceModel
-        States: those of M, then those of the blocks, one copy per repetition.
-
-    Raises
-    ------
-    InputError
-        Models whose sizes or sample times do not fit, a model for a real scalar.
-    NoTrustworthyNumber
-        I - D11 D_Delta is singular: the perturbed model is not well posed.
 
     Examples
     --------

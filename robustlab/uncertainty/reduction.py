@@ -54,10 +54,7 @@ class Reduced(NamedTuple):
 
 
 def reduced(M: StateSpaceModel, blocks: Sequence[Block], tolerance: float, seed: int = 0) -> Reduced:
-    """Block by block, then all blocks jointly, until nothing goes; and the evidence.
-
-    Raises InputError: a tolerance that is not between 0 and 1.
-    """
+    """Block by block, then all blocks jointly, until nothing goes; and the evidence."""
     if not 0 < tolerance < 1:
         raise InputError("reduce_model", f"tolerance {tolerance}", "a number between 0 and 1")
     given = M, tuple(blocks)

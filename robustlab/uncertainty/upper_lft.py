@@ -42,10 +42,7 @@ def is_singular(product: ArrayLike) -> bool:
 
 
 def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
-    r"""``F_u(M, Delta)`` for a constant real Delta (q, p), which closes the first q inputs and p outputs of M.
-
-    Raises NoTrustworthyNumber: I - D11 Delta is singular: the perturbed model is not well posed.
-    """
+    """``F_u(M, Delta)`` for a constant real Delta (q, p), which closes the first q inputs and p outputs of M."""
     d = np.asarray(delta)
     if np.iscomplexobj(d):
         raise InputError(

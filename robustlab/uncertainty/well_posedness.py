@@ -85,7 +85,6 @@ class WellPosedness(Shown, AllFields):
     label: str
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         answer = {True: "yes, every member", False: "no", None: "open"}[self.well_posed]
         return [
             ("well posed", answer),

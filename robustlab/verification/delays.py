@@ -125,10 +125,7 @@ def _turned(w: float, tau: arb) -> acb:
 
 
 def delayed(claim: Claim) -> Delayed:
-    """The model of a claim with its first channels closed by ``delays`` (k,) in s.
-
-    Raises InputError: a discrete model, delays that are not above zero, or more of them than channels.
-    """
+    """The model of a claim with its first channels closed by ``delays`` (k,) in s."""
     G, delays = model_of(claim), real(claim, "delays", (None,))
     k = len(delays)
     if G.dt or not (delays > 0).all() or k > min(G.m, G.p):

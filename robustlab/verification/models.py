@@ -103,10 +103,7 @@ def loop(claim: Claim) -> Model:
 
 
 def model_of(claim: Claim) -> Model:
-    """The model of a claim: the loop of a plant ``P_A ..``, the difference of ``A1 ..`` and ``A2 ..``, or ``A ..``.
-
-    Raises InputError: more than one of them, and so no telling which one is meant.
-    """
+    """The model of a claim: the loop of a plant ``P_A ..``, the difference of ``A1 ..`` and ``A2 ..``, or ``A ..``."""
     there = [name for name in ("P_A", "A1", "A") if name in claim.numbers]
     if len(there) > 1:
         raise InputError("the model", f"the datasets {' and '.join(there)}", "those of one model")

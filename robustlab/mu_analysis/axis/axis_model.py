@@ -99,13 +99,7 @@ def _half(gramian: AnyArray) -> AnyArray:
 
 
 def _ordinary(model: StateSpaceModel, where: str) -> StateSpaceModel:
-    """The model, with states balanced between inputs and outputs where its entries are extreme.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        Entries of M so large that products of them overflow.
-    """
+    """The model, with states balanced between inputs and outputs where its entries are extreme."""
     parts = (model.A, model.B, model.C, model.D)
     if _within_bounds(parts):
         return model

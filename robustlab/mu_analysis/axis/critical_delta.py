@@ -67,7 +67,6 @@ class CriticalResponse(AllFields, Shown):
     period: float
 
     def facts(self) -> Facts:
-        """What is to be drawn, in two numbers."""
         return [("last period over the first", number(self.growth)), ("period", number(self.period, "s"))]
 
 
@@ -76,20 +75,6 @@ def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points:
 
     A complex Delta is a number at one frequency; it is replayed as a stable system of the same gain that takes that
     value there (`realise_delta`).
-
-    Parameters
-    ----------
-    margin
-        What `robust_stability` said of this model.
-    periods, points
-        Number of periods of the critical mode, and points in each.
-
-    Raises
-    ------
-    InputError
-        A margin without a critical Delta, or one of another model.
-    NoTrustworthyNumber
-        The critical Delta makes the loop ill-posed: there is nothing to simulate.
     """
     if not margin.delta or margin.frequency is None:
         raise InputError("replay", "a margin without a critical Delta", "one that was attained")
@@ -160,18 +145,6 @@ def block_sensitivities(M: ComplexArray, blocks: Sequence[Block], delta: Complex
 
     Their sum is minus the margin. Assumes that Delta is a strict local minimum with a simple null direction.
 
-    Parameters
-    ----------
-    M
-        Matrix (p, q).
-    delta
-        The critical Delta (q, p): ``I - M Delta`` is singular, and no Delta next to it that is smaller makes it so.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        The null direction is not simple: the margin has no derivative.
-
     Examples
     --------
     >>> from robustlab.uncertainty.blocks import RealScalar
@@ -197,22 +170,7 @@ def block_sensitivities(M: ComplexArray, blocks: Sequence[Block], delta: Complex
 def pole_block_sensitivities(
     model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, pole: complex
 ) -> Array:
-    """Derivative of a model's stability margin by the relative size of each block, shape (n_blocks,).
-
-    Parameters
-    ----------
-    model
-        Continuous model with the Delta channels (p outputs, q inputs).
-    delta
-        The critical Delta (q, p).
-    pole
-        The pole that it brings to the axis.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        The pole is not simple: the margin has no derivative.
-    """
+    """Derivative of a model's stability margin by the relative size of each block, shape (n_blocks,)."""
     layout = delta_layout(blocks)
     delta = np.asarray(delta, dtype=complex)
     a = perturbed_state_matrix(model, delta)

@@ -51,7 +51,6 @@ class Piece(Shown):
     members: tuple[int, ...] | None = None
 
     def facts(self) -> Facts:
-        """Level, interval of frequencies, and the blocks where they are not all."""
         told = [("proved", f"mu <= {number(self.beta)} for {number(self.low)} .. {number(self.high, 'rad/s')}")]
         return told if self.members is None else [*told, ("blocks", in_words(self.members))]
 
@@ -173,20 +172,6 @@ def cover_axis(
 ) -> AxisCover:
     """Prove an upper bound of mu on [0, inf] for a stable continuous model, as close above its D-G peak as
     ``accuracy`` says.
-
-    Parameters
-    ----------
-    model
-        Delta channels M11 of a stable model, shape (p, q), balanced.
-    beta
-        First guess, a lower bound of the peak (0: none known).
-    first
-        Frequencies to start with.
-    budget
-        Where it is over, the intervals not proved by then are left open.
-    accuracy
-        Relative distance of the proved bound to the largest pointwise D-G bound. It is doubled, and the bound raised,
-        wherever a round proves too little of what is open: the same question would get the same answer.
     """
     cover, scale = AxisCover(), typical_speed(model)
     beta = beta * (1 + accuracy)

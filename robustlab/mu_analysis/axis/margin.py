@@ -62,7 +62,6 @@ class StabilityMargin(Bracket):
         return True if self.lower > 1 else False if self.upper <= 1 else None
 
     def headline(self) -> str:
-        """Whether the set as given is stable."""
         if self.stable is None:
             return "not proved stable over the whole set"
         if self.stable:
@@ -127,7 +126,6 @@ class Margin(Tabular, StabilityMargin):
         return self.upper / self.lower - 1 if 0 < self.lower < np.inf and self.upper < np.inf else float("inf")
 
     def facts(self) -> Facts:
-        """Both bounds with what they rest on, the critical member, what to tighten first."""
         peak = bracket(1 / self.upper, 1 / self.lower, ("attained", "proved")) if self.upper and self.lower else ""
         ranked = sorted(self.shares.items(), key=lambda pair: -abs(pair[1]))
         return [
@@ -150,7 +148,6 @@ class Margin(Tabular, StabilityMargin):
         return f"{first}: each percent of its range taken off gives {self.shares[first]:.2g} %" if first else ""
 
     def details(self) -> list[Part]:
-        """The critical Delta block by block, the largest shares first."""
         header = ("block", "delta", "parameter", *(("share",) if self.shares else ()))
         return [Part("critical Delta (smallest found):", header, delta_rows(self.delta, self.physical, self.shares))]
 
@@ -166,7 +163,6 @@ class Margin(Tabular, StabilityMargin):
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``proof``, ``system`` and ``boxes``; arrays stay arrays."""
         names = [name for name in vars(self) if name not in ("proof", "system", "boxes")]
         return {"type": "Margin", **{name: getattr(self, name) for name in names}, "gap": self.gap}
 
@@ -178,7 +174,6 @@ class PerformanceMargin(Margin):
     kind: ClassVar[str] = "robust performance margin"
 
     def headline(self) -> str:
-        """Whether every member of the set as given performs."""
         if self.stable is False:
             return f"not robust: the member at k = {number(self.upper)} does not perform"
         kept = "proved for every Delta of the set" if self.stable else "not proved over the whole set"

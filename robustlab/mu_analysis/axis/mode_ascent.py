@@ -156,21 +156,7 @@ def smaller_destabilising(
     seed: int = 0,
     proved: float = 0.0,
 ) -> Destabilising:
-    """A destabilising Delta of real blocks alone that is smaller than ``worst``, or ``worst`` where none was found.
-
-    Parameters
-    ----------
-    model
-        Stable continuous model with Delta channels (p, q).
-    blocks
-        Real scalars, repeated or not; sizes are shares of each side of their ranges.
-    budget
-        Where it is over, the search ends with what it has.
-    seed
-        Seed of the points where ascents begin.
-    proved
-        Size of a set in which none destabilises, where one is known: it need not be looked at.
-    """
+    """A destabilising Delta of real blocks alone that is smaller than ``worst``, or ``worst`` where none was found."""
     return _Search(model, tuple(blocks), worst, budget).run(seed, proved)
 
 

@@ -66,17 +66,7 @@ def search_work(n_states: int, blocks: Sequence[Block]) -> float:
 def smallest_destabilising(
     model: StateSpaceModel, blocks: Sequence[Block], omega: Array, seed: int = 0, random_starts: int = 12
 ) -> Destabilising | None:
-    """The smallest destabilising Delta found for a stable continuous model with Delta channels (p, q), or None.
-
-    Parameters
-    ----------
-    omega
-        Frequencies in rad/s at which the matrix problem is tried as well (it gives starts where blocks are complex).
-    seed
-        Seed of the random starts.
-    random_starts
-        Random starts near the best size found from the nominal poles, and half as many beside those.
-    """
+    """The smallest destabilising Delta found for a stable continuous model with Delta channels (p, q), or None."""
     crossings: list[Destabilising] = []
     candidates, ill_posed = _matrix_candidates(model, blocks, omega, seed)
     if model.n_states:

@@ -94,17 +94,14 @@ class RobustGain(Bracket):
     }  # fmt: skip
 
     def headline(self) -> str:
-        """Whether the set as given keeps the level."""
         kept = "proved for the whole set" if self.lower >= 1 else "not proved for the whole set"
         return f"a gain below {number(self.level, digits=6)} is {kept}"
 
     def details(self) -> list[Part]:
-        """The member that reaches the level, block by block."""
         rows = delta_rows(self.delta, self.physical)
         return [Part("member that reaches it:", ("block", "delta", "parameter"), rows)]
 
     def facts(self) -> Facts:
-        """Both bounds, and the member that reaches the level."""
         return [
             ("robust gain margin", bracket(self.lower, self.upper, ("proved", "attained"))),
             ("gain below", number(self.level, digits=6)),
@@ -114,7 +111,6 @@ class RobustGain(Bracket):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``proof``, ``system`` and ``boxes``; arrays stay arrays."""
         names = [name for name in vars(self) if name not in ("proof", "system", "boxes")]
         return {"type": "RobustGain", **{name: getattr(self, name) for name in names}}
 

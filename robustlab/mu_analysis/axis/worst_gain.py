@@ -120,7 +120,6 @@ class WorstCaseGain(Tabular, PeakGain):
         ]
 
     def details(self) -> list[Part]:
-        """The worst Delta, one row a block."""
         rows = [
             (
                 name,
@@ -145,7 +144,6 @@ class WorstCaseGain(Tabular, PeakGain):
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``proof``, ``system`` and ``boxes``, and the gap; arrays stay arrays."""
         return {**super().to_json(), "gap": self.gap}
 
 
@@ -164,8 +162,6 @@ def worst_case_gain(
     make the loop singular (skewed mu). ``upper`` is proved like the stability margin: constant D, G on intervals that
     cover [0, inf], and box by box of the real parameters where these leave a gap. ``lower`` is the norm of a member,
     evaluated anew.
-
-    Raises NoTrustworthyNumber: the nominal model is unstable.
     """
     compile_kernels()
     budget = search_budget("worst_case_gain", WORK, effort, time_limit)

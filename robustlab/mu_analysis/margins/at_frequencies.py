@@ -104,11 +104,9 @@ class MarginAt(Tabular, StabilityMargin):
         return False if self.upper <= 1 else None
 
     def headline(self) -> str:
-        """The smallest margin, and of how many frequencies."""
         return f"margin of at least {number(self.lower)} {_scope(self.omega, self.between)}"
 
     def facts(self) -> Facts:
-        """The smallest margin with its Delta, and where it holds."""
         return [
             ("smallest margin", bracket(self.lower, self.upper, ("proved", "attained"))),
             ("critical frequency", number(self.frequency, "rad/s")),
@@ -118,7 +116,6 @@ class MarginAt(Tabular, StabilityMargin):
         ]
 
     def details(self) -> list[Part]:
-        """Both bounds at each frequency."""
         return [_points(self.omega, self.lower_at, self.upper_at)]
 
     def table(self) -> Table:
@@ -126,7 +123,6 @@ class MarginAt(Tabular, StabilityMargin):
         return Table(("omega", self.omega), {"lower": self.lower_at, "upper": self.upper_at}, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
         return {"type": "MarginAt", **vars(self)}
 
 
@@ -170,7 +166,6 @@ class GainAt(Tabular, PeakGain):
         ]
 
     def details(self) -> list[Part]:
-        """Both bounds at each frequency."""
         bounds = zip(self.omega.tolist(), self.gain_lower.tolist(), self.gain_upper.tolist(), strict=True)
         rows = [tuple(f"{value:.6g}" for value in row) for row in bounds]
         return [Part("", ("rad/s", "at least", "at most"), rows)]
@@ -181,7 +176,6 @@ class GainAt(Tabular, PeakGain):
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes, and what is assumed."""
         return {**super().to_json(), "assumed": ASSUMED}
 
 
@@ -209,7 +203,6 @@ class DiskMarginAt(Tabular, DiskBounds):
         return Table(("omega", self.omega), {"lower": self.lower_at, "upper": self.upper_at}, {"omega": "rad/s"})
 
     def details(self) -> list[Part]:
-        """Both bounds at each frequency."""
         return [_points(self.omega, self.lower_at, self.upper_at)]
 
 
@@ -229,11 +222,9 @@ class DiskMarginsAt(DiskMargins):
     assumed: str = ASSUMED
 
     def facts(self) -> Facts:
-        """The smallest margin of all at once with what it allows, the loop, and where it holds."""
         return [*super().facts(), ("holds", _scope(self.omega, None)), ("assumed", self.assumed)]
 
     def details(self) -> list[Part]:
-        """Each loop alone beside all at once, and both bounds of these at each frequency."""
         return [*super().details(), *self.simultaneous.details()]
 
 
@@ -255,11 +246,7 @@ def robust_stability_at(
 @told_as("worst_case_gain_at")
 @one_thread()
 def worst_case_gain_at(system: Any, frequency: ArrayLike | None = None, *, seed: int = 0) -> GainAt:
-    """`robustlab.peak_gain` at given frequencies.
-
-    Raises InputError: no inputs or outputs, no frequency for a model, one for data, ranges that are not symmetric.
-    Raises NoTrustworthyNumber: a pole of the nominal model lies at a frequency.
-    """
+    """`robustlab.peak_gain` at given frequencies."""
     data = _data(system, frequency, "worst_case_gain_at")
     n_u, n_y = len(data.inputs), len(data.outputs)
     if not n_u or not n_y:

@@ -96,7 +96,6 @@ class ClassicalMargin(Shown):
     reason: str = ""
 
     def facts(self) -> Facts:
-        """The margins with the frequencies they belong to."""
         if self.gain_margin is None or self.phase_margin is None:
             return [("reason", self.reason), *self._crossings()]
         low, high = self.gain_margin
@@ -115,7 +114,6 @@ class ClassicalMargin(Shown):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
         told: dict[str, Any] = {"type": "ClassicalMargin", **vars(self)}
         for name in ("gain_crossings", "phase_crossings"):
             told[name] = [vars(crossing).copy() for crossing in told[name]]
@@ -174,7 +172,6 @@ class ClassicalMargins(Shown):
         return min((m.delay_margin for m in self.channels.values() if m.delay_margin is not None), default=None)
 
     def headline(self) -> str:
-        """What every loop alone tolerates."""
         if self.gain_low is None or self.gain_high is None or self.phase is None:
             return next((m.reason for m in self.channels.values() if not m.stable), "the closed loop is unstable")
         gain = f"gain by factors {number(self.gain_low)} .. {number(self.gain_high)}"
@@ -183,7 +180,6 @@ class ClassicalMargins(Shown):
         )
 
     def facts(self) -> Facts:
-        """What every loop alone tolerates, and the margins of each."""
         told = [("closed loop", "stable" if self.stable else "unstable")]
         low, high = self.gain_low, self.gain_high
         if self.stable and self.phase is not None and low is not None and high is not None:
@@ -197,7 +193,6 @@ class ClassicalMargins(Shown):
         return [*told, *every]
 
     def details(self) -> list[Part]:
-        """Every crossing of every loop, and how far it is from -1."""
         rows = []
         for name, margin in self.channels.items():
             for c in margin.gain_crossings:
@@ -208,7 +203,6 @@ class ClassicalMargins(Shown):
         return [Part("crossings:", ("loop", "at", "where", "distance"), rows)]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
         return {
             "type": "ClassicalMargins",
             "channels": {name: margin.to_json() for name, margin in self.channels.items()},

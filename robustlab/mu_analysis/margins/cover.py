@@ -72,7 +72,6 @@ class Conservatism(Shown):
     reason: str = ""
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         return [
             ("ratio", bracket(self.least, self.ratio, ("attained", "proved"))),
             ("worst gain of the cover", bracket(self.cover_lower, self.cover_upper, ("attained", "proved"))),
@@ -81,7 +80,6 @@ class Conservatism(Shown):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
         return {"type": "Conservatism", **vars(self)}
 
 
@@ -159,7 +157,6 @@ class Cover(Shown):
         return tuple(text for text in (self.reason, reason) if text)
 
     def numbers(self) -> dict[str, Any]:
-        """Those of the model, the size of its largest delta, its weight, and its conservatism."""
         c = self.conservatism
         found = {
             **self.model.numbers(), "count": len(self.model.blocks), "members": len(self.sizes),
@@ -172,13 +169,11 @@ class Cover(Shown):
         return found
 
     def headline(self) -> str:
-        """The form, and how many models and blocks."""
         start = {0: "the middle", None: "the model that was given"}.get(self.nominal, f"model {self.nominal}")
         models = f"{self.form} cover of {len(self.sizes)} models around {start}"
         return f"{models}: {len(self.model.blocks)} blocks"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         c, fit = self.conservatism, self.fit
         start = {0: "the middle of the models", None: "the model that was given"}.get(
             self.nominal, f"model {self.nominal}"
@@ -205,11 +200,9 @@ class Cover(Shown):
         ]
 
     def details(self) -> list[Part]:
-        """The blocks."""
         return self.model.details()
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``models``, and the model's."""
         own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "models"}
         return {"type": "Cover", **self.model.to_json(), **own}
 

@@ -77,13 +77,7 @@ class DelayAxis:
         return self.D + self.C @ np.linalg.solve(self.characteristic(omega), held)
 
     def seen(self, middle: Array) -> Seen:
-        """What the bounds about these frequencies need.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            A root lies on the axis.
-        """
+        """What the bounds about these frequencies need."""
         size = max(1, CHUNK // max(len(self.weight) ** 2, 1))
         parts = [self._seen(middle[k : k + size]) for k in range(0, len(middle), size)]
         return Seen(*(np.concatenate(column) for column in zip(*parts, strict=True)))
@@ -168,19 +162,7 @@ def proved_peak(
     attained: Callable[[ComplexArray, Array], float],
     measure: Callable[[ComplexArray], Measured],
 ) -> float:
-    """Bound over the whole axis of a measure of the response, inf where there is none.
-
-    Parameters
-    ----------
-    about
-        What the response is compared with at high frequencies, its limit where it has one.
-    tolerance
-        Intervals are cut while their bound is larger by this share than the largest value that was attained.
-    attained
-        Takes responses with their frequencies, and says the largest value attained so far.
-    measure
-        Of a stack of responses.
-    """
+    """Bound over the whole axis of a measure of the response, inf where there is none."""
     whole = about[None].astype(np.complex128)
     limit, left = measure(whole), axis.far(np.inf, about)
     at_end = float(limit.level[0] + limit.stretch[0] * left)

@@ -65,10 +65,7 @@ class DelayGain(PeakGain):
 
 @told_as("delay_gain")
 def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int = 16, effort: float = 1.0) -> DelayGain:
-    """`robustlab.peak_gain` of a model with exact delays, or of one without.
-
-    Raises InputError: a discrete or an uncertain model, a tolerance or an order out of range.
-    """
+    """`robustlab.peak_gain` of a model with exact delays, or of one without."""
     g = as_delayed(model, "delay_gain")
     if not FINEST <= tolerance < 1:
         raise InputError("delay_gain: tolerance", f"{tolerance!r}", f"a number from {FINEST:g} to 1")

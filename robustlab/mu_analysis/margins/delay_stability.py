@@ -102,11 +102,9 @@ class DelayStability(StabilityMargin):
         return True if self.lower > 0 else False if self.upper == 0 else None
 
     def headline(self) -> str:
-        """The verdict."""
         return {True: "proved stable", False: "proved unstable", None: "not proved stable"}[self.stable]
 
     def facts(self) -> Facts:
-        """The verdict and what it rests on."""
         verdict = {True: "yes: proved on the whole axis", False: "no: proved by a root", None: "undecided"}[self.stable]
         proved = f"{number(self.margin.lower)} (proved), with Padé of order {self.order}" if self.margin else ""
         counted = ""
@@ -121,7 +119,6 @@ class DelayStability(StabilityMargin):
         ]
 
     def to_json(self) -> dict[str, object]:
-        """All attributes but ``system``."""
         kept = {name: x for name, x in vars(self).items() if name != "system"}
         return {"type": "DelayStability", "stable": self.stable, **kept}
 

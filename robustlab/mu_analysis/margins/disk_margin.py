@@ -112,13 +112,11 @@ class DiskBounds(Bracket):
         return self.lower
 
     def headline(self) -> str:
-        """The margin that is proved, and what it allows."""
         low, high = self.gain_margin
         allowed = f"gain by factors {number(low)} .. {number(high)}, phase by +-{in_degrees(self.phase_margin)}"
         return f"{self.kind} of at least {number(self.lower)}: {allowed}"
 
     def facts(self) -> Facts:
-        """The margin, the changes of gain and phase that it allows, and where it is smallest."""
         return [*self._bounds(), *(("note", note) for note in self.notes)]
 
     def _bounds(self) -> Facts:
@@ -133,7 +131,6 @@ class DiskBounds(Bracket):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``system`` and ``sensitivity``; models stay models."""
         kept = {name: x for name, x in vars(self).items() if name not in ("system", "sensitivity")}
         return {"type": type(self).__name__, **kept}
 
@@ -203,11 +200,9 @@ class DiskMargins(DiskBounds):
         return cls(**shared, simultaneous=simultaneous, channels=channels, at=at, loop=loop, **evidence)
 
     def facts(self) -> Facts:
-        """The loop, then the margin of all loops at once with what it allows."""
         return [("loop", self.loop), ("at", AT[self.at]), *self._bounds(), *(("note", note) for note in self.notes)]
 
     def details(self) -> list[Part]:
-        """Each loop alone beside all at once, and the factors that destabilise."""
         every = dict(self.channels)
         if len(every) != 1:
             every["all at once"] = self.simultaneous
@@ -278,13 +273,7 @@ def disk_margin(
 
 
 def disk_margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Budget, seed: int = 0) -> DiskMargin:
-    """The margin of all channels of M (what the disks see: see `disk_channels`) at once.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        M is unstable.
-    """
+    """The margin of all channels of M (what the disks see: see `disk_channels`) at once."""
     return _one_loop(M, names[0], skew) if len(names) == 1 else _many_loops(M, names, skew, budget, seed)
 
 
@@ -298,19 +287,7 @@ def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> Closing:
 def disk_channels(
     plant: StateSpaceModel, K: StateSpaceModel, delta: tuple[int, int], at: Place, skew: float, sign: Literal[-1, 1]
 ) -> tuple[StateSpaceModel, tuple[str, ...]]:
-    r"""The closed loop as the disks see it, and the names of its channels.
-
-    Parameters
-    ----------
-    plant
-        Plant whose first ``delta[0]`` inputs and ``delta[1]`` outputs are channels of another Delta, which stay first.
-
-    Returns
-    -------
-    StateSpaceModel
-        From (w of Delta, w at the inputs, w at the outputs) to the z of the same; per disk channel ``z = v +
-        (1 + sigma)/2 w`` and ``v + w`` goes on in place of the signal v.
-    """
+    """The closed loop as the disks see it, and the names of its channels."""
     if at not in PLACES:
         raise InputError("disk_margin: at", f"{at!r}", "input, output or both")
     if not abs(skew) <= 1e6:

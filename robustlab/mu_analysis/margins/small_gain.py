@@ -95,12 +95,10 @@ class SmallGain(Bracket):
     }  # fmt: skip
 
     def headline(self) -> str:
-        """The verdict."""
         words = {True: "stable for every stable Delta of norm one", False: "not robustly stable", None: "undecided"}
         return words[self.robustly_stable]
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         answer = {True: "yes, for every stable Delta of norm one", False: "no", None: "undecided"}[self.robustly_stable]
         return [
             ("loop", self.loop),
@@ -111,7 +109,6 @@ class SmallGain(Bracket):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``system`` and ``K``; arrays stay arrays."""
         names = [name for name in vars(self) if name not in ("system", "K")]
         return {"type": "SmallGain", **{name: getattr(self, name) for name in names}}
 
@@ -202,11 +199,6 @@ def replayed_pole(closed: UncertainModel, delta: Mapping[str, Any], frequency: f
 
     And whether it lies there up to rounding: to 1e-6 of the frequency, or to 1e-9 of the fastest pole (eigenvalues are
     no more accurate than that where they are repeated). An ill-posed loop has no such pole: None, and True.
-
-    Raises
-    ------
-    InputError
-        A complex value at an end of the axis, which no real system takes there.
     """
     if not np.isfinite(frequency) or not closed.M.n_states:
         return None, True

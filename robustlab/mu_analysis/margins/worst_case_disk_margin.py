@@ -90,13 +90,11 @@ class WorstCaseDiskMargin(DiskMargins):
     nominal: DiskMargin
 
     def facts(self) -> Facts:
-        """The smallest margin with what it allows, the member that has it, and the nominal one."""
         first, *rest = super().facts()
         nominal = bracket(self.nominal.lower, self.nominal.upper, ("proved", "attained"))
         return [first, ("nominal disk margin", nominal), ("worst member", member(self.delta, self.physical)), *rest]
 
     def details(self) -> list[Part]:
-        """The worst member, block by block."""
         rows = delta_rows(self.delta, self.physical)
         return [*super().details(), Part("worst member found:", ("block", "delta", "parameter"), rows)]
 

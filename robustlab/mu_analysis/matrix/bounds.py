@@ -80,7 +80,6 @@ class MuBounds(Tabular, Shown):
             object.__setattr__(self, "scaled", self.upper)
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         lower, upper = np.atleast_1d(self.lower), np.atleast_1d(self.upper)
         k = int(np.argmax(upper)) if len(upper) else 0
         told = bracket(float(lower[k]), float(upper[k]), ("attained", "proved")) if len(upper) else ""
@@ -98,7 +97,6 @@ class MuBounds(Tabular, Shown):
         return Table(("matrix", np.arange(len(upper))), {"lower": lower, "upper": upper})
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes; arrays stay arrays."""
         names = [b.name for b in self.blocks]
         keys = ("lower", "upper", "delta", "D", "G", "D_z", "status", "scaled", "boxes", "notes")
         return {"type": "MuBounds", **{key: getattr(self, key) for key in keys}, "blocks": names}

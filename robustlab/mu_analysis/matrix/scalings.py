@@ -31,10 +31,7 @@ def supply(M: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> ComplexArray:
 
 
 def relative(X: ComplexArray, Y: ComplexArray) -> ComplexArray:
-    """``L^-1 Y L^-*`` for ``X = L L^*``: its eigenvalues are those of Y relative to the positive definite X.
-
-    Raises numpy.linalg.LinAlgError: X is not positive definite.
-    """
+    """``L^-1 Y L^-*`` for ``X = L L^*``: its eigenvalues are those of Y relative to the positive definite X."""
     factor = np.linalg.cholesky(X)
     half = np.linalg.solve(factor, Y)
     value = np.linalg.solve(factor, hermitian(half))

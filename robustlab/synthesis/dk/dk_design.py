@@ -28,7 +28,6 @@ class DKStep:
     work: float  # work done since the start, in units of about a microsecond; see `robustlab.budget`
 
     def to_json(self) -> dict[str, object]:
-        """All attributes."""
         return vars(self).copy()
 
 
@@ -96,7 +95,6 @@ class DKSynthesis(Tabular, Synthesis):
         return f"{self.gamma:.6g} (mu is at most this at all frequencies)"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         rows = super().facts()
         text = f"{self.lower:.6g} at {self.frequency:.4g} rad/s" if self.lower > 0 else "none found"
         orders = ", ".join(f"{b.name} {o}" for b, o in zip(self.blocks, self.scalings.orders, strict=True) if o)
@@ -117,7 +115,6 @@ class DKSynthesis(Tabular, Synthesis):
         return Table(("iterate", range(1, len(self.history) + 1)), columns)
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plant and the pieces, with arrays."""
         return super().to_json() | {
             "lower": self.lower,
             "frequency": self.frequency,

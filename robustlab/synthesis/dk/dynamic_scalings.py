@@ -252,7 +252,6 @@ class DynamicScalings:
         return replace(self, parts=(*self.parts[:index], part, *self.parts[index + 1 :]))
 
     def to_json(self) -> list[dict[str, object]]:
-        """For each block its factors (log gain, sections), mixing and G."""
         return [
             {
                 "block": block.name,

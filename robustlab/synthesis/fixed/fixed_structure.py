@@ -67,7 +67,6 @@ class ParameterValue:
         return min(self.value - self.low, self.high - self.value) <= 2e-3 * width
 
     def to_json(self) -> dict[str, Any]:
-        """All fields."""
         return vars(self) | {"at_bound": self.at_bound}
 
 
@@ -84,7 +83,6 @@ class LimitValue:
         return self.value > -1e-2
 
     def to_json(self) -> dict[str, Any]:
-        """All fields."""
         return vars(self) | {"active": self.active}
 
 
@@ -158,7 +156,6 @@ class FixedSynthesis(Tabular, Synthesis):
         return f"{self.gamma:.6g} at {self.peak_frequency:.4g} rad/s (verified upper bound)"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         rows = super().facts()
         if len(self.gammas) > 1:
             label = "gamma of every scenario" if self.worst is not None else "gamma of every model"
@@ -178,7 +175,6 @@ class FixedSynthesis(Tabular, Synthesis):
         return Table(("parameter", [p.name for p in self.parameters]), columns)
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plants, with arrays."""
         return super().to_json() | {
             "objective": self.objective,
             "parameters": [p.to_json() for p in self.parameters],

@@ -251,7 +251,6 @@ class GoalValue:
         return self.value <= 1
 
     def to_json(self) -> dict[str, Any]:
-        """All fields but ``plants`` and ``norm``."""
         told = {name: value for name, value in vars(self).items() if name not in ("plants", "norm")}
         return told | {"value": self.value, "met": self.met}
 
@@ -292,14 +291,12 @@ class TunedSynthesis(Tabular, Synthesis):
         return tuple(goal for goal in self.goals if goal.hard and not goal.met)
 
     def numbers(self) -> dict[str, Any]:
-        """Those of every design, and how many hard goals are missed."""
         return {**super().numbers(), "missed": len(self.missed)}
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (largest {'' if all(goal.hard for goal in self.goals) else 'soft '}goal, verified)"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         rows = super().facts()
         for goal in self.goals:
             word = ("hard" if goal.hard else "soft") + ("" if goal.met else ", missed" if goal.hard else ", above 1")
@@ -314,7 +311,6 @@ class TunedSynthesis(Tabular, Synthesis):
         return Table(("goal", [goal.text for goal in self.goals]), columns)
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plants, with arrays."""
         parts = {key: [x.to_json() for x in getattr(self, key)] for key in ("goals", "limits", "parameters")}
         return super().to_json() | parts | {"missed": [goal.text for goal in self.missed]}
 

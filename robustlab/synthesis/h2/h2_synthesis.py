@@ -83,7 +83,6 @@ class H2Synthesis(Synthesis):
         return f"{self.gamma:.6g} (H2 norm, verified by both Gramians)"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         rows = super().facts()
         if not self.regularisation:
             return rows
@@ -91,7 +90,6 @@ class H2Synthesis(Synthesis):
         return [*rows[:2], ("regularisation", text), *rows[2:]]
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plant, with arrays."""
         return super().to_json() | {
             "norm": self.norm.to_json(),
             "regularisation": self.regularisation,

@@ -151,10 +151,7 @@ class Verifier:
         return self._first(allowed, limit, certified=True) or best
 
     def within(self, candidates: list[Candidate], best: Verified, gamma_rel: float, bandwidth: float) -> Verified:
-        """The smallest gamma of those within the ratio of the best whose poles all lie below the bandwidth.
-
-        Raises NoTrustworthyNumber: there is none; the message says how slow the slowest is.
-        """
+        """The smallest gamma of those within the ratio of the best whose poles all lie below the bandwidth."""
         limit = gamma_rel * best.gamma
         allowed = [c for c in candidates if c.gamma <= limit]
         slow = sorted((c for c in allowed if c.pace <= bandwidth), key=lambda c: c.gamma)

@@ -102,14 +102,12 @@ class NcfSynthesis(Synthesis):
         return f"{self.gamma:.6g} (verified upper bound; margin {self.margin.lower:.4g})"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         rows = super().facts()
         verdict = "the loop's shape is kept" if self.margin.lower >= 0.25 else "shape the loop differently"
         best = f"{self.gamma_min:.6g} (margin {1 / self.gamma_min:.4g}): {verdict}"
         return [*rows[:2], ("smallest gamma possible", best), *rows[2:]]
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plant, with arrays."""
         return super().to_json() | {
             "gamma_min": self.gamma_min,
             "factor": self.factor,
@@ -300,8 +298,6 @@ def four_block_plant(g: StateSpaceModel) -> GeneralizedPlant:
 def with_default_performance(plant: GeneralizedPlant, where: str) -> GeneralizedPlant:
     """The plant itself, or, where all of its inputs are controls and all of its outputs measurements, with noise on y
     and a disturbance on u as w, and y and the total u as z: a loop without w and z has no gain to judge it by.
-
-    Raises InputError: disturbances without performance outputs, or the other way round.
     """
     if not plant.n_w and not plant.n_z:
         return four_block_plant(plant.model)

@@ -91,7 +91,6 @@ class TwoDegreeSynthesis(Synthesis):
     apart: GeneralizedPlant
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         rows = super().facts()
         verdict = (
             "the loop's shape is kept" if self.margin.lower >= 0.25 else "shape the loop differently, or a lower rho"
@@ -106,7 +105,6 @@ class TwoDegreeSynthesis(Synthesis):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plant, with arrays."""
         names = ("gamma_min", "rho", "steady_error", "prefilter", "references")
         models = ("margin", "matching", "K_shaped", "shaped_plant", "reference_model")
         whole = super().to_json() | {name: getattr(self, name) for name in names}

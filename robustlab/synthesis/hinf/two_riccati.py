@@ -163,10 +163,7 @@ class TwoRiccatiProblem:
         return at_high.gamma
 
     def central_controller(self, pair: RiccatiPair) -> Realisation:
-        """The central controller of a pair, (19) to (27) without its free parameter, from y to u of the plant given.
-
-        Raises NoTrustworthyNumber: a factor of it is singular: gamma is too close to its limit.
-        """
+        """The central controller of a pair, (19) to (27) without its free parameter, from y to u of the plant given."""
         a, b, g2 = self.a, self.b, pair.gamma**2
         D1111, D1112 = self.D11[:a, :b], self.D11[:a, b:]
         D1121, D1122 = self.D11[a:, :b], self.D11[a:, b:]

@@ -68,7 +68,6 @@ class Start:
     values: tuple[float, ...]  # norms on the way
 
     def to_json(self) -> dict[str, Any]:
-        """All but the parameters."""
         return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "values")}
 
 

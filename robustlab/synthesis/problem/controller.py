@@ -77,10 +77,8 @@ class Controller(Shown, Traced):
         return self.K
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         said = self.law or "not known: say it where a loop is closed"
         return [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", said), *self.K.facts()]
 
     def to_json(self) -> dict[str, object]:
-        """K, how it closes its loop, and what was verified, as plain types."""
         return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method, "law": self.law}

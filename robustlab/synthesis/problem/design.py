@@ -51,7 +51,6 @@ class Design(Shown):
     reason: str
 
     def headline(self) -> str:
-        """Its states and its gamma."""
         return f"A controller of {number(self.K.n_states)} states, gamma {self._gamma_text()}"
 
     def _gamma_text(self) -> str:
@@ -136,7 +135,6 @@ class Synthesis(Design):
         return lower_lft(around, self.K), rest
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         unit = "(modulus)" if self.K.is_discrete else "rad/s"
         margin = "(modulus minus one)" if self.K.is_discrete else "1/s"
         outside = self._parts[1].spectral_abscissa()
@@ -153,7 +151,6 @@ class Synthesis(Design):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plant, with arrays."""
         return {
             "method": self.method,
             "status": self.status,
@@ -213,7 +210,6 @@ class HinfSynthesis(Synthesis):
         return f"{self.gamma:.6g} at {self.peak_frequency:.4g} rad/s (verified upper bound)"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         rows = super().facts()
         found = f"{self.smallest_gamma:.6g}"
         if np.isfinite(self.regularisation_cost):
@@ -234,7 +230,6 @@ class HinfSynthesis(Synthesis):
         return max(self.smallest_gamma / optimum - 1, 0.0) if optimum > 0 else float("nan")
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plant and the weights, with arrays."""
         return super().to_json() | {
             "smallest_gamma": self.smallest_gamma,
             "peak_frequency": self.peak_frequency,
@@ -257,10 +252,7 @@ def _reached(A: AnyArray, B: AnyArray) -> AnyArray:
 
 
 def design_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
-    """The budget of a design; a time limit of zero is refused, because there is no design without a search.
-
-    Raises InputError: an effort or a time limit that is not a positive number.
-    """
+    """The budget of a design; a time limit of zero is refused, because there is no design without a search."""
     if time_limit is not None and not time_limit > 0:
         raise InputError(where, f"time_limit is {time_limit}", "a positive time in s, or none")
     return search_budget(where, work, effort, time_limit)

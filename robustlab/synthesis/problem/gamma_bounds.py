@@ -50,7 +50,6 @@ class GammaBound:
     proved: bool  # False for an estimate
 
     def to_json(self) -> dict[str, object]:
-        """All fields."""
         return vars(self).copy()
 
 

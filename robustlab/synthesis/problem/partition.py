@@ -157,7 +157,6 @@ class GeneralizedPlant(Shown):
         return self.model
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         return [
             ("measurements", with_units(self.measurements)),
             ("controls", with_units(self.controls)),
@@ -186,10 +185,7 @@ def as_generalized_plant(P: Any, n_meas: int | None, n_con: int | None, where: s
 
 
 def require_performance(plant: GeneralizedPlant, where: str, hint: str = NO_PERFORMANCE) -> None:
-    """Refuse a plant without a disturbance w or a performance output z outside its blocks: every norm would be 0.
-
-    Raises InputError: it names which of the two is missing.
-    """
+    """Refuse a plant without a disturbance w or a performance output z outside its blocks: every norm would be 0."""
     q, p = structure_size(plant.blocks)
     into, out = plant.n_w - q, plant.n_z - p
     if into and out:

@@ -83,10 +83,7 @@ class PerformanceMeasure:
         return self.scaled or self.plant
 
     def certified(self, K: StateSpaceModel) -> Performance:
-        """The measure of the loop with K, proved; infinite where the loop is not stable.
-
-        Raises InputError: the loop is not well posed.
-        """
+        """The measure of the loop with K, proved; infinite where the loop is not stable."""
         if self.name == "mu" and self.scaled is None:
             return self._margin(self.plant.close(K), K)
         plant = self.scaled or self.plant

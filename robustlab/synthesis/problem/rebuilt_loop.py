@@ -32,10 +32,7 @@ HIDDEN = 1e6
 
 
 def with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
-    r"""``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without.
-
-    Raises NoTrustworthyNumber: I + D_K D22 is singular.
-    """
+    """``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without."""
     if not D22.any():
         return K
     loop = np.eye(K.n_outputs) + K.D @ D22

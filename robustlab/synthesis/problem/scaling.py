@@ -40,10 +40,7 @@ class Scaling:
 
     @property
     def gain(self) -> float:
-        """Factor from a closed-loop gain of the plant to that of the scaled plant.
-
-        Raises NoTrustworthyNumber: no floating-point number is that small or that large.
-        """
+        """Factor from a closed-loop gain of the plant to that of the scaled plant."""
         gain = float(self.w) * float(self.z)
         if not TINY <= gain <= 1 / TINY:
             found = f"gains of the loop are about 1e{-np.log10(self.w) - np.log10(self.z):.0f}"
@@ -133,8 +130,6 @@ def by_magnitude(p: PlantMatrices, discrete: bool = False) -> Scaling:
 
     The unit of time is that of A, or of the loops that u and y can close where these are faster by far; a discrete
     plant keeps its steps.
-
-    Raises NoTrustworthyNumber: factors that no floating-point number is: the controller would have such gains.
     """
     t = balancing_exponents(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]))
     rows, k = -t[:, None], -_to_one((p.A, -t[:, None] + t))
@@ -188,10 +183,7 @@ def in_ordinary_units(
 def _exactly(
     m: StateSpaceModel, rate: AnyArray, states: AnyArray | int, into: AnyArray, out: AnyArray
 ) -> StateSpaceModel:
-    """The model in the unit of time ``2^-rate``, with scaled states, inputs and outputs, all by exponents.
-
-    Raises NoTrustworthyNumber: an entry overflows, vanishes, or loses digits.
-    """
+    """The model in the unit of time ``2^-rate``, with scaled states, inputs and outputs, all by exponents."""
     t, out = np.broadcast_to(states, m.n_states), np.broadcast_to(out, m.n_outputs)[:, None]
     exponents = -t[:, None] + t - rate, -t[:, None] + into - rate, t + out, out + into
     given = m.A, m.B, m.C, m.D

@@ -112,11 +112,6 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
 
     Modes that are not stable and that no input moves, or no output shows, are removed before.
 
-    Raises
-    ------
-    NoTrustworthyNumber
-        The two parts cannot be told apart: poles on either side of the boundary are too close.
-
     References
     ----------
     Safonov, Jonckheere, Verma, Limebeer, "Synthesis of positive real multivariable feedback systems" (1987).
@@ -225,11 +220,6 @@ class Balancing:
 
         Residualisation sets the derivatives of the other states to zero (discrete: their change), and so keeps the
         gain at zero frequency exactly.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            The states to be residualised have no equilibrium of their own.
         """
         if projection == "truncation" or not len(self.left):
             t, back = self.right[:, :order], self.left[:order]

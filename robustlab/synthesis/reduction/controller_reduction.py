@@ -91,7 +91,6 @@ class OrderTried:
     status: Status
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
         return vars(self).copy()
 
 
@@ -140,7 +139,6 @@ class ReducedController(Tabular, Synthesis):
         return _loss(self.gamma, self.original_gamma)
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         rows = super().facts()
         tried = [(o.order, "not stable" if np.isinf(o.value) else f"{100 * o.loss:+.2g} %") for o in self.orders]
         return [
@@ -157,7 +155,6 @@ class ReducedController(Tabular, Synthesis):
         return Table(("order", [tried.order for tried in self.orders]), columns)
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plant, with arrays."""
         return super().to_json() | {
             "measure": self.measure,
             "original_order": self.original_order,

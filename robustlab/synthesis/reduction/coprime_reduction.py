@@ -35,13 +35,7 @@ class CoprimeReduction:
         return self.balancing.reduced(self.factors, order, "truncation")
 
     def reduced(self, order: int) -> StateSpaceModel:
-        """``N_r M_r^{-1}``.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            M_r has no inverse.
-        """
+        """``N_r M_r^{-1}``."""
         small, p = self.reduced_factors(order), self.full.n_outputs
         n, m = (small.C[:p], small.D[:p]), (small.C[p:], small.D[p:])
         if small.n_inputs and np.linalg.cond(m[1]) > 1e12:

@@ -60,13 +60,7 @@ def _dilated(m: StateSpaceModel, values: AnyArray, k: int, unitary: bool = False
 
 
 def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: int) -> StateSpaceModel:
-    """The nearest model of at most this order; of fewer where the value after the cut is a repeated one.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        As many modes are stable as there should not be: digits were lost.
-    """
+    """The nearest model of at most this order; of fewer where the value after the cut is a repeated one."""
     values = balancing.values[: len(balancing.left)]
     if order >= len(values):
         return balancing.reduced(model, order, "truncation")

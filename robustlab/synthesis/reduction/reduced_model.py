@@ -95,12 +95,10 @@ class ReducedModel(Shown):
         return self.model
 
     def headline(self) -> str:
-        """Both orders and the error."""
         kept = f"{self.order} of {self.full.n_states} states by {self.method}"
         return f"{kept}, with an error of at most {number(self.error.upper)}"
 
     def numbers(self) -> dict[str, Any]:
-        """Sizes, the error and what theory promises for it; None where it promises nothing."""
         return {
             "order": self.order, "error": self.error.upper, "states": self.full.n_states,
             "bound": None if np.isnan(self.bound) else self.bound, "n_apart": self.n_apart,
@@ -108,7 +106,6 @@ class ReducedModel(Shown):
         }  # fmt: skip
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         words = {"coprime": "error of the coprime factors", "stochastic": "relative error"}
         kind = self.method.partition(" ")[0]
         what = words.get(kind, {"weighted": "weighted error", "band": "error in the band"}.get(kind, "error"))
@@ -134,7 +131,6 @@ class ReducedModel(Shown):
         return [*rows, ("why", self.reason)] if self.reason else rows
 
     def to_json(self) -> dict[str, Any]:
-        """All but the model as given, the band and the weights."""
         return {
             "type": "ReducedModel",
             **{f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("full", "band", "weights")},

@@ -69,15 +69,7 @@ class Spectrum:
 
     @classmethod
     def of(cls, model: StateSpaceModel, floor: float) -> Spectrum:
-        """The factor by a Riccati equation.
-
-        Raises
-        ------
-        InputError
-            D has no full row rank, and the floor is zero; or a floor beside which the model is nothing.
-        NoTrustworthyNumber
-            No factor: G has zeros on the axis, or too near to it.
-        """
+        """The factor by a Riccati equation."""
         if floor > LARGEST_FLOOR:
             found = f"the floor is {floor:.0e} times what the gain is about"
             raise InputError("reduce_model: floor", found, f"at most {LARGEST_FLOOR:.0e}")

@@ -336,7 +336,6 @@ class MergedModes:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """All fields, and the text."""
         return {**vars(self), "text": str(self)}
 
 

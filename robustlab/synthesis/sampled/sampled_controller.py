@@ -61,7 +61,6 @@ class SampledTrial:
     reason: str = ""  # why there is no finite norm, or no controller; else empty
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
         return vars(self).copy()
 
 
@@ -127,7 +126,6 @@ class SampledController(Synthesis):
         return f"{self.gamma:.6g} (sampled loop, between samples too; at least {self.norm.lower:.6g})"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         rows = [("sampled-data norm" if label == "gamma" else label, text) for label, text in super().facts()]
         text = f"{100 * self.loss:.3g} % of the continuous loop's {self.continuous_norm.upper:.6g}"
         head = [
@@ -143,7 +141,6 @@ class SampledController(Synthesis):
         return [*head, *rows, ("loss by method", ", ".join(tried)), *notes]
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plant, with arrays."""
         return super().to_json() | {
             "dt": self.dt,
             "chosen": self.chosen,

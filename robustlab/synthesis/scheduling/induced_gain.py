@@ -122,7 +122,6 @@ class LPVGain(PeakGain, Traced):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All but the model, and what the bound holds for."""
         return {**super().to_json(), "scope": self.scope}
 
 
@@ -140,8 +139,6 @@ def lpv_gain(
     The inequality of `robustlab.synthesis.scheduling.lyapunov_inequality` is imposed on the Bernstein coefficients of
     every cell: it holds between the grid points because it is a convex combination of them there. A family that is not
     multi-linear is allowed for by the model's ``deviation``. ``progress`` gets one short line after every stage.
-
-    Raises InputError: not an LPV model, an unknown ``lyapunov``, more inequalities than can be solved.
     """
     if not isinstance(model, LPVModel):
         raise InputError("lpv_gain", f"a {type(model).__name__}", "an LPVModel", "rl.lpv_model makes one")

@@ -327,12 +327,10 @@ class LPVModel(Behaviour, Shown, Traced):
         return f"within {size} of the interpolation, entry by entry ({word})"
 
     def headline(self) -> str:
-        """Its size."""
         models = f"{int(np.prod(self.grid))} models, {self.n_states} states"
         return f"model scheduled by {', '.join(p.name for p in self.parameters)}: {models}"
 
     def facts(self) -> Facts:
-        """Parameters, signals, what is known between the points."""
         kind = "polytopic" if set(self.grid) == {2} else "gridded"
         return [
             ("parameters", "; ".join(p.words for p in self.parameters)),
@@ -348,7 +346,6 @@ class LPVModel(Behaviour, Shown, Traced):
         return f"LPVModel({size} over {', '.join(self.names)}, {self.n_states} states, [{ins}] -> [{outs}])"
 
     def to_json(self) -> dict[str, object]:
-        """Parameters, signals and stacked matrices."""
         sides = {side: [list(s) for s in getattr(self, side)] for side in ("inputs", "outputs", "states")}
         told = [vars(p).copy() for p in self.parameters]
         return {

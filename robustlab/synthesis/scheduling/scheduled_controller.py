@@ -44,10 +44,8 @@ class LPVController(Shown, Traced):
         return self.K.at(rho, **values)
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         said = [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", law(self.K.inputs))]
         return [*said, *self.K.facts()]
 
     def to_json(self) -> dict[str, object]:
-        """K and what was verified, as plain types."""
         return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method}

@@ -108,7 +108,6 @@ class LPVSynthesis(Design):
         return f"{number(self.gamma, digits=6)} (induced L2 gain, proved)"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         return [
             ("gamma", self._gamma_text()),
             ("holds", self.gain.scope),
@@ -119,7 +118,6 @@ class LPVSynthesis(Design):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the plant, with arrays."""
         return {
             "status": self.status, "gamma": self.gamma, "lmi_gamma": self.lmi_gamma,
             "reason": self.reason, "K": self.K.to_json(), "gain": self.gain.to_json(),

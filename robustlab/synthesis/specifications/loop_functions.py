@@ -87,7 +87,6 @@ class LoopFunctions(Shown):
         return self.S.is_stable()
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         return [
             ("loop", with_hidden(f"{'stable' if self.is_stable() else 'unstable'}, {self.S.n_states} states", self.S)),
             ("outputs", with_units(self.T.outputs)),

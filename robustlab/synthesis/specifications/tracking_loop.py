@@ -44,16 +44,13 @@ class ClosedLoop(Shown):
         return self.model.nominal.spectral_abscissa()
 
     def numbers(self) -> dict[str, Any]:
-        """Those of the loop, and whether it is stable."""
         abscissa = self.spectral_abscissa
         return {**self.model.numbers(), "spectral_abscissa": abscissa, "nominally_stable": abscissa < 0}
 
     def headline(self) -> str:
-        """Whether the nominal loop is stable."""
         return f"nominally {'stable' if self.spectral_abscissa < 0 else 'unstable'}"
 
     def facts(self) -> Facts:
-        """The law, the signals, the rightmost pole."""
         return [
             ("loop", self.loop),
             ("inputs", listed(s.name for s in self.model.inputs)),
@@ -62,15 +59,11 @@ class ClosedLoop(Shown):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """The loop's matrices and blocks, and the law."""
         return {**self.model.to_json(), "loop": self.loop, "spectral_abscissa": self.spectral_abscissa}
 
 
 def close_loop(system: Any, controller: Any, sign: Sign | None = None) -> ClosedLoop:
-    """The tracking loop of a controller around a model, an uncertain one or not; see `tracking_loop`.
-
-    Raises InputError: a sign that is not said, or contradicts the controller; sizes that do not fit.
-    """
+    """The tracking loop of a controller around a model, an uncertain one or not; see `tracking_loop`."""
     K, words = with_law(system, controller, sign)
     return ClosedLoop(tracking_loop(system, K), words)
 

@@ -68,7 +68,6 @@ class TrackingProblem(Shown):
     }  # fmt: skip
 
     def numbers(self) -> dict[str, Any]:
-        """Sizes of the weighted problem."""
         return {
             "states": self.uncertain.M.n_states,
             "blocks": [b.name for b in self.uncertain.blocks],
@@ -78,7 +77,6 @@ class TrackingProblem(Shown):
         }
 
     def facts(self) -> Facts:
-        """What the controller sees and drives, and how large everything is."""
         plant, blocks = self.plant, self.uncertain.blocks
         return [
             ("the controller sees", ", ".join(s.name for s in plant.measurements)),
@@ -186,7 +184,6 @@ class TrackingLoop(Shown):
     gamma: float | None
 
     def facts(self) -> Facts:
-        """Which design, and what it proves."""
         proved = "" if self.gamma is None else number(self.gamma)
         return [("design", type(self.design).__name__), ("gamma of the nominal loop", proved)]
 

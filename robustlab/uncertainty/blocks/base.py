@@ -144,7 +144,6 @@ class ParameterRange:
         return "it is never negative" if self.sign == "nonnegative" and value < 0 else ""
 
     def to_json(self) -> dict[str, object]:
-        """The attributes; ``below`` only where it differs from ``radius``, ``sign`` only where there is one."""
         data: dict[str, object] = {"nominal": self.nominal, "radius": self.radius, "unit": self.unit}
         if self.below is not None:
             data["below"] = self.below
@@ -241,10 +240,7 @@ class Block(ABC):
     # --- values ------------------------------------------------------------------------------------------------------
 
     def matrix_of(self, value: NDArray[Any]) -> NDArray[Any]:
-        """The block (rows, cols) of a value.
-
-        Raises InputError: a wrong shape, a complex value for a real block, a matrix that is no multiple of a member.
-        """
+        """The block (rows, cols) of a value."""
         value = value.reshape(1, 1) if value.ndim == 0 and self.value_shape == (1, 1) else value
         if value.shape != self.value_shape:
             raise InputError(f"delta {self.name!r}", f"shape {value.shape}", f"{self.value_shape}")
@@ -357,10 +353,7 @@ class Block(ABC):
         raise InputError(f"block {self.name!r}", f"a size of {rows} x {cols}", f"{self.rows} x {self.cols}")
 
     def merged(self, others: Sequence[Any], where: str) -> Block:
-        """One block for the same uncertainty in several operands; ``others`` are of the same kind and name.
-
-        Raises InputError: no block of this library has that structure.
-        """
+        """One block for the same uncertainty in several operands; ``others`` are of the same kind and name."""
         raise InputError(
             where,
             "is a full block in several operands",
@@ -376,7 +369,6 @@ class Block(ABC):
     # --- words and files ---------------------------------------------------------------------------------------------
 
     def to_json(self) -> dict[str, object]:
-        """Name, kind, size; range and origin where there are any."""
         data: dict[str, object] = {"name": self.name, "kind": type(self).__name__}
         data |= {"rows": self.rows, "cols": self.cols}
         if self.parameter is not None:
@@ -395,10 +387,7 @@ def rank_one(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_name_and_size(name: str, size: int) -> None:
-    """Refuse a block without a name or a size.
-
-    Raises InputError: not a text of 1 to 200 characters, or not a positive whole number.
-    """
+    """Refuse a block without a name or a size."""
     if not isinstance(name, str) or not name or len(name) > 200:
         raise InputError("block", f"name {name!r}", "a text of 1 to 200 characters")
     if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:

@@ -355,8 +355,6 @@ def as_blocks(given: Any) -> tuple[Block, ...]:
     ``[-r, 0]`` is one real scalar repeated r times, ``[r, 0]`` a complex one, ``[r, c]`` a full block of r rows and c
     columns; ``[-1, 1]`` and ``[1, 1]`` are a real and a complex scalar. Such blocks are called ``delta1, delta2, ...``.
 
-    Raises InputError: names used twice, or a row that is none of these.
-
     Examples
     --------
     >>> as_blocks([[-2, 0], [1, 3]])
@@ -416,8 +414,6 @@ def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> ND
 
     Scalar blocks take a number, full blocks a matrix (rows, cols). The result is real where every value is real. A
     negative delta of a range that is not symmetric is multiplied with its ratio (see `RealScalar`).
-
-    Raises InputError: unknown names, wrong shapes, NaN or Inf, a complex value for a real block.
     """
     known = tuple(b.name for b in blocks)
     for name in values:

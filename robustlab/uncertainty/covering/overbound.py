@@ -100,7 +100,6 @@ class Overbound(Shown):
     least: float = 0.0
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         return [
             ("order", str(self.order)),
             ("above the bound", f"{100 * self.lowest:.3g} % .. {100 * self.excess:.3g} %"),
@@ -109,7 +108,6 @@ class Overbound(Shown):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
         return {"type": "Overbound", **vars(self)}
 
 

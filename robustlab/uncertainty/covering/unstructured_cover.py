@@ -62,11 +62,7 @@ CIRCLE_POINTS = 64
 
 
 def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[StateSpaceModel, ...]:
-    """At least two models with the same signals, units and sample time; with ``same_states`` the same states, too.
-
-    Raises InputError: fewer than two models, something that is no model, sizes, sample times or signal names that
-    differ; UnitMismatch: a signal carries different units in two of the models.
-    """
+    """At least two models with the same signals, units and sample time; with ``same_states`` the same states, too."""
     if isinstance(models, (StateSpaceModel, str, bytes)) or not isinstance(models, Iterable):
         raise InputError(where, f"{type(models).__name__}", "a list of at least two models")
     found = tuple(as_model(model, f"{where}: model {i + 1}") for i, model in enumerate(models))
@@ -258,10 +254,7 @@ def _beyond(omega: Array, dt: float) -> Array:
 def _require_bounded(
     models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array, size: Array
 ) -> None:
-    """The error does not grow on and on beyond the grid.
-
-    Raises NoTrustworthyNumber: it does: no proper weight holds it.
-    """
+    """The error does not grow on and on beyond the grid."""
     beyond = _beyond(omega, centre.dt)
     outside = _bound(models, centre, form, beyond)
     worst = int(np.argmax(outside))
@@ -354,10 +347,7 @@ def _sigma(matrices: AnyArray) -> Array:
 
 
 def error_sizes(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
-    r"""``sigma_max(E_i)`` of every model against the nominal one, (n_models, n_omega); omega in rad/s.
-
-    Raises NoTrustworthyNumber: an error that is not finite at one of the frequencies.
-    """
+    """``sigma_max(E_i)`` of every model against the nominal one, (n_models, n_omega); omega in rad/s."""
     s = _circle(omega, centre.dt)
     with np.errstate(all="ignore"):
         sizes = np.array([_sigma(_error(m, centre, form, s)) for m in models])
@@ -410,10 +400,7 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], po
 
 
 def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> None:
-    """Every error is analytic in the closed unstable region.
-
-    Raises NoTrustworthyNumber: the first that is not, with its pole; more states than zeros are solved for exactly.
-    """
+    """Every error is analytic in the closed unstable region."""
     inverse = form.startswith("inverse")
     for i, model in enumerate(models, 1):
         if model is centre:

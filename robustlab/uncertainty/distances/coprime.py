@@ -142,7 +142,6 @@ class CoprimeMargin(Shown):
         return self.lower
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         return [
             ("loop", self.loop),
             ("coprime margin", bracket(self.lower, self.upper, ("proved", "attained"))),
@@ -152,7 +151,6 @@ class CoprimeMargin(Shown):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes but ``plant`` and ``K``."""
         names = [name for name in vars(self) if name not in ("plant", "K")]
         return {"type": "CoprimeMargin", "value": self.value, **{name: getattr(self, name) for name in names}}
 
@@ -239,8 +237,6 @@ def continuous_models(*models: StateSpaceModel) -> MappedModels:
     """Continuous models as they are, discrete ones through ``s = (2/dt) (z - 1)/(z + 1)``, all mapped alike.
 
     Where one has a pole at z = -1, or very close to it, -z takes the place of z.
-
-    Raises InputError: different sample times; NoTrustworthyNumber: poles at z = 1 and z = -1.
     """
     times = {m.dt for m in models if m.n_states or m.dt}
     if len(times) > 1:
@@ -286,10 +282,7 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
 
 
 def _scaled_by_exponents(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
-    """The same for entries whose squares overflow: B and C alike, in the time unit of A or of the loop from y to u.
-
-    Raises NoTrustworthyNumber: that unit overflows, or the direct term does when it is squared.
-    """
+    """The same for entries whose squares overflow: B and C alike, in the time unit of A or of the loop from y to u."""
     t = balancing_exponents(model.A, model.B, model.C)
     (a, b, c, d), exponent = (model.A, model.B, model.C, model.D), {}
     for name, matrix, shift in (("A", a, t - t[:, None]), ("B", b, -t[:, None]), ("C", c, t), ("D", d, 0)):

@@ -73,7 +73,6 @@ class NuGap(Shown):
         return self.lower
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         return [
             ("nu-gap", bracket(self.lower, self.upper, ("attained", "proved"))),
             ("largest at", number(self.frequency, "rad/s")),
@@ -82,7 +81,6 @@ class NuGap(Shown):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """All attributes."""
         return {"type": "NuGap", "value": self.value, **vars(self)}
 
 
