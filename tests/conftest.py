@@ -1,5 +1,10 @@
 """The order of the test files: several processes share them, and the longest must not be the last to begin."""
 
+
+def pytest_addoption(parser):
+    parser.addoption("--update", action="store_true", help="write the transcripts of commands anew")
+
+
 LONGEST_FIRST = (
     "test_recipe_emps.py",
     "test_recipe_real_records.py",
@@ -11,7 +16,6 @@ LONGEST_FIRST = (
     "test_recipe_thesis.py",
     "test_storage_round_trip.py",
     "test_identification_figures.py",
-    "test_cli_margins.py",
     "test_mu_bounds_hold.py",
     "test_recipe_thesis_worst_cases.py",
     "test_cli_data_discover.py",

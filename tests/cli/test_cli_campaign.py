@@ -7,20 +7,13 @@ import re
 from pathlib import Path
 
 import pytest
+from shell import robustlab
 
 import robustlab as rl
-from robustlab.cli.ending import main_guard
-from robustlab.cli.main import run
 
 PAGE = (Path(__file__).parents[2] / "docs" / "campaigns.md").read_text(encoding="utf-8")
 COMMANDS = re.search(r"```sh\n(.*?)```", PAGE, re.S).group(1).splitlines()
 SHOWN = re.search(r"`show` prints\n\n```\n(.*?)```", PAGE, re.S).group(1)
-
-
-def call(capsys, *words):
-    code = main_guard(lambda: run(list(words)))
-    done = capsys.readouterr()
-    return code, done.out, done.err
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +21,12 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("page")
 
 
-def test_the_page_in_order(folder, capsys, monkeypatch):
+def test_the_page_in_order(folder, monkeypatch):
     monkeypatch.chdir(folder)
     printed = {}
     for command in COMMANDS:
         words = command.split()
-        code, printed[words[2], words[-1]], err = call(capsys, *words[1:])
+        code, printed[words[2], words[-1]], err = robustlab(*words[1:])
         assert (code, err) == (0, ""), command
     assert printed["show", "34"].startswith(SHOWN)
     assert "(the same bits)" in printed["replay", "675"]
@@ -47,14 +40,14 @@ def test_the_page_in_order(folder, capsys, monkeypatch):
     assert f"{names['result'].violation.upper:.4g}" in SHOWN
 
 
-def test_json(folder, capsys, monkeypatch):
+def test_json(folder, monkeypatch):
     monkeypatch.chdir(folder)
-    code, text, _ = call(capsys, "campaign", "show", "motor.sqlite", "--json", "--limit", "34")
+    code, text, _ = robustlab("campaign", "show", "motor.sqlite", "--json", "--limit", "34")
     data = json.loads(text)
     assert code == 0
     assert (data["schema"], data["command"]) == ("robustlab.result/1", "campaign show")
     assert (data["done"], data["worst_index"], data["violation"]["count"]) == (2000, 675, 11)
-    code, text, _ = call(capsys, "campaign", "replay", "motor.sqlite", "3", "--json")
+    code, text, _ = robustlab("campaign", "replay", "motor.sqlite", "3", "--json")
     assert json.loads(text)["delta"] == rl.sample(rl.load("motor.h5"), 4, seed=1).deltas[3]
 
 
@@ -70,14 +63,14 @@ def test_json(folder, capsys, monkeypatch):
         (("replay", "motor.sqlite", "2000"), 3, "no sample 2000, expected 0 .. 1999"),
     ],
 )
-def test_refusals(folder, words, code, text, capsys, monkeypatch):
+def test_refusals(folder, words, code, text, monkeypatch):
     monkeypatch.chdir(folder)
-    found, out, err = call(capsys, "campaign", *words)
+    found, out, err = robustlab("campaign", *words)
     assert (found, out) == (code, "")
     assert text in err
 
 
-def test_the_recipe_of_the_page(tmp_path, capsys, monkeypatch):
+def test_the_recipe_of_the_page(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     recipe = re.search(r"```toml\n(.*?)```", PAGE, re.S).group(1)
     Path("motor.toml").write_text(
@@ -91,11 +84,11 @@ def test_the_recipe_of_the_page(tmp_path, capsys, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(runs, "compute_missing", interrupted)
-        code, _, err = call(capsys, "run", "motor.toml")
+        code, _, err = robustlab("run", "motor.toml")
     assert (code, err.splitlines()[-1]) == (130, "interrupted")
     (unfinished,) = Path("out/.motor-campaign-unfinished").glob("deviation-*.sqlite")
     inode = unfinished.stat().st_ino
-    code, out, _ = call(capsys, "run", "motor.toml")
+    code, out, _ = robustlab("run", "motor.toml")
     assert code == 0
     assert "1 of 1 requirements met" in out
     kept = Path("out/motor-campaign/evidence/deviation.sqlite")
@@ -104,5 +97,5 @@ def test_the_recipe_of_the_page(tmp_path, capsys, monkeypatch):
     step = json.loads(Path("out/motor-campaign/result.json").read_text(encoding="utf-8"))["steps"][-1]
     assert (step["status"], step["numbers"]["done"], step["numbers"]["lost"]) == ("converged", 1900, 0)
     assert [figure["stem"] for figure in step["figures"]] == ["deviation-exceedance", "deviation-delta"]
-    code, out, _ = call(capsys, "campaign", "show", str(kept))
+    code, out, _ = robustlab("campaign", "show", str(kept))
     assert step["numbers"]["digest"] in out

@@ -13,6 +13,7 @@ from pathlib import Path
 import h5py
 import pytest
 from patience import PATIENCE
+from shell import robustlab
 
 import robustlab as rl
 
@@ -20,7 +21,7 @@ COMMAND = [sys.executable, "-c", "from robustlab.cli.main import main; main()"]
 MODEL = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=[("u", "V")], outputs=[("y", "m")])
 
 
-def robustlab(*arguments, **options):
+def ended(*arguments, **options):
     options = {"capture_output": True, "text": True, "timeout": 120, **options}
     return subprocess.run([*COMMAND, *map(str, arguments)], check=False, **options)
 
@@ -50,40 +51,35 @@ def folder(tmp_path):
 # --- stdout, stderr ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "words", ["--help", "model --help", "model show m.h5", "model show m.h5 --json", "recipe schema"]
-)
-@pytest.mark.parametrize("both", [False, True])
+@pytest.mark.parametrize(("words", "both"), [("--help", False), ("model show m.h5 --json", True)])
 def test_a_reader_that_is_gone_ends_it_with_141_and_no_word(folder, words, both):
     read, write = os.pipe()
     os.close(read)
     errors = write if both else subprocess.PIPE
-    done = robustlab(*words.split(), capture_output=False, stdout=write, stderr=errors, cwd=folder)
+    done = ended(*words.split(), capture_output=False, stdout=write, stderr=errors, cwd=folder)
     os.close(write)
     assert (done.returncode, done.stderr or "") == (141, "")
 
 
-@pytest.mark.parametrize("reader", ["true", "head -1 >/dev/null"])
-def test_a_reader_that_goes_early_never_makes_it_1(folder, reader):
-    line = f"for i in 1 2 3 4 5; do R recipe schema | {reader}; echo ${{PIPESTATUS[0]}}; done"
-    codes, errors = in_shell(line, folder)
+def test_a_reader_that_goes_early_never_makes_it_1(folder):
+    codes, errors = in_shell(
+        "for i in 1 2; do R recipe schema | head -1 >/dev/null; echo ${PIPESTATUS[0]}; done", folder
+    )
     assert set(codes.split()) <= {"0", "141"}
     assert errors == ""
 
 
-@pytest.mark.parametrize("words", ["--help", "model show m.h5 --json", "model --help"])
 @pytest.mark.parametrize(("to", "said"), [(">&-", "stdout is closed"), (">/dev/full", "No space left on device")])
-def test_closed_and_full_stdout_are_5(folder, words, to, said):
-    code, errors = in_shell(f"R {words} {to}; code=$?; echo $code", folder)
+def test_closed_and_full_stdout_are_5(folder, to, said):
+    code, errors = in_shell(f"R model show m.h5 --json {to}; code=$?; echo $code", folder)
     assert code == "5"
     assert said in one_line(errors)
 
 
 def test_a_closed_or_full_stderr_loses_no_result_and_no_code(folder):
-    out, _ = in_shell("R model show m.h5 2>&-; echo $?; R model show x.h5 2>&-; echo $?", folder)
+    out, _ = in_shell("R model show m.h5 2>&-; echo $?; R model show x.h5 2>/dev/full; echo $?", folder)
     assert "StateSpaceModel" in out
     assert out.splitlines()[-2:] == ["0", "3"]
-    assert in_shell("R model show x.h5 2>/dev/full; echo $?; R model show m.h5 >&- 2>&-; echo $?", folder)[0] == "3\n5"
 
 
 def test_what_is_saved_while_stderr_is_closed_holds_no_messages(folder):
@@ -95,16 +91,17 @@ def test_what_is_saved_while_stderr_is_closed_holds_no_messages(folder):
 # --- folder, memory ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "words", ["model show ../m.h5", "run first-light", "model build dc-motor --out x.h5", "doctor"]
-)
-def test_a_deleted_working_directory_is_5(folder, words):
-    code, errors = in_shell(f"mkdir gone; cd gone; rmdir ../gone; R {words}; echo $?", folder)
-    assert code == "5"
-    assert "working directory was deleted" in one_line(errors)
+@pytest.mark.parametrize("words", ["model show ../m.h5", "run first-light", "doctor"])
+def test_a_deleted_working_directory_is_5(folder, monkeypatch, words):
+    gone = folder / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    ending = robustlab(*words.split(), code=5)
+    assert "working directory was deleted" in one_line(ending.err)
 
 
-@pytest.mark.parametrize("mib", [150, 300, 500])
+@pytest.mark.parametrize("mib", [150, 500])
 def test_an_address_space_too_small_for_the_libraries_is_5(folder, mib):
     code, errors = in_shell(f"ulimit -v {mib * 1024}; R model show m.h5; echo $?", folder)
     assert code == "5"
@@ -114,9 +111,8 @@ def test_an_address_space_too_small_for_the_libraries_is_5(folder, mib):
 def test_memory_that_runs_out_is_5(folder):
     limit = 700 << 20
     words = ["uncertain", "sample", "u.h5", "-n", "2000", "--t-end", "1", "--points", "10000"]
-    subprocess.run([*COMMAND, "uncertain", "build", "--plant", "dc-motor", "--out", "u.h5"], cwd=folder, check=True,
-                   capture_output=True)  # fmt: skip
-    done = robustlab(*words, cwd=folder, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)))
+    rl.save(folder / "u.h5", rl.plant("dc-motor").uncertain())
+    done = ended(*words, cwd=folder, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)))
     assert done.returncode == 5
     assert "not enough memory" in one_line(done.stderr)
 
@@ -156,8 +152,7 @@ def alive(pid):
         return False
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("kind", ["run", "campaign"])
+@pytest.mark.parametrize(("kind", "number"), [("run", signal.SIGTERM), ("campaign", signal.SIGINT)])
 def test_sigterm_is_taken_as_ctrl_c(folder, kind, number):
     if kind == "run":
         (folder / "long.toml").write_text(RECIPE)
@@ -187,17 +182,6 @@ def test_sigterm_is_taken_as_ctrl_c(folder, kind, number):
     assert not list(folder.glob("out/.long-running-*"))
 
 
-# --- what killed runs leave -------------------------------------------------------------------------------------------
-
-SHORT = """
-schema = "robustlab.recipe/1"
-name = "short"
-[step.motor]
-do = "plant"
-plant = "dc-motor"
-"""
-
-
 def test_an_interruption_that_a_destructor_drops_is_raised_again():
     """Python only reports an exception in a destructor or a library's callback, and goes on."""
     program = """
@@ -222,33 +206,22 @@ sys.exit(main_guard(command))
 def test_a_warning_is_one_line_without_our_source(folder):
     with h5py.File(folder / "m.h5", "a") as file:
         del file.attrs["content_sha256"]
-    done = robustlab("model", "diff", "m.h5", "m.h5", cwd=folder)
+    done = ended("model", "diff", "m.h5", "m.h5", cwd=folder)
     assert done.returncode == 0
     lines = done.stderr.splitlines()
     assert lines
     assert all(line.startswith("warning: m.h5: the file carries no content_sha256") for line in lines)
 
 
-def test_a_record_without_a_hash_is_read_with_the_same_warning(folder):
-    t = [0.0, 0.1, 0.2]
-    rl.save(folder / "r.h5", rl.Record(t=t, inputs={"u": [1.0, 2.0, 1.0]}, outputs={"y": [0.0, 1.0, 2.0]}))
-    with h5py.File(folder / "r.h5", "a") as file:
-        del file.attrs["content_sha256"]
-    done = robustlab("data", "check", "r.h5", cwd=folder)
-    assert done.returncode == 0
-    assert one_line(done.stderr).startswith("warning: r.h5: the file carries no content_sha256")
-
-
 def test_a_figure_whose_folder_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("no folder")
     rl.save(tmp_path / "u.h5", rl.UncertainModel(MODEL, []))
-    done = robustlab("mu", tmp_path / "u.h5", "--figure", tmp_path / "file" / "x.svg")
-    assert done.returncode == 5
-    assert "cannot be made" in one_line(done.stderr.splitlines()[-1])
+    ending = robustlab("mu", tmp_path / "u.h5", "--figure", tmp_path / "file" / "x.svg", code=5)
+    assert "cannot be made" in one_line(ending.err.splitlines()[-1])
 
 
 def test_a_terminal_that_knows_ascii_only(tmp_path):
-    done = robustlab("run", "motor-models", "--out", tmp_path / "out", env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    done = ended("run", "motor-models", "--out", tmp_path / "out", env={**os.environ, "PYTHONIOENCODING": "ascii"})
     assert done.returncode == 0
     assert "Traceback" not in done.stderr
     assert "\\xb1" in done.stdout

@@ -3,68 +3,57 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from patience import PATIENCE
+from shell import robustlab
 
 import robustlab as rl
-from robustlab.cli import main
-from robustlab.cli.ending import main_guard
 
 OMEGA = np.array([0.5, 1.0, 4.0])
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
 G = rl.frequency_response(LAG, OMEGA)[:, 0, 0]
 
 
-@pytest.fixture
-def run(capfd, monkeypatch, tmp_path):
+@pytest.fixture(autouse=True)
+def files(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     data = rl.frequency_data(G, OMEGA, radius=0.1 * abs(G), inputs=["u"], outputs=["y"])
     rl.save("data.h5", data)
     rl.save("loop.h5", data.feedback(3.0))
     rl.save("set.h5", rl.unstructured(LAG, 0.1, "output-multiplicative").feedback(3.0))
 
-    def call(*arguments, code=0):
-        assert main_guard(lambda: main.run(list(arguments))) == code
-        out, err = capfd.readouterr()
-        return out if code == 0 else err
 
-    return call
-
-
-def test_mu_of_data_says_where_it_holds(run):
-    told = run("mu", "loop.h5")
+def test_mu_of_data_says_where_it_holds():
+    told = robustlab("mu", "loop.h5", code=0).out
     assert "at the 3 given frequencies only; nothing is claimed between them" in told
     assert "taken for granted" in told
-    found = json.loads(run("mu", "loop.h5", "--json"))
+    found = robustlab("mu", "loop.h5", "--json", code=0).json
     expected = abs(1 + 3 * G) / (0.3 * abs(G))
     assert found["lower_at"] == pytest.approx(expected.tolist(), rel=1e-6)
     assert found["lower"] == pytest.approx(expected.min(), rel=1e-6)
-    gain = json.loads(run("mu", "loop.h5", "--gain", "--json"))
+    gain = robustlab("mu", "loop.h5", "--gain", "--json", code=0).json
     assert gain["gain_upper"][0] > abs(G[0] / (1 + 3 * G[0]))
-    run("mu", "loop.h5", "--figure", "margin", "--out", "margin.h5")
+    robustlab("mu", "loop.h5", "--figure", "margin", "--out", "margin.h5", code=0)
     assert rl.load("margin.h5").status is rl.Status.CERTIFIED
 
 
-def test_a_set_at_given_frequencies(run):
-    found = json.loads(run("mu", "set.h5", "--frequency", "0.5,1,4", "--json"))
+def test_a_set_at_given_frequencies():
+    found = robustlab("mu", "set.h5", "--frequency", "0.5,1,4", "--json", code=0).json
     assert found["lower_at"] == pytest.approx((abs(1 + 3 * G) / (0.3 * abs(G))).tolist(), rel=1e-6)
-    assert "numbers" in run("mu", "set.h5", "--frequency", "one", code=2)
+    assert "numbers" in robustlab("mu", "set.h5", "--frequency", "one", code=2).err
 
 
-def test_margins_of_data(run):
-    found = json.loads(run("model", "show", "data.h5", "--json"))
+def test_margins_of_data():
+    found = robustlab("model", "show", "data.h5", "--json", code=0).json
     assert found["kind"] == "frequency-data"
     rl.save("plain.h5", rl.frequency_data(3.0 * G, OMEGA))
-    told = json.loads(run("model", "margins", "plain.h5", "--json"))
+    told = robustlab("model", "margins", "plain.h5", "--json", code=0).json
     S = 1 / (1 + 3 * G)
     assert told["simultaneous"]["lower_at"] == pytest.approx((1 / abs(S - 0.5)).tolist(), rel=1e-6)
 
 
-def test_a_recipe_bounds_measured_data(run, tmp_path):
+def test_a_recipe_bounds_measured_data(tmp_path):
     rl.save("k.h5", rl.StateSpaceModel([], [], [], [[3.0]], inputs=["y"], outputs=["u"]))
     text = f"""schema = "robustlab.recipe/1"
 name = "measured"
@@ -89,9 +78,7 @@ that = "margin.lower"
 at_least = 10.0
 """
     (tmp_path / "r.toml").write_text(text)
-    command = [sys.executable, "-m", "robustlab.cli.main", "run", "r.toml", "--out", "out"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=PATIENCE)
-    assert done.returncode == 0, done.stdout + done.stderr
+    robustlab("run", "r.toml", "--out", "out", code=0)
     assert "nothing is claimed between them" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
@@ -111,7 +98,7 @@ def refused(path, **options):
     return str(error.value)
 
 
-def test_a_measured_table_becomes_data_and_its_loop_is_bounded(run, tmp_path):
+def test_a_measured_table_becomes_data_and_its_loop_is_bounded(tmp_path):
     head = "f [Hz],y from u magnitude [dB],y from u phase [deg],y from u radius"
     write_table(tmp_path / "t.csv", head, OMEGA / (2 * np.pi), 20 * np.log10(abs(G)), np.degrees(np.angle(G)), RADIUS)
     made, known = rl.UncertainFrequencyData.read("t.csv"), rl.load("data.h5")
@@ -119,14 +106,14 @@ def test_a_measured_table_becomes_data_and_its_loop_is_bounded(run, tmp_path):
     np.testing.assert_allclose(made.omega, OMEGA, rtol=1e-14)
     np.testing.assert_allclose(made.M, known.M, atol=1e-14)
     rl.save("k.h5", rl.StateSpaceModel([], [], [], [[3.0]]))
-    found = json.loads(run("mu", "t.h5", "-k", "k.h5", "--feedback", "negative", "--json"))
+    found = robustlab("mu", "t.h5", "-k", "k.h5", "--feedback", "negative", "--json", code=0).json
     np.testing.assert_allclose(found["lower_at"], abs(1 + 3 * G) / (3 * RADIUS), rtol=1e-6)
-    positive = json.loads(run("mu", "t.h5", "-k", "k.h5", "--feedback", "positive", "--json"))
+    positive = robustlab("mu", "t.h5", "-k", "k.h5", "--feedback", "positive", "--json", code=0).json
     np.testing.assert_allclose(positive["lower_at"], abs(1 - 3 * G) / (3 * RADIUS), rtol=1e-6)
     assert made.blocks[0].name == "measured y from u"
 
 
-def test_tables_of_several_channels_and_of_one_without_a_name(run, tmp_path):
+def test_tables_of_several_channels_and_of_one_without_a_name(tmp_path):
     H = np.stack([[G, 2 * G], [1j * G, G**2]])  # outputs a, b; inputs u, v
     names = [f"{y} from {u} {part}" for y in "ab" for u in "uv" for part in ("real", "imag")]
     parts = [part(H[i, j]) for i in range(2) for j in range(2) for part in (np.real, np.imag)]
@@ -155,13 +142,13 @@ def test_tables_of_several_channels_and_of_one_without_a_name(run, tmp_path):
         ("f [Hz],radius", "no columns of OUTPUT from INPUT"),
     ],
 )
-def test_what_is_wrong_with_a_table_is_said(run, tmp_path, header, text):
+def test_what_is_wrong_with_a_table_is_said(tmp_path, header, text):
     count = header.count(",")
     write_table(tmp_path / "t.csv", header, OMEGA, *[np.ones(3)] * count)
     assert text in refused("t.csv").replace("\n", " ")
 
 
-def test_numbers_and_names_that_do_not_fit_are_said(run, tmp_path):
+def test_numbers_and_names_that_do_not_fit_are_said(tmp_path):
     write_table(tmp_path / "t.csv", "f [Hz],real,imag,radius", OMEGA[::-1], G.real, G.imag, -RADIUS)
     assert "t.csv: UncertainFrequencyData: omega: frequencies that do not increase" in refused("t.csv")
     write_table(tmp_path / "t.csv", "f [Hz],real,imag,radius", OMEGA, G.real, G.imag, -RADIUS)
@@ -177,7 +164,7 @@ def test_numbers_and_names_that_do_not_fit_are_said(run, tmp_path):
     assert "no header" in refused("t.csv")
 
 
-def test_a_recipe_reads_the_table(run, tmp_path):
+def test_a_recipe_reads_the_table(tmp_path):
     write_table(tmp_path / "t.csv", "f,real,imag,radius", OMEGA / (2 * np.pi), G.real, G.imag, RADIUS)
     rl.save("lag.h5", LAG)
     rl.save("k.h5", rl.StateSpaceModel([], [], [], [[3.0]]))
@@ -217,7 +204,7 @@ text = "A lag falls"
 that = "modelled.peak_frequency"
 at_most = 0.5
 """)
-    assert main.run(["run", "r.toml", "--out", "o"]) == 0
+    robustlab("run", "r.toml", "--out", "o", code=0)
     steps = {s["name"]: s for s in json.loads((tmp_path / "o" / "result.json").read_text())["steps"]}
     assert steps["margin"]["numbers"]["lower"] == pytest.approx(min(abs(1 + 3 * G) / (3 * RADIUS)), rel=1e-6)
     assert steps["kept"]["numbers"]["lower"] == pytest.approx(min(abs(1 + 3 * G) / (0.3 * abs(G))), rel=1e-6)
@@ -225,4 +212,4 @@ at_most = 0.5
     (tmp_path / "r.toml").write_text(
         """schema = "robustlab.recipe/1"\nname = "t"\n[step.m]\ndo = "frequency-response"\n"""
     )
-    assert "either path, or of with frequency" in run("recipe", "check", "r.toml", code=3)
+    assert "either path, or of with frequency" in robustlab("recipe", "check", "r.toml", code=3).err

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shell import robustlab
 
 import robustlab as rl
-from robustlab.cli.ending import main_guard
-from robustlab.cli.main import run
 from robustlab.recipe.steps.contract import KINDS
 
 ROOT = Path(__file__).parents[2]
@@ -40,7 +39,7 @@ def driven(kind, keys, of="set"):
 
 
 @pytest.fixture
-def checked(tmp_path, monkeypatch, capsys):
+def checked(tmp_path, monkeypatch):
     """Exit code and lines on stderr of ``recipe check`` on a text; no step may run."""
     monkeypatch.chdir(tmp_path)
     t = np.arange(0, 0.1, 1e-3)
@@ -56,8 +55,8 @@ def checked(tmp_path, monkeypatch, capsys):
 
     def call(text):
         (tmp_path / "r.toml").write_text(text)
-        code = main_guard(lambda: run(("recipe", "check", "r.toml")))
-        return code, capsys.readouterr().err.splitlines()
+        code, _, err = robustlab("recipe", "check", "r.toml")
+        return code, err.splitlines()
 
     return call
 
@@ -202,10 +201,9 @@ def test_a_plant_in_a_file_is_not_run(checked, tmp_path):
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "recipes").glob("*.toml")))
-def test_shipped_recipes_ask_for_what_their_steps_leave(name, capsys):
-    code = main_guard(lambda: run(("recipe", "check", name)))
-    err = capsys.readouterr().err.splitlines()
-    faults = [line for line in err if re.match(r"(error: \S+: |  )(step|require)\.", line)]
+def test_shipped_recipes_ask_for_what_their_steps_leave(name):
+    code, _, err = robustlab("recipe", "check", name)
+    faults = [line for line in err.splitlines() if re.match(r"(error: \S+: |  )(step|require)\.", line)]
     # Without the records that are not ours to ship, their absence is all that is wrong.
     assert (code, bool(faults)) in ((0, False), (3, True))
     assert all("../shared/data/" in line for line in faults), err

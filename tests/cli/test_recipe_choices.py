@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-
-from robustlab.cli.main import run
-from robustlab.errors import InputError
+from shell import robustlab
 
 RECIPE = """\
 schema = "robustlab.recipe/1"
@@ -27,11 +25,14 @@ at = [0.0, 0.0, 0.13, 0.0, 0.0, 0.0]
 """
 
 
-def test_choices_reach_the_plant(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "r.toml").write_text(RECIPE)
-    assert run(["run", "r.toml", "--out", "o"]) == 0
-    steps = {s["name"]: s for s in json.loads((tmp_path / "o" / "result.json").read_text())["steps"]}
+def steps_of(folder, text):
+    (folder / "r.toml").write_text(text)
+    robustlab("run", folder / "r.toml", "--out", folder / "o", code=0)
+    return {s["name"]: s for s in json.loads((folder / "o" / "result.json").read_text())["steps"]}
+
+
+def test_choices_reach_the_plant(tmp_path):
+    steps = steps_of(tmp_path, RECIPE)
     assert any(fact["value"].startswith("phi_1") and "i_6" in fact["value"] for fact in steps["linear"]["facts"])
     assert "f3" in steps["chain"]["summary"]
 
@@ -52,11 +53,8 @@ tolerances = { platform_mass = 0.1, r_b = "0.1%" }
 )
 
 
-def test_an_uncertain_platform_says_what_is_sampled(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "r.toml").write_text(SETS)
-    assert run(["run", "r.toml", "--out", "o"]) == 0
-    steps = {s["name"]: s for s in json.loads((tmp_path / "o" / "result.json").read_text())["steps"]}
+def test_an_uncertain_platform_says_what_is_sampled(tmp_path):
+    steps = steps_of(tmp_path, SETS)
     assert steps["exact"]["summary"] == "platform: exact uncertain model (parameters); uncertain: platform_mass, R."
     assert "sampled" not in steps["exact"]["numbers"]
     assert steps["covered"]["summary"].startswith("platform: sampled uncertain model")
@@ -65,30 +63,24 @@ def test_an_uncertain_platform_says_what_is_sampled(tmp_path, monkeypatch, capsy
     assert "remainder: sampled: proved on the hull of" in steps["covered"]["text"]
 
 
-def test_a_linear_plant_has_no_pose(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "r.toml").write_text(SETS.replace('of = "platform"\ntolerances', 'of = "chain"\ntolerances', 1).replace(
-        'platform_mass = 0.1, R = "5%"', "m1 = 0.1"))  # fmt: skip
-    with pytest.raises(InputError, match="exact: at: mass-spring-damper has one linear model"):
-        run(["run", "r.toml", "--out", "o"])
+ON_CHAIN = SETS.replace('of = "platform"\ntolerances', 'of = "chain"\ntolerances', 1)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "text"),
+    ("recipe", "text"),
     [
-        ('preset = "physical"', 'preset = "nosuch"', "preset"),
-        ("motors = true", "motorz = true", "motorz"),
         (
-            "choices = { preset",
-            "parameters = { motors = 1.0 }\nchoices = { preset",
+            ON_CHAIN.replace('platform_mass = 0.1, R = "5%"', "m1 = 0.1"),
+            "exact: at: mass-spring-damper has one linear model",
+        ),
+        (RECIPE.replace('"physical"', '"nosuch"'), "preset"),
+        (RECIPE.replace("motors = true", "motorz = true"), "motorz"),
+        (
+            RECIPE.replace("choices = { preset", "parameters = { motors = 1.0 }\nchoices = { preset"),
             "motors is among parameters and choices",
         ),
     ],
 )
-def test_wrong_choices_are_named(old, new, text, tmp_path, monkeypatch, capsys):
-    from robustlab.cli.ending import main_guard
-
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "r.toml").write_text(RECIPE.replace(old, new))
-    assert main_guard(lambda: run(["run", "r.toml", "--out", "o"])) == 3
-    assert text in capsys.readouterr().err
+def test_wrong_choices_are_named(tmp_path, recipe, text):
+    (tmp_path / "r.toml").write_text(recipe)
+    assert text in robustlab("run", tmp_path / "r.toml", "--out", tmp_path / "o", code=3).err

@@ -9,10 +9,9 @@ import subprocess
 import numpy as np
 import pytest
 from patience import PATIENCE
+from shell import robustlab
 
 import robustlab as rl
-from robustlab.cli.ending import main_guard
-from robustlab.cli.main import run
 
 RECIPE = """\
 schema = "robustlab.recipe/1"
@@ -60,7 +59,7 @@ def put_files(folder):
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     put_files(folder)
-    code = run(["run", str(folder / "r.toml"), "--out", str(folder / "out")])
+    code = robustlab("run", folder / "r.toml", "--out", folder / "out").code
     result = json.loads((folder / "out" / "result.json").read_text())
     return code, folder / "out", {s["name"]: s for s in result["steps"]}, result["files"]
 
@@ -101,25 +100,23 @@ def test_all_formats_hold_the_same_controller(finished):
         ('prefix = "speed"', 'prefix = "a;b"', 3, "step.files.prefix"),
     ],
 )
-def test_faults_are_named(old, new, code, words, tmp_path, capsys):
+def test_faults_are_named(old, new, code, words, tmp_path):
     put_files(tmp_path)
     (tmp_path / "r.toml").write_text(RECIPE.replace(old, new, 1))
-    assert main_guard(lambda: run(["run", str(tmp_path / "r.toml"), "--out", str(tmp_path / "o")])) == code
-    captured = capsys.readouterr()
-    assert words in captured.err + captured.out
+    ending = robustlab("run", tmp_path / "r.toml", "--out", tmp_path / "o", code=code)
+    assert words in ending.err + ending.out
 
 
 @pytest.mark.parametrize(
     ("dt", "limits", "words"),
     [(0.0, "", "a continuous controller"), (0.1, "saturation = { v = [-24.0, 24.0] }", "no output 'v'")],
 )
-def test_what_cannot_be_exported(dt, limits, words, tmp_path, capsys):
+def test_what_cannot_be_exported(dt, limits, words, tmp_path):
     K = rl.StateSpaceModel([], [], [], [[-3.0]], dt, [("omega", "rad/s")], [("u", "V")])
     rl.save(tmp_path / "k.h5", rl.Controller(K))
     head = RECIPE.split("[step.task]")[0]
     (tmp_path / "r.toml").write_text(
         f'{head}[step.k]\ndo = "load"\npath = "k.h5"\n[step.files]\ndo = "export"\nof = "k"\n{limits}\n'
     )
-    assert main_guard(lambda: run(["run", str(tmp_path / "r.toml"), "--out", str(tmp_path / "o")])) == 3
-    assert words in capsys.readouterr().err
+    assert words in robustlab("run", tmp_path / "r.toml", "--out", tmp_path / "o", code=3).err
     assert not (tmp_path / "o" / "files.json").exists()

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from shell import robustlab
 
 import robustlab as rl
 from robustlab.dynamics.stewart import nut_angles
@@ -64,12 +63,6 @@ at_most = 0.02
 """
 
 
-def robustlab(folder, recipe):
-    """``robustlab run`` as a user types it."""
-    command = [sys.executable, "-m", "robustlab.cli.main", "run", recipe, "--out", "out"]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-
-
 @pytest.fixture(scope="module")
 def rough():
     machine = rl.plant("stewart-platform", preset="physical", platform_mass=10.0)
@@ -80,8 +73,7 @@ def rough():
 def test_a_saved_machine_with_friction_is_designed_for_and_followed(tmp_path, rough):
     rl.save(tmp_path / "updated.h5", rough)
     (tmp_path / "redesign.toml").write_text(RECIPE, encoding="utf-8")
-    done = robustlab(tmp_path, "redesign.toml")
-    assert done.returncode == 0, done.stderr
+    robustlab("run", tmp_path / "redesign.toml", "--out", tmp_path / "out", code=0)
     steps = {s["name"]: s for s in json.loads((tmp_path / "out" / "result.json").read_text())["steps"]}
     assert steps["set"]["numbers"]["loads"] == {"load phidot_6: coulomb-friction": pytest.approx(0.052)}
     row = steps["referee"]["numbers"]["controllers"]["K"]
@@ -99,9 +91,8 @@ def test_a_machine_that_cannot_be_followed_is_refused(tmp_path):
     text += '[step.axis]\ndo = "plant"\nplant = "servo-axis"\n' + RECIPE[RECIPE.index("[step.referee]") :]
     rl.save(tmp_path / "K.h5", rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
     (tmp_path / "wrong.toml").write_text(text.replace('of = "updated"', 'of = "axis"'), encoding="utf-8")
-    done = robustlab(tmp_path, "wrong.toml")
-    assert done.returncode == 3
-    assert "no Stewart platform" in done.stderr + done.stdout
+    ending = robustlab("run", tmp_path / "wrong.toml", "--out", tmp_path / "out", code=3)
+    assert "no Stewart platform" in ending.err + ending.out
 
 
 def test_the_pose_of_the_worst_window_is_told():

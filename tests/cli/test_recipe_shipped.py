@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shell import robustlab
 
 import robustlab as rl
-from robustlab.cli.ending import main_guard
-from robustlab.cli.main import run
 from robustlab.recipe.load import load_recipe, recipe_path
 from robustlab.recipe.run import run_recipe
 
@@ -75,7 +74,7 @@ FREE_RUN = '[[require]]\ntext = "Not in free run"\nthat = "gap.outputs.phi.rms_p
 
 
 @pytest.mark.parametrize("asked", [False, True])
-def test_what_holds_in_windows_alone_is_not_green_unless_the_free_run_is_asked_for(tmp_path, asked, capsys):
+def test_what_holds_in_windows_alone_is_not_green_unless_the_free_run_is_asked_for(tmp_path, asked):
     """The demo's model fits in windows to 99 %, and in free run to 56 %."""
     text = load_recipe(recipe_path("first-light")).text
     steps = text[text.index("[step.record]") : text.index("# --- requirements")].replace(
@@ -84,8 +83,7 @@ def test_what_holds_in_windows_alone_is_not_green_unless_the_free_run_is_asked_f
     head = 'schema = "robustlab.recipe/1"\nname = "gap"\n[step.motor]\ndo = "plant"\nplant = "dc-motor"\n'
     file = tmp_path / "gap.toml"
     file.write_text(head + steps + WINDOWS + FREE_RUN * asked, encoding="utf-8")
-    assert main_guard(lambda: run(("run", str(file), "--out", str(tmp_path / "out")))) == 0
-    printed = capsys.readouterr().out
+    printed = robustlab("run", file, "--out", tmp_path / "out", code=0).out
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     top = page.partition('role="status">')[2].partition("</div>")[0]
     assert ("in free run the model is further off" in top) == (not asked)

@@ -1,17 +1,16 @@
 """docs/records.md: its commands and its code run on files of other software, and print what it shows."""
 
-import json
 import re
 import shlex
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.io
+from shell import robustlab
 
 import robustlab as rl
-from robustlab.cli.data import app
-from robustlab.cli.ending import main_guard
 
 PAGE = (Path(__file__).parents[2] / "docs" / "records.md").read_text(encoding="utf-8")
 N = 400
@@ -33,14 +32,9 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture
-def call(capfd, monkeypatch, folder):
+def call(monkeypatch, folder):
     monkeypatch.chdir(folder)
-
-    def run(*arguments, code=0):
-        assert main_guard(lambda: app(list(arguments), standalone_mode=False)) == code
-        return capfd.readouterr()
-
-    return run
+    return partial(robustlab, "data", code=0)
 
 
 def test_the_commands_run(call):
@@ -51,7 +45,7 @@ def test_the_commands_run(call):
     back = rl.load("run.h5")
     assert (back.unit("q"), back.n) == ("m", N)
     told = call(*compare, "--json")
-    assert json.loads(told.out)["outputs"]["q"]["windowed_rms_percent"] < 1e-6
+    assert told.json["outputs"]["q"]["windowed_rms_percent"] < 1e-6
     assert "q: converted from mm to m" in told.err
     assert "[u] -> [q]" not in call(*simulink).err
 
