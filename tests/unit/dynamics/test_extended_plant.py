@@ -115,18 +115,6 @@ def test_the_flexible_coupling_adds_its_states_and_the_two_mass_motion():
     np.testing.assert_allclose(np.sort(rl.linearise(plant).poles()), np.sort(two.poles()), rtol=1e-8, atol=1e-6)
 
 
-def test_inputs_and_sensors_have_their_effects():
-    plant = rl.with_effects(
-        rl.plant("servo-axis"),
-        {"input-saturation": {"u_max": 0.5}, "sensor-gain@q": {"s": 1.1}, "input-gain": {"s": 2.0}},
-    )
-    bare = rl.simulate(rl.plant("servo-axis"), T, 2.0 * np.clip(np.sin(5 * T), -0.5, 0.5))
-    found = rl.simulate(plant, T, np.sin(5 * T))
-    np.testing.assert_allclose(found["q"], 1.1 * bare["q"], atol=1e-12)
-    np.testing.assert_allclose(found["u"], np.sin(5 * T))
-    np.testing.assert_allclose(plant.output([0.1, 0.2], [3.0]), [0.11, 0.2])
-
-
 # --- trim ------------------------------------------------------------------------------------------------------------
 
 

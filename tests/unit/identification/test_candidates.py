@@ -47,17 +47,6 @@ def test_priors_of_the_catalogue_turn_back(name, seen, z):
         assert parameter.prior.standardised(value) == pytest.approx(z, abs=1e-6)
 
 
-@settings(max_examples=20, deadline=None)
-@given(seen=scales)
-@pytest.mark.parametrize("name", list(catalogue()))
-def test_starts_are_values_that_the_prior_allows(name, seen):
-    effect = catalogue()[name]
-    parameters = {p.name: p.prior for p in effect.parameters(seen)}
-    for start in effect.starts(seen):
-        assert set(start) == set(parameters)
-        assert all(abs(prior.standardised(start[p])) < 4.0 for p, prior in parameters.items())
-
-
 # --- nominal parameters that are refitted ----------------------------------------------------------------------------
 
 
@@ -66,14 +55,6 @@ def test_a_plant_without_tolerances_is_given_usual_ones_and_told_so():
     assert found == {
         "R": (0.05, True), "L": (0.10, True), "Km": (0.03, True), "Kb": (0.03, True), "Kf": (0.35, False),
         "J": (0.05, True),
-    }  # fmt: skip
-
-
-def test_a_stated_tolerance_is_kept_and_a_given_one_comes_first():
-    motor = rl.plant("dc-motor", J=(7.2e-6, 0.2))
-    assert stated_tolerances(motor, None)["J"] == (0.2, False)
-    assert stated_tolerances(motor, {"J": 0.02, "R": 0.0}) | {} == {
-        **stated_tolerances(motor, None), "J": (0.02, False), "R": (0.0, False)
     }  # fmt: skip
 
 
@@ -131,13 +112,6 @@ def own_motor(**given):
     )  # fmt: skip
 
 
-def test_every_parameter_with_a_tolerance_moves_whether_it_has_a_role_or_not():
-    found = nuisances(own_motor())
-    assert set(found) == {"J"}  # the ratio stands in no equation
-    assert found["J"].factor(1.0) == pytest.approx(math.exp(math.log(1.1) / math.sqrt(3)))
-    assert set(nuisances(own_motor(c=(0.0, 0.2)), {"b": "0.1 N m s/rad"})) == {"J", "c", "b"}
-
-
 def test_the_value_zero_moves_by_an_absolute_tolerance_and_a_friction_never_below_it():
     found = nuisances(own_motor(c=(0.0, 0.2), b=(0.0, "+-0.1 N m s/rad")))
     c, b = found["c"], found["b"]
@@ -181,19 +155,6 @@ def test_less_than_two_periods_are_a_curve_and_no_line():
     q, v = unequal_travel()
     k = 1.5 * 2 * np.pi / np.ptp(q)
     assert all(found >= 2 * 2 * np.pi / np.ptp(q) for found in spatial_orders(q, np.cos(k * q), v, v != 0))
-
-
-def test_records_in_different_places_show_the_periods_of_one_stroke():
-    """Two strokes of 0.2 m, 1 m apart: a wave of 0.15 m is a curve there, though it fits eight times in between."""
-    stroke = 0.1 - 0.1 * np.cos(np.linspace(0.0, 4 * np.pi, 2000))
-    q = np.concatenate([stroke, stroke + 1.0])
-    v = np.gradient(q)
-    k = 2 * np.pi / 0.15
-    within = spatial_orders(q, np.cos(k * q), v, v != 0, stroke=0.2)
-    assert within
-    assert min(within) >= 2 * 2 * np.pi / 0.2
-    fine = 2 * np.pi / 0.02
-    assert spatial_orders(q, np.cos(fine * q), v, v != 0, stroke=0.2)[0] == pytest.approx(fine, rel=0.01)
 
 
 def test_without_travel_there_are_no_lines():
@@ -307,33 +268,7 @@ def test_a_ripple_over_time_is_tried_at_its_line():
     assert [s["f"] for s in without[0]] == [50.0, 100.0, 60.0, 120.0]
 
 
-def test_the_magnitudes_are_those_of_the_record():
-    plant = rl.plant("servo-axis")
-    run = rl.simulate(plant, T, U)
-    seen = tried("servo-axis")["coulomb-friction @ v"][0].scales
-    assert seen.inertia == pytest.approx(plant.values["M"])
-    assert seen.speed == pytest.approx(np.abs(run["v"]).max(), rel=0.02)
-    assert (seen.lowest, seen.highest) == pytest.approx((run["q"].min(), run["q"].max()), abs=0.02 * np.ptp(run["q"]))
-    moving = plant.values["M"] * np.gradient(run["v"], 2e-3)
-    assert seen.force == pytest.approx(np.sqrt(np.mean(moving**2)), rel=0.1)
-    assert (seen.force_unit, seen.speed_unit, seen.position_unit) == ("N", "m/s", "m")
-    there = tried("servo-axis")["input-dead-zone @ u"][0].scales
-    assert (there.input, there.signal_unit) == (pytest.approx(np.abs(U).max()), "V")
-    assert (there.dt, there.duration) == pytest.approx((2e-3, T[-1]))
-
-
 # --- records made ready ----------------------------------------------------------------------------------------------
-
-
-def test_windows_cover_the_record_without_overlap():
-    ready = prepared(rl.plant("servo-axis"))
-    starts, length = ready.windows.starts, ready.windows.length
-    assert (np.diff(starts) == length).all()
-    # What is left over lies at the beginning, up to a twentieth of a window: the input before the record is not known.
-    assert starts[0] == min(len(T) % length, length // 20)
-    assert len(T) - length < starts[-1] + length <= len(T)
-    assert ready.measured.shape == (ready.count, length, 2)
-    assert (ready.measured[1, 0] == ready.y[starts[1]]).all()
 
 
 def test_a_current_that_no_sensor_tells_starts_where_voltage_and_speed_put_it():
@@ -361,19 +296,3 @@ def test_samples_that_were_not_measured_are_none_and_their_windows_are_left_out(
     assert ready.windows.starts.tolist() == [0, 100, 300, 400, 500, 600, 700, 800, 900]
     assert np.isnan(ready.y[:, 0]).tolist() == (~valid).tolist()
     assert np.isfinite(ready.y[:, 1]).all()
-
-
-def test_window_starts_follow_the_gain_of_a_sensor():
-    plant = rl.plant("servo-axis")
-    run = rl.simulate(plant, T, U)
-    gain, model = 0.9, port_model(plant)
-    true = prepare(plant, model, rl.Record(T, run.inputs, {"q": run["q"]}), 100)
-    seen = prepare(plant, model, rl.Record(T, run.inputs, {"q": gain * run["q"]}), 100)
-    size = np.abs(true.x0).max(axis=0)
-    q = seen.columns[0]
-    assert np.abs(seen.starts_seen(0.0, {}) - true.x0).max() > 0.05 * size.max()
-    # The motion that the reading comes from, up to the roughness of what a smoother tells.
-    assert np.abs((seen.starts_seen(0.0, {q: gain}) - true.x0) / size).max() < 2e-3
-    # A late sensor, too: the same samples later on.
-    late = seen.starts_seen(3 * T[1], {q: gain})
-    assert np.abs((late - true.smoothed.x[true.windows.starts + 3]) / size).max() < 2e-3

@@ -87,20 +87,6 @@ def test_the_range_of_a_fitted_value_is_on_top_of_what_a_record_shows(effect, va
     assert ranged == pytest.approx(times * bare, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("effect", "values"),
-    [
-        ("constant-load", {"T0": (-3.0, 0.5)}),
-        ("cogging", {"Ac": (0.0, 0.2), "As": (-4.0, 0.3), "k": (20.0, 0.1)}),
-        ("input-dead-zone", {"d": (0.3, 0.05)}),
-    ],
-)
-def test_loads_have_the_bounds_that_the_blocks_have(effect, values):
-    rough = axis(**{effect: values})
-    made = {x.name: x.bound for x in rl.uncertain_from(rough).noise}
-    assert {x.name: x.bound for x in effect_loads(rough).loads} == pytest.approx(made, rel=1e-12)
-
-
 def test_a_held_out_record_beyond_the_loads_of_the_set_does_not_pass():
     dragged = axis(**{"quadratic-drag": {"c": 60.0}})
 

@@ -31,7 +31,6 @@ from robustlab.identification.unnamed.unnamed_effect import ForceCurve, Residual
 from robustlab.provenance import Provenance
 from robustlab.recipe.schema import Requirement, judge
 from robustlab.report.discovery import discovery_figures, facts, write_page
-from robustlab.report.drawings import caption_of
 from robustlab.result import Status, plain
 
 FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47, "friction level")
@@ -196,16 +195,6 @@ def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
         assert part not in text
 
 
-def test_a_parameter_beyond_its_tolerance_is_told_and_nothing_else_is_claimed():
-    far = NominalValue("M", 95.1, 130.0, "kg", 129.0, 131.0, 0.05, False, beyond=True)
-    short, long = (made(nominal=(far,)).summary(details) for details in (False, True))
-    for text in (short, long):
-        assert "+36.7 %: BEYOND its tolerance of 5 % (stated)" in text
-        assert "within their tolerances" not in text
-    zero = replace(far, nominal=0.0, value=0.7, lower=0.5, upper=0.9, unit="N s/m", tolerance=1.0, beyond=False)
-    assert "0 -> 0.7 N s/m (95 %: 0.5 to 0.9): within its tolerance of 1 N s/m" in made(nominal=(zero,)).summary(True)
-
-
 def test_what_is_periodic_is_told_by_amplitude_and_period():
     values = {"Ac": (3.0, "N m"), "As": (-4.0, "N m"), "k": (7.0, "1/rad")}
     parts = tuple(EffectValue(name, x, unit, x - 0.1, x + 0.1, "") for name, (x, unit) in values.items())
@@ -251,48 +240,6 @@ def test_the_next_experiment_is_told_and_kept(tmp_path):
 
 
 # --- figures and page ------------------------------------------------------------------------------------------------
-
-
-def curve(axes, label):
-    return next(line for line in axes.get_lines() if line.get_label() == label)
-
-
-def test_the_story_shows_the_three_errors_of_every_output_in_windows_and_in_free_run():
-    figures = discovery_figures(made())
-    assert list(figures) == ["story", "run-q", "stretch-q", "posterior"]
-    windows, free, traces = figures["story"].axes
-    assert [bar.get_width() for bar in windows.patches] == [0.06, 0.018, 0.002]
-    assert [bar.get_width() for bar in free.patches] == [0.5, 0.2, 0.01]
-    assert [axes.get_title(loc="left") for axes in (windows, free)] == ["q: windows of 0.4 s", "q: free run"]
-    assert figures["story"].get_suptitle().startswith("servo-axis lacks Coulomb")
-    for model, error in (("nominal", -0.02), ("refitted", -0.01)):
-        assert np.nanmax(curve(traces, model).get_ydata()) == pytest.approx(error)
-
-
-def test_a_model_that_diverges_is_drawn_as_one():
-    gap = Gap("q", "m", 2.0, math.inf, 0.2, 0.01)
-    d = made(free_run={"q": gap})
-    d.series["free_run"]["outputs"]["q"]["nominal"][300:] = math.nan
-    d.series["free_run"]["outputs"]["q"]["nominal"][200:300] = 1e30
-    figures = discovery_figures(d)
-    free = figures["story"].axes[1]
-    assert [text.get_text() for text in free.texts] == ["nominal diverges", "10 %", "0.5 %"]
-    above, middle, _ = figures["run-q"].axes
-    assert max(np.abs(above.get_ylim())) < 4.0  # the record has +-1
-    assert max(np.abs(middle.get_ylim())) < 1.0  # the refitted model is off by 0.4
-    assert "rms nominal diverges, refitted 0.2, updated 0.01 m" in middle.get_title(loc="left")
-
-
-def test_an_output_with_an_odd_name_gets_a_file_name_of_its_own():
-    d = made()
-    signals = {"../x$": d.series["outputs"]["q"]}
-    odd = made(gaps={"../x$": d.gaps["q"]}, series={**d.series, "outputs": signals})
-    odd = replace(odd, free_run={"../x$": d.gaps["q"]})
-    odd.series["free_run"]["outputs"]["../x$"] = odd.series["free_run"]["outputs"].pop("q")
-    assert list(discovery_figures(odd)) == ["story", "run-output1", "stretch-output1", "posterior"]
-    captions = [caption_of("discovery.discovery_figures", name) for name in discovery_figures(odd)]
-    assert all(len(words.split()) > 5 for words in captions)
-    assert len(set(captions)) == len(captions)
 
 
 @pytest.mark.parametrize(
@@ -350,13 +297,3 @@ def test_a_requirement_on_an_effect_that_was_not_named_is_not_met():
     found = judge(mistyped, {"naming": plain(numbers_of(d))}, {})
     assert (found.met, found.misstated) == (False, True)
     assert "did you mean coulomb-friction" in found.why_not
-
-
-def test_two_effects_of_a_kind_are_told_apart_by_their_place():
-    d = made(effects=(COULOMB, replace(COULOMB, site="w", parameters=(replace(FC, value=1.0),))))
-    found = numbers_of(d)["effects"]
-    assert (found["coulomb-friction"]["Fc"], found["coulomb-friction@w"]["Fc"]) == (20.39, 1.0)
-
-
-def test_nothing_left_is_an_infinite_ratio():
-    assert numbers_of(made(gap_after=0.0))["gap_ratio"] == math.inf

@@ -144,19 +144,6 @@ def test_the_robust_covariance_is_the_sandwich_over_windows():
 # --- errors ----------------------------------------------------------------------------------------------------------
 
 
-def test_whitening_gives_the_innovations_back():
-    rng = np.random.default_rng(4)
-    ar, std = np.array([[0.6, -0.3], [0.2, 0.1]]), np.array([0.5, 4.0])
-    steps = rng.normal(size=(3, 50, 2))
-    e = np.zeros((3, 50, 2))
-    for k in range(50):
-        e[:, k] = std * steps[:, k]
-        for lag in (1, 2):
-            e[:, k] += ar[lag - 1] * e[:, k - lag] if k >= lag else 0.0
-    found = NoiseModel(std, ar).whitened(e).reshape(3, 48, 2)
-    assert found == pytest.approx(steps[:, 2:], abs=1e-12)
-
-
 def test_a_parameter_of_the_value_zero_is_found_within_its_absolute_tolerance():
     """Recorded with a viscosity of 30 N s/m, of which the model says 0 +- 50."""
     true = rl.simulate(rl.plant("servo-axis", Fv=30.0), T, U)
@@ -216,17 +203,6 @@ def test_records_of_different_sensors_are_fitted_together():
 
 
 # --- known parameters are found again --------------------------------------------------------------------------------
-
-
-def test_tied_parameters_of_a_motor_are_found():
-    motor = rl.plant("dc-motor")
-    p = motor.values
-    true = motor.with_parameters(Km=1.05 * p["Km"], Kb=1.05 * p["Kb"], J=0.95 * p["J"])
-    problem, _ = problem_of(rl.simulate(true, T, U), plant=motor)
-    noise = NoiseModel(1e-6 * np.ptp(problem.records[0].y, axis=0), np.zeros((0, 3)))
-    fit = problem.fit(NONE, noise, np.zeros(problem.size(NONE)), plan=FitPlan(25))
-    factors = problem.split(NONE, fit.z)[0]
-    assert factors == pytest.approx({"Km": 1.05, "Kb": 1.05, "J": 0.95, "R": 1, "L": 1, "Kf": 1}, rel=1e-6)
 
 
 @cache

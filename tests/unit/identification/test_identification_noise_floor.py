@@ -61,12 +61,6 @@ def test_std_is_that_of_a_single_sample(count, tail):
     assert floor.input_std == {}
 
 
-def test_two_periods_are_the_half_difference():
-    r = record(periodic(1000, 2))
-    half = 0.5 * (r["y"][1000:] - r["y"][:1000])
-    assert noise_floor(r).std["y"] == pytest.approx(np.sqrt(2.0 * np.mean(half**2)), rel=1e-12)
-
-
 def test_repeated_records_give_the_same_floor_as_their_definition():
     u = np.random.default_rng(0).standard_normal(4000)
     runs = [record(u, seed=s) for s in range(3)]
@@ -106,15 +100,6 @@ def test_excess_is_the_known_ratio_where_a_part_repeats():
     assert max(x.p_value for x in found) < 1e-6
     residual[[3, 70]] = np.nan
     assert pytest.approx(e.F, rel=0.02) == floor.excess(residual).F
-
-
-def test_a_transient_at_the_start_is_left_out():
-    u = periodic(1000, 5)
-    y = u + 2.0 * np.exp(-np.arange(5000) / 150) + 0.01 * np.random.default_rng(0).standard_normal(5000)
-    floor = noise_floor(Record(np.arange(5000) * DT, {"u": u}, {"y": y}))
-    assert (floor.first, floor.count) == (1000, 4)
-    assert floor.std["y"] == pytest.approx(0.01, rel=0.05)
-    assert "transient" in floor.notes[0]
 
 
 def test_in_closed_loop_the_reference_tells_the_period():

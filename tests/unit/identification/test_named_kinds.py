@@ -16,11 +16,10 @@ from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
 from robustlab.dynamics.ports.motion_model import local_port_model
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification.naming.discovery_numbers import numbers_of
-from robustlab.identification.naming.materiality import Errors, _matters
 from robustlab.identification.naming.named_effects import NamedKind
 from robustlab.identification.naming.named_kinds import Kinds, Places, _mixture, _quantile, kinds_of
 from robustlab.identification.naming.posterior import weigh
-from robustlab.identification.naming.quantities import Told, quantities
+from robustlab.identification.naming.quantities import Told
 
 LEVEL, GIVES = 20.0, 2e-4  # N, m
 
@@ -117,13 +116,6 @@ def dahl_record():
     return rl.Record(T, {"u": U}, noisy({"q": q, "v": v}, 5), name="bristles")
 
 
-def test_a_load_is_the_mean_of_its_force_against_the_motion():
-    found = searched(machine(friction=20.0, load=8.0, seed=3), (FRICTION, LOAD))
-    fit = found.best.fit
-    k = next(k for k, c in enumerate(fit.hypothesis.candidates) if c.key == LOAD)
-    assert quantities(found.problem, fit, [k], KINDS["load"])["force"].value == pytest.approx(8.0, rel=0.1)
-
-
 def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
     found = searched(dahl_record(), (FRICTION, "presliding @ v", "bouc-wen @ v", LOAD))
     kinds = kinds_of(found.problem, weigh(found))
@@ -213,26 +205,6 @@ def test_gains_and_zeros_of_one_path_are_equally_probable(seed, pair, gain, bias
 
 
 # --- what matters ----------------------------------------------------------------------------------------------------
-
-
-def errors(*rms, size=4000):
-    rng = np.random.default_rng(0)
-    return [np.stack([r * rng.normal(size=(4, size // 4)) for r in rms], axis=-1)]
-
-
-def test_an_effect_is_material_where_the_error_without_it_is_larger_and_seen_by_the_sensor():
-    none = np.zeros(1)
-    assert _matters(errors(1.0), errors(1.2), none, 0.05)
-    assert not _matters(errors(1.0), errors(1.03), none, 0.05)
-    assert not _matters(errors(1.0), errors(0.5), none, 0.05)
-    # Less than half a step of the sensor apart; of two outputs one is enough.
-    assert not _matters(errors(1.0), errors(1.2), np.ones(1), 0.05)
-    assert _matters(errors(1.0, 1.0), errors(1.0, 2.0), np.array([5.0, 1.0]), 0.05)
-    # A model that diverges without it needs it; one that diverges with it does not.
-    with np.errstate(all="ignore"):
-        assert _matters(errors(1.0), [np.full((4, 1000, 1), np.inf)], none, 0.05)
-        assert not _matters([np.full((4, 1000, 1), np.inf)], errors(1.0), none, 0.05)
-    assert Errors(errors(1.0), errors(1.0)).windows
 
 
 def test_what_only_a_parameter_beyond_its_tolerance_can_replace_matters():

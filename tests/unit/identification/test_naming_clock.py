@@ -1,6 +1,5 @@
 """The clock of a naming: what inputs do between their samples, their shift, and steps that are short enough."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,12 +9,11 @@ from scipy.integrate import solve_ivp
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification import tuning
-from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.set_search import clock_nuisances, held_inputs, short_steps, step_error
+from robustlab.identification.naming.set_search import clock_nuisances, held_inputs
 
 MASS, DAMPING, SPRING = 1.0, 0.4, 400.0  # 20 rad/s, lightly damped
 OSCILLATOR = rl.plant("mass-spring-damper", m=MASS, c=DAMPING, k=SPRING)
@@ -101,24 +99,6 @@ def test_a_clock_that_is_late_is_found():
     std = problem.nuisances[-1].spread * fit.std[-1]
     assert shift == pytest.approx(0.3 * DT, abs=max(4 * std, 0.01 * DT))
     assert 0.0 < std < 0.1 * DT
-
-
-def test_steps_are_halved_until_no_residual_changes():
-    """A stiff cubic spring on a resonance of nine samples a period."""
-    ready = problem_of(record("held", 4000.0))
-    (cubic,) = (
-        c for c in candidates(OSCILLATOR, port_model(OSCILLATOR), ready.records) if c.key == "cubic-stiffness @ v"
-    )
-    hypothesis = Hypothesis((cubic,))
-    z = np.append(np.zeros(len(ready.nuisances)), cubic.standardised({"k3": 4000.0}))
-    fit = ready.fit(hypothesis, fitted(ready).noise, z, plan=FitPlan(15))
-    there = short_steps(ready, fit)
-    assert there.clock.sub is not None
-    assert step_error(there, fit) <= tuning.STEP_ERROR or there.clock.sub == tuning.MOST_STEPS
-    noisier = replace(fit, noise=replace(fit.noise, std=1e4 * fit.noise.std))
-    assert short_steps(ready, noisier).clock.sub == 1
-    finer = replace(fit, noise=replace(fit.noise, std=1e-6 * fit.noise.std))
-    assert short_steps(ready, finer).clock.sub == tuning.MOST_STEPS
 
 
 def test_discover_reports_the_clock():

@@ -1,7 +1,6 @@
 """Naming on small simulated records whose missing effect is known: distance, what is left, noise, and `discover`."""
 
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification import tuning
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
@@ -20,9 +18,8 @@ from robustlab.identification.hypotheses.effect_fit import (
     FitPlan,
     Hypothesis,
     Problem,
-    refit_distance,
 )
-from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, whitening, window_errors
+from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, window_errors
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.residual_after_naming import left_over
@@ -80,54 +77,6 @@ def fitted(problem: Problem, *effects: Candidate) -> Fit:
     return min(fits, key=lambda f: f.cost)
 
 
-# --- how far apart two effects are -----------------------------------------------------------------------------------
-
-
-@cache
-def late() -> tuple[Problem, dict[str, Fit]]:
-    """An input that comes 4 ms late, seen on the position alone, with the fits of several explanations."""
-    run = rl.simulate(AXIS, T, np.concatenate([np.zeros(2), U[:-2]]))
-    record = rl.Record(T, {"u": U}, {"q": run["q"], "v": run["v"]}, name="late")
-    problem, pool = problem_of(noisy(record, outputs=("q",)))
-    keys = ("input-delay @ u", "sensor-delay @ q", "sensor-gain @ q")
-    return problem, {key: fitted(problem, pool[key]) for key in keys}
-
-
-def test_a_delay_before_and_behind_a_linear_plant_cannot_be_told_apart():
-    problem, fits = late()
-    before, behind = fits["input-delay @ u"], fits["sensor-delay @ q"]
-    for fit in (before, behind):
-        found = fit.hypothesis.candidates[0].values(fit.z[2:])
-        assert found["d"] == pytest.approx(0.004, abs=5e-4)
-    # They differ in how far the starts of the windows move, which has a price, and in the sensor's past before them.
-    assert refit_distance(problem, before, behind) < tuning.CANNOT_TELL / 3
-    assert refit_distance(problem, behind, before) < tuning.CANNOT_TELL / 3
-
-
-def test_a_delay_and_a_gain_are_told_apart_safely():
-    problem, fits = late()
-    assert refit_distance(problem, fits["input-delay @ u"], fits["sensor-gain @ q"]) > 10.0
-
-
-@cache
-def louder() -> tuple[Problem, dict[str, Fit]]:
-    """An input that acts 8 % stronger than logged, seen on the position alone."""
-    run = rl.simulate(AXIS, T, 1.08 * U)
-    record = rl.Record(T, {"u": U}, {"q": run["q"], "v": run["v"]}, name="louder")
-    problem, pool = problem_of(noisy(record, outputs=("q",)))
-    return problem, {key: fitted(problem, pool[key]) for key in ("input-gain @ u", "sensor-gain @ q")}
-
-
-def test_a_gain_of_the_input_and_one_of_the_only_sensor_are_one_model():
-    problem, fits = louder()
-    before, behind = fits["input-gain @ u"], fits["sensor-gain @ q"]
-    for fit in (before, behind):
-        assert fit.hypothesis.candidates[0].values(fit.z[2:])["s"] == pytest.approx(1.08, abs=0.02)
-    assert refit_distance(problem, before, behind) < tuning.CANNOT_TELL / 3
-    assert refit_distance(problem, behind, before) < tuning.CANNOT_TELL / 3
-    assert behind.evidence == pytest.approx(before.evidence, abs=1.5)
-
-
 # --- what is left ----------------------------------------------------------------------------------------------------
 
 
@@ -142,19 +91,6 @@ def test_what_is_left_without_friction_is_the_friction():
 
 
 # --- noise and held-out data ------------------------------------------------------------------------------------------
-
-
-def test_whitening_finds_the_autoregression_of_the_errors():
-    rng = np.random.default_rng(8)
-    ar, e = np.array([0.5, -0.2, 0.1]), np.zeros((40, 300, 1))
-    for k in range(300):
-        past = [e[:, k - lag, 0] if k >= lag else np.zeros(40) for lag in (1, 2, 3)]
-        e[:, k, 0] = ar @ past + 0.03 * rng.normal(size=40)
-    e[3, 50:80] = np.nan  # samples that are missing
-    problem = SimpleNamespace(errors=lambda *_: [e])
-    found = whitening(problem, SimpleNamespace(hypothesis=NONE, z=None, starts=None))  # type: ignore[arg-type]
-    assert found.ar[:, 0] == pytest.approx(ar, abs=0.03)  # three standard errors, 1 / sqrt(12000)
-    assert found.std == pytest.approx([0.03], rel=0.02)
 
 
 def apart(problem: Problem) -> tuple[Problem, Problem]:

@@ -7,7 +7,6 @@ from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, T, U, machine, noisy, 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.posterior import Posterior, weigh
 from robustlab.identification.naming.set_search import Key, search_sets
@@ -99,16 +98,3 @@ def test_a_parameter_that_is_hardly_known_stays_within_its_tolerance():
     told = weigh(searched(record, ("inertia @ M", FRICTION)))
     assert told.best.key == frozenset()
     assert told.best.probability > 0.9
-
-
-@pytest.mark.parametrize("tolerance", [0.05, 0.5, 1.0])
-def test_the_ends_of_a_tolerance_are_those_of_the_factor(tolerance):
-    (nuisance,) = [n for n in nuisance_parameters(AXIS, stated_tolerances(AXIS, {"M": tolerance})) if n.label == "M"]
-    low, high = nuisance.ends
-    assert nuisance.factor(high) == pytest.approx(1.0 + tolerance)
-    assert nuisance.factor(max(low, -1e3)) == pytest.approx(1.0 - tolerance, abs=1e-9)
-    assert np.exp(nuisance.log_within(high, 0.1)) == pytest.approx(0.5, abs=1e-6)
-    draws = np.random.default_rng(0).normal(1.2, 0.4, 200_000)
-    share = np.mean((draws < high) & (draws > low))
-    assert np.exp(nuisance.log_within(1.2, 0.4)) == pytest.approx(share, abs=0.005)
-    assert nuisance.log_within(high + 300.0, 1.0) == pytest.approx(-0.5 * 300.0**2, rel=1e-3)

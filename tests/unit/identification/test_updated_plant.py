@@ -78,18 +78,6 @@ def test_a_wrong_parameter_becomes_the_plants_value():
     assert plant.values["Fv"] == pytest.approx(203.5034)
 
 
-def test_a_wrong_parameter_and_an_effect_both_arrive():
-    there, pool = problem("dc-motor")
-    names = ("torque-constant @ Km+Kb", "constant-load @ omega")
-    torque = pool[names[0]].standardised({"s": 1.3})
-    load = pool[names[1]].standardised({"T0": -0.004})
-    _, fit = fit_with("dc-motor", names, [*np.zeros(5), *torque, *load], np.full(7, 0.05))
-    plant = updated_plant(there, fit, "run 7")
-    assert [e.effect.id for e in plant.effects] == ["constant-load"]
-    assert plant.effects[0].values == pytest.approx({"T0": -0.004})
-    assert (plant.plant.values["Km"], plant.plant.values["Kb"]) == pytest.approx((1.3 * 0.052, 1.3 * 0.052))
-
-
 @pytest.mark.parametrize(
     "keys",
     [(), ("coulomb-friction @ v",), ("inertia @ M", "sensor-bias @ v"), ("backlash @ v", "input-delay @ u")],

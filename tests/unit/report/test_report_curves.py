@@ -32,28 +32,6 @@ def test_lines_marks_and_axes_are_told():
     assert (points["x"], points["y"], points["width"]) == ([1.0, 100.0], [6.0, 5.0], 0)
 
 
-def test_a_band_has_both_edges_and_bars_their_heights():
-    figure, (axes, bars) = new_figure(1, 2)
-    axes.fill_between([0.0, 1.0, 2.0], [0.0, 1.0, 0.5], [2.0, 3.0, 4.0], label="95 %")
-    bars.bar([1.0, 2.0], [3.0, 4.0], label="rms")
-    told = curves_of(figure)
-    assert told is not None
-    assert told["whole"]
-    low, high = told["panels"][0]["series"]
-    assert (low["y"], high["y"]) == ([0.0, 1.0, 0.5], [2.0, 3.0, 4.0])
-    (rms,) = told["panels"][1]["series"]
-    assert (rms["x"], rms["y"], rms["widths"]) == ([1.0, 2.0], [3.0, 4.0], [0.8, 0.8])
-
-
-def test_a_smooth_curve_is_told_by_its_corners_to_a_thousandth():
-    figure, (axes,) = new_figure()
-    t = np.linspace(0.0, 6.0, 20_000)
-    axes.plot(t, np.sin(t))
-    (series,) = panel_of(figure)[1]["series"]
-    assert len(series["x"]) < 400
-    assert np.abs(np.interp(t, series["x"], series["y"]) - np.sin(t)).max() < 1e-3 * 2
-
-
 def test_a_long_curve_keeps_its_peaks():
     figure, (axes,) = new_figure()
     y = np.zeros(100_000)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robustlab.report import vector
-from robustlab.report.figures import house_style, legend_below, logarithmic, new_figure
+from robustlab.report.figures import house_style, logarithmic, new_figure
 from robustlab.report.vector import COLUMN, OFF, svg_of, thinned
 
 
@@ -109,32 +109,3 @@ def test_what_is_not_finite_is_a_gap():
     axes.plot([0, 1, 2, 3, 4], [0, 1, np.nan, 1, 0], color="#123456")
     (line,) = [e for e in drawn(figure).iter(f"{SVG}path") if e.get("stroke") == "#123456"]
     assert line.get("d").count("M") == 2
-
-
-def test_nothing_stands_outside_of_the_picture_or_on_one_another():
-    """Labels, ticks, titles and a legend of four columns: each text within the figure, panels beside one another."""
-    figure, panels = new_figure(2, 3, sharex="col")
-    for k, axes in enumerate(panels):
-        for j in range(3):
-            axes.plot([0, 1e-6], [0, 1234567.0 * 10**k], label=f"a curve with a long name, number {j}")
-        axes.set(xlabel="time [s]", ylabel=f"force {k} [N]", title=f"panel {k}")
-    legend_below(figure, panels)
-    root = drawn(figure)
-    width, height = (float(v) for v in root.get("viewBox").split()[2:])
-    for element in root.iter(f"{SVG}text"):
-        assert 0 <= float(element.get("x")) <= width
-        assert 0 <= float(element.get("y")) <= height
-    boxes = [
-        [float(r.get(s)) for s in ("x", "y", "width", "height")] for r in root.iterfind(f".//{SVG}clipPath/{SVG}rect")
-    ]
-    assert len(boxes) == 6
-    assert all(w > 60 and h > 60 for _, _, w, h in boxes)
-    for k in (0, 1, 3, 4):
-        assert boxes[k][0] + boxes[k][2] + 20 < boxes[k + 1][0]
-    assert all(boxes[k][1] + boxes[k][3] + 10 < boxes[k + 3][1] for k in range(3))
-
-
-def test_the_same_drawing_gives_the_same_characters():
-    figure, (axes,) = new_figure()
-    axes.plot([0, 1], [1, 0])
-    assert svg_of(figure) == svg_of(figure)
