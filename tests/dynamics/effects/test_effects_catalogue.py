@@ -14,47 +14,7 @@ from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError
 
-IDS = [
-    "inertia",
-    "viscous-friction",
-    "torque-constant",
-    "resistance",
-    "resistance-heating",
-    "coulomb-friction",
-    "stribeck-friction",
-    "presliding",
-    "asymmetric-viscous-friction",
-    "constant-load",
-    "quadratic-drag",
-    "position-dependent-friction",
-    "cogging",
-    "gear-efficiency",
-    "backlash",
-    "flexible-coupling",
-    "input-delay",
-    "input-dead-zone",
-    "brush-drop",
-    "input-saturation",
-    "input-gain",
-    "sensor-gain",
-    "sensor-bias",
-    "sensor-eccentricity",
-    "sensor-delay",
-    "quantisation",
-    "stiffness",
-    "cubic-stiffness",
-    "end-stop",
-    "pendulum-gravity",
-    "actuator-lag",
-    "asymmetric-coulomb-friction",
-    "torque-ripple",
-    "one-sided-spring",
-    "bouc-wen",
-    "load-dependent-friction",
-    "magnitude-sensor",
-    "centre-of-mass",
-    "gravity-direction",
-]
+IDS = list(catalogue())
 PLANTS = ["dc-motor", "servo-axis", "two-mass", "mass-spring-damper", "linear-actuator"]
 AT_JOINT = {"force_unit": "N m", "speed_unit": "rad/s", "position_unit": "rad"}
 SCALES = {

@@ -15,7 +15,6 @@ from scipy.special import ellipk
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.effect_loads import effect_loads
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.ports.port_model import linear_plant_of
 from robustlab.errors import InputError
@@ -192,24 +191,6 @@ def test_a_free_body_follows_a_ripple_and_windows_keep_its_time():
     np.testing.assert_allclose(
         late.run({}, [values], np.zeros((1, 2)), Windows(np.array([0]), 300)).states[0, :, 1], windows[0], atol=1e-9
     )
-
-
-def test_a_ripple_is_a_bounded_load_and_moves_no_point_of_rest():
-    motor = rl.plant("dc-motor")
-    real = rl.with_effects(motor, {"torque-ripple": {"Ac": 3e-3, "As": 4e-3, "f": 50.0}})
-    np.testing.assert_array_equal(real.derivative(np.zeros(3), [0.0]), np.zeros(3))
-    np.testing.assert_allclose(real.linear_model().A, motor.state_space().A)
-    (load,) = effect_loads(real).loads
-    assert (load.bound, load.unit) == (pytest.approx(5e-3), "N m")
-    noise = rl.uncertain_from(real).noise
-    assert [n.bound for n in noise] == [pytest.approx(5e-3)]
-    t = np.arange(500) * 1e-3
-    record = rl.simulate(real, t, {"u": np.sin(t)})
-    along = effect_loads(real).along(record)[load.name]
-    expected = 0.6 * np.cos(100 * math.pi * (t + 5e-4)) + 0.8 * np.sin(100 * math.pi * (t + 5e-4))
-    # Held over a sample the load goes through the same states: the motor's winding (0.3 ms) weighs the beginning and
-    # the end of a sample differently, which is less than a tenth of a millisecond.
-    np.testing.assert_allclose(along[:-1], expected[:-1], atol=100 * math.pi * 1e-4)
 
 
 # --- contacts on one side --------------------------------------------------------------------------------------------

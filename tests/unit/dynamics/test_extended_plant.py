@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 import robustlab as rl
 from robustlab.delays.pade import pade
 from robustlab.dynamics.effects.contract import Law
-from robustlab.dynamics.extended.attached_effect import holding_force, is_set_valued, rest_band, slopes, steady_force
+from robustlab.dynamics.extended.attached_effect import holding_force, is_set_valued, rest_band
 
 T = np.arange(2001) * 1e-3
 
@@ -24,37 +24,12 @@ def law_of(plant) -> Law:
 # --- laws at one instant ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("v", [-3.0, -1e-3, 1e-6, 0.2, 40.0])
-def test_quadratic_drag_has_its_analytic_slope(v):
-    law = law_of(axis(quadratic_drag={"c": 7.0}))
-    assert steady_force(law, 0.3, v) == pytest.approx(-7.0 * v * abs(v), rel=1e-11)
-    stiffness, damping = slopes(law, 0.3, v)
-    assert damping == pytest.approx(-14.0 * abs(v), rel=1e-8)
-    assert stiffness == 0.0
-
-
-@pytest.mark.parametrize("q", [-0.4, 0.02, 3.0])
-def test_cubic_stiffness_has_its_analytic_slope(q):
-    law = law_of(axis(cubic_stiffness={"k3": 50.0}))
-    assert slopes(law, q, 0.0)[0] == pytest.approx(-150.0 * q**2, rel=1e-7)
-    assert rest_band(law, q) == pytest.approx((-50.0 * q**3,) * 2, rel=1e-9)
-    assert not is_set_valued(law, q)
-
-
 def test_coulomb_friction_is_a_band_at_rest_that_gives_what_is_needed():
     law = law_of(axis(coulomb_friction={"Fc": 20.0}))
     assert is_set_valued(law, 0.0)
     assert rest_band(law, 0.0) == pytest.approx((-20.0, 20.0))
     assert holding_force(law, 0.0, 3.0, 0.5) == pytest.approx(-6.0)
     assert holding_force(law, 0.0, 30.0, 0.5) == pytest.approx(-20.0)
-
-
-def test_presliding_at_rest_is_a_spring():
-    spring = rl.with_effects(rl.plant("dc-motor"), {"presliding": {"Fc": 2e-3, "sigma0": 2.0}})
-    stiffness, damping = slopes(law_of(spring), 0.0, 0.0)
-    assert stiffness == pytest.approx(-2.0, rel=1e-4)
-    assert abs(damping) < 1e-4
-    assert steady_force(law_of(spring), 0.0, 5.0) == pytest.approx(-2e-3, rel=1e-9)
 
 
 # --- simulation ------------------------------------------------------------------------------------------------------

@@ -79,25 +79,6 @@ def axis(rng, off=0.03):
     )
 
 
-def actuator(rng, off=0.005):
-    R, L, K, J, Kf = np.array([2.07, 0.62e-3, 0.052, 7.2e-6, 4.8e-5]) * (1 + rng.uniform(-off, off, 5))
-    n = 4.8 * 41 / 21
-    whole = J + 2.2071e-5 / n**2 + (0.112 + 3.167 / 6) * (0.004 / 2 / np.pi / n) ** 2
-    t = np.arange(2500) * 1e-3
-    u = steps(t, 12.0)
-
-    def rates(x, v):
-        return np.array([x[1], (K * x[2] - Kf * x[1] - dry(LEVEL, x[1], 0.5)) / whole, (v - R * x[2] - K * x[1]) / L])
-
-    x = integrated(rates, np.zeros(3), u, 1e-3, 20)
-    return (
-        rl.plant("linear-actuator"),
-        t,
-        {"u": u},
-        {"phi": encoder(x[:, 0]), "i": x[:, 2] + 0.02 * rng.normal(size=2500)},
-    )
-
-
 def shaft(rng, off=0.02):
     """Friction at the load, not where the motor pushes."""
     J1, J2, c, k = np.array([1e-3, 2e-3, 2e-3, 10.0]) * (1 + rng.uniform(-off, off, 4))
@@ -148,8 +129,6 @@ CASES = [
     (motor, ["phi", "omega", "i"], "torque at omega", LEVEL),
     (axis, ["q"], "input u", 20.0 / 35.15065),
     (axis, ["q", "v"], "input u", 20.0 / 35.15065),
-    (actuator, ["phi"], "torque at omega", LEVEL),
-    (actuator, ["phi", "i"], "torque at omega", LEVEL),
     (shaft, ["phi1", "phi2"], "torque at omega2", 0.08),
     (masses, ["q1", "q2"], "input f2", 5.0),
     (masses, ["q1", "q2", "v1", "v2"], "input f2", 5.0),

@@ -30,7 +30,7 @@ from robustlab.identification.record_check.suitability import Finding
 from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.recipe.schema import Requirement, judge
-from robustlab.report.discovery import discovery_figures, facts, write_page
+from robustlab.report.discovery import discovery_figures, write_page
 from robustlab.result import Status, plain
 
 FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47, "friction level")
@@ -136,24 +136,6 @@ def experiment():
         "slow ramp", "ramp u slowly through zero", "measure the breakaway force", t, {"u": t}, {"u": "V"}, 0.5, ("q",),
         (), {}, 12.0, 12.0, 1.4, ("coulomb-friction", "presliding"), pairs, tried,
     )  # fmt: skip
-
-
-def hidden():
-    """Nothing named, but a wrong friction that tolerances may hide."""
-    rival = replace(RIVAL, name="viscous-friction", title="Viscous friction, misjudged or missing", instead_of="none")
-    return made(verdict="no missing effect", effects=(), rivals=(rival,))
-
-
-def test_what_tolerances_may_hide_is_told_beside_no_missing_effect():
-    found = hidden()
-    assert found.names == ()
-    assert found.answer == ("viscous-friction",)
-    assert sentence(found).endswith("but they do not exclude viscous friction, misjudged or missing.")
-    line = next(x for x in found.summary().splitlines() if "not excluded" in x)
-    assert "viscous-friction at v" in line
-    assert "20.31 to 20.47" in line
-    assert "not excluded" not in made(verdict="no missing effect", effects=()).summary()
-    assert any(label.startswith("Not excluded: Viscous") for label, _, _ in facts(found))
 
 
 # --- text ------------------------------------------------------------------------------------------------------------
