@@ -220,7 +220,7 @@ def pushed(plant, force, noise, *, off=0.0, seed=0):
         ("brushless-motor", 0.01, (1e-2,)),
     ],
 )
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_constant_force_that_noise_hides_in_short_pieces_is_told_in_longer_ones(plant, force, noise, seed):
     """Nothing was told: the pieces of a window chosen by ourselves were too short."""
     record, hidden = pushed(plant, force, noise, seed=seed)

@@ -163,6 +163,7 @@ def path(rng):
     return plant, t, u
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(seed=st.integers(0, 10_000), late=st.floats(2.5, 9.4))
 def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, late):
@@ -183,7 +184,7 @@ def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, l
     assert "a lateness of" in found.headline()
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 @pytest.mark.parametrize(
     ("pair", "gain", "bias", "apart", "kinds"),
     [

@@ -59,7 +59,7 @@ def proposal(true, excitation, *names, **more):
 # --- known answers ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rival", ["constant-load", "input-dead-zone"])
+@pytest.mark.parametrize("rival", ["constant-load", pytest.param("input-dead-zone", marks=pytest.mark.slow)])
 def test_one_way_steps_hide_what_coulomb_friction_is_and_reversals_show_it(rival):
     case, problem, fits, found = proposal("coulomb-friction", "oneway", "coulomb-friction", rival)
     assert found.now < 3
@@ -96,6 +96,7 @@ def test_a_wrong_inertia_and_a_wrong_resistance_ask_for_a_current_sensor():
     assert "i is new" in found.description
 
 
+@pytest.mark.slow
 def test_a_torque_constant_and_a_sensor_gain_ask_for_an_independent_measurement():
     _, _, _, found = proposal("torque-constant", "rich", "torque-constant", "sensor-gain", factor=0.93)
     # What is left between them are the tolerances of the time constant: 3 to 4 noise sigmas for any signal.

@@ -41,7 +41,7 @@ def request(metric, model, hold="zoh"):
     return MetricRequest(metric, model.outputs[0].name, None, t, u, hold)
 
 
-CASES = [(dt, hold, seed) for dt, hold in ((0.0, "zoh"), (0.0, "foh"), (0.1, "zoh")) for seed in (0, 2)]
+CASES = [(dt, hold, seed) for dt, hold in ((0.0, "zoh"), (0.0, "foh"), (0.1, "zoh")) for seed in (0,)]
 
 
 @pytest.mark.parametrize(("dt", "hold", "seed"), CASES)
