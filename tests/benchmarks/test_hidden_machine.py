@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hidden.machine import Machine, simulate
 from scipy.linalg import expm
-from scipy.optimize import brentq
 
 DT = 1e-3
 R, L, K, J, B = 2.07, 0.62e-3, 0.0525, 1.5e-5, 1e-5
@@ -72,13 +71,6 @@ def test_two_bodies_on_a_shaft_are_the_matrix_exponential():
     got = simulate(MOTOR._replace(J1=J1, J2=J2, k_s=k, c_s=c), u, DT)
     assert np.abs(got.phi - x[:, 0]).max() < 1e-6 * np.abs(x[:, 0]).max()
     assert np.abs(got.load_phi - x[:, 2]).max() < 1e-6 * np.abs(x[:, 2]).max()
-
-
-def test_terminal_speed_with_quadratic_drag():
-    c = 1e-7
-    speed = brentq(lambda w: K * (24 - K * w) / R - B * w - c * w * w, 0, 500)
-    assert settled(MOTOR._replace(drag=c), 24).omega[-1] == pytest.approx(speed, rel=1e-9)
-    assert settled(MOTOR._replace(drag=c), -24).omega[-1] == pytest.approx(-speed, rel=1e-9)
 
 
 def coulomb(Fc, bend=3e-5):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import add_effect, catalogue, effect
-from robustlab.dynamics.effects.contract import Effect, Footprint, Scales, Site
+from robustlab.dynamics.effects.catalogue import catalogue, effect
+from robustlab.dynamics.effects.contract import Footprint, Scales
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError
@@ -65,23 +65,3 @@ def test_missing_unknown_and_nan_values_are_named(name):
             known.checked(bad)
     with pytest.raises(InputError, match="no value for"):
         known.checked({})
-
-
-class Wind(Effect):
-    id, title, equation, site_kind = "wind", "Wind", "f = w", "joint"
-
-    def parameters(self, scales):
-        return ()
-
-
-def test_effects_of_ones_own_join_and_are_replaced(monkeypatch):
-    from robustlab.dynamics.effects import catalogue as module
-
-    monkeypatch.setattr(module, "_ADDED", {})
-    first, second = Wind(), Wind()
-    add_effect(first)
-    assert effect("wind") is first
-    add_effect(second)
-    assert effect("wind") is second
-    assert list(catalogue()) == sorted([*IDS, "wind"])
-    assert effect("wind").sites(rl.plant("dc-motor"), port_model(rl.plant("dc-motor"))) == (Site("joint", "omega"),)

@@ -6,8 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.ports.port_model import linear_plant_of, parameter_groups, port_model
 from robustlab.errors import InputError
@@ -67,17 +65,6 @@ def test_a_force_fed_back_from_the_position_is_a_spring(k):
 
 def groups(plant) -> dict[str, str]:
     return {label: role for role, label, _ in parameter_groups(plant)}
-
-
-def test_what_one_misjudgement_changes_stands_in_one_group():
-    assert groups(MOTOR) == {
-        "R": "resistance", "L": "inductance", "Km+Kb": "torque-constant", "Kf": "viscous-friction", "J": "inertia",
-    }  # fmt: skip
-    assert "J+J_nut+m_screw+m_cart" in groups(rl.plant("linear-actuator"))  # one equation of motion
-    assert not {"ratio", "lead"} & set("+".join(groups(rl.plant("linear-actuator"))).split("+"))  # no role
-    assert groups(rl.plant("two-mass")) == {
-        "J1": "inertia", "J2": "inertia", "c": "viscous-friction", "k": "stiffness",
-    }  # fmt: skip
 
 
 # --- bare models -----------------------------------------------------------------------------------------------------
@@ -146,31 +133,3 @@ def test_windows_are_the_plants_own_response_from_their_starts():
     expected = np.stack([np.column_stack([run["q"], run["v"]])[s : s + 160] for s in starts])
     assert np.abs(motion.outputs - expected).max() < 1e-12
     assert motion.forces.shape == (3, 160, 0)
-
-
-def _scales():
-    from robustlab.dynamics.effects.contract import Scales
-
-    return Scales()
-
-
-def test_input_and_output_effects_act_before_and_after_the_plant():
-    plant = rl.plant("servo-axis")
-    u = np.where(T < 0.3, 0.0, 1.0)
-    delay = catalogue()["input-delay"]
-    (name,) = (p.name for p in delay.parameters(_scales()))
-    whole = Windows(np.zeros(1, dtype=np.int64), len(T))
-    late = Simulator(plant, [(delay, Site("input", "u"))], u[:, None], 2e-3)
-    shifted = late.run({}, [{name: 0.1}], np.zeros((1, 2)), whole).outputs[0, :, 0]
-    expected = rl.simulate(plant, T, np.where(T < 0.4, 0.0, 1.0))["q"]  # linear and at rest: the input a tenth later
-    assert np.abs(shifted - expected).max() < 1e-3 * np.ptp(expected)
-
-    gain = catalogue()["sensor-gain"]
-    (name,) = (p.name for p in gain.parameters(_scales()))
-    plain = Simulator(plant, [], u[:, None], 2e-3).run({}, [], np.zeros((1, 2)), whole)
-    seen = Simulator(plant, [(gain, Site("output", "q"))], u[:, None], 2e-3).run(
-        {}, [{name: 1.2}], np.zeros((1, 2)), whole
-    )
-    assert seen.outputs[0, :, 0] == pytest.approx(1.2 * plain.outputs[0, :, 0], rel=1e-12)
-    assert (seen.outputs[0, :, 1] == plain.outputs[0, :, 1]).all()
-    assert (seen.states == plain.states).all()

@@ -271,21 +271,6 @@ def test_a_ripple_over_time_is_tried_at_its_line():
 # --- records made ready ----------------------------------------------------------------------------------------------
 
 
-def test_a_current_that_no_sensor_tells_starts_where_voltage_and_speed_put_it():
-    motor = rl.plant("dc-motor")
-    t = 1e-3 * np.arange(3000)
-    u = 12.0 * np.repeat(np.random.default_rng(7).uniform(-1, 1, 60), 50)
-    run = rl.simulate(motor, t, u)
-    lsb = 2 * np.pi / 2000
-    encoder = rl.Record(t, {"u": u}, {"phi": lsb * np.round(run["phi"] / lsb)}, {"u": "V", "phi": "rad"})
-    ready = prepare(motor, port_model(motor), encoder, 250)
-    k = [s.name for s in motor.states].index("i")
-    p = motor.values
-    largest = np.abs(u - p["Kb"] * run["omega"]).max() / p["R"]
-    assert ready.x0_std[:, k] == pytest.approx(np.full(ready.count, 0.3 * largest), rel=0.05)
-    assert (np.abs(ready.x0[:, k] - run["i"][ready.windows.starts]) < 2 * ready.x0_std[:, k]).all()
-
-
 def test_samples_that_were_not_measured_are_none_and_their_windows_are_left_out():
     plant = rl.plant("servo-axis")
     record = rl.simulate(plant, T, U)

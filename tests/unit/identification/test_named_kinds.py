@@ -67,18 +67,6 @@ def test_the_narrowest_kind_that_is_sure_is_told():
     )
 
 
-def test_what_may_be_there_beside_what_is_sure_is_open():
-    told, left = judged((0.6, ["coulomb-friction"]), (0.4, ["presliding", "viscous-friction"]))
-    assert (told, left) == ({"dry-friction"}, {"viscous-friction"})
-    assert judged((0.6, ["coulomb-friction"]), (0.4, ["presliding", "constant-load"]))[1] == {"constant-load"}
-    # Below 5 % it is excluded, and what does not matter decides nothing.
-    assert judged((0.97, ["coulomb-friction"]), (0.03, ["coulomb-friction", "cogging"]))[1] == set()
-    slight = frozenset({"constant-load @ v"})
-    assert judged((0.6, ["coulomb-friction"]), (0.4, ["presliding", "constant-load"]), ignored=slight) == (
-        {"dry-friction"}, set(),
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("motors", [False, True])
 def test_input_and_sensor_of_one_leg_are_one_path(motors):
     """The rotor has nearly all of a leg's inertia: each input moves its own nut most, if through a current."""

@@ -102,10 +102,3 @@ def test_the_drawing_is_small_well_formed_and_keeps_its_texts():
     names = [element.attrib["id"] for element in root.iter() if "id" in element.attrib]
     assert len(names) == len(set(names))
     assert set(re.findall(r"url\(#([a-z0-9]+)\)", whole)) == set(names)
-
-
-def test_what_is_not_finite_is_a_gap():
-    figure, (axes,) = new_figure()
-    axes.plot([0, 1, 2, 3, 4], [0, 1, np.nan, 1, 0], color="#123456")
-    (line,) = [e for e in drawn(figure).iter(f"{SVG}path") if e.get("stroke") == "#123456"]
-    assert line.get("d").count("M") == 2
