@@ -65,31 +65,6 @@ def test_a_smooth_effect_agrees_with_scipy_on_the_plants_own_derivative():
         np.testing.assert_allclose(plant.derivative(x, [1.0]), by_hand(0, x), rtol=1e-9)
 
 
-def test_the_flexible_coupling_adds_its_states_and_the_two_mass_motion():
-    motor = rl.plant("dc-motor")
-    plant = rl.with_effects(motor, {"flexible-coupling": {"f": 40.0, "zeta": 0.05, "share": 0.3}})
-    assert [s.name for s in plant.states[3:]] == ["omega.twist", "omega.twist.rate"]
-    u = np.where(T < 0.5, 5.0, -5.0)
-    found = rl.simulate(plant, T, u, x0=[0.0, 0.0, 0.0])
-    p, s, w = motor.values, 0.3, 2 * np.pi * 40.0
-    # drive and load as two bodies of their own
-    j1, j2 = (1 - s) * p["J"], s * p["J"]
-    k, c = w**2 * s * (1 - s) * p["J"], 2 * 0.05 * w * s * (1 - s) * p["J"]
-    a = np.array(
-        [
-            [0, 1, 0, 0, 0],
-            [-k / j1, -(c + p["Kf"]) / j1, p["Km"] / j1, k / j1, c / j1],
-            [0, -p["Kb"] / p["L"], -p["R"] / p["L"], 0, 0],
-            [0, 0, 0, 0, 1],
-            [k / j2, c / j2, 0, -k / j2, -c / j2],
-        ]
-    )
-    two = rl.StateSpaceModel(a, [[0], [0], [1 / p["L"]], [0], [0]], np.eye(3, 5), np.zeros((3, 1)))
-    truth = rl.simulate(two, T, u)
-    np.testing.assert_allclose(found["omega"], truth["y2"], atol=1e-9 * np.abs(truth["y2"]).max())
-    np.testing.assert_allclose(np.sort(rl.linearise(plant).poles()), np.sort(two.poles()), rtol=1e-8, atol=1e-6)
-
-
 # --- trim ------------------------------------------------------------------------------------------------------------
 
 

@@ -217,16 +217,16 @@ BARE = StateSpaceModel(
 ELECTRICAL = {"brush-drop", "resistance", "resistance-heating", "torque-constant"}
 AT_A_POSITION = {"bouc-wen", "cogging", "cubic-stiffness", "end-stop", "one-sided-spring",
                  "position-dependent-friction"}  # fmt: skip
-USUAL = {"coulomb-friction", "input-gain", "sensor-delay"}
+USUAL = {"coulomb-friction", "sensor-delay"}
 
 
 @pytest.mark.parametrize(
     ("plant", "outputs", "there", "absent"),
     [
         # What the sensor's resolution does is known noise, never a name.
-        ("servo-axis", (), USUAL | AT_A_POSITION | {"backlash", "inertia"}, ELECTRICAL | {"quantisation"}),
-        ("dc-motor", (), USUAL | ELECTRICAL | AT_A_POSITION, set()),
-        ("bare", (), USUAL | {"viscous-friction"}, AT_A_POSITION | ELECTRICAL),
+        ("servo-axis", (), USUAL | AT_A_POSITION | {"backlash", "inertia", "input-delay"}, ELECTRICAL | {"quantisation"}),
+        ("dc-motor", (), USUAL | ELECTRICAL, set()),
+        ("bare", (), USUAL | {"viscous-friction", "input-gain"}, AT_A_POSITION),
     ],
 )  # fmt: skip
 def test_the_effects_tried_are_those_that_the_plant_and_its_record_can_have(plant, outputs, there, absent):
