@@ -223,8 +223,8 @@ USUAL = {"coulomb-friction", "sensor-delay"}
 @pytest.mark.parametrize(
     ("plant", "outputs", "there", "absent"),
     [
-        # What the sensor's resolution does is known noise, never a name.
-        ("servo-axis", (), USUAL | AT_A_POSITION | {"backlash", "inertia", "input-delay"}, ELECTRICAL | {"quantisation"}),
+        # What the resolution does is known noise, never a name.
+        ("servo-axis", (), USUAL | AT_A_POSITION | {"inertia", "input-delay"}, ELECTRICAL | {"quantisation"}),
         ("dc-motor", (), USUAL | ELECTRICAL, set()),
         ("bare", (), USUAL | {"viscous-friction", "input-gain"}, AT_A_POSITION),
     ],
