@@ -43,63 +43,33 @@ def sentence(d):
     return f"{d.headline()}."
 
 
-def series(apart: int):
-    """Windows of 40 samples; ``apart`` of such a length from start to start."""
-    t = np.concatenate([(apart * k * LENGTH + np.arange(LENGTH)) * DT for k in range(WINDOWS)])
-    y = np.sin(3.0 * t)
-    worst = np.repeat(np.arange(WINDOWS) == 3, LENGTH)
-    signals = {
-        "measured": y,
-        "nominal": y + 0.02 + 0.1 * worst,
-        "refitted": y + 0.01,
-        "updated": y + 1e-3 * np.cos(90 * t),
-    }
-    run = DT * np.arange(400)
+def series():
+    """Five windows of 40 samples, and a free run in which each model drifts away."""
+    t, run = DT * np.arange(WINDOWS * LENGTH), DT * np.arange(400)
+    y, true = np.sin(3.0 * t), np.sin(3.0 * run)
+    windows = {"measured": y, "nominal": y + 0.02, "refitted": y + 0.01, "updated": y + 1e-3 * np.cos(90 * t)}
     free = {
-        key: np.sin(3.0 * run) + drift * run for key, drift in (("nominal", 0.2), ("refitted", 0.1), ("updated", 0.01))
+        key: true + d * run for key, d in (("measured", 0.0), ("nominal", 0.2), ("refitted", 0.1), ("updated", 0.01))
     }
-    free["measured"] = np.sin(3.0 * run)
     free_run = {"t": run, "record": "test", "inputs": {"u": 0 * run}, "outputs": {"q": free}}
-    return {"t": t, "inputs": {"u": 0 * t}, "outputs": {"q": signals}, "free_run": free_run}
+    return {"t": t, "inputs": {"u": 0 * t}, "outputs": {"q": windows}, "free_run": free_run}
 
 
 def made(**changes):
-    search = (
-        SearchEntry((), -512.0, "start"),
-        SearchEntry(("coulomb-friction@v",), 0.0, "best: no move improves it"),
-    )
-    fields = {
-        "status": Status.CONVERGED,
-        "verdict": "named",
-        "complete": True,
-        "effects": (COULOMB,),
-        "rivals": (),
-        "nominal": (
-            NominalValue("M", 95.1, 96.0, "kg", 95.7, 96.3, 0.05, True),
-            NominalValue("gain", 35.15, 35.15, "N/V", 35.15, 35.15, 0.0, False),
-        ),
-        "gap_before": 3.0,
-        "gap_refitted": 0.9,
-        "gap_after": 0.1,
-        "gaps": {"q": Gap("q", "m", 2.0, 0.06, 0.018, 0.002)},
-        "held_out": "test",
-        "plant": "servo-axis",
-        "records": ("train",),
-        "window": LENGTH * DT,
-        "search": search,
-        "posterior": (
-            SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.985, 0.0, 0.0),
-            SetProbability(("presliding@v",), ("presliding",), 0.015, -4.2, 1.4),
-        ),
-        "clocks": (InputClock("u", "held", 0.4e-3, 0.02e-3),),
-        "free_run": {"q": Gap("q", "m", 2.0, 0.5, 0.2, 0.01)},
-        "free_run_on": "test",
-        "candidates": ("coulomb-friction", "presliding", "backlash"),
-        "structure": {},
-        "series": series(1),
-        "seconds": 12.0,
-    }
-    return Discovery(**{**fields, **changes})
+    mass = NominalValue("M", 95.1, 96.0, "kg", 95.7, 96.3, 0.05, True)
+    gain = NominalValue("gain", 35.15, 35.15, "N/V", 35.15, 35.15, 0.0, False)
+    best = SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.985, 0.0, 0.0)
+    other = SetProbability(("presliding@v",), ("presliding",), 0.015, -4.2, 1.4)
+    found = Discovery(
+        status=Status.CONVERGED, verdict="named", complete=True, effects=(COULOMB,), rivals=(), nominal=(mass, gain),
+        gap_before=3.0, gap_refitted=0.9, gap_after=0.1, gaps={"q": Gap("q", "m", 2.0, 0.06, 0.018, 0.002)},
+        held_out="test", plant="servo-axis", records=("train",), window=LENGTH * DT,
+        search=(SearchEntry((), -512.0, "start"), SearchEntry(("coulomb-friction@v",), 0.0, "best")),
+        posterior=(best, other), clocks=(InputClock("u", "held", 0.4e-3, 0.02e-3),),
+        free_run={"q": Gap("q", "m", 2.0, 0.5, 0.2, 0.01)}, free_run_on="test",
+        candidates=("coulomb-friction", "presliding", "backlash"), structure={}, series=series(), seconds=12.0,
+    )  # fmt: skip
+    return replace(found, **changes)
 
 
 def ambiguous(**changes):
