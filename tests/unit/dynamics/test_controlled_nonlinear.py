@@ -59,21 +59,6 @@ def test_friction_costs_its_torque_and_holds_the_nut(machine, rough):
     assert np.abs(free.phi[before, 5]).max() > 1e-4
 
 
-def test_small_motions_are_those_of_the_linear_loop(machine):
-    K, t = triple_pole(machine, 40.0), np.linspace(0.0, 0.6, 301)
-    path = SineTrajectory(machine.geometry.home, (0, 0, 1e-6, 0, 0, 0), np.full(6, 1e-6), 20.0, 0.1, 0.2)
-    at = rl.trim(machine)
-    run = follow_with_torques(machine, K, path, t, at=at)
-    from robustlab.dynamics.stewart import nut_angles
-
-    asked = nut_angles(machine.geometry, path.pose(t))
-    linear = rl.simulate(rl.linearise(torque_loop(machine, K, at)), t, asked, hold="foh")
-    for i in range(6):
-        np.testing.assert_allclose(run.phi[:, i], linear[ANGLES[i]], atol=1e-3 * np.abs(run.phi[:, i]).max())
-        torque = run.torque[:, i] - at.u[i]
-        np.testing.assert_allclose(torque, linear[f"torque_{i + 1}"], atol=1e-3 * np.abs(torque).max())
-
-
 def test_what_is_no_loop(machine, rough):
     K, at = triple_pole(machine, 60.0), rl.trim(machine)
     with pytest.raises(InputError, match="18 and 6"):

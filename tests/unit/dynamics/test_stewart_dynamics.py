@@ -195,13 +195,3 @@ def test_compiled_integrator_against_scipy(hold, motors):
     np.testing.assert_allclose(found / size, expected / size, rtol=0, atol=2e-7)
     fixed = plant.trajectory(signal, trim.x, step=2e-5)
     np.testing.assert_allclose(fixed / size, expected / size, rtol=0, atol=2e-7)
-
-
-def test_small_motion_follows_the_linear_model():
-    trim, t = rl.trim(THESIS), np.linspace(0, 0.2, 101)
-    u = 1e-7 * np.sin(2 * np.pi * 10 * t)[:, None] * np.array([1, -0.5, 0.3, 0.2, -1, 0.6])
-    nonlinear = rl.simulate(THESIS, t, trim.u + u, trim, hold="foh", rtol=1e-12)
-    linear = rl.simulate(rl.linearise(THESIS, at=trim), t, u, hold="foh")
-    for name in linear.outputs:
-        size = np.abs(linear[name]).max()
-        np.testing.assert_allclose(nonlinear[name] / size, linear[name] / size, rtol=0, atol=1e-4)

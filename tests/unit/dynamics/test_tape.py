@@ -122,8 +122,3 @@ def test_what_is_no_tape_is_refused(wrong, message):
     Tape(**GOOD)
     with pytest.raises(InputError, match=message):
         Tape(**{**GOOD, **wrong})
-
-
-def test_points_of_another_width_are_refused():
-    with pytest.raises(InputError, match=r"expected \(n, 2\)"):
-        Tape(**GOOD)(np.zeros((3, 3)))

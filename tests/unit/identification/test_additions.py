@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli import main
-from robustlab.cli.ending import main_guard
 
 RESOLUTION = 2 * np.pi / 2000
 
@@ -131,7 +129,6 @@ CASES = [
     (axis, ["q", "v"], "input u", 20.0 / 35.15065),
     (shaft, ["phi1", "phi2"], "torque at omega2", 0.08),
     (masses, ["q1", "q2"], "input f2", 5.0),
-    (masses, ["q1", "q2", "v1", "v2"], "input f2", 5.0),
 ]
 
 
@@ -230,15 +227,3 @@ def test_a_constant_force_that_noise_hides_in_short_pieces_is_told_in_longer_one
     assert d.place.startswith("input")
     assert abs(mean - hidden) < 4 * std < 0.25 * abs(hidden)
     assert d.seconds > found.window / 4 + 1e-9  # longer than it was
-
-
-def test_readmes_record_points_the_right_way(capfd):
-    """Simulated outside with 6 mN m of friction and 0.6 V that the driver loses; the mean of u was +0.25 V forward."""
-    command = ["data", "compare", "dc-motor", "recipes/data/motor_record.csv", "--inputs", "u", "--outputs"]
-    assert main_guard(lambda: main.run([*command, "phi,i"])) == 0
-    both = capfd.readouterr().out
-    assert "as additions at input u and torque at omega together" in both
-    assert "input u: mean -0.5" in both
-    assert "torque at omega: mean -0.005" in both
-    assert main_guard(lambda: main.run([*command, "phi"])) == 0
-    assert "mean -0.713 +- 0.016 V moving forward" in capfd.readouterr().out

@@ -168,13 +168,3 @@ def test_an_editor_knows_the_methods_of_plants_and_models(tmp_path):
         line.rpartition(" is ")[2].strip('"') for line in done.stdout.splitlines() if "information: Type of" in line
     ]
     assert said == list(told.values()), done.stdout
-
-
-def test_linear_plants_by_name_are_linear():
-    from typing import get_args
-
-    from robustlab.dynamics import LinearName, LinearPlant, plant_names
-
-    linear = {name for name in plant_names() if isinstance(rl.plant(name), LinearPlant)}
-    assert set(get_args(LinearName)) == linear
-    assert set(plant_names()) - linear == {"stewart-platform"}

@@ -137,12 +137,6 @@ def test_the_limits_are_kept():
     assert found.t[1] - found.t[0] == pytest.approx(DT)
 
 
-def test_nothing_open_asks_for_nothing():
-    _, problem, fits = opened("coulomb-friction", "oneway", "coulomb-friction", "constant-load")
-    assert propose_experiment(problem, fits[0], []) is None
-    assert propose_experiment(problem, fits[0], [fits[0]]) is None
-
-
 @pytest.mark.parametrize(
     ("limits", "named"),
     [

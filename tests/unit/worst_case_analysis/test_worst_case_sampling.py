@@ -59,15 +59,6 @@ def test_samples_lie_in_the_set_and_fill_it():
     assert 0.9 < norms.max() <= 1
 
 
-def test_some_vertices_are_different_and_seeded():
-    picked = [tuple(d.values()) for d in sample(uncertain(), 0, seed=3, vertices=5).deltas]
-    assert len(set(picked)) == 5
-    assert picked == [tuple(d.values()) for d in sample(uncertain(), 0, seed=3, vertices=5).deltas]
-    boundary = sample(mixed(), 0, vertices="all").deltas
-    assert [d["r"] for d in boundary] == [-1.0, 1.0]
-    assert all(abs(abs(d["c"]) - 1) < 1e-12 and abs(np.linalg.norm(d["f"], 2) - 1) < 1e-12 for d in boundary)
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [((0,), "no samples"), ((-1,), "n is -1"), ((1.5,), "n is 1.5"), ((1, -2), "seed"), ((1, 0, "every"), "vertices")],
