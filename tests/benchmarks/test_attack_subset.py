@@ -9,10 +9,14 @@ from attack import call, claim_of, run_case
 from attack_cases import FAMILIES, FUNCTIONS, Case, make_case
 from attack_verdicts import judge
 from exact_delta import Part, distance_to_singular, proves, singular_inside
-from exact_loops import Model, exact, gain, h2_norm, is_stable, norm_is_below, response, system, with_precision
+from exact_loops import Model, exact, is_stable, with_precision
 
-# Half of a round through all families and functions, like a chess board.
-SUBSET = [k for k in range(80) if (k // len(FUNCTIONS) + k % len(FUNCTIONS)) % 2 == 0]
+# Half of a round through all families and functions, like a chess board; the first two rows have every function.
+SUBSET = [
+    k if k < 2 * len(FUNCTIONS) else pytest.param(k, marks=pytest.mark.slow)
+    for k in range(80)
+    if (k // len(FUNCTIONS) + k % len(FUNCTIONS)) % 2 == 0
+]
 LAG = Model(*map(np.array, ([[-1.0]], [[1.0]], [[1.0]], [[0.0]])))
 
 
@@ -41,19 +45,6 @@ def test_h2_next_to_an_ill_posed_loop_is_not_verified():
     assert (record["outcome"], record["status"]) == ("not certified", "inaccurate")
 
 
-def test_h2_of_entries_that_overflow_is_refused_in_a_line():
-    record = run_case(make_case(12, 370))
-    assert (record["outcome"], record["kind"]) == ("refused", "NoTrustworthyNumber")
-
-
-def test_mu_of_a_matrix_with_denormal_entries():
-    # a bare LinAlgError of the singular values; by hand: both scalars are one, mu is the larger eigenvalue's modulus
-    data = {"matrix": np.array([[1.5 - 2j, 2e-322], [2e-322, -1.0]]), "parts": (Part("complex", 2, 2),)}
-    record = run_case(Case(0, 0, "mu", "denormals and huge entries", data))
-    assert record["outcome"] == "held"
-    assert abs(record["figures"]["lower"] - 2.5) < 1e-8
-
-
 def test_mu_below_the_inverse_of_the_largest_float():
     # A Delta of size 1e322 was given, whose entries were infinite, as one that is singular.
     data = {"matrix": np.array([[1.2e-322]]) + 0j, "parts": (Part("complex", 1, 1),)}
@@ -69,11 +60,6 @@ def test_mu_below_the_inverse_of_the_largest_float():
 def test_gain_of_a_member_whose_response_loses_digits(seed, index):
     # The second: a pole 1e-7 from the unit circle cost 6.9e-5 of the gain, of which 5.5e-5 were counted.
     assert run_case(make_case(seed, index))["outcome"] == "held"
-
-
-def test_mu_next_to_a_double_root():
-    # Delta was singular to within 1.5e-8 of itself, where 1e-8 is stated: Newton's step there is half of the way.
-    assert run_case(make_case(41, 118))["outcome"] == "held"
 
 
 # --- the judge on closed forms ---------------------------------------------------------------------------------------
@@ -101,17 +87,6 @@ def exactly(test):
 )
 def test_stability_is_exact(A, dt, stable):
     assert (exactly(lambda: is_stable(exact(np.array(A)), dt > 0)) is True) == stable
-
-
-@pytest.mark.parametrize("zeta", [0.3, 1e-4, 1e-9])
-def test_norm_of_an_oscillator(zeta):
-    model = Model(*map(np.array, ([[0.0, 1.0], [-1.0, -2 * zeta]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])))
-    peak = 1 / (2 * zeta * np.sqrt(1 - zeta**2))
-    assert exactly(lambda: norm_is_below(system(model), peak * (1 + 1e-12))) is True
-    assert exactly(lambda: norm_is_below(system(model), peak * (1 - 1e-12))) is False
-    omega = np.sqrt(1 - 2 * zeta**2)
-    assert abs(float(exactly(lambda: gain(response(model, omega)))) / peak - 1) < 1e-6
-    assert abs(float(exactly(lambda: h2_norm(system(model)))) / np.sqrt(1 / (4 * zeta)) - 1) < 1e-12
 
 
 def test_singular_deltas():
@@ -193,10 +168,3 @@ def test_margins_that_lie():
     assert found(case, claim, lower=1.02 * claim["upper"], upper=np.inf)
     members, low, high, beta, *scalings = claim["pieces"][0]
     assert found(case, claim, pieces=[(members, low, high, 0.5 * beta, *scalings)])
-
-
-def test_gains_that_lie():
-    case, claim = told("gain")
-    assert found(case, claim, upper=0.99 * claim["lower"], lower=0.98 * claim["lower"])
-    assert found(case, claim, lower=1.01 * claim["upper"], upper=1.02 * claim["upper"])
-    assert found(case, claim, lower=np.inf, upper=np.inf)

@@ -2,10 +2,7 @@
 
 import numpy as np
 import pytest
-from hidden.excitation import BETWEEN, Drive
 from hidden.machine import Machine, simulate
-from hidden.plants import PLANTS
-from hidden.rig import Rig
 from scipy.integrate import solve_ivp
 
 DT = 1e-3
@@ -21,35 +18,6 @@ def ode(rates, x0, n, u, dt=DT):
         span = (k * dt, (k + 1) * dt)
         out[k + 1] = solve_ivp(rates, span, out[k], "DOP853", args=(u[k],), rtol=1e-10, atol=1e-13).y[:, -1]
     return out
-
-
-@pytest.mark.parametrize(("samples", "zeta"), [(8, 0.005), (15, 0.03)])
-def test_free_decay_of_a_lightly_damped_oscillator(samples, zeta):
-    dt = 2e-3
-    w = 2 * np.pi / (samples * dt)
-    u = np.zeros(1200)
-    u[0] = 10.0
-    got = simulate(Machine(J1=1.0, winding=0.0, gain=1.0, b_pos=2 * zeta * w, b_neg=2 * zeta * w, k=w**2), u, dt)
-    # From the state at the end of the push: x = e^(-zeta w t) (x0 cos wd t + (v0 + zeta w x0)/wd sin wd t)
-    t, wd = np.arange(1199) * dt, w * np.sqrt(1 - zeta**2)
-    x0, v0 = got.phi[1], got.omega[1]
-    truth = np.exp(-zeta * w * t) * (x0 * np.cos(wd * t) + (v0 + zeta * w * x0) / wd * np.sin(wd * t))
-    assert np.abs(got.phi[1:] - truth).max() < 1e-7 * np.abs(truth).max()
-    # The push itself: the step response of a second-order system, by its slow expansion in no damping.
-    assert x0 == pytest.approx(10.0 / w**2 * (1 - np.cos(w * dt)), rel=0.03)
-
-
-def test_coulomb_friction_takes_the_same_from_every_swing():
-    k, Fc, w = 100.0, 0.4, 10.0
-    u = np.zeros(4000)
-    u[:60] = 40.0  # a shove
-    got = simulate(Machine(J1=1.0, winding=0.0, gain=1.0, k=k, Fc=Fc, s0=Fc / 1e-6, s1=10.0), u, 1e-3)
-    free = got.phi[80:]
-    top = np.flatnonzero((free[1:-1] > free[:-2]) & (free[1:-1] >= free[2:])) + 1
-    size = free[top][free[top] > 3 * Fc / k]
-    assert len(size) >= 4
-    assert np.diff(size) == pytest.approx(np.full(len(size) - 1, -4 * Fc / k), rel=2e-2)
-    assert np.diff(top)[0] * 1e-3 == pytest.approx(2 * np.pi / w, rel=2e-3)
 
 
 def test_a_pendulum_swings_and_turns_over():
@@ -92,32 +60,3 @@ def test_a_one_sided_spring_throws_back_what_it_is_given():
     assert inside == pytest.approx(np.pi / w, abs=2 * DT)
     mirrored = simulate(PUSHED._replace(side=-1.0, x_side=-place, k_side=k), -u, DT)
     assert np.array_equal(mirrored.phi, -got.phi)
-
-
-def test_friction_that_grows_with_the_load_both_ways():
-    J1, J2, k, Fc, drive_loss, back_loss = 0.4 * J, 0.6 * J, 24.0, 1e-4, 0.15, 0.5
-    w = np.sqrt(k * (1 / J1 + 1 / J2))
-    damping = 0.6 * J1 * J2 / (J1 + J2) * w
-    machine = PUSHED._replace(J1=J1, J2=J2, k_s=k, c_s=damping, Fc=Fc, loss=drive_loss, loss_back=back_loss,
-                              s0=200.0, s1=5e-3)  # fmt: skip
-    u = np.full(500, 0.02)
-    u[250:] = -0.01  # brakes, long before it turns
-    got = simulate(machine, u, DT)
-    assert got.omega.min() >= 0.0
-    speeding = (got.omega[249] - got.omega[100]) / (149 * DT)
-    braking = (got.omega[499] - got.omega[350]) / (149 * DT)
-    # J1 a = T - F - J2 a with F = Fc + loss |J2 a| against the motion
-    assert speeding == pytest.approx((0.02 - Fc) / (J1 + J2 * (1 + drive_loss)), rel=1e-4)
-    assert braking == pytest.approx((-0.01 - Fc) / (J1 + J2 * (1 - back_loss)), rel=1e-4)
-
-
-def test_a_continuous_input_acts_between_its_samples():
-    """A torque sin wt of 10 samples a period on an inertia: phi = (t / w - sin(wt) / w^2) / J; held it is another."""
-    w, n = 2 * np.pi / (10 * DT), 300
-    middle = (np.arange(BETWEEN * n) + 0.5) * DT / BETWEEN
-    t = np.arange(n) * DT
-    true = Drive(np.sin(w * t), np.sin(w * middle))
-    rig = Rig(PLANTS["servo-axis"], PUSHED, PUSHED, {}, 0, "mid", DT)
-    truth = (t / w - np.sin(w * t) / w**2) / J
-    assert np.abs(rig.clean(true).phi - truth).max() < 1e-5 * truth.max()
-    assert np.abs(rig.clean(Drive(true.samples)).phi - truth).max() > 1e-2 * truth.max()

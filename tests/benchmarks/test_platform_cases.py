@@ -98,7 +98,7 @@ def test_delays_and_offsets_are_what_they_say():
 # --- the cases -------------------------------------------------------------------------------------------------------
 
 EVERY = [
-    pytest.param(name, motors, marks=[] if motors or name == "input-gain" else pytest.mark.slow)
+    pytest.param(name, motors, marks=[] if name in ("none", "coulomb-friction", "input-gain") else pytest.mark.slow)
     for motors in (True, False)
     for name in pc.names(motors)
 ]

@@ -135,17 +135,6 @@ def test_a_delay_and_a_shift_are_one_and_the_same():
     assert (late == moved).all()
 
 
-@pytest.mark.parametrize("hold", HOLDS)
-def test_the_input_that_the_plant_sees_is_told_as_its_mean_over_each_sample(hold):
-    # a free mass gathers the mean force of a sample
-    plant = rl.plant("mass-spring-damper", m=1.0, c=0.0, k=0.0)
-    u = np.random.default_rng(6).normal(size=(40, 1))
-    run = Simulator(plant, [(effect("input-gain"), Site("input", "f"))], u, DT, sub=3, hold=(hold,))
-    speed = run.run({}, [{"s": 1.5}], np.zeros((1, 2)), whole(40), (0.4 * DT,)).states[0, :, 1]
-    mean, _ = run.seen_input([{"s": 1.5}], (0.4 * DT,))
-    assert mean[:-1, 0] * DT == pytest.approx(np.diff(speed), abs=1e-15)
-
-
 def test_what_cannot_be_is_named():
     plant, _ = oscillator(20)
     u = np.zeros((9, 1))

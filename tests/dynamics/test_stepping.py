@@ -111,13 +111,3 @@ def test_dry_friction_brings_a_swing_to_rest_by_the_same_amount_each_half_period
     assert np.abs(q - expected)[moving].max() < 3e-3
     assert np.abs(v[-20:]).max() < 1e-14
     assert np.ptp(q[-20:]) < 1e-14
-
-
-@pytest.mark.parametrize("kc", [1e2, 1e6, 1e10])
-def test_a_stop_far_too_stiff_for_the_steps_keeps_the_motion_bounded(kc):
-    plant, omega = oscillator(9)
-    values = {"q_min": -0.3, "q_max": 0.2, "kc": kc * omega**2, "dc": 0.0}
-    run = Simulator(plant, [(effect("end-stop"), JOINT)], 4 * drive(omega)[:, None], DT)
-    states = run.run({}, [values], np.zeros((1, 2)), Windows(np.array([0]), N)).states[0]
-    assert np.abs(states[:, 0]).max() < 3.0
-    assert np.abs(states[:, 1]).max() < 3.0 * omega

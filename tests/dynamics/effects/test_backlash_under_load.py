@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Scales, Site
+from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.effects.spring_effects import DAMPING
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.ports.carried_load import shares_behind
@@ -87,32 +87,6 @@ def test_the_flight_of_a_rotor_that_outruns_its_load(times):
     # what is lost at the impact is no momentum
     momentum = ROTOR * x[:, 1] + LOAD * (x[:, 1] - x[:, 3])
     np.testing.assert_allclose(momentum, (torque - WEIGHT) * t, rtol=1e-6, atol=1e-10)
-
-
-def test_viscous_friction_stays_with_the_drive():
-    """A rotor that its friction slows down more than gravity does its load: thrown, the load flies on."""
-    speed, gap, dt = 100.0, 0.2, 1e-4
-    x = run(0.0, 1000, dt, speed, gap, DRAG)
-    assert DRAG * speed / ROTOR > WEIGHT / LOAD
-    t = dt * np.arange(1000)
-    inside = t < t[np.flatnonzero(x[:, 2] < -0.5 * gap)[0]]
-    assert inside.sum() > 50
-    # thrown upwards, the rotor is slowed to exp(-c t / J) of its speed and the load falls freely
-    np.testing.assert_allclose(x[inside, 1], speed * np.exp(-DRAG * t[inside] / ROTOR), rtol=2e-3)
-    np.testing.assert_allclose((x[:, 1] - x[:, 3])[inside], speed - WEIGHT / LOAD * t[inside], rtol=2e-3)
-
-
-def test_the_shares_that_parameters_tell():
-    assert shares_behind(hoist(), "w") == pytest.approx((LOAD / (ROTOR + LOAD), ROTOR / (ROTOR + LOAD)))
-    (rotor_2,) = shares_behind(maker("two_link_arm")(), "w_2")
-    p = maker("two_link_arm")().values
-    a2, a3 = p["m_2"] * p["l_1"] * p["c_2"], p["I_2"] + p["m_2"] * p["c_2"] ** 2
-    a1 = p["I_1"] + p["I_2"] + p["m_1"] * p["c_1"] ** 2 + p["m_2"] * (p["l_1"] ** 2 + p["c_2"] ** 2) + p["I_r1"]
-    free = a3 + p["I_r2"] - (a3 + a2) ** 2 / (a1 + 2 * a2)  # what a torque at joint 2 meets, both joints free
-    assert rotor_2 == pytest.approx(1 - p["I_r2"] / free)
-    assert shares_behind(rl.plant("stewart-platform", preset="thesis"), "phidot_1") == ()
-    scales = Scales(position=10.0, shares=(0.04,))
-    assert {s["share"] for s in effect("backlash").starts(scales)} == {0.04}
 
 
 def bodies(x, u, p, gap, omega):

@@ -8,53 +8,13 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import add_effect, catalogue, effect
-from robustlab.dynamics.effects.contract import Effect, Footprint, Scales, Site
+from robustlab.dynamics.effects.catalogue import catalogue, effect
+from robustlab.dynamics.effects.contract import Footprint, Scales
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError
 
-IDS = [
-    "inertia",
-    "viscous-friction",
-    "torque-constant",
-    "resistance",
-    "resistance-heating",
-    "coulomb-friction",
-    "stribeck-friction",
-    "presliding",
-    "asymmetric-viscous-friction",
-    "constant-load",
-    "quadratic-drag",
-    "position-dependent-friction",
-    "cogging",
-    "gear-efficiency",
-    "backlash",
-    "flexible-coupling",
-    "input-delay",
-    "input-dead-zone",
-    "brush-drop",
-    "input-saturation",
-    "input-gain",
-    "sensor-gain",
-    "sensor-bias",
-    "sensor-eccentricity",
-    "sensor-delay",
-    "quantisation",
-    "stiffness",
-    "cubic-stiffness",
-    "end-stop",
-    "pendulum-gravity",
-    "actuator-lag",
-    "asymmetric-coulomb-friction",
-    "torque-ripple",
-    "one-sided-spring",
-    "bouc-wen",
-    "load-dependent-friction",
-    "magnitude-sensor",
-    "centre-of-mass",
-    "gravity-direction",
-]
+IDS = list(catalogue())
 PLANTS = ["dc-motor", "servo-axis", "two-mass", "mass-spring-damper", "linear-actuator"]
 AT_JOINT = {"force_unit": "N m", "speed_unit": "rad/s", "position_unit": "rad"}
 SCALES = {
@@ -105,23 +65,3 @@ def test_missing_unknown_and_nan_values_are_named(name):
             known.checked(bad)
     with pytest.raises(InputError, match="no value for"):
         known.checked({})
-
-
-class Wind(Effect):
-    id, title, equation, site_kind = "wind", "Wind", "f = w", "joint"
-
-    def parameters(self, scales):
-        return ()
-
-
-def test_effects_of_ones_own_join_and_are_replaced(monkeypatch):
-    from robustlab.dynamics.effects import catalogue as module
-
-    monkeypatch.setattr(module, "_ADDED", {})
-    first, second = Wind(), Wind()
-    add_effect(first)
-    assert effect("wind") is first
-    add_effect(second)
-    assert effect("wind") is second
-    assert list(catalogue()) == sorted([*IDS, "wind"])
-    assert effect("wind").sites(rl.plant("dc-motor"), port_model(rl.plant("dc-motor"))) == (Site("joint", "omega"),)

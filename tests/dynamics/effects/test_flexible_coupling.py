@@ -55,16 +55,6 @@ def test_the_simulated_motion_is_that_of_two_masses():
     np.testing.assert_allclose(angle, expected, rtol=1e-8, atol=1e-12)
 
 
-def test_windows_that_start_at_the_drives_true_state_carry_the_load_on():
-    one, values = coupled(1e-3, 2e-3, 2e-3, 10.0)
-    u = np.random.default_rng(6).normal(size=(400, 1))
-    simulator = Simulator(one, [(effect("flexible-coupling"), JOINT)], u, 1e-3)
-    whole = simulator.run({}, [values], np.zeros((1, 2)), Windows(np.array([0]), 400)).states[0]
-    starts = np.array([0, 100, 200, 300])
-    parts = simulator.run({}, [values], whole[starts, :2], Windows(starts, 100)).states
-    np.testing.assert_allclose(parts.reshape(400, 4), whole, rtol=1e-9, atol=1e-12)
-
-
 def test_all_that_acts_on_the_joint_acts_on_the_drive():
     motor = rl.plant("dc-motor")
     J, s = 7.2e-6, 0.4

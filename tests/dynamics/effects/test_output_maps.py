@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.errors import InputError
 
 Y = np.array([[0.0, 1.0, 2.5], [-1.0, 0.2, 4.0]])
@@ -50,15 +48,6 @@ def test_a_delayed_sine_is_right_to_the_error_of_interpolation():
     found = mapped("sensor-delay", np.sin(w * t)[None], {"d": d})[0]
     inside = t >= d
     assert np.abs(found - np.sin(w * (t - d)))[inside].max() <= (w * 1e-3) ** 2 / 8 * 1.001
-
-
-def test_a_biased_angle_of_a_free_shaft_is_another_start():
-    motor = rl.plant("dc-motor")
-    u = np.random.default_rng(3).normal(size=(300, 1))
-    whole = Windows(np.array([0]), 300)
-    biased = Simulator(motor, [(effect("sensor-bias"), Site("output", "phi"))], u, 1e-3)
-    shifted = Simulator(motor, [], u, 1e-3).run({}, [], np.array([[0.2, 0.0, 0.0]]), whole).outputs
-    np.testing.assert_allclose(biased.run({}, [{"b": 0.2}], np.zeros((1, 3)), whole).outputs, shifted, atol=1e-12)
 
 
 @pytest.mark.parametrize(

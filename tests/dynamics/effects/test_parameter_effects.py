@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Scales, Site
+from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
 from robustlab.errors import InputError
@@ -61,19 +61,6 @@ def test_a_bare_model():
     assert sites == (Site("parameter", "damping_v"),)
     found = matrices(plant, [(effect("viscous-friction"), sites[0])], [{"s": 3.0}])
     np.testing.assert_allclose(found.A, [[0.0, 1.0], [-9.0, -1.8]], rtol=1e-12)
-
-
-def test_parameters_follow_the_kind_of_site():
-    stiffness = effect("stiffness")
-    at_joint = Scales(force=2.0, position=0.5, force_unit="N m", position_unit="rad")
-    assert [(p.name, p.unit) for p in stiffness.parameters(at_joint)] == [("k", "N m/rad")]
-    assert [(p.name, p.unit) for p in stiffness.parameters(Scales())] == [("s", "")]
-    assert stiffness.checked({"k": 1}) == {"k": 1.0}
-    assert stiffness.checked({"s": 1}) == {"s": 1.0}
-    for start in stiffness.starts(at_joint):
-        assert start.keys() == {"k"}
-    friction = effect("viscous-friction").parameters(Scales(force_unit="N", speed_unit="m/s"))
-    assert [(p.name, p.unit) for p in friction] == [("b", "N s/m")]
 
 
 @pytest.mark.parametrize(

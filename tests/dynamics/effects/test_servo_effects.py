@@ -15,14 +15,12 @@ from scipy.special import ellipk
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.effect_loads import effect_loads
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.ports.port_model import linear_plant_of
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
 
 ROUND = Site("joint", "w")
-FAST = 2 * math.pi / 0.01  # rad/s: a period of 10 ms
 
 
 def disc(stiffness=0.0, damping=0.0):
@@ -147,32 +145,6 @@ def test_a_gear_takes_one_share_while_driven_and_another_while_braking():
 
 # --- hysteretic spring -----------------------------------------------------------------------------------------------
 
-YIELDING = {"Fy": 0.5 * FAST**2, "qy": 0.4}
-
-
-def hysteresis(rho, h, n, x0=(1.0, 0.0)):
-    """An oscillator with Bouc and Wen's spring, n samples."""
-    level, width = YIELDING["Fy"], YIELDING["qy"]
-
-    def rate(t, x):
-        q, v, z = x
-        slope = 1.0 - abs(z) if v * z >= 0.0 else 1.0 + rho * abs(z)
-        return [v, -level * z - FAST**2 * q, v * slope / width]
-
-    t = np.arange(n) * h
-    return solve_ivp(rate, (0, t[-1]), [*x0, 0.0], t_eval=t, rtol=1e-9, atol=1e-11, max_step=2e-4).y[0]
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.3, 2.0])
-def test_a_hysteretic_spring_swings_as_its_equation_says_and_to_second_order(rho):
-    values, errors = {**YIELDING, "rho": rho}, []
-    for h in (5e-4, 2.5e-4):
-        n = round(0.04 / h) + 1
-        found = turned([("bouc-wen", values)], n, h, (1.0, 0.0), plant=disc(FAST**2))[:, 0]
-        errors.append(np.abs(found - hysteresis(rho, h, n)).max())
-    assert errors[1] < 0.33 * errors[0]
-    assert errors[1] < 0.02
-
 
 def test_a_slow_loop_has_the_area_and_the_corners_of_its_branches():
     """Between the ends -m and m of z over the way 2 a, from the closed form of both branches."""
@@ -221,24 +193,6 @@ def test_a_free_body_follows_a_ripple_and_windows_keep_its_time():
     )
 
 
-def test_a_ripple_is_a_bounded_load_and_moves_no_point_of_rest():
-    motor = rl.plant("dc-motor")
-    real = rl.with_effects(motor, {"torque-ripple": {"Ac": 3e-3, "As": 4e-3, "f": 50.0}})
-    np.testing.assert_array_equal(real.derivative(np.zeros(3), [0.0]), np.zeros(3))
-    np.testing.assert_allclose(real.linear_model().A, motor.state_space().A)
-    (load,) = effect_loads(real).loads
-    assert (load.bound, load.unit) == (pytest.approx(5e-3), "N m")
-    noise = rl.uncertain_from(real).noise
-    assert [n.bound for n in noise] == [pytest.approx(5e-3)]
-    t = np.arange(500) * 1e-3
-    record = rl.simulate(real, t, {"u": np.sin(t)})
-    along = effect_loads(real).along(record)[load.name]
-    expected = 0.6 * np.cos(100 * math.pi * (t + 5e-4)) + 0.8 * np.sin(100 * math.pi * (t + 5e-4))
-    # Held over a sample the load goes through the same states: the motor's winding (0.3 ms) weighs the beginning and
-    # the end of a sample differently, which is less than a tenth of a millisecond.
-    np.testing.assert_allclose(along[:-1], expected[:-1], atol=100 * math.pi * 1e-4)
-
-
 # --- contacts on one side --------------------------------------------------------------------------------------------
 
 
@@ -251,15 +205,3 @@ def test_a_body_bounces_off_one_side_and_flies_on_the_other(side):
     assert states[-1, 1] == pytest.approx(-side * 2.0, rel=1e-6)
     away = turned([("one-sided-spring", values)], 3000, 1e-3, (0.0, -side * 2.0))
     np.testing.assert_allclose(away[:, 1], -side * 2.0, rtol=1e-12)
-
-
-def test_a_damped_contact_gives_back_what_kelvin_and_voigt_say_at_any_step():
-    zeta, k = 0.3, 400.0
-    swing = math.sqrt(1 - zeta**2)
-    expected = math.exp(-zeta / swing * math.atan2(2 * zeta * swing, 2 * zeta**2 - 1))
-    for h, within in ((1e-3, 1e-2), (1e-4, 1e-3)):
-        values = {"k": k, "q0": 0.1, "d": 2 * zeta * math.sqrt(k)}
-        states = turned([("one-sided-spring", values)], round(0.4 / h), h, (0.0, 2.0))
-        assert -states[-1, 1] / 2.0 == pytest.approx(expected, rel=within)
-    stiff = turned([("one-sided-spring", {"k": k, "q0": 0.1, "d": 1e5})], 400, 1e-3, (0.0, 2.0))
-    assert np.abs(stiff[-100:, 1]).max() < 0.1  # a damper far too quick for the step does not throw it back

@@ -8,7 +8,6 @@ import pytest
 import robustlab as rl
 from robustlab.dynamics.control.controlled_plant import controlled_nonlinear
 from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow_with_torques, torque_loop
-from robustlab.dynamics.extended.effect_loads import loaded_model
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
@@ -42,22 +41,6 @@ def test_the_loop_has_the_poles_that_its_controller_places(machine):
     np.testing.assert_allclose(rl.linearise(loop).dc_gain()[:6], np.eye(6), atol=1e-9)
 
 
-def test_its_slopes_are_those_of_its_rates(machine):
-    """Central differences, away from rest."""
-    lag = triple_pole(machine, 30.0)
-    K = StateSpaceModel(lag.A - 0.5 * np.eye(6), lag.B, lag.C, lag.D)
-    loop = torque_loop(machine, K, rl.trim(machine))
-    rng = np.random.default_rng(3)
-    x, r = 0.3 * rng.normal(size=18), 0.3 * rng.normal(size=6)
-    point, h = np.concatenate([x, r]), 1e-5
-    a, b, c, d = loop.jacobians(x, r)
-    for of, slopes in ((loop.derivative, np.hstack([a, b])), (loop.output, np.hstack([c, d]))):
-        made = np.column_stack(
-            [(of(*np.split(point + s, [18])) - of(*np.split(point - s, [18]))) / (2 * h) for s in h * np.eye(24)]
-        )
-        np.testing.assert_allclose(made, slopes, atol=1e-6 * np.abs(slopes).max())
-
-
 def test_friction_costs_its_torque_and_holds_the_nut(machine, rough):
     """On a ramp of one nut's angle its motor gives Fc / ratio more than that of the free machine."""
     K, t = triple_pole(machine, 60.0), np.linspace(0.0, 1.2, 301)
@@ -74,33 +57,6 @@ def test_friction_costs_its_torque_and_holds_the_nut(machine, rough):
     before = slice(0, int(np.argmax(begun)))
     assert np.abs(held.phi[before, 5]).max() < 1e-9  # it sticks
     assert np.abs(free.phi[before, 5]).max() > 1e-4
-
-
-def test_small_motions_are_those_of_the_linear_loop(machine):
-    K, t = triple_pole(machine, 40.0), np.linspace(0.0, 0.6, 301)
-    path = SineTrajectory(machine.geometry.home, (0, 0, 1e-6, 0, 0, 0), np.full(6, 1e-6), 20.0, 0.1, 0.2)
-    at = rl.trim(machine)
-    run = follow_with_torques(machine, K, path, t, at=at)
-    from robustlab.dynamics.stewart import nut_angles
-
-    asked = nut_angles(machine.geometry, path.pose(t))
-    linear = rl.simulate(rl.linearise(torque_loop(machine, K, at)), t, asked, hold="foh")
-    for i in range(6):
-        np.testing.assert_allclose(run.phi[:, i], linear[ANGLES[i]], atol=1e-3 * np.abs(run.phi[:, i]).max())
-        torque = run.torque[:, i] - at.u[i]
-        np.testing.assert_allclose(torque, linear[f"torque_{i + 1}"], atol=1e-3 * np.abs(torque).max())
-
-
-def test_friction_as_a_load_acts_where_the_motor_does(machine, rough):
-    """At most Fc and two of its standard deviations; a torque of the motor acts at the nut with the gears' ratio."""
-    at = rl.trim(rough, pose=[0.0, 0.0, 0.1162, 0.0, 0.0, 0.0])
-    model, (load,) = loaded_model(rough, at)
-    assert (load.name, load.unit) == ("load phidot_6: coulomb-friction", "N m")
-    assert load.bound == pytest.approx(0.052)
-    plain = rl.linearise(machine, at=rl.trim(machine, pose=[0.0, 0.0, 0.1162, 0.0, 0.0, 0.0]))
-    np.testing.assert_allclose(model.A, plain.A, rtol=1e-12)
-    np.testing.assert_allclose(model.B[:, 1:], plain.B, rtol=1e-12)
-    np.testing.assert_allclose(model.B[:, 0], 0.052 / machine.values["ratio"] * plain.B[:, 5], rtol=1e-9)
 
 
 def test_what_is_no_loop(machine, rough):

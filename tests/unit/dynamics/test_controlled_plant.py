@@ -7,8 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics.control.controlled_plant import actuator_cascade, controlled_plant
-from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
-from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow
+from robustlab.dynamics.control.controllers import LayeredController, two_layer
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
@@ -77,23 +76,3 @@ def test_the_upper_layer_above_the_torque_loops_is_the_two_layer_controller(mach
     layered = LayeredController(whole.upper_layer(), whole.lower, whole.at)
     for matrix in "ABCD":
         np.testing.assert_array_equal(getattr(layered.state_space(), matrix), getattr(whole.state_space(), matrix))
-
-
-def test_another_upper_layer_follows_and_its_linear_loop_says_so(machine):
-    """A rolled-off upper layer: more states than the thesis' one, the same path."""
-    whole = two_layer(machine, p_up=150.0)
-    K = whole.upper_layer()
-    lag = 2e4  # 1/s, behind every torque
-    A = np.block([[K.A, np.zeros((6, 6))], [lag * K.C, -lag * np.eye(6)]])
-    rolled = StateSpaceModel(
-        A, np.vstack([K.B, lag * K.D]), np.hstack([np.zeros((6, 6)), np.eye(6)]), np.zeros((6, 18))
-    )
-    layered = LayeredController(rolled, whole.lower, whole.at)
-    assert closed_loop(machine, layered).n_states == 18 + 24
-    assert closed_loop(machine, layered).spectral_abscissa() < 0
-    t = np.linspace(0.0, 0.4, 81)
-    path = SineTrajectory(machine.geometry.home, lift_time=0.3)
-    plain = follow(machine, LayeredController(K, whole.lower, whole.at), path, t)
-    again = follow(machine, layered, path, t)
-    assert np.abs(plain.error[:, 2]).max() > 1e-5
-    np.testing.assert_allclose(again.pose, plain.pose, atol=0.05 * np.abs(plain.error).max())

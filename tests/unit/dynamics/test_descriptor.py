@@ -161,19 +161,6 @@ def test_files_with_e(tmp_path, capsys):
     assert rl.load(tmp_path / "plain.mat").A.tolist() == CIRCUIT["A"].tolist()
 
 
-def test_an_operating_point_goes_with_the_states_that_stay(tmp_path):
-    path = hdf5(tmp_path / "circuit.h5")
-    with h5py.File(path, "a") as file:
-        for name, value in {"x": [3.0, 4.0], "u": [10.0], "y": [3.0]}.items():
-            file[f"operating_point/{name}"] = value
-    assert rl.load(path).operating_point.x.tolist() == [4.0]
-    with h5py.File(path, "a") as file:
-        del file["operating_point/x"]
-        file["operating_point/x"] = [3.0]
-    with pytest.raises(InputError, match=r"operating_point\.x has 1 entries, expected 2"):
-        rl.load(path)
-
-
 def test_files_that_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"/E is \(1, 1\), expected \(2, 2\) as /A"):
         rl.load(hdf5(tmp_path / "small.h5", E=np.ones((1, 1))))

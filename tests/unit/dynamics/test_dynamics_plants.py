@@ -29,14 +29,6 @@ def test_motor_is_eq_7_5():
     np.testing.assert_array_equal(model.D, np.zeros((2, 1)))
 
 
-def test_motor_has_the_angle_too():
-    model = rl.linearise(rl.plant("dc-motor"))
-    assert [tuple(s) for s in model.states] == [("phi", "rad"), ("omega", "rad/s"), ("i", "A")]
-    assert [tuple(s) for s in model.inputs] == [("u", "V")]
-    np.testing.assert_array_equal(model.A[0], [0, 1, 0])
-    assert abs(model.poles()).min() == 0
-
-
 def test_no_load_speed_of_the_thesis():
     """Published 779.1 rad/s at 42 V against the maker's 788.5; the gap is 1.2 %."""
     by_hand = 42 * KM / (KB * KM + R * KF)

@@ -81,16 +81,6 @@ def test_stamps_rounded_by_a_logger_stay_exact():
     np.testing.assert_allclose(y, 1 - np.exp(-(t - t[0])), atol=1e-9)
 
 
-def test_sizes_at_the_edge():
-    t = [0.0, 1.0, 3.0]
-    gain = rl.StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[2.0]])
-    np.testing.assert_array_equal(rl.simulate(gain, t, [1, 2, 3])["y1"], [2, 4, 6])
-    free = rl.StateSpaceModel([[-1.0]], np.zeros((1, 0)), [[1.0]], np.zeros((1, 0)))
-    np.testing.assert_allclose(rl.simulate(free, t, {}, [1.0])["y1"], np.exp(-np.array(t)))
-    silent = rl.StateSpaceModel([[-1.0]], [[1.0]], np.zeros((0, 1)), np.zeros((0, 1)))
-    assert dict(rl.simulate(silent, t, [1, 2, 3]).outputs) == {}
-
-
 def test_badly_scaled_model():
     """Units of 1e9 in a state and an input change nothing: the scaling inside absorbs them."""
     a = np.array([[-1.0, 0.5], [-0.5, -2.0]])
@@ -103,9 +93,3 @@ def test_badly_scaled_model():
     one, two = rl.simulate(plain, t, u, hold="foh"), rl.simulate(scaled, t, u / 1e8, hold="foh")
     for name in ("y1", "y2"):
         np.testing.assert_allclose(two[name], one[name], rtol=1e-12, atol=1e-14)
-
-
-def test_uncertain_model_is_simulated_at_its_nominal():
-    motor = rl.plant("dc-motor")
-    t, u = np.arange(50) * 1e-3, np.ones(50)
-    np.testing.assert_allclose(rl.simulate(motor.uncertain(), t, u)["omega"], rl.simulate(motor, t, u)["omega"])

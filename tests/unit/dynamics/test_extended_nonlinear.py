@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Scales
-from robustlab.dynamics.extended import nonlinear_steps
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_equations import extended_model
 
@@ -172,24 +171,6 @@ def test_smooth_effects_are_fourth_order_in_the_step(effects):
     assert errors[0] > 11 * errors[1] > 121 * errors[2]
 
 
-@pytest.mark.parametrize(
-    "effects",
-    [
-        {"presliding@w_1": {"Fc": 1.0, "sigma0": 300.0}},
-        {"torque-ripple@w_1": {"Ac": 0.5, "As": 0.2, "f": 7.0}},
-        {"backlash@w_2": {"gap": 0.05, "share": 0.4, "f": 15.0}},
-    ],
-)
-def test_memory_time_and_further_states_go_on_from_block_to_block(effects, monkeypatch):
-    rough = rl.with_effects(arm(), effects)
-    t, u = drive(200)
-    long, _ = rough.stepped(t, u, np.zeros(4 + 2 * ("backlash@w_2" in effects)), 1e-3)
-    monkeypatch.setattr(nonlinear_steps, "FIRST", 7)
-    monkeypatch.setattr(nonlinear_steps, "MOST", 7)
-    short, _ = rough.stepped(t, u, np.zeros(4 + 2 * ("backlash@w_2" in effects)), 1e-3)
-    assert np.abs(long - short).max() < 1e-6 * np.abs(long).max()
-
-
 @pytest.mark.parametrize("name", ["arm", "platform"])
 def test_every_effect_that_has_a_place_can_be_simulated_and_has_a_linear_model(name):
     plant = arm() if name == "arm" else platform(motors=True)
@@ -247,16 +228,6 @@ def test_viscous_friction_at_one_nut_is_a_torque_against_its_motor():
     assert np.abs(true[2]).max() > 0.02
     for i in range(6):
         assert np.abs(record[f"phi_{i + 1}"][::10] - true[i]).max() < 1e-7
-
-
-def test_a_platform_whose_nuts_stick_stays_where_it_is():
-    plant = platform()
-    rough = rl.with_effects(plant, {f"coulomb-friction@phidot_{i}": {"Fc": 0.5} for i in range(1, 7)})
-    record = rl.simulate(rough, 1e-3 * np.arange(100), np.zeros((100, 6)), step=1e-3)
-    assert max(np.abs(record[f"phidot_{i}"]).max() for i in range(1, 7)) < 1e-9
-    light = rl.with_effects(plant, {"coulomb-friction@phidot_1": {"Fc": 1e-3}})
-    with pytest.raises(rl.NoTrustworthyNumber, match=r"an actuator reaches the end of its range .* at t = 0"):
-        rl.simulate(light, 1e-3 * np.arange(500), np.zeros((500, 6)), step=1e-3)
 
 
 # --- rest and linear models ------------------------------------------------------------------------------------------

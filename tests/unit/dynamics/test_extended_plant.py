@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 import robustlab as rl
 from robustlab.delays.pade import pade
 from robustlab.dynamics.effects.contract import Law
-from robustlab.dynamics.extended.attached_effect import holding_force, is_set_valued, rest_band, slopes, steady_force
+from robustlab.dynamics.extended.attached_effect import holding_force, is_set_valued, rest_band
 
 T = np.arange(2001) * 1e-3
 
@@ -24,37 +24,12 @@ def law_of(plant) -> Law:
 # --- laws at one instant ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("v", [-3.0, -1e-3, 1e-6, 0.2, 40.0])
-def test_quadratic_drag_has_its_analytic_slope(v):
-    law = law_of(axis(quadratic_drag={"c": 7.0}))
-    assert steady_force(law, 0.3, v) == pytest.approx(-7.0 * v * abs(v), rel=1e-11)
-    stiffness, damping = slopes(law, 0.3, v)
-    assert damping == pytest.approx(-14.0 * abs(v), rel=1e-8)
-    assert stiffness == 0.0
-
-
-@pytest.mark.parametrize("q", [-0.4, 0.02, 3.0])
-def test_cubic_stiffness_has_its_analytic_slope(q):
-    law = law_of(axis(cubic_stiffness={"k3": 50.0}))
-    assert slopes(law, q, 0.0)[0] == pytest.approx(-150.0 * q**2, rel=1e-7)
-    assert rest_band(law, q) == pytest.approx((-50.0 * q**3,) * 2, rel=1e-9)
-    assert not is_set_valued(law, q)
-
-
 def test_coulomb_friction_is_a_band_at_rest_that_gives_what_is_needed():
     law = law_of(axis(coulomb_friction={"Fc": 20.0}))
     assert is_set_valued(law, 0.0)
     assert rest_band(law, 0.0) == pytest.approx((-20.0, 20.0))
     assert holding_force(law, 0.0, 3.0, 0.5) == pytest.approx(-6.0)
     assert holding_force(law, 0.0, 30.0, 0.5) == pytest.approx(-20.0)
-
-
-def test_presliding_at_rest_is_a_spring():
-    spring = rl.with_effects(rl.plant("dc-motor"), {"presliding": {"Fc": 2e-3, "sigma0": 2.0}})
-    stiffness, damping = slopes(law_of(spring), 0.0, 0.0)
-    assert stiffness == pytest.approx(-2.0, rel=1e-4)
-    assert abs(damping) < 1e-4
-    assert steady_force(law_of(spring), 0.0, 5.0) == pytest.approx(-2e-3, rel=1e-9)
 
 
 # --- simulation ------------------------------------------------------------------------------------------------------
@@ -88,43 +63,6 @@ def test_a_smooth_effect_agrees_with_scipy_on_the_plants_own_derivative():
     assert np.abs(found["q"] - truth[0]).max() < 2e-6 * np.ptp(truth[0])
     for x in ([0.3, -0.7], [0.5, 2.0]):
         np.testing.assert_allclose(plant.derivative(x, [1.0]), by_hand(0, x), rtol=1e-9)
-
-
-def test_the_flexible_coupling_adds_its_states_and_the_two_mass_motion():
-    motor = rl.plant("dc-motor")
-    plant = rl.with_effects(motor, {"flexible-coupling": {"f": 40.0, "zeta": 0.05, "share": 0.3}})
-    assert [s.name for s in plant.states[3:]] == ["omega.twist", "omega.twist.rate"]
-    u = np.where(T < 0.5, 5.0, -5.0)
-    found = rl.simulate(plant, T, u, x0=[0.0, 0.0, 0.0])
-    p, s, w = motor.values, 0.3, 2 * np.pi * 40.0
-    # drive and load as two bodies of their own
-    j1, j2 = (1 - s) * p["J"], s * p["J"]
-    k, c = w**2 * s * (1 - s) * p["J"], 2 * 0.05 * w * s * (1 - s) * p["J"]
-    a = np.array(
-        [
-            [0, 1, 0, 0, 0],
-            [-k / j1, -(c + p["Kf"]) / j1, p["Km"] / j1, k / j1, c / j1],
-            [0, -p["Kb"] / p["L"], -p["R"] / p["L"], 0, 0],
-            [0, 0, 0, 0, 1],
-            [k / j2, c / j2, 0, -k / j2, -c / j2],
-        ]
-    )
-    two = rl.StateSpaceModel(a, [[0], [0], [1 / p["L"]], [0], [0]], np.eye(3, 5), np.zeros((3, 1)))
-    truth = rl.simulate(two, T, u)
-    np.testing.assert_allclose(found["omega"], truth["y2"], atol=1e-9 * np.abs(truth["y2"]).max())
-    np.testing.assert_allclose(np.sort(rl.linearise(plant).poles()), np.sort(two.poles()), rtol=1e-8, atol=1e-6)
-
-
-def test_inputs_and_sensors_have_their_effects():
-    plant = rl.with_effects(
-        rl.plant("servo-axis"),
-        {"input-saturation": {"u_max": 0.5}, "sensor-gain@q": {"s": 1.1}, "input-gain": {"s": 2.0}},
-    )
-    bare = rl.simulate(rl.plant("servo-axis"), T, 2.0 * np.clip(np.sin(5 * T), -0.5, 0.5))
-    found = rl.simulate(plant, T, np.sin(5 * T))
-    np.testing.assert_allclose(found["q"], 1.1 * bare["q"], atol=1e-12)
-    np.testing.assert_allclose(found["u"], np.sin(5 * T))
-    np.testing.assert_allclose(plant.output([0.1, 0.2], [3.0]), [0.11, 0.2])
 
 
 # --- trim ------------------------------------------------------------------------------------------------------------

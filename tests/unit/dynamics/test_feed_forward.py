@@ -45,16 +45,6 @@ def test_it_is_what_the_effects_own_law_needs(name):
     assert -float(found(0.3, 0.0)) * 0.05 == pytest.approx(0.5 * (low + high), abs=1e-9)
 
 
-def test_two_effects_add_up_in_amperes():
-    found = feed_forward(motor(cogging=EFFECTS["cogging"], coulomb_friction={"Fc": 0.024}))
-    q, v = np.linspace(-4.0, 9.0, 50), np.linspace(-3.0, 3.0, 50)
-    wanted = (-0.013 * np.cos(7 * q) + 0.05 * np.sin(7 * q) + 0.024 * np.sign(v)) / 0.06
-    np.testing.assert_allclose(found(q, v), wanted, atol=1e-14)
-    assert found.largest == pytest.approx((math.hypot(0.013, 0.05) + 0.024) / 0.06)
-    assert found.largest >= np.abs(wanted).max()
-    assert (found.input.name, found.position.name) == ("i", "phi")
-
-
 def test_the_exact_feed_forward_keeps_the_machine_on_its_reference():
     """Physics: with the friction's and the load's own force and that of the inertia the motor follows without feedback.
 

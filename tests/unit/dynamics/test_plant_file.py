@@ -10,7 +10,6 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics import builtin_plant
-from robustlab.dynamics.plant_file import plants_in_file
 from robustlab.errors import DependencyMissing, InputError
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.tree import stamp
@@ -119,12 +118,6 @@ def test_a_changed_file_is_run_anew(folder):
     assert mass(rl.plant("axis.py:axis")) == 90.0
 
 
-def test_a_file_without_a_name_lists_its_plants(folder):
-    assert plants_in_file("axis.py") == ("axis", "ready", "fixed", "choice")
-    with pytest.raises(InputError, match=r"axis.py: which plant of it\?, expected one of axis.py:axis, axis.py:ready"):
-        rl.plant("axis.py")
-
-
 def test_a_data_file_runs_no_code(folder):
     """A plant's name in an HDF5 file is looked up among those that come with robustlab, and nowhere else."""
     (folder / "evil.py").write_text("from pathlib import Path\nPath('was-run').touch()\nfrom axis import axis\n")
@@ -147,9 +140,7 @@ def test_a_data_file_runs_no_code(folder):
 PLANT = "import robustlab as rl\n"
 FAULTS = {
     "no Python": ("def axis(:\n", "bad.py, line 1: is no Python: "),
-    "an indentation": ("x = 1\n  y = 2\n", "bad.py, line 2: is no Python: unexpected indent"),
     "bytes": (b"\xff\xfe\x00\x01", "bad.py"),
-    "a NUL": (b"x = '\x00'\n", "bad.py"),
     "empty": ("", "bad.py: no plant 'axis' in it, expected a file that defines a plant"),
     "raises at import": ("x = 1\ny = x / 0\n", "bad.py, line 2: ZeroDivisionError: division by zero"),
     "raises in a module beside it": ("import beside\n", "beside.py, line 2: KeyError: 'nothing'"),
@@ -158,14 +149,10 @@ FAULTS = {
         "def axis():\n    return [][1]\n",
         "bad.py, line 2: IndexError: list index out of range",
     ),
-    "raises without a word": ("def axis():\n    raise RuntimeError\n", "bad.py, line 2: RuntimeError"),
-    "raises many words": ("raise RuntimeError('one\\ntwo\\nthree')\n", "bad.py, line 1: RuntimeError: one"),
     "calls itself": ("def axis():\n    return axis()\n", "bad.py, line 2: RecursionError: maximum recursion depth"),
     "ends the program": ("import sys\nsys.exit(0)\n", "bad.py, line 2: ends the program (sys.exit(0)), expected code"),
-    "ends it in the function": ("def axis():\n    exit()\n", "bad.py, line 2: ends the program (sys.exit)"),
     "asks for an argument": ("def axis(mass):\n    pass\n", "bad.py:axis: TypeError: axis() missing 1 required"),
     "returns nothing": ("def axis():\n    pass\n", "bad.py:axis: returned None, expected a plant"),
-    "returns something else": ("def axis():\n    return 3.0\n", "bad.py:axis: returned a float, expected a plant"),
     "is something else": ("axis = [1, 2]\n", "bad.py:axis: a list, expected a plant, or a function that returns one"),
     "has another name": (PLANT + "axle = rl.plant('dc-motor')\n", "bad.py: no plant 'axis' in it, expected one of"),
     "names another that is not there": (

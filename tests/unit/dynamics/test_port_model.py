@@ -6,10 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.ports.port_model import Port, linear_plant_of, parameter_groups, port_model
+from robustlab.dynamics.ports.port_model import linear_plant_of, parameter_groups, port_model
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
 
@@ -50,13 +48,6 @@ def test_a_position_must_integrate_the_velocity_and_nothing_else():
     assert found == {"exact": True, "driven": False, "leaking": False}
 
 
-def test_factors_give_the_plant_with_those_parameters():
-    changed = port_model(MOTOR, {"J": 2.0, "R": 0.5})
-    there = MOTOR.with_parameters(J=2 * 7.2e-6, R=0.5 * 2.07).state_space()
-    assert pytest.approx(there.A, rel=1e-13) == changed.A
-    assert pytest.approx(there.B, rel=1e-13) == changed.B
-
-
 @settings(max_examples=25, deadline=None)
 @given(k=st.floats(-50.0, 500.0))
 def test_a_force_fed_back_from_the_position_is_a_spring(k):
@@ -69,36 +60,11 @@ def test_a_force_fed_back_from_the_position_is_a_spring(k):
     assert np.abs(fed_back.A - stiffer.state_space().A).max() < 1e-12 * (100 + abs(k))
 
 
-def test_a_widened_model_keeps_its_response_and_reads_its_new_state():
-    model = port_model(MOTOR)
-    wide = model.widened(np.array([[0.0, 1.0, 0.0, -5.0]]))  # z' = omega - 5 z
-    assert wide.A[:3, :3].tolist() == model.A.tolist()
-    assert not wide.A[:3, 3].any()
-    assert wide.A[3].tolist() == [0, 1, 0, -5]
-    assert not wide.B[3].any()
-    assert not wide.C[:, 3].any()
-    assert wide.own == model.own == 3
-    assert all(p.force[3] == p.velocity[3] == 0 and len(p.force) == 4 for p in wide.ports.values())
-    extra = Port("z", "relative", "N m", "rad/s", "", np.eye(4)[3], np.eye(4)[3], None)
-    assert list(wide.with_port(extra).ports) == ["omega", "i", "z"]
-
-
 # --- groups of parameters --------------------------------------------------------------------------------------------
 
 
 def groups(plant) -> dict[str, str]:
     return {label: role for role, label, _ in parameter_groups(plant)}
-
-
-def test_what_one_misjudgement_changes_stands_in_one_group():
-    assert groups(MOTOR) == {
-        "R": "resistance", "L": "inductance", "Km+Kb": "torque-constant", "Kf": "viscous-friction", "J": "inertia",
-    }  # fmt: skip
-    assert "J+J_nut+m_screw+m_cart" in groups(rl.plant("linear-actuator"))  # one equation of motion
-    assert not {"ratio", "lead"} & set("+".join(groups(rl.plant("linear-actuator"))).split("+"))  # no role
-    assert groups(rl.plant("two-mass")) == {
-        "J1": "inertia", "J2": "inertia", "c": "viscous-friction", "k": "stiffness",
-    }  # fmt: skip
 
 
 # --- bare models -----------------------------------------------------------------------------------------------------
@@ -120,16 +86,6 @@ def test_a_bare_model_becomes_a_plant_with_the_same_matrices():
     assert groups(plant) == {
         "gain_u": "input-gain", "inertia_omega": "inertia", "damping_omega": "viscous-friction",
     }  # fmt: skip
-
-
-def test_a_bare_models_parameters_scale_its_equation_of_motion():
-    model = bare(MOTOR)
-    changed = port_model(linear_plant_of(model), {"inertia_omega": 2.0, "damping_omega": 3.0, "gain_u": 0.5})
-    expected = model.A.copy()
-    expected[1, 1] *= 3.0
-    expected[1] /= 2.0
-    assert pytest.approx(expected, rel=1e-13) == changed.A
-    assert pytest.approx(0.5 * model.B, rel=1e-13) == changed.B
 
 
 @pytest.mark.parametrize(
@@ -177,31 +133,3 @@ def test_windows_are_the_plants_own_response_from_their_starts():
     expected = np.stack([np.column_stack([run["q"], run["v"]])[s : s + 160] for s in starts])
     assert np.abs(motion.outputs - expected).max() < 1e-12
     assert motion.forces.shape == (3, 160, 0)
-
-
-def _scales():
-    from robustlab.dynamics.effects.contract import Scales
-
-    return Scales()
-
-
-def test_input_and_output_effects_act_before_and_after_the_plant():
-    plant = rl.plant("servo-axis")
-    u = np.where(T < 0.3, 0.0, 1.0)
-    delay = catalogue()["input-delay"]
-    (name,) = (p.name for p in delay.parameters(_scales()))
-    whole = Windows(np.zeros(1, dtype=np.int64), len(T))
-    late = Simulator(plant, [(delay, Site("input", "u"))], u[:, None], 2e-3)
-    shifted = late.run({}, [{name: 0.1}], np.zeros((1, 2)), whole).outputs[0, :, 0]
-    expected = rl.simulate(plant, T, np.where(T < 0.4, 0.0, 1.0))["q"]  # linear and at rest: the input a tenth later
-    assert np.abs(shifted - expected).max() < 1e-3 * np.ptp(expected)
-
-    gain = catalogue()["sensor-gain"]
-    (name,) = (p.name for p in gain.parameters(_scales()))
-    plain = Simulator(plant, [], u[:, None], 2e-3).run({}, [], np.zeros((1, 2)), whole)
-    seen = Simulator(plant, [(gain, Site("output", "q"))], u[:, None], 2e-3).run(
-        {}, [{name: 1.2}], np.zeros((1, 2)), whole
-    )
-    assert seen.outputs[0, :, 0] == pytest.approx(1.2 * plain.outputs[0, :, 0], rel=1e-12)
-    assert (seen.outputs[0, :, 1] == plain.outputs[0, :, 1]).all()
-    assert (seen.states == plain.states).all()

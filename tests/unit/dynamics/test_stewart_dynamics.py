@@ -11,7 +11,6 @@ from robustlab.dynamics.plant_contract import input_signal
 from robustlab.dynamics.stewart import (
     bias_torque,
     kinetic_energy,
-    linear_models,
     mass_matrix,
     potential_energy,
     trim_torque,
@@ -73,25 +72,6 @@ def test_sensitivities(change, inertia, a, case_1, case_2a, case_2b, hold):
     for factor, percent in ((1.025, case_2a), (1.1, case_2b)):
         heavy = plant.with_parameters(**{f"link_{k}": factor * plant.values[f"link_{k}"] for k in ("mass", *"IJK")})
         assert 100 * (gain(heavy) / gain(plant) - 1) == pytest.approx(percent, abs=6e-5)
-
-
-def test_rotor_is_reflected():
-    k = 4.8 * 41 / 21
-    for pose in random_poses(3):
-        difference = mass_matrix(PHYSICAL, pose) - mass_matrix(THESIS, pose)
-        np.testing.assert_allclose(difference, 7.2e-6 * k**2 * np.eye(6), rtol=0, atol=1e-16)
-
-
-def test_linear_model_is_controllable_and_unstable():
-    model = rl.linearise(THESIS)
-    assert (model.n_states, model.n_inputs, model.n_outputs) == (12, 6, 12)
-    # scaled before the rank is taken, as the thesis' own numbers ask for
-    S = np.diag([1.0] * 6 + [1e-2] * 6)
-    A, B = S @ model.A @ np.linalg.inv(S), S @ model.B / np.abs(S @ model.B).max()
-    assert np.linalg.matrix_rank(np.hstack([B, A @ B / np.linalg.norm(A)])) == 12
-    poles = np.sort(model.poles().real)
-    assert np.abs(poles - np.sqrt(2.6027)).min() < 1e-3
-    np.testing.assert_allclose(poles, -poles[::-1], atol=1e-9)
 
 
 # --- laws of mechanics ---------------------------------------------------------------
@@ -183,21 +163,6 @@ def test_linear_model_is_the_derivative(motors):
         assert not model.D.any()
 
 
-def test_many_linear_models_are_the_single_ones():
-    rng = np.random.default_rng(4)
-    poses = random_poses(5)
-    masses = {"platform_mass": 3.167 * rng.uniform(0.9, 1.1, 5), "link_mass": 0.435 * rng.uniform(0.9, 1.1, 5)}
-    for motors in (False, True):
-        plant = rl.plant("stewart-platform", motors=motors)
-        many = linear_models(plant, poses, masses)
-        for k in range(5):
-            one = rl.linearise(plant.with_parameters(**{n: v[k] for n, v in masses.items()}), at=poses[k])
-            np.testing.assert_allclose(many.A[k], one.A, rtol=1e-12, atol=1e-12 * np.abs(one.A).max())
-            np.testing.assert_allclose(many.B[k], one.B, rtol=1e-12)
-            np.testing.assert_allclose(many.u[k], one.operating_point.u, rtol=1e-12)
-            np.testing.assert_allclose(many.x[k], one.operating_point.x, rtol=1e-12, atol=1e-9)
-
-
 # --- trim and simulation ---------------------------------------------------------------
 
 
@@ -230,13 +195,3 @@ def test_compiled_integrator_against_scipy(hold, motors):
     np.testing.assert_allclose(found / size, expected / size, rtol=0, atol=2e-7)
     fixed = plant.trajectory(signal, trim.x, step=2e-5)
     np.testing.assert_allclose(fixed / size, expected / size, rtol=0, atol=2e-7)
-
-
-def test_small_motion_follows_the_linear_model():
-    trim, t = rl.trim(THESIS), np.linspace(0, 0.2, 101)
-    u = 1e-7 * np.sin(2 * np.pi * 10 * t)[:, None] * np.array([1, -0.5, 0.3, 0.2, -1, 0.6])
-    nonlinear = rl.simulate(THESIS, t, trim.u + u, trim, hold="foh", rtol=1e-12)
-    linear = rl.simulate(rl.linearise(THESIS, at=trim), t, u, hold="foh")
-    for name in linear.outputs:
-        size = np.abs(linear[name]).max()
-        np.testing.assert_allclose(nonlinear[name] / size, linear[name] / size, rtol=0, atol=1e-4)

@@ -8,7 +8,6 @@ import pytest
 import robustlab as rl
 from robustlab.dynamics.stewart import (
     acceleration_bias,
-    assembly_poses,
     condition_map,
     direct_kinematics,
     inside,
@@ -100,18 +99,6 @@ def test_certificate_is_refused_where_there_is_no_pose():
     found = direct_kinematics(G, lengths)
     assert not found.proved.any()
     assert found.status is rl.Status.INCONCLUSIVE
-
-
-def test_warm_start_and_assembly_poses():
-    target = inverse_kinematics(G, POSES[0])
-    warm = direct_kinematics(G, target, start=POSES[0] + 1e-4)
-    assert warm.iterations[0] < direct_kinematics(G, target).iterations[0] + 1
-    np.testing.assert_allclose(warm.pose, POSES[0], atol=1e-13)
-    seeds = np.vstack([G.home, G.home * [1, 1, -1, 1, 1, 1], G.home + RNG.uniform(-1, 1, (60, 6))])
-    found = assembly_poses(G, G.home_lengths, seeds)
-    assert len(found.poses) >= 2  # at least home and the one that hangs below
-    np.testing.assert_allclose(inverse_kinematics(G, found.poses), np.tile(G.home_lengths, (len(found.poses), 1)))
-    assert np.abs(found.poses - G.home).max(axis=1).min() < 1e-12
 
 
 def test_singularity_and_map():

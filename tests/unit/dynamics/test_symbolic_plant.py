@@ -3,7 +3,6 @@
 import numpy as np
 import own_plants
 import pytest
-from plant_files import NAMES, maker
 
 import robustlab as rl
 from robustlab.dynamics.plant_contract import input_signal
@@ -71,37 +70,6 @@ def test_a_mass_may_be_a_state():
     t = np.linspace(0.0, 10.0, 11)
     record = rl.simulate(p.plant(), t, np.full(11, 100.0), [0.0, 0.0, 2.0], rtol=1e-10)
     np.testing.assert_allclose(record["v"], 2000 * np.log(2 / (2 - t / 20)), rtol=1e-9)
-
-
-def test_a_plant_without_inputs():
-    p = rl.PlantEquations("decay")
-    x = p.state("x")
-    p.rate(x, -x * p.parameter("a", 2.0, "1/s"))
-    p.output("x", x)
-    plant, t = p.plant(a=3.0), np.linspace(0.0, 1.0, 11)
-    record = rl.simulate(plant, t, np.zeros((11, 0)), [1.0], rtol=1e-10)
-    np.testing.assert_allclose(record["x"], np.exp(-3 * t), rtol=1e-9)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_plants_of_the_files_say_where_their_values_are_from(name):
-    plant = maker(name)()
-    for parameter in plant.parameters.values():
-        assert parameter.unit
-        assert parameter.meaning
-        assert parameter.source
-    joints = {"cart_pole": 2, "two_link_arm": 2, "water_tank": 0, "quadrotor_height": 1}
-    assert len(plant.port_places) == joints[name]
-
-
-def test_a_tolerance_from_outside_keeps_the_role_of_the_file_and_asks_for_none():
-    given = {"l": (0.3, 0.05), "m": (0.2, 0.1)}
-    made, changed = maker("cart_pole")(**given), maker("cart_pole")().with_parameters(**given)
-    assert made.parameters == changed.parameters
-    assert {name: (made.parameters[name].tolerance, made.parameters[name].role) for name in given} == {
-        "l": (0.05, ""),
-        "m": (0.1, "inertia"),
-    }
 
 
 def test_inputs_that_break_are_honoured_exactly():

@@ -84,14 +84,6 @@ def test_expressions_of_casadi_keep_their_values():
         np.testing.assert_allclose(found, [truth(p).full().ravel() for p in points], rtol=1e-14)
 
 
-def test_what_stands_on_parameters_alone_is_done_anew_when_they_change():
-    x, p = ca.SX.sym("x"), ca.SX.sym("p")
-    tape = tape_of(ca.vertcat(x, p), ca.sin(p) * x, 1, "test")
-    points = np.array([[1.0, 0.1], [2.0, 0.1], [2.0, 0.7], [3.0, 0.1]])
-    assert tape.code.still == 1
-    np.testing.assert_allclose(tape(points)[:, 0], np.sin(points[:, 1]) * points[:, 0], rtol=1e-15)
-
-
 def test_a_tape_goes_to_other_processes():
     x = ca.SX.sym("x")
     tape = tape_of(x, ca.cos(x) + 1, 0, "test")
@@ -130,8 +122,3 @@ def test_what_is_no_tape_is_refused(wrong, message):
     Tape(**GOOD)
     with pytest.raises(InputError, match=message):
         Tape(**{**GOOD, **wrong})
-
-
-def test_points_of_another_width_are_refused():
-    with pytest.raises(InputError, match=r"expected \(n, 2\)"):
-        Tape(**GOOD)(np.zeros((3, 3)))

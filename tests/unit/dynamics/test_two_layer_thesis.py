@@ -107,25 +107,6 @@ def test_torque_and_voltage_keep_to_the_motor(following):  # items 22, 23
     np.testing.assert_allclose(run.torque[0], 0.8701e-3, rtol=1e-4)  # item 7: holds before it moves
 
 
-def test_link_four_with_the_other_signs(following):  # items 22-24
-    run = following("thesis", "+++-+-")
-    assert run.largest_torque().max() == pytest.approx(0.0111, abs=3e-4)
-    assert run.largest_voltage().max() == pytest.approx(26.5, abs=0.05)
-    assert 1e3 * run.lengths.max() == pytest.approx(187.96, abs=0.01)
-    assert run.largest_torque().argmax() == run.largest_voltage().argmax() == run.lengths.max(axis=0).argmax() == 3
-
-
-def test_the_rotor_forbids_an_abrupt_start_and_allows_a_smooth_one(following):  # item 22
-    abrupt = following("physical")
-    assert 0.19 < abrupt.largest_torque().max() < 0.27
-    assert not abrupt.within_limits
-    assert 0.0095 < abrupt.largest_torque(after=3.0).max() < 0.0125
-    smooth = following("physical", rise=1.0)
-    assert smooth.within_limits
-    assert smooth.largest_torque().max() < 0.02
-    np.testing.assert_allclose(smooth.largest_error(after=3.5)[:3] * 1e3, 0.200, atol=0.005)
-
-
 def test_small_motions_are_those_of_the_linear_loop(machines):
     plant, t = machines["physical"], np.arange(0, 0.6, 1e-3)
     controller = two_layer(plant)

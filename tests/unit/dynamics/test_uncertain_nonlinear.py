@@ -92,14 +92,6 @@ class TestSampled:
         assert origins["remainder"].startswith("sampled: proved on the hull of 265 linear models only; 264 fresh ones")
         assert origins["m"].endswith("held: z, v; what follows: s, u")
 
-    def test_it_goes_where_the_model_goes(self, tmp_path):
-        rl.save(tmp_path / "set.h5", self.uncertain)
-        again = rl.load(tmp_path / "set.h5")
-        assert again.sampled == self.uncertain.sampled
-        loop = again.feedback(rl.StateSpaceModel([], [], [], [[-1.0]]), sign=1)
-        assert loop.remarks == self.uncertain.remarks
-        assert again.to_json()["sampled"] == ["m", "k", "remainder"]
-
     @pytest.mark.parametrize("seed", [101, 102, 103, 104, 105, 106])
     def test_fresh_models_are_members(self, seed):
         """The only entry that differs: A[1, 2] of the member, rank one in the remainder."""
@@ -110,14 +102,6 @@ class TestSampled:
         value = (wanted.A[1, 2] - first.A[1, 2]) / (full.A[1, 2] - first.A[1, 2])
         assert abs(value) <= 1
         assert off(self.uncertain.evaluate({**delta, "remainder": [[value]]}), wanted) < 1e-11
-
-    def test_results_say_it(self):
-        plain = self.plant.with_parameters(T=(0.05, 0.0))
-        lead = rl.StateSpaceModel([[-60.0]], [[1.0]], [[60.0 * 57.0 * 300]], [[-60.0 * 300]])
-        loop = plain.uncertain().close(lead)
-        assert loop.nominal.spectral_abscissa() < 0
-        found = rl.robust_stability(loop)
-        assert any("for samples only (blocks m, k, remainder)" in text for text in found.notes)
 
 
 def test_margin_is_where_the_true_plant_loses_stability():
@@ -211,27 +195,6 @@ class TestBadInput:
     def test_refused(self, options, words):
         with pytest.raises(InputError, match=words):
             plants.tank().uncertain(**options)
-
-    def test_a_plant_without_local_models(self):
-        class Bare(plants.ComplexStepPlant):
-            def local_models(self, x, u, values=None):
-                return super(plants.ComplexStepPlant, self).local_models(x, u, values)
-
-        given = plants.tank()
-        bare = Bare(*(getattr(given, f) for f in given.__dataclass_fields__))
-        with pytest.raises(InputError, match="without models along a motion"):
-            bare.uncertain()
-
-    def test_a_box_without_linear_models(self):
-        def rates(x, u, f, p):
-            return [u[0] - x[0] if p["c"] <= 1.1 else np.nan]
-
-        bad = plants.made(
-            "bad", {"c": (1.0, 0.2)}, "q", "h", "h", rates, lambda x, u, p: [x[0]],
-            lambda p: (np.array([0.5]), np.array([0.5])),
-        )  # fmt: skip
-        with pytest.raises(NoTrustworthyNumber, match=r"no finite linear model with what is held \(c = 1.2\)"):
-            bad.uncertain()
 
 
 @pytest.mark.parametrize(

@@ -40,11 +40,6 @@ def test_the_value_at_a_complex_number():
     assert_allclose(loop(s), [[there / (1 + there)]], rtol=1e-12)
 
 
-def test_a_discrete_model_is_asked_in_z():
-    sampled = rl.tf([1.0], [1.0, -0.5], 0.1)
-    assert_allclose(sampled(2.0), [[1 / 1.5]], rtol=1e-15)
-
-
 @pytest.mark.parametrize("s", [np.nan, np.inf, "1j", None, [[1j]]])
 def test_what_is_no_number_is_refused(s):
     with pytest.raises(InputError, match="finite complex number"):
@@ -153,6 +148,7 @@ def test_every_kind_answers_or_names_the_way(kind, question, given):
     assert way in (error.value.hint or "")
 
 
+@pytest.mark.slow
 def test_an_editor_knows_the_methods_of_plants_and_models(tmp_path):
     told = {
         'rl.plant("dc-motor")': "LinearPlant",
@@ -172,13 +168,3 @@ def test_an_editor_knows_the_methods_of_plants_and_models(tmp_path):
         line.rpartition(" is ")[2].strip('"') for line in done.stdout.splitlines() if "information: Type of" in line
     ]
     assert said == list(told.values()), done.stdout
-
-
-def test_linear_plants_by_name_are_linear():
-    from typing import get_args
-
-    from robustlab.dynamics import LinearName, LinearPlant, plant_names
-
-    linear = {name for name in plant_names() if isinstance(rl.plant(name), LinearPlant)}
-    assert set(get_args(LinearName)) == linear
-    assert set(plant_names()) - linear == {"stewart-platform"}

@@ -205,8 +205,6 @@ def test_a_record_check_tells_a_turned_channel(name):
     sides = [{key: -x if key == name else x for key, x in side.items()} for side in (record.inputs, record.outputs)]
     found = suitability(arm(), changed(*sides))
     assert [(f.kind, f.channel) for f in found.fatal] == [("sign", name)]
-    turned = rl.compare(arm(), changed(*sides))
-    assert turned.outputs["q_1"].windowed_rms > 20 * NOISE
 
 
 def test_validate_and_cover_ask_for_a_linear_set():

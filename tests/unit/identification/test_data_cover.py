@@ -39,16 +39,6 @@ def test_the_linear_part_under_the_loads_goes_where_the_plant_with_effects_goes(
     assert again["q"] == pytest.approx(seen["q"], abs=20.0 * 5e-3**2 / 95.0)  # a reversal within a sample
 
 
-def test_an_effect_without_a_bound_takes_that_of_the_records():
-    dragged = axis(**{"quadratic-drag": {"c": 400.0}})
-    with pytest.raises(InputError, match="no bound whatever the motion"):
-        effect_loads(dragged)
-    loads = effect_loads(dragged, records=[record(dragged)])
-    v = rl.simulate(dragged, T, PUSH)["v"]
-    assert loads.loads[0].bound == pytest.approx(400.0 * np.abs(v).max() ** 2, rel=0.02)
-    assert "run" in loads.loads[0].origin
-
-
 def test_forces_at_one_joint_are_told_apart_by_their_laws():
     both = axis(**{"coulomb-friction": {"Fc": 20.0}, "quadratic-drag": {"c": 400.0}})
     run = record(both)
@@ -67,15 +57,6 @@ def test_forces_at_one_joint_are_told_apart_by_their_laws():
     assert again["q"] == pytest.approx(seen["q"], abs=20.0 * 5e-3**2 / 95.0)
 
 
-def test_a_force_that_only_the_whole_motion_tells_is_bounded_by_all_of_it():
-    rough = axis(**{"coulomb-friction": {"Fc": 2.0}, "gear-efficiency": {"eta": 0.9}})
-    run = record(rough)
-    bound = effect_loads(rough, records=[run]).loads[1].bound
-    moved = rl.simulate(rough, T, PUSH)
-    net = np.abs(35.0 * PUSH - 200.0 * moved["v"] - 2.0 * np.sign(moved["v"]))
-    assert bound >= 0.1 * net[np.abs(moved["v"]) > 0.01].max()
-
-
 @pytest.mark.parametrize(
     ("effect", "values", "times"),
     [("quadratic-drag", {"c": (400.0, 20.0)}, 1.1), ("gear-efficiency", {"eta": (0.9, 0.01)}, 1.2)],
@@ -85,20 +66,6 @@ def test_the_range_of_a_fitted_value_is_on_top_of_what_a_record_shows(effect, va
     run = record(axis(**{effect: known}))
     bare, ranged = (effect_loads(axis(**{effect: v}), records=[run]).loads[0].bound for v in (known, values))
     assert ranged == pytest.approx(times * bare, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("effect", "values"),
-    [
-        ("constant-load", {"T0": (-3.0, 0.5)}),
-        ("cogging", {"Ac": (0.0, 0.2), "As": (-4.0, 0.3), "k": (20.0, 0.1)}),
-        ("input-dead-zone", {"d": (0.3, 0.05)}),
-    ],
-)
-def test_loads_have_the_bounds_that_the_blocks_have(effect, values):
-    rough = axis(**{effect: values})
-    made = {x.name: x.bound for x in rl.uncertain_from(rough).noise}
-    assert {x.name: x.bound for x in effect_loads(rough).loads} == pytest.approx(made, rel=1e-12)
 
 
 def test_a_held_out_record_beyond_the_loads_of_the_set_does_not_pass():

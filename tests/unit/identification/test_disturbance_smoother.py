@@ -109,20 +109,6 @@ def test_equals_the_dense_gaussian_posterior(m, monkeypatch):
     np.testing.assert_allclose(found.covariance, cov[:, :3, :3], atol=1e-8 * cov[:, :3, :3].max())
 
 
-def test_the_walks_root_is_van_loans_integral():
-    y = np.random.default_rng(0).random((50, 1))
-    task = ds._prepared(motor(), PORT, H * np.arange(50), np.zeros((50, 1)), y, None)
-    f = np.zeros((4, 4))
-    f[:3, :3], f[:3, 3:] = motor().A, PORT
-    block = np.zeros((8, 8))
-    block[:4, :4], block[4:, 4:], block[3, 7] = -f * H, f.T * H, H
-    e = expm(block)
-    q = e[4:, 4:].T @ e[:4, 4:]
-    root = task.port_roots[0]
-    scale = np.sqrt(np.diag(q))
-    np.testing.assert_allclose(root.T @ root / np.outer(scale, scale), q / np.outer(scale, scale), atol=1e-9)
-
-
 def test_a_linear_plant_without_disturbance_leaves_no_force():
     t = H * np.arange(4000)
     u = np.repeat(np.random.default_rng(5).uniform(-3, 3, 80), 50)

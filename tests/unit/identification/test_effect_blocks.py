@@ -122,19 +122,6 @@ def test_dry_friction_is_a_bounded_force_at_every_speed():
         effect_blocks(servo(quadratic_drag={"c": 30.0}), ["v"])  # grows with the speed: no bound
 
 
-def test_dry_friction_between_two_amplitudes_and_both_ways():
-    plant = servo(coulomb_friction={"Fc": 20.0})
-    made = effect_blocks(plant, ["v"], amplitude={"v": (0.05, 0.5)})
-    (name,) = made.approximate
-    found = next(b.parameter for b in made.model.blocks if b.name == name)
-    assert (found.low, found.high) == pytest.approx((80 / (math.pi * 0.5), 80 / (math.pi * 0.05)))
-    assert "0.05 to 0.5 m/s" in made.origins[name]
-    both = effect_blocks(plant, ["v"], amplitude={"v": 0.05}, dry="both")
-    assert [n.bound for n in both.noise] == [20.0]
-    assert both.approximate == (name,)
-    assert both.status is rl.Status.CONVERGED
-
-
 @pytest.mark.parametrize("share", [-1.0, 0.0, 1.0])
 def test_friction_both_ways_makes_every_motion_within_its_reach(share):
     """-k v + e, |e| <= Fc, is the true force at each instant: standing still, moving, for every gain of the block."""

@@ -205,17 +205,6 @@ def test_records_of_different_sensors_are_fitted_together():
 # --- known parameters are found again --------------------------------------------------------------------------------
 
 
-def test_tied_parameters_of_a_motor_are_found():
-    motor = rl.plant("dc-motor")
-    p = motor.values
-    true = motor.with_parameters(Km=1.05 * p["Km"], Kb=1.05 * p["Kb"], J=0.95 * p["J"])
-    problem, _ = problem_of(rl.simulate(true, T, U), plant=motor)
-    noise = NoiseModel(1e-6 * np.ptp(problem.records[0].y, axis=0), np.zeros((0, 3)))
-    fit = problem.fit(NONE, noise, np.zeros(problem.size(NONE)), plan=FitPlan(25))
-    factors = problem.split(NONE, fit.z)[0]
-    assert factors == pytest.approx({"Km": 1.05, "Kb": 1.05, "J": 0.95, "R": 1, "L": 1, "Kf": 1}, rel=1e-6)
-
-
 @cache
 def with_friction():
     true = AXIS.with_parameters(M=1.03 * AXIS.values["M"])

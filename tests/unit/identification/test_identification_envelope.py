@@ -75,20 +75,6 @@ def test_the_rate_is_the_mean_rate():
     assert rate.miss_time == pytest.approx(0.75)
 
 
-def test_an_operating_point_is_taken_off_and_put_back():
-    from robustlab.statespace import OperatingPoint
-
-    base = gain(0.2)
-    shifted = UncertainModel(base.M, base.blocks, OperatingPoint(np.zeros(1), np.array([2.0]), np.array([7.0])))
-    there = rl.Record(T, {"u": 2.0 + STEP}, {"y": 7.0 + 1.15 * RISE}, name="shifted")
-    found, plain_one = cover(shifted, there, n=0, vertices=2), cover(base, record(1.15), n=0, vertices=2)
-    assert found.covered
-    for key in ("measured", "nominal", "lower", "upper"):
-        np.testing.assert_allclose(
-            getattr(found.signals["y"], key), getattr(plain_one.signals["y"], key) + 7.0, atol=1e-9
-        )
-
-
 # --- bad input -------------------------------------------------------------------------------------------------------
 
 
@@ -115,15 +101,6 @@ def test_what_is_no_set_or_has_no_response_in_time():
     complex_set = UncertainModel(gain(0.2).M, [ComplexScalar("gain")])
     with pytest.raises(InputError, match="is complex"):
         cover(complex_set, record(1.0))
-
-
-def test_signals_and_clock_that_do_not_fit():
-    with pytest.raises(InputError, match="no input 'u'"):
-        cover(gain(0.2), rl.Record(T, {"v": T}, {"y": T}))
-    with pytest.raises(InputError, match="no output in common"):
-        cover(gain(0.2), rl.Record(T, {"u": T}, {"q": T}))
-    with pytest.raises(InputError, match="not uniform"):
-        cover(gain(0.2), rl.Record(T**2, {"u": T}, {"y": T}))
 
 
 def test_a_member_that_outgrows_double_precision():

@@ -66,15 +66,6 @@ def test_shares_of_windows_and_bins_sum_to_one(values, length):
         assert sum(b.samples * b.mean for b in found) == pytest.approx(error.sum(), abs=1e-6)
 
 
-def test_bins_tell_the_direction():
-    speed = np.array([-1.0, -0.9, 0.0, 0.005, 0.5, 1.0])
-    found = bins(speed, np.array([-2.0, -2.0, 0.0, 0.0, 3.0, 3.0]), speed_edges(speed))
-    rest = len(found) // 2
-    assert found[rest].samples == 2
-    assert {b.mean for b in found[:rest] if b.samples} == {-2.0}
-    assert {b.mean for b in found[rest + 1 :] if b.samples} == {3.0}
-
-
 def test_speed_is_the_measured_one_else_the_derivative_of_the_position():
     t = np.arange(500) * 0.01
     q = Record(t, outputs={"q": np.sin(t), "c": t}, units={"q": "m"})

@@ -67,18 +67,6 @@ def test_the_narrowest_kind_that_is_sure_is_told():
     )
 
 
-def test_what_may_be_there_beside_what_is_sure_is_open():
-    told, left = judged((0.6, ["coulomb-friction"]), (0.4, ["presliding", "viscous-friction"]))
-    assert (told, left) == ({"dry-friction"}, {"viscous-friction"})
-    assert judged((0.6, ["coulomb-friction"]), (0.4, ["presliding", "constant-load"]))[1] == {"constant-load"}
-    # Below 5 % it is excluded, and what does not matter decides nothing.
-    assert judged((0.97, ["coulomb-friction"]), (0.03, ["coulomb-friction", "cogging"]))[1] == set()
-    slight = frozenset({"constant-load @ v"})
-    assert judged((0.6, ["coulomb-friction"]), (0.4, ["presliding", "constant-load"]), ignored=slight) == (
-        {"dry-friction"}, set(),
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("motors", [False, True])
 def test_input_and_sensor_of_one_leg_are_one_path(motors):
     """The rotor has nearly all of a leg's inertia: each input moves its own nut most, if through a current."""
@@ -163,6 +151,7 @@ def path(rng):
     return plant, t, u
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(seed=st.integers(0, 10_000), late=st.floats(2.5, 9.4))
 def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, late):
@@ -183,7 +172,7 @@ def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, l
     assert "a lateness of" in found.headline()
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 @pytest.mark.parametrize(
     ("pair", "gain", "bias", "apart", "kinds"),
     [

@@ -85,18 +85,6 @@ def test_an_effect_at_a_joint_is_what_the_same_parameter_makes():
     assert np.abs(as_effect - as_parameter).max() < 5e-3 * np.abs(as_parameter - simulated(arm(), x)).max()
 
 
-def test_dry_friction_holds_a_joint_still_to_rounding():
-    rest = arm().equilibrium(q_1=0.3, q_2=-0.2)
-    n = 200
-    u = np.tile(rest.u, (n, 1))
-    u[:, 0] += 0.5  # less than the friction holds
-    x = np.tile(rest.x, (n, 1))
-    run = Simulator(arm(), [(effect("coulomb-friction"), Site("joint", "w_1"))], u, 1e-3, sub=1, motion=x)
-    states = run.run({}, [{"Fc": 2.0}], rest.x[None], Windows(np.array([0]), n)).states[0]
-    assert np.abs(states[:, 1]).max() < 1e-13
-    assert np.abs(states[:, 0] - 0.3).max() < 1e-13
-
-
 # --- states from the sensors -----------------------------------------------------------------------------------------
 
 

@@ -19,9 +19,17 @@ def discovered(record, **options):
     return rl.discover(AXIS, record, exclude=FEW, **options)
 
 
-@pytest.mark.parametrize("stage", ["left_over", "remaining_lines", "_floor_excess", "_missing_force"])
+NO_NUMBER = NoTrustworthyNumber("the model", "u[552,1] is infinite", "a number")
+
+
 @pytest.mark.parametrize(
-    "fault", [NoTrustworthyNumber("the model", "u[552,1] is infinite", "a number"), ValueError("0")]
+    ("stage", "fault"),
+    [
+        ("left_over", NO_NUMBER),
+        ("_missing_force", ValueError("0")),
+        pytest.param("remaining_lines", ValueError("0"), marks=pytest.mark.slow),
+        pytest.param("_floor_excess", NO_NUMBER, marks=pytest.mark.slow),
+    ],
 )
 def test_a_stage_that_fails_after_the_naming_does_not_lose_it(monkeypatch, stage, fault):
     def fails(*_):

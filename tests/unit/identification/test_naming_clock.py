@@ -72,12 +72,6 @@ def fitted(problem: Problem) -> Fit:
     return problem.fit(NONE, noise, np.zeros(len(problem.nuisances)), plan=FitPlan(20))
 
 
-@pytest.mark.parametrize("kind", ["held", "continuous"])
-def test_the_noise_of_the_sensor_is_told_whatever_the_input_does_between_its_samples(kind):
-    (ready,) = problem_of(record(kind)).records
-    assert ready.smoothed.noise_std == pytest.approx([NOISE * np.ptp(ready.y)], rel=0.1)
-
-
 @pytest.mark.parametrize(("kind", "hold"), [("held", "zoh"), ("continuous", "smooth")])
 @pytest.mark.parametrize("begun", ["zoh", "smooth"])
 def test_what_an_input_does_between_its_samples_is_inferred(kind, hold, begun):

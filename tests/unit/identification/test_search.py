@@ -8,16 +8,15 @@ from naming_cases import (
     POOL,
     machine,
     opened,
-    quiet,
     searched,
     usual,
     values,
 )
 from scipy.linalg import block_diag
 
-from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
+from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis
 from robustlab.identification.hypotheses.noise import first_noise, held_out_fit, predictive
-from robustlab.identification.naming.set_search import Key, search_sets
+from robustlab.identification.naming.set_search import Key
 
 # --- what is found ---------------------------------------------------------------------------------------------------
 
@@ -88,19 +87,6 @@ def test_fitted_and_held_out_windows_together_are_as_probable_as_one_after_the_o
         assert told > -0.5 * (fixed.cost - float(fit.z @ fit.z)) + 0.5
 
 
-def test_a_set_that_may_be_no_answer_is_kept_and_never_the_best():
-    fit, held, pool, _ = opened(machine(friction=20.0))
-
-    def no_friction(_: Problem, fit) -> bool:
-        return FRICTION not in {c.key for c in fit.hypothesis.candidates}
-
-    found = search_sets(fit, held, [pool[k] for k in (FRICTION, LOAD)], no_friction, quiet)
-    assert FRICTION not in found.best.key
-    judged = next(v for v in found.sets if v.key == {FRICTION})
-    assert not judged.allowed
-    assert judged.evidence > found.best.evidence
-
-
 # --- where it ends ---------------------------------------------------------------------------------------------------
 
 
@@ -127,12 +113,6 @@ def test_an_interrupted_search_gives_what_was_known(after):
     assert not found.settled
     assert found.empty in found.sets
     assert (found.best.key == {FRICTION}) == (after == 20)
-
-
-def test_an_empty_pool_leaves_the_empty_set():
-    found = searched(machine(friction=20.0), ())
-    assert [v.key for v in found.sets] == [Key()]
-    assert found.settled
 
 
 def test_the_answer_does_not_depend_on_the_order_of_the_pool():

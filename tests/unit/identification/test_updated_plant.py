@@ -65,31 +65,6 @@ def test_a_named_effect_is_attached_with_its_values_and_their_spread():
     assert plant.plant.values == there.plant.values
 
 
-def test_a_wrong_parameter_becomes_the_plants_value():
-    there, pool = problem("servo-axis")
-    (z,) = pool["inertia @ M"].standardised({"s": 1.5})
-    # The nuisance of the mass itself is void then, however far out it stands.
-    _, fit = fit_with("servo-axis", ("inertia @ M",), [7.0, 0.0, z], [0.3, 0.1, 0.02])
-    plant = updated_plant(there, fit, "run 7")
-    assert type(plant) is LinearPlant
-    assert plant.values["M"] == pytest.approx(1.5 * 95.1089)
-    spread = pool["inertia @ M"].parameters[0].prior.spread
-    assert plant.parameters["M"].tolerance == pytest.approx(2 * np.sinh(0.02 * spread))
-    assert plant.values["Fv"] == pytest.approx(203.5034)
-
-
-def test_a_wrong_parameter_and_an_effect_both_arrive():
-    there, pool = problem("dc-motor")
-    names = ("torque-constant @ Km+Kb", "constant-load @ omega")
-    torque = pool[names[0]].standardised({"s": 1.3})
-    load = pool[names[1]].standardised({"T0": -0.004})
-    _, fit = fit_with("dc-motor", names, [*np.zeros(5), *torque, *load], np.full(7, 0.05))
-    plant = updated_plant(there, fit, "run 7")
-    assert [e.effect.id for e in plant.effects] == ["constant-load"]
-    assert plant.effects[0].values == pytest.approx({"T0": -0.004})
-    assert (plant.plant.values["Km"], plant.plant.values["Kb"]) == pytest.approx((1.3 * 0.052, 1.3 * 0.052))
-
-
 @pytest.mark.parametrize(
     "keys",
     [(), ("coulomb-friction @ v",), ("inertia @ M", "sensor-bias @ v"), ("backlash @ v", "input-delay @ u")],

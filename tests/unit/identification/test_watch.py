@@ -106,13 +106,6 @@ def test_an_effect_that_the_model_never_had_comes_in():
     assert found.since_lower <= 8.0 <= found.since_upper
 
 
-def test_a_machine_with_other_parameters_within_the_tolerances_is_no_alarm():
-    heavy = rl.with_effects(bare(1.03 * J, 1.05 * B), {"coulomb-friction": {"Fc": 1.1 * FC}})
-    found = rl.watch(heavy, log(7), every=2.0, noise={"q": NOISE}, exclude=others())
-    assert found.met
-    assert found.tested > 0.9
-
-
 @pytest.mark.slow
 def test_alarms_where_nothing_changes_are_as_rare_as_stated():
     alarms = sum(

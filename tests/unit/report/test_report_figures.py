@@ -8,8 +8,7 @@ import pytest
 import robustlab as rl
 from robustlab.mu_analysis import Margin
 from robustlab.report.figures import save_figure
-from robustlab.report.robustness_figures import mu_figure, response_figure, worst_case_figure
-from robustlab.worst_case_analysis.worst_case_search import WorstCase, WorstResponse
+from robustlab.report.robustness_figures import mu_figure, response_figure
 
 T = np.linspace(0.0, 1.0, 101)
 
@@ -31,24 +30,6 @@ def test_the_same_figure_gives_the_same_bytes(tmp_path, suffix):
     first, second = ((tmp_path / folder / f"r.{suffix}").read_bytes() for folder in ("a", "b"))
     assert first == second
     assert b"20" + b"26-" not in first[:2000]  # no date
-
-
-def test_the_envelope_is_drawn_as_given():
-    whole, _ = response().axes
-    (band,) = whole.collections
-    points = band.get_paths()[0].vertices
-    assert points[:, 1].max() == pytest.approx(rise(1.2).max())
-    assert points[points[:, 0] == 1.0][:, 1].min() == pytest.approx(rise(0.8)[-1])
-
-
-def test_the_worst_case_marks_the_largest_deviation():
-    deviation = np.sin(3 * T)
-    response = WorstResponse(T, rise(1.0), rise(1.0) + deviation, "y", "")
-    where = (1, {}, 0.0, "", 1.0, "", None, "y", -1.0, 0, 0, response)
-    found = WorstCase(1.0, {}, "peak", 0.0, rl.Status.CONVERGED, "", *where)
-    _, below = worst_case_figure(found).axes
-    (marker,) = [line for line in below.lines if line.get_marker() == "o"]
-    assert marker.get_xdata()[0] == pytest.approx(T[np.argmax(np.abs(deviation))])
 
 
 def margin(omega, lower, upper, intervals) -> Margin:

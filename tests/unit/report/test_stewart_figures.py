@@ -6,38 +6,14 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.control.trajectory_following import MotorLimits, TrajectoryFollowing
 from robustlab.dynamics.stewart import condition_map
 from robustlab.report.figures import save_figure
 from robustlab.thesis.figures import (
     case_figure,
     condition_figure,
-    sine_figure,
-    tracking_effort_figure,
 )
-from robustlab.thesis.runs import sine_run
 
 T = np.linspace(0.0, 1.0, 51)
-
-
-def following(torque):
-    six = np.tile(np.sin(T)[:, None], 6)
-    return TrajectoryFollowing(T, 0 * six, 1e-3 * six, six, torque * six, six, six, 0.17 + 0.01 * six, MotorLimits(), 1)
-
-
-@pytest.fixture(scope="module")
-def sine():
-    return sine_run(rl.plant("stewart-platform"), 0.1, 20.0, 0.05, 101)
-
-
-def test_sine_figure_ends_where_asked_and_shows_the_difference(sine):
-    angle, _, gap = sine_figure(sine, 0.03).axes
-    assert angle.lines[0].get_xdata()[-1] == pytest.approx(0.03)
-    expected = sine.percent(0.03)[1]
-    np.testing.assert_array_equal(gap.lines[0].get_ydata(), expected)
-    assert expected[-1] == pytest.approx(
-        100 * (sine.linear[60, 0] - sine.nonlinear[60, 0]) / np.abs(sine.nonlinear[:61, 0]).max()
-    )
 
 
 def test_case_figure_has_nominal_worst_and_all_members():
@@ -54,14 +30,6 @@ def test_case_figure_has_nominal_worst_and_all_members():
         low, high = row[1].get_ylim()
         assert np.ptp(members[:, -1, k]) > 0.1 * (high - low)
         assert row[2].lines[21].get_ydata()[-1] == pytest.approx(0.01, rel=1e-6)
-
-
-@pytest.mark.parametrize(("torque", "drawn"), [(0.2, True), (0.001, False)])
-def test_a_limit_is_drawn_or_told(torque, drawn):
-    panel = tracking_effort_figure(following(torque)).axes[0]
-    levels = {round(float(line.get_ydata()[0]), 6) for line in panel.lines if len(line.get_ydata()) == 2}
-    assert (levels == {-97.7, 97.7}) is drawn
-    assert ("97.7" in panel.get_title(loc="left")) is not drawn
 
 
 def test_condition_figure_is_blank_out_of_the_workspace_and_deterministic(tmp_path):

@@ -41,7 +41,7 @@ def request(metric, model, hold="zoh"):
     return MetricRequest(metric, model.outputs[0].name, None, t, u, hold)
 
 
-CASES = [(dt, hold, seed) for dt, hold in ((0.0, "zoh"), (0.0, "foh"), (0.1, "zoh")) for seed in (0, 2)]
+CASES = [(dt, hold, seed) for dt, hold in ((0.0, "zoh"), (0.0, "foh"), (0.1, "zoh")) for seed in (0,)]
 
 
 @pytest.mark.parametrize(("dt", "hold", "seed"), CASES)
@@ -91,13 +91,6 @@ def test_peak_of_a_lag():
     assert (found.unit, found.at, found.delta) == ("m", 12.0, {"pole": -1.0})
 
 
-def test_rms_of_a_lag():
-    found = worst_case(lag(), "rms", t=T)
-    p = 0.8
-    square = (12 - 2 * (1 - np.exp(-p * 12)) / p + (1 - np.exp(-2 * p * 12)) / (2 * p)) / p**2
-    assert found.value == pytest.approx(np.sqrt(square / 12), rel=1e-5)  # the trapezoidal rule
-
-
 def test_settling_time_of_a_lag():
     assert worst_case(lag(), "settling-time", t=T).value == pytest.approx(np.log(50) / 0.8, abs=2e-4)
     assert worst_case(lag(), "settling-time", t=T, band=0.05).value == pytest.approx(np.log(20) / 0.8, abs=2e-4)
@@ -128,18 +121,6 @@ def test_a_function_of_the_model():
 
     found = worst_case(lag(), static_gain)
     assert (found.metric, found.value) == ("static_gain", pytest.approx(1.25))
-
-
-def test_effort_is_a_metric_of_the_control_signal():
-    """u = k (r - y) around 1 / (s + 1), k in 2 +- 1: the largest u is k, at the beginning."""
-
-    def loop(k):
-        a = [[-1.0 - k]]
-        return StateSpaceModel(a, [[k]], [[1.0], [-k]], [[0.0], [k]], inputs=["r"], outputs=["y", ("u", "V")])
-
-    found = worst_case(elementwise(loop(2.0), loop(3.0), "single"), "peak", output="u", t=T)
-    assert (found.unit, found.at) == ("V", 0.0)
-    assert found.value == pytest.approx(3.0)
 
 
 # --- where there is no bounded value ---------------------------------------------------------------------------------

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 import scipy.signal
@@ -61,24 +59,6 @@ def test_samples_lie_in_the_set_and_fill_it():
     assert 0.9 < norms.max() <= 1
 
 
-def test_all_vertices_in_order():
-    model = uncertain()
-    samples = sample(model, 0, vertices="all")
-    rows = [tuple(d.values()) for d in samples.deltas]
-    assert rows == list(itertools.product([-1.0, 1.0], repeat=3))
-    assert [tuple(d.values()) for d in sample(model, 0, vertices=100).deltas] == rows
-    assert samples.vertices == 8
-
-
-def test_some_vertices_are_different_and_seeded():
-    picked = [tuple(d.values()) for d in sample(uncertain(), 0, seed=3, vertices=5).deltas]
-    assert len(set(picked)) == 5
-    assert picked == [tuple(d.values()) for d in sample(uncertain(), 0, seed=3, vertices=5).deltas]
-    boundary = sample(mixed(), 0, vertices="all").deltas
-    assert [d["r"] for d in boundary] == [-1.0, 1.0]
-    assert all(abs(abs(d["c"]) - 1) < 1e-12 and abs(np.linalg.norm(d["f"], 2) - 1) < 1e-12 for d in boundary)
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [((0,), "no samples"), ((-1,), "n is -1"), ((1.5,), "n is 1.5"), ((1, -2), "seed"), ((1, 0, "every"), "vertices")],
@@ -120,20 +100,6 @@ def test_unit_step_is_the_default_and_inputs_have_names():
     np.testing.assert_array_equal(step.y, samples.respond(T, np.ones((81, 1))).y)
     np.testing.assert_allclose(samples.respond(T, {"f": 42.0}).y, 42 * step.y, rtol=1e-12)
     np.testing.assert_array_equal(samples.respond(T, {}).y, 0.0)
-
-
-def test_discrete_models():
-    def lag(a):
-        return StateSpaceModel([[a]], [[1.0]], [[1.0]], [[0.0]], 0.1)
-
-    samples = sample(elementwise(lag(0.5), lag(0.9)), 0, vertices="all")
-    found = samples.respond(np.arange(6) * 0.1)
-    np.testing.assert_allclose(found.y[1, :, 0], [0, 1, 1.9, 2.71, 3.439, 4.0951])
-    np.testing.assert_allclose(found.y[0, :, 0], [0, 1, 1.1, 1.11, 1.111, 1.1111])
-    with pytest.raises(InputError, match=r"sample time 0\.1 s"):
-        samples.respond(np.arange(6) * 0.2)
-    with pytest.raises(InputError, match="hold"):
-        samples.respond(np.arange(6) * 0.1, hold="foh")
 
 
 def test_unstable_samples_are_reported_and_overflow_is_not_hidden():

@@ -10,7 +10,7 @@ from robustlab.errors import InputError, UnitMismatch
 from robustlab.report.robustness_figures import distribution_figure, influence_figure
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
+from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import (
@@ -147,13 +147,6 @@ def test_bad_input_is_named(limit, options, error, text):
     assert text in str(caught.value)
 
 
-def test_complex_blocks_have_a_probability_and_no_influence():
-    m = StateSpaceModel([[-1.0]], [[0.5, 2.0]], [[0.0], [1.0]], [[0.0, 1.0], [0.0, 0.0]])
-    found = violation_probability(UncertainModel(m, [ComplexScalar("d")]), "hinf", 2.25, n=100)
-    assert found.influence is None  # |2 + 0.5 d| > 2.25
-    assert 0 < found.probability < 1
-
-
 # --- influence -------------------------------------------------------------------------------------------------------
 
 
@@ -171,10 +164,3 @@ def test_influence_of_a_sum():
     assert list(found.matters) == [True, True, True, False]
     np.testing.assert_allclose(found.worst_value - found.restored, weights * list(delta.values()), atol=1e-12)
     np.testing.assert_allclose(found.alone - 10, weights * list(delta.values()), atol=1e-12)
-
-
-def test_influence_of_an_even_function_has_no_direction():
-    found = violation_probability(gains(1.0), "peak-deviation", "0.9 V", n=2000, **PEAK).influence
-    assert found is not None
-    assert found.first_order[0] > 0.9
-    assert found.directions[0] == 0
