@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import cvxpy
 import numpy as np
 import pytest
 
-from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import hamiltonian_riccati
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.hinf import hinf_synthesis
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
-from robustlab.synthesis.hinf.lmi_synthesis import lmi_controllers, solve_conic
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.hinf.search import Portfolio, Search, trial_norm
-from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
-from robustlab.synthesis.problem.scaling import paths_first
+from robustlab.synthesis.hinf.search import trial_norm
+from robustlab.synthesis.problem.partition import Realisation
 
 
 def output_feedback_problem(a: float, d22: float = 0.0, dt: float = 0.0) -> StateSpaceModel:
@@ -83,10 +78,6 @@ def test_broken_assumptions_are_named_with_their_meaning():
     assert ("regularised, because", design.assumptions[0]) in design.facts()
 
 
-def test_regular_plant_breaks_no_assumption():
-    assert hinf(output_feedback_problem(-1.0), 1, 1).assumptions == ()
-
-
 # --- row 21: scaling, ill-posed loops, lost digits ---
 
 
@@ -116,85 +107,6 @@ def test_nan_is_refused_before_any_native_call():
     bad = np.array([[np.nan]])
     assert hamiltonian_riccati(bad, np.eye(1), np.eye(1)) is None
     assert trial_norm(Realisation(bad, bad, bad, bad)) == np.inf
-
-
-# --- row 22: what solvers say ---
-
-
-def test_infeasible_and_unbounded_programs_are_named():
-    x = cvxpy.Variable()
-    outcome = solve_conic(cvxpy.Problem(cvxpy.Minimize(x), [x >= 1, x <= 0]), Budget())
-    assert (outcome.usable, outcome.text) == (False, "the LMI solver says infeasible")
-    outcome = solve_conic(cvxpy.Problem(cvxpy.Minimize(x)), Budget())
-    assert (outcome.usable, outcome.text) == (False, "the LMI solver says unbounded")
-
-
-class PanicException(BaseException):
-    """As pyo3 names it: no subclass of Exception."""
-
-
-@pytest.mark.parametrize(
-    ("error", "text"),
-    [
-        (PanicException("Eigval error"), "panicked (Eigval error)"),
-        (cvxpy.SolverError("Solver 'CLARABEL' failed. Try another solver"), "gave up (Solver 'CLARABEL' failed"),
-        (ValueError("wrong"), "could not be posed (wrong)"),
-    ],
-)
-def test_what_a_solver_raises_becomes_a_sentence(monkeypatch, error, text):
-    def solve(*_, **__):
-        raise error
-
-    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.Variable()))
-    monkeypatch.setattr(problem, "solve", solve)
-    outcome = solve_conic(problem, Budget())
-    assert not outcome.usable
-    assert text in outcome.text
-
-
-def test_interrupt_passes_through_the_solver_guard(monkeypatch):
-    def solve(*_, **__):
-        raise KeyboardInterrupt
-
-    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.Variable()))
-    monkeypatch.setattr(problem, "solve", solve)
-    with pytest.raises(KeyboardInterrupt):
-        solve_conic(problem, Budget())
-
-
-def test_lmi_steps_in_where_the_riccati_equations_give_nothing(monkeypatch):
-    """With every Riccati trial taken away the LMIs still give a verified controller, and the reason says so."""
-
-    def nothing(matrices, scalings, deadline, floor=0.0, D22=None):
-        return Portfolio(*(Search(matrices, scaling, deadline, floor) for scaling in scalings), float("nan"))
-
-    monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)
-    monkeypatch.setattr(Search, "polish", lambda *_: None)
-    plant = output_feedback_problem(0.5)
-    design = hinf(plant, 1, 1, gamma_rel=1.0)
-    assert "two Riccati equations gave none; LMI optimum" in design.reason
-    assert hinf_norm(lower_lft(plant, design.K)).value <= design.gamma <= 2.0 * 1.05
-
-
-def test_lmi_is_not_tried_on_large_plants_nor_without_time():
-    n = 40
-    large = GeneralizedPlant(StateSpaceModel(-np.eye(n), np.ones((n, 2)), np.ones((2, n)), np.zeros((2, 2))), 1, 1)
-    m = large.matrices()
-    assert lmi_controllers(m, paths_first(m), Budget()) == ([], "the LMI was not tried: 40 states, at most 30")
-    m = GeneralizedPlant(output_feedback_problem(0.5), 1, 1).matrices()
-    assert lmi_controllers(m, paths_first(m), Budget(0.0)) == ([], "no work was left for the LMI")
-
-
-def test_no_controller_at_all_is_an_error_with_both_reasons(monkeypatch):
-    def nothing(matrices, scalings, deadline, floor=0.0, D22=None):
-        return Portfolio(*(Search(matrices, scaling, deadline, floor) for scaling in scalings), float("nan"))
-
-    monkeypatch.setattr(hinf_synthesis, "portfolio", nothing)
-    monkeypatch.setattr(hinf_synthesis, "lmi_controllers", lambda *_: ([], "the LMI solver says infeasible"))
-    monkeypatch.setattr(hinf_synthesis, "stabilise", lambda *_: "a nonsmooth search found none")
-    match = r"\(0 were found; two Riccati equations gave none; the LMI solver says infeasible; a nonsmooth search found"
-    with pytest.raises(NoTrustworthyNumber, match=match):
-        hinf(output_feedback_problem(0.5), 1, 1)
 
 
 # --- row 23: time ---

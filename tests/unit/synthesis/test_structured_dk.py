@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.norms import bilinear_to_discrete
 
 OMEGA = np.concatenate([[0.0], np.geomspace(1e-2, 1e3, 40)])
@@ -63,23 +63,6 @@ def test_more_freedom_is_never_worse_than_less_and_full_order_is_the_floor() -> 
     assert full.gamma * 0.99 <= dynamic.gamma <= static.gamma * 1.01
     assert dynamic.K.n_states == 2
     assert dynamic.history[0].stage == "start"
-
-
-def test_a_design_goes_on_from_values() -> None:
-    """From given values; those that do not stabilise, or that no parameter has, are named."""
-    P = lag()
-    first = rl.dk(P, BLOCKS, 1, 1, structure="static", starts=1)
-    again = rl.dk(P, BLOCKS, 1, 1, structure="static", K0=dict(first.parameters))
-    assert again.gamma == pytest.approx(first.gamma, rel=1e-3)
-    assert {"parameters"} <= set(again.to_json())
-    (name,) = first.parameters
-    assert name in again.summary()
-    with pytest.raises(InputError, match="no such parameter"):
-        rl.dk(P, BLOCKS, 1, 1, structure="static", K0={"Kq": 1.0})
-    with pytest.raises(InputError, match="values by parameter name"):
-        rl.dk(P, BLOCKS, 1, 1, structure="static", K0=first.K)
-    with pytest.raises(NoTrustworthyNumber, match="no start stabilised"):
-        rl.dk(P, BLOCKS, 1, 1, structure="static", K0={name: 50.0})
 
 
 def test_a_structure_that_cannot_stabilise_is_said() -> None:
