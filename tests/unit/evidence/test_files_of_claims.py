@@ -168,13 +168,6 @@ def test_a_loaded_result_has_its_class_and_its_attributes(saved, tmp_path):
         rl.verify(design)
 
 
-def test_json_says_each_claim(saved, capsys):
-    assert call(str(saved), "--json") == 0
-    (told,) = json.loads(capsys.readouterr().out)["files"].values()
-    assert told["proved"] is True
-    assert told["claims"][0]["outcome"] == "proved"
-
-
 def test_numbers_are_exported_to_the_bit(saved, tmp_path):
     target = tmp_path / "claims.json"
     assert call(str(saved), "--export", str(target)) == 0

@@ -57,27 +57,6 @@ def test_it_is_the_convolution_by_hand():
     assert np.abs(held(rl.discretise(late, dt, "zoh"), t, u) - exact).max() < 1e-14
 
 
-def test_the_modified_z_transform_of_a_lag():
-    # delay m samples less f: numerator (1 - e^-(1-f)T) z + (e^-(1-f)T - e^-T), over z^m (z - e^-T)
-    dt, late = 0.5, 1.2
-    found = rl.discretise(rl.with_delays(LAG, inputs={0: late}), dt, "zoh")
-    f = late - 2 * dt
-    omega = np.linspace(0.1, 6.0, 40)
-    z = np.exp(1j * omega * dt)
-    a = np.exp(-(dt - f))
-    expected = ((1 - a) * z + (a - np.exp(-dt))) / (z**3 * (z - np.exp(-dt)))
-    assert np.abs(rl.frequency_response(found, omega)[:, 0, 0] - expected).max() < 1e-14
-    assert found.n_states == 4
-
-
-def test_whole_samples_are_shifts():
-    late = rl.discretise(rl.with_delays(LAG, inputs={0: 0.3}), 0.1, "zoh")
-    plain = rl.with_delays(rl.discretise(LAG, 0.1, "zoh"), inputs={0: 0.3})
-    omega = np.linspace(0.0, 30.0, 50)
-    assert np.abs(rl.frequency_response(late, omega) - rl.frequency_response(plain, omega)).max() < 1e-13
-    assert late.n_states == plain.n_states
-
-
 def test_what_has_no_finite_exact_model_is_refused():
     with pytest.raises(rl.InputError, match=r"(?s)inside a loop.*close the loop then"):
         rl.discretise((LAG @ rl.delay(0.2)).feedback(), 0.1, "zoh")
