@@ -32,13 +32,6 @@ def test_exit_codes(name, code, base):
     assert issubclass(kind, RobustlabError)
 
 
-def test_message_in_its_parts():
-    error = InputError("p.h5: /A", "NaN", "finite numbers", "look at row 3", ("p.h5: /B: missing",))
-    assert error.line == "p.h5: /A: NaN, expected finite numbers"
-    assert str(error).splitlines() == [error.line, "p.h5: /B: missing", "hint: look at row 3"]
-    assert str(InputError("a", "b")) == "a: b"
-
-
 def test_errors_cross_process_boundaries():
     error = InputError("a", "b", "c", "d", ("e",))
     copy = pickle.loads(pickle.dumps(error))

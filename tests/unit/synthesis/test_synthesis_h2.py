@@ -103,15 +103,6 @@ def test_singular_plant_reports_what_was_added():
     assert design.to_json()["regularisation"] == design.regularisation
 
 
-@pytest.mark.parametrize("n", [0, 1])
-def test_smallest_sizes(n):
-    A = -np.eye(n)
-    P = StateSpaceModel(A, np.ones((n, 3)), np.ones((3, n)), [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    design = h2(P, 1, 1)
-    assert design.K.n_states == n
-    assert design.gamma == pytest.approx(h2_norm(lower_lft(P, design.K)).value, abs=1e-15)
-
-
 def test_refusals():
     P = regular_plant()
     with pytest.raises(InputError, match="n_meas"):
