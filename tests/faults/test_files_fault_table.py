@@ -433,12 +433,6 @@ def test_row_16_a_transposed_file_is_recognised_and_read_on_request(tmp_path, ca
         np.testing.assert_array_equal(getattr(turned, name), content[name])
 
 
-@pytest.mark.usefixtures("in_process")
-def test_row_16_one_transposed_matrix_is_not_mended_by_swapping_all(tmp_path, capfd):
-    code, err = run(capfd, plain(tmp_path / "p.h5", D=np.ones((2, 4))))
-    assert_refused(code, err, r"p.h5: /D is \(2, 4\), expected \(4, 2\)\nhint: only D looks transposed.*", tmp_path)
-
-
 def test_row_4_no_verify_loads_with_a_warning(tmp_path, capfd):
     path = changed_afterwards(tmp_path)
     app = model_app

@@ -17,7 +17,6 @@ from robustlab.errors import InputError
 from robustlab.files.document import MAX_DEPTH, parse_document
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.signature import Limits
-from robustlab.files.text_table import read_table
 from robustlab.recipe.load import load_recipe
 from robustlab.recipe.run import read_result
 from robustlab.storage.expression_files import load_parametric
@@ -85,22 +84,6 @@ def test_documents_say_what_is_wrong():
             parse_document("json", raw, "f")
     with pytest.raises(InputError, match="a whole number beyond 64 bits"):
         parse_document("toml", b"a = 0x" + b"f" * 40_000, "f")
-
-
-@pytest.mark.parametrize("blank", [" ", "\t", " \t"])
-def test_a_header_of_blanks_costs_nothing(blank, tmp_path):
-    """The expression that looked for units took the square of the blanks: minutes for 60 kB."""
-    (tmp_path / "r.csv").write_text(f"t,u{blank * 60_000}x,q [m]\n0,1,2\n1,2,3\n2,3,4\n")
-    with pytest.raises(InputError, match="column 2 has a name of"):
-        read_table(tmp_path / "r.csv", isolate=False)
-    (tmp_path / "r.csv").write_text(f"# t u{blank * 60_000}x\nt,u,q [m]{blank * 60_000}\n0,1,2\n1,2,3\n2,3,4\n")
-    assert read_table(tmp_path / "r.csv").units == ("", "", "m")
-
-
-def test_a_table_has_at_most_as_many_columns_as_a_file_has_objects(tmp_path):
-    (tmp_path / "r.csv").write_text(",".join(f"c{i}" for i in range(200_000)) + "\n" + "1," * 199_999 + "1\n")
-    with pytest.raises(InputError, match="200000 cells, expected at most 10000 columns"):
-        rl.load(tmp_path / "r.csv")
 
 
 def test_a_recipe_of_a_hundred_thousand_faults_is_refused_at_once(tmp_path):

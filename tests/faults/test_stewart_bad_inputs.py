@@ -100,14 +100,6 @@ def test_unreachable_trim():
         PLANT.derivative(np.r_[phi, np.zeros(6)], np.zeros(6))
 
 
-def test_bad_operating_points():
-    for at in ("home", 3.0, {"pose": HOME}):
-        with pytest.raises(rl.InputError, match="linearise: at"):
-            rl.linearise(PLANT, at=at)
-    with pytest.raises(rl.InputError, match="expected 12"):
-        rl.linearise(PLANT, at=(np.zeros(11), np.zeros(6)))
-
-
 def test_bad_simulations():
     hold = np.tile(rl.trim(PLANT).u, (31, 1))
     with pytest.raises(rl.NoTrustworthyNumber, match=r"end of its range .* at t = 0\.\d+ s") as caught:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.record_check.suitability import suitability
 
 AXIS, MOTOR = rl.plant("servo-axis"), rl.plant("dc-motor")
@@ -62,10 +62,6 @@ def test_less_than_a_period_of_an_oscillation_is_too_short():
     assert "expected at least one period of the model's slowest oscillation, 0.628" in str(caught.value)
 
 
-def test_a_swing_that_is_all_noise_says_nothing():
-    assert suitability(LIGHT, swing(14.66, 30, 0.0)).fatal[0].kind == "unexcited"
-
-
 def test_ripple_does_not_turn_a_sign():
     """A motor at a steady current whose ripple answers its cogging: the step at the start tells the sign."""
     t = np.arange(0.0, 1.0, 1e-3)
@@ -82,19 +78,6 @@ def test_constant_input_and_nothing_moves():
         suitability(AXIS, still).require()
 
 
-def test_constant_speed_shows_nothing_either():
-    cruise = record(np.full(2000, 0.5), q=0.3 * T + 1e-6 * NOISE[0], v=0.3 + 1e-4 * NOISE[1])
-    assert [f.kind for f in suitability(AXIS, cruise).fatal] == ["unexcited"]
-
-
-def test_a_run_down_with_constant_input_is_a_record():
-    run = rl.simulate(AXIS, T, np.zeros(2000), x0=[0.0, 0.5])
-    down = record(np.zeros(2000), q=run["q"] + 1e-6 * NOISE[0], v=run["v"] + 1e-4 * NOISE[1])
-    found = suitability(AXIS, down)
-    assert found.fit
-    assert [f.kind for f in found.findings] == ["unexcited"]
-
-
 def test_an_input_too_small_to_move_anything():
     run = rl.simulate(AXIS, T, 1e-6 * U)
     found = suitability(AXIS, record(1e-6 * U, q=run["q"] + 1e-6 * NOISE[0], v=run["v"] + 1e-4 * NOISE[1]))
@@ -108,11 +91,6 @@ def test_an_encoder_that_never_turns_three_steps():
     run = rl.simulate(AXIS, T, 1e-3 * U)
     found = suitability(AXIS, record(1e-3 * U, q=lsb * np.round((run["q"] + 0.3 * lsb * NOISE[0]) / lsb)))
     assert ("unexcited", True) in {(f.kind, f.fatal) for f in found.findings}
-
-
-def test_a_weak_but_visible_motion_is_enough():
-    run = rl.simulate(AXIS, T, 0.01 * U)
-    assert suitability(AXIS, record(0.01 * U, q=run["q"] + 1e-6 * NOISE[0], v=run["v"] + 1e-4 * NOISE[1])).fit
 
 
 def test_dead_sensors():
@@ -171,38 +149,6 @@ def test_all_faults_are_listed_the_wrong_channel_first():
     assert "hint: check the wiring" in text
 
 
-def test_a_unit_of_another_measure_is_refused_as_everywhere():
-    with pytest.raises(UnitMismatch):
-        suitability(AXIS, rl.Record(T, {"u": U}, {"q": RUN["q"]}, {"u": "V", "q": "deg"}))
-
-
-def test_a_unit_of_the_same_measure_is_converted_and_a_wrong_one_found():
-    """Millimetres that are millimetres are fit; metres that are said to be millimetres are not."""
-    assert suitability(AXIS, rl.Record(T, {"u": U}, {"q": 1e3 * RUN["q"]}, {"u": "V", "q": "mm"})).fit
-    wrong = suitability(AXIS, rl.Record(T, {"u": U}, {"q": RUN["q"]}, {"u": "V", "q": "mm"}))
-    assert [f.kind for f in wrong.fatal] == ["unit"]
-
-
-def test_a_signal_that_is_missing():
-    with pytest.raises(InputError, match="no input 'u'"):
-        suitability(AXIS, rl.Record(T, {"voltage": U}, {"q": RUN["q"]}))
-
-
-def test_units_that_nobody_states():
-    plain = rl.StateSpaceModel([[-2.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["q"])
-    y = rl.simulate(plain, T, U)["q"]
-    found = suitability(plain, rl.Record(T, {"u": U}, {"q": 1e3 * y}))
-    assert [(f.kind, f.evidence["factor"]) for f in found.fatal] == [("unit", pytest.approx(1e3))]
-    assert "in another unit" in found.fatal[0].message
-
-
-def test_discrete_models_are_judged_too():
-    model = rl.StateSpaceModel([[0.99]], [[0.01]], [[1.0]], [[0.0]], dt=DT, inputs=[("u", "V")], outputs=[("q", "m")])
-    y = rl.simulate(model, T, U)["q"]
-    assert suitability(model, rl.Record(T, {"u": U}, {"q": y})).fit
-    assert suitability(model, rl.Record(T, {"u": U}, {"q": -y})).fatal[0].kind == "sign"
-
-
 def test_an_unstable_model_is_no_obstacle():
     """Closed loop around an unstable plant: only short windows are simulated."""
     model = rl.StateSpaceModel([[20.0]], [[1.0]], [[1.0]], [[0.0]], inputs=[("u", "V")], outputs=[("x", "m")])
@@ -213,12 +159,3 @@ def test_an_unstable_model_is_no_obstacle():
         x = x + DT * (20.0 * x + u[k])
     assert suitability(model, rl.Record(T, {"u": u}, {"x": y})).fit
     assert suitability(model, rl.Record(T, {"u": u}, {"x": -y})).fatal[0].kind == "sign"
-
-
-def test_of_a_nonlinear_plant_the_samples_are_judged():
-    platform = rl.plant("stewart-platform")
-    n = 50
-    ins = {s.name: np.zeros(n) for s in platform.inputs}
-    outs = {s.name: np.zeros(n) for s in platform.outputs}
-    found = suitability(platform, rl.Record(DT * np.arange(n), ins, outs))
-    assert {f.kind for f in found.fatal} == {"constant-output"}

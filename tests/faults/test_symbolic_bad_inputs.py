@@ -117,24 +117,6 @@ def test_a_plant_without_a_name_states_or_outputs():
         p.plant()
 
 
-def test_an_output_that_depends_on_a_force():
-    p, m, f, _, v = begun()
-    push = p.force("v")
-    p.rate(v, (f + push) / m)
-    p.output("a", (f + push) / m, "m/s2")
-    with pytest.raises(InputError, match="output a: it depends on 'push v'"):
-        p.plant()
-
-
-def test_a_mass_matrix_that_is_not_symmetric():
-    p = rl.PlantEquations("bad")
-    (q1, _), (q2, _) = p.joint("q1", "w1", "rad"), p.joint("q2", "w2", "rad")
-    p.motion([[2.0, ca.sin(q1)], [ca.sin(q2), 1.0]], [0, 0])
-    p.output("q1", q1)
-    with pytest.raises(InputError, match=r"entry \[0, 1\] is not entry \[1, 0\]"):
-        p.plant()
-
-
 def test_without_casadi_the_extra_is_named(monkeypatch):
     import sys
 

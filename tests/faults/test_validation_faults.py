@@ -111,17 +111,6 @@ def test_a_cone_solver_that_fails(call, monkeypatch, kind, options):
     assert "the solver" in err
 
 
-def test_a_linear_programme_that_fails(call, monkeypatch):
-    from scipy import optimize
-
-    model = axis()
-    q = rl.simulate(model.evaluate({"c": 0.9}), T, {"f": U})["q"]
-    monkeypatch.setattr(optimize, "linprog", lambda *a, **k: SimpleNamespace(x=None, message="it failed"))
-    code, out, err = call(model, rl.Record(T, {"f": U}, {"q": q}), bound="q=1e-4")
-    assert (code, out) == (4, "")
-    assert "it failed" in err
-
-
 def test_the_envelope_stands_beside_a_set_of_constants(call):
     model = axis()
     q = rl.simulate(model.evaluate({"c": 0.5}), T, {"f": U})["q"]

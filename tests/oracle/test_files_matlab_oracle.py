@@ -128,12 +128,6 @@ def test_matlab_5_out_is_what_scipy_reads(tmp_path):
     assert (back.inputs, back.outputs, back.states) == (model.inputs, model.outputs, model.states)
 
 
-def test_matlab_5_export_of_other_objects_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"a Record, expected a model or a controller"):
-        rl.save(tmp_path / "r.mat", rl.Record([0.0, 1.0], outputs={"q": [1.0, 2.0]}))
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("ext", ["h5", "mat"])
 def test_python_control_in_and_out(ext, tmp_path):
     """The response of the stored system, by python-control itself."""

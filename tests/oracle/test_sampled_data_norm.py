@@ -193,9 +193,3 @@ def test_bad_requests_are_named(K, options, message):
     P, _ = loop_of_two()
     with pytest.raises(rl.InputError, match=message):
         rl.sampled_data_norm(P, K, **({"n_meas": 1, "n_con": 1} | options))
-
-
-def test_a_discrete_plant_is_refused():
-    P, K = loop_of_two()
-    with pytest.raises(rl.InputError, match=r"the plant has dt = 0\.6 s"):
-        rl.sampled_data_norm(rl.discretise(P, 0.6), K, n_meas=1, n_con=1)

@@ -65,13 +65,6 @@ def test_chain(data):
     check(plant, {b.name: data.draw(st.floats(-1.9, 1.9, allow_subnormal=False)) for b in blocks})
 
 
-@pytest.mark.parametrize("name", list(PLANTS))
-def test_nominal_is_exact(name):
-    plant = toleranced(name)
-    for letter in "ABCD":
-        np.testing.assert_array_equal(getattr(plant.uncertain().nominal, letter), getattr(plant.state_space(), letter))
-
-
 def test_thesis_equations_10_1_to_10_4():
     """With absolute deltas: the current's row -(dR i + dKb w + dL di/dt) / L; the speed's (dKm i - dKf w - dJ w') / J.
 
@@ -92,19 +85,6 @@ def test_thesis_equations_10_1_to_10_4():
     np.testing.assert_allclose(c[by_name["Kf"]], [radius["Kf"], 0], rtol=1e-14)
     np.testing.assert_allclose(
         c[by_name["L"]], radius["L"] / value["L"] * np.array([-value["Kb"], -value["R"]]), rtol=1e-14
-    )
-
-
-@QUICK
-@given(deltas=st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5)))
-def test_selected_outputs_have_the_same_transfer(deltas):
-    plant = toleranced("dc-motor")
-    full, part = plant.uncertain(), plant.uncertain(outputs=["i"])
-    assert part.M.n_states == 2
-    delta = dict(zip(("J", "R"), deltas, strict=True))
-    omega = np.geomspace(0.1, 1e4, 7)
-    np.testing.assert_allclose(
-        part.response(omega, delta)[:, 0, 0], full.response(omega, delta)[:, 2, 0], rtol=1e-10, atol=1e-14
     )
 
 

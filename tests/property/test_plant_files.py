@@ -83,21 +83,6 @@ def test_plants_of_the_registry_come_back(name):
         np.testing.assert_array_equal(matrices[matrix], getattr(plant.state_space(), matrix))
 
 
-@pytest.mark.parametrize("motors", [False, True])
-def test_the_platform_comes_back(motors):
-    plant = rl.plant("stewart-platform", motors=motors, preset="physical", platform_mass=3.3)
-    again, _ = there_and_back(plant)
-    assert (again.motors, again.preset, again.parameters) == (motors, "physical", plant.parameters)
-
-
-def test_effects_on_a_bare_model_come_back():
-    model = rl.linearise(rl.plant("servo-axis"))
-    plant = rl.with_effects(model, {"coulomb-friction": {"Fc": 0.2}}).with_parameters(gain_u=1.1, inertia_v=1.2)
-    again, _ = there_and_back(plant)
-    assert again.values == plant.values
-    np.testing.assert_array_equal(rl.simulate(again, T, U)["q"], rl.simulate(plant, T, U)["q"])
-
-
 # --- a plant of the user's own (docs/plants.md) ----------------------------------------------------------------------
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.clocks import common_clock, is_uniform, summarise_clock
+from robustlab.clocks import summarise_clock
 from robustlab.files.record_source import Channel, Source
 from robustlab.files.records import RecordOptions, choose
 
@@ -114,11 +114,3 @@ def test_jitter_rate_and_gap_of_a_clock(rng, jitter):
     assert found.jitter == pytest.approx(np.sqrt(2) * jitter * 1e-3 * 0.88, rel=0.15)
     assert found.longest == pytest.approx(4e-3, rel=0.15)
     assert found.at == t[999]
-
-
-def test_the_first_of_equal_clocks_is_kept():
-    a, b = np.arange(5) / 10, 0.03 + np.arange(5) / 10
-    kept, name = common_clock("bench", {"a": a, "b": b})
-    assert name == "a"
-    np.testing.assert_array_equal(kept, a[1:])
-    assert is_uniform(kept)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robustlab.errors import InputError
-from robustlab.identification.record_check.resampling import clock_step, join_clocks, uniform
+from robustlab.identification.record_check.resampling import join_clocks, uniform
 from robustlab.record import Record
 
 DT = 0.01
@@ -89,15 +89,6 @@ def test_two_clocks_on_one(rng, other, shift):
         np.testing.assert_array_equal(again[name], joint[name])
 
 
-def test_a_uniform_record_comes_back_as_it_is():
-    r = Record(DT * np.arange(50), {"u": np.ones(50)}, {"y": np.arange(50.0)})
-    found = uniform(r)
-    assert found.record is r
-    assert found.gaps == ()
-    assert [piece.n for piece in found.pieces()] == [50]
-    assert found.pieces(51) == ()
-
-
 def test_another_sample_time():
     t = DT * np.arange(101)
     found = uniform(Record(t, {"u": t}, {"y": 2 * t}), dt=0.004)
@@ -105,17 +96,6 @@ def test_another_sample_time():
     np.testing.assert_allclose(found.record["y"], 2 * found.record.t, atol=1e-14)
     np.testing.assert_allclose(found.record["u"][:6], [0, 0, 0, 0.01, 0.01, 0.02], atol=1e-14)
     assert found.valid["y"].all()
-
-
-def test_clock_step_of_a_clock_with_a_long_gap():
-    t = np.concatenate([DT * np.arange(100), 50.0 + DT * np.arange(100)])
-    assert clock_step(t) == pytest.approx(DT)
-
-
-@pytest.mark.parametrize("dt", [0.0, -1.0, np.nan, np.inf, 5.0, 1e-6])
-def test_sample_times_that_are_none(dt):
-    with pytest.raises(InputError, match="dt"):
-        uniform(Record(DT * np.arange(100), outputs={"y": np.zeros(100)}), dt=dt)
 
 
 def test_what_join_clocks_refuses():
@@ -127,14 +107,3 @@ def test_what_join_clocks_refuses():
     holed = Record([0.0, 0.5, 1.0, 1.5, 9.0], inputs={"f": [0, 1, 2, 3, 4]}, name="force")
     with pytest.raises(InputError, match=r"force: 14 samples missing from 1\.5 s to 9 s"):
         join_clocks(one, holed)
-
-
-def test_joining_says_what_it_did():
-    first = Record(0.2 * np.arange(9), outputs={"v": np.arange(9.0)}, name="drive", meaning={"t": "logged late"})
-    joint = join_clocks(first, Record(0.1 * np.arange(18), {"f": np.arange(18.0)}, name="cell"))
-    assert joint.meaning["t"].splitlines() == [
-        "logged late",
-        "2 clocks brought on one of 5 Hz, inputs held, outputs interpolated",
-        "drive: 9 samples at 5 Hz",
-        "cell: 18 samples at 10 Hz",
-    ]

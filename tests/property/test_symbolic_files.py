@@ -3,7 +3,6 @@
 import subprocess
 import sys
 
-import h5py
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -52,17 +51,6 @@ def test_a_plant_comes_back_whole(name, tmp_path):
         np.testing.assert_array_equal(one[signal.name], two[signal.name])
     rl.save(tmp_path / "y.h5", again)  # and once more
     assert rl.load(tmp_path / "y.h5", isolate=False).parameters == plant.parameters
-
-
-def test_any_program_reads_its_linear_model(tmp_path):
-    plant = maker("cart_pole")()
-    rl.save(tmp_path / "x.h5", plant)
-    with h5py.File(tmp_path / "x.h5") as file:
-        matrices = {name: file[name][()] for name in "ABCD"}
-        assert [name.decode() for name in file["signals/state/name"][()]] == ["x", "v", "theta", "omega"]
-    model = rl.linearise(plant)
-    for name, matrix in matrices.items():
-        np.testing.assert_array_equal(matrix, getattr(model, name))
 
 
 def test_it_is_read_where_there_is_no_casadi(tmp_path):

@@ -97,14 +97,6 @@ def test_places_gravity_and_gear_are_polynomials(data):
     assert off(uncertain.evaluate(delta), rebuilt(plant, uncertain, delta, "tilted")) < 1e-11
 
 
-def test_a_range_may_be_wider_on_one_side():
-    plant = rl.plant("stewart-platform")
-    uncertain = plant.uncertain(ranges={"platform_mass": (3.0, 4.5)})
-    assert uncertain.blocks[0].parameter.below is not None
-    for delta in ({"platform_mass": -1.0}, {"platform_mass": 1.0}, {"platform_mass": -0.3}):
-        assert off(uncertain.evaluate(delta), rebuilt(plant, uncertain, delta, "home")) < 1e-12
-
-
 def test_geometry_is_covered_and_says_so():
     plant = rl.plant("stewart-platform", platform_mass=(3.167, 0.1), r_b=(0.17502, 0.002), alpha_p=(0.1129, 0.005))
     uncertain = plant.uncertain(at=POSES["tilted"])
@@ -149,29 +141,6 @@ def explaining(uncertain, delta, wanted):
     return w @ np.linalg.pinv(z)
 
 
-@pytest.mark.parametrize(("name", "pose"), [("c", "home"), ("z_home", "tilted"), ("lead", "tilted")])
-def test_what_only_looks_like_a_polynomial_is_not_taken_for_one(name, pose):
-    """Their effect is smooth and small: a polynomial of degree 4 gives it to 1e-10 of an entry."""
-    for preset in ("thesis", "physical"):
-        plant = rl.plant("stewart-platform", preset=preset, motors=True)
-        plant = plant.with_parameters(**{name: (plant.values[name], 0.01), "Kf": (4.8e-5, 0.0)})
-        assert plant.uncertain(at=POSES[pose]).sampled == (name, "remainder")
-
-
-def test_parameters_of_value_zero():
-    """A centre of mass off the origin enters by itself and its square, a tilt by its sine; tolerances are absolute."""
-    plant = rl.plant("stewart-platform", platform_mass=(3.167, 0.1), platform_cx=(0.0, 0.01), platform_cz=(0.0, 0.01))
-    uncertain = plant.uncertain(at=POSES["tilted"])
-    assert uncertain.sampled == ()
-    for seed in range(4):
-        values = np.random.default_rng(seed).uniform(-1, 1, len(uncertain.blocks))
-        delta = dict(zip([b.name for b in uncertain.blocks], values.tolist(), strict=True))
-        assert off(uncertain.evaluate(delta), rebuilt(plant, uncertain, delta, "tilted")) < 1e-12
-    for tolerance in (2e-4, 2e-2):
-        tilted = rl.plant("stewart-platform", tilt_x=(0.0, tolerance)).uncertain(at=POSES["tilted"])
-        assert "tilt_x" in tilted.sampled
-
-
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
@@ -186,15 +155,3 @@ def test_bad_input(ask, words):
     with pytest.raises(InputError) as caught:
         ask(rl.plant("stewart-platform"))
     assert words in f"{caught.value} {caught.value.hint}"
-
-
-def test_without_tolerances_there_is_no_uncertainty():
-    uncertain = rl.plant("stewart-platform").uncertain()
-    assert uncertain.blocks == ()
-    assert uncertain.nominal.n_states == 12
-
-
-def test_kept_outputs():
-    plant = rl.plant("stewart-platform", platform_mass=(3.167, 0.1))
-    uncertain = plant.uncertain(["phi_1", "phi_2"])
-    assert [s.name for s in uncertain.outputs] == ["phi_1", "phi_2"]

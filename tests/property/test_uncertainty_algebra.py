@@ -243,12 +243,6 @@ def _lag():
     return StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 
 
-def test_objects_that_are_no_operand():
-    for thing in ("text", None, True, object()):
-        with pytest.raises((InputError, TypeError)):
-            gain_of("k") @ thing
-
-
 def test_loops_that_are_not_well_posed_are_named():
     k = gain_of("k", 1.0, 0.5, unit="N")
     with pytest.raises(NoTrustworthyNumber, match="not well posed at Delta = 0"):
@@ -332,31 +326,6 @@ def test_dynamic_values_that_do_not_fit():
         model.evaluate({"c": StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[2.0]])})
 
 
-@pytest.mark.parametrize(
-    ("weights", "side", "text"),
-    [
-        ({"c": 0.2}, "x", "side 'x'"),
-        ({"d": 0.2}, "z", "no such block"),
-        ({"r": 0.2}, "z", "a real parameter"),
-        ({"c": StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])}, "z", "unstable weight"),
-        ({"c": [[1.0, 2.0]]}, "z", "a weight of 1 x 2"),
-        ({"f": np.ones((2, 2))}, "z", "1 x 1 or n x 3"),
-        ({"f": np.ones((3, 1))}, "w", "1 x 1 or 2 x n"),
-        ({"c": StateSpaceModel([[0.1]], [[1.0]], [[1.0]], [[0.0]], 0.1)}, "z", "sample times"),
-        ({"c": "heavy"}, "z", "c"),
-        # Of two faults the one that comes first in the reading: side, then names, then the weights themselves.
-        ({"d": "heavy"}, "x", "side 'x'"),
-        ({"c": "heavy", "d": 0.2}, "z", "no such block"),
-        ({"r": "heavy"}, "z", "a real parameter"),
-    ],
-)
-def test_weights_that_do_not_fit(weights, side, text):
-    blocks = [FullBlock("f", 2, 3), ComplexScalar("c"), RealScalar("r")]
-    model = UncertainModel(StateSpaceModel([[-1.0]], np.ones((1, 5)), np.ones((6, 1)), np.zeros((6, 5))), blocks)
-    with pytest.raises(InputError, match=text):
-        model.weighted(weights, side)
-
-
 # --- centring -----------------------------------------------------------------------------------------------------
 
 
@@ -372,9 +341,3 @@ def test_the_centred_set_has_the_same_members(seed, level, n):
     inside = {name: level * v for name, v in values.items()}
     inside["k"] = SHARED.parameter.delta(span.value(values["k"]))
     assert_same(at(middle, values), at(model, inside))
-
-
-def test_levels_that_are_none():
-    for level in (0.0, -1.0, np.nan, True, "1"):
-        with pytest.raises(InputError, match="level"):
-            centred(gain_of("k"), level)

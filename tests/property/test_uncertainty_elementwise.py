@@ -132,17 +132,6 @@ def test_a_strictly_proper_family_stays_strictly_proper(seed, size, rank_b, rank
 
 
 @SETTINGS
-@given(seeds, sizes, patterns, st.floats(-1, 1))
-def test_single_is_the_straight_line(seed, size, pattern, x):
-    n = size[0]
-    nominal, perturbed = pair(seed, size, pattern, spread=5)
-    model = elementwise(as_matrices(nominal, n), as_matrices(perturbed, n), "single")
-    if model.blocks:
-        between = nominal + x * (perturbed - nominal)
-        assert_close(model.evaluate({"single": x}), parts(between, n), parts(perturbed, n))
-
-
-@SETTINGS
 @given(seeds, sizes)
 def test_one_delta_moves_one_entry_and_nothing_else(seed, size):
     n = size[0]

@@ -83,13 +83,6 @@ def test_large_entries_on_no_cycle_are_not_ill_posed():
     np.testing.assert_allclose(model.evaluate({"a": 1.0, "b": 1.0}).D, [[1e20]])
 
 
-def test_too_few_channels():
-    with pytest.raises(InputError, match="channels come first"):
-        UncertainModel(random_m(0, 2, 1, 1, 1, 1), [RealScalar("k", 3)])
-    with pytest.raises(InputError, match="used twice"):
-        UncertainModel(random_m(0, 2, 2, 2), [RealScalar("k"), RealScalar("k")])
-
-
 # --- reduction -------------------------------------------------------------------------------------------------------
 
 
@@ -155,19 +148,3 @@ def test_minimal_blocks_stay_and_dead_ones_vanish():
     np.testing.assert_array_equal(dead.evaluate({}).A, [[-1.0]])
     with pytest.raises(InputError):
         dead.evaluate({"k": 0.5})
-
-
-@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
-def test_units_do_not_decide_what_goes(scale):
-    model = hidden(7, (2, 1), (1, 2))
-    m = model.M
-    s = np.diag([scale, 1.0, 1.0])
-    t = np.linalg.inv(s)
-    scaled = StateSpaceModel(s @ m.A @ t, s @ m.B, m.C @ t, m.D)
-    assert [b.repeats for b in UncertainModel(scaled, model.blocks).reduce().blocks] == [2, 1]
-
-
-@pytest.mark.parametrize("tolerance", [0.0, 1.0, -1e-3])
-def test_reduction_tolerances_that_are_none(tolerance):
-    with pytest.raises(InputError):
-        hidden(7, (1, 1), (0, 0)).reduce(tolerance)

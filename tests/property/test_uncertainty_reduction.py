@@ -15,85 +15,10 @@ from robustlab.uncertainty.algebra import reduction
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar, delta_matrix
 from robustlab.uncertainty.elementwise import STRUCTURES, elementwise
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.parametric import parametric
-from robustlab.uncertainty.reduction import reduce_blocks
 from robustlab.uncertainty.well_posedness import well_posedness
 
 SETTINGS = settings(max_examples=12, deadline=None, derandomize=True)
 seeds = st.integers(0, 100_000)
-
-
-def hidden(seed, kept, extra, unreachable=True, units=0):
-    """Blocks a and b with ``extra`` repetitions that only feed one another, mixed by a random basis of each block."""
-    rng = np.random.default_rng(seed)
-    total = [k + e for k, e in zip(kept, extra, strict=True)]
-    q, n, n_u, n_y = sum(total), 2, 2, 3
-    d11 = 0.2 * rng.standard_normal((q, q))
-    into, out = rng.standard_normal((q, n + n_u + 1)), rng.standard_normal((n + n_y + 2, q))
-    dead = np.concatenate([np.arange(kept[0], total[0]), total[0] + np.arange(kept[1], total[1])])
-    alive = np.setdiff1d(np.arange(q), dead)
-    if unreachable:
-        into[dead], d11[np.ix_(dead, alive)] = 0.0, 0.0
-    else:
-        out[:, dead], d11[np.ix_(alive, dead)] = 0.0, 0.0
-    # a worse basis costs digits, and the reduction then leaves what it cannot show to be the same
-    basis = block_diag(*(np.linalg.qr(rng.standard_normal((s, s)))[0] * rng.uniform(0.5, 2, s) for s in total))
-    basis = np.exp2(rng.integers(-units, units + 1, (q, 1))) * basis
-    d11, into, out = basis @ d11 @ np.linalg.inv(basis), basis @ into, out @ np.linalg.inv(basis)
-    # channels: a (real), f (full, 1 x 2), b (complex)
-    first = np.arange(total[0])
-    second = np.arange(total[0], q)
-    whole = np.zeros((n + q + 2 + n_y, n + q + 1 + n_u))
-    z = np.concatenate([n + first, n + 2 + second])
-    w = np.concatenate([n + first, n + 1 + second])
-    other_z, other_w = np.setdiff1d(np.arange(len(whole)), z), np.setdiff1d(np.arange(whole.shape[1]), w)
-    whole[np.ix_(z, w)], whole[np.ix_(z, other_w)], whole[np.ix_(other_z, w)] = d11, into, out
-    whole[np.ix_(other_z, other_w)] = 0.2 * rng.standard_normal((len(other_z), len(other_w)))
-    whole[:n, :n] -= 2 * np.eye(n)
-    m = StateSpaceModel(whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:])
-    return UncertainModel(m, [RealScalar("a", total[0]), FullBlock("f", 1, 2), ComplexScalar("b", total[1])])
-
-
-@SETTINGS
-@given(
-    seeds, st.tuples(st.integers(1, 2), st.integers(1, 2)), st.tuples(st.integers(1, 2), st.integers(1, 2)),
-    st.booleans(), st.sampled_from([0, 12]),
-)  # fmt: skip
-def test_what_only_feeds_itself_goes(seed, kept, extra, unreachable, units):
-    model = hidden(seed, kept, extra, unreachable, units)
-    small = reduction(model)
-    assert small.status is Status.CONVERGED
-    assert small.after == {"a": kept[0], "f": 2, "b": kept[1]}
-    assert small.before["a"] == kept[0] + extra[0]
-    assert small.invariance < 1e-11
-    assert small.difference < 1e-9
-    values = {"a": -0.8, "f": np.array([[0.3, 0.5j]]), "b": 0.4 - 0.6j}
-    for omega in (0.0, 3.0):
-        wanted = model.response([omega], values)
-        np.testing.assert_allclose(small.model.response([omega], values), wanted, atol=1e-9 * np.abs(wanted).max())
-
-
-def test_one_block_at_a_time_misses_what_the_joint_reduction_finds():
-    model = hidden(7, (1, 1), (1, 1))
-    _, one_by_one = reduce_blocks(model.M, model.blocks)
-    assert [b.rows for b in one_by_one] == [2, 1, 2]
-    assert reduction(model).after == {"a": 1, "f": 2, "b": 1}
-    assert str(reduction(model)).startswith("a 2 -> 1, b 2 -> 1; invariance")
-
-
-@SETTINGS
-@given(seeds, st.integers(1, 3), st.integers(1, 3))
-def test_a_generic_set_keeps_its_size(seed, r1, r2):
-    rng = np.random.default_rng(seed)
-    q, n = r1 + r2, 2
-    m = StateSpaceModel(
-        rng.standard_normal((n, n)) - 3 * np.eye(n), rng.standard_normal((n, q + 1)),
-        rng.standard_normal((q + 1, n)), 0.2 * rng.standard_normal((q + 1, q + 1)),
-    )  # fmt: skip
-    model = UncertainModel(m, [RealScalar("a", r1), RealScalar("b", r2)])
-    kept = reduction(model)
-    assert (kept.after, kept.status) == (kept.before, Status.CONVERGED)
-    np.testing.assert_array_equal(kept.model.M.D, m.D)
 
 
 def test_sets_without_blocks_states_or_signals():
@@ -197,16 +122,3 @@ def test_mixed_sets_and_open_questions():
     open_ = well_posedness(static(block_diag(turn, 0.1), [RealScalar("k", 2), ComplexScalar("c")]), 1.5)
     assert (open_.well_posed, open_.status) == (None, Status.INCONCLUSIVE)  # no boxes with complex blocks
     assert str(open_).startswith("open")
-
-
-def test_names_and_units_of_the_singular_delta():
-    lag = parametric([["-1/tau"]], [[1]], [[1]], [[0]], {"tau": ParameterRange(1.0, 0.5, "s", below=0.25)})
-    assert well_posedness(lag).well_posed is True
-    answer = well_posedness(lag, 4.0)
-    assert answer.delta["tau"] == pytest.approx(-4.0)
-    assert answer.parameters["tau"] == (pytest.approx(0.0, abs=1e-12), "s")
-    assert plain(answer.to_json())["well_posed"] is False
-    assert well_posedness(static(np.zeros((0, 0)), ())).well_posed is True
-    for level in (0.0, -1.0, np.nan, np.inf, True, "1"):
-        with pytest.raises(InputError, match="level"):
-            well_posedness(lag, level)  # pyright: ignore[reportArgumentType]

@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 
 import robustlab as rl
 from robustlab.delays import DelayedModel
-from robustlab.delays.response import delayed_response
 from robustlab.errors import InputError, NoTrustworthyNumber
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
@@ -38,14 +37,6 @@ def test_a_delay_of_whole_samples_is_a_shift(hold):
     assert np.abs(late[:6]).max() < 1e-13
 
 
-def test_an_input_that_goes_straight_between_samples_does_so_behind_a_delay():
-    t = np.linspace(0, 3, 7)
-    late = rl.simulate(INTEGRATOR @ rl.delay(0.3), t, t, hold="foh")["y1"]
-    assert late == pytest.approx(np.where(t > 0.3, (t - 0.3) ** 2 / 2, 0.0), abs=1e-14)
-    pure = rl.simulate(rl.delay(0.3), t, t, hold="foh")["y1"]
-    assert pure == pytest.approx(np.maximum(t - 0.3, 0.0), abs=1e-14)
-
-
 def by_hand(k: float, tau: float, steps: int) -> list[Polynomial]:
     """x' = k (1 - x(t - tau)), x = 0 before 0: a polynomial on each interval of length tau, in the time since it."""
     pieces = [Polynomial([0.0, k])]  # x' = k on [0, tau]
@@ -63,23 +54,6 @@ def test_the_method_of_steps_is_that_by_hand(k, tau):
     x = by_hand(k, tau, 6)
     late = [x[p - 1](s - p * tau) if p else 0.0 for p, s in zip(piece, t, strict=True)]
     assert np.abs(rl.simulate(loop, t, np.ones(151))["y1"] - (1.0 - np.array(late))).max() < 1e-10
-
-
-def test_a_delay_between_two_lags():
-    t = np.linspace(0, 6, 50)
-    s = np.maximum(t - 0.3, 0.0)
-    y = rl.simulate(LAG @ rl.delay(0.3) @ LAG, t, np.ones(50))["y1"]
-    assert np.abs(y - (1 - (1 + s) * np.exp(-s))).max() < 1e-10
-
-
-@pytest.mark.parametrize("T", [1e-2, 1e-4, 1e-7])
-def test_a_fast_part_before_a_delay_is_resolved(T):
-    fast = rl.StateSpaceModel([[-1 / T]], [[1 / T]], [[1.0]], [[0.0]])
-    t = np.linspace(0, 3, 61)
-    s = np.maximum(t - 0.3, 0)
-    expected = 1 - (np.exp(-s) - T * np.exp(-s / T)) / (1 - T)
-    for model in (LAG @ rl.delay(0.3) @ fast, fast @ rl.delay(0.3) @ LAG):
-        assert np.abs(rl.simulate(model, t, np.ones(61))["y1"] - expected).max() < 1e-9
 
 
 def test_a_loop_of_a_lag_and_a_delay_against_its_series():
@@ -163,16 +137,6 @@ def test_two_delays_in_loops_against_runge_kutta(seed):
     y = np.column_stack(list(record.outputs.values()))
     expected = integrated(A, B, C, d, delays, t)
     assert np.abs(y - expected).max() < 1e-9 * max(1.0, np.abs(expected).max())
-
-
-def test_the_error_is_estimated_and_held():
-    model = (2.0 * LAG @ rl.delay(0.9)).feedback()
-    t, u = np.linspace(0, 5, 6), np.ones((6, 1))
-    rough = delayed_response(model, t, u, np.zeros(1), "zoh", 1e-4)
-    fine = delayed_response(model, t, u, np.zeros(1), "zoh", 1e-12)
-    assert rough.cells < fine.cells
-    assert np.abs(rough.y - fine.y).max() <= 1e-4
-    assert rl.simulate(rl.delay(1.0), t, u)["y1"].tolist() == [0, 1, 1, 1, 1, 1]
 
 
 def test_what_cannot_be_simulated_is_said():

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import control
 import numpy as np
 import pytest
@@ -12,25 +9,9 @@ import pytest
 import robustlab as rl
 from robustlab.errors import InputError, UnitMismatch
 
-PAGE = Path(__file__).parents[3] / "docs/conventions.md"
 G = rl.StateSpaceModel(
     [[0.0, 1.0], [-1.0, -0.2]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], inputs=["u"], outputs=[("q", "rad")]
 )
-
-
-def test_the_page_runs_and_prints_what_it_says(capsys):
-    names = {}
-    for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL):
-        exec(block, names)
-    out = capsys.readouterr().out.splitlines()
-    comments = re.findall(r"^print\(.*\)  # (.*)$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    assert len(out) == len(comments)
-    for printed, comment in zip(out, comments, strict=True):
-        number = re.match(r"0\.\d+", comment)
-        if number:
-            assert float(printed) == pytest.approx(float(number[0]), abs=0.5 * 10.0 ** -(len(number[0]) - 2))
-        else:
-            assert comment.startswith(printed)
 
 
 def test_the_gain_of_python_control_s_lqr_closes_the_loop_of_the_states():

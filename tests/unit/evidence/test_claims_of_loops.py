@@ -149,18 +149,6 @@ def test_the_loop_of_a_coprime_margin_is_the_one_of_its_definition():
         assert level(RESULTS[name]()) == pytest.approx(wanted, rel=1e-5)
 
 
-def test_small_gain_is_that_of_the_complementary_sensitivity():
-    wanted = peak(lambda s: 0.5 * 3 / (s + 1) / (1 + 3 / (s + 1)))
-    for name in ("small gain", "small gain of a closed loop"):
-        assert level(RESULTS[name]()) == pytest.approx(wanted, rel=1e-5)
-
-
-def test_the_index_of_passivity_is_a_gain():
-    wanted = peak(lambda s: (1 - at(OSCILLATOR, s)) / (1 + at(OSCILLATOR, s)))
-    assert level(RESULTS["not passive"]()) == pytest.approx(wanted, rel=1e-5)
-    assert 1 <= level(RESULTS["passive"]()) <= 1 + 3e-6  # |s / (s + 2)| reaches one at infinity, and nowhere passes it
-
-
 def test_errors_of_reduced_models_are_the_differences_meant():
     G, found = six(), RESULTS["reduced between weights"]()
     weighted = peak(lambda s: at(OUT, s)[0, 0] * (at(G, s) - at(found.model, s)) * at(INTO, s)[0, 0])

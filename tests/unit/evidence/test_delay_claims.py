@@ -7,7 +7,6 @@ import pytest
 
 import robustlab as rl
 from robustlab.delays.neglected import neglected_weight
-from robustlab.errors import InputError
 from robustlab.evidence import claims_of
 from robustlab.verification import Claim, check
 
@@ -92,21 +91,3 @@ def test_a_weight_that_is_smaller_does_not_cover(order, spread):
     assert check(Claim(claim.kind, {**claim.numbers, **smaller})).outcome.value == "not proved"
     wider = {"range": claim.numbers["range"] + np.array([-2e-3, 2e-3])}
     assert check(Claim(claim.kind, {**claim.numbers, **wider})).outcome.value == "not proved"
-
-
-def test_a_member_is_within_the_ranges():
-    claim = claims_of(RESULTS["pca"]())[0]
-    for low, high, expected in ((-1.0, 1.0, "proved"), (2.0, 3.0, "not proved")):
-        ranges = np.tile([low, high], (len(claim.numbers["delta"]), 1))
-        assert check(Claim(claim.kind, {**claim.numbers, "ranges": ranges})).outcome.value == expected
-
-
-def test_files_hold_the_claims(tmp_path):
-    for name in ("gain", "additive", "stability"):
-        rl.save(tmp_path / "found.h5", RESULTS[name]())
-        assert rl.verify(tmp_path / "found.h5").proved
-
-
-def test_a_lag_has_no_claims_yet():
-    with pytest.raises(InputError, match="without claims"):
-        rl.verify(neglected_weight(lag=0.1))

@@ -166,13 +166,6 @@ def test_a_loaded_result_has_its_class_and_its_attributes(saved, tmp_path):
         rl.verify(design)
 
 
-def test_json_says_each_claim(saved, capsys):
-    assert call(str(saved), "--json") == 0
-    (told,) = json.loads(capsys.readouterr().out)["files"].values()
-    assert told["proved"] is True
-    assert told["claims"][0]["outcome"] == "proved"
-
-
 RECIPE = """
 schema = "robustlab.recipe/1"
 name = "small"

@@ -12,9 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.exact_arithmetic import common_factor, determinant, from_the_circle, normal_rank, product, roots, value
-from robustlab.exact_arithmetic.polynomials import square_free
-from robustlab.linear_analysis.magnitude import equilibrating_exponents
+from robustlab.exact_arithmetic import determinant, normal_rank, product, roots, value
 
 
 def leibniz(M, n, s):
@@ -83,31 +81,3 @@ def test_real_parts_next_to_the_axis_are_right():
     damped = [(1 + d**2).numerator, (2 * d * 10**40).numerator, 10**40]
     assert sorted(float(r.re) for r in roots(damped)) == pytest.approx([-1e-20, -1e-20], rel=1e-8)
     assert [r.re for r in roots([1, 0, 1])] == [0, 0]
-
-
-def test_common_factors_and_multiplicities():
-    f, g = from_roots([1, 1, Fraction(2, 3), -5]), from_roots([1, Fraction(2, 3), 7])
-    assert common_factor(f, g) == from_roots([1, Fraction(2, 3)])
-    assert common_factor(f, from_roots([4])) == [1]
-    assert common_factor(f, []) == f
-    big = 10**400 + 1
-    assert common_factor(product(f, [big, 1]), product([3, 1], [big, 1])) == [big, 1]
-    assert square_free(from_roots([1, 1, 1, 2, 2, 3])) == [([-3, 1], 1), ([-2, 1], 2), ([-1, 1], 3)]
-
-
-def test_the_disk_becomes_the_half_plane():
-    f = from_roots([Fraction(1, 2), -1])  # z = 1/2 goes to v = -1/3, -1 to infinity
-    mapped = from_the_circle(f, 2)
-    assert value(mapped, Fraction(-1, 3)) == 0
-    assert mapped[-1] != 0
-    assert len(mapped) == 2
-
-
-def test_equilibrated_rows_and_columns():
-    rng = np.random.default_rng(1)
-    M = rng.normal(size=(4, 6)) * 10.0 ** rng.integers(-150, 150, (4, 1)) * 10.0 ** rng.integers(-100, 100, 6)
-    M[:, 2] = 0
-    r, c = equilibrating_exponents(M)
-    scaled = np.abs(np.ldexp(M, r[:, None] + c))
-    assert 0.2 < scaled.max(axis=1).min() <= scaled.max(axis=1).max() < 4
-    assert np.delete(scaled, 2, axis=1).max(axis=0).min() > 0.2

@@ -5,13 +5,12 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 
 import h5py
 import numpy as np
 import pytest
 
-from robustlab.errors import EnvironmentFault, InputError
+from robustlab.errors import InputError
 from robustlab.files import isolation
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.isolation import run_reader
@@ -58,13 +57,6 @@ def test_nonsense_is_not_believed(script):
         run_reader(reader(script), "p.h5", LIMITS)
 
 
-def test_a_reader_that_cannot_work_is_no_fault_of_the_file():
-    with pytest.raises(EnvironmentFault, match="reader process failed"):
-        run_reader(reader("import nothing_of_that_name"), "p.h5", LIMITS)
-    with pytest.raises(EnvironmentFault, match="cannot be started"):
-        run_reader(["/nonexistent/python"], "p.h5", LIMITS)
-
-
 def test_the_users_folder_lends_no_modules_to_the_reader(tmp_path, monkeypatch):
     (tmp_path / "h5py.py").write_text("raise SystemExit('hijacked')")
     (tmp_path / "numpy.py").write_text("raise SystemExit('hijacked')")
@@ -95,18 +87,6 @@ def test_limits(limits, text, tmp_path):
     if limits.dataset == 100:  # one of them shows that limits reach the reader process
         with pytest.raises(InputError, match=text):
             read_tree(tmp_path / "p.h5", limits=limits)
-
-
-def test_dtype_table(tmp_path):
-    """Real numbers of every width and byte order come out as float64 or int64, exactly."""
-    numbers = np.array([[1, 2], [3, 100]])
-    with h5py.File(tmp_path / "p.h5", "w") as file:
-        for dtype in ("<f4", ">f4", ">f8", "<i2", ">i4", "u1", "<u8", "i8"):
-            file[dtype] = numbers.astype(dtype)
-    tree = read_tree(tmp_path / "p.h5", isolate=False)
-    for name, dataset in tree.datasets.items():
-        assert dataset.values.dtype == (np.float64 if "f" in name else np.int64)
-        np.testing.assert_array_equal(dataset.values, numbers)
 
 
 # --- one server for many files ----------------------------------------------------------------------------------------
@@ -146,17 +126,6 @@ def test_one_process_serves_many_files_each_in_its_own(server, tmp_path):
 
 
 @FORKS
-@pytest.mark.parametrize("way", [signal.SIGKILL, signal.SIGSEGV])
-def test_a_server_that_was_killed_is_started_again(server, way):
-    number()
-    first = server._process
-    first.send_signal(way)
-    first.wait()
-    assert number() == 1
-    assert server._process.pid != first.pid
-
-
-@FORKS
 def test_a_server_that_hangs_is_ended_and_the_file_read_by_a_fresh_interpreter(monkeypatch):
     found = isolation.ReaderServer(isolation._environment)
     monkeypatch.setattr(isolation, "_SERVER", found)
@@ -191,32 +160,4 @@ def test_a_reader_that_crashes_or_hangs_ends_nothing_but_itself(server, monkeypa
         assert server.ask({"kind": "crash"}, 20.0).status == -11
         bad.kill()
     server._process = process
-    assert number() == 1
-
-
-@FORKS
-def test_threads_and_forks_share_no_answer(server):
-    found = []
-    work = [threading.Thread(target=lambda k=k: found.append((k, number(k)))) for k in range(12)]
-    for thread in work:
-        thread.start()
-    for thread in work:
-        thread.join()
-    assert len(found) == 12
-    assert all(k == value for k, value in found)
-    start, end = os.pipe()
-    child = os.fork()
-    if child == 0:  # its own server, not its parent's
-        try:
-            os.write(end, f"{number(7):g}".encode())
-        finally:
-            server.close()
-            os._exit(0)
-    assert number(8) == 8
-    os.waitpid(child, 0)
-    assert os.read(start, 10) == b"7"
-
-
-def test_without_fork_a_fresh_interpreter_reads(monkeypatch):
-    monkeypatch.delattr(os, "fork", raising=False)
     assert number() == 1

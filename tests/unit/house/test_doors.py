@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import inspect
-import math
 import subprocess
 import sys
 from typing import Any
 
 import pytest
-import typer
 
 import robustlab as rl
 from robustlab.cli.generated import _draws, command_of
-from robustlab.doors.declaration import ALL, Door, door, every_door
-from robustlab.doors.kinds import Choice, Names, Number, Numbers, Table, Thing, Whole
+from robustlab.doors.declaration import ALL, Door, every_door
+from robustlab.doors.kinds import Choice, Numbers, Table, Thing, Whole
 from robustlab.errors import InputError, UsageError
 from robustlab.recipe.keys import keys_of_step
 from robustlab.recipe.steps.contract import KINDS
@@ -108,35 +106,6 @@ def test_families_declare_doors_without_numerical_libraries() -> None:
     assert found.stdout == "[]\n"
 
 
-def test_a_parameter_without_a_kind_is_refused() -> None:
-    @door("model nothing", result="result.Result")
-    def nothing(n: int) -> None:
-        """Nothing."""
-
-    from robustlab.doors.declaration import COMMANDS
-
-    declared = COMMANDS.pop("model nothing")
-    with pytest.raises(TypeError, match="n has no kind"):
-        declared.parameters  # noqa: B018
-
-
-@pytest.mark.parametrize(
-    ("kind", "text", "value"),
-    [
-        (Number("rad/s"), "2Hz", 4 * math.pi),
-        (Numbers("rad/s"), "1,2", [1.0, 2.0]),
-        (Numbers("rad/s", 2, "LOW,HIGH"), "1,2", (1.0, 2.0)),
-        (Names(), "a, b", ["a", "b"]),
-        (Table(), ["a=1", "b=2"], {"a": 1.0, "b": 2.0}),
-        (Table(Whole()), ["a=3"], {"a": 3}),
-        (Table(Numbers(), words="NAME=LOW:HIGH"), ["a=1:2"], {"a": (1.0, 2.0)}),
-        (Choice(("a", "b")), "a", "a"),
-    ],
-)
-def test_words_of_a_command(kind: Any, text: Any, value: Any) -> None:
-    assert kind.read("--x", text) == value
-
-
 @pytest.mark.parametrize(
     ("kind", "text"),
     [
@@ -152,16 +121,6 @@ def test_words_of_a_command(kind: Any, text: Any, value: Any) -> None:
 def test_wrong_words_of_a_command(kind: Any, text: Any) -> None:
     with pytest.raises((UsageError, InputError)):
         kind.read("--x", text)
-
-
-def test_options_of_a_parser_are_made() -> None:
-    app = typer.Typer()
-    for declared in DOORS:
-        if declared.command:
-            app.command(declared.command.replace(" ", "-"))(command_of(declared))
-    from typer.main import get_command
-
-    assert len(get_command(app).commands) == len({d.command for d in DOORS if d.command})  # type: ignore[attr-defined]
 
 
 def test_a_file_that_holds_another_kind_is_refused() -> None:

@@ -48,12 +48,6 @@ def test_a_command_receives_objects():
     assert got == [("a.h5", Where(None, 0.5), EffortOptions(2.0, None))]
 
 
-def test_the_help_has_the_fields_in_their_order():
-    _, run = runner(Where)
-    text = run("--help").output
-    assert text.index("--group") < text.index("--dt") < text.index("--effort") < text.index("--time-limit")
-
-
 @pytest.mark.parametrize(("words", "code"), [(("a.h5",), 0), (("a.h5", "--group", "g"), 2)])
 def test_a_group_leaves_out_what_it_has_no_option_for(words, code):
     got, run = runner(OnlyDt)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from robustlab.result import Result, Status, plain
-from robustlab.statespace import StateSpaceModel
 
 
 def test_only_two_statuses_are_trustworthy():
@@ -41,12 +40,6 @@ def test_plain_forms(value, wanted):
     found = plain(value)
     assert found == wanted
     json.dumps(found, allow_nan=False)
-
-
-def test_models_become_json():
-    model = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=[("u", "V")])
-    data = json.loads(json.dumps(plain({"model": model}), allow_nan=False))
-    assert data["model"]["inputs"] == [["u", "V"]]
 
 
 def test_what_has_no_plain_form_is_an_error():

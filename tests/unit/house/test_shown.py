@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
-import re
 import typing
 from html.parser import HTMLParser
 from xml.etree import ElementTree as ET
@@ -19,9 +17,9 @@ from matplotlib.axes import Axes
 import robustlab as rl
 from robustlab.errors import DependencyMissing, InputError
 from robustlab.files import record_source
-from robustlab.report.drawings import DRAWINGS, _function, drawings_of
-from robustlab.result import Evidence, Status
-from robustlab.shown import LINES, Shown, bracket, in_words, listed, member, number
+from robustlab.report.drawings import DRAWINGS
+from robustlab.result import Status
+from robustlab.shown import LINES, Shown
 from robustlab.tables import Tabular
 
 mpl.use("Agg")
@@ -30,15 +28,6 @@ NAMES = [*shown_objects.OBJECTS, "CampaignResult"]
 # What is no result: settings, names, and blocks, whose repr is what one writes to make them.
 PLAIN = {
     "Signal", "RealScalar", "ComplexScalar", "FullBlock", "ParameterRange", "PlantEquations", "Varying", "Nonlinearity",
-}  # fmt: skip
-# Nothing to draw: a few numbers.
-NUMBERS = {
-    "ClassicalMargins", "Conservatism", "CoprimeMargin", "DcMotor", "DelayGain",
-    "DelayStability", "EffectGain", "H2Norm", "HinfNorm", "Influence",
-    "IqcGain", "IqcStability", "LPVController", "LPVGain", "LPVModel", "LPVSynthesis", "LinearSolution", "NuGap",
-    "Passivity", "PlantSamples", "Reduction", "Result", "Verified",
-    "RiccatiSolution", "RobustGain", "TrackingProblem", "Trim", "WellPosedness", "Zeros",
-    "Watch", "WatchedPiece",
 }  # fmt: skip
 
 
@@ -81,19 +70,6 @@ def test_every_public_result_is_among_the_examples_and_shows_itself(make):
     made = [type(make(name)) for name in NAMES]
     missing = {kind.__name__ for kind in kinds if not any(issubclass(one, kind) for one in made)}
     assert missing == {"FreeRun"}  # tests/dynamics/test_fmu.py has a unit for it
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_repr_is_short_and_says_the_status(name, make):
-    shown = make(name)
-    text = repr(shown)
-    assert 1 <= len(text.splitlines()) <= LINES
-    assert len(text) <= 600
-    assert not text.endswith("\n")
-    assert text.isprintable() or "\n" in text
-    assert type(shown).__name__ in text or isinstance(shown, rl.Record)
-    if isinstance(getattr(shown, "status", None), Status):
-        assert f"({shown.status})" in text.splitlines()[0]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -143,34 +119,6 @@ def test_the_notebook_gets_a_valid_table(name, make):
     assert len(root.find("tbody")) >= 1
 
 
-def inside(thing, seen, depth=6):
-    """Everything of ours that can be reached from an object by attributes, tables and lists."""
-    if id(thing) in seen or depth == 0:
-        return
-    seen[id(thing)] = thing
-    if type(thing).__module__.startswith("robustlab"):
-        yield thing
-        parts = list(getattr(thing, "__dict__", {}).values())
-    elif isinstance(thing, dict):
-        parts = list(thing.values())
-    else:
-        parts = list(thing)[:30] if isinstance(thing, (list, tuple)) else []
-    for part in parts:
-        yield from inside(part, seen, depth - 1)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_what_stands_inside_of_a_result_is_short_too(name, make):
-    found = list(inside(make(name), {}))
-    long = {type(part).__name__ for part in found if len(repr(part)) > 600 or len(repr(part).splitlines()) > LINES}
-    assert long == set()
-
-
-def test_a_proof_says_what_is_proved(make):
-    piece = make("Margin").proof[0]
-    assert re.fullmatch(r"Piece\n  proved: mu <= [\d.]+ for [\d.]+ \.\. [\d.inf]+ rad/s", repr(piece))
-
-
 def test_names_from_files_are_escaped():
     model = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=[(HOSTILE, "V")], states=[HOSTILE])
     text = model._repr_html_()
@@ -199,21 +147,6 @@ def test_many_signals_and_long_names_stay_short():
 # --- drawings ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_table_of_drawings_names_functions_and_shown_classes(make):
-    parents = {parent.__name__ for name in NAMES for parent in type(make(name)).__mro__}
-    assert set(DRAWINGS) - parents == set()
-    for kinds in DRAWINGS.values():
-        for function in kinds.values():
-            assert (_function(function).__doc__ or "").strip()
-
-
-def test_whatever_has_more_than_numbers_can_be_drawn(make):
-    assert {name for name in NAMES if not drawings_of(type(make(name)))} == NUMBERS
-    for name in sorted(NUMBERS):
-        with pytest.raises(InputError, match="nothing to draw"):
-            make(name).plot()
-
-
 PARENT = {"HinfSynthesis": "Synthesis", "WorstCaseDiskMargin": "DiskBounds"}  # one for each drawing that is inherited
 CASES = [(name, kind) for name in NAMES for kind in DRAWINGS.get(PARENT.get(name, name), {})]
 
@@ -240,40 +173,6 @@ def test_a_drawing_returns_its_axes_with_labels_and_units(name, kind, make):
     assert any(panel.get_ylabel() or panel.get_yticklabels() for panel in panels)
 
 
-FIRST = [case for k, case in enumerate(CASES) if k == 0 or CASES[k - 1][0] != case[0]]
-
-
-@pytest.mark.parametrize(("name", "kind"), FIRST)
-def test_a_drawing_goes_into_given_axes(name, kind, make):
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4))
-    drawn = make(name).plot(kind, ax=right)
-    panels = panels_of(drawn)
-    assert plt.get_fignums() == [figure.number]
-    if right in figure.axes:
-        assert drawn is right
-    else:  # several panels are in its place
-        assert left in figure.axes
-        (part,) = figure.subfigs
-        assert set(panels) <= set(part.axes)
-    figure.canvas.draw()
-    assert all(panel.has_data() for panel in panels)
-
-
-def test_the_axes_of_the_caller_keep_their_figure_free_of_our_legend(make):
-    figure, axes = plt.subplots()
-    assert make("Margin").plot(ax=axes) is axes
-    assert figure.legends == []
-    assert axes.get_legend() is not None
-
-
-def test_axes_in_no_grid_hold_one_panel_only(make):
-    figure = plt.figure()
-    axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
-    assert make("Margin").plot(ax=axes) is axes
-    with pytest.raises(InputError, match="axes that are in no grid"):
-        make("StateSpaceModel").plot("bode", ax=axes)
-
-
 @pytest.mark.parametrize(
     ("ask", "text"),
     [
@@ -292,60 +191,6 @@ def test_what_cannot_be_drawn_is_said_in_one_line_and_leaves_no_figure(ask, text
     assert plt.get_fignums() == []
 
 
-def test_what_has_no_data_for_a_drawing_says_so(make):
-    for name, kind in shown_objects.OTHERS:
-        with pytest.raises(InputError, match=f"plot\\('{kind}'\\)"):
-            make(name).plot(kind)
-        assert plt.get_fignums() == []
-
-
-def test_the_drawn_delta_is_that_of_the_validation():
-    found = shown_objects.validation_over_frequency()
-    axes = found.plot("delta")
-    curve, level = axes.lines
-    assert curve.get_ydata() == pytest.approx(found.line_sizes[:, 0])
-    assert level.get_ydata() == pytest.approx([found.upper] * 2)
-    assert level.get_label() == f"gamma: {found.upper:.4g}"
-
-
-def test_the_drawn_harmonics_are_those_of_the_test():
-    comparison = shown_objects.periodic_comparison()
-    axes = comparison.plot("harmonics")
-    signal = comparison.nonlinearity.signals["q"]
-    excited, even, odd = axes.lines[:3]
-    by_hand = np.abs(np.fft.rfft(comparison.measured["q"][-512:]))  # one period: lines 1, 3, 5, skip 7, ...
-    assert excited.get_xdata()[:4] == pytest.approx(np.array([1, 3, 5, 9]) / 5.12)
-    assert len(excited.get_xdata()) == 30
-    ratio = excited.get_ydata()[:4] / by_hand[[1, 3, 5, 9]]
-    assert ratio == pytest.approx(ratio[0], rel=1e-3)
-    assert len(even.get_xdata()) > 30
-    assert np.max(odd.get_ydata()) > 100 * np.max(even.get_ydata())  # friction is odd
-    assert axes.get_ylabel() == "amplitude [m]"
-    assert "odd at least" in axes.get_title(loc="left")
-    assert set(signal.kind.tolist()) == {0, 1, 2}
-
-
-def test_a_channel_without_response_is_said_and_not_drawn(make):
-    panels = make("GeneralizedPlant").plot("bode")
-    (above,) = (p for p in panels if p.get_title(loc="left") == "n to x")
-    assert [text.get_text() for text in above.texts] == ["no response"]
-    below = panels[list(panels).index(above) + 3]
-    assert all(np.isnan(line.get_ydata()).all() for line in below.lines)
-
-
-def test_an_endless_disk_is_cut_and_says_so(make):
-    axes = make("WorstCaseDiskMargin").plot("disk")
-    assert axes.get_xlim() == (-60.0, 60.0)
-    assert axes.get_xlabel() == "change of gain [dB], shown to 60 dB"
-    assert make("DiskMargins").plot("disk").get_xlabel() == "change of gain [dB]"
-
-
-def test_an_unknown_output_is_named(make):
-    with pytest.raises(InputError, match="no such output, expected one of q"):
-        make("Comparison").plot("time", output="p")
-    assert plt.get_fignums() == []
-
-
 def test_the_drawn_numbers_are_those_of_the_model(make):
     model = make("StateSpaceModel")
     omega = np.geomspace(0.1, 10.0, 30)
@@ -359,36 +204,6 @@ def test_the_drawn_numbers_are_those_of_the_model(make):
     assert axes.get_ylabel() == "x [m/N]"
     poles = model.plot("pzmap").lines[-1]
     assert sorted(poles.get_xdata()) == pytest.approx(sorted(model.poles().real))
-
-
-def test_the_envelope_holds_the_members(make):
-    axes = make("UncertainModel").plot("step", n=10, seed=3)
-    (band,) = axes.collections
-    top = band.get_paths()[0].vertices[:, 1].max()
-    assert top == pytest.approx(max(np.max(line.get_ydata()) for line in axes.lines))
-    assert top > np.max(axes.lines[-1].get_ydata()) * 1.1  # the nominal one
-
-
-def test_complex_blocks_are_drawn_with_real_members():
-    lag = rl.unstructured(shown_objects.lag(), 0.2)
-    axes = lag.plot("step", n=8)
-    assert len(axes.lines) > 8
-    assert all(np.isrealobj(line.get_ydata()) for line in axes.lines)
-
-
-def test_the_margin_shows_the_level_that_is_proved(make):
-    margin = make("Margin")
-    axes = margin.plot("mu")
-    labels = [text.get_text() for text in axes.figure.legends[0].get_texts()]
-    assert f"{1 / margin.lower:.4g}: proved on the whole axis" in labels
-
-
-def test_a_margin_without_curves_shows_its_intervals():
-    margin = rl.robust_stability(shown_objects.loop())
-    assert len(margin.omega) == 0
-    axes = margin.plot()
-    low, high = axes.get_xlim()
-    assert 0 < low < margin.frequency < high
 
 
 def test_the_callers_settings_stay(make):
@@ -416,66 +231,8 @@ def test_tables_become_frames(name, make):
         np.testing.assert_array_equal(np.asarray(frame[key]), np.asarray(values))
 
 
-def test_the_table_of_a_margin_is_its_curves(make):
-    margin = make("Margin")
-    frame = margin.to_pandas()
-    assert (frame["mu_upper"] >= frame["mu_lower"] - 1e-9).all()
-    assert frame.attrs["units"] == {"omega": "rad/s"}
-    campaign = make("CampaignResult").to_pandas()
-    assert campaign["peak-deviation"].max() == pytest.approx(make("CampaignResult").worst)
-
-
-def test_a_full_block_has_a_column_for_each_entry():
-    model = rl.UncertainModel(rl.StateSpaceModel([], [], [], np.zeros((4, 3))), [rl.FullBlock("gap", 2, 3)])
-    samples = rl.sample(model, 5, 1)
-    columns = samples.table().columns
-    assert list(columns) == [f"gap[{i},{j}]" for i in (1, 2) for j in (1, 2, 3)]
-    for k, delta in enumerate(samples.deltas):
-        assert [columns[name][k] for name in columns] == list(np.ravel(delta["gap"]))
-    assert list(samples.to_pandas().columns) == list(columns)
-
-
 def test_without_pandas_it_is_said_how_to_get_it(make, monkeypatch):
     monkeypatch.setattr(record_source.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(DependencyMissing, match="needs the package") as error:
         make("Margin").to_pandas()
     assert "robustlab[frames]" in str(error.value)
-
-
-# --- words ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_class_without_facts_of_its_own_counts_what_is_long():
-    @dataclasses.dataclass(frozen=True)
-    class Part(Evidence):
-        status: Status
-        values: np.ndarray
-        name: str
-        limit: float
-
-    part = Part(Status.FAILED, np.zeros((1000, 3)), "run", 0.5)
-    assert repr(part) == "Part (failed)\n  values: array of 1000 x 3\n  name: run\n  limit: 0.5"
-    assert part.summary().splitlines()[1] == "  values  array of 1000 x 3"
-
-
-def test_a_margin_was_18_kilobytes_long(make):
-    assert len(repr(make("Margin"))) < 400
-    assert re.match(
-        r"Margin \(certified\)\n  robust stability margin: 1\.485 \(proved\) \.\. 1\.487 \(attained\)",
-        repr(make("Margin")),
-    )
-
-
-def test_words():
-    assert number(float("nan")) == ""
-    assert number(3) == "3"
-    assert number(0.30000000004, "V") == "0.3 V"
-    assert number(2.0, "1") == "2"
-    assert bracket(np.inf, np.inf, ("proved", "attained")) == "inf (proved and attained)"
-    assert bracket(float("nan"), float("nan"), ("a", "b")) == ""
-    assert listed([]) == ""
-    assert member({}) == ""
-    assert member({"k": 0.5, "F": np.ones((2, 2))}) == "k: delta = 0.5, F: delta = array of 2 x 2"
-    assert in_words(None) == in_words(len) == ""
-    assert in_words(np.ones(3)) == "1, 1, 1"
-    assert in_words({k: [1] for k in "abcdefgh"}) == "a, b, c, d, e, f and 2 more"

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from importlib import import_module
 
-import h5py
 import numpy as np
 import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.files.tree import KINDS, Tree
-from robustlab.storage.codecs import CODECS, codec_of
-from robustlab.storage.matrices import Problems
+from robustlab.files.tree import KINDS
 from robustlab.synthesis import LPVController
 
 G = rl.ss([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
@@ -91,45 +87,6 @@ def check(kind, path, folder):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_process_loads_what_it_reads_and_writes(kind, files, tmp_path):
     check(kind, files[kind], tmp_path)
-
-
-def test_so_it_does_for_files_of_others(tmp_path):
-    with h5py.File(tmp_path / "plain.h5", "w") as file:
-        for name in "ABCD":
-            file[name] = getattr(G, name)
-    (tmp_path / "run.csv").write_text("t,u,y\n" + "".join(f"{0.1 * k:.1f},{k},{k * k}\n" for k in range(9)))
-    rl.save(tmp_path / "model.mat", G)
-    rl.export_controller(tmp_path / "K.json", rl.Controller(rl.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1)))
-    for name, kind in {
-        "plain.h5": "state-space",
-        "run.csv": "record",
-        "model.mat": "state-space",
-        "K.json": "controller",
-    }.items():
-        check(kind, tmp_path / name, tmp_path)
-
-
-def test_every_kind_of_the_format_has_a_row_that_leads_somewhere():
-    assert sorted(codec.kind for codec in CODECS) == sorted(KINDS)
-    for codec in CODECS:
-        for place in (codec.type, f"storage.{codec.encode}", f"storage.{codec.decode}"):
-            module, name = place.rsplit(".", 1)
-            found = getattr(import_module(f"robustlab.{module}"), name)
-            assert (found.__module__, found.__qualname__) == (f"robustlab.{module}", name)
-
-
-@pytest.mark.parametrize(("kind", "thing"), things().items())
-def test_the_row_of_an_object_is_that_of_its_class(kind, thing):
-    codec = codec_of(thing)
-    assert codec is None if kind == "result" else codec.kind == kind  # a norm is written for what it can tell
-
-
-def test_an_object_of_ones_own_class_is_written_as_what_it_inherits_from():
-    own = type("Own", (rl.UncertainModel,), {})(rl.elementwise(G, H).M, rl.elementwise(G, H).blocks)
-    codec, tree = codec_of(own), Tree()
-    codec.write(tree, own)
-    assert codec.read(tree, Problems("own.h5")).blocks == own.blocks
-    assert codec_of(object()) is None
 
 
 def test_what_files_know_no_place_for_is_refused(tmp_path):

@@ -68,31 +68,6 @@ def test_the_spinning_satellite_as_published_by_mathworks():
     assert np.linalg.norm(result.delta["DEL"], 2) <= 1 + 1e-9
 
 
-def test_a_set_with_an_unstable_member_has_no_margin():
-    M = rl.StateSpaceModel([[-1.0]], [[-3.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    plant = rl.UncertainModel(M, [rl.RealScalar("pole")])  # 1 / (s + 1 + 3 delta), closed: s + 2 + 3 delta
-    result = disk_margin(plant)
-    assert result.upper == result.lower == 0.0
-    assert result.member is None
-    assert not plant.close(rl.StateSpaceModel([], [], [], [[-1.0]])).evaluate(result.delta).is_stable()
-    assert "not stable" in result.notes[0]
-
-
-def test_without_uncertainty_it_is_the_disk_margin():
-    L = rl.StateSpaceModel([[-1.0, 0.0], [1.0, -2.0]], [[3.0], [0.0]], [[0.0, 1.0]], [[0.0]])
-    result = disk_margin(rl.UncertainModel(L, []))
-    nominal = disk_margin(L).simultaneous
-    assert result.lower == pytest.approx(nominal.lower, rel=1e-6)
-    assert result.status is rl.Status.CERTIFIED
-
-
-def test_when_time_is_up_what_is_proved_stays():
-    result = disk_margin(oscillator(), K, time_limit=1e-3)
-    assert result.status is rl.Status.TIMEOUT
-    assert result.lower == 0.0
-    assert result.upper <= result.nominal.upper
-
-
 def test_bad_inputs_are_named():
     plant = oscillator()
     with pytest.raises(rl.InputError, match="one of"):

@@ -46,14 +46,6 @@ def test_zeros_of_square_models_make_the_pencil_singular(seed, n, m, direct):
             assert np.linalg.norm(found.output_directions[:, k].conj() @ response) <= 1e-5 * size
 
 
-def test_generic_models_have_as_many_zeros_as_the_theory_says():
-    """n - m where C B has full rank; n where D has; none where the model is not square."""
-    assert len(rl.zeros(random_model(1, 6, 2, 2))) == 4
-    assert len(rl.zeros(random_model(1, 6, 2, 2, direct=True))) == 6
-    assert len(rl.zeros(random_model(1, 6, 2, 3))) == 0
-    assert len(rl.zeros(random_model(1, 6, 3, 2))) == 0
-
-
 def test_zeros_put_in_series_are_found_in_any_shape():
     factor = StateSpaceModel([[-2.0]], [[1.0]], [[-4.0]], [[1.0]])  # (s - 2)/(s + 2)
     wide = series(random_model(3, 3, 3, 1), factor)
@@ -130,33 +122,6 @@ def test_a_zero_far_beyond_the_dynamics_is_one():
     assert found.exact == (True,)
 
 
-def test_zeros_that_a_rotation_brings_in_from_infinity_are_told_apart():
-    """(s + 13/3) / ((s + 1) ... (s + 5)) in turned states: C B, C A B, C A^2 B are rounding instead of zero."""
-    A, B, C = -np.diag(np.arange(1.0, 6)) + np.eye(5, k=1), np.eye(5)[:, 4:], np.array([[1.0, 0.3, 0, 0, 0]])
-    plain = rl.zeros(StateSpaceModel(A, B, C, [[0.0]]))
-    Q = np.linalg.qr(np.random.default_rng(0).normal(size=(5, 5)))[0]
-    turned = rl.zeros(StateSpaceModel(Q @ A @ Q.T, Q @ B, C @ Q.T, [[0.0]]))
-    assert len(plain.near_infinity) == 0
-    for found in (plain, turned):
-        np.testing.assert_allclose(found.values, [-13 / 3], rtol=1e-10)
-        assert found.status == "converged"
-    assert len(turned.near_infinity) == 3
-    assert np.abs(turned.near_infinity).min() > 1e4
-    assert "at infinity but for rounding" in repr(turned)
-
-
-def test_zeros_that_the_entries_miss_by_rounding_are_marked():
-    """A tall model behind (s - 1.77)/(s + 2.3): 1.1 * 3.7 is rounded in some products, so that no zero is left."""
-    rng = np.random.default_rng(3)
-    actuator = StateSpaceModel([[-2.3]], [[1.1]], [[-3.7]], [[1.0]])
-    tall = StateSpaceModel(rng.normal(size=(3, 3)), rng.normal(size=(3, 1)), rng.normal(size=(3, 3)), np.zeros((3, 1)))
-    found = rl.zeros(series(actuator, tall))
-    np.testing.assert_allclose(found.values, [1.77], rtol=1e-12)
-    assert found.exact == (False,)
-    assert "missed by rounding" in repr(found)
-    assert rl.zeros(tall).exact == ()
-
-
 def test_a_rank_that_rounding_decides_is_inaccurate_with_a_reason():
     """Three sensors that show the same two quantities: the third row of C is a combination, but for rounding."""
     rng = np.random.default_rng(4)
@@ -184,14 +149,3 @@ def test_multiple_zeros_of_whole_numbers_are_exact():
     found = rl.zeros(StateSpaceModel(np.eye(7, k=1), np.eye(7)[:, 6:], C, [[0.0]]))
     assert sorted(found.values.tolist(), key=abs) == [0, 0, -1, -1, -1]
     assert found.status == "converged"
-
-
-def test_large_models_are_solved_in_floating_point_and_say_so(monkeypatch):
-    wide = rl.zeros(random_model(7, 8, 3, 3))
-    monkeypatch.setattr("robustlab.linear_analysis.invariant_zeros.MOST_STATES", 7)
-    found = rl.zeros(random_model(7, 8, 3, 3))
-    assert found.status == "inaccurate"
-    assert found.reason == "8 states: more than 7 are not solved exactly"
-    assert matched(found.values, wide.values) < 1e-8
-    with pytest.raises(rl.NoTrustworthyNumber, match="not solved exactly"):
-        rl.discretise(random_model(7, 8, 1, 1, direct=True), 0.1, "matched")

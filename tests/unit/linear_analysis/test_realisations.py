@@ -49,14 +49,6 @@ def test_a_transfer_function_has_its_values_and_as_many_states_as_its_denominato
         assert_allclose(G(s)[0, 0], value(n, d, s), rtol=1e-12)
 
 
-def test_poles_of_a_product_of_known_roots():
-    roots = [-1, -2, -3, -5, -7, -11]
-    den = [Fraction(1)]
-    for root in roots:
-        den = [a - root * b for a, b in zip([*den, Fraction(0)], [Fraction(0), *den], strict=True)]
-    assert_allclose(np.sort(rl.tf([1], [float(c) for c in den]).poles().real), sorted(roots), rtol=1e-10)
-
-
 def test_states_are_balanced_where_coefficients_are_far_apart():
     num, den = scipy.signal.butter(8, 1e5, analog=True)  # den from 1 to 1e40
     G = rl.tf(num, den)
@@ -115,29 +107,6 @@ def test_a_discrete_one():
 def test_what_is_no_proper_transfer_function_is_refused(num, den, text):
     with pytest.raises(InputError, match=text):
         rl.tf(num, den)
-
-
-def test_ss_takes_matrices():
-    G = rl.ss([[-2.0]], [[1.0]], [[3.0]], [[0.0]], 0.1, inputs=["u"], states=["x"])
-    assert (G.dt, G.input_names, G.state_names, G.C.item()) == (0.1, ("u",), ("x",), 3.0)
-    assert rl.ss([[1.0, 2.0]]).D.tolist() == [[1.0, 2.0]]
-
-
-MADE = {
-    "control.ss": lambda: ct.ss([[-1.0]], [[1.0]], [[2.0]], [[0.5]]),
-    "control.tf": lambda: ct.tf([1, 2], [1, 3, 4]),
-    "control.zpk": lambda: ct.zpk([-2.0], [-1.0, -3.0], 4.0),
-    "scipy ss": lambda: scipy.signal.StateSpace([[-1.0]], [[1.0]], [[2.0]], [[0.5]]),
-    "scipy tf": lambda: scipy.signal.TransferFunction([1, 2], [1, 3, 4]),
-    "scipy zpk": lambda: scipy.signal.ZerosPolesGain([-2.0], [-1.0, -3.0], 4.0),
-}
-
-
-@pytest.mark.parametrize("name", MADE)
-def test_ss_takes_what_another_program_made(name):
-    thing = MADE[name]()
-    wanted = thing(0.5j) if name.startswith("control") else thing.freqresp([0.5])[1][0]
-    assert_allclose(rl.ss(thing)(0.5j)[0, 0], wanted, rtol=1e-12)
 
 
 def test_ss_takes_a_multivariable_transfer_function_of_python_control():

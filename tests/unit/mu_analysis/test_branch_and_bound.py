@@ -11,9 +11,7 @@ import robustlab as rl
 from robustlab.budget import Budget
 from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.axis_problems import MarginProblem
-from robustlab.mu_analysis.matrix.box import Box, block_entries, box_matrices, box_model, centre_matrix, gauge, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
-from robustlab.uncertainty.blocks import delta_matrix
 
 
 def model_with_a_gap(seed: int = 10, n: int = 6) -> rl.UncertainModel:
@@ -70,15 +68,6 @@ def test_the_leaves_fill_the_set_at_every_frequency(uncertain, margins):
             assert np.linalg.svd(np.eye(6) - M * delta, compute_uv=False)[-1] > 0
 
 
-def test_what_two_boxes_have_in_common():
-    one, other = Box(np.array([0.0, 1.0]), np.array([1.0, 1.0])), Box(np.array([1.5, 1.0]), np.array([1.0, 0.5]))
-    common = one.within(other)
-    assert common is not None
-    np.testing.assert_allclose(common.centre, [0.75, 1.0])
-    np.testing.assert_allclose(common.half, [0.25, 0.5])
-    assert one.within(Box(np.array([2.0, 1.0]), np.array([1.0, 1.0]))) is None  # they share a face
-
-
 def test_a_matrix_to_a_tolerance_against_a_dense_search():
     """Two real parameters: det(I - M Delta) = 0 is two real equations, solved on a fine grid of directions."""
     rng = np.random.default_rng(3)
@@ -109,68 +98,9 @@ def test_a_matrix_to_a_tolerance_against_a_dense_search():
     assert checked >= 4
 
 
-def test_the_scalings_still_prove_what_they_say():
-    rng = np.random.default_rng(5)
-    M = rng.standard_normal((4, 4)) + 1j * rng.standard_normal((4, 4))
-    bounds = rl.mu(M, [[-1, 0]] * 4, tolerance=0.01)
-    assert bounds.upper < bounds.scaled
-    assert bounds.boxes > 0
-    product = bounds.G @ M
-    n = bounds.scaled**2 * bounds.D - M.conj().T @ bounds.D_z @ M - 1j * (product - product.conj().T)
-    assert np.linalg.eigvalsh(n)[0] >= -1e-10 * np.abs(n).max()
-    assert rl.mu(M, [[-1, 0]] * 4).boxes == 0
-
-
-def test_no_time_leaves_the_bounds_of_the_scalings(uncertain):
-    rng = np.random.default_rng(5)
-    M = rng.standard_normal((4, 4)) + 1j * rng.standard_normal((4, 4))
-    bounds = rl.mu(M, [[-1, 0]] * 4, tolerance=0.01, time_limit=0.0)
-    assert bounds.upper == bounds.scaled
-
-
 @pytest.mark.parametrize("options", [{"tolerance": 0.0}, {"tolerance": -1.0}, {"tolerance": 0.1, "time_limit": -1.0}])
 def test_bad_options_are_named(options):
     with pytest.raises(rl.InputError, match=r"tolerance|time_limit"):
         rl.mu([[1.0]], [[-1, 0]], **options)
     with pytest.raises(rl.InputError, match=r"tolerance|time_limit"):
         rl.robust_stability(model_with_a_gap(), **options)
-
-
-# --- boxes -----------------------------------------------------------------------------------------------------------
-
-
-def test_a_box_is_the_same_set_seen_from_its_centre():
-    uncertain = model_with_a_gap(3, 4)
-    model, blocks = uncertain.delta_channels, uncertain.blocks
-    rng = np.random.default_rng(2)
-    box = Box(rng.uniform(-0.1, 0.1, 4), rng.uniform(0.05, 0.1, 4))
-    inside = box_model(model, blocks, box)
-    assert inside is not None
-    M = rl.frequency_response(model, [0.7])[0]
-    seen = rl.frequency_response(inside, [0.7])[0]
-    assert box_matrices(M, blocks, [box])[0] == pytest.approx(seen, abs=1e-12)
-    for delta in rng.uniform(-1, 1, (5, 4)):
-        whole = centre_matrix(blocks, box.centre + box.half * delta)
-        direct = np.linalg.det(np.eye(4) - M @ whole)
-        from_box = np.linalg.det(np.eye(4) - seen * delta) * np.linalg.det(
-            np.eye(4) - M @ centre_matrix(blocks, box.centre)
-        )
-        assert direct == pytest.approx(from_box, rel=1e-10)
-
-
-def test_halves_fill_a_box_and_do_not_overlap():
-    low, high = Box(np.array([0.5, 0.0]), np.array([0.5, 2.0])).halves(0)
-    assert low.centre.tolist() == [0.25, 0.0]
-    assert high.centre.tolist() == [0.75, 0.0]
-    assert low.half.tolist() == high.half.tolist() == [0.25, 2.0]
-
-
-def test_the_gauge_of_an_asymmetric_range():
-    blocks = [rl.RealScalar("a", parameter=rl.ParameterRange(1.0, 0.5, below=0.25)), rl.FullBlock("f", 1, 2)]
-    assert gauge(blocks, np.array([-0.5, 0.3])) == pytest.approx(1.0)
-    assert gauge(blocks, np.array([0.25, 0.3])) == pytest.approx(0.3)
-    box = root_box(blocks, 2.0)
-    assert box.centre.tolist() == [0.5, 0.0]
-    assert box.half.tolist() == [1.5, 2.0]
-    entries = block_entries(blocks, delta_matrix(blocks, {"a": -1.0, "f": [[0.6, 0.8]]}))
-    assert entries == pytest.approx([-0.5, 1.0])

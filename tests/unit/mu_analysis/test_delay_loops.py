@@ -30,25 +30,6 @@ def test_an_integrator_with_a_delay_has_its_closed_forms():
         assert margin.status is rl.Status.CERTIFIED
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_without_delays_they_are_the_classical_ones(seed):
-    rng = np.random.default_rng(seed)
-    A = rng.standard_normal((4, 4)) - 3.0 * np.eye(4)
-    P = rl.StateSpaceModel(A, rng.standard_normal((4, 2)), rng.standard_normal((2, 4)), np.zeros((2, 2)))
-    K = rl.StateSpaceModel([], [], [], rng.standard_normal((2, 2)))
-    for at in ("input", "output"):
-        exact, found = rl.classical_margins(P, K, at=at), rl.classical_margins(rl.DelayedModel(P, []), K, at=at)
-        for name, margin in exact.channels.items():
-            other = found.channels[name]
-            assert other.stable == margin.stable
-            crossings = [c.frequency for c in other.gain_crossings]
-            assert crossings == pytest.approx([c.frequency for c in margin.gain_crossings], rel=1e-7)
-            if margin.stable:
-                assert other.phase_margin == pytest.approx(margin.phase_margin)
-                assert other.gain_margin[0] == pytest.approx(margin.gain_margin[0])
-                assert other.gain_margin[1] == pytest.approx(min(margin.gain_margin[1], 1000.0))
-
-
 def test_many_crossings_and_none_missing():
     # a lightly damped mode behind a long delay: L crosses the unit circle and the real axis again and again
     mode = rl.StateSpaceModel([[0, 1], [-100.0, -0.1]], [[0], [1]], [[30.0, 0]], [[0]])
@@ -110,17 +91,6 @@ def _grown(factor, size):
     change = factor - one
     delta = size * change @ (one + 0.5 * change).inverse()
     return one + delta @ (one - 0.5 * delta).inverse()
-
-
-def test_one_channel_agrees_with_the_proof_of_several():
-    L, none = 2.0 * LAG @ rl.delay(0.5), np.zeros((1, 1))
-    twice = rl.stacked(rl.beside(L, none), rl.beside(none, L))
-    for skew in (0.0, 1.0, -1.0):
-        alone = rl.disk_margin(L, skew=skew)
-        among = next(iter(rl.disk_margin(twice, skew=skew).channels.values()))
-        assert alone.upper == pytest.approx(among.upper, rel=1e-4)
-        assert among.lower <= alone.upper
-        assert alone.lower <= among.upper
 
 
 @pytest.mark.parametrize("seed", range(5))

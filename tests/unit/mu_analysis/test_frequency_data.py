@@ -35,21 +35,6 @@ def test_a_loop_of_data_sets_and_delays_has_the_members_of_its_parts():
     assert abs((2 * loop + loop).response(delta)[:, 0, 0] - 3 * expected).max() < 1e-12
 
 
-def test_algebra_of_several_channels_against_matrices():
-    G, H = two_by_two(), two_by_two()[::-1]
-    one, two = rl.frequency_data(G, OMEGA, radius=0.2), rl.frequency_data(H, OMEGA)
-    at = np.array([[0.1, 0.2j], [-0.3, 0.05]])
-    Gd = G + 0.2 * at
-    told = {"measured": at}
-    assert abs((one @ two).response(told) - Gd @ H).max() < 1e-12
-    assert abs((two - one).response(told) - (H - Gd)).max() < 1e-12
-    closed = np.linalg.solve(np.eye(2) + Gd @ H, Gd)
-    assert abs(one.feedback(two).response(told) - closed).max() < 1e-10
-    assert abs(rl.star(rl.stacked(one, two), np.zeros((0, 0))).nominal[:, 2:] - H).max() < 1e-13
-    assert abs((one**-1).response(told) - np.linalg.inv(Gd)).max() < 1e-9
-    assert one[0, 1].nominal.shape == (len(OMEGA), 1, 1)
-
-
 def test_margin_and_gain_have_their_closed_forms():
     g = rl.frequency_response(LAG, OMEGA)[:, 0, 0]
     k, r = 3.0, 0.2 * abs(g)
@@ -94,19 +79,6 @@ def test_only_points_are_claimed_and_a_variation_closes_the_gaps():
     assert 0.2 * truth.lower < between.min() <= truth.upper
     inside = 1 / abs(rl.frequency_response(resonance, 0.5 * (fine[1:] + fine[:-1]))[:, 0, 0])
     assert (between <= inside).all()
-
-
-def test_the_gaps_hold_with_real_blocks_too():
-    loop = MOTORS.feedback(5.0)
-    omega = np.linspace(0.0, 2.0, 60)
-    dense = np.linspace(0.0, 2.0, 20001)
-    M = rl.frequency_response(loop.delta_channels, dense)
-    slope = np.linalg.norm(np.diff(M, axis=0), 2, axis=(1, 2)).max() / (dense[1] - dense[0])
-    found = rl.robust_stability(loop, frequency=omega, variation=1.02 * slope)
-    middle = rl.robust_stability(loop, frequency=0.5 * (omega[1:] + omega[:-1]))
-    assert np.isfinite(found.between).all()
-    assert (found.between > 0).all()
-    assert (found.between <= middle.upper_at * (1 + 1e-9)).all()
 
 
 def test_the_circle_holds_the_true_response_as_often_as_it_says():
@@ -170,14 +142,6 @@ def test_what_is_refused(call, message):
 def test_a_pole_at_a_frequency_is_refused():
     with pytest.raises(rl.NoTrustworthyNumber, match="singular at 1 rad/s"):
         rl.frequency_data([-1.0, 2.0], [1.0, 2.0]).feedback(1.0)
-
-
-def test_a_measured_response_becomes_data():
-    G = two_by_two()[:, :, 0]
-    found = rl.FrequencyData(OMEGA, G, "u", ["a", "b"]).uncertain(0.1 * abs(G))
-    assert (found.nominal[:, :, 0] == G).all()
-    assert [b.name for b in found.blocks] == ["frequency response a from u", "frequency response b from u"]
-    assert rl.robust_stability(found.feedback(np.ones((1, 2)))).status is rl.Status.CERTIFIED
 
 
 def test_a_file_gives_the_data_back(tmp_path):

@@ -35,14 +35,6 @@ def test_the_critical_delta_keeps_the_oscillation_alive(kind, dt):
     assert inside[-40:].max() < 0.9 * inside[:40].max()
 
 
-def test_a_real_pole_that_crosses_at_zero_stands_still():
-    M = rl.StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    uncertain = rl.UncertainModel(M, [rl.RealScalar("pole")])
-    shown = replay(uncertain, rl.robust_stability(uncertain))
-    assert shown.critical[:, 0] == pytest.approx(np.full(len(shown.t), shown.critical[0, 0]))
-    assert shown.nominal[-1, 0] == pytest.approx(shown.critical[0, 0] * np.exp(-12.0))
-
-
 def test_what_cannot_be_replayed_is_said():
     uncertain = rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), [])
     with pytest.raises(rl.InputError, match="without a critical Delta"):

@@ -45,12 +45,6 @@ def test_the_scalings_prove_the_level():
     assert np.linalg.eigvalsh(bounds.D)[0] > 0
 
 
-def test_with_nothing_fixed_it_is_mu():
-    M, blocks = gain_problem(4, rl.ComplexScalar)
-    skewed, plain = rl.mu(M, blocks, fixed=[]), rl.mu(M, blocks)
-    assert (skewed.lower, skewed.upper) == (plain.lower, plain.upper)
-
-
 def test_fixed_blocks_that_can_be_singular_have_no_finite_level():
     bounds = rl.mu([[2.0, 1.0], [1.0, 0.0]], [[1, 0], [1, 0]], fixed=["delta1"])
     assert bounds.upper == np.inf
@@ -63,11 +57,6 @@ def test_a_stack_and_a_closed_form():
     bounds = rl.mu(stack, [[1, 0], [1, 1]], fixed=["delta1"])
     assert bounds.upper == pytest.approx([2.0, 0.0], abs=1e-3)
     assert bounds.lower[0] == pytest.approx(2.0, rel=1e-6)
-
-
-def test_blocks_are_fixed_by_index_too():
-    by_name, by_index = (rl.mu([[0.5, 1.0], [1.0, 0.0]], [[1, 0], [1, 0]], fixed=[key]) for key in ("delta1", 0))
-    assert (by_name.lower, by_name.upper) == (by_index.lower, by_index.upper)
 
 
 def test_a_tolerance_does_not_go_with_fixed_blocks():

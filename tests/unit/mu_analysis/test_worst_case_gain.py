@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.result import plain
 
 
 def oscillator(dt: float = 0.0) -> rl.UncertainModel:
@@ -108,28 +105,6 @@ def test_wider_below_than_above():
     assert worst.physical["a"] == (pytest.approx(0.25), "1/s")
 
 
-def test_without_blocks_it_is_the_nominal_norm():
-    worst = rl.peak_gain(rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[1.0]], [[3.0]], [[0.0]]), []))
-    assert worst.lower == pytest.approx(3.0)
-    assert worst.status is rl.Status.CERTIFIED
-
-
-def test_static_model():
-    """y = (1 + 0.5 delta) u has the gain 1.5, at every frequency."""
-    M = rl.StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), [[0.0, 1.0], [0.5, 1.0]])
-    worst = rl.peak_gain(rl.UncertainModel(M, [rl.RealScalar("k")]))
-    assert worst.lower == pytest.approx(1.5)
-    assert worst.upper == pytest.approx(1.5, rel=1e-3)
-
-
-def test_no_time_is_said():
-    worst = rl.peak_gain(oscillator(), time_limit=0.0)
-    assert worst.status is rl.Status.TIMEOUT
-    assert worst.upper == np.inf
-    assert worst.lower > 0
-    assert "no upper bound" in worst.notes[-1]
-
-
 def test_robust_performance_is_the_fixed_point_of_the_worst_case_gain():
     """At margin k the set of size k has a worst gain of 1 / k."""
     uncertain = random_set(1)
@@ -140,25 +115,6 @@ def test_robust_performance_is_the_fixed_point_of_the_worst_case_gain():
     inside = rl.UncertainModel(rl.StateSpaceModel(M.A, M.B * scaled, M.C, M.D * scaled), uncertain.blocks)
     assert rl.peak_gain(inside).lower == pytest.approx(1 / margin.upper, rel=0.02)
     assert np.linalg.norm(margin.delta["performance"], 2) <= margin.upper * (1 + 1e-9)
-
-
-def test_results_are_plain():
-    data = json.loads(json.dumps(plain(rl.peak_gain(oscillator(), omega=[0.5, 1.0]).to_json())))
-    assert data["type"] == "WorstCaseGain"
-    assert len(data["gain_upper"]) == 2
-    assert "proof" not in data
-
-
-@pytest.mark.parametrize("options", [{"tolerance": 0.0}, {"time_limit": -1.0}, {"omega": [-1.0]}])
-def test_bad_options_are_named(options):
-    with pytest.raises(rl.InputError, match="peak_gain"):
-        rl.peak_gain(oscillator(), **options)
-
-
-def test_an_unstable_nominal_model_is_refused():
-    M = rl.StateSpaceModel([[0.5]], [[0.1, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    with pytest.raises(rl.NoTrustworthyNumber, match="nominal closed loop unstable"):
-        rl.peak_gain(rl.UncertainModel(M, [rl.RealScalar("a")]))
 
 
 def test_a_block_called_performance_is_refused():

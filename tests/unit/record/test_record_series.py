@@ -17,22 +17,6 @@ def make(**changed):
     return Record(given.pop("t", T), **given)
 
 
-def test_what_it_holds():
-    record = make()
-    assert (record.n, record.duration, record.is_uniform) == (11, 1.0, True)
-    assert record.dt == pytest.approx(0.1)
-    assert (record.unit("q"), record.unit("v")) == ("m", "")
-    np.testing.assert_array_equal(record["v"], 2 * T)
-    assert "11 samples" in repr(record)
-
-
-def test_unknown_names_get_a_suggestion():
-    with pytest.raises(InputError, match="one of u, q, v"):
-        make()["x"]
-    with pytest.raises(InputError, match="did you mean volt"):
-        make(outputs={"volt": T}, units={"vol": "V"})
-
-
 @pytest.mark.parametrize(
     ("t", "text"),
     [
@@ -70,21 +54,8 @@ def test_channels_that_do_not_fit(changed, text):
         make(**changed)
 
 
-def test_between_keeps_clock_and_units():
-    part = make().between(0.25, 0.65)
-    np.testing.assert_allclose(part.t, [0.3, 0.4, 0.5, 0.6])
-    assert part.unit("u") == "V"
-    with pytest.raises(InputError, match="at least 2"):
-        make().between(0.31, 0.39)
-
-
 def test_samples_cannot_be_written_and_become_json():
     record = make()
     with pytest.raises(ValueError, match="read-only"):
         record["q"][0] = 1.0
     assert plain(record)["outputs"]["v"][-1] == 2.0
-
-
-def test_signals_without_names_are_refused():
-    with pytest.raises(InputError, match="signals as a list, expected a dict"):
-        Record([0.0, 1.0], [[1.0, 2.0]], {"q": [1.0, 2.0]})

@@ -55,20 +55,6 @@ def test_states_that_do_not_matter_go_and_the_loop_is_proved_anew(design):
     assert data["evidence"]["status"] == "certified"
 
 
-def test_no_lower_order_is_good_enough(design):
-    small = rl.reduce_controller(design, loss=0.0)
-    assert small.loss <= 0
-    if small.K.n_states == design.K.n_states:
-        assert small.reason.startswith("no lower order")
-
-
-def test_the_order_wanted_and_what_it_costs(design):
-    one = rl.reduce_controller(design, order=1)
-    assert one.K.n_states == 1
-    assert one.gamma == pytest.approx(rl.peak_gain(lower_lft(PLANT, one.K)).upper, rel=1e-5)
-    assert one.loss >= -1e-6
-
-
 def test_h2_norm_as_the_measure():
     from robustlab.norms import h2_norm
 
@@ -122,24 +108,6 @@ def test_an_unstable_controller_and_a_discrete_one():
     assert discrete.gamma == pytest.approx(rl.peak_gain(lower_lft(digital, discrete.K)).upper, rel=1e-5)
 
 
-def test_an_improvement_is_verified_and_only_taken_where_it_is_one(design):
-    calls: list[int] = []
-
-    def worse(plant, K, budget):
-        calls.append(K.n_states)
-        assert budget.left > 0
-        return rl.StateSpaceModel(K.A, K.B, 0.5 * K.C, 0.5 * K.D)
-
-    same, plain_one = (rl.reduce_controller(design, order=1, improve=how) for how in (worse, None))
-    assert calls == [1]
-    assert same.gamma == plain_one.gamma
-
-    # More states than asked for are no improvement.
-    other = rl.reduce_controller(design, order=1, improve=lambda plant, K, budget: design.K)
-    assert other.K.n_states == 1
-    assert other.gamma == plain_one.gamma
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -158,13 +126,6 @@ def test_an_improvement_is_verified_and_only_taken_where_it_is_one(design):
 def test_bad_requests_are_named(design, options, message):
     with pytest.raises(rl.InputError, match=message):
         rl.reduce_controller(design, **options)
-
-
-def test_a_loop_that_is_not_stable_has_nothing_to_lose():
-    with pytest.raises(rl.NoTrustworthyNumber, match="no trustworthy H-infinity norm"):
-        rl.reduce_controller(PLANT, rl.StateSpaceModel([[5.0]], [[1.0]], [[1.0]], [[0.0]]))
-    with pytest.raises(rl.InputError, match="K is missing"):
-        rl.reduce_controller(PLANT)
 
 
 UNSTABLE = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])
@@ -204,9 +165,3 @@ def test_a_bare_plant_is_judged_by_the_four_block_gain_of_its_loop():
         assert small.closed_loop.is_stable()
     digital = rl.discretise(K, 0.001, "tustin", plant=UNSTABLE)
     assert digital.gamma == pytest.approx(four_block_gain(K), rel=0.05)
-
-
-def test_disturbances_without_performance_outputs_are_refused():
-    P = rl.StateSpaceModel([[1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]])
-    with pytest.raises(rl.InputError, match="no performance output z"):
-        rl.reduce_controller(P, lag(-50.0))

@@ -9,7 +9,7 @@ from robustlab.dynamics.control.controllers import TorqueGains, TwoLayerControll
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.statespace import Signal
 from robustlab.synthesis.laws.controller_laws import model_of
 from robustlab.synthesis.laws.controller_structures import (
     PID,
@@ -20,8 +20,6 @@ from robustlab.synthesis.laws.controller_structures import (
     Part,
     Series,
     StaticGain,
-    Sum,
-    as_structure,
 )
 
 OMEGA = np.array([0.1, 0.7, 3.0])
@@ -119,17 +117,6 @@ def test_the_two_layers_are_the_thesis_controller():
     assert len(law.parameters) == 3 * 36 + 3
 
 
-def test_sum_and_series_are_sum_and_product():
-    first, second = FixedPoles([-1.0]), FixedPoles([-3.0])
-    p = np.array([2.0, 0.5, 4.0, 0.25])
-    one, two = (model_of(law_of(s, 1, 1), q, 0.0) for s, q in ((first, p[:2]), (second, p[2:])))
-    a, b = frequency_response(one, OMEGA), frequency_response(two, OMEGA)
-    total = model_of(law_of(Sum(first, second), 1, 1), p, 0.0)
-    product = model_of(law_of(Series(first, second, ["e"]), 1, 1), p, 0.0)
-    np.testing.assert_allclose(frequency_response(total, OMEGA), a + b, rtol=1e-12)
-    np.testing.assert_allclose(frequency_response(product, OMEGA), b @ a, rtol=1e-12)
-
-
 def test_decentralised_parts_take_named_channels():
     parts = [Part(StaticGain(), ["y3"], ["u1"]), Part(FixedPoles([-1.0]), ["y1", "y2"], ["u2"])]
     law = law_of(Decentralised(parts), 3, 2)
@@ -137,16 +124,6 @@ def test_decentralised_parts_take_named_channels():
     K = frequency_response(model_of(law, p, 0.0), [0.5])[0]
     assert (np.abs(K) > 0).tolist() == [[False, False, True], [True, True, False]]
     assert [q.name for q in law.parameters][:2] == ["1.K[u1,y3]", "2.R1[u2,y1]"]
-
-
-def test_friendly_forms():
-    assert isinstance(as_structure("static", 1.0), StaticGain)
-    assert as_structure(3, 1.0) == FixedOrder(3)
-    assert isinstance(as_structure(0, 1.0), StaticGain)
-    assert isinstance(as_structure([[1, 0]], 1.0), StaticGain)
-    assert isinstance(as_structure([PID("PI"), StaticGain()], 1.0), Decentralised)
-    tau = law_of(as_structure("pid", 100.0), 1, 1).parameters[-1]
-    assert (tau.low, tau.high) == pytest.approx((1e-4, 0.1))
 
 
 @pytest.mark.parametrize(
@@ -174,21 +151,3 @@ def test_friendly_forms():
 def test_bad_structures_are_named(structure, n_y, n_u, text):
     with pytest.raises(InputError, match=text):
         law_of(structure, n_y, n_u)
-
-
-@pytest.mark.parametrize("given", ["pdd", 1.5, None, True])
-def test_unknown_forms_are_named(given):
-    with pytest.raises(InputError, match="structure"):
-        as_structure(given, 1.0)
-
-
-def test_the_two_layer_law_is_continuous():
-    with pytest.raises(InputError, match=r"dt = 0\.1"):
-        law_of(MultichannelPID("two-layer"), 4, 1, 0.1)
-
-
-def test_a_law_gives_a_model_with_names():
-    y, u = signals("y", 1, "rad"), signals("u", 1, "V")
-    K = model_of(StaticGain().law(y, u, 0.0), np.array([3.0]), 0.0, y, u)
-    assert isinstance(K, StateSpaceModel)
-    assert (K.input_names, K.output_names, K.D[0, 0]) == (("y1",), ("u1",), 3.0)

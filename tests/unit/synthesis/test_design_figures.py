@@ -5,18 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robustlab.dynamics.control.controlled_runs import TimePanel
 from robustlab.report.design_figures import (
     FunctionPanel,
     functions_figure,
-    history_figure,
     loop_figure,
-    runs_figure,
 )
 from robustlab.report.figures import save_figure
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
-from robustlab.synthesis.specifications.loop_functions import frequencies, loop_curves
+from robustlab.synthesis.specifications.loop_functions import loop_curves
 
 OMEGA = np.geomspace(0.1, 100, 50)
 
@@ -51,20 +48,6 @@ def test_loop_with_its_peak_and_many_measurements_as_one_kind():
     assert "others" not in labels(figure)  # far below the picture
 
 
-def test_history_marks_the_smallest_and_keeps_infinite_levels_out_of_the_span():
-    figure = history_figure([0.9, np.nan], [np.inf, 0.8], [4, 6], ["start", "D-K"])
-    low, high = figure.axes[0].get_ylim()
-    assert low < 0.8 < 1.0 < high < 10
-    assert {"start: proved", "D-K: proved", "smallest"} <= labels(figure)
-
-
-def test_a_limit_far_from_the_curves_is_named():
-    t = np.linspace(0, 1, 5)
-    figure = runs_figure(t, [TimePanel("u [V]", {"a": t, "b": -t}, 42.0), TimePanel("e", {"a": t, "b": t}, 1.0)])
-    assert "42" in figure.axes[0].get_title("left")
-    assert len(figure.axes[1].lines) == 4
-
-
 def test_curves_of_a_design_touch_gamma_at_the_peak_and_nowhere_exceed_it():
     P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
     design = hinf(P, 1, 1, gamma_rel=1.0)
@@ -72,12 +55,3 @@ def test_curves_of_a_design_touch_gamma_at_the_peak_and_nowhere_exceed_it():
     assert (curves.closed_loop[:, 0] <= design.gamma * (1 + 1e-9)).all()
     assert curves.closed_loop[:, 0].max() == pytest.approx(design.gamma, rel=1e-2)
     assert curves.controller.shape == (len(curves.omega), 1)
-
-
-def test_frequencies_of_fast_discrete_and_static_models():
-    fast = StateSpaceModel(np.diag([-1.0, -2.0, -1e9]), np.ones((3, 1)), np.ones((1, 3)), [[0.0]])
-    assert frequencies(fast)[-1] < 1e3
-    discrete = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.01)
-    assert frequencies(discrete)[-1] == pytest.approx(np.pi / 0.01)
-    static = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]])
-    assert len(frequencies(static, 7)) == 7

@@ -8,8 +8,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
 import robustlab as rl
-from robustlab.statespace import OperatingPoint
-from robustlab.synthesis.sampled.discretisation import METHODS, merged_modes
+from robustlab.synthesis.sampled.discretisation import merged_modes
 from robustlab.synthesis.sampled.lifting import mean_and_variance
 
 LAG = rl.StateSpaceModel([[-2.0]], [[1.0]], [[2.0]], [[0.0]], inputs=[("u", "V")], outputs=[("y", "m")])
@@ -59,12 +58,6 @@ def test_holds_are_exact_at_the_samples():
             np.testing.assert_allclose(stepped[name], exact[name], atol=1e-12)
 
 
-@pytest.mark.parametrize("method", ["tustin", "zoh", "foh", "matched"])
-def test_gain_at_zero_frequency_is_kept(method):
-    G = rl.StateSpaceModel([[0, 1], [-4, -1]], [[0], [1]], [[3, 1]], [[0.2]])
-    np.testing.assert_allclose(rl.discretise(G, 0.3, method).dc_gain(), G.dc_gain(), rtol=1e-10)
-
-
 def test_matched_poles_and_zeros_are_where_they_belong():
     # (s + 1)(s^2 + 2 s + 5) / ((s + 3)(s + 4)(s^2 + 0.1 s + 9)): one zero at infinity.
     num, den = np.polymul([1, 1], [1, 2, 5]), np.polymul(np.polymul([1, 3], [1, 4]), [1, 0.1, 9])
@@ -76,25 +69,6 @@ def test_matched_poles_and_zeros_are_where_they_belong():
     np.testing.assert_allclose(by_height, sorted(zeros, key=lambda z: (z.imag, z.real)), atol=1e-9)
     np.testing.assert_allclose(np.sort_complex(found.poles()), np.sort_complex(np.exp(0.2 * np.roots(den))), atol=1e-9)
     assert found.dcgain() == pytest.approx(5 / 108, rel=1e-9)
-
-
-def test_matched_integrator_and_differentiator_keep_their_gain_next_to_zero_frequency():
-    integrator = rl.StateSpaceModel([[0.0]], [[1.0]], [[5.0]], [[0.0]])
-    z = np.exp(1e-3)
-    assert at(rl.discretise(integrator, 0.2, "matched"), z) == pytest.approx(5 / (1e-3 / 0.2), rel=1e-9)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_a_static_gain_stays(method):
-    gain = rl.StateSpaceModel([], [], [], [[3.0]])
-    if method == "impulse":
-        with pytest.raises(rl.InputError, match="direct term"):
-            rl.discretise(gain, 0.1, method)
-        return
-    found = rl.discretise(gain, 0.1, method, prewarp=1.0 if method == "tustin-prewarp" else None)
-    assert found.n_states == 0
-    assert found.D == [[3.0]]
-    assert found.dt == 0.1
 
 
 @pytest.mark.parametrize(
@@ -157,25 +131,6 @@ def test_mean_and_variance_of_an_interval_are_integrals(h):
     np.testing.assert_allclose(mean, exact * np.sqrt(h), rtol=1e-9)
     about = quad_vec(spread, 0, h, epsrel=1e-10, epsabs=1e-300)[0]
     np.testing.assert_allclose(variance, about, atol=1e-7 * np.abs(about).max())
-
-
-@pytest.mark.parametrize(("method", "kept"), [("zoh", True), ("impulse", True), ("tustin", False), ("foh", False)])
-def test_the_operating_point_stays_where_the_states_do(method, kept):
-    point = OperatingPoint(x=[0.3], u=[2.0], y=[5.0])
-    lag = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], operating_point=point)
-    found = rl.discretise(lag, 0.1, method).operating_point
-    assert (found is not None) == kept
-    if found is not None:
-        assert (found.x, found.u, found.y) == (point.x, point.u, point.y)
-
-
-def test_matched_zeros_of_a_chain_with_large_gains():
-    """Zeros at 1e5 (1, 2, 3): the model was refused, for its zeros did not give the response back."""
-    A = -1e-3 * np.eye(4) + 1e5 * np.eye(4, k=1)
-    G = rl.StateSpaceModel(A, np.eye(4)[:, 3:], [[-6.0, 11.0, -6.0, 1.0]], [[0.0]])
-    found = rl.zeros(rl.discretise(G, 1e-6, "matched"))
-    wanted = np.append(np.exp(1e-6 * (np.array([1, 2, 3]) * 1e5 - 1e-3)), -1.0)
-    np.testing.assert_allclose(np.sort(found.values.real), np.sort(wanted), rtol=1e-9)
 
 
 def test_matched_zeros_too_fast_for_the_sample_time_are_refused():

@@ -7,7 +7,6 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, feedback, lower_lft, series
@@ -96,41 +95,12 @@ def test_sign_positive_feedback_of_k_and_negative_feedback_of_minus_k():
     np.testing.assert_allclose(loop.T.dc_gain(), [[1.0]], atol=1e-9)
 
 
-def test_full_controller_is_w1_k_w2():
-    G = random_plant(6, 4, 2, 3)
-    W1, W2 = 2.0 * PI.D[0, 0] * np.eye(3), StateSpaceModel([[-5.0]], [[1.0]], [[5.0]], [[0.5]])
-    design = ncf(G, W1, W2)
-    omega = np.geomspace(0.01, 100, 30)
-    parts = [frequency_response(m, omega) for m in (design.K, design.K_shaped, W2)]
-    np.testing.assert_allclose(parts[0], 2 * parts[1] * parts[2], rtol=1e-9)
-    shaped = frequency_response(design.shaped_plant, omega)
-    np.testing.assert_allclose(shaped, 2 * parts[2] * frequency_response(G, omega), rtol=1e-9)
-    assert design.K.input_names == G.output_names
-    assert design.K.output_names == G.input_names
-    np.testing.assert_allclose(
-        design.closed_loop.poles().real.max(), design.plant.close(design.K).poles().real.max(), rtol=1e-9
-    )
-
-
 def test_non_square_weights():
     G = random_plant(6, 4, 2, 3)
     design = ncf(G, np.eye(3)[:, :2], [[1.0, 0.5]])
     assert design.K_shaped.D.shape == (2, 1)
     assert design.K.D.shape == (3, 2)
     assert design.status is Status.CERTIFIED
-
-
-def test_observer_form_is_the_same_controller():
-    design = ncf(random_plant(9, 5, 2, 3), None, StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]]))
-    m, observer = design.shaped_plant, design.observer
-    assert observer is not None
-    K = StateSpaceModel(
-        m.A + m.B @ observer.F + observer.H @ m.C, -observer.H, observer.F, np.zeros((m.n_inputs, m.n_outputs))
-    )
-    omega = np.geomspace(0.01, 100, 40)
-    np.testing.assert_allclose(frequency_response(K, omega), frequency_response(design.K_shaped, omega), rtol=1e-6)
-    assert (np.linalg.eigvals(m.A + observer.H @ m.C).real < 0).all()
-    assert ncf(random_plant(9, 3, 1, 1, direct=1.0)).observer is None
 
 
 def test_plants_nearer_in_the_nu_gap_than_the_margin_are_stabilised():
@@ -146,18 +116,6 @@ def test_plants_nearer_in_the_nu_gap_than_the_margin_are_stabilised():
             tried += 1
             assert lower_lft(four_block(other), design.K).is_stable()
     assert tried >= 3
-
-
-def test_static_plant():
-    design = ncf(StateSpaceModel([], [], [], [[3.0]]))
-    assert design.gamma_min == pytest.approx(1.0)
-    assert design.gamma <= 1.1 * 1.001
-
-
-def test_json_and_summary():
-    design = ncf(DISTURBED, PI, factor=1.2)
-    assert dict(design.facts())["smallest gamma possible"].startswith("2.33877")
-    assert design.to_json()["factor"] == 1.2
 
 
 def test_refusals():

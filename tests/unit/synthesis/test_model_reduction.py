@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-import control
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from slicot_examples import model_of_ab09ad
 
 import robustlab as rl
-from robustlab.linear_analysis.matrix_equations import lyapunov
-from robustlab.linear_analysis.schur_lyapunov import lyapunov_factors
-from robustlab.result import Status, plain
-from robustlab.synthesis.reduction.balancing import split_stable
+from robustlab.result import Status
 
 
 def stable_model(n: int, seed: int, dt: float = 0.0, m: int = 2, p: int = 3) -> rl.StateSpaceModel:
@@ -42,20 +38,6 @@ def test_hankel_values_of_slicots_documented_example():
     # The example in the documentation of AB09AD (SLICOT 5.0): its Hankel singular values, printed to four digits.
     values = rl.hankel_singular_values(model_of_ab09ad())
     np.testing.assert_allclose(values, [2.5139, 2.0846, 1.9178, 0.7666, 0.5473, 0.0253, 0.0246], atol=6e-5)
-
-
-@pytest.mark.parametrize("dt", [0.0, 0.2])
-@pytest.mark.parametrize("method", ["truncation", "residualisation"])
-def test_the_reduced_model_is_balanced_with_the_first_hankel_values(dt, method):
-    # Both keep the first values exactly (Pernebo, Silverman 1982; Liu, Anderson 1989) in continuous time; in discrete
-    # time only residualisation does.
-    G = stable_model(9, 3, dt)
-    found = rl.reduce_model(G, 4, method=method)
-    assert found.status is Status.CERTIFIED
-    assert found.error.upper <= found.bound * (1 + 1e-6)
-    assert found.error.lower >= found.hankel[4] * (1 - 1e-9)  # no model of order 4 is closer in the Hankel norm
-    if not dt or method == "residualisation":
-        np.testing.assert_allclose(rl.hankel_singular_values(found.model), found.hankel[:4], rtol=1e-8)
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.2])
@@ -100,17 +82,6 @@ def test_a_bound_stays_above_the_error_where_that_is_mostly_rounding(method, rat
             assert found.bound == pytest.approx((2 if method == "truncation" else 1) * found.hankel[1], rel=1e-8)
 
 
-def test_repeated_hankel_values_count_once_in_the_bound():
-    # Two equal channels side by side: every value comes twice.
-    G = stable_model(3, 1, m=1, p=1)
-    both = rl.StateSpaceModel(
-        *(np.kron(np.eye(2), getattr(G, name)) for name in "ABCD"), inputs=["u1", "u2"], outputs=["y1", "y2"]
-    )
-    single, double = rl.reduce_model(G, 1), rl.reduce_model(both, 2)
-    assert double.bound == pytest.approx(single.bound, rel=1e-8)
-    assert double.error.upper == pytest.approx(single.error.upper, rel=1e-5)
-
-
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 def test_modes_that_are_not_stable_are_kept(dt):
     G = stable_model(6, 2, dt, 1, 1)
@@ -133,17 +104,6 @@ def test_modes_that_are_not_stable_are_kept(dt):
     assert found.status is Status.CERTIFIED
     with pytest.raises(rl.InputError, match="not stable and are kept apart"):
         rl.reduce_model(full, found.n_apart - 1)
-
-
-def test_the_parts_of_a_split_add_up():
-    A = np.diag([-1.0, 2.0, -3.0, 0.0]) + np.triu(np.ones((4, 4)), 1) * 5
-    full = rl.StateSpaceModel(A, np.ones((4, 2)), np.ones((1, 4)), [[1.0, 2.0]])
-    split = split_stable(full)
-    np.testing.assert_allclose(np.sort(split.stable.poles().real), [-3, -1], atol=1e-10)
-    np.testing.assert_allclose(np.sort(split.apart.poles().real), [0, 2], atol=1e-10)
-    omega = [0.5, 3.0]
-    total = rl.frequency_response(split.stable, omega) + rl.frequency_response(split.apart, omega)
-    np.testing.assert_allclose(total, rl.frequency_response(full, omega), rtol=1e-10)
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
@@ -177,17 +137,6 @@ def test_a_weight_moves_the_error_out_of_its_band():
     assert np.abs(response**2 * gap).max() <= weighted.error.upper * (1 + 1e-9)
 
 
-def test_enns_gramians_are_blocks_of_the_weighted_models():
-    # W with the same poles as nothing in G: the block of the Lyapunov solution of the series connection, computed here.
-    from robustlab.synthesis.reduction.model_reduction import weighted_factors
-
-    G, W = stable_model(3, 1, m=1, p=1), rl.StateSpaceModel([[-2.0]], [[3.0]], [[1.0]], [[0.5]])
-    reach, _ = weighted_factors(G, W, None)
-    A = np.block([[W.A, np.zeros((1, 3))], [G.B @ W.C, G.A]])
-    B = np.vstack([W.B, G.B @ W.D])
-    np.testing.assert_allclose(reach @ reach.T, lyapunov(A, B @ B.T)[1:, 1:], rtol=1e-9)
-
-
 def test_tolerance_takes_the_lowest_order_that_keeps_it():
     G = stable_model(9, 11)
     errors = [rl.reduce_model(G, r).error.upper for r in range(9)]
@@ -217,23 +166,6 @@ def test_sizes_at_the_edge(n_u, method):
     assert found.error.upper == pytest.approx(0.0, abs=1e-12)
 
 
-def test_to_json_and_summary_carry_the_evidence():
-    found = rl.reduce_model(stable_model(4, 1), 2)
-    data = plain(found)
-    assert data["order"] == 2
-    assert data["full_order"] == 4
-    assert data["error"]["upper"] <= data["bound"] * (1 + 1e-6)
-    labels = dict(found.facts())
-    assert labels["order"] == "2 of 4 states"
-    assert "promised" in labels["error"]
-
-
-def test_python_control_objects_come_in():
-    found = rl.reduce_model(control.tf([1.0], [1.0, 3.0, 2.0]), 1)
-    assert found.order == 1
-    assert found.status is Status.CERTIFIED
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -253,37 +185,6 @@ def test_python_control_objects_come_in():
 def test_bad_requests_are_named(arguments, message):
     with pytest.raises(rl.InputError, match=message):
         rl.reduce_model(stable_model(4, 1), **arguments)
-
-
-@pytest.mark.parametrize(("n", "m"), [(1, 1), (4, 1), (7, 3)])
-def test_the_factor_is_that_of_the_lyapunov_solution(n, m):
-    rng = np.random.default_rng(n)
-    A = rng.normal(size=(n, n)) - 4 * np.eye(n)
-    B = rng.normal(size=(n, m))
-    L = lyapunov_factors(A, B, 0 * B.T)[0]
-    np.testing.assert_allclose(L @ L.T, lyapunov(A, B @ B.T), atol=1e-13)
-    assert np.allclose(L, np.tril(L))
-
-
-def test_the_factor_keeps_gramian_values_below_eps():
-    # Two decoupled states, one reached 1e-12 times as much: its variance is 1e-24 of the other's.
-    L = lyapunov_factors(np.diag([-1.0, -2.0]), np.diag([1.0, 1e-12]), np.zeros((0, 2)))[0]
-    np.testing.assert_allclose(np.linalg.svd(L, compute_uv=False), [np.sqrt(0.5), 0.5e-12], rtol=1e-10)
-
-
-@pytest.mark.parametrize(
-    ("A", "B", "error", "message"),
-    [
-        ([[1.0]], [[1.0]], rl.NoTrustworthyNumber, "eigenvalue 1"),
-        ([[0.0]], [[1.0]], rl.NoTrustworthyNumber, "stable A"),
-        ([[-1.0, 0.0]], [[1.0]], rl.InputError, "A is"),
-        ([[-1.0]], [[1.0], [2.0]], rl.InputError, "B is"),
-        ([[np.nan]], [[1.0]], rl.InputError, "NaN"),
-    ],
-)
-def test_the_factor_refuses_what_has_none(A, B, error, message):
-    with pytest.raises(error, match=message):
-        lyapunov_factors(A, B, np.transpose(B))
 
 
 # --- least order --------------------

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from scipy.linalg import block_diag, logm, solve_continuous_are, solve_continuous_lyapunov
+from scipy.linalg import block_diag
 from slicot_examples import model_of_ab09ad
 from unit.synthesis.test_model_reduction import difference_on_grid, stable_model
 
 import robustlab as rl
 from robustlab.result import Status
-from robustlab.synthesis.reduction import model_reduction
-from robustlab.synthesis.reduction.band_gramians import band_gramian_factors
-from robustlab.synthesis.reduction.relative_error import Spectrum
 
 
 def lag(pole: float, gain: float) -> rl.StateSpaceModel:
@@ -53,48 +48,6 @@ def test_slicots_published_hankel_norm_approximation():
     assert found.bound == pytest.approx(found.hankel[5:].sum())
 
 
-@pytest.mark.parametrize(("n", "m", "p", "order"), [(6, 1, 1, 2), (7, 2, 3, 4), (9, 3, 1, 0)])
-def test_the_hankel_matrix_of_the_error_has_the_norm_of_the_next_value(n, m, p, order):
-    # Another way to the Hankel norm: the largest singular value of the block Hankel matrix of Markov parameters.
-    G = stable_model(n, n, 0.1, m, p)
-    found = rl.reduce_model(G, order, method="hankel")
-    assert found.status is Status.CERTIFIED
-    assert found.order == order
-
-    def markov(model):
-        x, blocks = model.B, []
-        for _ in range(400):
-            blocks.append(model.C @ x)
-            x = model.A @ x
-        return np.array(blocks)
-
-    h = markov(G) - markov(found.model)
-    k = len(h) // 2
-    matrix = np.block([[h[i + j] for j in range(k)] for i in range(k)])
-    assert np.linalg.norm(matrix, 2) == pytest.approx(found.hankel[order], rel=1e-6)
-
-
-@pytest.mark.parametrize("dt", [0.0, 0.1])
-def test_no_balanced_truncation_is_nearer_in_the_hankel_norm(dt):
-    G = stable_model(8, 3, dt)
-    for order in range(8):
-        nearest, truncated = (rl.reduce_model(G, order, method=method) for method in ("hankel", "truncation"))
-        gap = G - truncated.model
-        assert nearest.hankel_error <= rl.hankel_singular_values(gap)[0] * (1 + 1e-9)
-        assert nearest.error.lower <= nearest.bound * (1 + 1e-9)
-        assert nearest.bound <= truncated.bound / 2 * (1 + 1e-7)  # both allow for the rounding of the reduced model
-
-
-def test_a_repeated_value_is_left_out_as_a_whole():
-    # Two equal channels side by side: every value comes twice, and the model of order 2 is as near as one of order 3.
-    G = stable_model(3, 1, m=1, p=1)
-    both = rl.StateSpaceModel(*(np.kron(np.eye(2), getattr(G, name)) for name in "ABCD"))
-    single, double = rl.reduce_model(G, 1, method="hankel"), rl.reduce_model(both, 3, method="hankel")
-    assert double.order == 2
-    assert double.hankel_error == pytest.approx(single.hankel_error, rel=1e-9)
-    assert double.status is Status.CERTIFIED
-
-
 @pytest.mark.parametrize("method", ["hankel", "stochastic"])
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 def test_modes_that_are_not_stable_stay_and_what_is_not_minimal_goes(method, dt):
@@ -109,20 +62,6 @@ def test_modes_that_are_not_stable_stay_and_what_is_not_minimal_goes(method, dt)
     small = rl.reduce_model(twice, 3, method=method)
     assert small.status is Status.CERTIFIED
     assert np.abs(small.model.poles() - 1.3).min() < 1e-7
-
-
-def test_a_wrong_approximation_is_not_certified(monkeypatch):
-    # A model of the right order that is not the nearest: the Gramians of the difference tell.
-    right = model_reduction.nearest_in_hankel_norm
-
-    def wrong(model, balancing, order):
-        found = right(model, balancing, order)
-        return rl.StateSpaceModel(found.A * (1 + 1e-3), found.B, found.C, found.D)
-
-    monkeypatch.setattr(model_reduction, "nearest_in_hankel_norm", wrong)
-    found = rl.reduce_model(stable_model(6, 4), 3, method="hankel")
-    assert found.status is Status.INACCURATE
-    assert "the Hankel norm of the error is" in found.reason
 
 
 # --- relative error --------------------------------------------------------------------------------------------------
@@ -153,16 +92,6 @@ def test_the_relative_error_of_a_square_model_is_that_of_its_inverse(seed):
     assert found.difference.upper >= difference_on_grid(G, found.model, np.geomspace(0.01, 100, 50)) * (1 - 1e-9)
 
 
-def test_the_values_are_those_of_a_riccati_equation_solved_elsewhere():
-    G = stable_model(5, 8, m=3, p=2)
-    P = solve_continuous_lyapunov(G.A, -G.B @ G.B.T)
-    into, R = P @ G.C.T + G.B @ G.D.T, G.D @ G.D.T
-    loop = G.A - into @ np.linalg.solve(R, G.C)
-    X = solve_continuous_are(loop, into, G.C.T @ np.linalg.solve(R, G.C), -R)
-    values = np.sort(np.sqrt(np.linalg.eigvals(P @ X).real))[::-1]
-    np.testing.assert_allclose(rl.reduce_model(G, 3, method="stochastic").hankel, values, rtol=1e-7)
-
-
 def test_a_zero_on_the_right_must_stay_and_is_named_by_an_infinite_bound():
     # (s - 1)(s + 3) / ((s + 2)(s + 5)): one value is 1, the phase of the zero.
     A, B = [[-7.0, -10.0], [1.0, 0.0]], [[1.0], [0.0]]
@@ -172,32 +101,6 @@ def test_a_zero_on_the_right_must_stay_and_is_named_by_an_infinite_bound():
     assert np.isfinite(found.bound)
     np.testing.assert_allclose(rl.zeros(found.model).values.real, [1.0], rtol=1e-6)  # and its zero stays where it is
     assert rl.reduce_model(G, 0, method="stochastic").bound == np.inf
-
-
-def test_small_gains_are_kept_as_well_as_large_ones():
-    # A slow mode of gain 100, another of gain 1 beside it, and a resonance at 20 rad/s that stands out of their tails.
-    weak = rl.StateSpaceModel([[0, 1], [-400, -0.4]], [[0], [1]], [[0.4, 0]], [[1e-3]])
-    G = lag(0.01, 1.0) + lag(0.02, 0.02) + weak
-    truncated, relative = rl.reduce_model(G, 2), rl.reduce_model(G, 3, method="stochastic")
-    at = np.array([20.0])
-    size = abs(rl.frequency_response(G, at)[0, 0, 0])
-    assert difference_on_grid(G, truncated.model, at) > 0.4 * size
-    assert relative.error.upper < 0.02
-    assert difference_on_grid(G, relative.model, at) < 0.02 * size
-
-
-@pytest.mark.parametrize("dt", [0.0, 0.2])
-def test_the_relative_error_holds_on_a_grid_with_its_own_arithmetic(dt):
-    G, floor = stable_model(7, 5, dt, 2, 3), 0.3
-    found = rl.reduce_model(G, 4, method="stochastic", floor=floor)
-    omega = np.linspace(0.0, np.pi / (dt or 0.2), 700)
-    g, e = rl.frequency_response(G, omega), rl.frequency_response(G - found.model, omega)
-    worst = max(
-        np.linalg.norm(np.linalg.solve(u * np.sqrt(s**2 + floor**2) @ u.conj().T, gap), 2)
-        for (u, s, _), gap in zip((full(h) for h in g), e, strict=True)
-    )
-    assert 0.95 * found.error.lower <= worst <= found.error.upper * (1 + 1e-9)
-    assert found.error.frequency <= np.pi / dt if dt else True
 
 
 def full(h):
@@ -235,60 +138,7 @@ def test_entries_of_any_size_and_no_stable_states(method):
     assert rl.reduce_model(deaf, 1, **options()).order == 0
 
 
-def test_a_floor_beside_which_the_model_is_nothing_is_refused():
-    with pytest.raises(rl.InputError, match="times what the gain is about"):
-        rl.reduce_model(lag(1.0, 1e-250), 0, method="stochastic", floor=1.0)
-
-
-@pytest.mark.parametrize(("doubt", "share"), [(0.0, 1.0), (0.5, np.sqrt(2)), (1.0, np.inf), (np.inf, np.inf)])
-def test_a_relative_error_allows_for_all_that_the_factor_may_be_off(doubt, share):
-    spectrum = Spectrum.of(stable_model(6, 4, m=2, p=2), 0.0)
-    small = spectrum.balancing.reduced(spectrum.model, 2, "truncation")
-    right, found = (replace(spectrum, doubt=x).relative(spectrum.model - small, 1e-6) for x in (0.0, doubt))
-    assert found.upper == pytest.approx(right.upper * share, rel=1e-12)
-    assert found.lower <= right.lower
-    assert found.status is (Status.INACCURATE if doubt else Status.CERTIFIED)
-
-
-def test_an_error_told_too_small_is_seen(monkeypatch):
-    right = Spectrum.relative
-
-    def too_small(self, error, rtol):
-        found = right(self, error, rtol)
-        return replace(found, lower=0.5 * found.lower, upper=0.5 * found.upper)
-
-    monkeypatch.setattr(Spectrum, "relative", too_small)
-    found = rl.reduce_model(stable_model(6, 4, m=2, p=2), 2, method="stochastic")
-    assert found.status is Status.INACCURATE
-    assert "more than the certified" in found.reason
-
-
 # --- bands -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_gramians_of_a_band_in_closed_form(seed):
-    # Benner, Kuerschner, Saak 2016: A P + P A' + F B B' + B B' F' = 0 with F = Re(i / pi ln(-A - i w I)) between ends.
-    G, low, high = stable_model(6, seed), 0.3, 4.0
-    reach, see = band_gramian_factors(G, low, high)
-
-    def half(A, w):
-        return np.real(1j / np.pi * logm(-A - 1j * w * np.eye(len(A))))
-
-    for A, B, L in ((G.A, G.B, reach), (G.A.T, G.C.T, see)):
-        F = half(A, high) - half(A, low)
-        P = solve_continuous_lyapunov(A, -(F @ B @ B.T + B @ B.T @ F.T))
-        np.testing.assert_allclose(L @ L.T, P, atol=1e-8 * np.abs(P).max())
-
-
-@pytest.mark.parametrize("dt", [0.0, 0.1])
-def test_the_band_of_all_frequencies_is_balanced_truncation(dt):
-    G = stable_model(7, 6, dt)
-    everywhere = rl.reduce_model(G, 3, band=(0.0, np.pi / dt if dt else np.inf))
-    ordinary = rl.reduce_model(G, 3)
-    np.testing.assert_allclose(everywhere.hankel, ordinary.hankel, rtol=1e-6, atol=1e-9 * ordinary.hankel[0])
-    assert everywhere.error.upper == pytest.approx(ordinary.error.upper, rel=1e-5)
-    assert everywhere.difference.upper == pytest.approx(ordinary.error.upper, rel=1e-5)
 
 
 def test_an_error_in_a_band_that_drowns_in_the_models_rounding_is_still_proved():
@@ -340,29 +190,7 @@ def test_a_band_promises_no_stability_and_an_unstable_model_is_refused():
     assert rl.reduce_model(G, tolerance=tolerance, band=(0.5, 1.0)).model.is_stable()  # that order is passed over
 
 
-def test_an_error_in_a_band_told_too_small_is_seen(monkeypatch):
-    right = model_reduction.linf_norm
-
-    def too_small(model, **options):
-        found = right(model, **options)
-        return replace(found, lower=0.5 * found.lower, upper=0.5 * found.upper)
-
-    monkeypatch.setattr(model_reduction, "linf_norm", too_small)
-    found = rl.reduce_model(stable_model(8, 4), 4, band=(0.9, 1.0))
-    assert found.status is Status.INACCURATE
-    assert "more than the certified" in found.reason
-
-
 # --- requests --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("method", ["hankel", "stochastic", "coprime", "truncation"])
-def test_tolerance_takes_the_lowest_order_that_keeps_it_whatever_the_method(method):
-    G = stable_model(7, 11, m=2, p=2)
-    errors = [rl.reduce_model(G, r, method=method).error.upper for r in range(7)]
-    tolerance = 0.5 * (errors[4] + errors[3])
-    found = rl.reduce_model(G, tolerance=tolerance, method=method)
-    assert found.order == min(r for r in range(7) if errors[r] <= tolerance)
 
 
 WEIGHT = rl.StateSpaceModel([], [], [], [[1.0]])
@@ -383,8 +211,3 @@ WEIGHT = rl.StateSpaceModel([], [], [], [[1.0]])
 def test_bad_requests_are_named(arguments, message):
     with pytest.raises(rl.InputError, match=message):
         rl.reduce_model(stable_model(4, 1), 2, **arguments)
-
-
-def test_a_band_beyond_half_the_sample_rate_is_refused():
-    with pytest.raises(rl.InputError, match=r"up to pi / dt = 31\.4159 rad/s"):
-        rl.reduce_model(stable_model(4, 1, 0.1), 2, band=(1.0, 40.0))

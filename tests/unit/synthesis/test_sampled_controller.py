@@ -87,27 +87,11 @@ def test_on_a_flexible_chain_the_direct_design_loses_little_where_no_formula_is_
     assert lower_lft(rl.discretise(plant.model, dt, "zoh"), found.K).is_stable()
 
 
-def test_one_method_alone_and_its_failure_by_name(flexible):
-    plant, design = flexible
-    dt = 2 * np.pi / (12 * crossover(plant, design.K))
-    with pytest.raises(rl.NoTrustworthyNumber, match="no digital controller") as caught:
-        rl.discretise(design, dt, method="zoh")
-    assert any(line.startswith("zoh: ") for line in caught.value.more)
-
-
 def test_a_delay_costs_and_the_direct_design_knows_it(design):
     losses = [rl.discretise(design, 0.3, method="direct", delay=delay).loss for delay in (0.0, 0.45)]
     assert losses[0] < losses[1]
     tustin = rl.discretise(design, 0.3, method="tustin", delay=0.45).loss
     assert losses[1] < tustin * 1.02 + 0.02
-
-
-def test_scalings_scale_the_sampled_loop(design):
-    d = rl.StateSpaceModel([], [], [], np.diag([2.0, 1.0])), rl.StateSpaceModel([], [], [], np.diag([0.5, 1.0]))
-    found = rl.discretise(design, 0.01, method="tustin", scalings=d)
-    scaled = rl.StateSpaceModel([[-1.0]], [[0.5, 0, 1]], [[2], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    expected = rl.sampled_data_norm(scaled, found.K, n_meas=1, n_con=1)
-    assert found.gamma == pytest.approx(expected.upper, rel=1e-9)
 
 
 def test_pathological_sampling_of_an_oscillator_is_named():
@@ -148,8 +132,3 @@ def test_lifting_repeats_the_plant_over_a_period():
 def test_bad_requests_are_named(arguments, options, message):
     with pytest.raises(rl.InputError, match=message):
         rl.discretise(*arguments, plant=LOW, **options)
-
-
-def test_a_continuous_loop_that_is_not_stable():
-    with pytest.raises(rl.NoTrustworthyNumber, match="the continuous loop is not stable"):
-        rl.discretise(rl.StateSpaceModel([], [], [], [[5.0]]), 0.1, plant=LOW)

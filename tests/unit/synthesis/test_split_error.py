@@ -8,8 +8,6 @@ from scipy.linalg import block_diag
 
 import robustlab as rl
 from robustlab.result import Status
-from robustlab.synthesis.reduction.balancing import split_stable
-from robustlab.synthesis.reduction.split_error import SplitError, merged
 
 
 def mixed(apart, gain, seed=0, dt=0.0):
@@ -23,22 +21,6 @@ def mixed(apart, gain, seed=0, dt=0.0):
     B[3:] *= np.sqrt(gain)
     C[:, 3:] *= np.sqrt(gain)
     return rl.StateSpaceModel(T @ A @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T), [[0.0]], dt)
-
-
-def test_what_a_split_lost_is_known_to_many_digits():
-    flint = pytest.importorskip("flint")
-    from reduction_attack import exactly
-
-    assert flint
-    full = mixed([[0.5]], 1e6)
-    split = split_stable(full)
-    lost = split.rounding()
-    assert lost is not None
-    for omega in (0.1, 1.0, 7.0):
-        gap = exactly(full)(omega) - exactly(split.stable)(omega) - exactly(split.apart)(omega)
-        told = rl.frequency_response(lost, [omega])[0, 0, 0]
-        assert abs(complex(gap[0, 0]) - told) <= 1e-8 * abs(told)
-    assert 0 < SplitError(lost, split.apart.poles(), split.stable.poles(), 0.0).bound(0.0).upper < 1e-4
 
 
 def test_no_error_is_exceeded_where_modes_on_the_boundary_have_huge_gains():
@@ -104,25 +86,3 @@ def test_what_is_not_rounded_is_proved_everywhere():
     one = rl.reduce_model(rl.StateSpaceModel(np.eye(2), [[1.0], [1e9]], [[1.0, 0.1]], [[0.0]]), 2)
     assert (one.model.A.tolist(), one.left_out, one.status) == ([[1.0]], (), Status.CERTIFIED)
     assert one.error.upper <= 1e-15 * (1 + 1e8)
-
-
-def test_a_band_away_from_the_boundary_modes_has_all_its_frequencies():
-    G = mixed([[0.0, 2.0], [-2.0, 0.0]], 1.0, 1)
-    found = rl.reduce_model(G, 4, band=(3.5, 5.0))
-    assert found.status is Status.CERTIFIED
-    assert found.difference is not None
-    assert all(high < 3.5 for _, high in found.left_out)
-    omega = np.linspace(3.5, 5.0, 50)
-    gap = rl.frequency_response(G, omega) - rl.frequency_response(found.model, omega)
-    assert np.abs(gap).max() <= found.error.upper
-
-
-def test_intervals_that_overlap_are_one():
-    assert merged([(3.0, 4.0), (0.0, 1.0), (0.5, 2.0), (5.0, 5.0)]) == ((0.0, 2.0), (3.0, 4.0))
-
-
-def test_a_slow_mode_beside_fast_ones_is_stable():
-    """Its eigenvalue is known to its own size, not to that of the fastest."""
-    A = np.diag([-1e-3, -1e12])
-    split = split_stable(rl.StateSpaceModel(A, np.ones((2, 1)), np.ones((1, 2)), [[0.0]]))
-    assert (split.stable.n_states, split.apart.n_states) == (2, 0)

@@ -10,14 +10,6 @@ from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.dk.dk_iteration import structure_with_performance
-from robustlab.synthesis.dk.dynamic_scalings import (
-    BlockScaling,
-    CoprimePair,
-    DynamicScalings,
-    Factor,
-    loop_at_level,
-    unit_scalings,
-)
 from robustlab.synthesis.dk.robust_problem import RobustProblem
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
@@ -130,18 +122,6 @@ def test_a_real_stiffness_gives_a_smaller_mu(pair: tuple[DKSynthesis, DKSynthesi
         assert 1 / margin.upper >= 0.95 * design.gamma
 
 
-def test_the_mixed_bound_recomputed_at_single_frequencies(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
-    real = pair[1]
-    assert real.proved_again() == pytest.approx(real.scaled_level, rel=1e-5)
-    loop = frequency_response(real.closed_loop, OMEGA)
-    levels = rl.mu(loop[::30], real.blocks).lower
-    assert max(levels) <= real.gamma * (1 + 1e-6)
-    tight = loop_at_level(real.closed_loop, real.scalings, real.scaled_level)
-    assert np.linalg.norm(frequency_response(tight, OMEGA), 2, axis=(1, 2)).max() <= 1 + 1e-9
-    loose = loop_at_level(real.closed_loop, real.scalings, 0.99 * real.scaled_level)
-    assert np.linalg.norm(frequency_response(loose, OMEGA), 2, axis=(1, 2)).max() > 1
-
-
 def test_a_singular_plant_with_a_closed_form() -> None:
     # mu of [[0, 4], [1, 0]] is 2 for two scalars, whatever K does with its own stable mode; D12 = D21 = 0.
     D = np.zeros((3, 3))
@@ -181,25 +161,12 @@ def test_a_discrete_plant_is_verified_in_discrete_time() -> None:
     assert max(bounds.upper) <= design.gamma * (1 + 1e-4)
 
 
-def test_a_warm_start_is_never_worse(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
-    real = pair[1]
-    again = rl.dk(oscillator(), [RealScalar("k")], 1, 1, K0=real, order_rel=0.0, effort=0.02, max_order=4)
-    assert again.history[0].gamma == pytest.approx(real.scaled_level, rel=1e-5)
-    assert again.gamma <= real.gamma * (1 + 1e-5)
-
-
 def test_slower_controllers_within_the_allowed_loss() -> None:
     best, soft = (
         rl.dk(oscillator(), [RealScalar("k")], 1, 1, direct=False, mixed=False, order_rel=share) for share in (0, 0.05)
     )
     assert soft.gamma <= best.gamma * 1.05
     assert soft.fastest_controller_pole < 0.2 * best.fastest_controller_pole
-
-
-def test_the_time_limit_ends_the_search() -> None:
-    design = rl.dk(distillation(), [[2, 2]], 2, 2, time_limit=1.0)
-    assert design.status is rl.Status.TIMEOUT
-    assert "not repeatable" in design.reason
 
 
 def test_blocks_that_cover_everything_and_those_of_an_uncertain_model() -> None:
@@ -243,76 +210,9 @@ def test_a_mode_that_cannot_be_stabilised_is_named() -> None:
 # --- the parts -------------------------------------------------------------------------------------------------------
 
 
-def test_factors_their_inverses_and_their_merging() -> None:
-    factor = Factor(0.3).with_section(0.5, -1.0).with_section(1.5, 0.2).with_section(-2.0, 2.0)
-    assert factor.order == 3
-    s = 1j * OMEGA
-    expected = np.exp(0.3) * (s / np.exp(0.5) + 1) * (s / np.exp(1.5) + 1) * (s / np.exp(-2.0) + 1)
-    expected /= (s / np.exp(-1.0) + 1) * (s / np.exp(0.2) + 1) * (s / np.exp(2.0) + 1)
-    response = frequency_response(StateSpaceModel(*factor.realisation()), OMEGA)[:, 0, 0]
-    np.testing.assert_allclose(response, expected, rtol=1e-9)
-    np.testing.assert_allclose(factor.log_modulus(OMEGA), np.log(np.abs(expected)), atol=1e-9)
-
-
-@pytest.mark.parametrize("sections", [((0.3, -0.4),), ((0.3, -1.0, 0.1, 0.5), (2.0, 1.0))])
-def test_coprime_factors_are_normalised_and_their_quotient_is_imaginary(sections: tuple) -> None:
-    A, B, F, C = CoprimePair(sections).realisation()
-    g_m = frequency_response(StateSpaceModel(A, B, F, [[1.0]]), OMEGA)[:, 0, 0]
-    g_n = frequency_response(StateSpaceModel(A, B, C, [[0.0]]), OMEGA)[:, 0, 0]
-    np.testing.assert_allclose(np.abs(g_m) ** 2 + np.abs(g_n) ** 2, 1.0, rtol=1e-10)
-    np.testing.assert_allclose((g_n * g_m.conj()).real, 0.0, atol=1e-10)
-    assert np.abs(g_n).max() > 0.1
-    assert np.linalg.eigvals(A).real.max() < 0
-
-
-def test_scalings_of_a_repeated_block_invert_each_other() -> None:
-    blocks = (RealScalar("r", 2), FullBlock("p", 1, 1))
-    part = BlockScaling((Factor(0.2).with_section(0.1, 1.0), Factor(-1.0)), (0.7,), (CoprimePair(),) * 2)
-    scalings = DynamicScalings(blocks, (part, BlockScaling(())))
-    left = frequency_response(StateSpaceModel(*scalings.on_outputs()), OMEGA)
-    right = frequency_response(StateSpaceModel(*scalings.on_inputs()), OMEGA)
-    np.testing.assert_allclose(left @ right, np.broadcast_to(np.eye(3), left.shape), atol=1e-9)
-    again = scalings.with_parameters(scalings.parameters())
-    np.testing.assert_array_equal(again.parameters(), scalings.parameters())
-
-
-def test_derivatives_of_the_level_against_differences_of_levels() -> None:
-    plant, blocks = structure_with_performance(oscillator(), [RealScalar("k")], 1, 1)
-    problem = RobustProblem(plant)
-    part = BlockScaling((Factor(1.0).with_section(0.0, 0.5),), (), (CoprimePair().with_section(-1.0, 1.0),))
-    scalings = unit_scalings(blocks).with_part(0, part)
-    search, theta = problem.search(scalings), scalings.parameters()
-    level = search.smallest(theta, 0.5, 1e-10)
-    assert level is not None
-    branches = search.branches(theta, level)
-    assert branches is not None
-
-    def log_level(at: np.ndarray) -> float:
-        found = search.smallest(at, level.beta, 1e-10)
-        assert found is not None
-        return float(np.log(found.beta))
-
-    steps = 1e-4 * np.eye(len(theta))
-    slopes = [(log_level(theta + e) - log_level(theta - e)) / 2e-4 for e in steps]
-    np.testing.assert_allclose(branches.slopes[0], slopes, atol=2e-5)
-
-
 def test_a_different_controller_is_not_proved(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
     plant = GeneralizedPlant(oscillator(), 1, 1)
     problem = RobustProblem(plant)
     wrong = StateSpaceModel(pair[1].K.A, pair[1].K.B, -pair[1].K.C, -pair[1].K.D)
     found = problem.proved(wrong, pair[1].scalings, 0.4)
     assert found is None or found.level > 1.5 * pair[1].gamma
-
-
-def test_a_design_with_g_scalings_is_reduced_by_mu_without_them(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
-    """No norm of a scaled loop bounds mixed mu: the mu analysis judges, with the blocks of the design."""
-    design = pair[1]
-    assert design.scalings.mixed
-    small = rl.reduce_controller(design, order=design.K.n_states - 1)
-    assert small.measure == "mu of robust performance, at all frequencies"
-    assert small.K.n_states == design.K.n_states - 1
-    assert small.original_gamma == pytest.approx(design.gamma, rel=2e-3)
-    assert small.loss < 0.05
-    with pytest.raises(InputError, match="scalings with G"):
-        rl.reduce_controller(design, scalings=design.scalings)

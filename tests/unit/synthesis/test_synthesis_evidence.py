@@ -15,9 +15,8 @@ from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.hinf.search import trial_loop, trial_norm
 from robustlab.synthesis.problem.gamma_bounds import point_in_words, pointwise_bound
-from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
+from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.synthesis.problem.stability import proved_stable
 
@@ -140,40 +139,3 @@ def test_jordan_block_far_from_normal_is_not_called_stable_by_luck():
     A = -1e-3 * np.eye(n) + np.diag(np.ones(n - 1), 1)
     Q, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((n, n)))
     assert not proved_stable(Q @ A @ Q.T)
-
-
-@pytest.mark.parametrize(("radius", "stable"), [(0.999999, True), (1.0, False), (1.000001, False)])
-def test_discrete_stability_near_the_unit_circle(radius, stable):
-    assert proved_stable(radius * np.array([[0.0, 1.0], [-1.0, 0.0]]), discrete=True) is stable
-
-
-def test_empty_and_not_finite_matrices():
-    assert proved_stable(np.zeros((0, 0)))
-    assert not proved_stable(np.array([[np.inf]]))
-
-
-# --- the search's own gain against the proved norm ---
-
-
-@pytest.mark.parametrize("damping", [1e-1, 1e-3, 1e-5])
-def test_quick_gain_of_lightly_damped_loops_is_the_norm(damping):
-    rng = np.random.default_rng(3)
-    blocks = [np.array([[0.0, w], [-w, -2 * damping * w]]) for w in 10 ** rng.uniform(-1, 2, 5)]
-    A = np.zeros((10, 10))
-    for k, block in enumerate(blocks):
-        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
-    loop = Realisation(A, rng.standard_normal((10, 2)), rng.standard_normal((3, 10)), rng.standard_normal((3, 2)))
-    norm = hinf_norm(StateSpaceModel(*loop))
-    assert trial_norm(loop) == pytest.approx(norm.value, rel=1e-4)
-    assert trial_norm(loop, 0.5 * norm.value) == np.inf
-
-
-def test_closed_loop_of_bare_matrices_is_the_lft():
-    rng = np.random.default_rng(0)
-    D = rng.standard_normal((4, 4))
-    D[3:, 3:] = 0.0
-    plant = GeneralizedPlant(StateSpaceModel(*(rng.standard_normal((4, 4)) for _ in "ABC"), D), 1, 1)
-    K = Realisation(*(rng.standard_normal(shape) for shape in ((2, 2), (2, 1), (1, 2), (1, 1))))
-    loop = plant.close(StateSpaceModel(*K))
-    for got, want in zip(trial_loop(plant.matrices(), K), (loop.A, loop.B, loop.C, loop.D), strict=True):
-        np.testing.assert_allclose(got, want, atol=1e-13)

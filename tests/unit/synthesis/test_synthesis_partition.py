@@ -11,42 +11,9 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
-from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation, generalized_plant
-from robustlab.synthesis.problem.scaling import equilibrated, paths_first
+from robustlab.synthesis.problem.partition import generalized_plant
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
-
-
-def random_plant(seed: int, n: int = 5) -> GeneralizedPlant:
-    rng = np.random.default_rng(seed)
-    D = rng.standard_normal((5, 4))
-    D[3:, 2:] = 0.0
-    t = 10 ** rng.uniform(-4, 4, n)
-    A = rng.standard_normal((n, n)) * 1e3
-    model = StateSpaceModel(
-        A * t[:, None] / t,
-        rng.standard_normal((n, 4)) * t[:, None] * [1, 1, 1e4, 1e-3],
-        rng.standard_normal((5, n)) / t * np.array([[1], [1], [1], [1e5], [1e-6]]),
-        D,
-    )
-    return GeneralizedPlant(model, 2, 2)
-
-
-@pytest.mark.parametrize("make", [paths_first, equilibrated])
-@pytest.mark.parametrize("seed", range(4))
-def test_scaling_changes_the_loop_by_its_gain_only(make, seed):
-    plant = random_plant(seed)
-    scaling = make(plant.matrices())
-    scaled = scaling.apply(plant.matrices()).model()
-    rng = np.random.default_rng(seed)
-    K = Realisation(-np.eye(2), rng.standard_normal((2, 2)), rng.standard_normal((2, 2)), np.zeros((2, 2)))
-    omega = np.array([0.1, 1.0, 10.0])
-    loop_scaled = frequency_response(lower_lft(scaled, StateSpaceModel(*K)), omega)
-    loop = frequency_response(plant.close(StateSpaceModel(*scaling.controller_to_plant(K))), omega * scaling.rate)
-    np.testing.assert_allclose(loop_scaled, loop * scaling.gain, rtol=1e-8, atol=1e-8 * np.abs(loop_scaled).max())
-    back = scaling.controller_from_plant(scaling.controller_to_plant(K))
-    for name in "ABCD":
-        np.testing.assert_array_equal(getattr(back, name), getattr(K, name))
 
 
 def uncertain_model() -> UncertainModel:
@@ -119,26 +86,3 @@ def test_a_plant_without_performance_channels_is_refused(design, n_w, n_z, missi
     }
     with pytest.raises(InputError, match=f"no .*{missing}.* beside 1 controls and 1 measurements"):
         calls[design]()
-
-
-@pytest.mark.parametrize(("dt", "controller_dt"), [(0.0, 0.0), (0.1, 0.1)])
-def test_a_bare_plant_hears_of_its_performance_before_the_sample_times(dt, controller_dt):
-    P = StateSpaceModel([[-0.5]], [[1.0]], [[1.0]], [[0.0]], dt)
-    with pytest.raises(InputError, match="no disturbance w and no performance output z"):
-        rl.sampled_data_norm(P, StateSpaceModel([], [], [], [[-5.0]], controller_dt))
-
-
-@pytest.mark.parametrize("design", [rl.dk, rl.hinf, rl.h2, lambda s, **n: rl.fixed_structure(s, 1, **n)])
-def test_channels_of_delta_are_no_performance(design):
-    """Each member of the set has neither w nor z, so that no gain of it can be made small."""
-    uncertain = UncertainModel(
-        StateSpaceModel([[-1.0]], [[0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [RealScalar("p")]
-    )
-    with pytest.raises(InputError, match="no performance channel is left"):
-        design(uncertain, n_meas=1, n_con=1)
-
-
-def test_the_smallest_gamma_found_is_the_smallest():
-    plant = StateSpaceModel([[-1.0]], [[0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    design = rl.hinf(plant, 1, 1)  # the more gain the smaller: zero is the infimum
-    assert design.smallest_gamma <= design.gamma

@@ -62,11 +62,6 @@ def test_every_constructor_and_every_file_refuses_them(make, name, tmp_path):
     assert "frequencies from 0 up" in str(caught.value.hint)
 
 
-def test_a_complex_number_is_no_operand():
-    with pytest.raises(InputError, match=r"twice the size"):
-        1j * LAG
-
-
 def test_the_real_model_of_twice_the_size_is_the_complex_one():
     rng = np.random.default_rng(1)
     sizes = ((3, 3), (3, 2), (2, 3), (2, 2))

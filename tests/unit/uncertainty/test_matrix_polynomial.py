@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robustlab.uncertainty.decomposition_tree import MatrixPolynomial, polynomial_lft, rank_factors
+from robustlab.uncertainty.decomposition_tree import MatrixPolynomial, polynomial_lft
 
 
 def closed(lft, values: dict[str, float]) -> np.ndarray:
@@ -52,17 +52,3 @@ def test_a_product_that_many_share_is_taken_out_last():
     poly = MatrixPolynomial(tuple("gabcde"), {(0,) * 6: k[0], (1, *(0,) * 5): k[0], **masses, **with_g})
     lft = polynomial_lft(poly, np.ones((6, 6)), 1e-12)
     assert {name: lft.names.count(name) for name in "gabcde"} == dict.fromkeys("gabcde", 6)
-
-
-def test_rank_factors_keep_zeros():
-    matrix = np.array([[0.0, 2.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 0.0]])
-    left, right = rank_factors(matrix, 1e-12)
-    assert left.shape == (3, 1)
-    np.testing.assert_array_equal(left @ right == 0, matrix == 0)
-    np.testing.assert_allclose(left @ right, matrix, rtol=1e-15)
-
-
-def test_nothing_but_a_constant():
-    lft = polynomial_lft(MatrixPolynomial(("a",), {(0,): np.eye(2)}), np.ones((2, 2)), 1e-12)
-    assert lft.names == ()
-    np.testing.assert_array_equal(lft.d22, np.eye(2))

@@ -27,7 +27,6 @@ class RealMatrix(Block):
 
 
 BLOCKS = [RealMatrix("stiffness", 2, 2)]
-ONE = RealMatrix("k", 1, 1)
 MIXED = [rl.RealScalar("mass"), RealMatrix("stiffness", 2, 3), rl.ComplexScalar("motor")]
 
 
@@ -127,12 +126,6 @@ def test_mu_encloses_the_real_structured_singular_value(seed):
     assert exact <= bounds.upper * (1 + 1e-9)
 
 
-def test_mu_of_a_real_matrix_is_the_largest_singular_value():
-    M = matrix_for(BLOCKS, 7, real=True)
-    bounds = rl.mu(M, BLOCKS)
-    assert (bounds.lower, bounds.upper) == pytest.approx((np.linalg.norm(M, 2),) * 2, rel=1e-9)
-
-
 @pytest.mark.parametrize("blocks", [BLOCKS, MIXED], ids=["alone", "mixed"])
 def test_robust_stability(blocks):
     uncertain = model_for(blocks)
@@ -168,13 +161,6 @@ def test_worst_case_gain_and_worst_case():
         worst = rl.worst_case(uncertain, metric, n=16, effort=0.2)
         assert is_member(BLOCKS[0], worst.delta["stiffness"])
         assert metric != "hinf" or worst.value <= bounds.upper * (1 + 1e-6)
-
-
-def test_time_domain_takes_it_as_it_is_real():
-    uncertain = rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[0.3, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [ONE])
-    worst = rl.worst_case(uncertain, "peak", t=np.linspace(0, 9, 46), u=np.ones(46), n=8)
-    assert worst.value == pytest.approx((1 - np.exp(-0.7 * 9)) / 0.7, rel=1e-6)
-    assert worst.delta["k"] == pytest.approx(np.eye(1), rel=1e-6)
 
 
 def test_algebra():
@@ -222,19 +208,3 @@ def test_another_kind_against_what_is_known_of_its_set(seed):
         assert np.count_nonzero(delta["channels"]) == 3
     with pytest.raises(InputError, match="Separate"):
         uncertain.evaluate({"channels": np.ones((3, 3))})
-
-
-def test_files_refuse_it_and_say_so(tmp_path):
-    with pytest.raises(InputError) as caught:
-        rl.save(tmp_path / "set.h5", model_for(BLOCKS))
-    text = str(caught.value)
-    assert all(word in text for word in ("stiffness", "RealMatrix", "real, complex, full"))
-    assert "\n" not in text
-    assert not list(tmp_path.iterdir())
-
-
-def test_validation_refuses_it():
-    t = 0.01 * np.arange(100)
-    record = rl.Record(t, inputs={"u1": np.ones(100)}, outputs={"y1": np.ones(100)})
-    with pytest.raises(InputError, match=r"stiffness.*RealMatrix"):
-        rl.validate(model_for(BLOCKS), record, noise={"y1": 0.1})

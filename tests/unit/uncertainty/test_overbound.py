@@ -43,25 +43,6 @@ def test_a_bound_that_is_the_size_of_a_weight_is_found_again(zeros, poles, order
     assert np.linalg.eigvals(inverse).real.max() < 0
 
 
-def test_a_constant_needs_no_states():
-    fit = overbound([1.0, 10.0], [0.3, 0.3])
-    assert fit.order == 0
-    assert fit.weight.D[0, 0] == pytest.approx(0.3, rel=1e-9)
-
-
-def test_order_one_is_the_best_of_order_one():
-    """A ramp between two levels: no weight k (s + z) / (s + p) of a brute-force search comes nearer."""
-    omega = np.logspace(-2, 2, 80)
-    fit = overbound(omega, np.clip(omega, 0.1, 1.0), 1, 1e-3, exact=lambda w: np.clip(w, 0.1, 1.0))
-    z, p = np.meshgrid(np.logspace(-2, 0.5, 101), np.logspace(-1, 1.5, 101))
-    w = fit.omega[:, None, None]
-    ratio = np.sqrt((w**2 + z**2) / (w**2 + p**2)) / fit.bound[:, None, None]
-    best = (ratio.max(axis=0) / ratio.min(axis=0)).min() - 1
-    assert fit.status is rl.Status.INACCURATE
-    assert fit.excess <= best + 0.005
-    assert 0.97 * fit.excess <= fit.least <= best  # what no weight can do, the search does not do either
-
-
 def test_no_other_weight_does_better_than_what_is_proved():
     """Second-order weights drawn at random about the best one: none falls short of its least excess."""
     bound = np.maximum(

@@ -44,17 +44,6 @@ def test_value_and_singular_values(shape, kind, dt):
         assert np.abs(np.linalg.svd(elsewhere, compute_uv=False) - wanted).max() <= 1e-10 * size
 
 
-def test_the_norm_by_the_level_set_method():
-    value = matrix("full", 3, 2)
-    made = realise_delta([rl.FullBlock("d", 3, 2)], {"d": value}, 2.0)["d"]
-    assert rl.peak_gain(made).upper <= np.linalg.norm(value, 2) * (1 + 2e-6)
-
-
-def test_rank_one_needs_three_states_whatever_its_size():
-    made = realise_delta([rl.FullBlock("d", 6, 7)], {"d": matrix("rank one", 6, 7)}, 2.0)["d"]
-    assert made.n_states <= 3
-
-
 @given(
     phase=st.floats(-np.pi, np.pi),
     size=st.floats(1e-6, 1e6),
@@ -69,16 +58,6 @@ def test_any_complex_number_at_any_frequency(phase, size, omega):
     # Poles stay near omega, so that neither the eigenvalues nor a simulation of the loop suffer.
     assert all(omega * 1e-3 <= -p.real <= omega * 1e3 for p in made.poles())
     assert abs(np.abs(rl.frequency_response(made, [0.0, omega / 3, np.inf])) - size).max() <= 1e-12 * size
-
-
-def test_edges_of_the_axis_hold_real_values_only():
-    blocks = [rl.ComplexScalar("d")]
-    for omega, dt in ((0.0, 0.0), (np.inf, 0.0), (0.0, 0.1), (1e-13, 0.1), (np.pi / 0.1, 0.1)):
-        made = realise_delta(blocks, {"d": -0.4 + 1e-12j}, omega, dt)["d"]
-        assert made.n_states == 0
-        assert made.D[0, 0] == -0.4
-        with pytest.raises(rl.InputError, match="real coefficients are real"):
-            realise_delta(blocks, {"d": 0.4j}, omega, dt)
 
 
 @pytest.mark.parametrize(
@@ -149,24 +128,3 @@ def test_perturbed_model_agrees_with_evaluate_for_real_values():
         expected = getattr(model.evaluate(values), a)
         assert getattr(perturbed_model(model, given), b) == pytest.approx(expected, abs=1e-12)
         assert getattr(perturbed_model(model, values), b) == pytest.approx(expected, abs=1e-12)
-
-
-def test_perturbed_model_names_what_does_not_fit():
-    model = uncertain(0.0)
-    gain = rl.StateSpaceModel([], [], [], [[0.5]])
-    lag = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
-    for delta, text in (
-        ({"r": gain}, "the block is a real scalar"),
-        ({"f": gain}, "3 x 2"),
-        ({"c": lag}, "dt = 0.1"),
-        ({"x": gain}, "no such block"),
-        ({"c": 0.5j}, "realise_delta makes models"),
-    ):
-        with pytest.raises(rl.InputError, match=text):
-            perturbed_model(model, delta)
-
-
-def test_an_ill_posed_loop_is_no_model():
-    M = rl.StateSpaceModel([], [], [], [[1.0, 1.0], [1.0, 0.0]])
-    with pytest.raises(rl.NoTrustworthyNumber, match="ill-posed"):
-        perturbed_model(rl.UncertainModel(M, [rl.ComplexScalar("d")]), {"d": rl.StateSpaceModel([], [], [], [[1.0]])})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 
-import control
 import numpy as np
 import pytest
 
@@ -35,37 +34,6 @@ def changed(*entries, **matrices):
     for name, i, j in entries:
         out[name][i, j] = out[name][i, j] * 1.1 + 0.1
     return motor(**out)
-
-
-def test_names_come_from_the_signals():
-    other = changed(("a", 0, 1), ("b", 1, 0), ("c", 0, 0), ("d", 1, 0))
-    names = {s: [b.name for b in elementwise(motor(), other, s).blocks] for s in STRUCTURES}
-    assert names == {
-        "elements": ["A[omega,i]", "B[i,u]", "C[omega,omega]", "D[i,u]"],
-        "columns": ["A[:,i]", "B[:,u]", "C[:,omega]", "D[:,u]"],
-        "rows": ["A[omega,:]", "B[i,:]", "C[omega,:]", "D[i,:]"],
-        "matrices": ["A", "B", "C", "D"],
-        "single": ["single"],
-    }
-
-
-def test_long_or_ambiguous_names_become_numbers():
-    long = ["s" * 199, "t" * 199]
-    model = elementwise(motor(states=long), changed(("a", 0, 1), states=long))
-    assert [b.name for b in model.blocks] == ["A[0,1]"]
-    n = {"states": ["a,b", "c", "a", "b,c"], "inputs": ["u"], "outputs": ["y"]}
-    big = np.zeros((4, 4))
-    big[0, 1] = big[2, 3] = 1.0  # A[a,b,c] twice
-    rest = (np.zeros((4, 1)), np.zeros((1, 4)), [[0.0]])
-    model = elementwise(StateSpaceModel(np.zeros((4, 4)), *rest, **n), StateSpaceModel(big, *rest, **n))
-    assert [b.name for b in model.blocks] == ["A[0,1]", "A[2,3]"]
-
-
-def test_channel_names_never_collide_with_signals():
-    signals = {"inputs": ["w:A[omega,i]"], "outputs": ["z:A[omega,i]", "z:x"]}
-    model = elementwise(motor(**signals), changed(("a", 0, 1), **signals))
-    assert len(set(model.M.input_names)) == 2
-    assert model.evaluate({"A[omega,i]": 1.0}).input_names == ("w:A[omega,i]",)
 
 
 def test_columns_are_the_thesis_form():
@@ -137,11 +105,6 @@ def test_units_that_disagree():
     assert elementwise(motor(), motor(outputs=["omega", ("i", "A")])).blocks == ()
 
 
-def test_unnamed_signals_match_any_names():
-    assert elementwise(motor(), StateSpaceModel(A * 1.1, B, C, D)).blocks[0].name == "A[omega,omega]"
-    assert elementwise(motor(), control.ss(A * 1.1, B, C, D)).delta_shape == (4, 4)
-
-
 @pytest.mark.parametrize(("structure", "tolerance"), [("element", None), ("single", -0.1), ("single", 1.0)])
 def test_options_that_are_none(structure, tolerance):
     with pytest.raises(InputError):
@@ -161,29 +124,6 @@ def test_noise_hides_the_rank_until_it_is_named():
     residual = endpoint_residual(coarse, second)
     assert 1e-13 < residual.largest < 1e-8
     assert residual.absolute["B"] == 0.0
-
-
-def test_noise_in_single_entries_is_dropped_on_request_only():
-    noisy = motor(a=A * (1 + 1e-13))
-    assert len(elementwise(motor(), noisy).blocks) == 4
-    assert len(elementwise(motor(), noisy, tolerance=1e-9).blocks) == 0
-
-
-def test_too_many_channels_are_refused():
-    n = 80
-    first = StateSpaceModel(np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n)), [[0.0]])
-    second = StateSpaceModel(np.ones((n, n)), np.zeros((n, 1)), np.zeros((1, n)), [[0.0]])
-    with pytest.raises(InputError, match="6400 channels"):
-        elementwise(first, second)
-    assert elementwise(first, second, "single").delta_shape == (1, 1)
-
-
-def test_operating_point_of_the_nominal_model_is_kept():
-    from robustlab.statespace import OperatingPoint
-
-    point = OperatingPoint(np.ones(2), np.ones(1), np.ones(2))
-    model = elementwise(StateSpaceModel(A, B, C, D, operating_point=point), motor())
-    np.testing.assert_array_equal(model.nominal.operating_point.x, [1.0, 1.0])
 
 
 # --- generalised plant -----------------------------------------------------------------------------------------------

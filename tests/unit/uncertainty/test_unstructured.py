@@ -74,14 +74,6 @@ def test_members_are_those_of_the_formula(form, p, m, dt):
                 assert np.abs(got[k] - expected).max() <= 1e-11 * max(np.abs(expected).max(), 1)
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_at_zero_delta_it_is_the_nominal_model(form):
-    G = model(3, 2, 2, 5)
-    nominal = unstructured(G, 0.3, form).nominal
-    omega = [0.1, 1.0, 10.0]
-    assert rl.frequency_response(nominal, omega) == pytest.approx(rl.frequency_response(G, omega), abs=1e-13)
-
-
 def test_the_m_of_the_thesis_without_weights():
     """Sections 4.2.1, 4.2.3 for a square static G, the inverse multiplicative form put right."""
     G = np.array([[2.0, 1.0], [0.5, 3.0]])
@@ -96,18 +88,6 @@ def test_the_m_of_the_thesis_without_weights():
     }
     for form, blocks in expected.items():
         assert pytest.approx(np.block(blocks)) == unstructured(rl.StateSpaceModel([], [], [], G), 1.0, form).M.D
-
-
-def test_the_printed_inverse_multiplicative_m_is_not_the_printed_formula():
-    """M = [-I I; -G G] belongs to G (I + Delta)^-1; beside G_p^-1 = G^-1 (I + Delta) it is wrong for MIMO."""
-    rng = np.random.default_rng(0)
-    G, delta = rng.standard_normal((2, 2)), 0.4 * rng.standard_normal((2, 2))
-    printed = np.linalg.inv(np.linalg.inv(G) @ (np.eye(2) + delta))
-    static = rl.StateSpaceModel([], [], [], G)
-    ours = unstructured(static, 1.0, "inverse-output-multiplicative").evaluate({"unmodelled": delta}).D
-    other = unstructured(static, 1.0, "inverse-input-multiplicative").evaluate({"unmodelled": delta}).D
-    assert ours == pytest.approx(printed)
-    assert np.linalg.norm(other - printed) > 0.1 * np.linalg.norm(printed)
 
 
 def test_scalar_and_diagonal_weights():

@@ -10,7 +10,7 @@ from flint import acb, acb_mat, arb
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.verification import balls, forms, models
+from robustlab.verification import balls, models
 
 BITS = 128
 
@@ -51,50 +51,6 @@ def test_maps_of_a_model_keep_its_response(seed):
         assert narrow(response(models.on_the_axis(H), s))
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_loop_is_that_of_its_equations(seed):
-    n, k, m, p, u, y = 3, 2, 2, 1, 2, 3
-    P, K = cases.model(seed, n, m + u, p + y), cases.model(seed + 100, k, y, u)
-    numbers = {f"P_{x}": P[x] for x in "ABCD"} | {f"K_{x}": K[x] for x in "ABCD"}
-    with balls.precision(BITS):
-        closed = models.loop(cases.claimed("loop-norm", numbers, n_meas=y, n_con=u, dt=0.0))
-        s = acb(0.5, 2.0)
-        plant, control = (response(models.Model(*(balls.exact(G[x]) for x in "ABCD"), 0.0), s) for G in (P, K))
-        G11, G12, G21, G22 = (
-            balls.part(plant, r, c) for r in (slice(0, p), slice(p, p + y)) for c in (slice(0, m), slice(m, m + u))
-        )
-        inner = (acb_mat(balls.identity(y)) - G22 * control).solve(G21)
-        truth = G11 + G12 * control * inner
-        assert (closed.n, closed.m, closed.p) == (n + k, m, p)
-        assert overlap(response(closed, s), truth)
-        assert narrow(truth)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_form_of_a_polynomial_is_that_of_its_matrix(seed):
-    rng = np.random.default_rng(seed)
-
-    def entries(*shape):
-        return balls.exact(rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
-
-    with balls.precision(BITS):
-        H = [x + balls.adjoint(x) for x in (entries(3, 3), entries(2, 2))]
-        form = forms.Form(H[0], H[1], entries(3, 2))
-        C, D, S, X = entries(2, 4), entries(2, 3), entries(3, 3), [entries(4, 3) for _ in range(4)]
-        quadratic = form.of_sum(D, C)
-        higher = quadratic.higher(X, S)
-        assert len(higher) == 6
-        e = arb(0.75)
-        M = D + C * sum((x * e**k for k, x in enumerate(X)), acb_mat(4, 3))
-        truth = balls.adjoint(S) * H[0] * S - balls.adjoint(M * S) * H[1] * M * S
-        cross = balls.adjoint(S) * form.G * M * S * acb(0, 1)
-        truth = truth - cross - balls.adjoint(cross)
-        value = balls.adjoint(S) * quadratic.at(X[0]) * S
-        value = sum((y * e ** (k + 1) for k, y in enumerate(higher)), value)
-        assert overlap(value, truth)
-        assert narrow(value)
-
-
 def signed(seed, n, values):
     """An integer matrix of the inertia of ``values``, exact in doubles."""
     rng = np.random.default_rng(seed)
@@ -132,21 +88,6 @@ def test_ill_conditioned_and_badly_scaled_matrices():
         assert not balls.definite(balls.zeros(1, 1)).proved
         assert not balls.definite(balls.exact(np.array([[np.nan]]))).proved
         assert not balls.definite(balls.exact(np.array([[np.inf]]))).proved
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.integers(0, 10**6), st.floats(0.01, 3))
-def test_definiteness_of_a_polynomial_holds_at_each_point(seed, size):
-    rng = np.random.default_rng(seed)
-    X = rng.standard_normal((3, 4, 4)) + 1j * rng.standard_normal((3, 4, 4))
-    X = (X + X.conj().transpose(0, 2, 1)) / 2 * np.array([0.2, size, size**2 / 4])[:, None, None] + np.eye(
-        4
-    ) * np.array([3.0, 0, 0]).reshape(3, 1, 1)
-    with balls.precision(BITS):
-        F = [balls.exact(x) for x in X]
-        if balls.definite(F[0], lambda S: [balls.adjoint(S) * x * S for x in F[1:]]).proved:
-            for e in np.linspace(-1, 1, 41):
-                assert np.linalg.eigvalsh(X[0] + e * X[1] + e**2 * X[2])[0] > 0
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import verify_cases as cases
 from flint import acb, acb_mat, arb
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,52 +10,6 @@ from robustlab.verification import axis, balls, forms, models
 from robustlab.verification.claim import Blurred, Work
 
 BITS = 192
-J = acb(0, 1)
-
-
-def ball_model(seed, n, m, p, margin=0.3):
-    G = cases.model(seed, n, m, p, margin=margin)
-    return models.Model(*(balls.exact(G[x]) for x in "ABCD"), 0.0)
-
-
-def scaled(seed, q, p):
-    """A form with full D and G: of no structure, which its algebra does not ask for."""
-    rng = np.random.default_rng([seed, 1])
-    W, Z = (rng.standard_normal((k, k)) + 1j * rng.standard_normal((k, k)) for k in (q, p))
-    G = rng.standard_normal((q, p)) + 1j * rng.standard_normal((q, p))
-    square = W @ W.conj().T + np.eye(q)
-    square = 0.5 * (square + square.conj().T)  # to the last bit, as scalings must be
-    return forms.Form(balls.exact(square), balls.exact(Z + Z.conj().T), balls.exact(G))
-
-
-def value(form, G, w):
-    """F(M(jw)), straight from the definition."""
-    return form.of(G.D + G.C * models.shifted(G, w).solve(acb_mat(G.B)))
-
-
-@pytest.mark.parametrize(("n", "q", "p"), [(1, 1, 1), (4, 2, 3), (3, 4, 1), (5, 1, 2)])
-@settings(max_examples=20, deadline=None)
-@given(seed=st.integers(0, 10**6), w0=st.floats(-3, 3), delta=st.floats(-2, 2))
-def test_the_family_is_singular_where_the_form_is(n, q, p, seed, w0, delta):
-    """det(I - d j K) det F(w0) = |det(I + d j R)|^2 det F(w0 + d): an identity of rational functions."""
-    with balls.precision(BITS):
-        G, form = ball_model(seed, n, q, p), scaled(seed, q, p)
-        R = balls.inverse(models.shifted(G, w0))
-        X = R * G.B
-        quadratic = form.of_sum(G.D, G.C)
-        F = quadratic.at(X)
-        K = axis.pencil(quadratic, R, X, F)
-        if K is None:
-            return
-        family = (acb_mat(balls.identity(2 * n)) - K * arb(delta)).det()
-        poles = (acb_mat(balls.identity(n)) + R * J * arb(delta)).det()
-        exact = models.Model(*(X for X in (G.A, G.B, G.C, G.D)), 0.0)
-        w = arb(w0) + arb(delta)
-        at = acb_mat(balls.identity(n)) * (J * w) - exact.A
-        there = form.of(exact.D + exact.C * at.solve(acb_mat(exact.B)))
-        left, right = family * F.det(), poles * poles.conjugate() * there.det()
-        assert left.overlaps(right)
-        assert (left - right).abs_upper() <= arb(1e-20) * (1 + right.abs_upper())
 
 
 @settings(max_examples=200, deadline=None)
@@ -101,19 +54,6 @@ def test_a_pole_that_the_form_does_not_see_is_seen():
         assert not axis._box(G, 0.5, 0.5, quadratic).proved
         assert not axis.axis(G, [(0.0, 2.0, form)], Work(400)).proved
         assert axis.axis(G, [(0.0, 0.9999, form)], Work(400)).proved
-
-
-@pytest.mark.parametrize("zeta", [0.3, 1e-2, 1e-4])
-def test_a_few_boxes_for_a_resonance(zeta):
-    """1/(s^2 + 2 zeta s + 1): the peak is 1 / (2 zeta sqrt(1 - zeta^2)); just above it some boxes do for the axis."""
-    A, B, C = np.array([[0.0, 1.0], [-1.0, -2 * zeta]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
-    G = models.Model(*(balls.exact(X) for X in (A, B, C, np.zeros((1, 1)))), 0.0)
-    peak = 1 / (2 * zeta * np.sqrt(1 - zeta**2))
-    with balls.precision(BITS):
-        work = Work(1000)
-        assert axis.axis(G, [(0.0, np.inf, forms.gain_form(1, 1, peak * (1 + 1e-9)))], work).proved
-        assert work.boxes <= 12
-        assert not axis.axis(G, [(0.0, np.inf, forms.gain_form(1, 1, peak * (1 - 1e-9)))], Work(1000)).proved
 
 
 @pytest.mark.parametrize("n", [3, 5])

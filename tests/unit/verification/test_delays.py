@@ -45,12 +45,6 @@ def test_a_loop_is_stable_up_to_its_delay_margin(k):
         assert cases.outcome("delayed-stable", lag(1.0, k, share * margin)) == expected
 
 
-def test_an_integrator_in_the_loop():
-    assert cases.outcome("delayed-stable", lag(0.0, 1.0, 1.57)) == "proved"  # e^(-s tau) / s: margin pi / 2
-    assert cases.outcome("delayed-stable", lag(0.0, 1.0, 1.5709)) == "refuted"
-    assert cases.outcome("delayed-stable", lag(0.0, 0.0, 1.0)) == "not proved"  # a pole at zero
-
-
 def test_a_gain_is_that_of_a_dense_search():
     a, b, tau = 1.0, 2.0, 0.4
     w = np.linspace(0, 20, 400_001)
@@ -65,31 +59,6 @@ def test_echoes():
     assert cases.outcome("delayed-norm", echo(0.5, 1.0), gamma=2.001) == "proved"  # 1 / (1 - k)
     assert cases.outcome("delayed-norm", echo(0.5, 1.0), gamma=1.999) == "not proved"
     assert cases.outcome("delayed-stable", echo(1.01, 1.0)) == "not proved"
-
-
-def test_without_delays_it_is_the_norm_of_a_model():
-    G = cases.model(3, 4, 2, 2)
-    gamma = cases.norm(G)
-    G["delays"] = np.zeros(0)
-    assert cases.outcome("delayed-norm", G, gamma=gamma * 1.0001) == "proved"
-    assert cases.outcome("delayed-norm", G, gamma=gamma * 0.9999) == "not proved"
-
-
-def test_several_delays_and_mu():
-    # Two uncoupled lags: mu of a diagonal is the larger gain, and D = I proves it.
-    A, B = -np.diag([1.0, 2.0]), np.hstack([-np.eye(2), np.eye(2)])
-    two = CHANNEL | {"A": A, "B": B, "C": np.vstack([np.eye(2)] * 2), "D": np.zeros((4, 4)), "delays": [0.3, 0.7]}
-    two["delays"] = np.array(two["delays"])
-    w = np.linspace(0, 20, 200_001)
-    peak = max(np.abs(1 / (1j * w + a + np.exp(-1j * w * t))).max() for a, t in ((1.0, 0.3), (2.0, 0.7)))
-    mu = {
-        "blocks": np.array([[1, 1, 1], [1, 1, 1]]), "low": np.array([0.0, 1.0]), "high": np.array([1.0, np.inf]),
-        "D_w": np.stack([np.eye(2)] * 2), "D_z": np.stack([np.eye(2)] * 2), "G": np.zeros((2, 2, 2)),
-    }  # fmt: skip
-    assert cases.outcome("delayed-mu", two, mu, level=peak * 1.0001) == "proved"
-    assert cases.outcome("delayed-mu", two, mu, level=peak * 0.9999) == "not proved"
-    assert cases.outcome("delayed-mu", two, mu | {"high": np.array([0.9, np.inf])}, level=2 * peak) == "not proved"
-    assert cases.outcome("delayed-mu", two, mu | {"high": np.array([1.0, 50.0])}, level=2 * peak) == "not proved"
 
 
 @pytest.mark.parametrize("delays", [[0.0], [-1.0], [np.inf], [1.0, 1.0, 1.0]])
