@@ -263,8 +263,6 @@ def test_edges_static_and_empty():
         fed_back(TWO, rl.StateSpaceModel([], [], [], np.eye(2)))
     K = rl.StateSpaceModel([], [], [], [[1.0]], inputs=["a"], outputs=["b"])
     assert wired(K, [rl.Signal("y")], [rl.Signal("u")], "close") is K
-    rl.export_controller(tmp_path / "k.json", rl.Controller(K, method=method))
-    assert rl.load(tmp_path / "k.json").law == expected
 
 
 def test_a_damaged_word_is_named(tmp_path):
