@@ -1,6 +1,6 @@
 """What may only go down: lines of Python in each package, and imports of tests from inside of packages.
 
-``python tests/unit/house/test_size.py`` prints the table as it is now. A change may lower a number of sizes.toml, never raise one.
+``python tests/unit/house/test_size.py`` prints the table as it is now. A change may lower a number, never raise one.
 """
 
 import re
