@@ -262,5 +262,3 @@ def test_edges_static_and_empty():
         fed_back(TWO, rl.StateSpaceModel([], [], [], np.eye(2)))
     K = rl.StateSpaceModel([], [], [], [[1.0]], inputs=["a"], outputs=["b"])
     assert wired(K, [rl.Signal("y")], [rl.Signal("u")], "close") is K
-
-

@@ -145,8 +145,6 @@ def test_a_torque_ripple_is_found_at_unequal_speed(k):
     assert found[0] == pytest.approx(k, abs=0.25 * 2 * np.pi / np.ptp(q))  # a quarter of the width of a line
 
 
-
-
 # --- lines over time -------------------------------------------------------------------------------------------------
 
 
