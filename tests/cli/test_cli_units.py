@@ -50,9 +50,9 @@ def test_a_parameter_and_an_input_with_their_units(tmp_path):
     assert (rl.load(tmp_path / "a.h5").A == rl.load(tmp_path / "b.h5").A).all()
     rl.save(tmp_path / "u.h5", rl.plant("dc-motor").uncertain(["omega"]))
     words = ["uncertain", "sample", "u.h5", "-n", "2", "--t-end", "0.1", "--json"]
-    plain = json.loads(call(*words, "--input", "u=42"))
-    assert json.loads(call(*words, "--input", "u=42V")) == plain
-    assert json.loads(call(*words, "--input", "u=42000 mV")) == plain
+    plain = json.loads(call(*words, "--input-value", "u=42"))
+    assert json.loads(call(*words, "--input-value", "u=42V")) == plain
+    assert json.loads(call(*words, "--input-value", "u=42000 mV")) == plain
 
 
 RECIPE = """
