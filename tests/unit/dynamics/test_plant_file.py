@@ -271,3 +271,10 @@ def test_a_plant_of_ones_own_class(folder, derivative, output, expected):
         return
     with pytest.raises(InputError, match=expected):
         rl.plant("own.py:pendulum")
+
+
+@pytest.mark.parametrize("name", ["folder.py", "x" * 300 + ".py", "a\0b.py", "missing/axis.py"])
+def test_paths_that_are_no_files(folder, name):
+    (folder / "folder.py").mkdir()
+    with pytest.raises(InputError):
+        rl.plant(f"{name}:axis")
