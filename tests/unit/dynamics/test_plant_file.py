@@ -156,9 +156,11 @@ FAULTS = {
     "names another that is not there": (
         PLANT + "axis = rl.plant('lost.py:axis')\n", "bad.py, line 2: lost.py: no such file"),
     "imports what is not there": (
-        "x = 1\nimport pandass_of_mine\n", "bad.py, line 2: ModuleNotFoundError: No module named 'pandass_of_mine'\nhint: install it, or put"),
+        "x = 1\nimport pandass_of_mine\n",
+        "bad.py, line 2: ModuleNotFoundError: No module named 'pandass_of_mine'\nhint: install it, or put"),
     "a parameter that physics forbids": (
-        "from robustlab.dynamics import Parameter\nM = Parameter('M', -1.0, 'kg', sign='positive')\n", "bad.py, line 2: parameter 'M': -1 kg, expected a positive value"),
+        "from robustlab.dynamics import Parameter\nM = Parameter('M', -1.0, 'kg', sign='positive')\n",
+        "bad.py, line 2: parameter 'M': -1 kg, expected a positive value"),
 }  # fmt: skip
 EQUATIONS = {
     "E=[[1, 0], [0, p['M']]]": {
