@@ -46,8 +46,3 @@ def test_a_design_that_forgets_the_delay_is_found_out():
     assert found.stability.stable is False
     assert found.status is rl.Status.FAILED
     assert found.gamma == np.inf
-
-
-def test_what_is_refused():
-    with pytest.raises(rl.InputError, match="w and z"):
-        judged(rl.with_delays(P, inputs={2: 0.1}), rl.StateSpaceModel([], [], [], np.ones((3, 3))))

@@ -97,26 +97,6 @@ def test_the_step_response_is_near_the_models_and_ends_there():
     assert np.abs(step(single) - wanted).max() > 2 * np.abs(reached - wanted).max()
 
 
-def test_a_chosen_output_of_a_sampled_plant_follows():
-    rng = np.random.default_rng(8)
-    g = rl.StateSpaceModel(
-        -np.diag([1.0, 2.0, 3.0]), rng.standard_normal((3, 1)), rng.standard_normal((2, 3)), np.zeros((2, 1)),
-        outputs=["a", "b"],
-    )  # fmt: skip
-    sampled = rl.discretise(g, 0.1, "zoh")
-    wanted = rl.StateSpaceModel([[0.8]], [[0.2]], [[1.0]], [[0.0]], 0.1)
-    design = rl.ncf(sampled, 2.0, [[1.0, 0.0], [0.5, 2.0]], reference_model=wanted, outputs=["b"])
-    assert design.status is rl.Status.CERTIFIED, design.reason
-    assert design.K.n_inputs == 3
-    x, k = np.zeros(3), np.zeros(design.K.n_states)
-    for _ in range(400):
-        y = sampled.C @ x
-        into = np.array([1.0, *y])
-        x, k = sampled.A @ x + sampled.B @ (design.K.C @ k + design.K.D @ into), design.K.A @ k + design.K.B @ into
-    assert (sampled.C @ x)[1] == pytest.approx(1.0, abs=1e-6)
-    assert rl.loop_functions(design).S.n_inputs == 2  # of the measurements, without the reference
-
-
 @pytest.mark.parametrize(
     ("options", "error", "text"),
     [
