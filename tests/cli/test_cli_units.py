@@ -49,7 +49,6 @@ def test_a_parameter_and_an_input_with_their_units(tmp_path):
     call("model", "build", "dc-motor", "--set", "R=2.1", "--out", "b.h5")
     assert (rl.load(tmp_path / "a.h5").A == rl.load(tmp_path / "b.h5").A).all()
     rl.save(tmp_path / "u.h5", rl.plant("dc-motor").uncertain(["omega"]))
-    words = ["uncertain", "sample", "u.h5", "-n", "2", "--t-end", "0.1", "--json"]
 
 
 RECIPE = """

@@ -310,18 +310,3 @@ def test_every_metric_of_the_search_is_one_of_campaigns(tmp_path, metric):
     values = [evaluator.sense * row.value for row in store.samples()]
     assert evaluator.sense * worst.value == max(values)
     store.close()
-
-
-@pytest.mark.parametrize(
-    ("asked", "error", "text"),
-    [
-        (CampaignSettings("hinff", 10), UsageError, "did you mean hinf?"),
-        (settings_of(10, output="speed"), InputError, "no such signal"),
-        (settings_of(10, u={"v": 1.0}), InputError, "no such input"),
-    ],
-)
-def test_what_the_metric_refuses_is_said_before_any_worker_starts(motor, asked, error, text, tmp_path):
-    with pytest.raises(error) as caught:
-        runs.run_campaign(motor, asked, tmp_path / "s.sqlite")
-    assert text in str(caught.value)
-    assert not list(tmp_path.iterdir())
