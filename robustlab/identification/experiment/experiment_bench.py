@@ -83,7 +83,7 @@ def experiment_menu(
     lengths = [round(share * block) for share in (0.375, 0.25, 0.25, 0.125)]
     rich = np.concatenate([part[: min(n, samples)] for part, n in zip(parts, lengths, strict=True)])
     shapes = {
-        "one-way steps": (held(1, 0, 0.25, 0.6, 1, 0.4, 0.8), f"levels of one sign, each for {seconds(1)}"),
+        "one-way steps": (held(1, 0.25, 0.6, 1, 0.4, 0.8), f"levels of one sign, each for {seconds(1)}"),
         "levels both ways": (
             held(1, 1, -1, 0.6, -0.6, 0.3, -0.3, 0.15, -0.15), f"levels of both signs, falling, {seconds(1)} each"
         ),
