@@ -290,9 +290,6 @@ OBJECTS: dict[str, Any] = {
     "TunedSynthesis": lambda: rl.tune(
         lag(), "pi", [TrackingGoal(1.0), MarginGoal(1.0, hard=True), Damping(0.5)], starts=0
     ),
-    "TwoDegreeSynthesis": lambda: rl.ncf(
-        lag(), 2.0, reference_model=rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    ),
     "FixedSynthesis": lambda: rl.fixed_structure(problem(), "static", n_meas=1, n_con=1, starts=1),
     "TrackingLoop": tracking_loop,
     "TrackingProblem": lambda: tracking_loop().problem,

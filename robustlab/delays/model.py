@@ -36,7 +36,6 @@ from robustlab.uncertainty.algebra import inverse, star
 from robustlab.uncertainty.blocks import ComplexScalar
 from robustlab.uncertainty.interconnection import Wiring
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain, feedback, interconnected, parallel, product
-from robustlab.uncertainty.upper_lft import upper_lft
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -203,16 +202,6 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         found = np.broadcast_to(matrix, (len(s), *matrix.shape)).astype(np.complex128)
         found[:, place, place] += np.hstack([np.repeat(column, self.H.n_states, axis=1), np.exp(column * self.delays)])
         return found
-
-    def undelayed(self) -> StateSpaceModel:
-        """The model with all delays at zero.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            A loop through the delays is then not well posed.
-        """
-        return upper_lft(self.H, np.eye(len(self.delays)))
 
     def pade(self, order: int) -> StateSpaceModel:
         r"""The model with a rational approximation in the place of each delay: Padé's, of equal degrees.

@@ -313,8 +313,7 @@ def mixsyn(
     return InLoop(found, "", notes)
 
 
-@door("synth ncf", "ncf", result=f"{HINF}loop_shaping.NcfSynthesis, {HINF}two_degree.TwoDegreeSynthesis",
-      gives="controller", made="controller")  # fmt: skip
+@door("synth ncf", "ncf", result=f"{HINF}loop_shaping.NcfSynthesis", gives="controller", made="controller")
 def ncf(
     system: Of,
     w1: Annotated[
@@ -331,21 +330,12 @@ def ncf(
     ] = None,
     signals: Signals = ALL_SIGNALS,
     factor: Annotated[float, Number(above=1, most=100), "Back-off from the smallest gamma, above 1."] = 1.1,
-    reference_model: Annotated[
-        Model | None, "Two degrees of freedom, u = K [r; y]: what the outputs are to do."
-    ] = None,
-    rho: Annotated[float, Number(above=0), "Weight of following the reference model, 1 to 3."] = 1.0,
-    follow: Annotated[list[str] | None, Names("outputs"), "Outputs that follow it; all where left out."] = None,
 ) -> Any:
     """Loop shaping with normalised coprime factors: u = K y (positive feedback), gamma_min exact.
 
     Choose W1 and W2 so that W2 G W1 has the wanted shape. A margin (1 / gamma) above 0.25 keeps it.
-    With a reference model the controller takes references too, u = K [r; y]. Exit code 4: no controller could be
-    vouched for.
+    Exit code 4: no controller could be vouched for.
 
     Example: robustlab synth ncf motor.h5 --outputs omega --w1 10 --out controller.h5
     """
-    options: dict[str, Any] = {"factor": factor}
-    if reference_model is not None:
-        options |= {"reference_model": reference_model, "rho": rho, "outputs": follow}
-    return rl.ncf(signals.of(system), w1, w2, **options)
+    return rl.ncf(signals.of(system), w1, w2, factor=factor)

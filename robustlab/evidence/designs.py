@@ -9,7 +9,7 @@ import numpy as np
 
 from robustlab.budget import search_budget
 from robustlab.evidence.axis import gain_claims, joined_scalings, margin_claims
-from robustlab.evidence.loops import coprime_claims, h2_loop_claims, loop_claims
+from robustlab.evidence.loops import h2_loop_claims, loop_claims
 from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, loop_numbers
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import cover_axis
@@ -20,7 +20,6 @@ from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.fixed.fixed_structure import FixedSynthesis
 from robustlab.synthesis.fixed.goal_tuning import TunedSynthesis
 from robustlab.synthesis.hinf.loop_shaping import NcfSynthesis
-from robustlab.synthesis.hinf.two_degree import TwoDegreeSynthesis
 from robustlab.synthesis.problem.design import Synthesis
 from robustlab.synthesis.reduction.controller_reduction import ReducedController
 from robustlab.uncertainty.distances.coprime import four_block
@@ -41,12 +40,6 @@ def ncf_claims(found: NcfSynthesis) -> list[Claim]:
     """That the shaped loop has a four-block norm of at most ``gamma``, and the loop of the plant as given is stable."""
     shaped = loop_claims(four_block(found.shaped_plant), found.K_shaped, found.gamma)
     return shaped + loop_claims(found.plant.model, found.K, hinf_norm(found.closed_loop).upper)
-
-
-def two_degree_claims(found: TwoDegreeSynthesis) -> list[Claim]:
-    """The norm of the problem that was solved, the margin of the shaped loop, and how far T is from T_ref."""
-    problem = loop_claims(found.problem.model, found.K_shaped, found.gamma)
-    return problem + coprime_claims(found.margin) + loop_claims(found.apart.model, found.K, found.matching.upper)
 
 
 def fixed_claims(found: FixedSynthesis) -> list[Claim]:

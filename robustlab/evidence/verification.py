@@ -23,7 +23,6 @@ CLAIMS: Mapping[str, str] = {
     "RobustGain": "axis.robust_gain_claims",
     "HinfSynthesis": "designs.hinf_claims",
     "NcfSynthesis": "designs.ncf_claims",
-    "TwoDegreeSynthesis": "designs.two_degree_claims",
     "H2Synthesis": "designs.h2_claims",
     "FixedSynthesis": "designs.fixed_claims",
     "TunedSynthesis": "designs.tuned_claims",

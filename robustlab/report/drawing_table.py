@@ -56,7 +56,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     },
     "CampaignResult": {"exceedance": "result_figures.campaign_figure", "delta": "result_figures.delta_figure"},
     # designs
-    **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis", "TwoDegreeSynthesis"), _LOOP),
+    **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis"), _LOOP),
     **dict.fromkeys(("FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
     "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture", "history": "design_figures.history_picture"},
     "PerformanceComparison": {"mu": "design_figures.performance_picture"},

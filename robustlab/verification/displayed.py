@@ -41,7 +41,7 @@ SHOWN: Mapping[str, Rules] = {
     "IqcStability": {**MARGIN, "margin": "1/peak"},
     **dict.fromkeys(("Margin", "PerformanceMargin"), MARGIN_FOUND),
     "RobustGain": {**MARGIN, "level": "level"},
-    **dict.fromkeys(("HinfSynthesis", "NcfSynthesis", "TwoDegreeSynthesis", "DKSynthesis"), DESIGN),
+    **dict.fromkeys(("HinfSynthesis", "NcfSynthesis", "DKSynthesis"), DESIGN),
     **dict.fromkeys(("H2Synthesis", "LqgSynthesis"), H2_DESIGN),
     "MixedSynthesis": {**H2_DESIGN, "hinf_norm/upper": "peak"},
     "ReducedController": {**DESIGN, "gamma": ANY},

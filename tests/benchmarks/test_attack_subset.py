@@ -168,3 +168,28 @@ def test_margins_that_lie():
     assert found(case, claim, lower=1.02 * claim["upper"], upper=np.inf)
     members, low, high, beta, *scalings = claim["pieces"][0]
     assert found(case, claim, pieces=[(members, low, high, 0.5 * beta, *scalings)])
+
+
+def test_h2_of_entries_that_overflow_is_refused_in_a_line():
+    record = run_case(make_case(12, 370))
+    assert (record["outcome"], record["kind"]) == ("refused", "NoTrustworthyNumber")
+
+
+def test_mu_of_a_matrix_with_denormal_entries():
+    # a bare LinAlgError of the singular values; by hand: both scalars are one, mu is the larger eigenvalue's modulus
+    data = {"matrix": np.array([[1.5 - 2j, 2e-322], [2e-322, -1.0]]), "parts": (Part("complex", 2, 2),)}
+    record = run_case(Case(0, 0, "mu", "denormals and huge entries", data))
+    assert record["outcome"] == "held"
+    assert abs(record["figures"]["lower"] - 2.5) < 1e-8
+
+
+def test_mu_next_to_a_double_root():
+    # Delta was singular to within 1.5e-8 of itself, where 1e-8 is stated: Newton's step there is half of the way.
+    assert run_case(make_case(41, 118))["outcome"] == "held"
+
+
+def test_gains_that_lie():
+    case, claim = told("gain")
+    assert found(case, claim, upper=0.99 * claim["lower"], lower=0.98 * claim["lower"])
+    assert found(case, claim, lower=1.01 * claim["upper"], upper=1.02 * claim["upper"])
+    assert found(case, claim, lower=np.inf, upper=np.inf)

@@ -49,11 +49,6 @@ def test_a_parameter_and_an_input_with_their_units(tmp_path):
     call("model", "build", "dc-motor", "--set", "R=2.1", "--out", "b.h5")
     assert (rl.load(tmp_path / "a.h5").A == rl.load(tmp_path / "b.h5").A).all()
     rl.save(tmp_path / "u.h5", rl.plant("dc-motor").uncertain(["omega"]))
-    words = ["uncertain", "sample", "u.h5", "-n", "2", "--t-end", "0.1", "--json"]
-    plain = json.loads(call(*words, "--input-value", "u=42"))
-    assert json.loads(call(*words, "--input-value", "u=42V")) == plain
-    assert json.loads(call(*words, "--input-value", "u=42000 mV")) == plain
-    assert "'42A', expected a number in V" in call(*words, "--input-value", "u=42A", code=2)
 
 
 RECIPE = """

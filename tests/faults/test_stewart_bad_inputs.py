@@ -82,77 +82,46 @@ def test_singular_pose():
         assert caught.value.exit_code == 4
 
 
-def test_unreachable_trim():
-    phi = np.array([1500.0, 0, 0, 0, 0, 0])  # one actuator 0.95 m longer than the others
-    with pytest.raises(rl.NoTrustworthyNumber, match="no pose"):
-        rl.trim(PLANT, phi=phi)
-    with pytest.raises(rl.NoTrustworthyNumber, match="shorter than nothing"):
-        rl.trim(PLANT, phi=-300.0 * np.ones(6))
-    with pytest.raises(rl.InputError, match="out of the workspace"):
-        rl.trim(PLANT, phi=30.0 * np.ones(6))
-    with pytest.raises(rl.InputError, match="one of them"):
-        rl.trim(PLANT, phi=np.zeros(6), pose=HOME)
-    with pytest.raises(rl.InputError, match="'poes'"):
-        rl.trim(PLANT, poes=HOME)
-    with pytest.raises(rl.InputError, match="no nonlinear plant"):
-        rl.trim(rl.plant("dc-motor"))
-    with pytest.raises(rl.NoTrustworthyNumber, match="no pose"):
-        PLANT.derivative(np.r_[phi, np.zeros(6)], np.zeros(6))
+HOLD = np.tile(rl.trim(PLANT).u, (31, 1))
+FAR = np.array([1500.0, 0, 0, 0, 0, 0])  # one actuator 0.95 m longer than the others
+G = PLANT.geometry
+REFUSED = [
+    (lambda: rl.trim(PLANT, phi=FAR), rl.NoTrustworthyNumber, "no pose"),
+    (lambda: rl.trim(PLANT, phi=-300.0 * np.ones(6)), rl.NoTrustworthyNumber, "shorter than nothing"),
+    (lambda: PLANT.derivative(np.r_[FAR, np.zeros(6)], np.zeros(6)), rl.NoTrustworthyNumber, "no pose"),
+    (lambda: rl.trim(PLANT, phi=30.0 * np.ones(6)), rl.InputError, "out of the workspace"),
+    (lambda: rl.trim(PLANT, phi=np.zeros(6), pose=HOME), rl.InputError, "one of them"),
+    (lambda: rl.trim(PLANT, poes=HOME), rl.InputError, "'poes'"),
+    (lambda: rl.trim(rl.plant("dc-motor")), rl.InputError, "no nonlinear plant"),
+    (lambda: rl.linearise(PLANT, at="home"), rl.InputError, "linearise: at"),
+    (lambda: rl.linearise(PLANT, at=(np.zeros(11), np.zeros(6))), rl.InputError, "expected 12"),
+    (lambda: rl.simulate(PLANT, T, 3 * HOLD), rl.NoTrustworthyNumber, r"end of its range .* at t = 0\.\d+ s"),
+    (lambda: rl.simulate(PLANT, T, 3 * HOLD, step=1e-4), rl.NoTrustworthyNumber, "end of its range"),
+    (lambda: rl.simulate(PLANT, T, {"torque_1": HOLD[:, 0]}), rl.InputError, "no samples for input torque_2"),
+    (lambda: rl.simulate(PLANT, T, HOLD, hold="cubic"), rl.InputError, "hold: 'cubic'"),
+    (lambda: rl.simulate(PLANT, T[:5], HOLD[:5], hold="spline"), rl.InputError, "at least 6"),
+    (lambda: rl.simulate(PLANT, T, HOLD, np.zeros(3)), rl.InputError, "3 numbers for phi_1"),
+    (lambda: rl.simulate(PLANT, T, HOLD, rtol=0.0), rl.InputError, "between 0 and 1"),
+    (lambda: rl.simulate(PLANT, T, HOLD, step=-1.0), rl.InputError, "between 0 and 1"),
+    (lambda: rl.simulate(PLANT, T, HOLD, rtol=1e-8, step=1e-3), rl.InputError, "one of them"),
+    (lambda: rl.simulate(rl.plant("dc-motor"), T, np.zeros(31), rtol=1e-8), rl.InputError, "without error"),
+    (lambda: rl.simulate(rl.plant("dc-motor"), T, np.zeros(31), hold="spline"), rl.InputError, "for a linear model"),
+    (lambda: inverse_kinematics(G, HOME, joint="ball"), rl.InputError, "joint"),
+    (lambda: direct_kinematics(G, [0.17, 0.17, -0.17, 0.17, 0.17, 0.17]), rl.InputError, r"lengths\[0,2\]"),
+    (lambda: direct_kinematics(G, np.full((3, 6), 0.17), [HOME, HOME]), rl.InputError, "2 starts"),
+    (lambda: direct_kinematics(G, np.tile(G.home_lengths, (2, 1))).pose, rl.InputError, "2 poses"),
+    (lambda: acceleration_bias(G, [HOME, HOME], HOME), rl.InputError, "1 twists"),
+    (lambda: condition_map(G, ("tx", "tx"), [0], [0]), rl.InputError, "names"),
+    (lambda: assembly_poses(G, [0.5, *5 * [0.17]], [HOME]), rl.NoTrustworthyNumber, "none of 1 seeds"),
+    (lambda: linear_models(PLANT, [HOME] * 2, {"lead": np.full(2, 0.004)}), rl.InputError, "shapes the legs"),
+    (lambda: linear_models(PLANT, [HOME] * 2, {"mass": np.ones(2)}), rl.InputError, "no such parameter"),
+    (lambda: linear_models(PLANT, [HOME] * 2, {"link_mass": np.ones(3)}), rl.InputError, "3 values"),
+    (lambda: linear_models(PLANT, [HOME] * 2, {"link_mass": [0.4, -0.1]}), rl.InputError, "no negative value"),
+]
 
 
-def test_bad_simulations():
-    hold = np.tile(rl.trim(PLANT).u, (31, 1))
-    with pytest.raises(rl.NoTrustworthyNumber, match=r"end of its range .* at t = 0\.\d+ s") as caught:
-        rl.simulate(PLANT, T, 3 * hold)
-    assert caught.value.exit_code == 4
-    with pytest.raises(rl.NoTrustworthyNumber, match="end of its range"):
-        rl.simulate(PLANT, T, 3 * hold, step=1e-4)
-    with pytest.raises(rl.InputError, match="no samples for input torque_2"):
-        rl.simulate(PLANT, T, {"torque_1": hold[:, 0]})
-    with pytest.raises(rl.InputError, match="hold: 'cubic'"):
-        rl.simulate(PLANT, T, hold, hold="cubic")
-    with pytest.raises(rl.InputError, match="at least 6"):
-        rl.simulate(PLANT, T[:5], hold[:5], hold="spline")
-    with pytest.raises(rl.InputError, match="3 numbers for phi_1"):
-        rl.simulate(PLANT, T, hold, np.zeros(3))
-    for bad in ({"rtol": 0.0}, {"rtol": "small"}, {"step": -1.0}, {"rtol": float("nan")}):
-        with pytest.raises(rl.InputError, match=r"between 0 and 1|'small', expected a number"):
-            rl.simulate(PLANT, T, hold, **bad)
-    with pytest.raises(rl.InputError, match="one of them"):
-        rl.simulate(PLANT, T, hold, rtol=1e-8, step=1e-3)
-    with pytest.raises(rl.InputError, match="without error"):
-        rl.simulate(rl.plant("dc-motor"), T, np.zeros(31), rtol=1e-8)
-    with pytest.raises(rl.InputError, match="'spline' for a linear model"):
-        rl.simulate(rl.plant("dc-motor"), T, np.zeros(31), hold="spline")
-
-
-def test_bad_kinematics():
-    g = PLANT.geometry
-    with pytest.raises(rl.InputError, match="joint"):
-        inverse_kinematics(g, HOME, joint="ball")
-    with pytest.raises(rl.InputError, match=r"lengths\[0,2\]"):
-        direct_kinematics(g, [0.17, 0.17, -0.17, 0.17, 0.17, 0.17])
-    with pytest.raises(rl.InputError, match="2 starts"):
-        direct_kinematics(g, np.full((3, 6), 0.17), [HOME, HOME])
-    with pytest.raises(rl.InputError, match="1 twists"):
-        acceleration_bias(g, [HOME, HOME], HOME)
-    with pytest.raises(rl.InputError, match="names"):
-        condition_map(g, ("tx", "tx"), [0], [0])
-    with pytest.raises(rl.NoTrustworthyNumber, match="none of 1 seeds"):
-        assembly_poses(g, [0.5, 0.17, 0.17, 0.17, 0.17, 0.17], [HOME])
-    with pytest.raises(rl.InputError, match="2 poses"):
-        _ = (
-            direct_kinematics(g, np.tile(g.home_lengths, (2, 1))).poses,
-            direct_kinematics(g, np.tile(g.home_lengths, (2, 1))).pose,
-        )
-
-
-def test_bad_batches():
-    for given, words in (
-        ({"lead": np.full(2, 0.004)}, "shapes the legs"),
-        ({"mass": np.ones(2)}, "no such parameter"),
-        ({"link_mass": np.ones(3)}, "3 values"),
-        ({"link_mass": [0.4, -0.1]}, "no negative value"),
-    ):
-        with pytest.raises(rl.InputError, match=words):
-            linear_models(PLANT, [HOME, HOME], given)
+@pytest.mark.parametrize(("call", "error", "words"), REFUSED)
+def test_what_is_refused(call, error, words):
+    with pytest.raises(error, match=words) as caught:
+        call()
+    assert caught.value.exit_code == (4 if error is rl.NoTrustworthyNumber else 3)

@@ -88,8 +88,8 @@ class Alternatives:
         """Piece at which the change most probably began, and the ends of its 95 % interval."""
         share = np.exp(self.each - log_sum(self.each))
         below = np.cumsum(share)
-        ends = (int(self.since[min(np.searchsorted(below, q), len(below) - 1)]) for q in (0.025, 0.975))
-        return int(self.since[np.argmax(share)]), *ends
+        lower, upper = (int(self.since[min(np.searchsorted(below, q), len(below) - 1)]) for q in (0.025, 0.975))
+        return int(self.since[np.argmax(share)]), lower, upper
 
 
 @dataclass(eq=False)

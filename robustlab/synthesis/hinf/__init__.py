@@ -7,5 +7,4 @@ lmi_synthesis      the projection LMIs of scheduled plants
 hinf_synthesis     hinf: the search on two scalings, verified
 mixed_sensitivity  mixsyn: S, K S and T shaped by weights
 loop_shaping       ncf: the most robust controller of a shaped plant
-two_degree         ncf with a reference model: two degrees of freedom
 """

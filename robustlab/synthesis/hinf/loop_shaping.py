@@ -9,9 +9,9 @@ stabilises every plant closer to G_s than 1/gamma (`robustlab.nu_gap`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, overload
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from robustlab.shown import Facts
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, series
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
-from robustlab.synthesis.hinf.two_degree import TwoDegreeSynthesis, two_degree_design
 from robustlab.synthesis.problem.design import Synthesis, limiting_channels
 from robustlab.synthesis.problem.independent_check import hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance
@@ -118,32 +117,8 @@ class NcfSynthesis(Synthesis):
         }
 
 
-@overload
-def ncf(
-    G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1, reference_model: None = None
-) -> NcfSynthesis: ...
-@overload
-def ncf(
-    G: Any,
-    W1: Any = None,
-    W2: Any = None,
-    *,
-    factor: float = 1.1,
-    reference_model: Any,
-    rho: float = 1.0,
-    outputs: Sequence[str] | None = None,
-) -> TwoDegreeSynthesis: ...
 @told_as("synth ncf")
-def ncf(
-    G: Any,
-    W1: Any = None,
-    W2: Any = None,
-    *,
-    factor: float = 1.1,
-    reference_model: Any = None,
-    rho: float = 1.0,
-    outputs: Sequence[str] | None = None,
-) -> NcfSynthesis | TwoDegreeSynthesis:
+def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSynthesis:
     r"""Loop-shaping controller of largest, or nearly largest, coprime stability margin.
 
     Sign of K: ``u = K y`` with *positive* feedback, as everywhere in this package and in the literature on this method.
@@ -161,35 +136,24 @@ def ncf(
         Integrators and other unstable weights are welcome: they become part of K.
     factor
         Back-off (> 1): at ``factor * gamma_min`` the controller is well conditioned, at gamma_min itself it is not.
-    reference_model
-        What the outputs are to do after references, a stable model with as many inputs and outputs as ``outputs``, or
-        with one of each for every channel: the controller then has two degrees of freedom, ``u = K [r; y]``, and W2
-        must be constant.
-    rho
-        Weight of following the reference model against robustness, usually 1 to 3.
-    outputs
-        Names of the plant's outputs that follow; all where left out.
 
     Returns
     -------
-    NcfSynthesis or TwoDegreeSynthesis
-        The latter with a reference model, whose steady state its loop was brought to. Both the loop of the shaped plant
-        and that of the plant as given were rebuilt and verified. A discrete plant is solved through the bilinear map,
-        which keeps the margin exactly, and verified in discrete time.
+    NcfSynthesis
+        Both the loop of the shaped plant and that of the plant as given were rebuilt and verified. A discrete plant is
+        solved through the bilinear map, which keeps the margin exactly, and verified in discrete time.
 
     Raises
     ------
     InputError
-        ``factor`` not above 1, weights whose sizes or sample times do not fit; a reference model that is not stable or
-        zero in steady state, a rho that is not positive, a W2 with states beside it.
+        ``factor`` not above 1, weights whose sizes or sample times do not fit.
     NoTrustworthyNumber
         A mode of the shaped plant that cannot be stabilised (a weight may have cancelled it), a loop that was not
-        verified, or outputs that references cannot move in steady state.
+        verified.
 
     References
     ----------
-    McFarlane, Glover 1992; Skogestad, Postlethwaite 2005, section 9.4.1, eqs 9.74 to 9.78 (general D there too),
-    section 9.4.3 (two degrees of freedom).
+    McFarlane, Glover 1992; Skogestad, Postlethwaite 2005, section 9.4.1, eqs 9.74 to 9.78 (general D there too).
 
     Examples
     --------
@@ -208,8 +172,6 @@ def ncf(
     if not before.n_inputs or not behind.n_outputs:
         raise InputError(where, "a weight without channels", "at least one input of W1 and one output of W2")
     with one_thread():
-        if reference_model is not None:
-            return two_degree_design(g, before, behind, reference_model, outputs, rho, factor)
         return _designed(g, before, behind, factor)
 
 

@@ -16,6 +16,7 @@ Franklin, Powell, Workman, *Digital Control of Dynamic Systems* (1998), chapter 
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -39,7 +40,7 @@ MERGED = 1e-6
 # The poles and zeros of a matched model must give back its response to this accuracy.
 MATCHED = 1e-6
 # The exponential of a logarithm must give back the matrix to this accuracy.
-CLOSE = 1e-8
+CLOSE = 1e-10
 EPS = float(np.finfo(float).eps)
 LARGEST = 300.0  # exponent of e up to which products of matched poles and zeros do not overflow
 
@@ -133,7 +134,7 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
     InputError
         A continuous model, an unknown method.
     NoTrustworthyNumber
-        ``"zoh"``: a pole on the closed negative real axis, or a logarithm that does not give the model back to 1e-8.
+        ``"zoh"``: a pole on the closed negative real axis, or a logarithm that does not give the model back to 1e-10.
         ``"tustin"``: a pole at z = -1.
 
     References
@@ -161,7 +162,9 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
         hint = "rl.d2d to a whole multiple of the sample time needs no logarithm; method='tustin' maps this pole"
         raise NoTrustworthyNumber("d2c (zoh)", found, "poles off the closed negative real axis", hint)
     held = _held(m)
-    rate: Any = logm(held)
+    with warnings.catch_warnings():  # scipy's own estimate; the exponential below decides
+        warnings.simplefilter("ignore", RuntimeWarning)
+        rate: Any = logm(held)
     size = np.abs(held).max(initial=1.0)
     off = np.abs(expm(rate.real) - held).max(initial=0.0) / size if np.isfinite(rate).all() else np.inf
     if not off <= CLOSE:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,6 +14,7 @@ from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.ports.port_model import port_model
+from robustlab.errors import InputError
 from robustlab.statespace import Signal
 
 JOINT = Site("joint", "v")
@@ -119,3 +121,22 @@ def test_a_full_mass_matrix():
     inputs = change @ np.linalg.solve(e, np.eye(6)[:, 2:4])
     np.testing.assert_allclose(found.B, inputs, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(np.column_stack([found.ports[p].force for p in ("wa", "wb")]), inputs, atol=1e-12)
+
+
+@pytest.mark.parametrize("second", ["flexible-coupling", "backlash"])
+def test_two_load_sides_at_one_joint_are_refused(second):
+    motor, joint = rl.plant("dc-motor"), Site("joint", "omega")
+    once = effect("flexible-coupling").extend(port_model(motor), joint, {"f": 40.0, "zeta": 0.05, "share": 0.4})
+    with pytest.raises(InputError, match="splits the joint in two"):
+        effect(second).extend(once, joint, {"f": 40.0, "zeta": 0.05, "share": 0.4, "gap": 0.1})
+
+
+@pytest.mark.parametrize(
+    ("site", "share", "message"), [("nowhere", 0.4, "no such joint"), ("v", 1.0, "between 0 and 1")]
+)
+def test_bad_sites_and_shares_are_named(site, share, message):
+    plant = rl.plant("mass-spring-damper")
+    with pytest.raises(InputError, match=message):
+        effect("flexible-coupling").extend(
+            port_model(plant), Site("joint", site), {"f": 40.0, "zeta": 0.05, "share": share}
+        )

@@ -76,3 +76,9 @@ def test_the_upper_layer_above_the_torque_loops_is_the_two_layer_controller(mach
     layered = LayeredController(whole.upper_layer(), whole.lower, whole.at)
     for matrix in "ABCD":
         np.testing.assert_array_equal(getattr(layered.state_space(), matrix), getattr(whole.state_space(), matrix))
+
+
+@pytest.mark.parametrize(("p_up", "p_low"), [(0.0, 3000.0), (236.0, -1.0), (np.nan, 3000.0)])
+def test_bad_poles(actuator, p_up, p_low):
+    with pytest.raises(InputError):
+        actuator_cascade(actuator, p_up, p_low)

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Scales
+from robustlab.dynamics.extended import nonlinear_steps
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_equations import extended_model
 
@@ -290,3 +291,21 @@ def test_a_platform_with_effects_comes_back_from_its_file(tmp_path):
     u = np.tile(home.u + 0.5, (50, 1))
     one, other = (rl.simulate(p, 1e-3 * np.arange(50), u, home.x, step=1e-3) for p in (rough, back))
     assert all(np.array_equal(one[name], other[name]) for name in one.outputs)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"presliding@w_1": {"Fc": 1.0, "sigma0": 300.0}},
+        {"torque-ripple@w_1": {"Ac": 0.5, "As": 0.2, "f": 7.0}},
+        {"backlash@w_2": {"gap": 0.05, "share": 0.4, "f": 15.0}},
+    ],
+)
+def test_memory_time_and_further_states_go_on_from_block_to_block(effects, monkeypatch):
+    rough = rl.with_effects(arm(), effects)
+    t, u = drive(200)
+    long, _ = rough.stepped(t, u, np.zeros(4 + 2 * ("backlash@w_2" in effects)), 1e-3)
+    monkeypatch.setattr(nonlinear_steps, "FIRST", 7)
+    monkeypatch.setattr(nonlinear_steps, "MOST", 7)
+    short, _ = rough.stepped(t, u, np.zeros(4 + 2 * ("backlash@w_2" in effects)), 1e-3)
+    assert np.abs(long - short).max() < 1e-6 * np.abs(long).max()

@@ -146,9 +146,7 @@ FAULTS = {
     "raises in a module beside it": ("import beside\n", "beside.py, line 2: KeyError: 'nothing'"),
     "no Python in a module beside it": ("import torn\n", "torn.py, line 1: is no Python: "),
     "raises in the function": (
-        "def axis():\n    return [][1]\n",
-        "bad.py, line 2: IndexError: list index out of range",
-    ),
+        "def axis():\n    return [][1]\n", "bad.py, line 2: IndexError: list index out of range"),
     "calls itself": ("def axis():\n    return axis()\n", "bad.py, line 2: RecursionError: maximum recursion depth"),
     "ends the program": ("import sys\nsys.exit(0)\n", "bad.py, line 2: ends the program (sys.exit(0)), expected code"),
     "asks for an argument": ("def axis(mass):\n    pass\n", "bad.py:axis: TypeError: axis() missing 1 required"),
@@ -156,18 +154,14 @@ FAULTS = {
     "is something else": ("axis = [1, 2]\n", "bad.py:axis: a list, expected a plant, or a function that returns one"),
     "has another name": (PLANT + "axle = rl.plant('dc-motor')\n", "bad.py: no plant 'axis' in it, expected one of"),
     "names another that is not there": (
-        PLANT + "axis = rl.plant('lost.py:axis')\n",
-        "bad.py, line 2: lost.py: no such file",
-    ),
+        PLANT + "axis = rl.plant('lost.py:axis')\n", "bad.py, line 2: lost.py: no such file"),
     "imports what is not there": (
         "x = 1\nimport pandass_of_mine\n",
-        "bad.py, line 2: ModuleNotFoundError: No module named 'pandass_of_mine'\nhint: install it, or put",
-    ),
+        "bad.py, line 2: ModuleNotFoundError: No module named 'pandass_of_mine'\nhint: install it, or put"),
     "a parameter that physics forbids": (
         "from robustlab.dynamics import Parameter\nM = Parameter('M', -1.0, 'kg', sign='positive')\n",
-        "bad.py, line 2: parameter 'M': -1 kg, expected a positive value",
-    ),
-}
+        "bad.py, line 2: parameter 'M': -1 kg, expected a positive value"),
+}  # fmt: skip
 EQUATIONS = {
     "E=[[1, 0], [0, p['M']]]": {
         "E=[[1, 0], [0, p['m']]]": "KeyError: 'm'",
@@ -271,3 +265,10 @@ def test_a_plant_of_ones_own_class(folder, derivative, output, expected):
         return
     with pytest.raises(InputError, match=expected):
         rl.plant("own.py:pendulum")
+
+
+@pytest.mark.parametrize("name", ["folder.py", "x" * 300 + ".py", "a\0b.py", "missing/axis.py"])
+def test_paths_that_are_no_files(folder, name):
+    (folder / "folder.py").mkdir()
+    with pytest.raises(InputError):
+        rl.plant(f"{name}:axis")

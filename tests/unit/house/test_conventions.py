@@ -50,7 +50,6 @@ def designs():
     yield "hinf", lambda: rl.hinf(noisy, 1, 1), "u = K y"
     yield "h2", lambda: rl.h2(noisy, 1, 1), "u = K y"
     yield "ncf", lambda: rl.ncf(PLANT, 4.0), "u = K y"
-    yield "ncf, references", lambda: rl.ncf(PLANT, 4.0, reference_model=lag(1.0)), "u = K [r of q; q]"
     yield "fixed", lambda: rl.fixed_structure(noisy, "static", n_meas=1, n_con=1, starts=1), "u = K y"
     yield "dk", lambda: rl.dk(noisy, [[1, 0], [1, 0]], 1, 1, effort=0.2), "u = K y"
     yield "reduced", lambda: rl.reduce_controller(rl.mixsyn(PLANT, W1, W2), loss=0.5), "u = K (r - y)"
@@ -118,13 +117,6 @@ def test_signs_may_differ_from_input_to_input():
     assert rl.disk_margin(TWO, mixed, at="input").loop == "u = K [r - q; v], as the controller says"
     with pytest.raises(InputError, match="one sign for all inputs"):
         rl.disk_margin(TWO, mixed, sign=-1)
-
-
-def test_references_are_no_part_of_the_loop():
-    two = rl.ncf(PLANT, 4.0, reference_model=lag(1.0))
-    back = rl.StateSpaceModel(two.K.A, two.K.B[:, 1:], two.K.C, two.K.D[:, 1:], inputs=["q"], outputs=["u"])
-    expected = rl.disk_margin(PLANT, back, sign=1).simultaneous.lower
-    assert rl.disk_margin(PLANT, two).simultaneous.lower == pytest.approx(expected, rel=1e-9)
 
 
 def test_products_carry_what_is_taken():
@@ -205,8 +197,6 @@ def test_references_follow_whatever_is_taken():
         T = tracking_loop(PLANT, K).nominal
         assert T.is_stable()
         assert T.dc_gain()[0, 0] == pytest.approx(1.0, abs=1e-3)
-    both = rl.ncf(PLANT, 4.0, reference_model=lag(1.0))
-    assert tracking_loop(PLANT, both).nominal.dc_gain()[0, 0] == pytest.approx(1.0, abs=1e-5)
 
 
 def test_a_tracking_loop_follows_by_the_sign_that_was_found():

@@ -12,7 +12,7 @@ from robustlab.synthesis.problem.design import Design
 KINDS = [
     *("DKSynthesis", "FixedSynthesis", "H2Synthesis", "HinfSynthesis"),
     *("LPVSynthesis", "NcfSynthesis", "ReducedController", "ReducedModel"),
-    *("SampledController", "TunedSynthesis", "TwoDegreeSynthesis"),
+    *("SampledController", "TunedSynthesis"),
 ]
 
 
@@ -32,7 +32,7 @@ LEFT = {
     "mixsyn": ["HinfSynthesis"],
     "hinf": ["HinfSynthesis"],
     "h2": ["H2Synthesis"],
-    "ncf": ["NcfSynthesis", "TwoDegreeSynthesis"],
+    "ncf": ["NcfSynthesis"],
     "dk": ["DKSynthesis"],
     "fixed": ["FixedSynthesis"],
     "reduce-controller": ["ReducedController"],

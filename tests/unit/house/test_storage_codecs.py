@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.errors import InputError
 from robustlab.files.tree import KINDS
 from robustlab.synthesis import LPVController
 
@@ -87,8 +86,3 @@ def check(kind, path, folder):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_process_loads_what_it_reads_and_writes(kind, files, tmp_path):
     check(kind, files[kind], tmp_path)
-
-
-def test_what_files_know_no_place_for_is_refused(tmp_path):
-    with pytest.raises(InputError, match="object, expected a StateSpaceModel"):
-        rl.save(tmp_path / "x.h5", object())

@@ -109,3 +109,12 @@ def test_a_member_that_outgrows_double_precision():
     )
     with pytest.raises(NoTrustworthyNumber, match="outgrows"):
         cover(UncertainModel(M, [RealScalar("gain")]), record(1.0), n=2)
+
+
+def test_signals_and_clock_that_do_not_fit():
+    with pytest.raises(InputError, match="no input 'u'"):
+        cover(gain(0.2), rl.Record(T, {"v": T}, {"y": T}))
+    with pytest.raises(InputError, match="no output in common"):
+        cover(gain(0.2), rl.Record(T, {"u": T}, {"q": T}))
+    with pytest.raises(InputError, match="not uniform"):
+        cover(gain(0.2), rl.Record(T**2, {"u": T}, {"y": T}))

@@ -147,3 +147,19 @@ def test_a_perfect_model_leaves_nothing_to_explain_and_a_wrong_one_does():
     twice = rl.compare(rl.plant("servo-axis"), r, window=1.0, repeats=[other])
     assert twice.noise.source == "repeated records"
     assert pytest.approx(1.0, abs=0.2) == twice.against_noise["q"].excess.F
+
+
+@pytest.mark.parametrize(
+    ("period", "says"),
+    [
+        (7.0, "does not repeat with a period of 7 s"),
+        (0.0, "half the record"),
+        (-1.0, "half the record"),
+        (1000.0, "half the record"),
+        (float("nan"), "half the record"),
+        (9.9975, "whole number of samples"),
+    ],
+)
+def test_stated_periods_that_are_wrong(period, says):
+    with pytest.raises(InputError, match=says):
+        noise_floor(record(periodic(1000, 4)), period=period)

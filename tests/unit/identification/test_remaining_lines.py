@@ -25,7 +25,7 @@ def left_over(force_of, seed, zeros=(0.0, 0.0)):
         # Frequencies without a common period, so that position and time are told apart.
         q = 0.1 * np.sin(0.9 * t + k) + 0.05 * np.sin(2.3 * t + rng.uniform(0, 6)) + zero
         v = np.gradient(q, DT)
-        noise = lfilter([0.2], [1.0, -0.9], rng.standard_normal(N))
+        noise = lfilter([0.2], [1.0, -0.9], np.append(0.0, rng.standard_normal(N - 1)))
         parts.append((force_of(t, q, v) + noise, t, q - zero, v, k * BLOCKS + np.arange(N) * BLOCKS // N))
     force, t, q, v, blocks = (np.concatenate(column) for column in zip(*parts, strict=True))
     coordinates = {"speed": v, "time": t, "position": q, "input u": rng.standard_normal(len(t))}

@@ -146,20 +146,8 @@ def run(tmp_path, record, capsys, *more):
     rl.save(tmp_path / "axis.h5", axis())
     rows = np.column_stack([record.t, record["u"], record["q"]])
     np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,u,q", comments="")
-    words = [
-        "--every",
-        "2",
-        "--noise",
-        f"q={NOISE}",
-        "--inputs",
-        "u",
-        "--outputs",
-        "q",
-        "--unit",
-        "u=N m",
-        "--unit",
-        "q=rad",
-    ]
+    words = f"--every 2 --noise q={NOISE} --inputs u --outputs q --unit q=rad --unit".split()
+    words.append("u=N m")
     left_out = [word for name in others() for word in ("--exclude", name)]
     arguments = ["watch", str(tmp_path / "axis.h5"), str(tmp_path / "log.csv"), *words, *left_out, *more]
     code = main_guard(lambda: app(arguments, standalone_mode=False))

@@ -305,10 +305,11 @@ def test_a_slope_that_no_law_at_the_middle_of_the_sector_has_moves_the_sector(od
 
 
 @pytest.mark.parametrize("pole", [1e-300, 1e300])
-def test_filters_beyond_all_measure_prove_nothing(pole):
-    assert (
-        rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity.saturation()}, pole=pole).status is Status.INCONCLUSIVE
-    )
+def test_filters_beyond_all_measure_prove_nothing_wrong(pole):
+    """The loop without the law has the gain 1; with ordinary filters 1.00001 is proved of all laws."""
+    found = rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity.saturation()}, pole=pole)
+    assert found.lower == pytest.approx(1.0)
+    assert found.upper == math.inf or 1.0 <= found.upper < 1.001
 
 
 def test_an_algebraic_loop_counts_slopes_only():

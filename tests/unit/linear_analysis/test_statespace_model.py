@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from robustlab.errors import InputError, UnitMismatch
+from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, feedback, lower_lft, series
 
 GOOD = {"A": np.diag([-1.0, -2.0, -3.0]), "B": np.ones((3, 2)), "C": np.ones((4, 3)), "D": np.zeros((4, 2))}
@@ -170,12 +170,6 @@ def lag(name_in, name_out, **units):
         inputs=[(name_in, units.get("u", ""))],
         outputs=[(name_out, units.get("y", ""))],
     )
-
-
-def test_series_refuses_units_that_disagree():
-    with pytest.raises(UnitMismatch, match=r"\[rad\] drives v \[deg\]"):
-        series(lag("u", "y", y="rad"), lag("v", "z", u="deg"))
-    assert series(lag("u", "y", y="rad"), lag("v", "z")).n_states == 2
 
 
 def test_sizes_and_sample_times_of_interconnections():

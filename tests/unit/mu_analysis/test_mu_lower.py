@@ -76,22 +76,6 @@ def test_two_real_scalars_have_a_closed_form():
     assert met >= 5
 
 
-def test_real_parameters_inside_their_range_are_found():
-    # Minima with two deltas inside their range, by a dense scan of those two (the scan is the truth here).
-    rng = np.random.default_rng(11)
-    for _ in range(3):
-        M = rng.standard_normal((3, 3)) + 1j * rng.standard_normal((3, 3))
-        best = np.inf
-        for c in np.linspace(-2, 2, 4001):
-            # given delta_3, the other two follow as in the closed form
-            N = M[:2, :2] + np.outer(M[:2, 2], M[2, :2]) * c / (1 - M[2, 2] * c)
-            d = np.linalg.det(N)
-            roots = np.roots(np.imag(np.convolve([-N[0, 0], 1.0], np.conj([-d, N[1, 1]]))))
-            for a in roots.real[np.abs(roots.imag) < 1e-12]:
-                best = min(best, max(abs(a), abs((1 - N[0, 0] * a) / (N[1, 1] - d * a)), abs(c)))
-        assert lower_bound(M, as_blocks([[-1, 0]] * 3))[0] >= 0.99 / best
-
-
 @pytest.mark.parametrize("n", [4, 12])
 def test_complex_scalars_come_close_to_the_upper_bound(n):
     M = np.stack([random_matrix(seed, [[1, 0]] * n) for seed in range(5)])

@@ -17,48 +17,22 @@ from robustlab.report.figures import new_figure, save_figure
 from robustlab.report.html import in_words, render, verdict
 
 REQUIREMENT = {
-    "text": "fast enough",
-    "that": "a.x",
-    "condition": "at least 1",
-    "value": 2.0,
-    "met": True,
-    "why_not": "",
-}
+    "text": "fast enough", "that": "a.x", "condition": "at least 1", "value": 2.0, "met": True, "why_not": "",
+}  # fmt: skip
 STEP = {
-    "name": "a",
-    "do": "plant",
-    "title": "A step",
-    "status": "certified",
-    "trustworthy": True,
-    "summary": "Did it.",
-    "error": "",
-    "numbers": {"x": 2.0},
-    "facts": [{"label": "speed", "value": "2 rad/s", "source": ""}],
-    "notes": ["mind"],
-    "text": "a\n  b",
-    "figures": [{"stem": "a-y", "caption": "The response."}],
-    "seconds": 0.1,
-}
+    "name": "a", "do": "plant", "title": "A step", "status": "certified", "trustworthy": True, "summary": "Did it.",
+    "error": "", "numbers": {"x": 2.0}, "facts": [{"label": "speed", "value": "2 rad/s", "source": ""}],
+    "notes": ["mind"], "text": "a\n  b", "figures": [{"stem": "a-y", "caption": "The response."}], "seconds": 0.1,
+}  # fmt: skip
+RECIPE = {
+    "name": "r", "title": "", "description": "One.\n\nTwo.", "file": "r.toml", "sha256": "ab12",
+    "overrides": {"seed": "7"}, "text": "name = 1",
+}  # fmt: skip
 RESULT = {
-    "schema": "robustlab.result/1",
-    "command": "run",
-    "exit_code": 0,
-    "requirements": [REQUIREMENT],
-    "steps": [STEP],
-    "recipe": {
-        "name": "r",
-        "title": "",
-        "description": "One.\n\nTwo.",
-        "file": "r.toml",
-        "sha256": "ab12",
-        "overrides": {"seed": "7"},
-        "text": "name = 1",
-    },
-    "seed": 7,
-    "seconds": 1.25,
+    "schema": "robustlab.result/1", "command": "run", "exit_code": 0, "requirements": [REQUIREMENT], "steps": [STEP],
+    "recipe": RECIPE, "seed": 7, "seconds": 1.25, "files": [],
     "provenance": {"created": "2026-01-01", "inputs": {"m.h5": "cd34"}, "versions": {"numpy": "2.0"}},
-    "files": [],
-}
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -94,20 +68,8 @@ def test_verdicts(data, tone, headline):
 
 def test_the_page_has_everything_and_loads_nothing(folder):
     page = render(RESULT, folder)
-    for part in (
-        "The requirement is met",
-        "fast enough",
-        "A step",
-        "certified",
-        "Did it.",
-        "2 rad/s",
-        "mind",
-        "The response.",
-        "One.",
-        "Two.",
-    ):
-        assert part in page
-    for part in ("ab12", "cd34", "numpy 2.0", "seed = 7", "name = 1", "m.h5"):
+    texts = ("The requirement is met", "fast enough", "A step", "certified", "Did it.", "2 rad/s", "mind")
+    for part in (*texts, "The response.", "One.", "Two.", "ab12", "cd34", "numpy 2.0", "seed = 7", "name = 1", "m.h5"):
         assert part in page
     assert page.index("The requirement is met") < page.index("A step")
     pictures = re.findall(r"src='data:image/svg\+xml,([^']*)'", page)

@@ -103,12 +103,6 @@ def test_a_zero_on_the_right_must_stay_and_is_named_by_an_infinite_bound():
     assert rl.reduce_model(G, 0, method="stochastic").bound == np.inf
 
 
-def full(h):
-    """Left singular vectors and as many values, zeros included."""
-    u, s, v = np.linalg.svd(h)
-    return u, np.pad(s, (0, len(u) - len(s))), v
-
-
 def test_models_whose_gain_vanishes_ask_for_a_floor():
     with pytest.raises(rl.InputError, match=r"no full row rank.*\n?.*floor="):
         rl.reduce_model(lag(1.0, 1.0), 0, method="stochastic")

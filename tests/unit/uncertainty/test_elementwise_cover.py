@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import robustlab as rl
+from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.covering.elementwise_cover import elementwise_cover
 
@@ -37,6 +39,11 @@ def test_every_member_of_the_set_is_in_the_cover():
             np.testing.assert_allclose(getattr(again, kind), getattr(member, kind), atol=1e-12)
 
 
+def test_equal_models_have_no_block():
+    nominal, _ = pair()
+    assert elementwise_cover(nominal, nominal).blocks == ()
+
+
 def test_mu_of_the_cover_is_above_that_of_the_set():
     A = [[-1.0, 0.5], [0.0, -2.0]]
     nominal = StateSpaceModel(A, [[1.0], [1.0]], [[1.0, 0.0]], [[0.0]])
@@ -44,3 +51,11 @@ def test_mu_of_the_cover_is_above_that_of_the_set():
     small = rl.robust_performance(rl.elementwise(nominal, perturbed, "elements"))
     large = rl.robust_performance(elementwise_cover(nominal, perturbed))
     assert large.lower <= small.upper
+
+
+def test_models_that_do_not_fit():
+    nominal, perturbed = pair()
+    with pytest.raises(InputError, match="as in the nominal"):
+        elementwise_cover(nominal, StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+    with pytest.raises(InputError, match="other signals"):
+        elementwise_cover(nominal, perturbed.renamed(["a", "b"], None))

@@ -175,36 +175,3 @@ def test_algebra():
     assert found.well_posed is False
     assert is_member(BLOCKS[0], found.delta["stiffness"], 2.0)
     assert np.linalg.svd(loop, compute_uv=False)[-1] <= 1e-9
-
-
-@dataclass(frozen=True)
-class Separate(Block):
-    """Independent complex numbers on a diagonal: the same set as so many complex scalars."""
-
-    name: str
-    rows: int
-
-    is_real = False
-    is_scalar = False
-
-    @property
-    def cols(self):
-        return self.rows
-
-    def project(self, part):
-        return np.diag(np.diag(part))
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_another_kind_against_what_is_known_of_its_set(seed):
-    blocks = [Separate("channels", 3)]
-    M = matrix_for(blocks, seed)
-    bounds, known = rl.mu(M, blocks), rl.mu(M, [rl.ComplexScalar(name) for name in "abc"])
-    assert 0.5 * known.lower <= bounds.lower <= known.upper * (1 + 1e-9)
-    assert bounds.upper >= known.lower
-    assert not (bounds.delta - np.diag(np.diag(bounds.delta))).any()
-    uncertain = rl.UncertainModel(rl.StateSpaceModel([], [], [], np.eye(4)), blocks)
-    for delta in rl.sample(uncertain, 5, vertices=2).deltas:
-        assert np.count_nonzero(delta["channels"]) == 3
-    with pytest.raises(InputError, match="Separate"):
-        uncertain.evaluate({"channels": np.ones((3, 3))})
