@@ -16,15 +16,15 @@ def of(step: str, key: str) -> float:
 
 
 panels = {
-    "1  Free run over a record held out: off by [% of its range]": (
-        numbers["gap"]["outputs"]["phi"]["rms_percent"],
+    "1  Free run, record held out: error [% of range]": (
+        numbers["naming"]["free_run"]["before"],
         numbers["naming"]["free_run"]["after"],
     ),
-    "2  Unmodelled dynamics that the record needs [% of the input]": (
+    "2  Unmodelled dynamics needed [% of the input]": (
         100 * numbers["set_before"]["held_out"],
         100 * numbers["set_after"]["held_out"],
     ),
-    "3  What is proved for every member: mu, 1 meets the requirement": (
+    "3  Proved for all members: mu (1: requirement met)": (
         of("before", "mu_upper"),
         of("after", "mu_upper"),
     ),
