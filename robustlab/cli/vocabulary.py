@@ -14,7 +14,7 @@ NAMES, VALUE, FILE, WORD, NUMBERS = "NAME,...", "NAME=VALUE", "FILE", "WORD", "N
 VALUES = {
     # signals, states, effects by name
     **dict.fromkeys(("--inputs", "--outputs", "--controls", "--measurements", "--channels", "--regulated"), NAMES),
-    **dict.fromkeys(("--disturbance-inputs", "--performance-outputs", "--follow", "--hold"), NAMES),
+    **dict.fromkeys(("--disturbance-inputs", "--performance-outputs", "--hold"), NAMES),
     **dict.fromkeys(("--clock", "--group", "--exclude", "--prefix"), "NAME"),
     # names with values
     **dict.fromkeys(("--input-value", "--at", "--set", "--tolerance", "--amplitude", "--noise", "--integral"), VALUE),
@@ -24,7 +24,7 @@ VALUES = {
     "--unit": "NAME=UNIT",
     "--nature": "NAME=WORD",
     # files
-    **dict.fromkeys(("--controller", "--input-weight", "--output-weight", "--reference-model", "--cover"), FILE),
+    **dict.fromkeys(("--controller", "--input-weight", "--output-weight", "--cover"), FILE),
     **dict.fromkeys(("--expressions", "--code", "--store", "--model-out"), FILE),
     **dict.fromkeys(("--held-out", "--repeat"), FILE),
     **dict.fromkeys(("--out", "--figure", "--discovery"), "PATH"),
