@@ -21,7 +21,7 @@ from robustlab.campaign import CampaignSettings, Crew, read_campaign, resume_cam
 from robustlab.campaign.evaluation import Rows
 from robustlab.campaign.settings import Identity, model_to_bytes
 from robustlab.campaign.store import Store, locked
-from robustlab.errors import EnvironmentFault, InputError
+from robustlab.errors import DependencyMissing, EnvironmentFault, InputError
 
 ROOT = Path(__file__).parents[2]
 
@@ -217,9 +217,22 @@ def test_a_full_disk_keeps_what_was_saved(tmp_path, motor):
     store = Store.open(path, write=True)
     (pages,) = store._db.execute("PRAGMA page_count").fetchone()
     store._db.execute(f"PRAGMA max_page_count={pages}")
+    with pytest.raises(EnvironmentFault, match=r"s\.sqlite: .*full; the samples saved before are kept"):
         store.save(Rows(64, np.zeros(5000), np.zeros((5000, 2)), np.zeros(5000)))
     store.close()
     assert saved_samples(path) == (64, 100_000)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_folder(tmp_path, motor):
+    path = begun(tmp_path / "s.sqlite", motor)
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(EnvironmentFault):
+            resume_campaign(path)
+        assert read_campaign(path).done == 64
+    finally:
+        tmp_path.chmod(0o700)
 
 
 def test_a_worker_that_ends_ends_the_run_and_the_store_is_gone_on_with(tmp_path, motor, monkeypatch):
@@ -230,3 +243,17 @@ def test_a_worker_that_ends_ends_the_run_and_the_store_is_gone_on_with(tmp_path,
     assert f"robustlab campaign resume {path}" in str(caught.value)
     monkeypatch.undo()
     assert resume_campaign(path, crew=Crew(1)).done == 300
+
+
+def test_the_missing_extra_is_named_with_its_command(tmp_path, motor, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(DependencyMissing, match=r"needs dask\.distributed") as caught:
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", crew=Crew(cluster="tcp://127.0.0.1:1"))
+    assert "pip install 'robustlab[cluster]'" in str(caught.value)
+    assert caught.value.exit_code == 5
+
+
+@pytest.mark.parametrize("workers", [0, -1, 1.5, True])
+def test_workers_are_a_whole_number(tmp_path, motor, workers):
+    with pytest.raises(InputError, match="workers"):
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", crew=Crew(workers))
