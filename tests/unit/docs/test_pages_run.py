@@ -20,8 +20,8 @@ DOCS = ROOT / "docs"
 TUTORIALS = sorted(
     page.stem for page in (DOCS / "tutorials").glob("*.md") if not page.read_text(encoding="utf-8").startswith("---")
 )
-QUICK = ["conventions", "cover", "delays", "from_data_to_controller", "models", "objects"]
-LONG = ["fixed_structure", "gain-scheduling", "iqc", "synthesis", "watch"]
+QUICK = ["conventions", "from_data_to_controller", "models", "objects"]
+LONG = ["cover", "delays", "fixed_structure", "gain-scheduling", "iqc", "synthesis", "watch"]
 
 
 def blocks_of(page: str) -> list[tuple[str, str]]:
@@ -59,7 +59,11 @@ def test_the_code_of_the_platform_runs():
 @pytest.mark.parametrize(
     "page",
     [
-        *(f"tutorials/{page}" for page in TUTORIALS),
+        *(
+            # The quadrotor's campaign takes two minutes.
+            pytest.param(f"tutorials/{page}", marks=[pytest.mark.slow] if page == "quadrotor-height" else [])
+            for page in TUTORIALS
+        ),
         pytest.param("your-own-machine", marks=pytest.mark.slow),  # it searches for the name of an effect
     ],
 )
