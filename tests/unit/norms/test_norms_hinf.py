@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robustlab.errors import InputError
-from robustlab.linear_analysis.exact_stability import exactly_stable
+from robustlab.linear_analysis.exact import exactly_stable
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel

@@ -8,7 +8,7 @@ from attack_cases import make_case
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.linear_analysis.exact_stability import exactly_on_boundary
+from robustlab.linear_analysis.exact import exactly_on_boundary
 from robustlab.linear_analysis.modal_response import ModalResponse
 from robustlab.norms import h2_by_gramians, hinf_norm
 from robustlab.norms.axis_integral import AxisTuning, mean_square_gain
