@@ -30,7 +30,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
 from robustlab.errors import NoTrustworthyNumber, told_as
-from robustlab.exact_arithmetic import MOST_STATES, Root, common_factor, determinant, normal_rank, roots
+from robustlab.linear_analysis.exact import MOST_STATES, Root, determinant, normal_rank, roots
 from robustlab.linear_analysis.magnitude import equilibrating_exponents
 from robustlab.result import Status
 from robustlab.shown import Facts, Part, Shown, listed, number
@@ -260,10 +260,9 @@ def _roots(S: Array, n: int, rank: int, exactly: int) -> tuple[ComplexArray, Com
         raise NoTrustworthyNumber("zeros", f"{n} states: more than {MOST_STATES} are not solved exactly")
     p, m = S.shape[0] - n, S.shape[1] - n
     if rank == p == m:
-        return _sorted(roots(determinant(S, n).coefficients)), np.zeros(0, dtype=complex)
-    first, second = (determinant(_bordered(S, n, rank, seed), n).coefficients for seed in (0, 1))
-    shared = common_factor(first, second) if rank == exactly else [1]
-    exact = _sorted(roots(shared))
+        return _sorted(roots(determinant(S, n)[0])), np.zeros(0, dtype=complex)
+    first, second = (determinant(_bordered(S, n, rank, seed), n)[0] for seed in (0, 1))
+    exact = _sorted(roots(first.gcd(second)) if rank == exactly else [])
     # Every zero, exact or not, is a root with either border; all other roots change with it.
     one, two = _sorted(roots(first)), _sorted(roots(second))
     alike = [z for z in one if len(two) and np.abs(two - z).min() <= ALIKE * abs(z)]

@@ -15,7 +15,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.linear_analysis.exact_stability import exactly_on_boundary, exactly_stable
+from robustlab.linear_analysis.exact import exactly_on_boundary, exactly_stable
 from robustlab.linear_analysis.magnitude import Moderated, balancing_factors, moderated
 from robustlab.linear_analysis.narrow_peaks import modes_apart
 from robustlab.norms.bilinear_map import bilinear_to_continuous

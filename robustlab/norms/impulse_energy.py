@@ -10,7 +10,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber, told_as
-from robustlab.linear_analysis.exact_stability import exactly_stable
+from robustlab.linear_analysis.exact import exactly_stable
 from robustlab.linear_analysis.magnitude import Moderated, balancing_factors, moderated
 from robustlab.linear_analysis.matrix_equations import lyapunov
 from robustlab.linear_analysis.modal_response import ModalResponse

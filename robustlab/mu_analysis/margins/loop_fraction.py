@@ -17,23 +17,24 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.exact_arithmetic import (
+from robustlab.linear_analysis.exact import (
     MOST_STATES,
-    added,
-    common_factor,
+    all_left,
     determinant,
-    divided,
+    even_and_odd,
     from_the_circle,
-    product,
     roots,
-    value,
     wired,
 )
 from robustlab.statespace import StateSpaceModel
+
+if TYPE_CHECKING:
+    from flint import fmpz_poly
 
 # |L| (or the angle of L to the real axis) this near to 1 (to 0) without reaching it, compared with its neighbourhood:
 # it is touched. Complex roots x whose imaginary part is a larger share of them than BESIDE are not looked at for that.
@@ -63,8 +64,8 @@ class Point:
 class LoopFraction:
     """A loop N / D without common factors; powers of s, or of ``v = (z - 1) / (z + 1)`` of a discrete loop."""
 
-    N: list[int]
-    D: list[int]
+    N: fmpz_poly
+    D: fmpz_poly
     dt: float
 
     @property
@@ -78,42 +79,47 @@ class LoopFraction:
         return 2 / self.dt * math.atan(omega) if self.dt else omega
 
     @cached_property
-    def _parts(self) -> tuple[list[int], list[int], list[int], list[int]]:
-        return *_even_and_odd(self.N), *_even_and_odd(self.D)
+    def _parts(self) -> tuple[fmpz_poly, fmpz_poly, fmpz_poly, fmpz_poly]:
+        return *even_and_odd(self.N), *even_and_odd(self.D)
 
     def at(self, x: Fraction) -> Point | None:
         """The response at ``omega = sqrt(x)``; None at a pole."""
-        ne, no, de, do = (value(part, x) for part in self._parts)
+        ne, no, de, do = (_value(part, x) for part in self._parts)
         size = de**2 + x * do**2
         return Point((ne * de + x * no * do) / size, (no * de - ne * do) / size, x) if size else None
 
     def at_infinity(self) -> Fraction:
-        """The real limit at infinite frequency (z = -1); D is the larger polynomial, or as large."""
-        if len(self.N) > len(self.D):
+        """The real limit at infinite frequency (z = -1); D is the larger polynomial, or as large.
+
+        Raises NoTrustworthyNumber: there is none.
+        """
+        degree = self.D.degree()
+        if self.N.degree() > degree:
             raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at the end of the axis")
-        return Fraction(self.N[-1], self.D[-1]) if len(self.N) == len(self.D) else Fraction(0)
+        return Fraction(int(self.N[degree]), int(self.D[degree]))
 
     def with_gain_one(self) -> list[Fraction] | None:
         """``omega^2`` of all frequencies where ``|L| = 1``; None where it is 1 everywhere, to within TOUCHED."""
+        from flint import fmpz_poly
+
         ne, no, de, do = self._parts
-        numerator = added(product(ne, ne), [0, *product(no, no)])
-        found = added(numerator, added(product(de, de), [0, *product(do, do)]), -1)
-        de, do = ([abs(c) for c in part] for part in (de, do))
-        size = added(product(de, de), [0, *product(do, do)])
-        if len(found) <= len(size) and all(abs(c) <= TOUCHED * s for c, s in zip(found, size, strict=False)):
+        found = _size_squared(ne, no) - _size_squared(de, do)
+        size = _size_squared(*(fmpz_poly([abs(c) for c in part.coeffs()]) for part in (de, do)))
+        if all(abs(found[k]) * TOUCHED.denominator <= size[k] for k in range(found.degree() + 1)):
             return None
         return self._crossed(found, lambda at: abs(at.size_squared - 1))
 
     def with_real_response(self) -> list[Fraction]:
         """``omega^2`` of all positive frequencies where L is real; none where it is real everywhere."""
         ne, no, de, do = self._parts
-        found = added(product(no, de), product(ne, do), -1)
-        return self._crossed(found, lambda at: at.x * at.imag**2 / at.size_squared if at.size_squared else Fraction(1))
+        return self._crossed(
+            no * de - ne * do, lambda at: at.x * at.imag**2 / at.size_squared if at.size_squared else Fraction(1)
+        )
 
-    def _crossed(self, f: list[int], height: Callable[[Point], Fraction]) -> list[Fraction]:
+    def _crossed(self, f: fmpz_poly, height: Callable[[Point], Fraction]) -> list[Fraction]:
         """Positive roots of f by rising size, and where a height comes so near to zero that it counts as touched."""
         found = list[Fraction]()
-        for root in roots(f) if len(f) > 1 else []:
+        for root in roots(f):
             if root.re <= 0 or not 0 <= root.im < BESIDE * root.re:
                 continue
             if not root.im or self._touched(root.re, height):
@@ -129,13 +135,8 @@ class LoopFraction:
     def stable_with(self, factor: float) -> bool:
         """Whether the loop is stable when it is closed with so much gain; modes of no loop are left out."""
         gain = Fraction(factor)
-        closed = added([c * gain.denominator for c in self.D], self.N, gain.numerator)
-        return len(closed) == len(self.D) and all_left(closed)
-
-
-def all_left(f: list[int]) -> bool:
-    """Whether all roots lie in the open left half plane."""
-    return all(root.re < 0 for root in roots(f)) if len(f) > 1 else True
+        closed = self.D * gain.denominator + self.N * gain.numerator
+        return closed.degree() == self.D.degree() and all_left(closed)
 
 
 def loop_fractions(
@@ -144,6 +145,11 @@ def loop_fractions(
     """Whether the loop ``y = P u``, ``u = sign K y`` is stable, and what each loop is with the others closed.
 
     ``places``: which of the inputs and then the outputs of P loops are opened at. L is that of negative feedback.
+
+    Raises
+    ------
+    NoTrustworthyNumber
+        More states than are solved exactly; a loop that cannot be opened because the others are not well posed then.
     """
     n, k, m, p = P.n_states, K.n_states, P.n_inputs, P.n_outputs
     if n + k > MOST_STATES:
@@ -154,34 +160,35 @@ def loop_fractions(
         raise NoTrustworthyNumber("classical_margins", found, f"at most {MOST_STATES}", hint)
     u, y = np.split(np.arange(m + p), [m])
     M, _ = wired([(P, u, y, 1), (K, y, u, sign)], -np.eye(m + p))
-    closed, found = determinant(M, n + k), list[LoopFraction]()
+    (closed, scale), found = determinant(M, n + k), list[LoopFraction]()
     for place in places:
         cut = M.copy()
         signal = n + k + place
         cut[:signal, signal] = cut[signal + 1 :, signal] = 0.0
-        opened = determinant(cut, n + k)
-        if opened.degree < n + k and not P.dt:
+        D, exponent = determinant(cut, n + k)
+        if D.degree() < n + k and not P.dt:
             raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at infinite frequency")
-        exponent = min(opened.exponent, closed.exponent)
-        D, whole = opened.times_power_of(exponent), closed.times_power_of(exponent)
-        found.append(_without_common_factor(added(whole, D, -1), D, n + k, P.dt))
-    poles = from_the_circle(closed.coefficients, n + k) if P.dt else closed.coefficients
-    return len(poles) == n + k + 1 and all_left(poles), found
+        D, whole = D * (1 << max(exponent - scale, 0)), closed * (1 << max(scale - exponent, 0))
+        N = whole - D
+        if P.dt:
+            N, D = from_the_circle(N, n + k), from_the_circle(D, n + k)
+        shared = N.gcd(D)
+        found.append(LoopFraction(N // shared, D // shared, P.dt))
+    poles = from_the_circle(closed, n + k) if P.dt else closed
+    return poles.degree() == n + k and all_left(poles), found
 
 
-def _without_common_factor(N: list[int], D: list[int], n: int, dt: float) -> LoopFraction:
-    if dt:
-        N, D = from_the_circle(N, n), from_the_circle(D, n)
-    shared = common_factor(N, D) if N else D
-    if len(shared) > 1:
-        N, D = divided(N, shared) or [], divided(D, shared) or []
-    return LoopFraction(N, D, dt)
+def _size_squared(even: fmpz_poly, odd: fmpz_poly) -> fmpz_poly:
+    """``even^2 + x odd^2``."""
+    return even * even + (odd * odd).left_shift(1)
 
 
-def _even_and_odd(f: list[int]) -> tuple[list[int], list[int]]:
-    """e, o with ``f(j omega) = e(x) + j omega o(x)``, ``x = omega^2``."""
-    even, odd = ([c * (-1) ** k for k, c in enumerate(part)] for part in (f[::2], f[1::2]))
-    return even, odd
+def _value(f: fmpz_poly, x: Fraction) -> Fraction:
+    """``f(x)``."""
+    above, scale = 0, 1
+    for c in reversed(f.coeffs()):
+        above, scale = above * x.numerator + int(c) * scale, scale * x.denominator
+    return Fraction(above * x.denominator, scale)
 
 
 def _square_root(x: Fraction) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import RobustlabError
-from robustlab.exact_arithmetic import MOST_STATES, determinant, roots, wired
+from robustlab.linear_analysis.exact import MOST_STATES, determinant, even_and_odd, roots, wired
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel
@@ -125,8 +125,8 @@ def _candidates(
     M, n = wired(blocks, J)
     if n > MOST_STATES:
         return None
-    found = determinant(M, n).coefficients
+    found, _ = determinant(M, n)
     if not found:
         return None
-    x = [root.value for root in roots([c * (-1) ** k for k, c in enumerate(found[::2])])] if len(found) > 2 else []
+    x = [root.value for root in roots(even_and_odd(found)[0])]
     return 1j * np.sqrt(np.array(x, dtype=complex))

@@ -6,9 +6,12 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
-from robustlab.linear_analysis.exact_stability import exactly_stable
-from robustlab.norms import h2_norm, hinf_norm
+from robustlab.errors import InputError
+from robustlab.linear_analysis.exact import exactly_stable
+from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 
@@ -47,6 +50,14 @@ def test_peak_at_infinite_frequency_and_at_zero():
     assert (norm.value, norm.frequency) == (pytest.approx(5.0, rel=1e-12), 0.0)
 
 
+def test_all_pass_is_flat():
+    A, B = np.array([[0.0, 1.0], [-4.0, -0.4]]), np.array([[0.0], [0.8]])
+    all_pass = StateSpaceModel(A, B, [[0.0, -1.0]], [[1.0]])  # (s^2 - 0.4 s + 4) / (s^2 + 0.4 s + 4)
+    norm = hinf_norm(all_pass)
+    assert norm.value == pytest.approx(1.0, rel=1e-9)
+    assert norm.upper <= 1 + 3e-6
+
+
 @pytest.mark.parametrize(("n_inputs", "n_outputs", "n_states"), [(0, 2, 1), (2, 0, 1), (0, 0, 0), (0, 0, 3), (3, 0, 0)])
 def test_empty_sizes_have_norm_zero(n_inputs, n_outputs, n_states):
     model = StateSpaceModel(
@@ -56,6 +67,13 @@ def test_empty_sizes_have_norm_zero(n_inputs, n_outputs, n_states):
         np.zeros((n_outputs, n_inputs)),
     )
     assert hinf_norm(model).value == 0.0
+
+
+def test_static_gain_and_zero_system():
+    gain = np.array([[3.0, 0.0], [0.0, 4.0], [0.0, 0.0]])
+    static = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((3, 0)), gain)
+    assert hinf_norm(static).value == 4.0
+    assert hinf_norm(StateSpaceModel([[-1.0]], [[0.0]], [[1.0]], [[0.0]])).value == 0.0
 
 
 def test_cancelling_channels_give_a_norm_of_rounding_size():
@@ -72,12 +90,41 @@ def test_not_stable_means_infinite_even_where_unreachable(pole):
         assert "pole" in norm.reason
 
 
+def test_undamped_oscillator_is_infinite():
+    assert hinf_norm(StateSpaceModel([[0, 1], [-1, 0]], [[0], [1]], [[1, 0]], [[0]])).value == np.inf
+
+
 @pytest.mark.parametrize("pole", [0.9, -0.9, 0.0, 0.999999])
 def test_discrete_lag(pole):
     norm = hinf_norm(StateSpaceModel([[pole]], [[1.0]], [[1.0]], [[0.0]], 0.1))
     assert norm.value == pytest.approx(1 / (1 - abs(pole)), rel=1e-8)
     if pole < 0:
         assert norm.frequency == pytest.approx(np.pi / 0.1)
+
+
+def test_discrete_marginal_is_infinite():
+    assert hinf_norm(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1)).value == np.inf
+
+
+def test_pure_delays_have_norm_one():
+    shift = StateSpaceModel(np.eye(4, k=1), np.eye(4)[:, 3:], np.eye(4)[:1], [[0.0]], 1.0)
+    assert hinf_norm(shift).value == pytest.approx(1.0, rel=1e-9)
+
+
+def test_bad_rtol_is_refused():
+    with pytest.raises(InputError, match="rtol"):
+        hinf_norm(resonance(0.1), rtol=0.0)
+
+
+def test_bilinear_map_there_and_back():
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((4, 4)) * 0.4
+    model = StateSpaceModel(
+        A, rng.standard_normal((4, 2)), rng.standard_normal((3, 4)), rng.standard_normal((3, 2)), 0.02
+    )
+    back = bilinear_to_discrete(bilinear_to_continuous(model), 0.02)
+    for name in "ABCD":
+        np.testing.assert_allclose(getattr(back, name), getattr(model, name), atol=1e-12)
 
 
 def test_h2_of_a_lag_in_any_time_unit():
@@ -132,6 +179,21 @@ def test_a_norm_that_is_zero_but_for_rounding_is_certified_as_that(dt, size):
     assert norm.lower == pytest.approx(1e-6 * alone.lower, rel=1e-5)
 
 
+@pytest.mark.parametrize("wrong", ["gramian", "modes"])
+def test_h2_norm_with_one_voice_that_lies_does_not_pass_for_another(monkeypatch, wrong):
+    from robustlab.linear_analysis.schur_lyapunov import SchurForm
+
+    G = StateSpaceModel([[-1.0, 3.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
+    truth, right = h2_norm(G).value, getattr(SchurForm, wrong)
+    lies = {
+        "gramian": lambda form, b, **options: 1.01 * right(form, b, **options),
+        "modes": lambda form: (1.01 * right(form)[0], right(form)[1]),
+    }
+    monkeypatch.setattr(SchurForm, wrong, lies[wrong])
+    found = h2_norm(G)
+    assert not found.status.trustworthy or found.value == pytest.approx(truth, rel=1e-6)
+
+
 def test_h2_norm_of_a_lopsided_realisation():
     """In states (x1, 2^133 x2) the outputs are x1 and 2^134 x2, beside which the first is nothing."""
     A, B, t = np.array([[1.0, -2.0], [2.5, -3.5]]), np.diag([1.0, 2.5]), np.array([1.0, 2.0**-133])
@@ -165,6 +227,17 @@ def test_stability_in_exact_arithmetic(A, discrete, stable):
         a, b = (Fraction(x) for x in A[0])
         stable = a * a + b * b < 1
     assert exactly_stable(A, discrete) is stable
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(1, 6), st.integers(0, 2**32), st.booleans())
+def test_stability_in_exact_arithmetic_where_eigenvalues_know_it(n, seed, discrete):
+    A = np.random.default_rng(seed).standard_normal((n, n))
+    A = A / np.sqrt(n) if discrete else A - np.sqrt(n) * np.eye(n)
+    poles = np.linalg.eigvals(A)
+    distance = np.abs(poles).max() - 1 if discrete else poles.real.max()
+    assume(abs(distance) > 1e-6)
+    assert exactly_stable(A, discrete) is bool(distance < 0)
 
 
 def test_a_jordan_block_that_eigenvalues_call_unstable_is_not_certified_so():
