@@ -45,8 +45,24 @@ def design():
 
 @pytest.fixture(scope="module")
 def flexible():
-    plant = chain(3, 2, 1.0, 0.1)
+    """Three equal masses and springs, damping ratio 0.5 %: force on the first, measured at the last."""
+    n, zero = 3, np.zeros((3, 3))
+    stiffness = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+    squares, modes = np.linalg.eigh(stiffness)
+    damping = modes @ np.diag(0.01 * np.sqrt(np.maximum(squares, 0))) @ modes.T
+    A = np.block([[zero, np.eye(n)], [-stiffness, -damping]])
+    B, C = np.zeros((2 * n, 3)), np.zeros((3, 2 * n))
+    B[n + 2, 0] = B[n, 2] = C[0, 2] = C[2, 2] = 1.0
+    names = ["force", "noise", "u"], ["position", "effort", "y"]
+    P = rl.StateSpaceModel(A, B, C, [[0, 0, 0], [0, 0, 1], [0, 0.1, 0]], 0.0, *names)
+    plant = rl.generalized_plant(P, ["y"], ["u"])
     return plant, rl.hinf(plant)
+
+
+def crossover(plant, K):
+    omega = np.geomspace(1e-3, 1e2, 4000)
+    loop = rl.frequency_response(plant.model, omega)[:, 2, 2] * rl.frequency_response(K, omega)[:, 0, 0]
+    return omega[np.abs(loop) > 1].max()
 
 
 def test_fast_sampling_loses_nothing_and_says_what_was_tried(design):
