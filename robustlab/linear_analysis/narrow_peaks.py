@@ -18,6 +18,8 @@ INSIDE = np.tan(np.pi / 8 * np.arange(-3, 4))
 BLURRED = 1e-6
 # Product of the left and right eigenvector below which a mode is too much like another one to be parted from it.
 ALIKE = 1e-4
+# Eigenvectors as parallel as this are one, found twice.
+SAME = 1e-12
 # Bits in which states are changed: what is left of much larger terms keeps all digits of a double.
 BITS = 192
 
@@ -53,7 +55,9 @@ def modes_apart(model: StateSpaceModel) -> StateSpaceModel:
         poles = np.exp(poles)
     right, left = (_eigenvectors(matrix, poles) for matrix in (A, A.T))
     inner = np.abs((left * right).sum(axis=0))  # of vectors of length one
-    left, right, inner = left[:, inner > ALIKE], right[:, inner > ALIKE], inner[inner > ALIKE]
+    alone = np.abs(right.conj().T @ right - np.eye(len(poles))).max(axis=0, initial=0.0) < 1 - SAME
+    kept = (inner > ALIKE) & alone
+    left, right, inner = left[:, kept], right[:, kept], inner[kept]
     if not len(inner):
         return model
     driven = np.linalg.norm(left.T @ B, axis=1) / inner

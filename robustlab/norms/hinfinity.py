@@ -187,8 +187,16 @@ def bracketed_norm(
     without_bracket = infinite(m, ordinary.rate)
     if without_bracket is not None:
         return without_bracket
+    found = _bracket(m, ordinary, rtol, tuning, band)
+    if found.status is Status.CERTIFIED or (apart := modes_apart(m)) is m:
+        return found
+    again = _bracket(apart, ordinary, rtol, tuning, band)
+    return again if again.status is Status.CERTIFIED or again.upper - again.lower < found.upper - found.lower else found
+
+
+def _bracket(m: StateSpaceModel, ordinary: Moderated, rtol: float, tuning: NormTuning, band: Band | None) -> HinfNorm:
+    """The norm from these states of the ordinary model."""
     try:
-        m = modes_apart(m)
         scaled, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
         part = None if band is None else _band_of(ordinary, band, rate)
         lower, omega, upper, trusted, doubtful = level_bracket(scaled, rtol, tuning, part)
