@@ -326,7 +326,7 @@ def _filter(task: _Task, log_bandwidth: Array, sigma: Array) -> Filter:
 
     rounding, q = np.diag(ROUNDING * task.start), _intensities(task, log_bandwidth, sigma)
     root = _compressed(np.vstack([rounding, *(math.sqrt(v) * r for v, r in zip(q, task.port_roots, strict=True))]))
-    return Filter(task.phi, root, task.forced, task.H, sigma, np.diag(task.start))
+    return Filter(task.phi, root, task.forced, task.H, np.array(sigma), np.diag(task.start))
 
 
 def _filtered(task: _Task, log_bandwidth: Array, sigma: Array) -> tuple[float, float, float]:
