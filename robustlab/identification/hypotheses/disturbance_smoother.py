@@ -33,10 +33,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.clocks import UNIFORM_TOLERANCE
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Evidence
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import StateSpaceModel, real_array
 
 if TYPE_CHECKING:
     from robustlab.identification.hypotheses.smoother_kernels import Filter
@@ -108,14 +109,15 @@ def smooth_disturbance(
     Raises
     ------
     InputError
-        An output without samples, fewer samples than 3 (n_x + m), a port to which no output responds.
+        A discrete model, shapes that do not fit, NaN in t or u, a clock that is not uniform, an output without
+        samples, fewer samples than 3 (n_x + m), a port to which no output responds.
     NoTrustworthyNumber
         The response outgrows double precision.
     """
     task = _prepared(model, ports, t, u, y, noise_std)
     given = None
     if bandwidth is not None:
-        given = np.log(np.broadcast_to(np.asarray(bandwidth, dtype=float), (task.m,)))
+        given = np.log(_positive("bandwidth", np.broadcast_to(np.asarray(bandwidth, dtype=float), (task.m,))))
     with np.errstate(over="ignore", invalid="ignore"):
         choice = _searched(task, given)
         return _smoothed(task, choice)
@@ -160,26 +162,51 @@ class _Choice:
 # --- the problem in discrete time ------------------------------------------------------------------------------------
 
 
+def _positive(name: str, value: Array) -> Array:
+    array = real_array(name, value, 1, WHERE)
+    if not (array > 0).all():
+        raise InputError(f"{WHERE}: {name}", f"{array.min():g}", "positive numbers")
+    return array
+
+
 def _prepared(
     model: StateSpaceModel, ports: ArrayLike, t: ArrayLike, u: ArrayLike, y: ArrayLike, noise_std: ArrayLike | None
 ) -> _Task:
-    p, t, u, y = (np.asarray(x, dtype=np.float64) for x in (ports, t, u, y))
+    if model.is_discrete:
+        raise InputError(WHERE, f"a model with dt = {model.dt:g} s", "a continuous model")
+    p = real_array("ports", ports, 2, WHERE)
+    t, u = real_array("t", t, 1, WHERE), real_array("u", u, 2, WHERE)
+    y = np.array(y, dtype=np.float64)
     n, n_z = len(t), model.n_states + p.shape[1]
+    for name, found, shape in (
+        ("ports", p.shape, (model.n_states, max(1, p.shape[1]))),
+        ("u", u.shape, (n, model.n_inputs)),
+        ("y", y.shape, (n, model.n_outputs)),
+    ):
+        if found != shape:
+            raise InputError(f"{WHERE}: {name}", f"shape {found}", f"{shape}")
+    if np.isinf(y).any():
+        raise InputError(f"{WHERE}: y", f"infinite at sample {int(np.argwhere(np.isinf(y))[0, 0])}", "finite or NaN")
     samples = np.isfinite(y).sum(axis=0)
     if n < 3 * n_z or samples.min(initial=n) < 3 * n_z:
         found = f"{min(n, samples.min(initial=n))} samples"
         raise InputError(WHERE, found, f"at least {3 * n_z} of every output for {n_z} states and forces")
+    step = np.diff(t)
+    if not (step > 0).all() or np.abs(step - step.mean()).max() > UNIFORM_TOLERANCE * step.mean():
+        raise InputError(f"{WHERE}: t", f"steps of {step.min():.6g} to {step.max():.6g} s", "a uniform clock")
     if model.operating_point is not None:
         u, y = u - model.operating_point.u, y - model.operating_point.y
     y = y - u @ model.D.T
-    h = float(t[-1] - t[0]) / (n - 1)
+    h = float(step.mean())
     wide = _with_forces(model, p)
     phi, gamma, _ = transition(wide, h)
     floor = np.maximum([_resolution(column) / math.sqrt(12.0) for column in y.T], SMALLEST_NOISE * _size(y))
     if noise_std is None:
         guess = np.maximum([_rough_noise(column) for column in y.T], floor)
     else:
-        guess = np.maximum(noise_std, floor)
+        guess = np.maximum(_positive("noise_std", np.asarray(noise_std, dtype=float)), floor)
+        if guess.shape != (model.n_outputs,):
+            raise InputError(f"{WHERE}: noise_std", f"shape {np.shape(noise_std)}", f"({model.n_outputs},)")
     return _Task(
         t=t,
         h=h,
@@ -299,7 +326,7 @@ def _filter(task: _Task, log_bandwidth: Array, sigma: Array) -> Filter:
 
     rounding, q = np.diag(ROUNDING * task.start), _intensities(task, log_bandwidth, sigma)
     root = _compressed(np.vstack([rounding, *(math.sqrt(v) * r for v, r in zip(q, task.port_roots, strict=True))]))
-    return Filter(task.phi, root, task.forced, task.H, sigma, np.diag(task.start))
+    return Filter(task.phi, root, task.forced, task.H, np.array(sigma), np.diag(task.start))
 
 
 def _filtered(task: _Task, log_bandwidth: Array, sigma: Array) -> tuple[float, float, float]:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
+from robustlab.statespace import real_array
 
 WHERE = "unnamed effect"
 
@@ -52,15 +53,24 @@ class MovingSamples:
 def moving_samples(
     d: ArrayLike, d_std: ArrayLike, coordinates: Mapping[str, ArrayLike], blocks: int | NDArray[np.int_]
 ) -> MovingSamples:
-    """The samples in motion; parameters and errors as in `robustlab.identification.unnamed.unnamed_effect`."""
-    force, std = np.asarray(d, dtype=float), np.asarray(d_std, dtype=float)
-    x = {name: np.asarray(value, dtype=float) for name, value in coordinates.items()}
+    """The checked samples in motion; parameters and errors as in `robustlab.identification.unnamed.unnamed_effect`."""
+    force, std = real_array("d", d, 1, WHERE), real_array("d_std", d_std, 1, WHERE)
+    x = {name: real_array(name, value, 1, WHERE) for name, value in coordinates.items()}
     n = len(force)
+    for name, value in (("d_std", std), *x.items()):
+        if len(value) != n:
+            raise InputError(f"{WHERE}: {name}", f"{len(value)} samples", f"{n} as in d")
+    if not x:
+        raise InputError(WHERE, "no coordinates", "at least one, for example speed")
+    if not (std > 0).all():
+        raise InputError(f"{WHERE}: d_std", f"{std.min():g}", "positive numbers")
     if isinstance(blocks, (int, np.integer)):
         if not FEWEST_BLOCKS <= blocks <= n // 8:
             raise InputError(f"{WHERE}: blocks", f"{blocks} for {n} samples", f"{FEWEST_BLOCKS} to {n // 8}")
         label = np.arange(n) * int(blocks) // n
     else:
+        if np.shape(blocks) != (n,):
+            raise InputError(f"{WHERE}: blocks", f"shape {np.shape(blocks)}", f"a number, or a label for each of {n}")
         label = np.asarray(blocks)
     speed = next((name for name in x if role(name) == "speed"), None)
     chosen = np.arange(0, n, max(1, n // POINTS))

@@ -60,8 +60,14 @@ def test_shares_are_of_blocks_never_seen():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"d": np.zeros(99)}, "100 samples"),
+        ({"d": np.full(100, np.nan)}, "NaN"),
+        ({"d_std": np.zeros(100)}, "positive"),
+        ({"coordinates": {}}, "no coordinates"),
+        ({"coordinates": {"speed": np.zeros(7)}}, "speed"),
         ({"blocks": 3}, "blocks"),
         ({"blocks": 50}, "blocks"),
+        ({"blocks": np.zeros(99)}, "blocks"),
         ({"blocks": np.arange(100) // 50}, "2 blocks"),
     ],
 )
