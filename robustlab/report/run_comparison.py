@@ -50,7 +50,7 @@ def _key(requirement: Mapping[str, Any], run: Mapping[str, Any]) -> str:
 
 def _requirement(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None, tolerance: float) -> dict[str, Any]:
     of = b or a or {}
-    found = [None if q is None else found_in_words(q) for q in (a, b)]
+    first, second = (None if q is None else found_in_words(q) for q in (a, b))
     if a is None or b is None:
         gone = (WORSE, "was met and is no longer stated") if of["met"] else (GONE, "no longer stated")
         verdict, why = gone if b is None else (FRESH, "met" if of["met"] else "not met")
@@ -62,7 +62,7 @@ def _requirement(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None, toler
         if towards and _change(a["value"], b["value"]) > tolerance:
             words = ("with less room", "with more room") if b["met"] else ("and further off", "but nearer")
             verdict, why = WORSE if towards > 0 else BETTER, f"{why}, {words[towards < 0]}"
-    return _row(of["text"] or of["that"], *found, verdict, of["condition"], why)
+    return _row(of["text"] or of["that"], first, second, verdict, of["condition"], why)
 
 
 def _towards_limit(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
