@@ -66,7 +66,7 @@ def determinant(M: Array, n: int) -> tuple[fmpz_poly, int]:
     Examples
     --------
     >>> determinant(np.array([[-2.0, 1.0], [-3.0, 1.0]]), 1)  # (s - 1) / (s + 2) times -(s + 2)
-    ((-1)*x + 1, 0)
+    ((-2)*x + 2, -1)
     """
     from flint import fmpz_mat, fmpz_poly, nmod_mat, nmod_poly
 
@@ -77,7 +77,7 @@ def determinant(M: Array, n: int) -> tuple[fmpz_poly, int]:
     sizes = ((abs(x) + (weights[i] if i == j < n else 0) for j, x in enumerate(row)) for i, row in enumerate(rows))
     bound = 2 * math.prod(math.isqrt(sum(x * x for x in row)) + 1 for row in sizes)
     if bound.bit_length() / TOP.bit_length() * k**3 > MOST_WORK:
-        found = f"a pencil of {k} rows with {bound.bit_length()} digits"
+        found = f"a pencil of {k} rows with {bound.bit_length()} binary digits"
         raise NoTrustworthyNumber("determinant", found, "at most 200 states, of entries less far apart")
     whole, E = fmpz_mat(k, k, [x for row in rows for x in row]), fmpz_mat(k, n)
     for i in range(n):

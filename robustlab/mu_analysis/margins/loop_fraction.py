@@ -93,8 +93,7 @@ class LoopFraction:
 
         Raises NoTrustworthyNumber: there is none.
         """
-        degree = self.D.degree()
-        if self.N.degree() > degree:
+        if self.N.degree() > (degree := self.D.degree()):
             raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at the end of the axis")
         return Fraction(int(self.N[degree]), int(self.D[degree]))
 
@@ -153,10 +152,8 @@ def loop_fractions(
     """
     n, k, m, p = P.n_states, K.n_states, P.n_inputs, P.n_outputs
     if n + k > MOST_STATES:
-        found, hint = (
-            f"a loop of {n + k} states",
-            "rl.reduce_model; or cut the axis: rl.classical_margins(rl.with_delays(P), K)",
-        )
+        found = f"a loop of {n + k} states"
+        hint = "rl.reduce_model; or cut the axis: rl.classical_margins(rl.with_delays(P), K)"
         raise NoTrustworthyNumber("classical_margins", found, f"at most {MOST_STATES}", hint)
     u, y = np.split(np.arange(m + p), [m])
     M, _ = wired([(P, u, y, 1), (K, y, u, sign)], -np.eye(m + p))
@@ -185,10 +182,10 @@ def _size_squared(even: fmpz_poly, odd: fmpz_poly) -> fmpz_poly:
 
 def _value(f: fmpz_poly, x: Fraction) -> Fraction:
     """``f(x)``."""
-    above, scale = 0, 1
-    for c in reversed(f.coeffs()):
-        above, scale = above * x.numerator + int(c) * scale, scale * x.denominator
-    return Fraction(above * x.denominator, scale)
+    from flint import fmpq
+
+    found = f(fmpq(x.numerator, x.denominator))
+    return Fraction(int(found.p), int(found.q))
 
 
 def _square_root(x: Fraction) -> float:
