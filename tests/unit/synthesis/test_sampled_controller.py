@@ -14,29 +14,6 @@ LOW = rl.StateSpaceModel(
     inputs=["w", "n", "u"], outputs=["z", "effort", "y"],
 )  # fmt: skip
 
-DAMPING = 0.005
-
-
-def chain(masses, measured, effort, noise):
-    """Inputs force, noise, u; outputs position, effort, y."""
-    n = masses
-    stiffness = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
-    stiffness[0, 0] = stiffness[-1, -1] = 1.0
-    squares, modes = np.linalg.eigh(stiffness)
-    damping = modes @ np.diag(2 * DAMPING * np.sqrt(np.maximum(squares, 0))) @ modes.T
-    A = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
-    B, C = np.zeros((2 * n, 3)), np.zeros((3, 2 * n))
-    B[n + measured, 0] = B[n, 2] = C[0, measured] = C[2, measured] = 1.0
-    D = np.array([[0, 0, 0], [0, 0, effort], [0, noise, 0]])
-    names = ["force", "noise", "u"], ["position", "effort", "y"]
-    return rl.generalized_plant(rl.StateSpaceModel(A, B, C, D, 0.0, *names), ["y"], ["u"])
-
-
-def crossover(plant, K):
-    omega = np.geomspace(1e-3, 1e2, 4000)
-    loop = rl.frequency_response(plant.model, omega)[:, 2, 2] * rl.frequency_response(K, omega)[:, 0, 0]
-    return float(omega[np.abs(loop) > 1].max())
-
 
 @pytest.fixture(scope="module")
 def design():
