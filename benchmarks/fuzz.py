@@ -91,21 +91,21 @@ def read_stored(path: Path, isolate: bool) -> tuple[Any, bool]:
 
 def read_report(path: Path, isolate: bool) -> tuple[Any, bool]:
     """``robustlab report``: read, and written again as a page."""
-    data = read_result(path.parent, isolate)
+    data = read_result(path.parent)
     write_report(data, path.parent)
     return data, False
 
 
 def read_recipe(path: Path, isolate: bool) -> tuple[Any, bool]:
     """``robustlab recipe check``."""
-    loaded = load_recipe(path, isolate=isolate)
+    loaded = load_recipe(path)
     look_through(loaded)
     return loaded, False
 
 
 def read_expressions(path: Path, isolate: bool) -> tuple[Any, bool]:
     """``robustlab uncertain build --expressions``."""
-    return load_parametric(path, isolate), False
+    return load_parametric(path), False
 
 
 def digest(thing: Any) -> str:

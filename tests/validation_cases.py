@@ -61,7 +61,7 @@ def varying_case(seed, n, k, gamma):
         w = weight * rng.uniform(0.5, 2.0)
         inputs[f"u{i}"] = w / gamma * rng.choice([-1, 1], n)
         y = y + _conv(h, w)
-    return _additive(gs), record_of(inputs, {"y": y}), {"y": bound}, {"delta": "time-varying", "at_rest": True}
+    return _additive(gs), record_of(inputs, {"y": y}), {"y": bound}, {"at_rest": True}
 
 
 def constant_case(seed, n, k, gamma):
@@ -106,7 +106,7 @@ def feedback_case(seed, n, gamma):
     y = through / (1 + weight * gain)
     record = rl.Record(np.arange(n) * DT, {"u": u}, {"y": y})
     assert p == 1
-    return model, record, {"y": 1e-7 * float(np.abs(y).max())}, {"delta": "time-varying", "at_rest": True}
+    return model, record, {"y": 1e-7 * float(np.abs(y).max())}, {"at_rest": True}
 
 
 def _contraction(rng, n):

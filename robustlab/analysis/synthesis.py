@@ -13,7 +13,7 @@ from robustlab.synthesis.scheduling.scheduled_synthesis import LPVSynthesis, sch
 
 
 @overload
-def hinf(
+def hinf(  # pyright: ignore[reportOverlappingOverload]
     P: LPVModel,
     n_meas: int | None = None,
     n_con: int | None = None,

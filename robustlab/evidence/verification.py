@@ -114,7 +114,7 @@ def claims_of(result: Any) -> list[Claim]:
     """The claims of a result; none where its class has none, its evidence does not tell, or it comes from a file."""
     if isinstance(result, Result):
         return []
-    own = getattr(result, "claims", None)
+    own: Any = getattr(result, "claims", None)
     if callable(own) and type(result).__module__.startswith("robustlab."):
         return list(own())
     for kind in type(result).__mro__:

@@ -75,8 +75,9 @@ class IqcGain(PeakGain):
 
     def claims(self) -> list[Claim]:
         """That the gain is at most ``upper``, for `robustlab.verify`."""
-        known = self.posed is not None and self.proof is not None and np.isfinite(self.upper)
-        return [gain_claim(self.posed, self.proof, self.upper)] if known else []
+        if self.posed is None or self.proof is None or not np.isfinite(self.upper):
+            return []
+        return [gain_claim(self.posed, self.proof, self.upper)]
 
     def evidence(self) -> Facts:
         """What each block was taken for, the worst linear member, and the proof."""
@@ -114,8 +115,9 @@ class IqcStability(StabilityMargin):
 
     def claims(self) -> list[Claim]:
         """That the set ``lower`` times as large is stable, for `robustlab.verify`."""
-        known = self.posed is not None and self.proof is not None and self.lower > 0
-        return [size_claim(self.posed, self.proof, self.lower)] if known else []
+        if self.posed is None or self.proof is None or not self.lower > 0:
+            return []
+        return [size_claim(self.posed, self.proof, self.lower)]
 
     @property
     def stable(self) -> bool:

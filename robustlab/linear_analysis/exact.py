@@ -107,7 +107,8 @@ def normal_rank(M: Array, n: int) -> int:
     if not M.size:
         return 0
     rows, weights, _ = _whole(M, n)
-    whole = fmpz_mat(*M.shape, [x for row in rows for x in row])
+    p, q = M.shape
+    whole = fmpz_mat(p, q, [x for row in rows for x in row])
     for i in range(n):
         whole[i, i] -= weights[i] * POINT
     return max(nmod_mat(whole, _prime(i)).rank() for i in range(FEW))
@@ -243,7 +244,8 @@ def _balls(f: fmpz_poly, bits: int) -> list[tuple[acb, int]]:
 
     before, ctx.prec = ctx.prec, bits
     try:
-        return f.complex_roots() if f.degree() > 0 else []
+        found: Any = f.complex_roots() if f.degree() > 0 else []
+        return found
     finally:
         ctx.prec = before
 

@@ -69,7 +69,10 @@ def modes_apart(model: StateSpaceModel) -> StateSpaceModel:
     T = np.hstack([others, np.stack([np.real(right), np.imag(right)], axis=2).reshape(len(A), -1)])
     with precision(BITS):
         basis = exact(T)
-        parts = basis.solve(exact(A) * basis), basis.solve(exact(B)), exact(C) * basis
+        try:
+            parts = basis.solve(exact(A) * basis), basis.solve(exact(B)), exact(C) * basis
+        except ZeroDivisionError:  # the vectors are no basis: these modes do not come apart
+            return model
         A, B, C = (midpoints(part) for part in parts)
     return StateSpaceModel(A, B, C, model.D, model.dt, model.inputs, model.outputs)
 

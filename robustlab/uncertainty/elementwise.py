@@ -138,7 +138,7 @@ def pair_remarks(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> list[s
     if unstable is not None and unstable_norm(nominal) is None:
         remarks.append(f"the perturbed model is not stable, the nominal one is: {unstable.reason}")
     whole = [np.block([[m.A, m.B], [m.C, m.D]]) for m in (nominal, perturbed)]
-    if np.array_equal(*whole):
+    if np.array_equal(whole[0], whole[1]):
         remarks.append("no uncertainty: the two models are equal")
     largest = max(float(np.abs(entries).max(initial=0.0)) for entries in whole)
     if largest >= HUGE:

@@ -159,6 +159,8 @@ def test_sigterm_is_taken_as_ctrl_c(folder, kind, number):
         words = ["run", "long.toml"]
     else:
         rl.save(folder / "u.h5", rl.plant("dc-motor").uncertain(["omega"]))
+        words = ["campaign", "run", "u.h5", "--outputs", "omega", "--input-value", "u=42", "--t-end", "0.1"]
+        words += ["-n", "1000000", "--workers", "2", "--store", "s.sqlite"]
     process = subprocess.Popen(
         [*COMMAND, *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         # A shell's background jobs ignore Ctrl-C, and so would this child of one.

@@ -116,7 +116,7 @@ def test_a_search_tells_the_work_it_may_take_at_most(models):
 # Commands that are done in a second, whatever they are given, or write a line of their own (a platform's equations).
 QUICK = {
     *("plant list", "plant new", "plant show", "model show", "model convert", "uncertain show", "campaign show"),
-    *("recipe check", "recipe steps", "recipe schema", "report write", "report compare"),
+    *("recipe check", "recipe new", "recipe steps", "recipe schema", "report write", "report compare", "doctor"),
 }
 
 

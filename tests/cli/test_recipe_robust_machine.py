@@ -78,7 +78,7 @@ def test_the_simulated_errors_are_those_of_the_frequency_responses(actuator):
 
 def test_the_report_has_the_tables_and_figures(actuator):
     page = (actuator.folder / "report.html").read_text(encoding="utf-8")
-    for text in ("μ, attained .. proved", "largest u [V]", "What limits any controller"):
+    for text in ("μ, attained .. proved", "largest u [V]"):
         assert text in page
     figures = {f["stem"] for s in actuator.data["steps"] for f in s["figures"]}
     assert {"hinf-loop", "hinf-functions", "performance-mu", "runs-runs"} <= figures

@@ -32,6 +32,8 @@ __all__ = [
 MOST = 1e100
 # Share of the largest part of a Gramian below which a direction counts as hidden where coordinates are chosen.
 HIDDEN = 1e-8
+# Norm of A below which Gramians overflow or vanish.
+TINY = 1e-100
 
 
 def check_nominal(uncertain: UncertainModel, where: str) -> None:
@@ -79,7 +81,7 @@ def _even(model: StateSpaceModel) -> StateSpaceModel:
 
     A, B, C = model.A, model.B, model.C
     room = 1e-6 * -model.poles().real.max() / np.finfo(float).eps
-    if not (B.any() and C.any() and np.linalg.norm(A) < room):
+    if not (B.any() and C.any() and TINY < np.linalg.norm(A) < room):
         return model
     strong, loud = np.abs(B).max(), np.abs(C).max()
     into, out = B / strong, C / loud  # squares of their own could vanish

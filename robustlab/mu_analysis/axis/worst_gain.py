@@ -216,8 +216,8 @@ def _with_blocks(
     with np.errstate(all="ignore"):
         error = _rounding(known, uncertain)
     if not error <= QUIET * known.lower:
-        # Twice: the norm was taken of the member in another basis, of which the matrices are rounded as well.
-        known.lower = max(known.lower - 2.0 * error, 0.0) if np.isfinite(error) else 0.0
+        # Four times: the member is rounded, mapped to continuous time, scaled, and its response is solved for.
+        known.lower = max(known.lower - 4.0 * error, 0.0) if np.isfinite(error) else 0.0
     return _result(uncertain, nominal, known, budget, known.notes, grid, model, blocks, seed)
 
 

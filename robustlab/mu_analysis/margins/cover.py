@@ -277,7 +277,7 @@ def cover(
     --------
     >>> lags = [StateSpaceModel([[-p]], [[p]], [[1.0]], [[0.0]]) for p in (1.0, 1.5, 2.0)]
     >>> found = cover(lags, "pca")
-    >>> found.status.value, [(b.name, b.repeats) for b in found.model.blocks], round(found.conservatism.ratio, 3)
+    >>> found.status.value, [(b.name, b.repeats) for b in found.model.blocks], round(found.conservatism.ratio, 2)
     ('certified', [('direction1', 1)], 1.0)
     """
     if form not in COVER_FORMS:

@@ -202,7 +202,7 @@ def _signals(names: Sequence[str], group: str, groups: Sequence[str], only: Sequ
     """The signals of a group among the names; ``only`` those of the named outputs of the plant."""
     if group not in groups:
         where = f"goal: {'inputs' if groups is INPUTS else 'outputs'}"
-        raise InputError(where, f"{group!r}", f"one of {', '.join(groups)}", did_you_mean(group, groups))
+        raise InputError(where, f"{group!r}", f"one of {', '.join(groups)}", did_you_mean(group, list(groups)))
     known = [name.removeprefix(f"{group} ") for name in names if name.startswith(f"{group} ")]
     return [f"{group} {known[i]}" for i in signal_positions(known if only is None else only, known, f"goal: {group}")]
 

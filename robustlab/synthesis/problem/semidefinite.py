@@ -61,9 +61,10 @@ class Inequalities:
     def least(self, cost: Array, budget: Budget, steps: int) -> SemidefiniteAnswer:
         """The x of the least ``cost x``."""
         import cvxpy as cp
+        from cvxpy.error import SolverError
 
         x = cp.Variable(self.unknowns)
-        held = [
+        held: list[Any] = [
             cp.reshape(part @ x + constant.ravel(), constant.shape, order="C") >> 0 for part, constant in self._parts
         ]
         problem = cp.Problem(cp.Minimize(cost @ x), held)
@@ -76,7 +77,7 @@ class Inequalities:
                 # Whoever asked proves the answer anew.
                 warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
                 problem.solve(solver=cp.CLARABEL, warm_start=False, **options)
-        except cp.error.SolverError as error:
+        except SolverError as error:
             return SemidefiniteAnswer(None, str(error))
         budget.spend((problem.solver_stats.num_iters or 0) * work)
         found = x.value

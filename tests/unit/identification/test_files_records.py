@@ -62,7 +62,7 @@ REFUSED = [
     ({"group": "run", "outputs": ["z"]}, "/run/z: dtype complex128, expected a column of real numbers"),
     ({"group": "clocked", "outputs": ["y"], "clock": "tick"}, "missing /clocked/tick"),
     ({"group": "run", "outputs": ["q"], "units": {"p": "m"}}, "a unit for 'p'"),
-    ({"outputs": ["q"]}, r"missing /q, expected signals in the group given; groups are .*\nhint: --group"),
+    ({"outputs": ["q"]}, r"missing /q, expected signals in the group given; groups are .*\nhint: group="),
 ]
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import control
 import numpy as np
 import pytest
@@ -109,27 +106,3 @@ def test_what_is_refused_says_where(parts, inputs, outputs, sums, message):
         rl.connect(*parts, inputs=inputs, outputs=outputs, sums=sums)
     assert "\n" not in caught.value.line
     assert caught.value.line.startswith("connect: ")
-
-
-def test_files_are_connected_by_the_command(tmp_path):
-    plant, control_, out = (str(tmp_path / name) for name in ("p.h5", "k.h5", "loop.h5"))
-    rl.save(plant, stiffness())
-    rl.save(control_, gain(3.0, "e", "u"))
-
-    def run(*arguments):
-        command = [sys.executable, "-m", "robustlab.cli.main", "model", "connect", plant, control_, *arguments]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
-
-    done = run("--sum", "e = r - y", "--inputs", "r", "--outputs", "y", "--out", out)
-    assert done.returncode == 0
-    assert [line.partition(".h5: ")[2] for line in done.stderr.splitlines()] == [
-        "no unit stated for u, y", "no unit stated for e, u",
-    ]  # fmt: skip
-    member = rl.load(out).evaluate({"k": 1.0})
-    assert (member.A[0, 0], member.B[0, 0]) == pytest.approx((-2 - 4.5, 4.5))
-    refused = run("--sum", "e = r - x", "--inputs", "r", "--outputs", "y")
-    assert refused.returncode == 3
-    assert refused.stderr.splitlines()[2].endswith(
-        "connect: sum 'e = r - x': input 'x': nobody feeds it, expected an output or a sum of this name, or it among "
-        "inputs="
-    )

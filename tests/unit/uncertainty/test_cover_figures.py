@@ -27,7 +27,7 @@ def test_the_weight_lies_above_every_error_that_is_drawn():
     assert set(cover_figures(found, lags())) == {"weight"}
 
 
-@pytest.mark.parametrize("form", ["elements", "ellipsoid"])
+@pytest.mark.parametrize("form", ["elements", "pca"])
 def test_every_model_is_drawn_inside_the_box(form):
     found = rl.cover(lags(), form, gain=False)
     for axes in cloud_figure(found).axes:
