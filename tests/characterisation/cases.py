@@ -181,8 +181,8 @@ def seeds(*numbers: int) -> np.random.Generator:
 
 # Keys of the moment, and of what another method may choose otherwise: a critical member, coordinates, proofs.
 MOMENT = """
-seconds created elapsed origin file files path paths sha256 version command schema provenance evaluations_per host python
-size
+seconds created elapsed origin file files path paths sha256 version command schema provenance evaluations_per host
+python size
 """
 CHOICE = """
 delta physical pole intervals open shares D_z G K K_shaped closed_loop proof boxes history evaluations gradients notes
