@@ -115,7 +115,7 @@ def claims_of(result: Any) -> list[Claim]:
     if isinstance(result, Result):
         return []
     own: Any = getattr(result, "claims", None)
-    if callable(own) and type(result).__module__.startswith("robustlab."):
+    if own is not None and type(result).__module__.startswith("robustlab."):
         return list(own())
     for kind in type(result).__mro__:
         if kind.__name__ in CLAIMS and kind.__module__.startswith("robustlab."):

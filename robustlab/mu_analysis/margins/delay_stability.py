@@ -166,7 +166,7 @@ def _undelayed_pole(g: DelayedModel) -> complex | None:
     labels = connected_components(whole != 0, connection="strong")[1]
     for label in set(labels[:n]) - set(labels[n:]):
         part = np.flatnonzero(labels[:n] == label)
-        A = h.A[np.ix_(part, part)]
+        A = h.A[part][:, part]
         norm = unstable_norm(StateSpaceModel(A, np.zeros((len(A), 1)), np.zeros((1, len(A))), [[0.0]]))
         if norm is not None and norm.status is Status.CERTIFIED:
             poles = np.linalg.eigvals(A)

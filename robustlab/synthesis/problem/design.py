@@ -129,9 +129,9 @@ class Synthesis(Design):
         B, C = p.B[:, n_w:], p.C[n_z:]
         inside = np.flatnonzero(_reached(p.A, B) & _reached(p.A.T, C.T))
         outside = np.setdiff1d(np.arange(p.n_states), inside)
-        around = StateSpaceModel(p.A[np.ix_(inside, inside)], B[inside], C[:, inside], p.D[n_z:, n_w:], p.dt)
+        around = StateSpaceModel(p.A[inside][:, inside], B[inside], C[:, inside], p.D[n_z:, n_w:], p.dt)
         n, nothing = len(outside), np.zeros
-        rest = StateSpaceModel(p.A[np.ix_(outside, outside)], nothing((n, 0)), nothing((0, n)), nothing((0, 0)), p.dt)
+        rest = StateSpaceModel(p.A[outside][:, outside], nothing((n, 0)), nothing((0, n)), nothing((0, 0)), p.dt)
         return lower_lft(around, self.K), rest
 
     def facts(self) -> Facts:
