@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.linear_analysis.magnitude import LARGEST, is_moderate
+from robustlab.linear_analysis.magnitude import LARGEST
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling
 
@@ -33,8 +33,8 @@ REFINEMENTS = 4
 REFINED = 3
 CONFIRMED = 12
 
-# Taken off every bound for rounding; an error of eps over CONDITION is far below it.
-MARGIN = 1e-7
+# Taken off every bound for rounding of what is counted to first order, and factor of eps in that count.
+MARGIN, ROUNDING = 1e-7, 4.0
 # In the plant's own time unit, a point nearer to zero than this is called zero.
 AT_ZERO = 1e-9
 # A column space is known to about eps over this; points where P12 or P21 is worse conditioned prove nothing.
@@ -77,7 +77,10 @@ def pointwise_bound(
     points, values = points[top], values[top] / first.gain
     for scaling in scalings[1:]:
         values = np.minimum(values, _bounds(scaling.apply(p), points * first.rate / scaling.rate) / scaling.gain)
-    at_infinity = float(_parrott(*(part[None].astype(complex) for part in (p.D11, p.D12, p.D21)))[0])
+    at_infinity = max(
+        float(_parrott(first[None], second[None], 0.0 * first[None], 0.0 * second[None])[0])
+        for first, second in ((p.D11, p.D12), (p.D11.T, p.D21.T))
+    )
     best = int(np.argmax(values))
     zero, at_zero = min((_at_zeros(p, scaling) for scaling in scalings), key=lambda found: found[1])
     value = max(float(values[best]), at_infinity, at_zero) * (1 - MARGIN)
@@ -122,35 +125,47 @@ def _at_zeros(p: PlantMatrices, scaling: Scaling) -> tuple[complex, float]:
     best: tuple[complex, float] = (0j, 0.0)
     for A, B1, B2, C1, D11, D12 in ((q.A, q.B1, q.B2, q.C1, q.D11, q.D12),
                                     (q.A.T, q.C1.T, q.C2.T, q.B1.T, q.D11.T, q.D21.T)):  # fmt: skip
-        for zero, direction in _zero_directions(A, B2, C1, D12):
-            response = C1 @ np.linalg.solve(zero * np.eye(len(A)) - A, B1.astype(complex)) + D11
-            value = float(np.linalg.norm(direction @ response)) / scaling.gain
-            if np.isfinite(value) and value > best[1]:
+        if C1.shape[0] != B2.shape[1] or not len(A):
+            continue
+        B, D = np.hstack([B1, B2]), np.hstack([D11, D12])
+        for zero in _unstable_zeros(A, B2, C1, D12):
+            value = _cost_of_zero(A, B, C1, D, B1.shape[1], zero) / scaling.gain
+            if value > best[1]:
                 best = (zero * scaling.rate, value)
     return best
 
 
-def _zero_directions(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> list[tuple[complex, AnyArray]]:
-    """Zeros of a square system in the open right half plane, with the unit row v for which ``v G(zero) = 0``."""
+def _unstable_zeros(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> list[complex]:
+    """Zeros of a square system in the open right half plane, hidden modes among them."""
     from scipy.linalg import eigvals
 
-    n, m = B.shape
-    if n == 0 or C.shape[0] != m:
-        return []
-    whole, shift = np.block([[A, B], [C, D]]).astype(complex), np.zeros((n + m, n + m))
+    n = len(A)
+    whole, shift = np.block([[A, B], [C, D]]), np.zeros((n + len(C), n + len(C)))
     shift[:n, :n] = np.eye(n)
-    zeros, poles = np.asarray(eigvals(whole, shift, check_finite=False)), np.linalg.eigvals(A)
-    found: list[tuple[complex, AnyArray]] = []
-    for zero in zeros[np.isfinite(zeros)]:
-        size = abs(zero)
-        if zero.real <= 1e-9 * size or size > 1e8 * np.linalg.norm(whole) or np.abs(poles - zero).min() < 1e-6 * size:
-            continue
-        u, sigma, _ = np.linalg.svd(whole - zero * shift)
-        direction = u[n:, -1].conj()
-        length = float(np.linalg.norm(direction))
-        if sigma[-1] <= 1e-10 * sigma[0] and sigma[-2] > 1e-6 * sigma[0] and length > 1e-6:
-            found.append((complex(zero), direction / length))
-    return found
+    zeros = np.asarray(eigvals(whole, shift, check_finite=False))
+    zeros = zeros[np.isfinite(zeros)]
+    return zeros[(zeros.real > 1e-9 * np.abs(zeros)) & (np.abs(zeros) < 1e8 * np.linalg.norm(whole))].tolist()
+
+
+def _cost_of_zero(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, n_w: int, zero: complex) -> float:
+    """``|v P11|`` at the zero of P12 next to this one, less what rounding makes of both; 0 where P12 is none there.
+
+    With ``v P12 = 0`` to rounding, the true zero lies within ``(|v P12| + e) / |v P12' u|``.
+    """
+    (P,), (error,) = _responses(A, B, C, D, np.array([zero]))
+    if not (np.isfinite(P).all() and np.isfinite(error).all()):
+        return 0.0
+    left, sigma, right = np.linalg.svd(P[:, n_w:])
+    v, u, rounding = left[:, -1].conj(), right[-1].conj(), float(np.linalg.norm(error[:, n_w:]))
+    if sigma[-1] > 4 * rounding:  # a hidden mode, which is no zero of the response
+        return 0.0
+    X = np.linalg.inv(zero * np.eye(len(A)) - A)
+    slope = -C @ X @ X @ B
+    distance = (sigma[-1] + rounding) / max(abs(v @ slope[:, n_w:] @ u), np.finfo(float).tiny)
+    turned = (distance * np.linalg.norm(slope[:, n_w:]) + rounding) / sigma[-2] if len(sigma) > 1 else 0.0
+    lost = np.linalg.norm(error[:, :n_w]) + distance * np.linalg.norm(slope[:, :n_w])
+    value = float(np.linalg.norm(v @ P[:, :n_w]) - lost - turned * np.linalg.norm(P[:, :n_w]))
+    return value if distance < 1e-3 * zero.real else 0.0
 
 
 def _around(centre: complex, points: AnyArray) -> AnyArray:
@@ -166,42 +181,43 @@ def _around(centre: complex, points: AnyArray) -> AnyArray:
 
 
 def _bounds(p: PlantMatrices, s: AnyArray) -> AnyArray:
-    n, n_w, _, n_z, _ = p.sizes
+    _, n_w, _, n_z, _ = p.sizes
     B, C = np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
     D = np.block([[p.D11, p.D12], [p.D21, np.zeros((p.D21.shape[0], p.D12.shape[1]))]])
+    P, error = _responses(p.A, B, C, D, s)
+    usable = np.asarray((np.abs(P) < LARGEST).all(axis=(1, 2)) & (error < LARGEST).all(axis=(1, 2)))  # and no NaN
+    P, error = (np.where(usable[:, None, None], part, 0.0) for part in (P, error))
+    upright = (P[:, :n_z, :n_w], P[:, :n_z, n_w:], error[:, :n_z, :n_w], error[:, :n_z, n_w:])
+    turned = (P[:, :n_z, :n_w], P[:, n_z:, :n_w], error[:, :n_z, :n_w], error[:, n_z:, :n_w])
+    return np.maximum(_parrott(*upright), _parrott(*(part.conj().transpose(0, 2, 1) for part in turned)))
+
+
+def _responses(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """``C (s I - A)^-1 B + D`` at each s, and the size of what rounding makes of each entry."""
+    shifted = s[:, None, None] * np.eye(len(A)) - A
     try:
-        P = C @ np.linalg.solve(s[:, None, None] * np.eye(n) - p.A, B[None].astype(complex)) + D
-    except np.linalg.LinAlgError:  # one of the points is a pole to the last digit
-        s = s * (1 + 1e-7) + 1e-12
-        try:
-            P = C @ np.linalg.solve(s[:, None, None] * np.eye(n) - p.A, B[None].astype(complex)) + D
-        except np.linalg.LinAlgError:
-            return np.zeros(len(s))
-    usable = np.asarray((np.abs(P) < LARGEST).all(axis=(1, 2)))  # and no NaN
-    P = np.where(usable[:, None, None], P, 0.0)
-    # Close to a pole P11 and P12 Q P21 are large and nearly cancel: such a point proves nothing in floating point.
-    calm = np.linalg.norm(P, axis=(1, 2)) < 1e8
-    return np.where(usable & calm, _parrott(P[:, :n_z, :n_w], P[:, :n_z, n_w:], P[:, n_z:, :n_w]), 0.0)
+        inverse = np.linalg.inv(shifted)
+    except np.linalg.LinAlgError:  # some point is a pole to the last digit: nothing is known there
+        shifted[np.linalg.slogdet(shifted)[0] == 0] = np.nan
+        inverse = np.linalg.inv(shifted)
+    before, after = C @ inverse, inverse @ B
+    left, right = np.abs(before), np.abs(after)
+    terms = left @ (np.abs(shifted) @ right) + np.abs(C) @ right + left @ np.abs(B) + np.abs(D)
+    return C @ after + D, ROUNDING * np.finfo(float).eps * terms
 
 
-def _parrott(P11: AnyArray, P12: AnyArray, P21: AnyArray) -> AnyArray:
-    left = _unreached(P12)
-    right = _unreached(P21.conj().transpose(0, 2, 1))
-    parts = [left.conj().transpose(0, 2, 1) @ P11, P11 @ right]
-    values = [np.linalg.norm(part, 2, axis=(1, 2)) if part.size else np.zeros(len(P11)) for part in parts]
-    return np.maximum(*values)
-
-
-def _unreached(M: AnyArray) -> AnyArray:
-    """Orthonormal basis of the complement of the columns of each M; zero where M is too ill-conditioned to tell."""
-    rows, columns = M.shape[1:]
+def _parrott(P11: AnyArray, P12: AnyArray, error11: AnyArray, error12: AnyArray) -> AnyArray:
+    """What P12 cannot reach of each P11, less what errors of the two make of it: ``|e11| + |e12| |P11| / s_min``."""
+    rows, columns = P12.shape[1:]
     if rows <= columns:
-        return np.zeros((len(M), rows, 0), complex)
-    if not is_moderate(M):  # what the columns span does not depend on their length
-        M = M / np.maximum(np.abs(M).max(axis=1, keepdims=True), np.finfo(float).tiny)
-    size = np.linalg.norm(M, axis=1, keepdims=True)
-    u, sigma, _ = np.linalg.svd(M / np.where(size > 0, size, 1.0))
+        return np.zeros(len(P12))
+    size = np.linalg.norm(P12, axis=1, keepdims=True)  # what columns span does not depend on their lengths
     # A column that is zero leaves more room than is counted here: the bound stays valid.
-    kept = np.where(size[:, 0] > 0, 1.0, 0.0).sum(axis=1) == columns
-    clear = (sigma[:, -1] > CONDITION * sigma[:, 0]) & kept
-    return np.where(clear[:, None, None], u[:, :, columns:], 0.0)
+    kept = (size[:, 0] > 0).all(axis=1)
+    size = np.where(size > 0, size, 1.0)
+    u, sigma, _ = np.linalg.svd(P12 / size)
+    least = np.where(kept & (sigma[:, -1] > CONDITION * sigma[:, 0]), sigma[:, -1], np.inf)
+    value = np.linalg.norm(u[:, :, columns:].conj().transpose(0, 2, 1) @ P11, 2, axis=(1, 2))
+    turned = np.linalg.norm(error12 / size, axis=(1, 2)) / least * np.linalg.norm(P11, axis=(1, 2))
+    lost = np.linalg.norm(error11, axis=(1, 2)) + turned
+    return np.where(np.isfinite(least), np.maximum(value - lost, 0.0), 0.0)

@@ -31,6 +31,18 @@ def bound(plant: StateSpaceModel):
 # --- lower bounds ---
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_hidden_mode_next_to_a_multiple_pole_is_no_zero(seed):
+    """Four integrators in a row in any coordinates: what is lost at infinity, W1(inf) = 0.5, is all that is lost."""
+    rng = np.random.default_rng(seed)
+    T = rng.normal(size=(4, 4))
+    A = T @ np.diag(np.ones(3), 1) @ np.linalg.inv(T)
+    G = StateSpaceModel(A, rng.normal(size=(4, 2)), rng.normal(size=(1, 4)), np.zeros((1, 2)))
+    design = mixsyn(G, StateSpaceModel([[-1e-7]], [[1.0]], [[5e-5]], [[0.5]]), 0.3)
+    assert design.lower_bound.value == pytest.approx(0.5, rel=1e-6)
+    assert 0.5 < design.gamma < 0.55
+
+
 def test_right_half_plane_zero_costs_the_weight_there():
     """S(z) = 1 at a zero z of the plant, so ||W1 S|| >= |W1(z)|; with a small penalty on u it is attained."""
     zero = 2.0
