@@ -32,6 +32,7 @@ from robustlab.uncertainty.lft import UncertainModel
 
 SLACK = 1e-5  # the Hamiltonian is that of a beta smaller by this: a blurred double root costs far less
 CREEPING = 0.97  # share of what is open that a round may leave open before the level is raised
+HOPELESS = 64.0  # accuracy at which creeping ends the cover: no scaling could prove anything there
 PROBES = 12  # frequencies at which a sign is tested to find an end, or what the eigenvalues have missed
 
 __all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
@@ -176,7 +177,7 @@ def cover_axis(
     cover, scale = AxisCover(), typical_speed(model)
     beta = beta * (1 + accuracy)
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
-    while cover.open and not budget.over:
+    while cover.open and not budget.over and accuracy < HOPELESS:
         fresh, before = not pending, cover.open_share(scale)
         omega = cover.take_points(pending, scale, FREQUENCIES)
         target = beta / (1 + accuracy / 2)
