@@ -10,17 +10,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from exact_loops import (
-    Model,
-    adjoint,
-    exact,
-    eye,
-    is_positive,
-    is_stable,
-    system,
-    upper_closed,
-    with_precision,
-)
+from exact_loops import Model, adjoint, exact, eye, is_positive, is_stable, system, upper_closed, with_precision
 from flint import acb, acb_mat, arb
 
 __all__ = [

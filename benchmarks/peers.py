@@ -77,12 +77,7 @@ def cases() -> Iterator[Case]:
             lambda G=G, r=r: rl.reduce_model(G, r),
             lambda G=theirs, r=r: control.balred(G, r),
         )
-        yield (
-            "h2 / control.h2syn",
-            n,
-            lambda P=P: rl.h2(P, 2, 2).gamma,
-            lambda P=plant: control.h2syn(P, 2, 2),
-        )
+        yield ("h2 / control.h2syn", n, lambda P=P: rl.h2(P, 2, 2).gamma, lambda P=plant: control.h2syn(P, 2, 2))
         yield (
             "hinf / control.hinfsyn",
             n,

@@ -334,8 +334,7 @@ EFFECTS: Mapping[str, Hidden] = {
         lambda r, s: {"c": s.torque / s.speed**2 * r.uniform(4e-8, 1.2e-7)}, lambda m, p, s: m._replace(drag=p["c"])
     ),
     "position-dependent-friction": Hidden(
-        _position_friction,
-        lambda m, p, s: _dry(m, p["Fc"] + p["P"], s, Fc=p["Fc"], P=p["P"], N=p["N"], a_P=p["a"]),
+        _position_friction, lambda m, p, s: _dry(m, p["Fc"] + p["P"], s, Fc=p["Fc"], P=p["P"], N=p["N"], a_P=p["a"])
     ),
     "cogging": Hidden(_cogging, lambda m, p, s: m._replace(A=p["A"], n=p["n"], a_A=p["a"])),
     "gear-efficiency": Hidden(
@@ -387,8 +386,7 @@ EFFECTS: Mapping[str, Hidden] = {
     ),
     "bouc-wen": Hidden(_bouc_wen, _put_bouc_wen),
     "torque-ripple": Hidden(
-        _ripple,
-        lambda m, p, s: m._replace(rip=p["A"], rip_w=2 * math.pi * p["frequency"], rip_a=p["a"]),
+        _ripple, lambda m, p, s: m._replace(rip=p["A"], rip_w=2 * math.pi * p["frequency"], rip_a=p["a"])
     ),
     "one-sided-spring": Hidden(
         _one_sided, lambda m, p, s: m._replace(side=p["side"], x_side=p["place"], k_side=p["k"])
@@ -551,8 +549,7 @@ OF_A_PLANT: Mapping[str, Mapping[str, Hidden]] = {
     },
     "two-mass": {
         "inertia": Hidden(
-            lambda r, s: {"factor": _either(r, (0.6, 0.78), (1.25, 1.6)), "body": float(r.integers(1, 3))},
-            _one_inertia,
+            lambda r, s: {"factor": _either(r, (0.6, 0.78), (1.25, 1.6)), "body": float(r.integers(1, 3))}, _one_inertia
         ),
         "viscous-friction": Hidden(lambda r, s: {"factor": r.uniform(3, 8)}, _friction_of_the_shaft),
         "stiffness": _scaled("factor", (0.6, 0.78), (1.25, 1.6), "k_s"),

@@ -105,13 +105,7 @@ LEAD = 0.004
 
 def _motor(true: Mapping[str, float]) -> Machine:
     return Machine(
-        J1=true["J"],
-        R=true["R"],
-        L=true["L"],
-        Kt=true["Km"],
-        Ke=true["Kb"],
-        b_pos=true["Kf"],
-        b_neg=true["Kf"],
+        J1=true["J"], R=true["R"], L=true["L"], Kt=true["Km"], Ke=true["Kb"], b_pos=true["Kf"], b_neg=true["Kf"]
     )
 
 

@@ -62,11 +62,7 @@ def drawn(entry: Entry) -> Any:
     for seed in range(entry.seed, entry.seed + AGAIN * 1_000_000, 1_000_000):
         try:
             return make_case(
-                entry.effects or "none",
-                seed,
-                plant=family.plant,
-                current=family.current,
-                excitation=entry.excitation,
+                entry.effects or "none", seed, plant=family.plant, current=family.current, excitation=entry.excitation
             )
         except NothingInCommon:
             continue
