@@ -13,8 +13,6 @@ import numpy as np
 from exact_delta import Part
 from exact_loops import Model
 
-__all__ = ["FAMILIES", "FUNCTIONS", "Case", "make_case"]
-
 Array = np.ndarray
 Rng = np.random.Generator
 

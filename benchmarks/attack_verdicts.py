@@ -54,8 +54,6 @@ from exact_loops import (
 )
 from flint import acb_mat, arb
 
-__all__ = ["judge"]
-
 Claim = dict[str, Any]
 Findings = Iterator[str]
 Response = Callable[[Any], Any]

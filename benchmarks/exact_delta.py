@@ -13,24 +13,6 @@ import numpy as np
 from exact_loops import Model, adjoint, exact, eye, is_positive, is_stable, system, upper_closed, with_precision
 from flint import acb, acb_mat, arb
 
-__all__ = [
-    "Part",
-    "assembled",
-    "block_norm",
-    "count",
-    "distance_to_singular",
-    "gain_inside",
-    "is_on_boundary",
-    "last_places",
-    "member_is_stable",
-    "proves",
-    "scalings_fit",
-    "singular_inside",
-    "slices",
-    "structure_holds",
-    "unstable_inside",
-]
-
 Matrix = np.ndarray
 # How far from a singular Delta a returned one may lie, relative to its own size.
 NEAR = 1e-8

@@ -32,8 +32,6 @@ from platform_machine import STEP, Array, Cable, Drives, Machine, Run, bodies, n
 import robustlab as rl
 from robustlab import Record
 
-__all__ = ["CLASSES", "NOISE", "TOLERANCES", "PlatformCase", "cached_case", "make_case", "nominal_plant"]
-
 DT, DURATION = 2e-3, 8.0
 LEGS = 6
 OPEN = 0.01  # of a record, for which a gap must be open for its backlash to be hidden in it

@@ -32,8 +32,6 @@ from platform_cases import NOISE, OUTSIDE, PlatformCase, cached_case, names, nom
 
 from robustlab.dynamics.effects.kinds import KIND_OF
 
-__all__ = ["ACCEPTED", "main", "report", "run_case", "said_of", "verdict_of"]
-
 Line = dict[str, Any]
 Said = frozenset[tuple[str, int]]  # (effect, leg 1..6; 0: nowhere in particular)
 

@@ -29,8 +29,6 @@ import pinocchio as pin
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["Cable", "Drives", "Machine", "Run", "bodies", "mechanism", "nut_angles", "oracle", "simulate"]
-
 Array = NDArray[np.float64]
 STEP = 5e-5  # of the drives' integration, in s
 

@@ -466,5 +466,3 @@ MAKERS: dict[str, Callable[[Rng], Case | None]] = {
     "unstable-member": lambda rng: margin_case(rng, "unstable-member"),
     "set": set_case,
 }
-
-__all__ = ["MAKERS", "Case"]

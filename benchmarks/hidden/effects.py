@@ -16,18 +16,6 @@ import numpy as np
 from .machine import Array, Machine, Run, simulate
 from .plants import Setup
 
-__all__ = [
-    "ALL_EFFECTS",
-    "EFFECTS",
-    "MOTOR_ONLY",
-    "OUTSIDE_EFFECTS",
-    "Hidden",
-    "NothingInCommon",
-    "Setting",
-    "Timeline",
-    "hidden_effect",
-]
-
 Parameters = dict[str, float]
 
 # How far the bristle of "pure Coulomb" friction bends before it slides, in rad: a hundredth of the encoder's step.

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from .effects import EFFECTS, MOTOR_ONLY, OUTSIDE_EFFECTS
 
-__all__ = ["ANYWHERE", "CURRENT_ONLY", "FAMILIES", "Family", "possible", "told"]
-
 # A constant offset of the angle is no more than another zero on a plant that integrates; a current shows it.
 CURRENT_ONLY = ("sensor-bias",)
 

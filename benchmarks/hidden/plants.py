@@ -13,8 +13,6 @@ import numpy as np
 
 from .machine import Machine
 
-__all__ = ["LEVELS", "PLANTS", "Level", "Setup"]
-
 
 @dataclass(frozen=True)
 class Level:

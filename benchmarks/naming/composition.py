@@ -11,8 +11,6 @@ from hidden import FAMILIES, Family, NothingInCommon, make_case, told
 
 from robustlab.dynamics.effects.kinds import KIND_OF
 
-__all__ = ["CONDITIONS", "Entry", "accepted", "composition", "drawn"]
-
 CONDITIONS = ("single", "pair", "nothing", "outside", "poor")
 RICH = ("rich", "multisine", "square", "oneway", "steps")  # excitations under which nothing is missing
 POOR = ("square", "oneway")
