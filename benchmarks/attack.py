@@ -53,9 +53,6 @@ LIMIT, JUDGE_LIMIT = 120, 300
 Record = dict[str, Any]
 
 
-# --- what is attacked ------------------------------------------------------------------------------------------------
-
-
 def _rl_model(m: Model | None) -> Any:
     import robustlab as rl
 
@@ -138,9 +135,6 @@ def claim_of(case: Case, result: Any) -> dict[str, Any]:
     pieces = [p for p in result.proof if hasattr(p, "members")]  # else regions of branch and bound
     claim["pieces"] = [(p.members, p.low, p.high, p.beta, p.bound.Dw, p.bound.Dz, p.bound.G) for p in pieces]
     return claim
-
-
-# --- a case ----------------------------------------------------------------------------------------------------------
 
 
 def run_case(case: Case, between: Any = None) -> Record:
@@ -256,9 +250,6 @@ def attack(seed: int, first: int, number: int, out: Path, only: tuple[str, ...] 
                 print(line_of(record), flush=True)
     finally:
         worker.close()
-
-
-# --- the table -------------------------------------------------------------------------------------------------------
 
 
 def read(files: Iterable[Path]) -> list[Record]:

@@ -35,15 +35,8 @@ FAMILIES = (
 class Case:
     """What a function is called with.
 
-    Attributes
-    ----------
-    seed, index
-        Which case it is.
-    function, family
-        One of `FUNCTIONS` and one of `FAMILIES`.
-    data
-        ``P, n_meas, n_con`` (hinf, h2), ``G, W1, W2, W3`` (mixsyn), ``G, W1, W2`` (ncf), ``M, parts`` (margin, gain),
-        ``matrix, parts`` (mu), ``G`` (norm).
+    ``data``: ``P, n_meas, n_con`` (hinf, h2), ``G, W1, W2, W3`` (mixsyn), ``G, W1, W2`` (ncf), ``M, parts`` (margin,
+    gain), ``matrix, parts`` (mu), ``G`` (norm).
     """
 
     seed: int
@@ -65,9 +58,6 @@ def make_case(seed: int, index: int) -> Case:
     family = FAMILIES[index // len(FUNCTIONS) % len(FAMILIES)]
     with np.errstate(all="ignore"):
         return Case(seed, index, function, family, MAKERS[function](family, rng))
-
-
-# --- states ----------------------------------------------------------------------------------------------------------
 
 
 def _modes(values: list[complex]) -> Array:
@@ -204,9 +194,6 @@ def _size(rng: Rng) -> int:
     return int(rng.integers(2, 6)) if rng.random() < 0.85 else int(rng.integers(6, 11))
 
 
-# --- synthesis -------------------------------------------------------------------------------------------------------
-
-
 def _generalised(family: str, rng: Rng, h2: bool) -> dict[str, Any]:
     n, n_w, n_u, n_y = _size(rng), int(rng.integers(1, 4)), int(rng.integers(1, 3)), int(rng.integers(1, 3))
     n_z = int(rng.integers(1, 3))
@@ -304,9 +291,6 @@ def _ncf(family: str, rng: Rng) -> dict[str, Any]:
     if rng.random() < 0.3:
         data["W2"] = _static(10 ** rng.uniform(-2, 2), G.dt)
     return data
-
-
-# --- analysis --------------------------------------------------------------------------------------------------------
 
 
 def _parts(rng: Rng, most: int = 5) -> tuple[Part, ...]:

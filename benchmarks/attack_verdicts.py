@@ -69,9 +69,6 @@ def judge(case: Case, claim: Claim, rng: np.random.Generator) -> list[str]:
     return list(VERDICTS[case.function](case.data, claim, rng))
 
 
-# --- designs ---------------------------------------------------------------------------------------------------------
-
-
 def _hinf(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
     P, K = data["P"], claim["K"]
 
@@ -204,9 +201,6 @@ def _all_poles(loop: Callable[[], System], models: list[Model]) -> list[complex]
     return found + (with_precision(lambda: poles(loop().A)) or [])
 
 
-# --- norms -----------------------------------------------------------------------------------------------------------
-
-
 def _norm(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
     G = data["G"]
     stable = with_precision(lambda: is_stable(exact(G.A), G.dt > 0))
@@ -250,9 +244,6 @@ def _h2_value(G: Model, claim: Claim, stable: bool | None) -> Findings:
     yield from _h2_differs(value, with_precision(lambda: h2_norm(system(G))))
 
 
-# --- mu --------------------------------------------------------------------------------------------------------------
-
-
 def _mu(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
     M, parts = data["matrix"], data["parts"]
     lower, upper = claim["lower"], claim["upper"]
@@ -288,9 +279,6 @@ def _mu(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Finding
         yield f"FALSE: Delta is not singular to within {NEAR:g} of itself ({moved:.1e}), nor for M to its last places"
     elif moved > NEAR:
         yield "note: singular for M with other last places"
-
-
-# --- margins and gains -----------------------------------------------------------------------------------------------
 
 
 def _margin(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:

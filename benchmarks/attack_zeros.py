@@ -42,9 +42,6 @@ Parts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 CLOSE = 1e-9
 
 
-# --- models ----------------------------------------------------------------------------------------------------------
-
-
 def dense(rng: np.random.Generator, n: int, m: int, p: int, direct: bool = False) -> Parts:
     D = rng.normal(size=(p, m)) if direct else np.zeros((p, m))
     return rng.normal(size=(n, n)), rng.normal(size=(n, m)), rng.normal(size=(p, n)), D
@@ -191,9 +188,6 @@ FAMILIES: dict[str, Callable[[np.random.Generator], Parts]] = {
 }
 
 
-# --- zeros -----------------------------------------------------------------------------------------------------------
-
-
 def zeros_case(i: int) -> dict[str, Any]:
     family = list(FAMILIES)[i % len(FAMILIES)]
     rng = np.random.default_rng([11, i])
@@ -245,9 +239,6 @@ def _kept_rank(parts: Parts, z: complex, rank: int) -> float:
             P = P / np.sqrt(np.where(size > 0, size, 1.0))
     sigma = np.linalg.svd(P, compute_uv=False)
     return float(sigma[len(A) + rank - 1] / sigma[0])
-
-
-# --- crossings -------------------------------------------------------------------------------------------------------
 
 
 def loop_case(rng: np.random.Generator, family: str) -> tuple[Parts, float]:
@@ -380,8 +371,6 @@ def two_channels(rng: np.random.Generator) -> dict[str, Any]:
             record["wrong"] = f"L is not -1/{c.factor:.6g} at {c.frequency:.6g}"
     return record
 
-
-# --- campaigns -------------------------------------------------------------------------------------------------------
 
 CASES = {"zeros": zeros_case, "crossings": crossings_case}
 

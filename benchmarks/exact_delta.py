@@ -89,9 +89,6 @@ def structure_holds(parts: Sequence[Part], delta: Matrix) -> bool:
     return not rest.any()
 
 
-# --- upper bounds of mu ----------------------------------------------------------------------------------------------
-
-
 def scalings_fit(parts: Sequence[Part], Dw: Matrix, Dz: Matrix, G: Matrix) -> bool:
     """``D Delta = Delta D_z`` for every Delta, and G is Hermitian and belongs to real blocks only: bit by bit."""
     rest_w, rest_z, rest_g = (np.array(m, dtype=complex) for m in (Dw, Dz, G))
@@ -124,9 +121,6 @@ def proves(M: Any, Dw: Matrix, Dz: Matrix, G: Matrix, beta: float) -> bool:
         return True if is_positive(slack) and is_positive(D) else None
 
     return bool(with_precision(test))
-
-
-# --- lower bounds of mu ----------------------------------------------------------------------------------------------
 
 
 def distance_to_singular(M: Matrix, parts: Sequence[Part], delta: Matrix) -> tuple[float, Matrix]:
@@ -272,9 +266,6 @@ def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.ran
         if moved < 1e-3 and size_at < radius:
             return size_at
     return None
-
-
-# --- margins ---------------------------------------------------------------------------------------------------------
 
 
 def member_is_stable(model: Model, delta: Matrix) -> bool:

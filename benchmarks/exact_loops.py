@@ -68,9 +68,6 @@ def with_precision(test: Callable[[], T | None]) -> T | None:
         ctx.prec = before
 
 
-# --- matrices --------------------------------------------------------------------------------------------------------
-
-
 def exact(a: Any) -> Matrix:
     """The matrix of the very numbers that the floats are."""
     array = np.asarray(a)
@@ -153,9 +150,6 @@ def system(model: Model, as_matrix: Callable[[Any], Matrix] = exact) -> System:
     return System(*map(as_matrix, model[:4]), model.dt > 0)
 
 
-# --- loops -----------------------------------------------------------------------------------------------------------
-
-
 def four_parts(D: Matrix, n_meas: int, n_con: int) -> tuple[Matrix, Matrix, Matrix, Matrix]:
     """11, 12, 21 and 22 of a matrix whose last rows and columns are measurements and controls."""
     z, w = D.nrows() - n_meas, D.ncols() - n_con
@@ -169,13 +163,7 @@ def four_parts(D: Matrix, n_meas: int, n_con: int) -> tuple[Matrix, Matrix, Matr
 
 
 def closed(P: System, K: System) -> System:
-    """The lower LFT with ``u = K y``.
-
-    Raises
-    ------
-    ZeroDivisionError
-        ``I - D_K D22`` is not regular.
-    """
+    """The lower LFT with ``u = K y``. ZeroDivisionError: ``I - D_K D22`` is not regular."""
     n, n_u, n_y = P.A.nrows(), K.D.nrows(), K.D.ncols()
     z, w = P.D.nrows() - n_y, P.D.ncols() - n_u
     every = slice(0, n)
@@ -195,13 +183,7 @@ def closed(P: System, K: System) -> System:
 
 
 def upper_closed(M: System, delta: Matrix) -> System:
-    """The upper LFT ``F_u(M, Delta)``.
-
-    Raises
-    ------
-    ZeroDivisionError
-        ``I - D11 Delta`` is not regular.
-    """
+    """The upper LFT ``F_u(M, Delta)``. ZeroDivisionError: ``I - D11 Delta`` is not regular."""
     n, (q, p) = M.A.nrows(), (delta.nrows(), delta.ncols())
     n_u, n_y = M.D.ncols() - q, M.D.nrows() - p
     every = slice(0, n)
@@ -274,9 +256,6 @@ def coprime_plant(G: System) -> System:
     )
 
 
-# --- stability -------------------------------------------------------------------------------------------------------
-
-
 def is_stable(A: Matrix, discrete: bool) -> bool | None:
     """Whether all eigenvalues lie in the open region of stability; None where this precision cannot tell."""
     if not A.nrows():
@@ -321,9 +300,6 @@ def poles(A: Matrix) -> list[complex]:
     except (ValueError, ArithmeticError):
         return []
     return [v for v in map(complex, found) if np.isfinite(v)]
-
-
-# --- norms -----------------------------------------------------------------------------------------------------------
 
 
 def norm_is_below(G: System, gamma: Any) -> bool | None:
@@ -415,9 +391,6 @@ def h2_norm(G: System) -> arb | None:
     else:
         return None
     return (product(G.C, X, G.C.transpose()).trace() + direct).mid().sqrt() if n else direct.sqrt()
-
-
-# --- gains at frequencies --------------------------------------------------------------------------------------------
 
 
 def response(model: Model, omega: Any) -> Matrix:

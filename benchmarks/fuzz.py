@@ -81,9 +81,6 @@ class Found:
     slowest: float = 0.0
 
 
-# --- readers ---------------------------------------------------------------------------------------------------------
-
-
 def read_stored(path: Path, isolate: bool) -> tuple[Any, bool]:
     """Models, records, results: what `rl.load` takes."""
     loaded = interchange.read(path, isolate=isolate)
@@ -233,9 +230,6 @@ def _matlab5(compressed: bool) -> bytes:
     more = {"Ts": 0.1, "s": nested, "text": "hello", "sp": scipy.sparse.csc_matrix(np.eye(3)), "z": np.array([1 + 2j])}
     scipy.io.savemat(out, {**MATRICES, **more}, do_compression=compressed)
     return out.getvalue()
-
-
-# --- mutants, in processes of their own -----------------------------------------------------------------------------
 
 
 def mutants(reader: Reader, count: int, seed: int) -> Iterator[tuple[str, bytes]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import platform
@@ -13,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +24,10 @@ COMPLEIB = Path(__file__).parents[2] / "shared" / "data" / "compleib.h5"
 def heading(*packages: str) -> str:
     """Command, day, machine and versions, as two lines of comment."""
     machine = f"{platform.machine()} {platform.system()}, load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
-    found = ", ".join(f"{name} {version(name)}" for name in packages if importlib.util.find_spec(_module(name)))
+    installed = {d.metadata["Name"].lower(): d.version for d in distributions()}
+    found = ", ".join(f"{name} {installed[name]}" for name in packages if name in installed)
     command = " ".join([f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
     return f"# python {command}\n# {datetime.now(UTC):%Y-%m-%d}, {machine}, Python {platform.python_version()}, {found}"
-
-
-def _module(package: str) -> str:
-    return {"python-flint": "flint"}.get(package, package)
 
 
 def timed(call: Callable[..., Any], *given: Any, **options: Any) -> tuple[Any, float]:

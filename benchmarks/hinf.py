@@ -38,9 +38,6 @@ TITLES = {
 LMI_STATES = 12
 
 
-# --- the children -----------------------------------------------------------------------------------------------------
-
-
 def child(tool: str, limit: float) -> None:
     """Read a plant from stdin, design, print the controller, the gamma claimed, and the CPU time."""
     import warnings
@@ -143,9 +140,6 @@ def asked(tool: str, problem: dict[str, Any], limit: float) -> dict[str, Any]:
     return in_child([__file__, "--child", tool, "--cpu-limit", str(limit)], text, limit)
 
 
-# --- the judge --------------------------------------------------------------------------------------------------------
-
-
 def loop_of(P: dict[str, Any], K: dict[str, Any]) -> dict[str, Any]:
     """Lower LFT for D22 = 0, ``u = K y``."""
     n_u, n_y = K["D"].shape
@@ -204,9 +198,6 @@ def true_norm(P: dict[str, Any], K: dict[str, Any]) -> tuple[float, list[float]]
     third = float(gains(loop, np.array([peak]))[0]) if np.isfinite(peak) else np.nan
     voices = [ours, grid_norm(loop), third]
     return float(np.nanmax(voices)), voices
-
-
-# --- the table --------------------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -271,7 +262,7 @@ def main() -> None:
     if options.child:
         child(options.child, options.cpu_limit)
         return
-    print(heading("numpy", "scipy", "slycot", "control", "cvxpy", "clarabel", "dkpy"))
+    print(heading("numpy", "scipy", "slycot", "control", "cvxpy-base", "clarabel", "dkpy"))
     print(f"# kill limit of every call {options.cpu_limit:g} s of CPU", flush=True)
     tools = [t for t in options.tools.replace("ours", "tight,default").split(",") if t in TITLES]
     if importlib.util.find_spec("dkpy") is None and "dkpy" in tools:

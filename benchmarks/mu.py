@@ -162,7 +162,7 @@ def line(name: str, rows, slow: int, count: int) -> str:
 def main(count: int = 20) -> None:
     """Print one line per structure."""
     upper_bounds(np.array([[[0, 2], [1, 1j]]]), as_blocks([[-1, 0]] * 2))  # imports and compilation are not timed
-    print(heading("robustlab", "numpy", "slycot", "cvxpy", "clarabel", "numba"))
+    print(heading("robustlab", "numpy", "slycot", "cvxpy-base", "clarabel", "numba"))
     print(f"CPU ms per random complex matrix, batch of {count},")
     print("one thread; time: ours / peer; bound: largest peer / ours, for the LMI largest ours / optimum (to 2e-4);")
     print("wrong: bounds of ours below a verified lower bound, or not proved by their D, G")

@@ -136,9 +136,6 @@ def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path, exclud
     return line
 
 
-# --- many cases ------------------------------------------------------------------------------------------------------
-
-
 def _key(name: str, seed: int, motors: bool, noise: str) -> str:
     return f"{name} | {seed} | {'motors' if motors else 'torques'} | {noise}"
 

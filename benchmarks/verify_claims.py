@@ -33,9 +33,6 @@ class Case(NamedTuple):
     hints: tuple[Any, ...] = ()
 
 
-# --- models ----------------------------------------------------------------------------------------------------------
-
-
 def states(rng: Rng, most: int = 4) -> int:
     """Mostly 0 to ``most``, some 8."""
     return 8 if most == 4 and rng.random() < 0.04 else int(rng.integers(0, most + 1))
@@ -75,9 +72,6 @@ def gain(G: rl.StateSpaceModel) -> float:
 def slack(rng: Rng) -> float:
     """By how much more a level is claimed than what was found."""
     return 1 + 10 ** rng.uniform(-8, -1)
-
-
-# --- true claims -----------------------------------------------------------------------------------------------------
 
 
 def stable_case(rng: Rng) -> Case:
@@ -444,9 +438,6 @@ def set_case(rng: Rng) -> Case:
     elif rng.random() < 0.3:
         numbers["tolerance"] = np.array(10 ** rng.uniform(-9, -2))
     return Case("set", numbers)
-
-
-# --- delays ----------------------------------------------------------------------------------------------------------
 
 
 MAKERS: dict[str, Callable[[Rng], Case | None]] = {

@@ -37,9 +37,6 @@ def h2_square(G: System) -> fmpq:
     return D + sum((BXB[i, i] for i in range(BXB.nrows())), fmpq(0))
 
 
-# --- 60 digits -------------------------------------------------------------------------------------------------------
-
-
 def long(X: Any) -> Any:
     """Doubles, or fractions, as numbers of 60 digits."""
     if isinstance(X, fmpq_mat):

@@ -85,9 +85,6 @@ def _confirmed(found: bool) -> str:
     return "" if found else "unconfirmed: the counterexample was not found again"
 
 
-# --- norms, sets -----------------------------------------------------------------------------------------------------
-
-
 def _model(numbers: Numbers, name: str = "{}") -> System:
     parts = (numbers[name.format(x)] for x in "ABCD")
     return system(Model(*parts, abs(float(numbers.get("dt", 0.0)))), rational)
@@ -153,9 +150,6 @@ def _set_holds(numbers: Numbers) -> bool:
         if any(abs(x) > tolerance for X, Y in zip(member[:4], wanted[:4], strict=True) for x in (X - Y).entries()):
             return False
     return True
-
-
-# --- Delta -----------------------------------------------------------------------------------------------------------
 
 
 def _parts(numbers: Numbers, kind: str = "", allowance: float = 1.0) -> list[Part]:
@@ -310,9 +304,6 @@ def _beyond(G: tuple[Any, ...], delta: Any, dt: float, strictly: bool = False) -
     return far > 0 if strictly else far >= -(mp.mpf(10) ** -45)
 
 
-# --- mu --------------------------------------------------------------------------------------------------------------
-
-
 def _scalings_fit(table: Sequence[Any], D_w: Any, D_z: Any, G: Any) -> bool:
     """Whether scalings have the structure that the theorem asks for, to the last bit."""
     D_w, D_z, G = (np.array(X, dtype=complex) for X in (D_w, D_z, G))
@@ -397,9 +388,6 @@ def _broken_at(M: Any, parts: Sequence[Part], numbers: Numbers) -> str:
     delta = limits[:, None] * np.reshape(found.delta, (scaled.shape[1], scaled.shape[0]))
     again = {**numbers, "M": M, "delta": delta}
     return "false: a Delta within the level makes it singular" if _singular(again, 1.0) else ""
-
-
-# --- the axis --------------------------------------------------------------------------------------------------------
 
 
 def _of_axis(kind: str, numbers: Numbers, hints: Sequence[Any], rng: np.random.Generator) -> str:
@@ -526,9 +514,6 @@ def _steepest(parts: Sequence[Part], row: Any, column: Any) -> Any:
             number = part.high * np.conj(slope) / abs(slope) if slope else 0.0
         delta[part.w, part.z] = number * np.eye(len(y))
     return delta
-
-
-# --- evidence over the axis ------------------------------------------------------------------------------------------
 
 
 def _reaches(high: float, stop: float, dt: float) -> bool:

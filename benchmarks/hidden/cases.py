@@ -27,33 +27,19 @@ RECORD, HELD_OUT, REPEAT, EXPERIMENT = range(4)  # runs, each with noise of its 
 class Case:
     """One blind case. What a namer may see: ``plant``, ``record``, and ``repeat`` where it asks for one.
 
-    Attributes
-    ----------
-    plant
-        The user's nominal model (`robustlab.plant`) with its tolerances; it knows of no effect.
-    record, held_out, repeat
-        Measured: the record to explain; another input on the same machine, never used in a fit; the record's input
-        once more with other noise (in closed loop: the same reference, so that u differs a little).
-    record_clean, held_out_clean
-        What the machine answers to the *logged* input, output name -> (n,): with all its effects, those of the
-        sensors too, without disturbance, noise and rounding.
-    effects, true_parameters
-        Names, and name -> its true parameters; empty for "none".
-    perturbed
-        Parameter -> true value over nominal value, within the tolerance; effects come on top of it.
-    machine
-        The true machine.
+    ``*_clean``: what the machine answers to the *logged* input, output name -> (n,), with all its effects, without
+    disturbance, noise and rounding. Effects come on top of what is perturbed; "none" has none.
     """
 
-    plant: Any
+    plant: Any  # the user's nominal model with its tolerances
     record: Record
-    held_out: Record
-    repeat: Record
+    held_out: Record  # another input on the same machine, never used in a fit
+    repeat: Record  # the record's input, in closed loop its reference, once more with other noise
     record_clean: Mapping[str, Array]
     held_out_clean: Mapping[str, Array]
     effects: tuple[str, ...]
     true_parameters: Mapping[str, Mapping[str, float]]
-    perturbed: Mapping[str, float]
+    perturbed: Mapping[str, float]  # parameter -> true over nominal value, within the tolerance
     seed: int
     noise: str
     excitation: str
@@ -93,25 +79,10 @@ def make_case(
     Machine, input and noise have generators of their own, seeded by ``seed`` and the effects' names: cases that differ
     only in noise level, input or sensors share their perturbed parameters and the draws that do not refer to the input.
 
-    Parameters
-    ----------
-    effects
-        One name of `CLASSES`, `CURRENT_ONLY` or `OUTSIDE`, several names, or "none".
-    noise
-        "low", "mid" or "high" (`plants.LEVELS`).
-    excitation
-        "rich", "square", "oneway", "multisine" or "steps"; the held-out record is of the same kind.
-    current
-        A current sensor, too (not on the servo axis).
-    closed_loop
-        A position controller follows a drawn reference and its voltage is logged as u; ``excitation`` is not used.
-    parameters
-        Effect -> parameters to set instead of their draws, for example ``{"coulomb-friction": {"Fc": 0.02}}``.
-
-    Raises
-    ------
-    ValueError
-        Unknown names, a current where the plant has none, an effect that the plant cannot have.
+    ``effects``: one name, several, or "none". ``noise``: "low", "mid" or "high". ``excitation``: "rich", "square",
+    "oneway", "multisine" or "steps", not used where in ``closed_loop`` a position controller follows a drawn reference
+    and its voltage is logged. ``current``: a current sensor, too. ``parameters``: effect -> parameters to set instead
+    of their draws. ValueError: unknown names, a current where the plant has none, an effect that it cannot have.
     """
     given = parameters or {}
     names = _checked(effects, plant, noise, excitation, current, given)

@@ -166,42 +166,21 @@ def simulate(
     feedback: tuple[float, float, float] | None = None,
     step: float | None = None,
 ) -> Run:
-    """Run the machine from rest at zero.
+    """Run the machine from rest at zero: voltage u (n,) held over each sample, or the reference of the angle.
 
-    Parameters
-    ----------
-    u
-        Voltage (n,), held over each sample; with ``feedback``, the reference of the angle instead.
-    external
-        Torque on body 1 (n,), held over each sample.
-    alive
-        1 where the driver works, 0 where it drops out (n,).
-    angle_noise, current_noise
-        Added to the sensors' readings (n,); the angle is rounded to ``lsb`` after that.
-    feedback
-        ``(kp, kd, limit)`` of a sampled position controller that reads the sensor and whose output is logged as u.
-    step
-        Longest step in s; `longest_step` by default.
+    ``external``: torque on body 1; ``alive``: 1 where the driver works, 0 where it drops out; noise is added to the
+    readings, and the angle is rounded to ``lsb`` after that. ``feedback``: (kp, kd, limit) of a sampled position
+    controller that reads the sensor and whose output is logged as u.
     """
     n = len(u)
     zeros = np.zeros(n)
     kp, kd, limit = feedback or (0.0, 0.0, 0.0)
-    out = _run(
-        Machine(*map(float, m)),  # an integer among them would be compiled for once more
-        np.ascontiguousarray(u, dtype=np.float64),
-        dt,
-        longest_step(m) if step is None else step,
-        zeros if external is None else external,
-        np.ones(n) if alive is None else alive,
-        zeros if angle_noise is None else angle_noise,
-        zeros if current_noise is None else current_noise,
-        lsb,
-        feedback is not None,
-        kp,
-        kd,
-        limit,
-    )
-    return Run(*out)
+    given = (zeros if x is None else x for x in (angle_noise, current_noise))
+    constants = Machine(*map(float, m))  # an integer among them would be compiled for once more
+    h = longest_step(m) if step is None else step
+    around = zeros if external is None else external, np.ones(n) if alive is None else alive, *given
+    u = np.ascontiguousarray(u, dtype=np.float64)
+    return Run(*_run(constants, u, dt, h, *around, lsb, feedback is not None, kp, kd, limit))
 
 
 @njit(cache=True, error_model="numpy")
