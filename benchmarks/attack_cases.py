@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,17 +19,9 @@ Rng = np.random.Generator
 
 FUNCTIONS = ("hinf", "mixsyn", "h2", "ncf", "margin", "gain", "mu", "norm")
 FAMILIES = (
-    "stiff",
-    "nearly uncontrollable",
-    "huge D11",
-    "light damping, fast poles",
-    "Jordan blocks",
-    "near cancellations",
-    "denormals and huge entries",
-    "units",
-    "poles and zeros on the axis",
-    "ordinary",
-)
+    "stiff", "nearly uncontrollable", "huge D11", "light damping, fast poles", "Jordan blocks", "near cancellations",
+    "denormals and huge entries", "units", "poles and zeros on the axis", "ordinary",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -338,10 +331,6 @@ def _uncertain(family: str, rng: Rng, n_in: int, n_out: int, level: tuple[float,
     return {"M": _extreme(rng, M) if family.startswith("denormals") else M, "parts": parts}
 
 
-def _margin(family: str, rng: Rng) -> dict[str, Any]:
-    return _uncertain(family, rng, 0, 0, (-0.7, 0.7))
-
-
 def _gain(family: str, rng: Rng) -> dict[str, Any]:
     return _uncertain(family, rng, int(rng.integers(1, 3)), int(rng.integers(1, 3)), (-1.5, -0.1))
 
@@ -407,12 +396,6 @@ def _norm(family: str, rng: Rng) -> dict[str, Any]:
 
 
 MAKERS: dict[str, Callable[[str, Rng], dict[str, Any]]] = {
-    "hinf": lambda family, rng: _generalised(family, rng, False),
-    "mixsyn": _mixsyn,
-    "h2": lambda family, rng: _generalised(family, rng, True),
-    "ncf": _ncf,
-    "margin": _margin,
-    "gain": _gain,
-    "mu": _mu,
-    "norm": _norm,
-}
+    "hinf": partial(_generalised, h2=False), "h2": partial(_generalised, h2=True), "mixsyn": _mixsyn, "ncf": _ncf,
+    "margin": partial(_uncertain, n_in=0, n_out=0, level=(-0.7, 0.7)), "gain": _gain, "mu": _mu, "norm": _norm,
+}  # fmt: skip

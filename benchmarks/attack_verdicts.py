@@ -396,12 +396,6 @@ def _attains(model: Model, delta: np.ndarray, lower: float, omega: float | None)
 
 
 VERDICTS: dict[str, Callable[[dict[str, Any], Claim, np.random.Generator], Findings]] = {
-    "hinf": _hinf,
-    "mixsyn": _mixsyn,
-    "h2": _h2,
-    "ncf": _ncf,
-    "margin": _margin,
-    "gain": _gain,
-    "mu": _mu,
+    "hinf": _hinf, "mixsyn": _mixsyn, "h2": _h2, "ncf": _ncf, "margin": _margin, "gain": _gain, "mu": _mu,
     "norm": _norm,
-}
+}  # fmt: skip

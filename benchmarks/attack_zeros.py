@@ -171,21 +171,12 @@ def ordinary(rng: np.random.Generator) -> Parts:
 
 
 FAMILIES: dict[str, Callable[[np.random.Generator], Parts]] = {
-    "nonnormal": nonnormal,
-    "nonnormal, rotated": lambda rng: rotated(rng, nonnormal(rng)),
-    "stiff": stiff,
-    "mixed scales": mixed,
-    "nearly triangular": nearly_triangular,
-    "damping 1e-9": lightly_damped,
-    "not square": not_square,
-    "hidden modes": hidden_modes,
-    "tiny direct term": tiny_direct_term,
-    "integrator chains": integrators,
-    "relative degree, rotated": relative_degree,
-    "low normal rank": low_rank,
-    "nothing, or zero": edges,
-    "ordinary": ordinary,
-}
+    "nonnormal": nonnormal, "nonnormal, rotated": lambda rng: rotated(rng, nonnormal(rng)), "stiff": stiff,
+    "mixed scales": mixed, "nearly triangular": nearly_triangular, "damping 1e-9": lightly_damped,
+    "not square": not_square, "hidden modes": hidden_modes, "tiny direct term": tiny_direct_term,
+    "integrator chains": integrators, "relative degree, rotated": relative_degree, "low normal rank": low_rank,
+    "nothing, or zero": edges, "ordinary": ordinary,
+}  # fmt: skip
 
 
 def zeros_case(i: int) -> dict[str, Any]:
