@@ -16,6 +16,7 @@ from flint import acb, acb_mat, arb
 Matrix = np.ndarray
 # How far from a singular Delta a returned one may lie, relative to its own size.
 NEAR = 1e-8
+AT_ONCE: dict[str, Any] = {"polish": False, "vectorized": True, "updating": "deferred"}  # differential evolution
 
 
 class Part(NamedTuple):
@@ -74,6 +75,22 @@ def assembled(parts: Sequence[Part], v: Matrix, radius: float, smooth: bool = Fa
             delta[:, w, z] = block / kept(np.linalg.norm(block, 2, axis=(1, 2)))[:, None, None]
             at += 2 * m
     return radius * delta
+
+
+def _tries(parts: Sequence[Part], rng: np.random.Generator, counts: tuple[int, int, int]) -> Matrix:
+    """Free numbers (k, m): inside, at vertices, of any phase; all vertices of a few real numbers."""
+    m = count(parts)
+    tries = [rng.uniform(-1, 1, (counts[0], m)), np.sign(rng.standard_normal((counts[1], m)))]
+    tries.append(rng.standard_normal((counts[2], m)) * 3)
+    return np.concatenate([*tries, _vertices(m)]) if _all_real(parts) and m <= 7 else np.concatenate(tries)
+
+
+def _vertices(m: int) -> Matrix:
+    return 1.0 - 2.0 * ((np.arange(2**m)[:, None] >> np.arange(m)) & 1)
+
+
+def _all_real(parts: Sequence[Part]) -> bool:
+    return all(b.kind == "real" for b in parts)
 
 
 def structure_holds(parts: Sequence[Part], delta: Matrix) -> bool:
@@ -228,9 +245,8 @@ def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.ran
 
     met: list[Matrix] = []
     guesses = [3 * rng.standard_normal(m) for _ in range(3)]
-    if all(b.kind == "real" for b in parts) and len(parts) <= 8:
-        bits = 1.0 - 2.0 * ((np.arange(2 ** len(parts))[:, None] >> np.arange(len(parts))) & 1)
-        corners = assembled(parts, bits, radius)
+    if _all_real(parts) and len(parts) <= 8:
+        corners = assembled(parts, _vertices(len(parts)), radius)
         values = np.linalg.eigvals(M @ corners)
         best = np.where(np.abs(values.imag) <= 1e-13 * np.abs(values), values.real, 0.0).max(axis=1)
         k = int(best.argmax())
@@ -248,14 +264,7 @@ def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.ran
             if abs(value) >= 1:
                 met.append(end / value)
     if m <= 8:
-        options: dict[str, Any] = {
-            "maxiter": 20,
-            "popsize": 6,
-            "polish": False,
-            "vectorized": True,
-            "updating": "deferred",
-        }
-        guesses.append(differential_evolution(smallest, [(-4, 4)] * m, rng=rng, **options).x)
+        guesses.append(differential_evolution(smallest, [(-4, 4)] * m, rng=rng, maxiter=20, popsize=6, **AT_ONCE).x)
     for guess in guesses:
         end = least_squares(nearest, guess, method="trf", max_nfev=25, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         if np.hypot(*end.fun) <= 1e-9:
@@ -323,16 +332,12 @@ def unstable_inside(
     if not len(model.A):
         return None
     m = count(parts)
-    tries = [rng.uniform(-1, 1, (60, m)), np.sign(rng.standard_normal((60, m))), rng.standard_normal((30, m)) * 3]
-    if all(b.kind == "real" for b in parts) and m <= 7:
-        tries.append(1.0 - 2.0 * ((np.arange(2**m)[:, None] >> np.arange(m)) & 1))
-    points = np.concatenate(tries)
-    options: dict[str, Any] = {"maxiter": 25, "popsize": 5, "polish": False, "vectorized": True, "updating": "deferred"}
+    points = _tries(parts, rng, (60, 60, 30))
 
     def worst(v: Matrix) -> Matrix:
         return -instability(model, assembled(parts, v.T, radius))
 
-    end = differential_evolution(worst, [(-1.2, 1.2)] * m, rng=rng, **options)
+    end = differential_evolution(worst, [(-1.2, 1.2)] * m, rng=rng, maxiter=25, popsize=5, **AT_ONCE)
     start = end.x if end.fun <= worst(points.T).min() else points[worst(points.T).argmin()]
     if m <= 8:
         start = minimize(lambda v: float(worst(v[:, None])[0]), start, method="Nelder-Mead", options={"maxfev": 200}).x
@@ -358,10 +363,7 @@ def gain_inside(
 
     m = count(parts)
     q, p = sum(b.rows for b in parts), sum(b.cols for b in parts)
-    tries = [rng.uniform(-1, 1, (40, m)), np.sign(rng.standard_normal((60, m))), rng.standard_normal((20, m)) * 3]
-    if all(b.kind == "real" for b in parts) and m <= 7:
-        tries.append(1.0 - 2.0 * ((np.arange(2**m)[:, None] >> np.arange(m)) & 1))
-    points = np.concatenate(tries)
+    points = _tries(parts, rng, (40, 60, 20))
     deltas = assembled(parts, points, 1.0)
     best = (-1.0, deltas[0], 0.0)
     tops: list[tuple[float, float, Matrix]] = []

@@ -16,7 +16,7 @@ import statistics
 from typing import Any
 
 import numpy as np
-from harness import compleib, heading, in_child, limit_cpu, timed
+from harness import compleib, heading, in_child, limit_cpu, over_best, timed
 
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.norms import hinf_norm
@@ -44,13 +44,6 @@ def child(name: str, starts: int, limit: float) -> dict[str, Any]:
     return {"gamma": gamma, "cpu": cpu, "why": why}
 
 
-def judged(gamma: float, best: float, zero: bool) -> float:
-    """The norm over the best known; where the infimum looks like zero, 1 below 1e-2 and inf above."""
-    if zero:
-        return 1.0 if gamma <= 1e-2 else float("inf")
-    return gamma / best
-
-
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("names", nargs="*", metavar="NAME")
@@ -71,7 +64,7 @@ def main() -> None:
         found = in_child([__file__, "--child", *limits, name], "", options.cpu_limit)
         found = {"gamma": float("inf"), "why": found.get("refused", "")} | found
         best, other = float(about["static_hinf_best"]), float(about.get("static_hinf_hifoo3501_measured", np.inf))
-        ratio, theirs = (judged(x, best, bool(about["infimum_looks_zero"])) for x in (found["gamma"], other))
+        ratio, theirs = (over_best(x, best, about["infimum_looks_zero"]) for x in (found["gamma"], other))
         rows.append((ratio, theirs, found["cpu"]))
         line = f"{name:10s} n={about['n']:3d}  {about['nu'] * about['ny']:3d} gains  norm {found['gamma']:12.6g}"
         line += f"  / best {ratio:9.5f}  HIFOO / best {theirs:9.5f}  {found['cpu']:6.2f} s  {found['why']}"

@@ -50,19 +50,26 @@ def limit_cpu(seconds: float) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.getrlimit(resource.RLIMIT_CPU)[1]))
 
 
-def in_child(arguments: Sequence[str], text: str, limit: float) -> dict[str, Any]:
-    """The JSON that a Python child prints last; ``refused``: why there is none. It limits itself (`limit_cpu`)."""
-    command = [sys.executable, "-W", "ignore", *arguments]
+def in_child(arguments: Sequence[str], text: str, limit: float = 0.0, *, wall: float | None = None) -> dict[str, Any]:
+    """The JSON that a Python child prints last; ``refused``: why there is none.
+
+    The child limits its own CPU time (`limit_cpu`); it and its children end after so much wall time.
+    """
+    command, wall = [sys.executable, "-W", "ignore", *arguments], wall or 8 * limit + 60
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    child = subprocess.Popen(command, text=True, env=environment, start_new_session=True, **pipes)  # type: ignore
     try:
-        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False, timeout=8 * limit + 60)
+        out, errors = child.communicate(text, timeout=wall)
     except subprocess.TimeoutExpired:
+        os.killpg(child.pid, signal.SIGKILL)
+        out, errors = child.communicate()
+    if child.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         return {"refused": "no return", "cpu": limit}
-    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return {"refused": "no return", "cpu": limit}
-    lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
-    if done.returncode or not lines:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        return {"refused": f"died ({done.returncode}): {last[:120]}", "cpu": float("nan")}
+    lines = [line for line in out.splitlines() if line.startswith("{")]
+    if child.returncode or not lines:
+        last = (errors.strip().splitlines() or ["no message"])[-1]
+        return {"refused": f"died ({child.returncode}): {last[:120]}", "cpu": float("nan")}
     return json.loads(lines[-1])
 
 
@@ -96,3 +103,10 @@ def compleib(
                 P = {"A": m["A"], "B": np.hstack([m["B1"], m["B"]]), "C": np.vstack([m["C1"], m["C"]]), "D": D}
                 found.append((name, P, about))
     return found
+
+
+def over_best(norm: float, best: float, zero: bool) -> float:
+    """The norm over the best known; where the infimum looks like zero, 1 up to 1e-2 and inf above."""
+    if zero:
+        return 1.0 if norm <= 1e-2 else np.inf
+    return norm / best

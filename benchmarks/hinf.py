@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import COMPLEIB, compleib, heading, in_child, limit_cpu, timed
+from harness import COMPLEIB, compleib, heading, in_child, limit_cpu, over_best, timed
 
 TITLES = {
     "tight": "robustlab, gamma_rel = 1",
@@ -59,7 +59,7 @@ def child(tool: str, limit: float) -> None:
     print(json.dumps(found | {"cpu": cpu}))
 
 
-def _listed(K: Any, gamma: float) -> dict[str, Any]:
+def _listed(K: Any, gamma: Any) -> dict[str, Any]:
     return {k: np.asarray(getattr(K, k)).tolist() for k in "ABCD"} | {"gamma": float(gamma)}
 
 
@@ -87,22 +87,17 @@ def _control(P: dict[str, Any], problem: dict[str, Any]) -> Callable[[], dict[st
     import control
 
     plant = control.ss(*P.values())
-
-    def run() -> dict[str, Any]:
-        K, _, gamma, _ = control.hinfsyn(plant, problem["n_y"], problem["n_u"])
-        return _listed(K, gamma)
-
-    return run
+    return lambda: _listed(*control.hinfsyn(plant, problem["n_y"], problem["n_u"])[::2])
 
 
 def _sb10ad(P: dict[str, Any], problem: dict[str, Any]) -> Callable[[], dict[str, Any]]:
     import slycot
 
-    n, m, q = P["A"].shape[0], P["B"].shape[1], P["C"].shape[0]
+    sizes = P["A"].shape[0], P["B"].shape[1], P["C"].shape[0], problem["n_u"], problem["n_y"], problem["start"]
 
     def run() -> dict[str, Any]:
-        found = slycot.sb10ad(n, m, q, problem["n_u"], problem["n_y"], problem["start"], *P.values())
-        return dict(zip("ABCD", (np.asarray(part).tolist() for part in found[1:5]), strict=True)) | {"gamma": found[0]}
+        gamma, *K = slycot.sb10ad(*sizes, *P.values())[:5]
+        return dict(zip("ABCD", (np.asarray(part).tolist() for part in K), strict=True)) | {"gamma": gamma}
 
     return run
 
@@ -115,9 +110,7 @@ def _dkpy(P: dict[str, Any], problem: dict[str, Any]) -> Callable[[], dict[str, 
 
     def run() -> dict[str, Any]:
         K, _, gamma, _ = dkpy.HinfSynLmi().synthesize(plant, problem["n_y"], problem["n_u"])
-        if K is None:
-            return {"refused": "no controller"}
-        return _listed(K, gamma)
+        return {"refused": "no controller"} if K is None else _listed(K, gamma)
 
     return run
 
@@ -126,12 +119,8 @@ def _ab13dd(P: dict[str, Any], problem: dict[str, Any]) -> Callable[[], dict[str
     from slycot import ab13dd
 
     n, m, q = P["A"].shape[0], P["B"].shape[1], P["C"].shape[0]
-
-    def run() -> dict[str, Any]:
-        gamma, peak = ab13dd("C", "I", "S", "D", n, m, q, P["A"], np.eye(n), P["B"], P["C"], P["D"], 1e-8)
-        return {"gamma": gamma, "peak": peak}
-
-    return run
+    given = "C", "I", "S", "D", n, m, q, P["A"], np.eye(n), P["B"], P["C"], P["D"], 1e-8
+    return lambda: dict(zip(("gamma", "peak"), ab13dd(*given), strict=True))
 
 
 def asked(tool: str, problem: dict[str, Any], limit: float) -> dict[str, Any]:
@@ -243,10 +232,7 @@ def judge(name: str, P: dict[str, Any], about: dict[str, Any], answer: dict[str,
     false = norm > 1.001 * claim + 1e-12
     if false:
         column.false_claims.append(f"{name} {claim:.4g} -> {norm:.4g}")
-    if about["infimum_looks_zero"]:
-        column.ratios.append(1.0 if norm <= 1e-2 else np.inf)
-    else:
-        column.ratios.append(norm / about["gamma_full_best_verified"])
+    column.ratios.append(over_best(norm, about["gamma_full_best_verified"], about["infimum_looks_zero"]))
     return f"{column.ratios[-1]:9.5f} {answer['cpu']:6.2f} s" + (" FALSE CLAIM" if false else "")
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -122,7 +122,7 @@ def _of_norm(kind: str, numbers: Numbers, proved: bool) -> str:
         return "false: the loop is not well posed" if proved else ""
     stable = _stable(G)
     if kind == "gramian":
-        holds = stable and (G.discrete or not any(v != 0 for v in G.D.entries()))
+        holds = stable and (float(numbers["dt"]) > 0 or not any(v != 0 for v in G.D.entries()))
         holds = holds and h2_square(G) <= _fraction(numbers["value"]) ** 2
     else:
         holds = stable and norm_is_below(G, _fraction(numbers["gamma"]))
@@ -345,6 +345,12 @@ def _of_mu(numbers: Numbers, rng: np.random.Generator) -> str:
     return "" if is_positive(d_w) and is_positive(form) else "unjustified: the form is not positive definite"
 
 
+def _form(M: Any, D_w: Any, D_z: Any, G: Any, L: Any) -> Any:
+    """``L D_w L - M^* D_z M - j (G M - M^* G)`` in 60 digits."""
+    GM = long(G).dot(M)
+    return L.dot(long(D_w)).dot(L) - star(M).dot(long(D_z)).dot(M) - mp.mpc(0, 1) * (GM - star(GM))
+
+
 def _of_matrix_boxes(kind: str, numbers: Numbers) -> str:
     """A bound of mu of one matrix by boxes: Deltas that break it, the covering, and each form in 60 digits."""
     M, table = long(numbers["M"]), np.asarray(numbers["blocks"]).tolist()
@@ -362,10 +368,7 @@ def _of_matrix_boxes(kind: str, numbers: Numbers) -> str:
         if not (_scalings_fit(table, D_w, D_z, G) and is_positive(embedded(D_w))):
             return f"unjustified: scalings of box {i} have not the structure, or are not positive"
         inside = _inside((*static, M), parts, box, mp)[3]
-        D_w, D_z, G = (long(X) for X in (D_w, D_z, G))
-        GM = G.dot(inside)
-        form = L.dot(D_w).dot(L) - star(inside).dot(D_z).dot(inside) - mp.mpc(0, 1) * (GM - star(GM))
-        if not positive(form):
+        if not positive(_form(inside, D_w, D_z, G, L)):
             return f"unjustified: the form of box {i} is not positive definite"
     return ""
 
@@ -465,55 +468,56 @@ def seek(G: tuple[Any, ...], dt: float, parts: Sequence[Part], hints: Sequence[A
     return worst if best > -1e-9 * max(1.0, float(np.abs(A).max())) else None
 
 
+def _assembled(parts: Sequence[Part], block: Callable[[Part], Any]) -> Any:
+    """A Delta from its blocks; a number stands for its multiple of the unit matrix."""
+    delta = np.zeros((parts[-1].w.stop, parts[-1].z.stop), dtype=complex)
+    for part in parts:
+        value = block(part)
+        delta[part.w, part.z] = value if part.kind == FULL else value * np.eye(part.w.stop - part.w.start)
+    return delta
+
+
 def _drawn_in(parts: Sequence[Part], hint: Any) -> Any:
     """The hint, perhaps of another structure, with each block made one of its kind and brought to its limit."""
-    given = np.asarray(hint, dtype=complex)
-    delta = np.zeros_like(given)
-    for part in parts:
-        own = given[part.w, part.z]
+
+    def block(part: Part) -> Any:
+        own = np.asarray(hint, dtype=complex)[part.w, part.z]
         if part.kind == REAL:
-            delta[part.w, part.z] = np.clip(own[0, 0].real, part.low, part.high) * np.eye(len(own))
-            continue
-        own = own if part.kind == FULL else own[0, 0] * np.eye(len(own))
-        size = np.linalg.norm(own, 2)
-        if size:
-            delta[part.w, part.z] = own / size * part.high
-    return delta
+            return np.clip(own[0, 0].real, part.low, part.high)
+        own = own if part.kind == FULL else own[0, 0]
+        size = np.linalg.norm(own, 2) if part.kind == FULL else abs(own)
+        return own / size * part.high if size else 0 * own
+
+    return _assembled(parts, block)
 
 
 def _random(parts: Sequence[Part], rng: np.random.Generator, inner: bool = False) -> Any:
-    q, p = parts[-1].w.stop, parts[-1].z.stop
-    delta = np.zeros((q, p), dtype=complex)
-    for part in parts:
-        rows, cols = part.w.stop - part.w.start, part.z.stop - part.z.start
+    def block(part: Part) -> Any:
         if part.kind == REAL:
-            number = rng.uniform(part.low, part.high) if inner else rng.choice([part.low, part.high])
-            delta[part.w, part.z] = number * np.eye(rows)
-        elif part.kind == COMPLEX:
-            delta[part.w, part.z] = part.high * np.exp(2j * np.pi * rng.random()) * np.eye(rows)
-        else:
-            u, v = (rng.normal(size=k) + 1j * rng.normal(size=k) for k in (rows, cols))
-            delta[part.w, part.z] = part.high * np.outer(u, v) / np.linalg.norm(u) / np.linalg.norm(v)
-    return delta
+            return rng.uniform(part.low, part.high) if inner else rng.choice([part.low, part.high])
+        if part.kind == COMPLEX:
+            return part.high * np.exp(2j * np.pi * rng.random())
+        sides = part.w.stop - part.w.start, part.z.stop - part.z.start
+        u, v = (rng.normal(size=k) + 1j * rng.normal(size=k) for k in sides)
+        return part.high * np.outer(u, v) / np.linalg.norm(u) / np.linalg.norm(v)
+
+    return _assembled(parts, block)
 
 
 def _steepest(parts: Sequence[Part], row: Any, column: Any) -> Any:
     """The Delta with the largest Re(row Delta column)."""
-    delta = np.zeros((len(row), len(column)), dtype=complex)
-    for part in parts:
+
+    def block(part: Part) -> Any:
         y, x = row[part.w], column[part.z]
         if part.kind == FULL:
             size = np.linalg.norm(y) * np.linalg.norm(x)
-            if size:
-                delta[part.w, part.z] = part.high * np.outer(y.conj(), x.conj()) / size
-            continue
+            return part.high * np.outer(y.conj(), x.conj()) / (size or 1.0)
         slope = y @ x
         if part.kind == REAL:
-            number: complex = part.high if slope.real > 0 else part.low
-        else:
-            number = part.high * np.conj(slope) / abs(slope) if slope else 0.0
-        delta[part.w, part.z] = number * np.eye(len(y))
-    return delta
+            return part.high if slope.real > 0 else part.low
+        return part.high * np.conj(slope) / abs(slope) if slope else 0.0
+
+    return _assembled(parts, block)
 
 
 def _reaches(high: float, stop: float, dt: float) -> bool:
@@ -593,13 +597,10 @@ def _forms(kind: str, numbers: Numbers, parts: Sequence[Part], floats: tuple[Any
         least, w = min((_least_eigenvalue(_float_response(inside, dt, w), D_w, D_z, G, L), w) for w in points)
         worst.append((least, i, w))
     for _, i, w in sorted(worst)[:2]:
-        D_w, D_z, G = (long(np.asarray(numbers[x][i])) for x in ("D_w", "D_z", "G"))
         model = exact if not kind.endswith("boxes") else _inside(exact, parts, numbers["box"][i], mp)
         M = response(model, dt, mp.pi / mp.mpf(dt) if dt and math.isinf(w) else mp.mpf(w))
         L = long(np.diag(_channel_levels(table, levels)))
-        GM = G.dot(M)
-        F = L.dot(D_w).dot(L) - star(M).dot(D_z).dot(M) - mp.mpc(0, 1) * (GM - star(GM))
-        if not positive(F):
+        if not positive(_form(M, *(numbers[x][i] for x in ("D_w", "D_z", "G")), L)):
             return f"unjustified: the form of interval {i} is not positive definite at {w} rad/s"
     return ""
 
