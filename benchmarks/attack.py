@@ -32,7 +32,6 @@ import json
 import re
 import resource
 import sys
-import time
 import traceback
 import warnings
 from collections import Counter
@@ -47,15 +46,11 @@ from attack_cases import FAMILIES, FUNCTIONS, Case, make_case
 from attack_verdicts import judge
 from exact_delta import Part, assembled, count
 from exact_loops import Model
-
-__all__ = ["attack", "claim_of", "run_case", "summary"]
+from harness import append, heading, json_lines, limit_cpu, timed
 
 # CPU seconds that a call may take before it counts as hung, and that its judge may.
 LIMIT, JUDGE_LIMIT = 120, 300
 Record = dict[str, Any]
-
-
-# --- what is attacked ------------------------------------------------------------------------------------------------
 
 
 def _rl_model(m: Model | None) -> Any:
@@ -142,61 +137,54 @@ def claim_of(case: Case, result: Any) -> dict[str, Any]:
     return claim
 
 
-# --- a case ----------------------------------------------------------------------------------------------------------
-
-
 def run_case(case: Case, between: Any = None) -> Record:
     """Call and judge one case; ``between`` is told when the call is over."""
-    from robustlab.errors import RobustlabError
-
     record: Record = {"seed": case.seed, "index": case.index, "function": case.function, "family": case.family}
     model = case.model
     record["size"] = len(case.data["matrix"]) if model is None else len(model.A)
     record["discrete"] = model is not None and model.dt > 0
-    begin = time.process_time()
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            claim = claim_of(case, call(case))
-    except RobustlabError as error:
-        record |= {"outcome": "refused", "said": str(error).splitlines()[0], "kind": type(error).__name__}
-        return record | {"cpu": time.process_time() - begin}
-    except Exception as error:  # noqa: BLE001 - whatever it is, it is told and the campaign goes on
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        inside = [f for f in traceback.extract_tb(error.__traceback__) if "robustlab/" in f.filename] or [where]
-        at = f"{Path(inside[-1].filename).name}:{inside[-1].lineno}"
-        record |= {"outcome": "crash", "said": f"{type(error).__name__} {error} ({at})"}
-        return record | {"cpu": time.process_time() - begin}
-    record["cpu"] = time.process_time() - begin
-    if between is not None:
-        between(record)
-    begin = time.process_time()
-    rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=(case.index, 1)))
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        findings = judge(case, claim, rng)
-    record |= {"status": claim["status"], "judge_cpu": time.process_time() - begin, "findings": findings}
+        (claim, words), record["cpu"] = timed(_asked, case)
+        if claim is None:
+            return record | words
+        if between is not None:
+            between(record)
+        rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=(case.index, 1)))
+        with np.errstate(all="ignore"):
+            findings, record["judge_cpu"] = timed(judge, case, claim, rng)
+    record |= {"status": claim["status"], "findings": findings}
     record["figures"] = {k: claim[k] for k in ("gamma", "lower", "upper", "h2") if k in claim}
     false = any(f.startswith("FALSE") for f in findings)
     record["outcome"] = "false" if false else "held" if claim["trusted"] else "not certified"
     return record
 
 
+def _asked(case: Case) -> tuple[dict[str, Any] | None, Record]:
+    """What was said, or None and why nothing was."""
+    from robustlab.errors import RobustlabError
+
+    try:
+        return claim_of(case, call(case)), {}
+    except RobustlabError as error:
+        return None, {"outcome": "refused", "said": str(error).splitlines()[0], "kind": type(error).__name__}
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is told and the campaign goes on
+        frames = traceback.extract_tb(error.__traceback__)
+        inside = [f for f in frames if "robustlab/" in f.filename] or frames
+        at = f"{Path(inside[-1].filename).name}:{inside[-1].lineno}"
+        return None, {"outcome": "crash", "said": f"{type(error).__name__} {error} ({at})"}
+
+
 def _work(pipe: Connection, limit: int, judge_limit: int) -> None:
     """Cases until the pipe closes, each under its limit of CPU time: the kernel ends a call that takes more."""
 
-    def allow(seconds: int) -> None:
-        used = resource.getrusage(resource.RUSAGE_SELF)
-        soft = int(used.ru_utime + used.ru_stime) + seconds + 1
-        resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.getrlimit(resource.RLIMIT_CPU)[1]))
-
     def judged(record: Record) -> None:
         pipe.send(("judging", record))
-        allow(judge_limit)
+        limit_cpu(judge_limit)
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     while (task := pipe.recv()) is not None:
-        allow(limit)
+        limit_cpu(limit)
         try:
             record = run_case(make_case(*task), judged)
         except Exception as error:  # noqa: BLE001 - a fault of the judge is not one of what it judges
@@ -249,7 +237,7 @@ class Worker:
 
 def attack(seed: int, first: int, number: int, out: Path, only: tuple[str, ...] = ()) -> None:
     """Run cases first .. first + number - 1 of a seed that are not in the file yet; append a line for each."""
-    known = {(r["seed"], r["index"]) for r in read([out])} if out.exists() else set()
+    known = {(r["seed"], r["index"]) for r in read([out])}
     worker = Worker()
     try:
         for index in range(first, first + number):
@@ -257,35 +245,21 @@ def attack(seed: int, first: int, number: int, out: Path, only: tuple[str, ...] 
             if (seed, index) in known or (only and function not in only):
                 continue
             record = worker.run(seed, index)
-            with out.open("a") as file:
-                file.write(json.dumps(record, default=float) + "\n")
+            append(out, record)
             if record["outcome"] not in ("held", "refused", "not certified"):
                 print(line_of(record), flush=True)
     finally:
         worker.close()
 
 
-# --- the table -------------------------------------------------------------------------------------------------------
-
-
 def read(files: Iterable[Path]) -> list[Record]:
     """Records of all files; the last one where a case is met twice."""
-    records: dict[tuple[int, int], Record] = {}
-    for path in files:
-        for line in path.read_text().splitlines():
-            try:
-                record = json.loads(line)
-            except json.JSONDecodeError:  # the line that a kill cut short
-                continue
-            records[record["seed"], record["index"]] = record
-    return list(records.values())
+    return list({(r["seed"], r["index"]): r for r in json_lines(files)}.values())
 
 
 def line_of(record: Record) -> str:
     """One line about a case, and a line for each finding."""
-    head = (
-        f"seed {record['seed']} case {record['index']}: {record['function']}, {record['family']}: {record['outcome']}"
-    )
+    head = "seed {seed} case {index}: {function}, {family}: {outcome}".format(**record)
     lines = [head + (f": {record['said']}" if record.get("said") else "")]
     return "\n".join([*lines, *(f"    {f}" for f in record.get("findings", []))])
 
@@ -329,23 +303,6 @@ def _kind(text: str) -> str:
     return re.sub(r"(#[^a-zA-Z(]*){2,}", "# ", text)[:150]
 
 
-def _header() -> str:
-    import platform
-    from importlib.metadata import version
-
-    import flint
-
-    processor = next(
-        (line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
-        platform.machine(),
-    )
-    libraries = ", ".join(f"{name} {version(name)}" for name in ("robustlab", "numpy", "scipy", "slycot"))
-    return (
-        f"# python benchmarks/attack.py, {time.strftime('%Y-%m-%d')}, {processor}, Python {platform.python_version()}, "
-        f"{libraries}, python-flint {flint.__version__}\n"
-    )
-
-
 def main(arguments: list[str] | None = None) -> int:
     """The command line; exit code 1 where a certificate is false."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
@@ -359,7 +316,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.summary:
         records = read(options.summary)
-        print(_header() + "\n" + summary(records))
+        print(heading("robustlab", "numpy", "scipy", "slycot", "python-flint") + "\n\n" + summary(records))
         return int(any(r["outcome"] == "false" for r in records))
     if options.case is not None:
         record = run_case(make_case(options.seed, options.case))

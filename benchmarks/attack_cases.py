@@ -7,45 +7,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from exact_delta import Part
 from exact_loops import Model
 
-__all__ = ["FAMILIES", "FUNCTIONS", "Case", "make_case"]
-
 Array = np.ndarray
 Rng = np.random.Generator
 
 FUNCTIONS = ("hinf", "mixsyn", "h2", "ncf", "margin", "gain", "mu", "norm")
 FAMILIES = (
-    "stiff",
-    "nearly uncontrollable",
-    "huge D11",
-    "light damping, fast poles",
-    "Jordan blocks",
-    "near cancellations",
-    "denormals and huge entries",
-    "units",
-    "poles and zeros on the axis",
-    "ordinary",
-)
+    "stiff", "nearly uncontrollable", "huge D11", "light damping, fast poles", "Jordan blocks", "near cancellations",
+    "denormals and huge entries", "units", "poles and zeros on the axis", "ordinary",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Case:
     """What a function is called with.
 
-    Attributes
-    ----------
-    seed, index
-        Which case it is.
-    function, family
-        One of `FUNCTIONS` and one of `FAMILIES`.
-    data
-        ``P, n_meas, n_con`` (hinf, h2), ``G, W1, W2, W3`` (mixsyn), ``G, W1, W2`` (ncf), ``M, parts`` (margin, gain),
-        ``matrix, parts`` (mu), ``G`` (norm).
+    ``data``: ``P, n_meas, n_con`` (hinf, h2), ``G, W1, W2, W3`` (mixsyn), ``G, W1, W2`` (ncf), ``M, parts`` (margin,
+    gain), ``matrix, parts`` (mu), ``G`` (norm).
     """
 
     seed: int
@@ -67,9 +51,6 @@ def make_case(seed: int, index: int) -> Case:
     family = FAMILIES[index // len(FUNCTIONS) % len(FAMILIES)]
     with np.errstate(all="ignore"):
         return Case(seed, index, function, family, MAKERS[function](family, rng))
-
-
-# --- states ----------------------------------------------------------------------------------------------------------
 
 
 def _modes(values: list[complex]) -> Array:
@@ -206,9 +187,6 @@ def _size(rng: Rng) -> int:
     return int(rng.integers(2, 6)) if rng.random() < 0.85 else int(rng.integers(6, 11))
 
 
-# --- synthesis -------------------------------------------------------------------------------------------------------
-
-
 def _generalised(family: str, rng: Rng, h2: bool) -> dict[str, Any]:
     n, n_w, n_u, n_y = _size(rng), int(rng.integers(1, 4)), int(rng.integers(1, 3)), int(rng.integers(1, 3))
     n_z = int(rng.integers(1, 3))
@@ -308,9 +286,6 @@ def _ncf(family: str, rng: Rng) -> dict[str, Any]:
     return data
 
 
-# --- analysis --------------------------------------------------------------------------------------------------------
-
-
 def _parts(rng: Rng, most: int = 5) -> tuple[Part, ...]:
     """A few blocks of all kinds."""
     kind = rng.choice(["real", "mixed", "complex", "full"], p=[0.45, 0.3, 0.1, 0.15])
@@ -354,10 +329,6 @@ def _uncertain(family: str, rng: Rng, n_in: int, n_out: int, level: tuple[float,
         parts = tuple(b._replace(below=float(rng.choice([0.25, 0.5, 2.0]))) for b in parts)
     M = Model(A, B, C, D, dt)
     return {"M": _extreme(rng, M) if family.startswith("denormals") else M, "parts": parts}
-
-
-def _margin(family: str, rng: Rng) -> dict[str, Any]:
-    return _uncertain(family, rng, 0, 0, (-0.7, 0.7))
 
 
 def _gain(family: str, rng: Rng) -> dict[str, Any]:
@@ -425,12 +396,6 @@ def _norm(family: str, rng: Rng) -> dict[str, Any]:
 
 
 MAKERS: dict[str, Callable[[str, Rng], dict[str, Any]]] = {
-    "hinf": lambda family, rng: _generalised(family, rng, False),
-    "mixsyn": _mixsyn,
-    "h2": lambda family, rng: _generalised(family, rng, True),
-    "ncf": _ncf,
-    "margin": _margin,
-    "gain": _gain,
-    "mu": _mu,
-    "norm": _norm,
-}
+    "hinf": partial(_generalised, h2=False), "h2": partial(_generalised, h2=True), "mixsyn": _mixsyn, "ncf": _ncf,
+    "margin": partial(_uncertain, n_in=0, n_out=0, level=(-0.7, 0.7)), "gain": _gain, "mu": _mu, "norm": _norm,
+}  # fmt: skip

@@ -9,52 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import exact_delta as deltas
+import exact_loops as loops
 import numpy as np
 from attack_cases import Case
-from exact_delta import (
-    NEAR,
-    Part,
-    block_norm,
-    distance_to_singular,
-    gain_inside,
-    is_on_boundary,
-    last_places,
-    member_is_stable,
-    proves,
-    scalings_fit,
-    singular_inside,
-    slices,
-    structure_holds,
-    unstable_inside,
-)
-from exact_loops import (
-    Model,
-    System,
-    closed,
-    coprime_plant,
-    exact,
-    eye,
-    float_or_inf,
-    four_parts,
-    gain,
-    h2_norm,
-    in_series,
-    inverse,
-    is_stable,
-    joined,
-    norm_is_below,
-    peak,
-    poles,
-    product,
-    response,
-    sensitivity_plant,
-    system,
-    upper_closed,
-    with_precision,
-)
+from exact_delta import NEAR, Part, block_norm, slices
+from exact_loops import Model, System, exact, float_or_inf, product, with_precision
 from flint import acb_mat, arb
-
-__all__ = ["judge"]
 
 Claim = dict[str, Any]
 Findings = Iterator[str]
@@ -71,18 +32,15 @@ def judge(case: Case, claim: Claim, rng: np.random.Generator) -> list[str]:
     return list(VERDICTS[case.function](case.data, claim, rng))
 
 
-# --- designs ---------------------------------------------------------------------------------------------------------
-
-
 def _hinf(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
     P, K = data["P"], claim["K"]
 
     def at(omega: Any) -> Any:
-        p, k = response(P, omega), response(K, omega)
-        P11, P12, P21, P22 = four_parts(p, data["n_meas"], data["n_con"])
-        return gain(P11 + product(P12, k, inverse(acb_mat(eye(k.ncols())) - product(P22, k)), P21))
+        p, k = loops.response(P, omega), loops.response(K, omega)
+        P11, P12, P21, P22 = loops.four_parts(p, data["n_meas"], data["n_con"])
+        return loops.gain(P11 + product(P12, k, loops.inverse(acb_mat(loops.eye(k.ncols())) - product(P22, k)), P21))
 
-    yield from _norm_of_loop(lambda: closed(system(P), system(K)), at, [P, K], claim)
+    yield from _norm_of_loop(lambda: loops.closed(loops.system(P), loops.system(K)), at, [P, K], claim)
 
 
 def _mixsyn(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
@@ -91,13 +49,17 @@ def _mixsyn(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Fin
     weights = [None if data[k] is None else repeated(data[k], n) for k, n in (("W1", n_y), ("W2", n_u), ("W3", n_y))]
 
     def at(omega: Any) -> Any:
-        g, k = response(G, omega), response(K, omega)
-        S = inverse(acb_mat(eye(n_y)) + product(g, k))
+        g, k = loops.response(G, omega), loops.response(K, omega)
+        S = loops.inverse(acb_mat(loops.eye(n_y)) + product(g, k))
         terms = [S, product(k, S), product(g, k, S)]
-        return gain(joined([[product(response(w, omega), t)] for w, t in zip(weights, terms, strict=True) if w]))
+        return loops.gain(
+            loops.joined([[product(loops.response(w, omega), t)] for w, t in zip(weights, terms, strict=True) if w])
+        )
 
     def loop() -> System:
-        return closed(sensitivity_plant(system(G), *(w and system(w) for w in weights)), system(K))
+        return loops.closed(
+            loops.sensitivity_plant(loops.system(G), *(w and loops.system(w) for w in weights)), loops.system(K)
+        )
 
     yield from _norm_of_loop(loop, at, [G, K, *(w for w in weights if w)], claim)
 
@@ -109,40 +71,42 @@ def _ncf(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findin
     W2 = repeated(data["W2"], n_y) if data["W2"] else None
 
     def shaped() -> System:
-        g = system(G) if W1 is None else in_series(system(W1), system(G))
-        return g if W2 is None else in_series(g, system(W2))
+        g = loops.system(G) if W1 is None else loops.in_series(loops.system(W1), loops.system(G))
+        return g if W2 is None else loops.in_series(g, loops.system(W2))
 
     def at(omega: Any) -> Any:
-        g, k = response(G, omega), response(inner, omega)
-        g = g if W1 is None else product(g, response(W1, omega))
-        g = g if W2 is None else product(response(W2, omega), g)
-        unit = acb_mat(eye(n_u))
-        middle = product(inverse(unit - product(k, g)), joined([[k, unit]]))
-        return gain(joined([[product(g, middle)], [middle]]))
+        g, k = loops.response(G, omega), loops.response(inner, omega)
+        g = g if W1 is None else product(g, loops.response(W1, omega))
+        g = g if W2 is None else product(loops.response(W2, omega), g)
+        unit = acb_mat(loops.eye(n_u))
+        middle = product(loops.inverse(unit - product(k, g)), loops.joined([[k, unit]]))
+        return loops.gain(loops.joined([[product(g, middle)], [middle]]))
 
     everything = [m for m in (G, inner, W1, W2) if m is not None]
-    yield from _norm_of_loop(lambda: closed(coprime_plant(shaped()), system(inner)), at, everything, claim)
-    own = with_precision(lambda: _stable(closed(coprime_plant(system(G)), system(K))))
+    yield from _norm_of_loop(
+        lambda: loops.closed(loops.coprime_plant(shaped()), loops.system(inner)), at, everything, claim
+    )
+    own = with_precision(lambda: _stable(loops.closed(loops.coprime_plant(loops.system(G)), loops.system(K))))
     if own is not True:
         yield from _unstable(claim, "the loop of the plant as given")
 
 
 def _h2(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
     P, K = data["P"], claim["K"]
-    loop = lambda: closed(system(P), system(K))  # noqa: E731
+    loop = lambda: loops.closed(loops.system(P), loops.system(K))  # noqa: E731
     if with_precision(lambda: _stable(loop())) is not True:
         yield from _unstable(claim, "the loop")
         return
     if not claim["trusted"]:
         return
     if not P.dt:
-        D11, D12, D21, _ = four_parts(exact(P.D), data["n_meas"], data["n_con"])
+        D11, D12, D21, _ = loops.four_parts(exact(P.D), data["n_meas"], data["n_con"])
         cancels = _largest(D11) + _largest(D12) * _largest(exact(K.D)) * _largest(D21)
         left = with_precision(lambda: _largest(loop().D))
         if left is not None and left > cancels * arb(CANCELLED):
             yield f"FALSE: a direct term of {float_or_inf(left):.3g} is left, so the H2 norm is infinite"
             return
-    yield from _h2_differs(claim["gamma"], with_precision(lambda: h2_norm(loop())))
+    yield from _h2_differs(claim["gamma"], with_precision(lambda: loops.h2_norm(loop())))
 
 
 def _h2_differs(value: float, true: arb | None) -> Findings:
@@ -167,7 +131,7 @@ def repeated(w: Model, n: int) -> Model:
 
 
 def _stable(loop: System) -> bool | None:
-    return is_stable(loop.A, loop.discrete)
+    return loops.is_stable(loop.A, loop.discrete)
 
 
 def _unstable(claim: Claim, what: str) -> Findings:
@@ -183,10 +147,10 @@ def _norm_of_loop(loop: Callable[[], System], at: Response, models: list[Model],
     if not claim["trusted"] or not np.isfinite(claim["gamma"]):
         return
     limit = (arb(claim["gamma"]) * arb(1 + DESIGN)).mid()
-    below = with_precision(lambda: norm_is_below(loop(), limit))
+    below = with_precision(lambda: loops.norm_is_below(loop(), limit))
     around = [p for m in models for p in np.linalg.eigvals(m.A).tolist()] if below else _all_poles(loop, models)
     points, rounds = (8, 0) if below else (40, 40)
-    top, omega = peak(at, around, models[0].dt, points, rounds, 0 if below else 6)
+    top, omega = loops.peak(at, around, models[0].dt, points, rounds, 0 if below else 6)
     if top > limit:
         excess = float_or_inf(top / arb(claim["gamma"])) - 1
         yield f"FALSE: gamma {claim['gamma']:.6g}, exact gain {float_or_inf(top):.6g} at {omega:.6g} ({excess:+.2%})"
@@ -203,15 +167,12 @@ def _norm_of_loop(loop: Callable[[], System], at: Response, models: list[Model],
 
 def _all_poles(loop: Callable[[], System], models: list[Model]) -> list[complex]:
     found = [p for m in models for p in np.linalg.eigvals(m.A).tolist()]
-    return found + (with_precision(lambda: poles(loop().A)) or [])
-
-
-# --- norms -----------------------------------------------------------------------------------------------------------
+    return found + (with_precision(lambda: loops.poles(loop().A)) or [])
 
 
 def _norm(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
     G = data["G"]
-    stable = with_precision(lambda: is_stable(exact(G.A), G.dt > 0))
+    stable = with_precision(lambda: loops.is_stable(exact(G.A), G.dt > 0))
     if claim["trusted"]:
         yield from _hinf_bracket(G, claim, stable)
     if claim["h2_trusted"]:
@@ -228,15 +189,19 @@ def _hinf_bracket(G: Model, claim: Claim, stable: bool | None) -> Findings:
         yield f"FALSE: norm {upper:.6g} of a model that is not stable in exact arithmetic"
         return
     limit, floor = (arb(upper) * arb(1 + BRACKET)).mid(), (arb(lower) * arb(1 - BRACKET)).mid()
-    below = with_precision(lambda: norm_is_below(system(G), limit))
+    below = with_precision(lambda: loops.norm_is_below(loops.system(G), limit))
     if below is not True:
-        top, omega = peak(lambda w: gain(response(G, w)), np.linalg.eigvals(G.A).tolist(), G.dt)
+        top, omega = loops.peak(lambda w: loops.gain(loops.response(G, w)), np.linalg.eigvals(G.A).tolist(), G.dt)
         if below is False or top > limit:
             yield f"FALSE: upper {upper:.12g}, exact gain {float_or_inf(top):.12g} at {omega:.6g} or beyond"
         else:
             yield "note: norm attacked at frequencies, not decided for all of them"
-    attained = with_precision(lambda: gain(response(G, claim["frequency"])))
-    if lower > 0 and (attained is None or attained < floor) and with_precision(lambda: norm_is_below(system(G), floor)):
+    attained = with_precision(lambda: loops.gain(loops.response(G, claim["frequency"])))
+    if (
+        lower > 0
+        and (attained is None or attained < floor)
+        and with_precision(lambda: loops.norm_is_below(loops.system(G), floor))
+    ):
         yield f"FALSE: lower {lower:.12g} at {claim['frequency']:.6g} is above the norm"
     if lower > upper:
         yield f"FALSE: lower {lower!r} above upper {upper!r}"
@@ -249,10 +214,7 @@ def _h2_value(G: Model, claim: Claim, stable: bool | None) -> Findings:
         if np.isfinite(value) or finite:
             yield f"FALSE: H2 norm {value:.6g}, exact arithmetic says {'finite' if finite else 'infinite'}"
         return
-    yield from _h2_differs(value, with_precision(lambda: h2_norm(system(G))))
-
-
-# --- mu --------------------------------------------------------------------------------------------------------------
+    yield from _h2_differs(value, with_precision(lambda: loops.h2_norm(loops.system(G))))
 
 
 def _mu(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
@@ -261,9 +223,9 @@ def _mu(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Finding
     if lower > upper:
         yield f"FALSE: lower {lower!r} above upper {upper!r}"
     if 0 < upper < np.inf:
-        if not scalings_fit(parts, claim["D"], claim["D_z"], claim["G"]):
+        if not deltas.scalings_fit(parts, claim["D"], claim["D_z"], claim["G"]):
             yield "FALSE: D, G do not have the structure"
-        elif not proves(M, claim["D"], claim["D_z"], claim["G"], upper):
+        elif not deltas.proves(M, claim["D"], claim["D_z"], claim["G"], upper):
             yield f"FALSE: D, G do not prove the upper bound {upper:.9g}"
     # M of size one, by a power of two, so that no radius overflows. An upper bound of zero says that nothing is
     # singular: a ball as large as sensible is tried.
@@ -271,7 +233,7 @@ def _mu(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Finding
     unit = np.ldexp(M.real, -exponent) + 1j * np.ldexp(M.imag, -exponent)
     top = float(np.ldexp(upper, -exponent))
     radius = min((1 - 1e-7) / top, 1e60) if top > 0 else 1e3
-    if np.isfinite(upper) and unit.any() and (found := singular_inside(unit, parts, radius, rng)):
+    if np.isfinite(upper) and unit.any() and (found := deltas.singular_inside(unit, parts, radius, rng)):
         yield f"FALSE: a singular Delta of size {found:.9g} times 2^{-exponent}, upper bound {upper:.9g}"
     if lower <= 0:
         if upper > 0:
@@ -281,18 +243,15 @@ def _mu(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Finding
     if not np.isfinite(delta).all():
         yield "FALSE: Delta is not finite"
         return
-    moved, _ = distance_to_singular(M, parts, delta)
-    if not structure_holds(parts, delta):
+    moved, _ = deltas.distance_to_singular(M, parts, delta)
+    if not deltas.structure_holds(parts, delta):
         yield "FALSE: Delta does not have the structure"
     elif abs(block_norm(parts, delta) * lower - 1) > 2 * NEAR:
         yield f"FALSE: Delta has size {block_norm(parts, delta):.9g}, claimed {1 / lower:.9g}"
-    elif moved > NEAR and last_places(M, delta) > 2:
+    elif moved > NEAR and deltas.last_places(M, delta) > 2:
         yield f"FALSE: Delta is not singular to within {NEAR:g} of itself ({moved:.1e}), nor for M to its last places"
     elif moved > NEAR:
         yield "note: singular for M with other last places"
-
-
-# --- margins and gains -----------------------------------------------------------------------------------------------
 
 
 def _margin(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
@@ -300,18 +259,18 @@ def _margin(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Fin
     lower, upper, delta = claim["lower"], claim["upper"], claim["delta"]
     if lower > upper * (1 + NEAR):
         yield f"FALSE: proved margin {lower:.9g} above the attained one {upper:.9g}"
-    if lower > 0 and with_precision(lambda: is_stable(exact(model.A), model.dt > 0)) is not True:
+    if lower > 0 and with_precision(lambda: loops.is_stable(exact(model.A), model.dt > 0)) is not True:
         yield "FALSE: the nominal model is not stable in exact arithmetic"
         return
     if lower > 0:
-        found = unstable_inside(model, parts, min(lower * (1 - PROVED), 1e6), rng, delta)
+        found = deltas.unstable_inside(model, parts, min(lower * (1 - PROVED), 1e6), rng, delta)
         if found is not None:
             yield f"FALSE: a Delta of size {block_norm(parts, found):.9g} is unstable, proved margin {lower:.9g}"
     if np.isfinite(upper):
         size = block_norm(parts, delta)
-        if not structure_holds(parts, delta) or abs(size / upper - 1) > NEAR:
+        if not deltas.structure_holds(parts, delta) or abs(size / upper - 1) > NEAR:
             yield f"FALSE: the critical Delta has size {size:.9g}, claimed {upper:.9g}, or not the structure"
-        elif not is_on_boundary(model, parts, delta, 1e-7):
+        elif not deltas.is_on_boundary(model, parts, delta, 1e-7):
             yield f"FALSE: the critical Delta of size {upper:.9g} leaves the model stable"
     if any(p.below != 1 for p in parts):
         return  # the proof is of a shifted model then
@@ -328,12 +287,12 @@ def _piece_holds(model: Model, parts: tuple[Part, ...], piece: tuple[Any, ...], 
     w = np.concatenate([np.arange(where[i][0].start, where[i][0].stop) for i in chosen])
     z = np.concatenate([np.arange(where[i][1].start, where[i][1].stop) for i in chosen])
     own = Model(model.A, model.B[:, w], model.C[z], model.D[np.ix_(z, w)], model.dt)
-    if not scalings_fit([parts[i] for i in chosen], Dw, Dz, G):
+    if not deltas.scalings_fit([parts[i] for i in chosen], Dw, Dz, G):
         yield f"FALSE: D, G of the interval {low:.9g} .. {high:.9g} do not have the structure"
         return
     end = high if np.isfinite(high) else 1e6 * max(low, 1.0)
     for omega in [low, high, *rng.uniform(low, end, 2), float(np.sqrt(max(low, 1e-9 * end) * end))]:
-        if not proves(lambda omega=omega: _half_plane(own, omega), Dw, Dz, G, beta):
+        if not deltas.proves(lambda omega=omega: _half_plane(own, omega), Dw, Dz, G, beta):
             yield f"FALSE: D, G do not prove mu <= {beta:.9g} at {omega:.9g} in their interval {low:.9g} .. {high:.9g}"
             return
 
@@ -341,9 +300,9 @@ def _piece_holds(model: Model, parts: tuple[Part, ...], piece: tuple[Any, ...], 
 def _half_plane(model: Model, omega: float) -> acb_mat:
     """The response at s = j omega of the continuous model, or of the bilinear map of a discrete one."""
     if not model.dt:
-        return acb_mat(response(model, omega))
+        return acb_mat(loops.response(model, omega))
     angle = 2 * arb(omega).atan() if np.isfinite(omega) else arb.pi()
-    return acb_mat(response(model, angle / arb(model.dt)))
+    return acb_mat(loops.response(model, angle / arb(model.dt)))
 
 
 def _gain(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
@@ -351,17 +310,17 @@ def _gain(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findi
     lower, upper, delta, omega = claim["lower"], claim["upper"], claim["delta"], claim["frequency"]
     if lower > upper:
         yield f"FALSE: lower {lower!r} above upper {upper!r}"
-    if lower > 0 and (not structure_holds(parts, delta) or block_norm(parts, delta) > 1 + NEAR):
+    if lower > 0 and (not deltas.structure_holds(parts, delta) or block_norm(parts, delta) > 1 + NEAR):
         yield f"FALSE: the worst Delta has size {block_norm(parts, delta):.9g} or not the structure"
     elif np.isinf(lower):
-        if not is_on_boundary(model, parts, delta, 1e-7):
+        if not deltas.is_on_boundary(model, parts, delta, 1e-7):
             yield "FALSE: an infinite gain, but its Delta leaves the model stable"
         return
     elif lower > 0 and not _attains(model, delta, lower, omega):
         yield f"FALSE: the gain {lower:.9g} is not that of its Delta at {omega}"
     if not np.isfinite(upper):
         return
-    found = unstable_inside(model, parts, 1 - 1e-9, rng)
+    found = deltas.unstable_inside(model, parts, 1 - 1e-9, rng)
     if found is not None:
         yield f"FALSE: gain {upper:.6g} proved, but a Delta of size {block_norm(parts, found):.9g} is unstable"
         return
@@ -372,9 +331,11 @@ def _gain(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findi
     grid = np.concatenate([[0.0, end, omega or 0.0], size, (omega or 0.0) * np.array([0.99, 1.01])])
     if len(size):
         grid = np.append(grid, np.geomspace(size.min() / 3, size.max() * 3, 15))
-    _, worst, omega = gain_inside(model, parts, np.unique(grid[grid <= end]), rng)
+    _, worst, omega = deltas.gain_inside(model, parts, np.unique(grid[grid <= end]), rng)
     limit = (arb(upper) * arb(1 + PROVED)).mid()
-    top, where = peak(lambda w: _member_gain(model, worst, w), [1j * omega] if not model.dt else [], model.dt, 12, 20)
+    top, where = loops.peak(
+        lambda w: _member_gain(model, worst, w), [1j * omega] if not model.dt else [], model.dt, 12, 20
+    )
     for w in (omega, where):
         value = with_precision(lambda w=w: _member_gain(model, worst, w))
         if value is not None and value > limit:
@@ -388,14 +349,14 @@ def _gain(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findi
 
 def _member_gain(model: Model, delta: np.ndarray, omega: Any) -> arb:
     q, p = delta.shape
-    M = response(model, omega)
-    D11, D12, D21, D22 = four_parts(M, M.nrows() - p, M.ncols() - q)
+    M = loops.response(model, omega)
+    D11, D12, D21, D22 = loops.four_parts(M, M.nrows() - p, M.ncols() - q)
     d = acb_mat(exact(delta + 0j))
-    return gain(D22 + product(D21, d, inverse(acb_mat(eye(p)) - product(D11, d)), D12))
+    return loops.gain(D22 + product(D21, d, loops.inverse(acb_mat(loops.eye(p)) - product(D11, d)), D12))
 
 
 def _member_below(model: Model, delta: np.ndarray, limit: arb) -> bool | None:
-    return norm_is_below(upper_closed(system(model), exact(delta)), limit)
+    return loops.norm_is_below(loops.upper_closed(loops.system(model), exact(delta)), limit)
 
 
 def _attains(model: Model, delta: np.ndarray, lower: float, omega: float | None) -> bool:
@@ -404,18 +365,12 @@ def _attains(model: Model, delta: np.ndarray, lower: float, omega: float | None)
         value = with_precision(lambda: _member_gain(model, delta, omega))
         if value is not None and value >= floor:
             return True
-    if np.imag(delta).any() or not member_is_stable(model, delta):
+    if np.imag(delta).any() or not deltas.member_is_stable(model, delta):
         return False
     return with_precision(lambda: _member_below(model, np.real(delta), floor)) is not True
 
 
 VERDICTS: dict[str, Callable[[dict[str, Any], Claim, np.random.Generator], Findings]] = {
-    "hinf": _hinf,
-    "mixsyn": _mixsyn,
-    "h2": _h2,
-    "ncf": _ncf,
-    "margin": _margin,
-    "gain": _gain,
-    "mu": _mu,
+    "hinf": _hinf, "mixsyn": _mixsyn, "h2": _h2, "ncf": _ncf, "margin": _margin, "gain": _gain, "mu": _mu,
     "norm": _norm,
-}
+}  # fmt: skip

@@ -24,9 +24,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
-import json
 import math
-import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from itertools import pairwise
@@ -36,14 +34,12 @@ from typing import Any
 import numpy as np
 import zeros_judge as judge
 from flint import acb
+from harness import append, json_lines, timed
 
 import robustlab as rl
 
 Parts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 CLOSE = 1e-9
-
-
-# --- models ----------------------------------------------------------------------------------------------------------
 
 
 def dense(rng: np.random.Generator, n: int, m: int, p: int, direct: bool = False) -> Parts:
@@ -73,10 +69,6 @@ def nonnormal(rng: np.random.Generator) -> Parts:
     else:
         A += np.triu(rng.normal(size=(n, n)) * (S if rng.random() < 0.5 else S ** rng.random((n, n))), 1)
     return A, B, C, D
-
-
-def nonnormal_rotated(rng: np.random.Generator) -> Parts:
-    return rotated(rng, nonnormal(rng))
 
 
 def stiff(rng: np.random.Generator) -> Parts:
@@ -179,38 +171,28 @@ def ordinary(rng: np.random.Generator) -> Parts:
 
 
 FAMILIES: dict[str, Callable[[np.random.Generator], Parts]] = {
-    "nonnormal": nonnormal,
-    "nonnormal, rotated": nonnormal_rotated,
-    "stiff": stiff,
-    "mixed scales": mixed,
-    "nearly triangular": nearly_triangular,
-    "damping 1e-9": lightly_damped,
-    "not square": not_square,
-    "hidden modes": hidden_modes,
-    "tiny direct term": tiny_direct_term,
-    "integrator chains": integrators,
-    "relative degree, rotated": relative_degree,
-    "low normal rank": low_rank,
-    "nothing, or zero": edges,
-    "ordinary": ordinary,
-}
-
-
-# --- zeros -----------------------------------------------------------------------------------------------------------
+    "nonnormal": nonnormal, "nonnormal, rotated": lambda rng: rotated(rng, nonnormal(rng)), "stiff": stiff,
+    "mixed scales": mixed, "nearly triangular": nearly_triangular, "damping 1e-9": lightly_damped,
+    "not square": not_square, "hidden modes": hidden_modes, "tiny direct term": tiny_direct_term,
+    "integrator chains": integrators, "relative degree, rotated": relative_degree, "low normal rank": low_rank,
+    "nothing, or zero": edges, "ordinary": ordinary,
+}  # fmt: skip
 
 
 def zeros_case(i: int) -> dict[str, Any]:
     family = list(FAMILIES)[i % len(FAMILIES)]
     rng = np.random.default_rng([11, i])
     parts = tuple(np.asarray(x, dtype=float) for x in FAMILIES[family](rng))
-    begun = time.perf_counter()
-    found = rl.zeros(rl.StateSpaceModel(*parts))
-    seconds = time.perf_counter() - begun
-    record = {"family": family, "status": str(found.status), "reason": found.reason, "seconds": seconds, "wrong": ""}
+    found, seconds = timed(rl.zeros, rl.StateSpaceModel(*parts))
+    record = _record(family, found, seconds)
     if found.status.trustworthy:
         record["wrong"] = zeros_fault(parts, found, rng)
         record["near_infinity"], record["missed"] = len(found.near_infinity), found.exact.count(False)
     return record
+
+
+def _record(family: str, found: Any, seconds: float) -> dict[str, Any]:
+    return {"family": family, "status": str(found.status), "reason": found.reason, "seconds": seconds, "wrong": ""}
 
 
 def zeros_fault(parts: Parts, found: Any, rng: np.random.Generator) -> str:
@@ -248,9 +230,6 @@ def _kept_rank(parts: Parts, z: complex, rank: int) -> float:
             P = P / np.sqrt(np.where(size > 0, size, 1.0))
     sigma = np.linalg.svd(P, compute_uv=False)
     return float(sigma[len(A) + rank - 1] / sigma[0])
-
-
-# --- crossings -------------------------------------------------------------------------------------------------------
 
 
 def loop_case(rng: np.random.Generator, family: str) -> tuple[Parts, float]:
@@ -302,13 +281,12 @@ def crossings_case(i: int) -> dict[str, Any]:
     if family == "two channels":
         return two_channels(rng)
     parts, dt = loop_case(rng, family)
-    begun = time.perf_counter()
     try:
-        margin = next(iter(rl.classical_margins(rl.StateSpaceModel(*parts, dt)).channels.values()))
+        found, seconds = timed(rl.classical_margins, rl.StateSpaceModel(*parts, dt))
     except rl.NoTrustworthyNumber as error:
         return {"family": family, "status": "refused", "reason": error.found, "seconds": 0.0, "wrong": ""}
-    record = {"family": family, "status": str(margin.status), "reason": margin.reason, "wrong": ""}
-    record["seconds"] = time.perf_counter() - begun
+    margin = next(iter(found.channels.values()))
+    record = _record(family, margin, seconds)
     if margin.status.trustworthy:
         record["wrong"] = crossings_fault(judge.Loop(*parts, dt), margin)
     return record
@@ -359,10 +337,9 @@ def two_channels(rng: np.random.Generator) -> dict[str, Any]:
     P = (A / t[:, None] * t, B / t[:, None], C * t, D)
     k = -rng.uniform(0.1, 5, 2)
     K = (np.diag(k), np.eye(2), rng.normal(size=(2, 2)), rng.normal(size=(2, 2)) * (rng.random() < 0.3))
-    begun = time.perf_counter()
-    margin = rl.classical_margins(rl.StateSpaceModel(*P), rl.StateSpaceModel(*K)).channels["y1"]
-    record = {"family": "two channels", "status": str(margin.status), "reason": margin.reason, "wrong": ""}
-    record["seconds"] = time.perf_counter() - begun
+    found, seconds = timed(rl.classical_margins, rl.StateSpaceModel(*P), rl.StateSpaceModel(*K))
+    margin = found.channels["y1"]
+    record = _record("two channels", margin, seconds)
 
     def opened(w: float) -> acb:
         s = acb(0, w)
@@ -386,27 +363,18 @@ def two_channels(rng: np.random.Generator) -> dict[str, Any]:
     return record
 
 
-FORMS = ("additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
-         "inverse-input-multiplicative", "inverse-output-multiplicative")  # fmt: skip
-
-
-# --- campaigns -------------------------------------------------------------------------------------------------------
-
 CASES = {"zeros": zeros_case, "crossings": crossings_case}
 
 
 def run(what: str, first: int, count: int, out: Path) -> None:
-    done = {json.loads(line)["case"] for line in out.read_text().splitlines()} if out.exists() else set()
-    with out.open("a") as file:
-        for i in range(first, first + count):
-            if i not in done:
-                record = {"what": what, "case": i, **CASES[what](i)}
-                file.write(json.dumps(record, default=str) + "\n")
-                file.flush()
+    done = {record["case"] for record in json_lines([out])}
+    for i in range(first, first + count):
+        if i not in done:
+            append(out, {"what": what, "case": i, **CASES[what](i)})
 
 
 def summary(files: list[Path]) -> str:
-    records = [json.loads(line) for file in files for line in file.read_text().splitlines()]
+    records = list(json_lines(files))
     lines = []
     for what in CASES:
         rows: dict[str, list[Any]] = defaultdict(list)
@@ -421,9 +389,8 @@ def summary(files: list[Path]) -> str:
             wrong = sum(bool(r["wrong"]) for r in found)
             good = status["converged"] + status["certified"]
             middle = 1e3 * float(np.median([r["seconds"] for r in found]))
-            lines.append(
-                f"{family:<28}{len(found):>8}{good:>13}{status['inaccurate']:>12}{status['refused']:>9}{wrong:>7}{middle:>8.1f}"
-            )
+            told = f"{good:>13}{status['inaccurate']:>12}{status['refused']:>9}{wrong:>7}{middle:>8.1f}"
+            lines.append(f"{family:<28}{len(found):>8}{told}")
         lines.append("")
     lines += [f"WRONG {r['what']} {r['case']} {r['family']}: {r['wrong']}" for r in records if r["wrong"]]
     near = sum(r.get("near_infinity", 0) > 0 for r in records)

@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["RESOLVABLE", "distance"]
-
 RESOLVABLE = 3.0
 WINDOWS = 12  # into which a record is cut
 MOST_STARTS = 24  # combinations of places and starts of the hidden effects

@@ -15,16 +15,18 @@ the second, whose position is measured with noise 0.05 n, z = 0.5 [x2; u].
 from __future__ import annotations
 
 import argparse
-import time
 import warnings
 from pathlib import Path
 
 import numpy as np
+from harness import timed
 
 import robustlab as rl
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
+
+BLOCKS = [FullBlock("u", 2, 2), FullBlock("p", 2, 2)]  # of the column
 
 
 def distillation() -> StateSpaceModel:
@@ -66,16 +68,12 @@ def whole_axis(plant: StateSpaceModel, K: StateSpaceModel, blocks: list, n: int)
 
 def default() -> None:
     """The call as a user makes it, on the column: level, order, time; then the lowest order within 1 % of it."""
-    plant, blocks = distillation(), [FullBlock("u", 2, 2), FullBlock("p", 2, 2)]
+    plant, blocks = distillation(), BLOCKS
     rl.dk(oscillator(), [ComplexScalar("k"), FullBlock("p", 2, 2)], 1, 1, effort=0.02)  # compiled kernels are not timed
-    start = time.process_time()
-    design = rl.dk(plant, blocks, 2, 2)
-    cpu = time.process_time() - start
+    design, cpu = timed(rl.dk, plant, blocks, 2, 2)
     print(f"  default: gamma {design.gamma:.6f} {design.status.value} ({design.K.n_states} states), CPU {cpu:.1f} s")
     print(f"    {design.why}")
-    start = time.process_time()
-    small = rl.reduce_controller(design, loss=0.01)
-    cpu = time.process_time() - start
+    small, cpu = timed(rl.reduce_controller, design, loss=0.01)
     low, high = whole_axis(plant, small.K, blocks, 2)
     print(
         f"  reduced: gamma {small.gamma:.6f} ({small.K.n_states} states, {small.loss:.2%} above), margin's own proof "
@@ -113,20 +111,17 @@ def machines() -> None:
         ("platform", platform, {"order_rel": 0.3, "effort": 0.4, "max_order": 36}),
     ):
         nominal = rl.hinf(problem.nominal, gamma_rel=1.1)
-        start = time.process_time()
-        design = rl.dk(problem.plant, K0=nominal, **options)
-        cpu = time.process_time() - start
+        design, cpu = timed(rl.dk, problem.plant, K0=nominal, **options)
         print(f"  {name}: gamma {design.gamma:.4f} ({design.K.n_states} states), CPU {cpu:.1f} s; {design.why}")
         print(f"    {design.lower_bound.value:.4f}: {design.lower_bound.known}", flush=True)
 
 
 def column() -> None:
     """Classical D-K iteration alone, and with direct minimisation, for several largest orders."""
-    plant, blocks = distillation(), [FullBlock("u", 2, 2), FullBlock("p", 2, 2)]
+    plant, blocks = distillation(), BLOCKS
     for direct, order in ((False, 26), (True, 10), (True, 14), (True, 18), (True, 22)):
-        start = time.process_time()
-        design = rl.dk(plant, blocks, 2, 2, direct=direct, max_order=order, order_rel=0.0, effort=2.5, progress=None)
-        cpu = time.process_time() - start
+        options = {"max_order": order, "order_rel": 0.0, "effort": 2.5, "progress": None}
+        design, cpu = timed(rl.dk, plant, blocks, 2, 2, direct=direct, **options)
         first = min((s.gamma for s in design.history if s.stage != "direct"), default=np.nan)
         low, high = whole_axis(plant, design.K, blocks, 2)
         print(
@@ -144,7 +139,7 @@ def peer() -> None:
     except ImportError:
         print("  dkpy is not installed")
         return
-    plant, blocks = distillation(), [FullBlock("u", 2, 2), FullBlock("p", 2, 2)]
+    plant, blocks = distillation(), BLOCKS
     iteration = dkpy.DkIterListOrder(
         controller_synthesis=dkpy.HinfSynSlicot(),
         structured_singular_value=dkpy.SsvLmiBisection(
@@ -154,17 +149,15 @@ def peer() -> None:
         d_scale_fit=dkpy.DScaleFitSlicot(),
         fit_orders=[4, 4, 4],
     )  # fmt: skip
-    start = time.process_time()
+    P = control.ss(plant.A, plant.B, plant.C, plant.D)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            P = control.ss(plant.A, plant.B, plant.C, plant.D)
-            K, _, peak, _, _ = iteration.synthesize(P, 2, 2, np.logspace(-3, 3, 61), [[2, 2], [2, 2]])
+            found, cpu = timed(iteration.synthesize, P, 2, 2, np.logspace(-3, 3, 61), [[2, 2], [2, 2]])
     except BaseException as error:  # noqa: BLE001  a solver's panic is no Exception
-        print(f"  dkpy: {type(error).__name__}: {error}, CPU {time.process_time() - start:.1f} s")
+        print(f"  dkpy: {type(error).__name__}: {error}")
         return
-    cpu = time.process_time() - start
-    claim = float(np.max(peak))
+    K, claim = found[0], float(np.max(found[2]))
     try:
         low, high = whole_axis(plant, StateSpaceModel.from_control(K), blocks, 2)
         truth = f"mu on the whole axis [{low:.4f}, {high:.4f}]"
@@ -179,9 +172,7 @@ def mixed() -> None:
         blocks = [RealScalar("k"), FullBlock("p", 2, 2)]
         found = []
         for real in (False, True):
-            start = time.process_time()
-            design = rl.dk(plant, blocks, 1, 1, mixed=real, max_order=12, order_rel=0.0, effort=2.5)
-            cpu = time.process_time() - start
+            design, cpu = timed(rl.dk, plant, blocks, 1, 1, mixed=real, max_order=12, order_rel=0.0, effort=2.5)
             low, high = whole_axis(plant, design.K, blocks, 1)
             found.append(design.gamma)
             print(

@@ -10,40 +10,13 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from exact_loops import (
-    Model,
-    adjoint,
-    exact,
-    eye,
-    is_positive,
-    is_stable,
-    system,
-    upper_closed,
-    with_precision,
-)
+from exact_loops import Model, adjoint, exact, eye, is_positive, is_stable, system, upper_closed, with_precision
 from flint import acb, acb_mat, arb
-
-__all__ = [
-    "Part",
-    "assembled",
-    "block_norm",
-    "count",
-    "distance_to_singular",
-    "gain_inside",
-    "is_on_boundary",
-    "last_places",
-    "member_is_stable",
-    "proves",
-    "scalings_fit",
-    "singular_inside",
-    "slices",
-    "structure_holds",
-    "unstable_inside",
-]
 
 Matrix = np.ndarray
 # How far from a singular Delta a returned one may lie, relative to its own size.
 NEAR = 1e-8
+AT_ONCE: dict[str, Any] = {"polish": False, "vectorized": True, "updating": "deferred"}  # differential evolution
 
 
 class Part(NamedTuple):
@@ -104,6 +77,22 @@ def assembled(parts: Sequence[Part], v: Matrix, radius: float, smooth: bool = Fa
     return radius * delta
 
 
+def _tries(parts: Sequence[Part], rng: np.random.Generator, counts: tuple[int, int, int]) -> Matrix:
+    """Free numbers (k, m): inside, at vertices, of any phase; all vertices of a few real numbers."""
+    m = count(parts)
+    tries = [rng.uniform(-1, 1, (counts[0], m)), np.sign(rng.standard_normal((counts[1], m)))]
+    tries.append(rng.standard_normal((counts[2], m)) * 3)
+    return np.concatenate([*tries, _vertices(m)]) if _all_real(parts) and m <= 7 else np.concatenate(tries)
+
+
+def _vertices(m: int) -> Matrix:
+    return 1.0 - 2.0 * ((np.arange(2**m)[:, None] >> np.arange(m)) & 1)
+
+
+def _all_real(parts: Sequence[Part]) -> bool:
+    return all(b.kind == "real" for b in parts)
+
+
 def structure_holds(parts: Sequence[Part], delta: Matrix) -> bool:
     """Whether a Delta has exactly the structure of the blocks."""
     rest = np.array(delta, dtype=complex)
@@ -115,9 +104,6 @@ def structure_holds(parts: Sequence[Part], delta: Matrix) -> bool:
             return False
         rest[w, z] = 0
     return not rest.any()
-
-
-# --- upper bounds of mu ----------------------------------------------------------------------------------------------
 
 
 def scalings_fit(parts: Sequence[Part], Dw: Matrix, Dz: Matrix, G: Matrix) -> bool:
@@ -152,9 +138,6 @@ def proves(M: Any, Dw: Matrix, Dz: Matrix, G: Matrix, beta: float) -> bool:
         return True if is_positive(slack) and is_positive(D) else None
 
     return bool(with_precision(test))
-
-
-# --- lower bounds of mu ----------------------------------------------------------------------------------------------
 
 
 def distance_to_singular(M: Matrix, parts: Sequence[Part], delta: Matrix) -> tuple[float, Matrix]:
@@ -262,9 +245,8 @@ def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.ran
 
     met: list[Matrix] = []
     guesses = [3 * rng.standard_normal(m) for _ in range(3)]
-    if all(b.kind == "real" for b in parts) and len(parts) <= 8:
-        bits = 1.0 - 2.0 * ((np.arange(2 ** len(parts))[:, None] >> np.arange(len(parts))) & 1)
-        corners = assembled(parts, bits, radius)
+    if _all_real(parts) and len(parts) <= 8:
+        corners = assembled(parts, _vertices(len(parts)), radius)
         values = np.linalg.eigvals(M @ corners)
         best = np.where(np.abs(values.imag) <= 1e-13 * np.abs(values), values.real, 0.0).max(axis=1)
         k = int(best.argmax())
@@ -282,14 +264,7 @@ def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.ran
             if abs(value) >= 1:
                 met.append(end / value)
     if m <= 8:
-        options: dict[str, Any] = {
-            "maxiter": 20,
-            "popsize": 6,
-            "polish": False,
-            "vectorized": True,
-            "updating": "deferred",
-        }
-        guesses.append(differential_evolution(smallest, [(-4, 4)] * m, rng=rng, **options).x)
+        guesses.append(differential_evolution(smallest, [(-4, 4)] * m, rng=rng, maxiter=20, popsize=6, **AT_ONCE).x)
     for guess in guesses:
         end = least_squares(nearest, guess, method="trf", max_nfev=25, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         if np.hypot(*end.fun) <= 1e-9:
@@ -300,9 +275,6 @@ def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.ran
         if moved < 1e-3 and size_at < radius:
             return size_at
     return None
-
-
-# --- margins ---------------------------------------------------------------------------------------------------------
 
 
 def member_is_stable(model: Model, delta: Matrix) -> bool:
@@ -360,16 +332,12 @@ def unstable_inside(
     if not len(model.A):
         return None
     m = count(parts)
-    tries = [rng.uniform(-1, 1, (60, m)), np.sign(rng.standard_normal((60, m))), rng.standard_normal((30, m)) * 3]
-    if all(b.kind == "real" for b in parts) and m <= 7:
-        tries.append(1.0 - 2.0 * ((np.arange(2**m)[:, None] >> np.arange(m)) & 1))
-    points = np.concatenate(tries)
-    options: dict[str, Any] = {"maxiter": 25, "popsize": 5, "polish": False, "vectorized": True, "updating": "deferred"}
+    points = _tries(parts, rng, (60, 60, 30))
 
     def worst(v: Matrix) -> Matrix:
         return -instability(model, assembled(parts, v.T, radius))
 
-    end = differential_evolution(worst, [(-1.2, 1.2)] * m, rng=rng, **options)
+    end = differential_evolution(worst, [(-1.2, 1.2)] * m, rng=rng, maxiter=25, popsize=5, **AT_ONCE)
     start = end.x if end.fun <= worst(points.T).min() else points[worst(points.T).argmin()]
     if m <= 8:
         start = minimize(lambda v: float(worst(v[:, None])[0]), start, method="Nelder-Mead", options={"maxfev": 200}).x
@@ -395,10 +363,7 @@ def gain_inside(
 
     m = count(parts)
     q, p = sum(b.rows for b in parts), sum(b.cols for b in parts)
-    tries = [rng.uniform(-1, 1, (40, m)), np.sign(rng.standard_normal((60, m))), rng.standard_normal((20, m)) * 3]
-    if all(b.kind == "real" for b in parts) and m <= 7:
-        tries.append(1.0 - 2.0 * ((np.arange(2**m)[:, None] >> np.arange(m)) & 1))
-    points = np.concatenate(tries)
+    points = _tries(parts, rng, (40, 60, 20))
     deltas = assembled(parts, points, 1.0)
     best = (-1.0, deltas[0], 0.0)
     tops: list[tuple[float, float, Matrix]] = []

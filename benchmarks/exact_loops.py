@@ -1,6 +1,7 @@
-r"""Loops judged in ball arithmetic of at least 200 digits: stability, H-infinity and H2 norms of what floats stand for.
+r"""Loops judged in rationals, or in balls of at least 200 digits: stability, H-infinity and H2 norms.
 
 Nothing of robustlab is used here: the judge takes plain arrays. Every entry is the very number that the float is.
+Rationals decide everything; balls cost less for large models.
 
 Stability
     Signs of the Routh array of the characteristic polynomial (of a discrete loop after ``z = (1 + s)/(1 - s)``).
@@ -12,7 +13,7 @@ Gain at a frequency
 H2 norm
     The Gramian by doubling of the Cayley transform.
 
-A test whose sign no precision decides answers None.
+A test in balls whose sign no precision decides answers None.
 """
 
 from __future__ import annotations
@@ -22,32 +23,12 @@ from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from flint import acb, acb_mat, acb_poly, arb, arb_mat, arb_poly, ctx
-
-__all__ = [
-    "Model",
-    "System",
-    "closed",
-    "coprime_plant",
-    "exact",
-    "four_parts",
-    "gain",
-    "h2_norm",
-    "is_positive",
-    "is_stable",
-    "norm_is_below",
-    "peak",
-    "poles",
-    "response",
-    "sensitivity_plant",
-    "upper_closed",
-    "with_precision",
-]
+from flint import acb, acb_mat, acb_poly, arb, arb_mat, arb_poly, ctx, fmpq, fmpq_mat, fmpq_poly
 
 # Bits of the mantissa; the next one is taken where a sign is open.
 PRECISIONS = (700, 2500, 10000)
 T = TypeVar("T")
-Matrix = Any  # arb_mat or acb_mat
+Matrix = Any  # fmpq_mat, arb_mat or acb_mat
 
 
 class Model(NamedTuple):
@@ -61,7 +42,7 @@ class Model(NamedTuple):
 
 
 class System(NamedTuple):
-    """A model in balls."""
+    """A model in balls or rationals."""
 
     A: Matrix
     B: Matrix
@@ -87,9 +68,6 @@ def with_precision(test: Callable[[], T | None]) -> T | None:
         ctx.prec = before
 
 
-# --- matrices --------------------------------------------------------------------------------------------------------
-
-
 def exact(a: Any) -> Matrix:
     """The matrix of the very numbers that the floats are."""
     array = np.asarray(a)
@@ -99,16 +77,20 @@ def exact(a: Any) -> Matrix:
     return arb_mat(rows, columns, [arb(float(v)) for v in array.ravel()])
 
 
+def rational(a: Any) -> fmpq_mat:
+    """The same of real floats, as fractions."""
+    array = np.asarray(a, dtype=float)
+    return fmpq_mat(*array.shape, [fmpq(*v.as_integer_ratio()) for v in array.ravel().tolist()])
+
+
 def joined(rows: Sequence[Sequence[Matrix]]) -> Matrix:
     """A matrix from its blocks."""
-    kind = acb_mat if any(isinstance(m, acb_mat) for row in rows for m in row) else arb_mat
+    kind = next((k for k in (acb_mat, arb_mat) if any(isinstance(m, k) for row in rows for m in row)), fmpq_mat)
     height, width = sum(row[0].nrows() for row in rows), sum(m.ncols() for m in rows[0])
     entries: list[Any] = []
     for row in rows:
         tables = [m.tolist() if m.ncols() else [[]] * m.nrows() for m in row]
-        for lines in zip(*tables, strict=True):
-            for line in lines:
-                entries += line
+        entries += [v for lines in zip(*tables, strict=True) for line in lines for v in line]
     return kind(height, width, entries)
 
 
@@ -120,14 +102,10 @@ def part(m: Matrix, rows: slice, columns: slice) -> Matrix:
     return type(m)(height, width, [v for line in chosen for v in line])
 
 
-def eye(n: int) -> arb_mat:
-    """The unit matrix."""
-    return arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
-
-
-def zeros(rows: int, columns: int) -> arb_mat:
-    """A matrix of zeros."""
-    return arb_mat(rows, columns)
+def eye(n: int, of: Any = 1) -> Matrix:
+    """The unit matrix times a number."""
+    kind = arb_mat if isinstance(of, arb) else fmpq_mat
+    return kind(n, n, [of if i == j else 0 for i in range(n) for j in range(n)])
 
 
 def adjoint(a: Matrix) -> Matrix:
@@ -155,7 +133,7 @@ def product(*factors: Matrix) -> Matrix:
 
 def is_positive(n: Matrix) -> bool:
     """All leading minors of the Hermitian part are positive, radii of the balls included."""
-    table = ((n + adjoint(n)) * arb(0.5)).tolist() if n.nrows() else []
+    table = (n + adjoint(n)).tolist() if n.nrows() else []
     for k in range(len(table)):  # elimination without pivoting: the pivots are the ratios of the minors
         pivot = table[k][k].real if isinstance(table[k][k], acb) else table[k][k]
         if not pivot > 0:
@@ -167,12 +145,9 @@ def is_positive(n: Matrix) -> bool:
     return True
 
 
-def system(model: Model) -> System:
-    """The model in balls."""
-    return System(exact(model.A), exact(model.B), exact(model.C), exact(model.D), model.dt > 0)
-
-
-# --- loops -----------------------------------------------------------------------------------------------------------
+def system(model: Model, as_matrix: Callable[[Any], Matrix] = exact) -> System:
+    """The model in balls, or with `rational` in fractions."""
+    return System(*map(as_matrix, model[:4]), model.dt > 0)
 
 
 def four_parts(D: Matrix, n_meas: int, n_con: int) -> tuple[Matrix, Matrix, Matrix, Matrix]:
@@ -188,13 +163,7 @@ def four_parts(D: Matrix, n_meas: int, n_con: int) -> tuple[Matrix, Matrix, Matr
 
 
 def closed(P: System, K: System) -> System:
-    """The lower LFT with ``u = K y``.
-
-    Raises
-    ------
-    ZeroDivisionError
-        ``I - D_K D22`` is not regular.
-    """
+    """The lower LFT with ``u = K y``. ZeroDivisionError: ``I - D_K D22`` is not regular."""
     n, n_u, n_y = P.A.nrows(), K.D.nrows(), K.D.ncols()
     z, w = P.D.nrows() - n_y, P.D.ncols() - n_u
     every = slice(0, n)
@@ -214,13 +183,7 @@ def closed(P: System, K: System) -> System:
 
 
 def upper_closed(M: System, delta: Matrix) -> System:
-    """The upper LFT ``F_u(M, Delta)``.
-
-    Raises
-    ------
-    ZeroDivisionError
-        ``I - D11 Delta`` is not regular.
-    """
+    """The upper LFT ``F_u(M, Delta)``. ZeroDivisionError: ``I - D11 Delta`` is not regular."""
     n, (q, p) = M.A.nrows(), (delta.nrows(), delta.ncols())
     n_u, n_y = M.D.ncols() - q, M.D.nrows() - p
     every = slice(0, n)
@@ -241,7 +204,7 @@ def in_series(first: System, second: System) -> System:
     """``second * first``."""
     n, m = first.A.nrows(), second.A.nrows()
     return System(
-        joined([[first.A, zeros(n, m)], [product(second.B, first.C), second.A]]),
+        joined([[first.A, fmpq_mat(n, m)], [product(second.B, first.C), second.A]]),
         joined([[first.B], [product(second.B, first.D)]]),
         joined([[product(second.D, first.C), second.C]]),
         product(second.D, first.D),
@@ -254,19 +217,19 @@ def sensitivity_plant(G: System, W1: System | None, W2: System | None, W3: Syste
     n, n_y, n_u = G.A.nrows(), G.D.nrows(), G.D.ncols()
     sources = {  # what drives each weight, from (x, r, u)
         "e": (G.C * -1, eye(n_y), G.D * -1),
-        "u": (zeros(n_u, n), zeros(n_u, n_y), eye(n_u)),
-        "y": (G.C, zeros(n_y, n_y), G.D),
+        "u": (fmpq_mat(n_u, n), fmpq_mat(n_u, n_y), eye(n_u)),
+        "y": (G.C, fmpq_mat(n_y, n_y), G.D),
     }
     given = [(w, sources[k]) for w, k in ((W1, "e"), (W2, "u"), (W3, "y")) if w is not None]
     sizes = [n, *(w.A.nrows() for w, _ in given)]
 
     def line(diagonal: int, first: Matrix, own: Matrix) -> list[Matrix]:
-        blocks = [first, *(zeros(first.nrows(), s) for s in sizes[1:])]
+        blocks = [first, *(fmpq_mat(first.nrows(), s) for s in sizes[1:])]
         blocks[diagonal] = own
         return blocks
 
     A = [line(0, G.A, G.A)]
-    B = [[zeros(n, n_y), G.B]]
+    B = [[fmpq_mat(n, n_y), G.B]]
     C, D = [], []
     for k, (w, (x, r, u)) in enumerate(given, 1):
         A.append(line(k, product(w.B, x), w.A))
@@ -286,42 +249,28 @@ def coprime_plant(G: System) -> System:
     n, n_y, n_u = G.A.nrows(), G.D.nrows(), G.D.ncols()
     return System(
         G.A,
-        joined([[zeros(n, n_y), G.B, G.B]]),
-        joined([[G.C], [zeros(n_u, n)], [G.C]]),
-        joined(
-            [
-                [zeros(n_y, n_y), G.D, G.D],
-                [zeros(n_u, n_y), eye(n_u), eye(n_u)],
-                [eye(n_y), G.D, G.D],
-            ]
-        ),
+        joined([[fmpq_mat(n, n_y), G.B, G.B]]),
+        joined([[G.C], [fmpq_mat(n_u, n)], [G.C]]),
+        joined([[fmpq_mat(n_y, n_y), G.D, G.D], [fmpq_mat(n_u, n_y), eye(n_u), eye(n_u)], [eye(n_y), G.D, G.D]]),
         G.discrete,
     )
-
-
-# --- stability -------------------------------------------------------------------------------------------------------
 
 
 def is_stable(A: Matrix, discrete: bool) -> bool | None:
     """Whether all eigenvalues lie in the open region of stability; None where this precision cannot tell."""
     if not A.nrows():
         return True
-    polynomial = A.charpoly()
+    c = A.charpoly().coeffs()
     if isinstance(A, acb_mat):  # with the conjugate roots the polynomial is real
-        mirrored = acb_poly([c.conjugate() for c in polynomial.coeffs()])
-        polynomial = arb_poly([c.real for c in (polynomial * mirrored).coeffs()])
+        c = [v.real for v in (acb_poly(c) * acb_poly([v.conjugate() for v in c])).coeffs()]
     if discrete:
-        plus, minus = arb_poly([1, 1]), arb_poly([1, -1])
-        coefficients, n = polynomial.coeffs(), polynomial.degree()
-        polynomial = sum((c * plus**k * minus ** (n - k) for k, c in enumerate(coefficients)), arb_poly([0]))
-        coefficients = polynomial.coeffs()
-        coefficients += [arb(0)] * (n + 1 - len(coefficients))
-    else:
-        coefficients = polynomial.coeffs()
-    return _hurwitz(coefficients[::-1])
+        kind, n = fmpq_poly if isinstance(A, fmpq_mat) else arb_poly, len(c) - 1
+        c = sum((v * kind([1, 1]) ** k * kind([1, -1]) ** (n - k) for k, v in enumerate(c)), kind([0])).coeffs()
+        c += [0 * A[0, 0]] * (n + 1 - len(c))
+    return _hurwitz(c[::-1])
 
 
-def _hurwitz(c: list[arb]) -> bool | None:
+def _hurwitz(c: list[Any]) -> bool | None:
     """Routh's test of a polynomial, highest power first."""
     if c[0] < 0:
         c = [-v for v in c]
@@ -336,7 +285,7 @@ def _hurwitz(c: list[arb]) -> bool | None:
         if not lower[0] > 0:
             return None
         factor = upper[0] / lower[0]
-        below = [u - factor * v for u, v in zip(upper[1:], [*lower[1:], arb(0)], strict=False)]
+        below = [u - factor * v for u, v in zip(upper[1:], [*lower[1:], 0], strict=False)]
         upper, lower = lower, below
     return True
 
@@ -353,21 +302,19 @@ def poles(A: Matrix) -> list[complex]:
     return [v for v in map(complex, found) if np.isfinite(v)]
 
 
-# --- norms -----------------------------------------------------------------------------------------------------------
-
-
 def norm_is_below(G: System, gamma: Any) -> bool | None:
-    """Whether the H-infinity norm of a stable real system is below gamma, over all frequencies at once."""
+    """Whether the H-infinity norm of a stable real system is below gamma > 0, over all frequencies at once."""
     if not G.D.nrows() or not G.D.ncols():
         return True
-    if G.discrete:
-        G = _continuous(G)
-    level = arb(gamma) ** 2
-    D, n = G.D, G.A.nrows()
-    R = eye(D.ncols()) * level - D.transpose() * D
+    if G.discrete:  # s = (z - 1)/(z + 1) keeps stability and the norm
+        inside = inverse(G.A + eye(G.A.nrows()))
+        A, B, C = product(inside, G.A - eye(G.A.nrows())), product(inside, G.B) * 2, product(G.C, inside)
+        G = System(A, B, C, G.D - product(C, G.B), False)
+    D, sure = G.D, isinstance(gamma, fmpq)
+    R = eye(D.ncols(), gamma * gamma) - D.transpose() * D
     if not is_positive(R):
-        return False if gain(D) > arb(gamma) else None
-    if not n:
+        return False if sure or gain(D) > gamma else None
+    if not G.A.nrows():
         return True
     inverse_R = R.inv()
     A = G.A + product(G.B, inverse_R, D.transpose(), G.C)
@@ -378,22 +325,21 @@ def norm_is_below(G: System, gamma: Any) -> bool | None:
             [product(G.C.transpose(), S, G.C) * -1, A.transpose() * -1],
         ]
     )
-    even = H.charpoly().coeffs()[::2]
-    roots = _positive_roots([c * (-1) ** k for k, c in enumerate(even)])
+    even = [c * (-1) ** k for k, c in enumerate(H.charpoly().coeffs()[::2])]
+    if sure:
+        return bool(even[0] != 0) and _exact_positive_roots(fmpq_poly(even)) == 0
+    roots = _positive_roots(even)
     return None if roots is None else roots == 0
 
 
-def _continuous(G: System) -> System:
-    """Under ``s = (z - 1)/(z + 1)``, which keeps stability and the H-infinity norm."""
-    n = G.A.nrows()
-    inside = inverse(G.A + eye(n))
-    return System(
-        product(inside, G.A - eye(n)),
-        product(inside, G.B) * arb(2).sqrt(),
-        product(G.C, inside) * arb(2).sqrt(),
-        G.D - product(G.C, inside, G.B),
-        False,
-    )
+def _exact_positive_roots(f: fmpq_poly) -> int:
+    """Number of distinct positive roots of a polynomial with ``f(0) != 0``, by Sturm's sequence."""
+    chain = [f, f.derivative()]
+    while chain[-1] != 0:
+        chain.append(-(chain[-2] % chain[-1]))
+    ends = [p(0) for p in chain if p(0) != 0], [p.leading_coefficient() for p in chain[:-1]]
+    low, high = (sum((a > 0) != (b > 0) for a, b in pairwise(values)) for values in ends)
+    return low - high
 
 
 def _positive_roots(c: list[arb]) -> int | None:
@@ -432,8 +378,8 @@ def h2_norm(G: System) -> arb | None:
     else:
         sizes = [abs(p) for p in poles(G.A) if p]
         a = arb(float(np.exp(np.mean(np.log(sizes))))) if sizes else arb(1)
-        inside = inverse(eye(n) * a - G.A)
-        A, B = product(inside, eye(n) * a + G.A), product(inside, G.B)
+        inside = inverse(eye(n, a) - G.A)
+        A, B = product(inside, eye(n, a) + G.A), product(inside, G.B)
         Q = product(B, B.transpose()) * (2 * a)
     X = Q
     for _ in range(400):  # X = Q + A Q A^T + ..., twice as many terms in every step
@@ -445,9 +391,6 @@ def h2_norm(G: System) -> arb | None:
     else:
         return None
     return (product(G.C, X, G.C.transpose()).trace() + direct).mid().sqrt() if n else direct.sqrt()
-
-
-# --- gains at frequencies --------------------------------------------------------------------------------------------
 
 
 def response(model: Model, omega: Any) -> Matrix:
@@ -480,12 +423,7 @@ def gain(M: Matrix) -> arb:
 
 
 def peak(
-    at: Callable[[Any], arb],
-    found: Sequence[complex],
-    dt: float,
-    points: int = 24,
-    rounds: int = 30,
-    beside: int = 6,
+    at: Callable[[Any], arb], found: Sequence[complex], dt: float, points: int = 24, rounds: int = 30, beside: int = 6
 ) -> tuple[arb, float]:
     """Largest gain met at 0, infinity, at and beside all given poles, on a grid between them, at the tops refined."""
     if dt:

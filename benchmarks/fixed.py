@@ -12,75 +12,36 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
-import signal
 import statistics
-import subprocess
-import sys
-import time
-from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
+from harness import compleib, heading, in_child, limit_cpu, over_best, timed
 
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.fixed.fixed_structure import fixed_structure
 
-COMPLEIB = Path(__file__).parents[2] / "shared" / "data" / "compleib.h5"
 
-
-def plant(group: Any) -> StateSpaceModel:
-    m = {key: group[key][()] for key in group}
-    D = np.block([[m["D11"], m["D12"]], [m["D21"], np.zeros((m["C"].shape[0], m["B"].shape[1]))]])
-    return StateSpaceModel(m["A"], np.hstack([m["B1"], m["B"]]), np.vstack([m["C1"], m["C"]]), D)
-
-
-def child(name: str, starts: int) -> dict[str, Any]:
+def child(name: str, starts: int, limit: float) -> dict[str, Any]:
     """One design: its certified norm and CPU time."""
-    with h5py.File(COMPLEIB) as file:
-        P = plant(file[name])
-        about: dict[str, Any] = dict(file[name].attrs)
-    fixed_structure(warm_up(), "static", n_meas=1, n_con=1, objective="h2", starts=0)  # imports
-    begin = time.process_time()
-    try:
-        design = fixed_structure(
-            P, "static", n_meas=int(about["ny"]), n_con=int(about["nu"]), starts=starts, effort=10.0
-        )
-    except NoTrustworthyNumber as error:
-        return {"gamma": float("inf"), "cpu": time.process_time() - begin, "why": error.found}
-    norm = hinf_norm(lower_lft(P, design.K))
-    why = "" if norm.status.trustworthy else norm.reason
-    return {"gamma": norm.upper, "cpu": time.process_time() - begin, "why": why}
+    limit_cpu(limit)
+    ((_, matrices, about),) = compleib([name])
+    P, n_y, n_u = StateSpaceModel(*matrices.values()), int(about["ny"]), int(about["nu"])
+    tiny = StateSpaceModel([[1.0]], [[1.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0], [0, 1], [0, 0]])
+    fixed_structure(tiny, "static", n_meas=1, n_con=1, objective="h2", starts=0)  # imports
 
+    def designed() -> tuple[float, str]:
+        try:
+            design = fixed_structure(P, "static", n_meas=n_y, n_con=n_u, starts=starts, effort=10.0)
+        except NoTrustworthyNumber as error:
+            return float("inf"), error.found
+        norm = hinf_norm(lower_lft(P, design.K))
+        return norm.upper, "" if norm.status.trustworthy else norm.reason
 
-def warm_up() -> StateSpaceModel:
-    return StateSpaceModel([[1.0]], [[1.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0], [0, 1], [0, 0]])
-
-
-def in_child(name: str, starts: int, limit: int) -> dict[str, Any]:
-    command = [sys.executable, __file__, "--child", "--starts", str(starts), name]
-
-    def limited() -> None:
-        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
-
-    done = subprocess.run(command, capture_output=True, text=True, check=False, preexec_fn=limited)
-    if done.returncode:
-        killed = done.returncode in (-signal.SIGXCPU, -signal.SIGKILL)
-        return {"gamma": float("inf"), "cpu": float(limit), "why": "CPU limit" if killed else done.stderr[-200:]}
-    return json.loads(done.stdout)
-
-
-def judged(gamma: float, best: float, zero: bool) -> float:
-    """The norm over the best known; where the infimum looks like zero, 1 below 1e-2 and inf above."""
-    if zero:
-        return 1.0 if gamma <= 1e-2 else float("inf")
-    return gamma / best
-
-
-SHARES = (0.99, 1.001, 1.01, 1.05)
+    (gamma, why), cpu = timed(designed)
+    return {"gamma": gamma, "cpu": cpu, "why": why}
 
 
 def main() -> None:
@@ -92,32 +53,27 @@ def main() -> None:
     parser.add_argument("--child", action="store_true")
     options = parser.parse_args()
     if options.child:
-        print(json.dumps(child(options.names[0], options.starts)))
+        print(json.dumps(child(options.names[0], options.starts, options.cpu_limit)))
         return
-    with h5py.File(COMPLEIB) as file:
-        table: dict[str, dict[str, Any]] = {str(name): dict(file[name].attrs) for name in file}
-    known = [k for k in table if "static_hinf_best" in table[k] and table[k]["n"] <= options.states]
-    names = options.names or sorted(known, key=lambda k: (table[k]["n"], k))
-    ratios: list[float] = []
-    hifoo: list[float] = []
-    times: list[float] = []
-    for name in names:
-        about, found = table[name], in_child(name, options.starts, options.cpu_limit)
+    print(heading("numpy", "scipy"), flush=True)
+    rows: list[tuple[float, float, float]] = []  # our ratio, HIFOO's, CPU
+    for name, _, about in compleib(options.names, options.states):
+        if "static_hinf_best" not in about:
+            continue
+        limits = ["--starts", str(options.starts), "--cpu-limit", str(options.cpu_limit)]
+        found = in_child([__file__, "--child", *limits, name], "", options.cpu_limit)
+        found = {"gamma": float("inf"), "why": found.get("refused", "")} | found
         best, other = float(about["static_hinf_best"]), float(about.get("static_hinf_hifoo3501_measured", np.inf))
-        zero = bool(about["infimum_looks_zero"])
-        ratio, theirs = (judged(x, best, zero) for x in (found["gamma"], other))
-        ratios.append(ratio)
-        hifoo.append(theirs)
-        times.append(found["cpu"])
+        ratio, theirs = (over_best(x, best, about["infimum_looks_zero"]) for x in (found["gamma"], other))
+        rows.append((ratio, theirs, found["cpu"]))
         line = f"{name:10s} n={about['n']:3d}  {about['nu'] * about['ny']:3d} gains  norm {found['gamma']:12.6g}"
         line += f"  / best {ratio:9.5f}  HIFOO / best {theirs:9.5f}  {found['cpu']:6.2f} s  {found['why']}"
         print(line.rstrip(), flush=True)
-    print(f"\n{len(names)} plants, n <= {options.states}; {options.starts} random starts besides the own one")
+    ratios, hifoo, times = zip(*rows, strict=True)
+    print(f"\n{len(rows)} plants, n <= {options.states}; {options.starts} random starts besides the own one")
     for title, values in (("robustlab", ratios), ("HIFOO 3.501", hifoo)):
-        shares = "  ".join(
-            f"<= {most:g}: {np.mean(np.array(values) <= most):.1%}" for most in (0.99, 1.001, 1.01, 1.05)
-        )
-        print(f"{title:12s} {shares}")
+        shares = (f"<= {most:g}: {np.mean(np.array(values) <= most):.1%}" for most in (0.99, 1.001, 1.01, 1.05))
+        print(f"{title:12s} {'  '.join(shares)}")
     better = sum(r < 0.99 * h for r, h in zip(ratios, hifoo, strict=True))
     worse = sum(r > 1.01 * h for r, h in zip(ratios, hifoo, strict=True))
     print(f"against HIFOO: more than 1 % better on {better}, more than 1 % worse on {worse}")

@@ -28,7 +28,7 @@ import tempfile
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ import numpy as np
 import scipy.io
 import scipy.sparse
 from fuzz_edits import BYTES, STRUCTURAL, TEXT, Edit, hdf5_object, json_node, matlab_variables
+from harness import heading
 
 import robustlab as rl
 from robustlab.dynamics import Descriptor, LinearPlant, Parameter
@@ -80,9 +81,6 @@ class Found:
     slowest: float = 0.0
 
 
-# --- readers ---------------------------------------------------------------------------------------------------------
-
-
 def read_stored(path: Path, isolate: bool) -> tuple[Any, bool]:
     """Models, records, results: what `rl.load` takes."""
     loaded = interchange.read(path, isolate=isolate)
@@ -101,11 +99,6 @@ def read_recipe(path: Path, isolate: bool) -> tuple[Any, bool]:
     loaded = load_recipe(path)
     look_through(loaded)
     return loaded, False
-
-
-def read_expressions(path: Path, isolate: bool) -> tuple[Any, bool]:
-    """``robustlab uncertain build --expressions``."""
-    return load_parametric(path), False
 
 
 def digest(thing: Any) -> str:
@@ -137,25 +130,30 @@ def readers(folder: Path) -> list[Reader]:
             "tank", {"area": Parameter("area", 2.0, "m2", 0.1)}, (inflow,), (level,), (level,), TANK
         ),
     }
+
+    def hdf5(name: str, *seeds: tuple[str, bytes], hashed: bool = False) -> Reader:
+        return Reader(name, seeds, read_stored, (*BYTES, *[hdf5_object] * 4), hashed)
+
+    def text(name: str, file: str, seeds: Iterable[bytes], read: Any, *more: Edit) -> Reader:
+        return Reader(name, tuple((file, raw) for raw in seeds), read, (*TEXT, *more))
+
     found = []
     for kind, thing in things.items():
         rl.save(folder / "x.h5", thing)
-        raw = (folder / "x.h5").read_bytes()
-        found.append(Reader(f"HDF5 {kind}", (("x.h5", raw),), read_stored, (*BYTES, *[hdf5_object] * 4), hashed=True))
-    plain = (("x.h5", _plain()), ("x.h5", _pair()), ("x.mat", _matlab73()))
-    found.append(Reader("HDF5 plain", plain[:2], read_stored, (*BYTES, *[hdf5_object] * 4)))
-    found.append(Reader("MATLAB 7.3", plain[2:], read_stored, (*BYTES, *[hdf5_object] * 4)))
-    matlab = (("x.mat", _matlab5(True)), ("x.mat", _matlab5(False)))
-    found.append(Reader("MATLAB 5", matlab, read_stored, (*BYTES, *BYTES, matlab_variables)))
-    tables = tuple(("x.csv", text.encode()) for text in TABLES)
-    found.append(Reader("CSV", tables, read_stored, TEXT))
-    result = (("result.json", json.dumps(RESULT, indent=1).encode()),)
-    found.append(Reader("result.json", result, read_report, (*TEXT, *[json_node] * 6)))
-    recipes = tuple(("x.toml", (ROOT / "recipes" / f"{n}.toml").read_bytes()) for n in RECIPES)
-    found.append(Reader("TOML recipe", recipes, read_recipe, TEXT))
-    expressions = (("x.toml", (ROOT / "models" / "springs.toml").read_bytes()), ("x.toml", EXPRESSIONS.encode()))
-    found.append(Reader("TOML expressions", expressions, read_expressions, TEXT))
-    return found
+        found.append(hdf5(f"HDF5 {kind}", ("x.h5", (folder / "x.h5").read_bytes()), hashed=True))
+    matlab = tuple(("x.mat", _matlab5(compressed)) for compressed in (True, False))
+    recipes = ((ROOT / "recipes" / f"{n}.toml").read_bytes() for n in RECIPES)
+    expressions = ((ROOT / "models" / "springs.toml").read_bytes(), EXPRESSIONS.encode())
+    return [
+        *found,
+        hdf5("HDF5 plain", ("x.h5", _plain()), ("x.h5", _pair())),
+        hdf5("MATLAB 7.3", ("x.mat", _matlab73())),
+        Reader("MATLAB 5", matlab, read_stored, (*BYTES, *BYTES, matlab_variables)),
+        text("CSV", "x.csv", map(str.encode, TABLES), read_stored),
+        text("result.json", "result.json", [json.dumps(RESULT, indent=1).encode()], read_report, *[json_node] * 6),
+        text("TOML recipe", "x.toml", recipes, read_recipe),
+        text("TOML expressions", "x.toml", expressions, lambda path, _: (load_parametric(path), False)),
+    ]
 
 
 TABLES = (
@@ -178,47 +176,21 @@ c = 9.81
 """
 TANK = lambda p: Descriptor(E=[[p["area"]]], F=[[-0.1]], G=[[1.0]], C=[[1.0]])  # noqa: E731
 RESULT: dict[str, Any] = {
-    "schema": "robustlab.result/1",
-    "command": "run",
-    "exit_code": 0,
-    "requirements": [
-        {"text": "fast", "that": "a.x", "condition": "at least 1", "value": 2.0, "met": True, "why_not": ""}
-    ],
-    "steps": [
-        {
-            "name": "a",
-            "do": "plant",
-            "title": "A",
-            "status": "certified",
-            "summary": "Did it.",
-            "error": "",
-            "trustworthy": True,
-            "numbers": {"x": 2.0, "y": [1, 2]},
-            "notes": ["mind"],
-            "text": "a\n  b",
-            "figures": [],
-            "facts": [{"label": "speed", "value": "2 rad/s", "source": ""}],
-            "seconds": 0.1,
-        }
-    ],
-    "recipe": {
-        "name": "r",
-        "title": "",
-        "description": "One.\n\nTwo.",
-        "file": "r.toml",
-        "sha256": "ab12",
-        "overrides": {"seed": "7"},
-        "text": "name = 1",
-    },
-    "seed": 7,
-    "seconds": 1.25,
+    "schema": "robustlab.result/1", "command": "run", "exit_code": 0, "seed": 7, "seconds": 1.25,
+    "requirements": [{"text": "fast", "that": "a.x", "condition": "at least 1", "value": 2.0, "met": True,
+                      "why_not": ""}],
+    "steps": [{"name": "a", "do": "plant", "title": "A", "status": "certified", "summary": "Did it.", "error": "",
+               "trustworthy": True, "numbers": {"x": 2.0, "y": [1, 2]}, "notes": ["mind"], "text": "a\n  b",
+               "figures": [], "facts": [{"label": "speed", "value": "2 rad/s", "source": ""}], "seconds": 0.1}],
+    "recipe": {"name": "r", "title": "", "description": "One.\n\nTwo.", "file": "r.toml", "sha256": "ab12",
+               "overrides": {"seed": "7"}, "text": "name = 1"},
     "provenance": {"created": "2026-01-01", "inputs": {"m.h5": "cd34"}, "versions": {"numpy": "2.0"}},
     "files": ["report.html"],
-}
+}  # fmt: skip
 MATRICES = {"A": [[0.0, 1.0], [-2.0, -3.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "D": [[0.0]]}
 
 
-def _image(fill: Callable[[Any], None], **options: Any) -> bytes:
+def _image(fill: Callable[[Any], object], **options: Any) -> bytes:
     image = io.BytesIO()
     with h5py.File(image, "w", **options) as file:
         fill(file)
@@ -236,9 +208,7 @@ def _plain() -> bytes:
 
 
 def _pair() -> bytes:
-    return _image(
-        lambda f: [f.create_dataset(f"{g}/{n}", data=v) for g in ("nominal", "perturbed") for n, v in MATRICES.items()]
-    )
+    return _image(lambda f: [f.update({f"{g}/{n}": v}) for g in ("nominal", "perturbed") for n, v in MATRICES.items()])
 
 
 def _matlab73() -> bytes:
@@ -260,9 +230,6 @@ def _matlab5(compressed: bool) -> bytes:
     more = {"Ts": 0.1, "s": nested, "text": "hello", "sp": scipy.sparse.csc_matrix(np.eye(3)), "z": np.array([1 + 2j])}
     scipy.io.savemat(out, {**MATRICES, **more}, do_compression=compressed)
     return out.getvalue()
-
-
-# --- mutants, in processes of their own -----------------------------------------------------------------------------
 
 
 def mutants(reader: Reader, count: int, seed: int) -> Iterator[tuple[str, bytes]]:
@@ -314,7 +281,7 @@ def in_a_child(reader: Reader, paths: list[Path], truths: set[str]) -> list[tupl
     _, status, usage = os.wait4(pid, 0)
     found = [tuple(json.loads(answer)) for answer in answers.split(b"\n") if answer]
     if len(found) < len(paths):
-        memory = max(0, usage.ru_maxrss * 1024 - _resident())
+        memory = max(0, usage.ru_maxrss * 1024 - _pages(1))
         # The library crashed, or ran in circles: the public reader has a process of its own for that.
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         outcome, text = judge(reader, paths[len(found)], truths, True)
@@ -327,7 +294,7 @@ def in_a_child(reader: Reader, paths: list[Path], truths: set[str]) -> list[tupl
 
 def _child(reader: Reader, paths: list[Path], truths: set[str], end: int) -> None:
     # Limits are for what reading takes, whatever the process that forks has grown to.
-    most, had = _mapped() + ADDRESS_SPACE, _resident()
+    most, had = _pages(0) + ADDRESS_SPACE, _pages(1)
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     faulthandler.disable()  # a crash of a library is an outcome here, and told as one
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -345,14 +312,9 @@ def _child(reader: Reader, paths: list[Path], truths: set[str], end: int) -> Non
     os._exit(0)
 
 
-def _mapped() -> int:
-    """Bytes of address space of this process."""
-    return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-
-
-def _resident() -> int:
-    """Bytes of memory that this process holds."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+def _pages(which: int) -> int:
+    """Bytes of this process: 0, of address space; 1, in memory."""
+    return int(Path("/proc/self/statm").read_text().split()[which]) * resource.getpagesize()
 
 
 def attack(reader: Reader, count: int, seed: int, folder: Path, isolated_every: int = 0) -> Found:
@@ -364,7 +326,11 @@ def attack(reader: Reader, count: int, seed: int, folder: Path, isolated_every: 
         while batch:
             for result in in_a_child(reader, [path for _, _, path in batch], truths):
                 n, raw, path = batch.pop(0)
-                _note(found, reader, n, raw, _again(reader, n, path, truths, result, isolated_every))
+                outcome, words, seconds, memory = _compared(reader, n, path, truths, result, isolated_every)
+                found.counts[outcome] += 1
+                found.largest, found.slowest = max(found.largest, memory), max(found.slowest, seconds)
+                if outcome in FAULTS:
+                    found.faults.append((outcome, f"{reader.name} {n}: {words}", raw))
     return found
 
 
@@ -376,7 +342,7 @@ def _laid(folder: Path, n: int, name: str, raw: bytes) -> Path:
     return place / name
 
 
-def _again(
+def _compared(
     reader: Reader, n: int, path: Path, truths: set[str], result: tuple[str, str, float, int], every: int
 ) -> tuple[str, str, float, int]:
     """Compare with the public reader, and the good files with what they must give."""
@@ -390,26 +356,9 @@ def _again(
     return result
 
 
-def _note(found: Found, reader: Reader, n: int, raw: bytes, result: tuple[str, str, float, int]) -> None:
-    outcome, text, seconds, memory = result
-    found.counts[outcome] += 1
-    found.largest, found.slowest = max(found.largest, memory), max(found.slowest, seconds)
-    if outcome in FAULTS:
-        found.faults.append((outcome, f"{reader.name} {n}: {text}", raw))
-
-
 def main(count: int, seed: int = 1) -> int:
     """Attack every reader, print the table; the number of faults."""
-    import platform
-
-    import robustlab.provenance as origin
-
-    versions = origin.library_versions()
-    day = time.strftime("%Y-%m-%d")
-    print(f"python benchmarks/fuzz.py {count} {seed}, on {day}; {platform.machine()}, {os.cpu_count()} cores")
-    print(
-        ", ".join(f"{name} {versions[name]}" for name in ("robustlab", "python", "numpy", "scipy", "h5py")), flush=True
-    )
+    print(heading("robustlab", "numpy", "scipy", "h5py"), flush=True)
     columns = ("mutants", "read", "verified", "refused", "contained", *FAULTS)
     print(f"\n{'':20}" + "".join(f"{name:>10}" for name in (*columns, "slowest/s", "most/MB")), flush=True)
     total: Counter[str] = Counter()

@@ -16,8 +16,6 @@ import scipy.sparse
 
 Edit = Callable[[random.Random, bytes], bytes]
 
-# --- edits of bytes and of text --------------------------------------------------------------------------------------
-
 NUMBERS = [0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 62, (1 << 64) - 1]
 
 
@@ -101,8 +99,6 @@ def encoding(rng: random.Random, raw: bytes) -> bytes:
 
 TEXT: tuple[Edit, ...] = (flip, cut, insert, word, word, word, line, encoding)
 
-
-# --- edits that know the structure -----------------------------------------------------------------------------------
 
 VALUES: list[Any] = [
     None, True, 0, -1, 1e308, -1e-320, "", "x" * 5000, "\ud800", "\x1b[2J", [], {}, [[]], [[1, 2], [3]], [None],

@@ -16,25 +16,18 @@ dkpy is left out where it is not installed, and for more than 12 states.
 from __future__ import annotations
 
 import argparse
-import datetime
 import importlib.util
 import json
-import platform
-import resource
-import signal
 import statistics
-import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import COMPLEIB, compleib, heading, in_child, limit_cpu, over_best, timed
 
-COMPLEIB = Path(__file__).parents[2] / "shared" / "data" / "compleib.h5"
 TITLES = {
     "tight": "robustlab, gamma_rel = 1",
     "default": "robustlab, default (1.05)",
@@ -43,9 +36,6 @@ TITLES = {
     "dkpy": "dkpy HinfSynLmi, Clarabel",
 }
 LMI_STATES = 12
-
-
-# --- the children -----------------------------------------------------------------------------------------------------
 
 
 def child(tool: str, limit: float) -> None:
@@ -57,17 +47,19 @@ def child(tool: str, limit: float) -> None:
     P = {k: np.array(problem[k], dtype=float) for k in "ABCD"}
     design = {"control": _control, "sb10ad": _sb10ad, "dkpy": _dkpy, "ab13dd": _ab13dd}.get(tool, _ours(tool))
     run = design(P, problem)  # imports happen here
-    start = time.process_time()
-    seconds = int(start + limit) + 1
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-    try:
-        found = run()
-    except Exception as error:  # noqa: BLE001  what a tool raises is its answer
-        found = {"refused": f"{type(error).__name__}: {error}"[:160]}
-    print(json.dumps(found | {"cpu": time.process_time() - start}))
+    limit_cpu(limit)
+
+    def answer() -> dict[str, Any]:
+        try:
+            return run()
+        except Exception as error:  # noqa: BLE001  what a tool raises is its answer
+            return {"refused": f"{type(error).__name__}: {error}"[:160]}
+
+    found, cpu = timed(answer)
+    print(json.dumps(found | {"cpu": cpu}))
 
 
-def _listed(K: Any, gamma: float) -> dict[str, Any]:
+def _listed(K: Any, gamma: Any) -> dict[str, Any]:
     return {k: np.asarray(getattr(K, k)).tolist() for k in "ABCD"} | {"gamma": float(gamma)}
 
 
@@ -95,22 +87,17 @@ def _control(P: dict[str, Any], problem: dict[str, Any]) -> Callable[[], dict[st
     import control
 
     plant = control.ss(*P.values())
-
-    def run() -> dict[str, Any]:
-        K, _, gamma, _ = control.hinfsyn(plant, problem["n_y"], problem["n_u"])
-        return _listed(K, gamma)
-
-    return run
+    return lambda: _listed(*control.hinfsyn(plant, problem["n_y"], problem["n_u"])[::2])
 
 
 def _sb10ad(P: dict[str, Any], problem: dict[str, Any]) -> Callable[[], dict[str, Any]]:
     import slycot
 
-    n, m, q = P["A"].shape[0], P["B"].shape[1], P["C"].shape[0]
+    sizes = P["A"].shape[0], P["B"].shape[1], P["C"].shape[0], problem["n_u"], problem["n_y"], problem["start"]
 
     def run() -> dict[str, Any]:
-        found = slycot.sb10ad(n, m, q, problem["n_u"], problem["n_y"], problem["start"], *P.values())
-        return dict(zip("ABCD", (np.asarray(part).tolist() for part in found[1:5]), strict=True)) | {"gamma": found[0]}
+        gamma, *K = slycot.sb10ad(*sizes, *P.values())[:5]
+        return dict(zip("ABCD", (np.asarray(part).tolist() for part in K), strict=True)) | {"gamma": gamma}
 
     return run
 
@@ -123,9 +110,7 @@ def _dkpy(P: dict[str, Any], problem: dict[str, Any]) -> Callable[[], dict[str, 
 
     def run() -> dict[str, Any]:
         K, _, gamma, _ = dkpy.HinfSynLmi().synthesize(plant, problem["n_y"], problem["n_u"])
-        if K is None:
-            return {"refused": "no controller"}
-        return _listed(K, gamma)
+        return {"refused": "no controller"} if K is None else _listed(K, gamma)
 
     return run
 
@@ -134,32 +119,14 @@ def _ab13dd(P: dict[str, Any], problem: dict[str, Any]) -> Callable[[], dict[str
     from slycot import ab13dd
 
     n, m, q = P["A"].shape[0], P["B"].shape[1], P["C"].shape[0]
-
-    def run() -> dict[str, Any]:
-        gamma, peak = ab13dd("C", "I", "S", "D", n, m, q, P["A"], np.eye(n), P["B"], P["C"], P["D"], 1e-8)
-        return {"gamma": gamma, "peak": peak}
-
-    return run
+    given = "C", "I", "S", "D", n, m, q, P["A"], np.eye(n), P["B"], P["C"], P["D"], 1e-8
+    return lambda: dict(zip(("gamma", "peak"), ab13dd(*given), strict=True))
 
 
-def in_child(tool: str, problem: dict[str, Any], limit: float) -> dict[str, Any]:
-    """The child's answer; what happened instead where there is none."""
-    command = [sys.executable, "-W", "ignore", __file__, "--child", tool, "--cpu-limit", str(limit)]
+def asked(tool: str, problem: dict[str, Any], limit: float) -> dict[str, Any]:
+    """A tool's answer, from a child."""
     text = json.dumps(problem | {"limit": limit})
-    try:
-        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False, timeout=8 * limit + 60)
-    except subprocess.TimeoutExpired:
-        return {"refused": "no return", "cpu": limit}
-    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return {"refused": "no return", "cpu": limit}
-    lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
-    if done.returncode or not lines:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        return {"refused": f"died ({done.returncode}): {last[:120]}", "cpu": float("nan")}
-    return json.loads(lines[-1])
-
-
-# --- the judge --------------------------------------------------------------------------------------------------------
+    return in_child([__file__, "--child", tool, "--cpu-limit", str(limit)], text, limit)
 
 
 def loop_of(P: dict[str, Any], K: dict[str, Any]) -> dict[str, Any]:
@@ -216,13 +183,10 @@ def true_norm(P: dict[str, Any], K: dict[str, Any]) -> tuple[float, list[float]]
     if not all(np.isfinite(part).all() for part in loop.values()):
         return np.nan, []
     ours = hinf_norm(StateSpaceModel(*loop.values())).lower
-    peak = in_child("ab13dd", {k: v.tolist() for k, v in loop.items()}, 10.0).get("peak", np.nan)
+    peak = asked("ab13dd", {k: v.tolist() for k, v in loop.items()}, 10.0).get("peak", np.nan)
     third = float(gains(loop, np.array([peak]))[0]) if np.isfinite(peak) else np.nan
     voices = [ours, grid_norm(loop), third]
     return float(np.nanmax(voices)), voices
-
-
-# --- the table --------------------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -244,22 +208,6 @@ class Column:
         cells += [len(self.no_return), len(self.refused)]
         times = f"{statistics.median(self.cpu):7.2f} {max(self.cpu):7.2f}" if self.cpu else ""
         return f"{title:30s} {n:3d} " + " ".join(f"{c:7d}" for c in cells) + " " + times
-
-
-def plants(data: Path, names: list[str], most: int) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
-    import h5py
-
-    found = []
-    file: Any
-    with h5py.File(data) as file:
-        for name in sorted(names or file, key=lambda k: (file[k].attrs["n"], k)):
-            group, about = file[name], dict(file[name].attrs)
-            if about["n"] <= most and about["stabilisable"]:
-                m = {key: group[key][()] for key in group}
-                D = np.block([[m["D11"], m["D12"]], [m["D21"], np.zeros((about["ny"], about["nu"]))]])
-                P = {"A": m["A"], "B": np.hstack([m["B1"], m["B"]]), "C": np.vstack([m["C1"], m["C"]]), "D": D}
-                found.append((name, P, about))
-    return found
 
 
 def judge(name: str, P: dict[str, Any], about: dict[str, Any], answer: dict[str, Any], column: Column) -> str:
@@ -284,21 +232,8 @@ def judge(name: str, P: dict[str, Any], about: dict[str, Any], answer: dict[str,
     false = norm > 1.001 * claim + 1e-12
     if false:
         column.false_claims.append(f"{name} {claim:.4g} -> {norm:.4g}")
-    if about["infimum_looks_zero"]:
-        column.ratios.append(1.0 if norm <= 1e-2 else np.inf)
-    else:
-        column.ratios.append(norm / about["gamma_full_best_verified"])
+    column.ratios.append(over_best(norm, about["gamma_full_best_verified"], about["infimum_looks_zero"]))
     return f"{column.ratios[-1]:9.5f} {answer['cpu']:6.2f} s" + (" FALSE CLAIM" if false else "")
-
-
-def heading(options: argparse.Namespace) -> str:
-    names = ("numpy", "scipy", "slycot", "control", "cvxpy", "clarabel", "dkpy")
-    packages = ", ".join(f"{k} {version(k)}" for k in names if importlib.util.find_spec(k) is not None)
-    tools = f"kill limit of every call {options.cpu_limit:g} s of CPU"
-    return (
-        f"# python benchmarks/hinf.py {' '.join(sys.argv[1:])}\n# date {datetime.date.today()}, {platform.machine()} "
-        f"{platform.system()}, Python {platform.python_version()}, {packages}; {tools}"
-    )
 
 
 def main() -> None:
@@ -313,13 +248,14 @@ def main() -> None:
     if options.child:
         child(options.child, options.cpu_limit)
         return
-    print(heading(options), flush=True)
+    print(heading("numpy", "scipy", "slycot", "control", "cvxpy-base", "clarabel", "dkpy"))
+    print(f"# kill limit of every call {options.cpu_limit:g} s of CPU", flush=True)
     tools = [t for t in options.tools.replace("ours", "tight,default").split(",") if t in TITLES]
     if importlib.util.find_spec("dkpy") is None and "dkpy" in tools:
         tools.remove("dkpy")
     columns = {tool: Column() for tool in tools}
     poles: list[float] = []
-    for name, P, about in plants(options.data, options.names, options.most_states):
+    for name, P, about in compleib(options.names, options.most_states, options.data):
         best = max(float(about["gamma_full_best_verified"]), 1e-3)
         problem = {k: v.tolist() for k, v in P.items()}
         problem |= {"n_y": int(about["ny"]), "n_u": int(about["nu"]), "start": 10 * best}
@@ -327,7 +263,7 @@ def main() -> None:
         for tool in tools:
             if tool == "dkpy" and about["n"] > LMI_STATES:
                 continue
-            answer = in_child(tool, problem, options.cpu_limit if tool not in ("tight", "default") else 60.0)
+            answer = asked(tool, problem, options.cpu_limit if tool not in ("tight", "default") else 60.0)
             pole[tool] = answer.get("pole", np.nan)
             texts.append(f"{tool} {judge(name, P, about, answer, columns[tool])}")
         poles.append(pole.get("tight", np.nan) / pole.get("default", np.nan))

@@ -7,15 +7,11 @@ whose optimum is the measure of tightness. Slow peers get the first matrices of 
 
 from __future__ import annotations
 
-import datetime
 import importlib.util
-import os
-import platform
-import time
-from importlib.metadata import version
 
 import numpy as np
 import slycot
+from harness import heading, timed
 
 import robustlab as rl
 from robustlab.budget import one_thread
@@ -97,11 +93,18 @@ def _diagonal(cp, parts):
     return cp.bmat([[parts[i] if i == j else np.zeros((shapes[i][0], shapes[j][1])) for j in rows] for i in rows])
 
 
-def timed(function, items) -> tuple[float, list]:
+def random_stack(rows, count: int) -> tuple[np.ndarray, list]:
+    """Random complex matrices for rows of mussv, and their blocks."""
+    blocks = as_blocks(rows)
+    q, p = structure_size(blocks)
+    rng = np.random.default_rng(len(rows) * 100 + q)
+    return rng.standard_normal((count, p, q)) + 1j * rng.standard_normal((count, p, q)), list(blocks)
+
+
+def each(function, items) -> tuple[float, list]:
     """CPU milliseconds per item, and the answers."""
-    started = time.process_time()
-    answers = [function(item) for item in items]
-    return 1e3 * (time.process_time() - started) / max(len(items), 1), answers
+    answers, seconds = timed(lambda: [function(item) for item in items])
+    return 1e3 * seconds / max(len(items), 1), answers
 
 
 def ab13md(blocks):
@@ -127,13 +130,10 @@ def dkpy_bound(blocks):
 
 def line(name: str, rows, slow: int, count: int) -> str:
     """One line of the table."""
-    blocks = as_blocks(rows)
-    q, p = structure_size(blocks)
-    rng = np.random.default_rng(len(rows) * 100 + q)
-    M = rng.standard_normal((count, p, q)) + 1j * rng.standard_normal((count, p, q))
-    started = time.process_time()
-    bounds = upper_bounds(M, blocks)
-    own_ms = 1e3 * (time.process_time() - started) / count
+    M, blocks = random_stack(rows, count)
+    q = M.shape[2]
+    bounds, spent = timed(upper_bounds, M, blocks)
+    own_ms = 1e3 * spent / count
     own = np.array([b.beta for b in bounds])
     lower = rl.mu(M[:3], blocks).lower
     proved = [
@@ -146,12 +146,12 @@ def line(name: str, rows, slow: int, count: int) -> str:
         if peer is None or not len(some):
             cells.append(f"{'-':>10s}{'-':>9s}{'-':>10s}")
             continue
-        peer_ms, answers = timed(peer, some)
+        peer_ms, answers = each(peer, some)
         cells.append(f"{peer_ms:10.1f}{own_ms / peer_ms:9.4f}{(np.array(answers) / own[: len(some)]).max():10.6f}")
     if slow:
         inequality = Inequality(blocks)
         inequality.bound(M[0], 0.5)  # cvxpy's own compilation is not counted
-        peer_ms, answers = timed(lambda m: inequality.bound(m, 2e-4), M[:slow])
+        peer_ms, answers = each(lambda m: inequality.bound(m, 2e-4), M[:slow])
         ratio = own[:slow] / np.array(answers)
         cells.append(f"{peer_ms:10.0f}{own_ms / peer_ms:10.5f}{ratio.max():12.6f}")
     else:
@@ -162,12 +162,8 @@ def line(name: str, rows, slow: int, count: int) -> str:
 def main(count: int = 20) -> None:
     """Print one line per structure."""
     upper_bounds(np.array([[[0, 2], [1, 1j]]]), as_blocks([[-1, 0]] * 2))  # imports and compilation are not timed
-    names = ("robustlab", "numpy", "slycot", "cvxpy", "clarabel", "numba")
-    print(f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}, {platform.machine()}, Python {platform.python_version()},")
-    print(", ".join(f"{name} {version(name)}" for name in names if importlib.util.find_spec(name)))
-    print(
-        f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; CPU ms per random complex matrix, batch of {count},"
-    )
+    print(heading("robustlab", "numpy", "slycot", "cvxpy-base", "clarabel", "numba"))
+    print(f"CPU ms per random complex matrix, batch of {count},")
     print("one thread; time: ours / peer; bound: largest peer / ours, for the LMI largest ours / optimum (to 2e-4);")
     print("wrong: bounds of ours below a verified lower bound, or not proved by their D, G")
     print(

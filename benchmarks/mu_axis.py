@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import platform
-import sys
-import time
-from datetime import UTC, datetime
+from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 
+import mu_models
 import numpy as np
-import scipy
+from harness import heading, middle_and_most, timed
 
 import robustlab as rl
 from robustlab.budget import one_thread
-
-sys.path.insert(0, str(Path(__file__).parent))
-import mu_models
 
 CLASSES = {
     "12 states, 12 real": (12, 12, 1, (0.05, 0.7)),
@@ -45,20 +39,23 @@ def with_performance(uncertain: rl.UncertainModel, size: float, seed: int) -> rl
     return rl.UncertainModel(rl.StateSpaceModel(M.A, B, C, D), uncertain.blocks)
 
 
+def models(seeds: range) -> Iterator[tuple[str, list[tuple[rl.UncertainModel, int]]]]:
+    """The random models of each class."""
+    for name, given in CLASSES.items():
+        yield name, [(model(*given, seed), seed) for seed in seeds]
+
+
 def margins(seeds: range, tolerance: float) -> None:
     """One line per class: gap with D, G alone and after branch and bound, CPU seconds."""
     print(f"\nrobust_stability(tolerance={tolerance:g}), {len(seeds)} models a class")
     print(f"{'class':44s} {'D-G gap %: median  max':>24s} {'gap %: median  max':>22s} {'CPU s: median  max':>22s}")
-    for name, (states, count, repeats, damping) in CLASSES.items():
+    for name, sets in models(seeds):
         rows = []
-        for seed in seeds:
-            uncertain = model(states, count, repeats, damping, seed)
+        for uncertain, _ in sets:
             alone = rl.robust_stability(uncertain, tolerance=np.inf)
-            started = time.process_time()
-            margin = rl.robust_stability(uncertain, tolerance=tolerance)
-            rows.append((100 * alone.gap, 100 * margin.gap, time.process_time() - started))
-        table = np.array(rows)
-        cells = [f"{np.median(table[:, k]):9.3f} {table[:, k].max():9.3f}" for k in range(3)]
+            margin, spent = timed(rl.robust_stability, uncertain, tolerance=tolerance)
+            rows.append((100 * alone.gap, 100 * margin.gap, spent))
+        cells = [middle_and_most(column) for column in zip(*rows, strict=True)]
         print(f"{name:44s} {cells[0]:>24s} {cells[1]:>22s} {cells[2]:>22s}", flush=True)
 
 
@@ -87,9 +84,7 @@ def chains(tolerance: float) -> None:
     tuned = {f"{n} x {r}, {seed}": partial(mu_models.chain, n, r, seed) for n, r, seed in CHAINS}
     for name, made in {**tuned, **NEW}.items():
         uncertain = rl.UncertainModel(*made())
-        started = time.process_time()
-        margin = rl.robust_stability(uncertain, tolerance=tolerance)
-        spent = time.process_time() - started
+        margin, spent = timed(rl.robust_stability, uncertain, tolerance=tolerance)
         ends = f"{margin.lower:.4f} .. {margin.upper:.4f}"
         print(f"{name:44s} {ends:>20s} {100 * margin.gap:8.2f} {spent:8.1f}", flush=True)
 
@@ -98,16 +93,13 @@ def gains(seeds: range) -> None:
     """Worst-case gain of the same models at half their margin."""
     print(f"\nworst_case_gain at half the margin, 2 x 2 performance channels, {len(seeds)} models a class")
     print(f"{'class':44s} {'gap %: median  max':>22s} {'CPU s: median  max':>22s}")
-    for name, (states, count, repeats, damping) in CLASSES.items():
+    for name, sets in models(seeds):
         rows = []
-        for seed in seeds:
-            uncertain = model(states, count, repeats, damping, seed)
+        for uncertain, seed in sets:
             size = 0.5 * rl.robust_stability(uncertain, tolerance=np.inf).lower
-            started = time.process_time()
-            worst = rl.peak_gain(with_performance(uncertain, size, seed))
-            rows.append((100 * worst.gap, time.process_time() - started))
-        table = np.array(rows)
-        cells = [f"{np.median(table[:, k]):9.3f} {table[:, k].max():9.3f}" for k in range(2)]
+            worst, spent = timed(rl.peak_gain, with_performance(uncertain, size, seed))
+            rows.append((100 * worst.gap, spent))
+        cells = [middle_and_most(column) for column in zip(*rows, strict=True)]
         print(f"{name:44s} {cells[0]:>22s} {cells[1]:>22s}", flush=True)
 
 
@@ -120,18 +112,13 @@ def matrices(count: int) -> None:
         rows = []
         for _ in range(count):
             M = rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n))
-            started = time.process_time()
-            bounds = rl.mu(M, [[-1, 0]] * n, tolerance=0.01)
-            spent = time.process_time() - started
+            bounds, spent = timed(rl.mu, M, [[-1, 0]] * n, tolerance=0.01)
             if bounds.lower > 0:
                 rows.append((100 * (bounds.scaled / bounds.lower - 1), 100 * (bounds.upper / bounds.lower - 1), spent))
-        table = np.array(rows)
-        ends = f"{np.median(table[:, 0]):9.3f} {table[:, 0].max():9.3f}"
-        times = f"{np.median(table[:, 2]):9.3f} {table[:, 2].max():9.3f}"
-        print(
-            f"{f'{n} ({len(rows)} with mu > 0 found)':44s} {ends:>24s} {table[:, 1].max():12.3f} {times:>22s}",
-            flush=True,
-        )
+        ends, gaps, times = zip(*rows, strict=True)
+        name = f"{n} ({len(rows)} with mu > 0 found)"
+        text = f"{middle_and_most(ends):>24s} {max(gaps):12.3f} {middle_and_most(times):>22s}"
+        print(f"{name:44s} {text}", flush=True)
 
 
 def published() -> None:
@@ -153,8 +140,7 @@ def main() -> None:
     parser.add_argument("--tolerance", type=float, default=0.01)
     parser.add_argument("--chains", action="store_true", help="only the lightly damped models, to 5 %%")
     given = parser.parse_args()
-    versions = f"Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
-    print(f"# {datetime.now(UTC):%Y-%m-%d}, {platform.machine()} {platform.system()}, {versions}, one thread")
+    print(heading("numpy", "scipy"))
     rl.robust_stability(model(4, 2, 1, (0.05, 0.7), 0))  # compiled kernels are not timed
     if given.chains:
         chains(0.05)

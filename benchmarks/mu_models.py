@@ -15,18 +15,15 @@ KINDS = ("real", "real x2", "real M", "mixed", "mixed x2", "mixed full", "comple
 
 def structure(kind: str, n: int) -> list[Block]:
     """Blocks of about n columns in all."""
-    if kind in ("real", "real M"):
-        return [RealScalar(f"d{i}") for i in range(n)]
-    if kind == "real x2":
-        return [RealScalar(f"d{i}", 2) for i in range(n // 2)]
-    if kind == "complex":
-        return [ComplexScalar(f"d{i}") for i in range(n)]
-    if kind == "complex x2":
-        return [ComplexScalar(f"d{i}", 2) for i in range(n // 2)]
-    if kind == "full":
-        return [FullBlock(f"d{i}", 2, 2) for i in range(n // 2)]
-    if kind == "wide":
-        return [FullBlock(f"d{i}", 1, 2) for i in range(n // 2)]
+    alike = {
+        "real": (RealScalar, 1), "real M": (RealScalar, 1), "real x2": (RealScalar, 2), "complex": (ComplexScalar, 1),
+        "complex x2": (ComplexScalar, 2),
+    }  # fmt: skip
+    if kind in alike:
+        make, repeats = alike[kind]
+        return [make(f"d{i}", repeats) for i in range(n // repeats)]
+    if kind in ("full", "wide"):
+        return [FullBlock(f"d{i}", 2 if kind == "full" else 1, 2) for i in range(n // 2)]
     if kind == "mixed":
         return [RealScalar(f"d{i}") if i < n // 2 else ComplexScalar(f"d{i}") for i in range(n)]
     rest: list[Block] = [ComplexScalar("c")] if n % 2 else []

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import platform
-import time
 from collections.abc import Iterator
-from datetime import UTC, datetime
 
 import numpy as np
 import scipy
+from harness import heading, middle_and_most, timed
 
 import robustlab as rl
 from robustlab.budget import listening, one_thread
@@ -124,8 +122,7 @@ def moved(m: rl.StateSpaceModel, T: np.ndarray) -> rl.StateSpaceModel:
 
 def main() -> None:
     """Print both tables."""
-    versions = f"Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
-    print(f"# {datetime.now(UTC):%Y-%m-%d}, {platform.machine()} {platform.system()}, {versions}, one thread")
+    print(heading("numpy", "scipy"))
     rl.robust_stability(random_set(0))  # compiled kernels are not timed
     print(f"{'route to one loop':28s} {'margin':>22s} {'parts':>6s} {'work':>8s} {'CPU s':>7s}")
     for name, uncertain in routes():
@@ -145,20 +142,18 @@ def main() -> None:
         if gap > GAP * (1 + 1e-6) or spent > SECONDS:
             sizes = f"{uncertain.M.n_states} states, {[b.rows for b in uncertain.blocks]}, {margin.status.value}"
             print(f"set {seed}: {sizes}, {margin.lower:.6g} .. {margin.upper:.6g} ({truth:.6g}), {spent:.2f} s")
-    table = np.array(rows)
-    middle, most = np.median(table, axis=0), table.max(axis=0)
-    print(f"{len(table)} random sets: gap median {100 * middle[0]:.4f} %, largest {100 * most[0]:.4f} %;", end=" ")
-    print(f"CPU median {middle[1]:.3f} s, largest {most[1]:.3f} s; outside the truth: {len(wrong)}")
+    gaps, times = zip(*rows, strict=True)
+    print(f"{len(rows)} random sets: median and largest gap {middle_and_most(gaps, '.6f')}, ", end="")
+    print(f"CPU s {middle_and_most(times, '.3f')}; outside the truth: {len(wrong)}")
     print("\n".join(wrong))
 
 
 def solved(uncertain: rl.UncertainModel) -> tuple[rl.Margin, float, float]:
     """The margin, the work it counted, and its CPU time in s."""
     done: list[float] = [0.0]
-    started = time.process_time()
     with listening(lambda work, _: done.append(work)):
-        margin = rl.robust_stability(uncertain)
-    return margin, max(done), time.process_time() - started
+        margin, spent = timed(rl.robust_stability, uncertain)
+    return margin, max(done), spent
 
 
 if __name__ == "__main__":

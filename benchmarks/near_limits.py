@@ -8,22 +8,21 @@ infinitesimal generator on Chebyshev points for delays.
 from __future__ import annotations
 
 import sys
-import time
 from collections import Counter
 from typing import Any
 
 import numpy as np
+from harness import timed
 
 import robustlab as rl
 
 
-def timed(call: Any) -> tuple[Any, float]:
-    begun = time.process_time()
+def attempted(call: Any) -> Any:
+    """What a call returns, or the error that refuses it."""
     try:
-        found = call()
+        return call()
     except rl.RobustlabError as error:
-        found = error
-    return found, time.process_time() - begun
+        return error
 
 
 def times(uncertain: rl.UncertainModel, size: float) -> rl.UncertainModel:
@@ -61,7 +60,7 @@ def random_set(seed: int) -> tuple[rl.UncertainModel, np.random.Generator]:
 def gain(seed: int) -> tuple[str, float, bool]:
     uncertain, rng = random_set(seed)
     level = rl.peak_gain(uncertain.nominal).upper * float(rng.choice([1.05, 1.5, 3.0, 20.0]))
-    found, seconds = timed(lambda: rl.robust_gain(uncertain, level))
+    found, seconds = timed(attempted, lambda: rl.robust_gain(uncertain, level))
     if isinstance(found, rl.RobustlabError):
         return "refused", seconds, True
     true = True
@@ -69,7 +68,7 @@ def gain(seed: int) -> tuple[str, float, bool]:
         inside = times(uncertain, found.lower * (1 - 1e-6))
         true = rl.peak_gain(inside, tolerance=0.05, effort=0.02).lower <= level * (1 + 1e-6)
     if 0 < found.upper < np.inf and all(b.interval for b in uncertain.blocks):
-        member, _ = timed(lambda: uncertain.evaluate({k: float(np.real(v)) for k, v in found.delta.items()}))
+        member = attempted(lambda: uncertain.evaluate({k: float(np.real(v)) for k, v in found.delta.items()}))
         if not isinstance(member, rl.RobustlabError) and member.is_stable():
             true &= rl.peak_gain(member).upper >= level * (1 - 1e-6)
     return str(found.status), seconds, bool(true)
@@ -89,7 +88,7 @@ def disk(seed: int) -> tuple[str, float, bool]:
         return rl.StateSpaceModel([[-pole]], [[1.0]], [[sign * g * zero]], [[sign * g * direct]])
 
     def margin(g: float) -> float:
-        found, _ = timed(lambda: rl.robust_stability(plant.feedback(controller(g))))
+        found = attempted(lambda: rl.robust_stability(plant.feedback(controller(g))))
         return 0.0 if isinstance(found, rl.RobustlabError) else found.lower
 
     low, high = 0.0, 1.0
@@ -99,7 +98,7 @@ def disk(seed: int) -> tuple[str, float, bool]:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if margin(middle) > 1 else (low, middle)
     K = controller(low * (1 - (1e-4, 1e-3, 1e-2, 5e-2)[seed % 4]))
-    found, seconds = timed(lambda: rl.disk_margin(plant, K))
+    found, seconds = timed(attempted, lambda: rl.disk_margin(plant, K))
     if isinstance(found, rl.RobustlabError):
         return "refused", seconds, True
     members = [rl.disk_margin(plant.evaluate({"k": a, "c": b}), K).simultaneous.upper for a in (-1, 1) for b in (-1, 1)]
@@ -147,7 +146,7 @@ def delay(seed: int) -> tuple[str, float, bool]:
         g = low * (1 + float(rng.choice([-1, 1])) * 1e-4)
     plant = rl.StateSpaceModel(A, B, g * C, np.zeros((m, m)), inputs=[f"u{k}" for k in range(m)])
     loop = rl.with_delays(plant, inputs={f"u{k}": float(tau) for k, tau in enumerate(delays)}).feedback(np.eye(m))
-    found, seconds = timed(lambda: rl.robust_stability(loop))
+    found, seconds = timed(attempted, lambda: rl.robust_stability(loop))
     if isinstance(found, rl.RobustlabError):
         return "refused", seconds, True
     one, two = root(g), root(g, int(1.3 * order))

@@ -5,15 +5,12 @@
 
 from __future__ import annotations
 
-import datetime
-import os
-import platform
 import statistics
 import time
 
 import casadi as ca
-import numba
 import numpy as np
+from harness import heading, timed
 
 import robustlab as rl
 
@@ -45,12 +42,7 @@ START = np.ravel([[angle, 0.0] for angle in np.linspace(0.5, 2.0, 6)])
 
 def median(run, times: int = 25) -> float:
     run()
-    spent = []
-    for _ in range(times):
-        start = time.process_time()
-        run()
-        spent.append(time.process_time() - start)
-    return statistics.median(spent)
+    return statistics.median(timed(run)[1] for _ in range(times))
 
 
 def line(name: str, value: float, unit: str, target: str = "-") -> None:
@@ -58,12 +50,7 @@ def line(name: str, value: float, unit: str, target: str = "-") -> None:
 
 
 def main() -> None:
-    print("# python benchmarks/own_plants.py")
-    print(
-        f"# date {datetime.datetime.now(datetime.UTC).date()}, {os.cpu_count()} cores (shared virtual machine, with"
-        f" other work on it), {platform.machine()} {platform.system()}, Python {platform.python_version()},"
-        f" numpy {np.__version__}, casadi {ca.__version__}, numba {numba.__version__}"
-    )
+    print(heading("numpy", "casadi", "numba"))
     start = time.perf_counter()
     plant = chain()
     line("chain of 6 links, 12 states: equations to tapes", 1e3 * (time.perf_counter() - start), "ms")

@@ -9,17 +9,15 @@ returns its evidence with the number (bracket, second path, verified loop, certi
 from __future__ import annotations
 
 import argparse
-import datetime
-import os
-import platform
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from importlib.metadata import version
+from functools import partial
 
 import control
 import numpy as np
 import slycot
+from harness import heading
 
 import robustlab as rl
 from robustlab.budget import one_thread
@@ -58,47 +56,20 @@ def cases() -> Iterator[Case]:
     for n in SIZES:
         G, P = random_model(n), random_plant(n)
         theirs, plant, r = G.to_control(), P.to_control(), max(1, n // 3)
-        A, B, C, D, E = G.A, G.B, G.C, G.D, np.eye(n)
-        yield (
-            "hinf_norm / slycot ab13dd",
-            n,
-            lambda G=G: rl.peak_gain(G).value,
-            lambda n=n, A=A, B=B, C=C, D=D, E=E: slycot.ab13dd("C", "I", "S", "D", n, 2, 2, A, E, B, C, D, 1e-6)[0],
-        )
-        yield (
-            "h2_norm / slycot ab13bd",
-            n,
-            lambda G=G: h2_norm(G).value,
-            lambda n=n, A=A, B=B, C=C, D=D: slycot.ab13bd("C", "H", n, 2, 2, A.copy(), B.copy(), C.copy(), D.copy()),
-        )
-        yield (
-            "reduce_model / control.balred",
-            n,
-            lambda G=G, r=r: rl.reduce_model(G, r),
-            lambda G=theirs, r=r: control.balred(G, r),
-        )
-        yield (
-            "h2 / control.h2syn",
-            n,
-            lambda P=P: rl.h2(P, 2, 2).gamma,
-            lambda P=plant: control.h2syn(P, 2, 2),
-        )
-        yield (
-            "hinf / control.hinfsyn",
-            n,
-            lambda P=P: rl.hinf(P, 2, 2).gamma,
-            lambda P=plant: control.hinfsyn(P, 2, 2)[2],
-        )
+        abcd = G.A, G.B, G.C, G.D
+        at = partial(slycot.ab13dd, "C", "I", "S", "D", n, 2, 2, G.A, np.eye(n), *abcd[1:], 1e-6)
+        yield "hinf_norm / slycot ab13dd", n, lambda G=G: rl.peak_gain(G).value, at
+        square = lambda n=n, abcd=abcd: slycot.ab13bd("C", "H", n, 2, 2, *(m.copy() for m in abcd))  # noqa: E731
+        yield "h2_norm / slycot ab13bd", n, lambda G=G: h2_norm(G).value, square
+        yield "reduce_model / control.balred", n, partial(rl.reduce_model, G, r), partial(control.balred, theirs, r)
+        yield "h2 / control.h2syn", n, partial(rl.h2, P, 2, 2), partial(control.h2syn, plant, 2, 2)
+        yield "hinf / control.hinfsyn", n, partial(rl.hinf, P, 2, 2), partial(control.hinfsyn, plant, 2, 2)
     for count in (4, 12):
         rng = np.random.default_rng(count)
         M = rng.standard_normal((count, count)) + 1j * rng.standard_normal((count, count))
-        blocks, sizes = [[1, 0]] * count, np.ones(count, dtype=int)
-        yield (
-            f"mu, {count} complex scalars / slycot ab13md",
-            count,
-            lambda M=M, blocks=blocks: float(rl.mu(M, blocks).upper),
-            lambda M=M, sizes=sizes: slycot.ab13md(M, sizes, 2 * sizes)[0],
-        )
+        sizes = np.ones(count, dtype=int)
+        name = f"mu, {count} complex scalars / slycot ab13md"
+        yield name, count, partial(rl.mu, M, [[1, 0]] * count), partial(slycot.ab13md, M, sizes, 2 * sizes)
 
 
 def fastest(calls: tuple[Callable[[], object], ...], repeats: int, patience: float = 8.0) -> list[float]:
@@ -121,9 +92,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="beginnings of comparisons; all where none are given")
     parser.add_argument("--repeats", type=int, default=15)
     options = parser.parse_args()
-    libraries = ", ".join(f"{name} {version(name)}" for name in ("robustlab", "numpy", "scipy", "slycot", "control"))
-    load = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
-    print(f"{datetime.date.today()}, Python {platform.python_version()}, {libraries}, {load}")
+    print(heading("robustlab", "numpy", "scipy", "slycot", "control"))
     print(f"\n{'ours / peer':44s} {'size':>4s} {'ours ms':>9s} {'peer ms':>9s} {'ratio':>7s}")
     warnings.simplefilter("ignore")
     with one_thread():

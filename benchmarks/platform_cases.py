@@ -32,8 +32,6 @@ from platform_machine import STEP, Array, Cable, Drives, Machine, Run, bodies, n
 import robustlab as rl
 from robustlab import Record
 
-__all__ = ["CLASSES", "NOISE", "TOLERANCES", "PlatformCase", "cached_case", "make_case", "nominal_plant"]
-
 DT, DURATION = 2e-3, 8.0
 LEGS = 6
 OPEN = 0.01  # of a record, for which a gap must be open for its backlash to be hidden in it
@@ -60,32 +58,18 @@ def nominal_plant(motors: bool = True) -> Any:
     return rl.plant("stewart-platform", preset="physical", motors=motors, **TOLERANCES[motors])
 
 
-# --- what may be hidden ----------------------------------------------------------------------------------------------
-
 Values = dict[str, float]
 Put = Callable[[Machine, int, Values], Machine]
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """One kind of hidden effect: how its values are drawn, and what it does to the machine.
+    """One kind of hidden effect: how its values are drawn, and what it does to the machine."""
 
-    Attributes
-    ----------
-    draw
-        Values from random numbers and whether there are motors; torques and angles at the nut.
-    put
-        Machine with the effect at leg 0..5 (at all or none in particular: -1).
-    where
-        "leg", "all" legs, or "common" to the whole machine.
-    motors
-        True, False: only on machines with, without motors.
-    """
-
-    draw: Callable[[np.random.Generator, bool], Values]
-    put: Put
-    where: str = "leg"
-    motors: bool | None = None
+    draw: Callable[[np.random.Generator, bool], Values]  # whether there are motors; torques and angles at the nut
+    put: Put  # the machine with the effect at leg 0..5, at all or none in particular: -1
+    where: str = "leg"  # or "all" legs, or "common" to the whole machine
+    motors: bool | None = None  # only on machines with, without motors
 
 
 def _at(**names: str) -> Put:
@@ -195,9 +179,6 @@ def names(motors: bool = True) -> tuple[str, ...]:
     return (*single, *(f"2x {name}" for name in TWICE if name in single))
 
 
-# --- the path and the controller -------------------------------------------------------------------------------------
-
-
 def generator(seed: int, *words: object) -> np.random.Generator:
     """Random numbers that belong to the seed and the words, and to nothing else."""
     return np.random.default_rng([seed, zlib.crc32("/".join(str(word) for word in words).encode())])
@@ -292,29 +273,14 @@ def _controller(machine: Machine, target: Array, r: np.random.Generator) -> Call
     return of
 
 
-# --- a case ----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class PlatformCase:
-    """One blind case; a namer sees `nominal_plant(motors)`, ``record`` and ``held_out``.
-
-    Attributes
-    ----------
-    name, legs
-        Effect that is hidden, and where: legs 1..6, none for what is common to the machine.
-    values
-        Its true values at each leg, or one set of common ones; torques and angles at the nut.
-    perturbed
-        Parameter -> true over nominal value, within tolerance.
-    machine, bare, runs
-        The true machine, without its effect, and the two runs with the true motion; None where the case is from files.
-    """
+    """One blind case; a namer sees `nominal_plant(motors)`, ``record`` and ``held_out``. Of files it has no machine."""
 
     name: str
-    legs: tuple[int, ...]
-    values: tuple[Mapping[str, float], ...]
-    perturbed: Mapping[str, float]
+    legs: tuple[int, ...]  # where it is hidden, 1..6; none for what is common to the machine
+    values: tuple[Mapping[str, float], ...]  # at each leg, or one set of common ones; torques and angles at the nut
+    perturbed: Mapping[str, float]  # parameter -> true over nominal value, within tolerance
     seed: int
     motors: bool
     noise: str
@@ -340,20 +306,7 @@ class PlatformCase:
 def make_case(
     name: str, seed: int, *, motors: bool = True, noise: str = "mid", duration: float = DURATION
 ) -> PlatformCase:
-    """Draw and run a case.
-
-    Parameters
-    ----------
-    name
-        One of `names(motors)`; "2x coulomb-friction" is at two legs.
-    duration
-        Of each of the two records in s.
-
-    Raises
-    ------
-    ValueError
-        A name that this machine cannot have, an unknown noise level.
-    """
+    """Draw and run a case; "2x coulomb-friction" is at two legs. ValueError: a name that this machine cannot have."""
     if name not in names(motors):
         raise ValueError(f"{name!r}: one of {', '.join(names(motors))}")
     if noise not in NOISE:
@@ -433,9 +386,6 @@ def _record(run: Run, noise: str, motors: bool, r: np.random.Generator, name: st
         outputs |= currents
         units |= dict.fromkeys(currents, "A")
     return Record(run.t, inputs, outputs, units, name)
-
-
-# --- files -----------------------------------------------------------------------------------------------------------
 
 
 def cached_case(

@@ -16,23 +16,18 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import signal
-import subprocess
-import sys
 import time
 import traceback
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import append, in_child, json_lines
 from platform_cases import NOISE, OUTSIDE, PlatformCase, cached_case, names, nominal_plant, seeds
 
 from robustlab.dynamics.effects.kinds import KIND_OF
-
-__all__ = ["ACCEPTED", "main", "report", "run_case", "said_of", "verdict_of"]
 
 Line = dict[str, Any]
 Said = frozenset[tuple[str, int]]  # (effect, leg 1..6; 0: nowhere in particular)
@@ -62,30 +57,15 @@ def said_of(effects: Iterable[tuple[str, str]]) -> Said:
     return frozenset(out)
 
 
-def is_truth(said: Said, case: PlatformCase) -> bool:
-    """Whether an answer is the hidden effect at its legs, and no more."""
+def is_truth(said: Said, case: PlatformCase, of: Mapping[str, str] | None = None) -> bool:
+    """Whether an answer is the hidden effect, or with `KIND_OF` its kind, at its legs, and no more."""
     if case.name in ("none", *OUTSIDE):
-        return not said
-    own = ACCEPTED.get(case.effect, (case.effect,))
-    if any(name not in own for name, _ in said):
+        return of is None and not said
+    own = [of[name] if of else name for name in ACCEPTED.get(case.effect, (case.effect,))]
+    if not said or any(name not in own for name, _ in said):
         return False
-    if case.effect in COMMON:
-        return bool(said)
     legs = {leg for _, leg in said}
-    return legs == set(case.legs) or (len(case.legs) == 6 and legs == {0})
-
-
-def kinds_are_truth(kinds: Said, case: PlatformCase) -> bool:
-    """Whether the kinds that are told are that of the hidden effect, at its legs, and no more."""
-    if case.name in ("none", *OUTSIDE):
-        return False
-    own = {KIND_OF[name] for name in ACCEPTED.get(case.effect, (case.effect,))}
-    if not kinds or any(kind not in own for kind, _ in kinds):
-        return False
-    if case.effect in COMMON:
-        return True
-    legs = {leg for _, leg in kinds}
-    return legs == set(case.legs) or (len(case.legs) == 6 and legs == {0})
+    return case.effect in COMMON or legs == set(case.legs) or (len(case.legs) == 6 and legs == {0})
 
 
 def verdict_of(
@@ -98,7 +78,7 @@ def verdict_of(
             "right": right, "by_name": right, "in_answer": right, "sure_wrong": verdict == "named" and complete,
         }  # fmt: skip
     sure = verdict in ("named", "no missing effect")
-    by_name, by_kind = is_truth(said, case), kinds_are_truth(kinds, case)
+    by_name, by_kind = is_truth(said, case), is_truth(kinds, case, KIND_OF)
     right = sure and (by_name or by_kind)
     found = right or any(is_truth(s, case) for s in (said, *open_sets))
     return {
@@ -138,41 +118,16 @@ def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path, exclud
     return line
 
 
-# --- many cases ------------------------------------------------------------------------------------------------------
-
-
 def _key(name: str, seed: int, motors: bool, noise: str) -> str:
     return f"{name} | {seed} | {'motors' if motors else 'torques'} | {noise}"
 
 
 def _in_a_process(name: str, seed: int, asked: argparse.Namespace) -> Line:
     """One case in a process of its own, which is ended when it takes too long."""
-    command = [sys.executable, __file__, "--one", name, str(seed), "--noise", asked.noise, "--cache", str(asked.cache)]
+    command = [__file__, "--one", name, str(seed), "--noise", asked.noise, "--cache", str(asked.cache)]
     command += [*(["--torques"] if asked.torques else []), *(["--exclude", *asked.exclude] if asked.exclude else [])]
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    child = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True
-    )
-    try:
-        out, err = child.communicate(timeout=asked.limit)
-    except subprocess.TimeoutExpired:
-        os.killpg(child.pid, signal.SIGKILL)
-        child.communicate()
-        return {"status": "timed out", "error": f"more than {asked.limit:g} s"}
-    lines = [row for row in out.splitlines() if row.startswith("{")]
-    if child.returncode or not lines:
-        return {"status": "crashed", "error": f"exit {child.returncode}: {err[-500:]}"}
-    return json.loads(lines[-1])
-
-
-def stored(path: Path) -> dict[str, Line]:
-    """Lines of a store by their keys; a last line that was cut short is left out."""
-    lines = {}
-    for row in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
-        if row.endswith("}"):
-            line = json.loads(row)
-            lines[line["key"]] = line
-    return lines
+    line = in_child(command, "", wall=asked.limit)
+    return line if "refused" not in line else {"status": "lost", "error": line["refused"]}
 
 
 def report(lines: Iterable[Line]) -> str:
@@ -239,7 +194,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if set(wanted) & set(LAST) and not asked.last:
         parser.error(f"seeds {LAST[0]}-{LAST[-1]} are run once, at the very end: --last")
     keys = {_key(n, s, not asked.torques, asked.noise): (n, s) for s in wanted for n in asked.only or possible}
-    done, began = stored(asked.store), time.time()
+    done, began = {line["key"]: line for line in json_lines([asked.store])}, time.time()
     asked.store.parent.mkdir(parents=True, exist_ok=True)
     for number, (key, (name, seed)) in enumerate(keys.items(), 1):
         if asked.report or (key in done and not asked.again) or time.time() - began > 60 * asked.minutes:
@@ -248,8 +203,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         if "truth" not in line:
             line["truth"] = cached_case(asked.cache, name, seed, motors=not asked.torques, noise=asked.noise).truth()
         done[key] = line
-        with asked.store.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(line) + "\n")
+        append(asked.store, line)
         legs = line["truth"]["legs"]
         told = line.get("named", line.get("error", "")[-200:])
         good = "right" if line.get("right") else "SURE WRONG" if line.get("sure_wrong") else "not right"

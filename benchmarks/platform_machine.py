@@ -29,8 +29,6 @@ import pinocchio as pin
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["Cable", "Drives", "Machine", "Run", "bodies", "mechanism", "nut_angles", "oracle", "simulate"]
-
 Array = NDArray[np.float64]
 STEP = 5e-5  # of the drives' integration, in s
 
@@ -51,41 +49,25 @@ def oracle() -> ModuleType:
 
 @dataclass(frozen=True)
 class Drives:
-    """Constants of the six drives, arrays (6,) or one number for all; torques and speeds at the nut.
+    """Constants of the six drives, arrays (6,) or one number for all; torques and speeds at the nut."""
 
-    Attributes
-    ----------
-    Km, Kb, R, L, Kf
-        As on the motor's data sheet, motor side. Without motors only ``gain`` acts: torque per torque asked for.
-    viscous, coulomb, breakaway, stribeck
-        Friction at the nut: N m s/rad; level when sliding and what is added at rest in N m; how fast that is lost.
-    ripple, order, phase
-        Amplitude in N m and waves per turn of the nut of a torque that is periodic in the nut's angle.
-    gap
-        Play between rotor and nut in rad at the nut.
-    delay_in, delay_out
-        Of the input and of the encoder's reading, s (whole steps of `STEP`).
-    offset
-        Of the encoder's reading, rad at the nut.
-    """
-
-    Km: Any = 0.052
+    Km: Any = 0.052  # to Kf: on the motor's data sheet, motor side
     Kb: Any = 0.052
     R: Any = 2.07
     L: Any = 0.62e-3
     Kf: Any = 4.8e-5
-    gain: Any = 1.0
-    viscous: Any = 0.0
-    coulomb: Any = 0.0
+    gain: Any = 1.0  # torque per torque asked for, without motors
+    viscous: Any = 0.0  # N m s/rad
+    coulomb: Any = 0.0  # level when sliding, and what is added at rest, N m
     breakaway: Any = 0.0
-    stribeck: Any = 1.0
-    ripple: Any = 0.0
+    stribeck: Any = 1.0  # how fast that is lost, rad/s
+    ripple: Any = 0.0  # amplitude in N m, and waves per turn of the nut
     order: Any = 1.0
     phase: Any = 0.0
-    gap: Any = 0.0
-    delay_in: Any = 0.0
+    gap: Any = 0.0  # between rotor and nut, rad at the nut
+    delay_in: Any = 0.0  # of input and reading, s: whole steps of `STEP`
     delay_out: Any = 0.0
-    offset: Any = 0.0
+    offset: Any = 0.0  # of the reading, rad at the nut
 
     def at(self, leg: int, **values: float) -> Drives:
         """The same drives with other values at one leg (0..5)."""
@@ -118,9 +100,6 @@ class Machine:
     drives: Drives
     motors: bool
     cable: Cable | None = None
-
-
-# --- the rigid bodies ------------------------------------------------------------------------------------------------
 
 
 class _Shape:
@@ -286,8 +265,6 @@ def mechanism(machine: Machine, pose: Array) -> _Mechanics:
     return _Mechanics(machine, pose)
 
 
-# --- the drives ------------------------------------------------------------------------------------------------------
-
 KM, KB, R, L, KV, GAIN, FC, DF, VS, RIPPLE, ORDER, PHASE, GAP, FLANK, DAMP, ROTOR = range(16)
 HELD = 2  # mode of a nut that sticks; else the sign of its rate
 
@@ -447,9 +424,6 @@ def _sample(x, mode, inputs, inverses, biases, p, motors, dt, trail):
             trail[k, j] = x[18 + j]
 
 
-# --- a run -----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Run:
     """Samples of a run, (n, 6) each: what the controller put out, what was read (and without noise), the true motion.
@@ -487,14 +461,8 @@ def simulate(
 ) -> Run:
     """Run n samples from a pose: ``u_k = controller(k, seen(k, readings))`` acts from the k-th sample to the next.
 
-    Parameters
-    ----------
-    seen
-        What the encoders make of the delayed angles (6,): noise, rounding.
-    rates, currents
-        At the start, zero where left out.
-    push
-        Torques from outside at the nuts, (n, 6), held from sample to sample.
+    ``seen``: what the encoders make of the delayed angles (6,): noise, rounding. ``push``: torques from outside at the
+    nuts, (n, 6), held from sample to sample.
     """
     body, p, drives = mechanism(machine, pose), _numbers(machine), machine.drives
     steps = round(dt / step)

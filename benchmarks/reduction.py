@@ -17,33 +17,27 @@ opinion.
 from __future__ import annotations
 
 import argparse
-import time
 from typing import Any
 
 import control
 import numpy as np
+from dk import distillation
+from harness import timed
 
 import robustlab as rl
+from robustlab.mu_analysis import robust_performance
 from robustlab.statespace import StateSpaceModel, append, series
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
+from robustlab.synthesis.nonsmooth.parameter_search import descend
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.performance_measure import plant_with_scalings
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller
 from robustlab.uncertainty.blocks import ComplexScalar
+from robustlab.uncertainty.lft import UncertainModel
 
 # log k, log z (3), log p (3) of d(s) = k prod (s/z + 1)/(s/p + 1), the same for both inputs; performance has d = 1.
 LOG_D = (1.1718838168, -2.5068659207, 4.8517257507, -2.6786586802, -0.3489962858, -0.2995493640, -4.8840303405)
 BLOCKS = (ComplexScalar("input1"), ComplexScalar("input2"))
-
-
-def distillation(eps: float = 1e-5) -> GeneralizedPlant:
-    """G = [87.8 -86.4; 108.2 -109.6] / (75 s + 1), w_I = (s + 0.2)/(0.5 s + 1), w_P = (s/2 + 0.05)/(s + eps/10)."""
-    G0, one, none = np.array([[87.8, -86.4], [108.2, -109.6]]), np.eye(2), np.zeros((2, 2))
-    A = np.block([[-one / 75, none, none], [none, -2 * one, none], [G0, none, -eps / 10 * one]])
-    B = np.block([[one / 75, none, one / 75], [none, none, 2 * one], [none, one, none]])
-    C = np.block([[none, -1.8 * one, none], [0.5 * G0, none, 0.05 * (1 - eps) * one], [-G0, none, none]])
-    D = np.block([[none, none, 2 * one], [none, 0.5 * one, none], [none, -one, none]])
-    return GeneralizedPlant(StateSpaceModel(A, B, C, D), 2, 2, BLOCKS)
 
 
 def lag(k: float, zeros: list[float], poles: list[float]) -> StateSpaceModel:
@@ -64,15 +58,6 @@ def scalings() -> tuple[StateSpaceModel, StateSpaceModel]:
     return append(*sides[0], rest), append(*sides[1], rest)
 
 
-def improvement():
-    """Nonsmooth descent, where this version has it."""
-    try:
-        from robustlab.synthesis.nonsmooth.parameter_search import descend
-    except ImportError:
-        return None
-    return descend
-
-
 def models() -> None:
     """Errors of each method on chains of masses, and CPU times beside `control.balred`."""
     low, high = 0.2, 1.0
@@ -89,21 +74,17 @@ def models() -> None:
         G = chain.select(["f1"], ["q1"])
         order = G.n_states // 2
         for name, options in ways.items():
-            start = time.process_time()
-            found = rl.reduce_model(G, order, **options)
-            cpu = 1e3 * (time.process_time() - start)
+            found, cpu = timed(rl.reduce_model, G, order, **options)
             own = f"{found.error.upper:8.3g}  {found.bound:8.3g}"
             print(row(G, order, name, own, told(G, found.model, low, high), str(found.status), cpu))
-        start = time.process_time()
-        theirs = control.balred(G.to_control(), order)
-        cpu = 1e3 * (time.process_time() - start)
+        theirs, cpu = timed(control.balred, G.to_control(), order)
         small = rl.StateSpaceModel.from_control(theirs).renamed(G.inputs, G.outputs)
         print(row(G, order, "control.balred", f"{'-':>8s}  {'-':>8s}", told(G, small, low, high), "", cpu))
 
 
 def row(G: StateSpaceModel, order: int, name: str, own: str, seen: str, status: str, cpu: float) -> str:
     """A line of the table."""
-    return f"{G.n_states:6d}  {order:5d}  {name:15s}  {own}  {seen}  {status:9s}  {cpu:7.1f}"
+    return f"{G.n_states:6d}  {order:5d}  {name:15s}  {own}  {seen}  {status:9s}  {1e3 * cpu:7.1f}"
 
 
 def told(G: StateSpaceModel, small: StateSpaceModel, low: float, high: float) -> str:
@@ -121,32 +102,23 @@ def main() -> None:
     if options.models:
         models()
         return
-    plant, d = distillation(), scalings()
-    start = time.process_time()
-    full = hinf(plant_with_scalings(plant, d), gamma_rel=1.0).K
-    print(f"full controller: {full.n_states} states, CPU {time.process_time() - start:.1f} s")
-    start = time.process_time()
-    small = reduce_controller(
-        plant, full, loss=options.loss, measure="mu", scalings=d, improve=improvement(), progress=print
-    )
-    cpu = time.process_time() - start
+    plant, d = GeneralizedPlant(distillation(), 2, 2, BLOCKS), scalings()
+    design, cpu = timed(hinf, plant_with_scalings(plant, d), gamma_rel=1.0)
+    full = design.K
+    print(f"full controller: {full.n_states} states, CPU {cpu:.1f} s")
+    how = {"measure": "mu", "scalings": d, "improve": descend}
+    small, cpu = timed(reduce_controller, plant, full, loss=options.loss, progress=print, **how)
     print(
         f"{full.n_states} -> {small.K.n_states} states: certified mu {small.original_gamma:.5f} -> {small.gamma:.5f}, "
         f"loss {100 * small.loss:.4f} % (allowed {100 * options.loss:g} %), {small.status}, CPU {cpu:.1f} s"
     )
     for order in (10, 8, 6):
-        forced = reduce_controller(plant, full, order=order, measure="mu", scalings=d, improve=improvement())
+        forced = reduce_controller(plant, full, order=order, **how)
         print(f"{full.n_states} -> {order}: certified mu {forced.gamma:.5f}, loss {100 * forced.loss:.3f} %")
-    if not options.no_mu:
-        start = time.process_time()
-        for name, K in (("full", full), (f"{small.K.n_states} states", small.K)):
-            loop = plant.close(K)
-            from robustlab.mu_analysis import robust_performance
-            from robustlab.uncertainty.lft import UncertainModel
-
-            margin = robust_performance(UncertainModel(loop, BLOCKS), tolerance=1e-3)
-            print(f"second opinion, {name}: {1 / margin.upper:.5f} <= mu <= {1 / margin.lower:.5f} ({margin.status})")
-        print(f"CPU {time.process_time() - start:.1f} s")
+    for name, K in () if options.no_mu else (("full", full), (f"{small.K.n_states} states", small.K)):
+        margin, cpu = timed(robust_performance, UncertainModel(plant.close(K), BLOCKS), tolerance=1e-3)
+        ends = f"{1 / margin.upper:.5f} <= mu <= {1 / margin.lower:.5f}"
+        print(f"second opinion, {name}: {ends} ({margin.status}), CPU {cpu:.1f} s")
 
 
 if __name__ == "__main__":

@@ -23,20 +23,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import pickle
-import platform
 import sys
 import time
 import traceback
 import warnings
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
-from importlib.metadata import version
+from contextlib import nullcontext
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import heading
 from verify_claims import MAKERS
 from verify_judge import judge
 from verify_mutants import mutant
@@ -113,15 +112,13 @@ def chunk_of(task: tuple[int, int, Path | None, Sequence[str]]) -> list[Row]:
 
 def campaign(options: argparse.Namespace) -> tuple[dict[str, Counter[str]], float]:
     """Counts by kind, and the seconds that it took."""
-    start, counts = time.perf_counter(), {kind: Counter() for kind in KINDS}
+    start, done, reported = time.perf_counter(), 0, 0
+    counts: dict[str, Counter[str]] = defaultdict(Counter, {kind: Counter() for kind in KINDS})
     tasks = ((options.seed, c, options.keep, options.kinds or tuple(PLAN)) for c in range(options.first, sys.maxsize))
-    done, reported = 0, 0
-    with get_context("spawn").Pool(options.workers) if options.workers > 1 else _Here() as pool:
-        for rows in pool.imap(chunk_of, tasks):
+    with get_context("spawn").Pool(options.workers) if options.workers > 1 else nullcontext() as pool:
+        for rows in pool.imap(chunk_of, tasks) if pool else map(chunk_of, tasks):
             for kind, answer, wrong, _ in rows:
-                counts.setdefault(kind, Counter()).update(
-                    ["mutants", answer] + [wrong] * (bool(wrong) and wrong != answer)
-                )
+                counts[kind].update({"mutants", answer, wrong} - {""})
             done += len(rows)
             spent = time.perf_counter() - start
             if done // 10000 > reported:
@@ -129,24 +126,7 @@ def campaign(options: argparse.Namespace) -> tuple[dict[str, Counter[str]], floa
                 print(f"{done} mutants, {done / spent:.0f} a second", flush=True)
             if done >= options.mutants or (options.minutes and spent > 60 * options.minutes):
                 break
-        pool.terminate()
     return counts, time.perf_counter() - start
-
-
-class _Here:
-    """A pool of no workers."""
-
-    def __enter__(self) -> _Here:
-        return self
-
-    def __exit__(self, *others: object) -> None:
-        return None
-
-    def imap(self, work: Any, tasks: Any) -> Any:
-        return map(work, tasks)
-
-    def terminate(self) -> None:
-        """Nothing to end."""
 
 
 def table(counts: dict[str, Counter[str]]) -> list[str]:
@@ -172,13 +152,9 @@ def main() -> int:
     )
     parser.add_argument("--keep", type=Path, help="folder for what is found wrong")
     options = parser.parse_args()
-    machine = f"{os.cpu_count()} cores, {platform.machine()} {platform.system()}"
-    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "python-flint", "mpmath"))
-    head = f"{datetime.now(UTC):%Y-%m-%d}; {machine}; Python {platform.python_version()}, {packages}"
     counts, seconds = campaign(options)
     done = sum(c["mutants"] for c in counts.values())
-    command = f"python benchmarks/verify_attack.py --mutants {options.mutants} --seed {options.seed}"
-    lines = [f"# {command}", f"# {head}",
+    lines = [heading("numpy", "python-flint", "mpmath"),
              f"# {done} claims in {seconds / 60:.1f} min, {done / seconds:.0f} a second", *table(counts)]  # fmt: skip
     print("\n".join(lines))
     if options.kinds is None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,9 +32,6 @@ class Case(NamedTuple):
     kind: str
     numbers: Numbers
     hints: tuple[Any, ...] = ()
-
-
-# --- models ----------------------------------------------------------------------------------------------------------
 
 
 def states(rng: Rng, most: int = 4) -> int:
@@ -77,7 +75,13 @@ def slack(rng: Rng) -> float:
     return 1 + 10 ** rng.uniform(-8, -1)
 
 
-# --- true claims -----------------------------------------------------------------------------------------------------
+def _claim(found: Any, *kinds: str) -> Numbers | None:
+    """The datasets of the first claim of a result, of these kinds where any are given."""
+    return next((dict(c.numbers) for c in claims_of(found) if not kinds or c.kind in kinds), None)
+
+
+def _case(kind: str, numbers: Numbers | None, *hints: Any) -> Case | None:
+    return None if numbers is None else Case(kind, numbers, hints)
 
 
 def stable_case(rng: Rng) -> Case:
@@ -99,10 +103,9 @@ def lyapunov(A: Any, discrete: bool) -> Any:
 def norm_case(rng: Rng) -> Case | None:
     G = model(rng, states(rng), int(rng.integers(1, 4)), int(rng.integers(1, 4)))
     found = rl.peak_gain(G)
-    claims = claims_of(found)
-    if not claims:
+    numbers = _claim(found)
+    if numbers is None:
         return None
-    numbers = dict(claims[0].numbers)
     if rng.random() < 0.5:  # the frequency route, or a P for another level
         level = float(found.upper) * slack(rng)
         numbers["gamma"] = np.array(level)
@@ -124,8 +127,7 @@ def loop_norm_case(rng: Rng) -> Case | None:
             found = rl.hinf(rl.StateSpaceModel(P.A, P.B, P.C, D, P.dt), y, u)
         except rl.RobustlabError:
             return None
-        claims = claims_of(found)
-        return Case("loop-norm", dict(claims[0].numbers)) if claims else None
+        return _case("loop-norm", _claim(found))
     numbers = loop_numbers(P, K)
     G = closed(P, K, y, u)
     level = gain(G) * slack(rng)
@@ -202,6 +204,12 @@ STRUCTURES = (
 )  # fmt: skip
 
 
+def structure(rng: Rng) -> tuple[list[list[int]], int, int]:
+    """Rows of a structure, and how many rows and columns its Delta has."""
+    rows = STRUCTURES[rng.integers(len(STRUCTURES))]
+    return rows, sum(row[1] for row in rows), sum(row[2] for row in rows)
+
+
 def blocks_of(rows: Any, rng: Rng | None = None) -> list[Block]:
     """The library's blocks; with ``rng`` some real ones have a range that is not symmetric."""
     made: list[Block] = []
@@ -217,15 +225,14 @@ def blocks_of(rows: Any, rng: Rng | None = None) -> list[Block]:
 
 
 def matrix_case(rng: Rng, kind: str) -> Case | None:
-    rows = STRUCTURES[rng.integers(len(STRUCTURES))]
-    q, p = (sum(row[k] for row in rows) for k in (1, 2))
+    rows, q, p = structure(rng)
     M = rng.normal(size=(p, q)) + (1j * rng.normal(size=(p, q)) if rng.random() < 0.7 else 0.0)
     M = M * 10 ** rng.uniform(-2, 2)
     found = rl.mu(M, blocks_of(rows))
-    claims = [c for c in claims_of(found) if c.kind == kind]
-    if not claims:
+    claim = _claim(found, kind)
+    if claim is None:
         return None
-    numbers = {name: np.array(x) for name, x in claims[0].numbers.items()}
+    numbers = {name: np.array(x) for name, x in claim.items()}
     if rng.random() < 0.3:  # levels of their own: channels of w in other units
         powers = 2.0 ** rng.integers(-2, 3, len(rows))
         each = np.repeat(powers, [row[1] for row in rows])
@@ -242,17 +249,15 @@ def matrix_case(rng: Rng, kind: str) -> Case | None:
 
 def matrix_boxes_case(rng: Rng) -> Case | None:
     """A bound of mu of a matrix by boxes: those of branch and bound, or others, of ranges that may be uneven."""
-    rows = STRUCTURES[rng.integers(len(STRUCTURES))]
+    rows, q, p = structure(rng)
     if not any(kind == 0 for kind, _, _ in rows):
         return None
-    q, p = (sum(row[k] for row in rows) for k in (1, 2))
     M = (rng.normal(size=(p, q)) + 1j * rng.normal(size=(p, q)) * (rng.random() < 0.7)) * 10 ** rng.uniform(-2, 2)
     plain = blocks_of(rows)
     if rng.random() < 0.3:
         found = rl.mu(M, plain, tolerance=1e-3, effort=0.1)
-        claims = [c for c in claims_of(found) if c.kind == "mu-upper-boxes"]
-        if claims:
-            return Case("mu-upper-boxes", dict(claims[0].numbers), (found.delta,))
+        if (numbers := _claim(found, "mu-upper-boxes")) is not None:
+            return Case("mu-upper-boxes", numbers, (found.delta,))
     upper = float(rl.mu(M, plain).upper)
     if not 0 < upper < np.inf:
         return None
@@ -281,8 +286,7 @@ def matrix_boxes_case(rng: Rng) -> Case | None:
 
 def uncertain(rng: Rng, asymmetric: bool, performance: bool) -> rl.UncertainModel:
     """A small uncertain model, of which the set is mostly not far from instability."""
-    rows = STRUCTURES[rng.integers(len(STRUCTURES))]
-    q, p = (sum(row[k] for row in rows) for k in (1, 2))
+    rows, q, p = structure(rng)
     u, y = (int(rng.integers(1, 3)), int(rng.integers(1, 3))) if performance else (0, 0)
     G = model(rng, max(1, states(rng, 3)), q + u, p + y)
     if performance:
@@ -302,10 +306,9 @@ def margin_case(rng: Rng, kind: str) -> Case | None:
     set_of = uncertain(rng, kind == "mu-boxes", False)
     found = rl.robust_stability(set_of)
     hints = (np.asarray(delta_matrix(set_of.blocks, found.delta)),) if found.delta else ()
-    claims = [c for c in claims_of(found) if c.kind == kind]
-    if not claims:
+    numbers = to_the_end(_claim(found, kind))
+    if numbers is None:
         return None
-    numbers = to_the_end(claims[0].numbers)
     if kind == "mu-axis":
         if rng.random() < 0.25:
             numbers = banded(numbers, rng)
@@ -320,16 +323,15 @@ def margin_case(rng: Rng, kind: str) -> Case | None:
 
 def loop_margin_case(rng: Rng) -> Case | None:
     """mu-axis of a plant whose Delta channels are left open and a controller, both as they are stored."""
-    rows = STRUCTURES[rng.integers(len(STRUCTURES))]
-    q, p = (sum(row[k] for row in rows) for k in (1, 2))
+    rows, q, p = structure(rng)
     y, u = int(rng.integers(1, 3)), int(rng.integers(1, 3))
     P, K = plant_and_controller(rng, 2, q + u, p + y, y, u)
     set_of = rl.UncertainModel(closed(P, K, y, u), blocks_of(rows))
     found = rl.robust_stability(set_of)
-    claims = [c for c in claims_of(found) if c.kind == "mu-axis"]
-    if not claims:
+    numbers = to_the_end(_claim(found, "mu-axis"))
+    if numbers is None:
         return None
-    numbers = {x: v for x, v in to_the_end(claims[0].numbers).items() if x not in "ABCD"}
+    numbers = {x: v for x, v in numbers.items() if x not in "ABCD"}
     hints = (np.asarray(delta_matrix(set_of.blocks, found.delta)),) if found.delta else ()
     return Case("mu-axis", numbers | loop_numbers(P, K), hints)
 
@@ -344,8 +346,10 @@ def plant_and_controller(
     return P, rl.StateSpaceModel(K.A, K.B, K.C * size, K.D * size, K.dt)
 
 
-def to_the_end(given: Any) -> Numbers:
+def to_the_end(given: Numbers | None) -> Numbers | None:
     """A claim's datasets, with intervals that end at pi/dt but for rounding brought to infinity."""
+    if given is None:
+        return None
     numbers = {name: np.array(x) for name, x in given.items()}
     dt = float(numbers["dt"])
     if dt and "high" in numbers:
@@ -392,10 +396,9 @@ def split_boxes(numbers: Numbers, set_of: rl.UncertainModel, rng: Rng) -> Number
             found = rl.robust_stability(rl.UncertainModel(seen, inner), expected=1.0)
         except rl.RobustlabError:
             return None
-        claims = [c for c in claims_of(found) if c.kind == "mu-axis"]
-        if not claims or found.lower < 1.0001:
+        part = to_the_end(_claim(found, "mu-axis"))
+        if part is None or found.lower < 1.0001:
             return None
-        part = to_the_end(claims[0].numbers)
         count = len(part["low"])
         parts["box"] += [wide] * count
         for name in ("low", "high", "D_w", "D_z", "G"):
@@ -410,10 +413,7 @@ def gain_case(rng: Rng, kind: str) -> Case | None:
         found = worst_case_gain(set_of)
     except rl.RobustlabError:
         return None
-    claims = [c for c in claims_of(found) if c.kind == kind]
-    if not claims:
-        return None
-    return Case(kind, to_the_end(claims[0].numbers))
+    return _case(kind, to_the_end(_claim(found, kind)))
 
 
 def set_case(rng: Rng) -> Case:
@@ -446,25 +446,10 @@ def set_case(rng: Rng) -> Case:
     return Case("set", numbers)
 
 
-# --- delays ----------------------------------------------------------------------------------------------------------
-
-
 MAKERS: dict[str, Callable[[Rng], Case | None]] = {
-    "stable": stable_case,
-    "norm": norm_case,
-    "bounded-real": bounded_real_case,
-    "loop-norm": loop_norm_case,
-    "difference-norm": difference_case,
-    "gramian": gramian_case,
-    "mu-upper": lambda rng: matrix_case(rng, "mu-upper"),
-    "mu-upper-boxes": matrix_boxes_case,
-    "mu-lower": lambda rng: matrix_case(rng, "mu-lower"),
-    "mu-axis": lambda rng: margin_case(rng, "mu-axis"),
-    "mu-boxes": lambda rng: margin_case(rng, "mu-boxes"),
-    "worst-gain": lambda rng: gain_case(rng, "worst-gain"),
-    "worst-gain-boxes": lambda rng: gain_case(rng, "worst-gain-boxes"),
-    "unstable-member": lambda rng: margin_case(rng, "unstable-member"),
-    "set": set_case,
-}
-
-__all__ = ["MAKERS", "Case"]
+    "stable": stable_case, "norm": norm_case, "bounded-real": bounded_real_case, "loop-norm": loop_norm_case,
+    "difference-norm": difference_case, "gramian": gramian_case, "mu-upper-boxes": matrix_boxes_case, "set": set_case,
+    **{kind: partial(matrix_case, kind=kind) for kind in ("mu-upper", "mu-lower")},
+    **{kind: partial(margin_case, kind=kind) for kind in ("mu-axis", "mu-boxes", "unstable-member")},
+    **{kind: partial(gain_case, kind=kind) for kind in ("worst-gain", "worst-gain-boxes")},
+}  # fmt: skip

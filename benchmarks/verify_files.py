@@ -11,19 +11,16 @@ comparison with the claims alone has to find it. ``provenance``, which no hash c
 from __future__ import annotations
 
 import argparse
-import os
-import platform
 import sys
 import tempfile
 import time
 from collections import Counter
 from copy import deepcopy
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import heading
 
 import robustlab as rl
 from robustlab.files.hdf5 import read_tree, write_tree
@@ -175,10 +172,7 @@ def main() -> int:
                 print(f"{counts['all'].total()} mutants, {time.perf_counter() - start:.0f} s", flush=True)
             if answer == "accepted":
                 print(f"ACCEPTED: {kind}, {what}", flush=True)
-    packages = ", ".join(f"{name} {version(name)}" for name in ("robustlab", "numpy", "h5py", "python-flint"))
-    machine = f"{os.cpu_count()} cores, {platform.machine()} {platform.system()}; Python {platform.python_version()}"
-    lines = [f"# python benchmarks/verify_files.py --mutants {given.mutants} --seed {given.seed}",
-             f"# {datetime.now(UTC):%Y-%m-%d}; {machine}, {packages}; {time.perf_counter() - start:.0f} s",
+    lines = [heading("robustlab", "numpy", "h5py", "python-flint"), f"# {time.perf_counter() - start:.0f} s",
              f"{'':20s}{'accepted':>12s}{'not proved':>12s}{'refused':>12s}   (exit codes 0, 4, 3)"]  # fmt: skip
     lines += [f"{key:20s}" + "".join(f"{counts[key][x]:12d}" for x in ("accepted", "not proved", "refused"))
               for key in sorted(counts)]  # fmt: skip

@@ -10,29 +10,26 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
-from mpmath import mp
-from verify_exact import (
-    Quad,
-    eigenvalues,
-    embedded,
-    eye,
-    gain_above,
-    h2_square,
+from exact_loops import (
+    Model,
+    System,
+    closed,
+    is_positive,
     is_stable,
-    long,
-    norm_below,
-    positive,
+    joined,
+    norm_is_below,
     rational,
-    response,
-    solve,
-    spectral_norm,
-    star,
+    system,
+    upper_closed,
 )
+from flint import fmpq, fmpq_mat
+from mpmath import mp
+from verify_exact import doubles, eigenvalues, embedded, h2_square, long, positive, response, solve, spectral_norm, star
 
 import robustlab as rl
 
@@ -79,7 +76,7 @@ def judge(kind: str, numbers: Numbers, proved: bool, hints: Sequence[Any] = (), 
     if kind == "mu-upper-boxes":
         return _of_matrix_boxes(kind, numbers) if proved else "unconfirmed: nothing can refute it"
     if not proved:
-        unstable = not is_stable(_system(numbers)[0], float(numbers["dt"]))
+        unstable = not _stable(_system(numbers))
         return _confirmed(unstable or (kind in ("mu-axis", "worst-gain") and _unstable(numbers, 1.0, kind)))
     return _of_axis(kind, numbers, hints, rng)
 
@@ -88,95 +85,71 @@ def _confirmed(found: bool) -> str:
     return "" if found else "unconfirmed: the counterexample was not found again"
 
 
-# --- norms, sets -----------------------------------------------------------------------------------------------------
+def _model(numbers: Numbers, name: str = "{}") -> System:
+    parts = (numbers[name.format(x)] for x in "ABCD")
+    return system(Model(*parts, abs(float(numbers.get("dt", 0.0)))), rational)
 
 
-def _model(numbers: Numbers, name: str = "{}") -> Quad:
-    A, B, C, D = (rational(numbers[name.format(x)]) for x in "ABCD")
-    return A, B, C, D
-
-
-def _closed_loop(numbers: Numbers) -> Quad:
-    """Plant and controller, u = K y with the last outputs and inputs: in rationals, by solving for (y, u) at once."""
-    (A, B, C, D), (K, L, M, N) = _model(numbers, "P_{}"), _model(numbers, "K_{}")
-    y, u = int(numbers["n_meas"]), int(numbers["n_con"])
-    n, k, m, p = len(A), len(K), D.shape[1] - u, D.shape[0] - y
-    # y - D22 u = C2 x + D21 w, and u - N y = M x_K
-    left = np.block([[eye(y), -D[p:, m:]], [-N, eye(u)]])
-    right = np.block([[C[p:], 0 * np.ones((y, k), dtype=object), D[p:, :m]],
-                      [0 * np.ones((u, n), dtype=object), M, 0 * np.ones((u, m), dtype=object)]])  # fmt: skip
-    both = solve(left, right)
-    Y, U = both[:y], both[y:]
-    first = np.hstack([A, np.full((n, k), Fraction(0)), B[:, :m]]) + B[:, m:].dot(U)
-    second = np.hstack([np.full((k, n), Fraction(0)), K, np.full((k, m), Fraction(0))]) + L.dot(Y)
-    out = np.hstack([C[:p], np.full((p, k), Fraction(0)), D[:p, :m]]) + D[:p, m:].dot(U)
-    state = np.vstack([first, second])
-    return state[:, : n + k], state[:, n + k :], out[:, : n + k], out[:, n + k :]
-
-
-def _system(numbers: Numbers) -> Quad:
+def _system(numbers: Numbers) -> System:
+    """The model, the loop of a plant and a controller, or a difference."""
     if "P_A" in numbers:
-        return _closed_loop(numbers)
+        K = _model(numbers, "K_{}")
+        if (K.D.ncols(), K.D.nrows()) != (int(numbers["n_meas"]), int(numbers["n_con"])):
+            raise ValueError("a controller of other channels")
+        return closed(_model(numbers, "P_{}"), K)
     return _difference(numbers) if "A1" in numbers else _model(numbers)
 
 
-def _difference(numbers: Numbers) -> Quad:
-    (A, B, C, D), (E, F, G, H) = _model(numbers, "{}1"), _model(numbers, "{}2")
-    zero = np.full((len(A), len(E)), Fraction(0))
-    return np.block([[A, zero], [zero.T, E]]), np.vstack([B, F]), np.hstack([C, -G]), D - H
+def _difference(numbers: Numbers) -> System:
+    G, H = _model(numbers, "{}1"), _model(numbers, "{}2")
+    zero = fmpq_mat(G.A.nrows(), H.A.nrows())
+    A = joined([[G.A, zero], [zero.transpose(), H.A]])
+    return System(A, joined([[G.B], [H.B]]), joined([[G.C, H.C * -1]]), G.D - H.D, G.discrete)
+
+
+def _stable(G: System) -> bool:
+    return bool(is_stable(G.A, G.discrete))
 
 
 def _of_norm(kind: str, numbers: Numbers, proved: bool) -> str:
-    dt = float(numbers["dt"])
     if kind == "stable":
-        return "" if is_stable(rational(numbers["A"]), dt) == proved else "false: Routh's array says otherwise"
-    build = {
-        "loop-norm": _closed_loop,
-        "difference-norm": _difference,
-        "gramian": _system,
-        "bounded-real": _system,
-    }.get(kind, _model)
+        holds = bool(is_stable(rational(numbers["A"]), float(numbers["dt"]) != 0))
+        return "" if holds == proved else "false: Routh's array says otherwise"
+    build = {"norm": _model, "difference-norm": _difference}.get(kind, _system)
     try:
         G = build(numbers)
     except ZeroDivisionError:
         return "false: the loop is not well posed" if proved else ""
-    stable = is_stable(G[0], dt)
+    stable = _stable(G)
     if kind == "gramian":
-        holds = stable and (dt > 0 or not any(G[3].ravel()))
-        holds = holds and h2_square(G, dt) <= Fraction(float(numbers["value"])) ** 2
+        holds = stable and (float(numbers["dt"]) > 0 or not any(v != 0 for v in G.D.entries()))
+        holds = holds and h2_square(G) <= _fraction(numbers["value"]) ** 2
     else:
-        holds = stable and norm_below(G, dt, Fraction(float(numbers["gamma"])))
+        holds = stable and norm_is_below(G, _fraction(numbers["gamma"]))
     if holds == proved:
         return ""
     return f"false: {'a larger norm' if stable else 'not stable'}" if proved else "false: refuted although it is true"
 
 
+def _fraction(x: Any) -> fmpq:
+    return fmpq(*float(x).as_integer_ratio())
+
+
 def _set_holds(numbers: Numbers) -> bool:
-    A, B, C, D = _model(numbers)
-    n, q = len(A), int(numbers["blocks"][:, 1].sum())
-    tolerance = Fraction(float(numbers.get("tolerance", 0.0)))
-    whole = np.block([[A, B], [C, D]])
-    kept = [*range(n), *range(n + q, len(whole))], [*range(n), *range(n + q, whole.shape[1])]
-    inner = slice(n, n + q)
-    base, into, out = whole[np.ix_(*kept)], whole[kept[0]][:, inner], whole[inner][:, kept[1]]
     sizes = np.asarray(numbers["blocks"])[:, 1].tolist()
+    tolerance = _fraction(numbers.get("tolerance", 0.0))
     given = np.asarray(numbers["delta"]) if "delta" in numbers else np.ones(len(sizes))
     if "delta" in numbers and not all(a <= x <= b for (a, b), x in zip(numbers["ranges"], given, strict=True)):
         return False
-    delta = rational(np.diag(np.repeat(given, sizes)))
-    try:
-        moved = base + into.dot(delta).dot(solve(eye(q) - whole[inner, inner].dot(delta), out)) if q else base
-    except ZeroDivisionError:
-        return False
-    for X, end in ((base, "0"), (moved, "1")):
-        given = np.block([[rational(numbers[f"A{end}"]), rational(numbers[f"B{end}"])],
-                          [rational(numbers[f"C{end}"]), rational(numbers[f"D{end}"])]])  # fmt: skip
-        if any(abs(x) > tolerance for x in (X - given).ravel()):
+    for end, delta in (("0", 0 * given), ("1", given)):
+        try:
+            member = upper_closed(_model(numbers), rational(np.diag(np.repeat(delta, sizes))))
+        except ZeroDivisionError:
+            return False
+        wanted = _model(numbers, f"{{}}{end}")
+        if any(abs(x) > tolerance for X, Y in zip(member[:4], wanted[:4], strict=True) for x in (X - Y).entries()):
             return False
     return True
-
-
-# --- Delta -----------------------------------------------------------------------------------------------------------
 
 
 def _parts(numbers: Numbers, kind: str = "", allowance: float = 1.0) -> list[Part]:
@@ -310,7 +283,7 @@ def _unstable(numbers: Numbers, allowance: float, kind: str = "") -> bool:
         size = spectral_norm(own)
         most = min(most, mp.mpf(allowance) / mp.mpf(level) / size if size else mp.inf)
     top = min(most, mp.mpf(ALLOWANCE) + mp.mpf(10) ** -6)
-    G, dt = tuple(long(X) for X in _system(numbers)), float(numbers["dt"])
+    G, dt = tuple(map(long, _system(numbers)[:4])), float(numbers["dt"])
     near = [top * s for s in (1, 1 - mp.mpf(10) ** -10, 1 - mp.mpf(10) ** -9)]
     # The member need not be next to the given one: any multiple within the limits will do, of either sign.
     far = [sign * min(most, 1000) * mp.mpf(k) / MULTIPLES for k in range(MULTIPLES, 0, -1) for sign in (1, -1)]
@@ -329,9 +302,6 @@ def _beyond(G: tuple[Any, ...], delta: Any, dt: float, strictly: bool = False) -
     values = eigenvalues(A + B.dot(delta).dot(inner))
     far = max((abs(x) - 1 if dt else mp.re(x) for x in values), default=mp.mpf(-1))
     return far > 0 if strictly else far >= -(mp.mpf(10) ** -45)
-
-
-# --- mu --------------------------------------------------------------------------------------------------------------
 
 
 def _scalings_fit(table: Sequence[Any], D_w: Any, D_z: Any, G: Any) -> bool:
@@ -369,12 +339,16 @@ def _of_mu(numbers: Numbers, rng: np.random.Generator) -> str:
         return "unjustified: the scalings have not the structure"
     level = np.broadcast_to(numbers["level"], (len(table),)).tolist()
     L = rational(np.diag(_channel_levels(table, level) * 2))
-    E = {name: embedded(X) for name, X in (("M", M), ("D_w", D_w), ("D_z", D_z), ("G", G))}
-    q = M.shape[1]
-    J = rational(np.kron([[0.0, -1.0], [1.0, 0.0]], np.eye(q)))
-    GM = E["G"].dot(E["M"])
-    F = L.dot(E["D_w"]).dot(L) - E["M"].T.dot(E["D_z"]).dot(E["M"]) - J.dot(GM - GM.T)
-    return "" if positive(E["D_w"]) and positive(F) else "unjustified: the form is not positive definite"
+    m, d_w, d_z, g = (embedded(X) for X in (M, D_w, D_z, G))
+    J, supply = embedded(1j * np.eye(M.shape[1])), g * m
+    form = L * d_w * L - m.transpose() * d_z * m - J * (supply - supply.transpose())
+    return "" if is_positive(d_w) and is_positive(form) else "unjustified: the form is not positive definite"
+
+
+def _form(M: Any, D_w: Any, D_z: Any, G: Any, L: Any) -> Any:
+    """``L D_w L - M^* D_z M - j (G M - M^* G)`` in 60 digits."""
+    GM = long(G).dot(M)
+    return L.dot(long(D_w)).dot(L) - star(M).dot(long(D_z)).dot(M) - mp.mpc(0, 1) * (GM - star(GM))
 
 
 def _of_matrix_boxes(kind: str, numbers: Numbers) -> str:
@@ -391,13 +365,10 @@ def _of_matrix_boxes(kind: str, numbers: Numbers) -> str:
     L, static = long(np.diag(_channel_levels(table, own))), [long(np.zeros(s)) for s in ((0, 0), (0, q), (p, 0))]
     for i, box in enumerate(numbers["box"]):
         D_w, D_z, G = (np.asarray(numbers[x][i]) for x in ("D_w", "D_z", "G"))
-        if not (_scalings_fit(table, D_w, D_z, G) and positive(embedded(D_w))):
+        if not (_scalings_fit(table, D_w, D_z, G) and is_positive(embedded(D_w))):
             return f"unjustified: scalings of box {i} have not the structure, or are not positive"
         inside = _inside((*static, M), parts, box, mp)[3]
-        D_w, D_z, G = (long(X) for X in (D_w, D_z, G))
-        GM = G.dot(inside)
-        form = L.dot(D_w).dot(L) - star(inside).dot(D_z).dot(inside) - mp.mpc(0, 1) * (GM - star(GM))
-        if not positive(form):
+        if not positive(_form(inside, D_w, D_z, G, L)):
             return f"unjustified: the form of box {i} is not positive definite"
     return ""
 
@@ -422,37 +393,32 @@ def _broken_at(M: Any, parts: Sequence[Part], numbers: Numbers) -> str:
     return "false: a Delta within the level makes it singular" if _singular(again, 1.0) else ""
 
 
-# --- the axis --------------------------------------------------------------------------------------------------------
-
-
 def _of_axis(kind: str, numbers: Numbers, hints: Sequence[Any], rng: np.random.Generator) -> str:
     """A claim over frequencies that was proved: nominal stability, members, coverings, forms."""
-    dt, parts = float(numbers["dt"]), _parts(numbers, kind)
-    exact = _system(numbers)
-    floats = tuple(X.astype(float) for X in exact)
+    dt, parts, exact = float(numbers["dt"]), _parts(numbers, kind), _system(numbers)
+    floats, long_ones = tuple(map(doubles, exact[:4])), tuple(map(long, exact[:4]))
     if not (kind == "mu-axis" and "band" in numbers):
-        if not is_stable(exact[0], dt):
+        if not _stable(exact):
             return "false: the nominal model is not stable"
         member = seek(floats, dt, parts, hints, rng)
-        if member is not None and _beyond(tuple(map(long, exact)), long(member * INSIDE), dt, strictly=True):
+        if member is not None and _beyond(long_ones, long(member * INSIDE), dt, strictly=True):
             return "false: an unstable member"
-    elif _broken_in_band(numbers, parts, exact, dt):
+    elif _broken_in_band(numbers, parts, long_ones, dt):
         return "false: a Delta within the level makes it singular in the band"
     if kind.endswith("boxes"):
         word = _boxes_cover(kind, numbers, parts)
     else:
         word = _intervals_cover(numbers, kind == "mu-axis")
-    return word or _forms(kind, numbers, parts, exact)
+    return word or _forms(kind, numbers, parts, floats, long_ones)
 
 
-def _broken_in_band(numbers: Numbers, parts: Sequence[Part], exact: Quad, dt: float) -> bool:
+def _broken_in_band(numbers: Numbers, parts: Sequence[Part], G: tuple[Any, ...], dt: float) -> bool:
     """Whether a Delta is found at an end, or in the middle, of a band."""
     a, b = (float(x) for x in numbers["band"])
     b = min(b, math.pi / dt * (1 - 1e-15)) if dt else b
     middle = math.sqrt(a * b) if a and math.isfinite(b) else a + 1.0
-    model = tuple(map(long, exact))
     inside = [w for w in (a, middle, b) if a <= w <= b]
-    return any(_broken_at(response(model, dt, mp.mpf(w)), parts, numbers) for w in inside)
+    return any(_broken_at(response(G, dt, mp.mpf(w)), parts, numbers) for w in inside)
 
 
 def seek(G: tuple[Any, ...], dt: float, parts: Sequence[Part], hints: Sequence[Any], rng: np.random.Generator) -> Any:
@@ -502,58 +468,56 @@ def seek(G: tuple[Any, ...], dt: float, parts: Sequence[Part], hints: Sequence[A
     return worst if best > -1e-9 * max(1.0, float(np.abs(A).max())) else None
 
 
+def _assembled(parts: Sequence[Part], block: Callable[[Part], Any]) -> Any:
+    """A Delta from its blocks; a number stands for its multiple of the unit matrix."""
+    delta = np.zeros((parts[-1].w.stop, parts[-1].z.stop), dtype=complex)
+    for part in parts:
+        value = block(part)
+        delta[part.w, part.z] = value if part.kind == FULL else value * np.eye(part.w.stop - part.w.start)
+    return delta
+
+
 def _drawn_in(parts: Sequence[Part], hint: Any) -> Any:
     """The hint, perhaps of another structure, with each block made one of its kind and brought to its limit."""
-    given = np.asarray(hint, dtype=complex)
-    delta = np.zeros_like(given)
-    for part in parts:
-        own = given[part.w, part.z]
+
+    def block(part: Part) -> Any:
+        own = np.asarray(hint, dtype=complex)[part.w, part.z]
         if part.kind == REAL:
-            delta[part.w, part.z] = np.clip(own[0, 0].real, part.low, part.high) * np.eye(len(own))
-            continue
-        own = own if part.kind == FULL else own[0, 0] * np.eye(len(own))
-        size = np.linalg.norm(own, 2)
-        if size:
-            delta[part.w, part.z] = own / size * part.high
-    return delta
+            return np.clip(own[0, 0].real, part.low, part.high)
+        own = own if part.kind == FULL else own[0, 0]
+        size = np.linalg.norm(own, 2) if part.kind == FULL else abs(own)
+        return own / size * part.high if size else 0 * own
+
+    return _assembled(parts, block)
 
 
 def _random(parts: Sequence[Part], rng: np.random.Generator, inner: bool = False) -> Any:
-    q, p = parts[-1].w.stop, parts[-1].z.stop
-    delta = np.zeros((q, p), dtype=complex)
-    for part in parts:
-        rows, cols = part.w.stop - part.w.start, part.z.stop - part.z.start
+    def block(part: Part) -> Any:
         if part.kind == REAL:
-            number = rng.uniform(part.low, part.high) if inner else rng.choice([part.low, part.high])
-            delta[part.w, part.z] = number * np.eye(rows)
-        elif part.kind == COMPLEX:
-            delta[part.w, part.z] = part.high * np.exp(2j * np.pi * rng.random()) * np.eye(rows)
-        else:
-            u, v = (rng.normal(size=k) + 1j * rng.normal(size=k) for k in (rows, cols))
-            delta[part.w, part.z] = part.high * np.outer(u, v) / np.linalg.norm(u) / np.linalg.norm(v)
-    return delta
+            return rng.uniform(part.low, part.high) if inner else rng.choice([part.low, part.high])
+        if part.kind == COMPLEX:
+            return part.high * np.exp(2j * np.pi * rng.random())
+        sides = part.w.stop - part.w.start, part.z.stop - part.z.start
+        u, v = (rng.normal(size=k) + 1j * rng.normal(size=k) for k in sides)
+        return part.high * np.outer(u, v) / np.linalg.norm(u) / np.linalg.norm(v)
+
+    return _assembled(parts, block)
 
 
 def _steepest(parts: Sequence[Part], row: Any, column: Any) -> Any:
     """The Delta with the largest Re(row Delta column)."""
-    delta = np.zeros((len(row), len(column)), dtype=complex)
-    for part in parts:
+
+    def block(part: Part) -> Any:
         y, x = row[part.w], column[part.z]
         if part.kind == FULL:
             size = np.linalg.norm(y) * np.linalg.norm(x)
-            if size:
-                delta[part.w, part.z] = part.high * np.outer(y.conj(), x.conj()) / size
-            continue
+            return part.high * np.outer(y.conj(), x.conj()) / (size or 1.0)
         slope = y @ x
         if part.kind == REAL:
-            number: complex = part.high if slope.real > 0 else part.low
-        else:
-            number = part.high * np.conj(slope) / abs(slope) if slope else 0.0
-        delta[part.w, part.z] = number * np.eye(len(y))
-    return delta
+            return part.high if slope.real > 0 else part.low
+        return part.high * np.conj(slope) / abs(slope) if slope else 0.0
 
-
-# --- evidence over the axis ------------------------------------------------------------------------------------------
+    return _assembled(parts, block)
 
 
 def _reaches(high: float, stop: float, dt: float) -> bool:
@@ -603,13 +567,9 @@ def _boxes_cover(kind: str, numbers: Numbers, parts: Sequence[Part]) -> str:
     return ""
 
 
-def _forms(kind: str, numbers: Numbers, parts: Sequence[Part], exact: Quad) -> str:
+def _forms(kind: str, numbers: Numbers, parts: Sequence[Part], floats: tuple[Any, ...], exact: tuple[Any, ...]) -> str:
     """Each form at sampled frequencies of its interval in floating point, the least of all in 60 digits."""
-    table, dt, floats = (
-        np.asarray(numbers["blocks"]).tolist(),
-        float(numbers["dt"]),
-        tuple(X.astype(float) for X in exact),
-    )
+    table, dt = np.asarray(numbers["blocks"]).tolist(), float(numbers["dt"])
     low, high = np.asarray(numbers["low"]), np.asarray(numbers["high"])
     stop = float(numbers["band"][1]) if "band" in numbers and kind == "mu-axis" else math.inf
     start = float(numbers["band"][0]) if "band" in numbers and kind == "mu-axis" else 0.0
@@ -629,7 +589,7 @@ def _forms(kind: str, numbers: Numbers, parts: Sequence[Part], exact: Quad) -> s
         D_w, D_z, G = (np.asarray(numbers[x][i]) for x in ("D_w", "D_z", "G"))
         if not _scalings_fit(table, D_w, D_z, G):
             return f"unjustified: scalings of interval {i} have not the structure"
-        if not positive(embedded(D_w)):
+        if not is_positive(embedded(D_w)):
             return f"unjustified: D_w of interval {i} is not positive definite"
         inside = floats if not kind.endswith("boxes") else _inside(floats, parts, numbers["box"][i], np)
         points = _points(begin, b, dt, poles)
@@ -637,15 +597,10 @@ def _forms(kind: str, numbers: Numbers, parts: Sequence[Part], exact: Quad) -> s
         least, w = min((_least_eigenvalue(_float_response(inside, dt, w), D_w, D_z, G, L), w) for w in points)
         worst.append((least, i, w))
     for _, i, w in sorted(worst)[:2]:
-        D_w, D_z, G = (long(np.asarray(numbers[x][i])) for x in ("D_w", "D_z", "G"))
-        model: tuple[Any, ...] = tuple(map(long, exact))
-        if kind.endswith("boxes"):
-            model = _inside(model, parts, numbers["box"][i], mp)
+        model = exact if not kind.endswith("boxes") else _inside(exact, parts, numbers["box"][i], mp)
         M = response(model, dt, mp.pi / mp.mpf(dt) if dt and math.isinf(w) else mp.mpf(w))
         L = long(np.diag(_channel_levels(table, levels)))
-        GM = G.dot(M)
-        F = L.dot(D_w).dot(L) - star(M).dot(D_z).dot(M) - mp.mpc(0, 1) * (GM - star(GM))
-        if not positive(F):
+        if not positive(_form(M, *(numbers[x][i] for x in ("D_w", "D_z", "G")), L)):
             return f"unjustified: the form of interval {i} is not positive definite at {w} rad/s"
     return ""
 
@@ -701,6 +656,3 @@ def _least_eigenvalue(M: Any, D_w: Any, D_z: Any, G: Any, L: Any) -> float:
     GM = G @ M
     F = (weighted - M.conj().T @ D_z @ M - 1j * (GM - GM.conj().T)) * scale[:, None] * scale
     return float(np.linalg.eigvalsh(F)[0]) if np.isfinite(F).all() else -math.inf
-
-
-__all__ = ["gain_above", "judge", "seek"]

@@ -11,18 +11,11 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from flint import acb, acb_mat, arb, ctx, fmpq, fmpq_mat, fmpq_poly
+from exact_loops import exact, eye, product, rational, solved
+from flint import acb, acb_mat, acb_poly, arb, ctx, fmpq, fmpq_mat, fmpq_poly
 
 ctx.prec = 400
 Matrices = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-
-
-def rational(x: float) -> fmpq:
-    return fmpq(*Fraction(float(x)).as_integer_ratio())
-
-
-def _matrix(M: np.ndarray) -> fmpq_mat:
-    return fmpq_mat(*M.shape, [rational(x) for x in M.ravel()]) if M.size else fmpq_mat(*M.shape)
 
 
 def _system(A: Any, B: Any, C: Any, D: Any) -> np.ndarray:
@@ -47,7 +40,7 @@ def interpolated(values: list[fmpq]) -> fmpq_poly:
 
 def determinant(M: np.ndarray, n: int) -> fmpq_poly:
     """``det(M - s E)``, E the identity in the first n rows and columns."""
-    S = _matrix(M)
+    S = rational(M)
     return interpolated([_at(S, n, s).det() if len(M) else fmpq(1) for s in range(n + 1)])
 
 
@@ -61,7 +54,7 @@ def roots(p: fmpq_poly) -> list[complex]:
 def invariant_zeros(A: Any, B: Any, C: Any, D: Any, seed: int = 0) -> tuple[list[complex], int]:
     """All finite invariant zeros and the normal rank of the transfer matrix."""
     M, n = _system(A, B, C, D), len(A)
-    S, rng = _matrix(M), np.random.default_rng(seed)
+    S, rng = rational(M), np.random.default_rng(seed)
     p, m = M.shape[0] - n, M.shape[1] - n
     rank = max((_at(S, n, int(s)).rank() for s in rng.integers(10**6, 10**9, 3)), default=0) if M.size else 0
     if rank == n + p == n + m:
@@ -132,7 +125,7 @@ class Loop:
 
     def _response(self, x: arb) -> acb:
         s = acb(0, x.sqrt())
-        return _value(self.N, s) / _value(self.D, s)
+        return acb_poly(self.N)(s) / acb_poly(self.D)(s)
 
     def _angle(self, x: arb) -> arb:
         return self._response(x).arg()
@@ -153,21 +146,10 @@ class Loop:
         return closed.degree() == max(self.N.degree(), self.D.degree()) and all(z.real < 0 for z in roots(closed))
 
 
-def _value(p: fmpq_poly, s: acb) -> acb:
-    total = acb(0)
-    for c in reversed(p.coeffs()):
-        total = total * s + acb(c)
-    return total
-
-
 def response(A: Any, B: Any, C: Any, D: Any, s: acb) -> acb_mat:
     """``C (s - A)^-1 B + D`` in balls."""
-    a, b, c, d = (acb_mat(*np.shape(x), [acb(float(y)) for y in np.ravel(x)]) for x in (A, B, C, D))
-    n = len(A)
-    if not n:
-        return d
-    eye = acb_mat(n, n, [acb(int(i == j)) for i in range(n) for j in range(n)])
-    return c * (eye * s - a).solve(b) + d
+    a, b, c, d = (acb_mat(exact(np.asarray(x, dtype=float))) for x in (A, B, C, D))
+    return d + product(c, solved(acb_mat(eye(len(A))) * s - a, b))
 
 
 def matched(found: list[complex], wanted: list[complex]) -> float:

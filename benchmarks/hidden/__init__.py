@@ -12,13 +12,11 @@ parametrisation of every effect (bristles, contacts, thermal masses). Of robustl
 from .cases import NOISE, Case, make_case
 from .effects import NothingInCommon
 from .families import ANYWHERE, CURRENT_ONLY, FAMILIES, Family, told
-from .laws import LAWS
 
 __all__ = [
     "ANYWHERE",
     "CURRENT_ONLY",
     "FAMILIES",
-    "LAWS",
     "NOISE",
     "Case",
     "Family",

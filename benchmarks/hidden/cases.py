@@ -12,15 +12,12 @@ from numpy.typing import ArrayLike
 import robustlab as rl
 from robustlab import Record
 
-from .effects import ALL_EFFECTS, Setting
-from .excitation import HOLDS, KINDS, Drive, drive, reference
+from .effects import ALL_EFFECTS, Setting, hidden_effect
+from .excitation import KINDS, reference, voltage
 from .families import possible
-from .laws import hidden_law
-from .machine import Array, Machine, Run
+from .machine import Array, Machine
 from .plants import LEVELS, PLANTS, Setup
 from .rig import Rig, generator
-
-__all__ = ["NOISE", "Case", "make_case"]
 
 NOISE = tuple(LEVELS)
 RECORD, HELD_OUT, REPEAT, EXPERIMENT = range(4)  # runs, each with noise of its own
@@ -30,42 +27,24 @@ RECORD, HELD_OUT, REPEAT, EXPERIMENT = range(4)  # runs, each with noise of its 
 class Case:
     """One blind case. What a namer may see: ``plant``, ``record``, and ``repeat`` where it asks for one.
 
-    Attributes
-    ----------
-    plant
-        The user's nominal model (`robustlab.plant`) with its tolerances; it knows of no effect.
-    record, held_out, repeat
-        Measured: the record to explain; another input on the same machine, never used in a fit; the record's input
-        once more with other noise (in closed loop: the same reference, so that u differs a little).
-    record_clean, held_out_clean
-        What the machine answers to the *logged* input, output name -> (n,): with all its effects, those of the
-        sensors too, without disturbance, noise and rounding.
-    effects, true_parameters
-        Names, and name -> its true parameters; empty for "none".
-    perturbed
-        Parameter -> true value over nominal value, within the tolerance; effects come on top of it.
-    machine
-        The true machine.
-    hold, drive
-        "held" or "continuous" inputs; the record's, with what lies between its samples.
+    ``*_clean``: what the machine answers to the *logged* input, output name -> (n,), with all its effects, without
+    disturbance, noise and rounding. Effects come on top of what is perturbed; "none" has none.
     """
 
-    plant: Any
+    plant: Any  # the user's nominal model with its tolerances
     record: Record
-    held_out: Record
-    repeat: Record
+    held_out: Record  # another input on the same machine, never used in a fit
+    repeat: Record  # the record's input, in closed loop its reference, once more with other noise
     record_clean: Mapping[str, Array]
     held_out_clean: Mapping[str, Array]
     effects: tuple[str, ...]
     true_parameters: Mapping[str, Mapping[str, float]]
-    perturbed: Mapping[str, float]
+    perturbed: Mapping[str, float]  # parameter -> true over nominal value, within the tolerance
     seed: int
     noise: str
     excitation: str
     current: bool
     closed_loop: bool
-    hold: str
-    drive: Drive = field(repr=False)
     rig: Rig = field(repr=False)
 
     @property
@@ -74,19 +53,12 @@ class Case:
         return self.rig.machine
 
     def experiment(self, u: ArrayLike, *, run: int = 0, current: bool | None = None) -> Record:
-        """Measure once more on the same machine, from rest at zero: input u (n,), held or joined as the case's own.
+        """Measure once more on the same machine, from rest at zero: input u (n,), held.
 
         ``run`` picks the noise; ``current`` adds a current sensor (the case's own choice by default).
         """
-        got = self.rig.measured(self._through(u), EXPERIMENT + run)
+        got = self.rig.measured(np.asarray(u, dtype=np.float64), EXPERIMENT + run)
         return self.rig.record(got, f"experiment {run}", self.current if current is None else current)
-
-    def clean(self, u: ArrayLike, *, effects: bool = True) -> dict[str, Array]:
-        """Noise-free outputs (n,) for the input u (n,); without effects, those of the perturbed nominal machine."""
-        return self.rig.channels(self.rig.clean(self._through(u), effects=effects), self.current)
-
-    def _through(self, u: ArrayLike) -> Drive:
-        return Drive.through(np.asarray(u, dtype=np.float64), self.hold)
 
 
 def make_case(
@@ -100,47 +72,23 @@ def make_case(
     duration: float = 4.8,
     dt: float | None = None,
     closed_loop: bool = False,
-    hold: str = "held",
     parameters: Mapping[str, Mapping[str, float]] | None = None,
-    laws: Mapping[str, str] | None = None,
 ) -> Case:
     """Draw a case; the same arguments give the same case, bit by bit, on the same machine.
 
     Machine, input and noise have generators of their own, seeded by ``seed`` and the effects' names: cases that differ
     only in noise level, input or sensors share their perturbed parameters and the draws that do not refer to the input.
 
-    Parameters
-    ----------
-    effects
-        One name of `CLASSES`, `CURRENT_ONLY` or `OUTSIDE`, several names, or "none".
-    noise
-        "low", "mid" or "high" (`plants.LEVELS`).
-    excitation
-        "rich", "square", "oneway", "multisine" or "steps"; the held-out record is of the same kind.
-    current
-        A current sensor, too (not on the servo axis).
-    hold
-        "held": the input is constant between its samples; "continuous": it moves between them and only the samples
-        are known.
-    closed_loop
-        A position controller follows a drawn reference and its voltage is logged as u; ``excitation`` is not used.
-    parameters
-        Effect -> parameters to set instead of their draws, for example ``{"coulomb-friction": {"Fc": 0.02}}``.
-    laws
-        Effect -> another formula of it (`hidden.laws.LAWS`), for example ``{"end-stop": "kelvin-voigt"}``.
-
-    Raises
-    ------
-    ValueError
-        Unknown names, a current where the plant has none, an effect that the plant cannot have.
+    ``effects``: one name, several, or "none". ``noise``: "low", "mid" or "high". ``excitation``: "rich", "square",
+    "oneway", "multisine" or "steps", not used where in ``closed_loop`` a position controller follows a drawn reference
+    and its voltage is logged. ``current``: a current sensor, too. ``parameters``: effect -> parameters to set instead
+    of their draws. ValueError: unknown names, a current where the plant has none, an effect that it cannot have.
     """
     given = parameters or {}
-    names = _checked(effects, plant, noise, excitation, current, given, laws or {})
+    names = _checked(effects, plant, noise, excitation, current, given)
     setup = PLANTS[plant]
-    if closed_loop and (setup.feedback is None or hold != "held"):
-        raise ValueError(f"no controller that holds its output works on {plant} with a {hold} input")
-    if hold not in HOLDS:
-        raise ValueError(f"hold {hold!r}: one of {', '.join(HOLDS)}")
+    if closed_loop and setup.feedback is None:
+        raise ValueError(f"no controller works on {plant}")
     dt = setup.dt if dt is None else dt
     n = round(duration / dt)
     draw = generator(seed, "machine", plant, *names)
@@ -149,19 +97,19 @@ def make_case(
         setup = setup.vary(setup, draw)
     resonance = _resonance(setup)
 
-    def next_input() -> Drive:
+    def next_input() -> Array:
         if closed_loop:
-            return Drive(reference(n, dt, setup.reach, inputs))
-        return drive(excitation, n, dt, setup.largest, inputs, inputs=setup.inputs, hold=hold, resonance=resonance)
+            return reference(n, dt, setup.reach, inputs)
+        return voltage(excitation, n, dt, setup.largest, inputs, inputs=setup.inputs, resonance=resonance)
 
     perturbed = _perturbed(setup, draw)
     bare = setup.machine({name: value * perturbed[name] for name, (value, _) in setup.nominal.items()})
     feedback = (*setup.feedback, setup.largest) if closed_loop and setup.feedback else None
     first, second = next_input(), next_input()
-    setting = Setting(setup, bare, first.samples, second.samples, dt, feedback)
+    setting = Setting(setup, bare, first, second, dt, feedback)
     machine, true = bare, {}
     for name in names:
-        hidden = hidden_law(plant, name, (laws or {}).get(name))
+        hidden = hidden_effect(plant, name)
         drawn = {**hidden.draw(draw, setting), **given.get(name, {})}
         true[name] = {key: float(v) for key, v in drawn.items()}
         machine = hidden.put(machine, true[name], setting)
@@ -173,8 +121,8 @@ def make_case(
         record=rig.record(record, "record", current),
         held_out=rig.record(held_out, "held-out", current),
         repeat=rig.record(rig.measured(first, REPEAT, closed=closed_loop), "repeat", current),
-        record_clean=rig.channels(rig.clean(_logged(first, record[0]), RECORD), current),
-        held_out_clean=rig.channels(rig.clean(_logged(second, held_out[0]), HELD_OUT), current),
+        record_clean=rig.channels(rig.clean(record[0].u, RECORD), current),
+        held_out_clean=rig.channels(rig.clean(held_out[0].u, HELD_OUT), current),
         effects=names,
         true_parameters=true,
         perturbed=perturbed,
@@ -183,15 +131,8 @@ def make_case(
         excitation="closed-loop" if closed_loop else excitation,
         current=current,
         closed_loop=closed_loop,
-        hold=hold,
-        drive=_logged(first, record[0]),
         rig=rig,
     )
-
-
-def _logged(asked: Drive, run: Run) -> Drive:
-    """The input that acted: in closed loop what the controller put out."""
-    return asked if asked.fine is not None else Drive(run.u)
 
 
 def _resonance(setup: Setup) -> float:
@@ -207,7 +148,6 @@ def _checked(
     excitation: str,
     current: bool,
     parameters: Mapping[str, Mapping[str, float]],
-    laws: Mapping[str, str],
 ) -> tuple[str, ...]:
     """The effects' names, without "none"; refuses what does not exist."""
     if plant not in PLANTS:
@@ -226,8 +166,8 @@ def _checked(
             raise ValueError(f"effect {name!r}: 'none' or one of {', '.join(ALL_EFFECTS)}")
         if not possible(plant, name):
             raise ValueError(f"{name} makes no sense on {plant}")
-    if len(set(names)) < len(names) or {*parameters, *laws} - set(names):
-        raise ValueError("every effect once, and parameters and laws only for effects of the case")
+    if len(set(names)) < len(names) or {*parameters} - set(names):
+        raise ValueError("every effect once, and parameters only for effects of the case")
     return names
 
 

@@ -16,18 +16,6 @@ import numpy as np
 from .machine import Array, Machine, Run, simulate
 from .plants import Setup
 
-__all__ = [
-    "ALL_EFFECTS",
-    "EFFECTS",
-    "MOTOR_ONLY",
-    "OUTSIDE_EFFECTS",
-    "Hidden",
-    "NothingInCommon",
-    "Setting",
-    "Timeline",
-    "hidden_effect",
-]
-
 Parameters = dict[str, float]
 
 # How far the bristle of "pure Coulomb" friction bends before it slides, in rad: a hundredth of the encoder's step.
@@ -148,6 +136,11 @@ def _scaled(name: str, low: tuple[float, float], high: tuple[float, float] | Non
     )
 
 
+def _set(draw: Draw, **fields: str) -> Hidden:
+    """Constants of the machine that are drawn values: constant="value"."""
+    return Hidden(draw, lambda m, p, s: m._replace(**{own: p[name] for own, name in fields.items()}))
+
+
 def _coulomb(r: np.random.Generator, s: Setting) -> Parameters:
     return {"Fc": s.torque * r.uniform(2e-3, 8e-3)}
 
@@ -204,12 +197,8 @@ def _put_backlash(m: Machine, p: Parameters, s: Setting) -> Machine:
 
 
 def _backlash(r: np.random.Generator, s: Setting) -> Parameters:
-    return {
-        "gap": s.length * r.uniform(0.12, 0.3),
-        "share": r.uniform(0.45, 0.65),
-        "contact_frequency": r.uniform(200, 400),
-        "hc": r.uniform(0.05, 0.2) / s.length,
-    }
+    gap, share, frequency = s.length * r.uniform(0.12, 0.3), r.uniform(0.45, 0.65), r.uniform(200, 400)
+    return {"gap": gap, "share": share, "contact_frequency": frequency, "hc": r.uniform(0.05, 0.2) / s.length}
 
 
 def _put_gear(m: Machine, driven: float, braking: float, share: float, s: Setting) -> Machine:
@@ -282,15 +271,8 @@ def _ripple(r: np.random.Generator, s: Setting) -> Parameters:
 
 def _bouc_wen(r: np.random.Generator, s: Setting) -> Parameters:
     """Wen's exponent 1; gamma = 1/2 would come back along a straight line, 0 is dry friction with a soft contact."""
-    return {
-        "k": s.torque * r.uniform(15e-3, 30e-3) / (0.1 * s.reach),
-        "yield": s.reach * r.uniform(0.05, 0.1),
-        "gamma": r.uniform(0.25, 0.48),
-    }
-
-
-def _put_bouc_wen(m: Machine, p: Parameters, s: Setting) -> Machine:
-    return m._replace(k_h=p["k"], x_h=p["yield"], gamma_h=p["gamma"])
+    k = s.torque * r.uniform(15e-3, 30e-3) / (0.1 * s.reach)
+    return {"k": k, "yield": s.reach * r.uniform(0.05, 0.1), "gamma": r.uniform(0.25, 0.48)}
 
 
 def _heating(r: np.random.Generator, s: Setting) -> Parameters:
@@ -326,73 +308,57 @@ EFFECTS: Mapping[str, Hidden] = {
         _stribeck, lambda m, p, s: _dry(m, p["Fc"] + p["dF"], s, Fc=p["Fc"], dF=p["dF"], vs=p["vs"])
     ),
     "presliding": Hidden(_presliding, lambda m, p, s: _bristle(m, p["Fc"], p["bend"], 0.03)._replace(Fc=p["Fc"])),
-    "asymmetric-viscous-friction": Hidden(_asymmetric, lambda m, p, s: m._replace(b_pos=p["b_pos"], b_neg=p["b_neg"])),
-    "constant-load": Hidden(
-        lambda r, s: {"T0": s.torque * _sign(r) * r.uniform(1.5e-3, 6e-3)}, lambda m, p, s: m._replace(T0=p["T0"])
-    ),
-    "quadratic-drag": Hidden(
-        lambda r, s: {"c": s.torque / s.speed**2 * r.uniform(4e-8, 1.2e-7)}, lambda m, p, s: m._replace(drag=p["c"])
-    ),
+    "asymmetric-viscous-friction": _set(_asymmetric, b_pos="b_pos", b_neg="b_neg"),
+    "constant-load": _set(lambda r, s: {"T0": s.torque * _sign(r) * r.uniform(1.5e-3, 6e-3)}, T0="T0"),
+    "quadratic-drag": _set(lambda r, s: {"c": s.torque / s.speed**2 * r.uniform(4e-8, 1.2e-7)}, drag="c"),
     "position-dependent-friction": Hidden(
-        _position_friction,
-        lambda m, p, s: _dry(m, p["Fc"] + p["P"], s, Fc=p["Fc"], P=p["P"], N=p["N"], a_P=p["a"]),
+        _position_friction, lambda m, p, s: _dry(m, p["Fc"] + p["P"], s, Fc=p["Fc"], P=p["P"], N=p["N"], a_P=p["a"])
     ),
-    "cogging": Hidden(_cogging, lambda m, p, s: m._replace(A=p["A"], n=p["n"], a_A=p["a"])),
+    "cogging": _set(_cogging, A="A", n="n", a_A="a"),
     "gear-efficiency": Hidden(
         lambda r, s: {"eta": r.uniform(0.65, 0.88), "share": r.uniform(0.5, 0.7)},
         lambda m, p, s: _put_gear(m, 1 - p["eta"], 1 - p["eta"], p["share"], s),
     ),
     "backlash": Hidden(_backlash, _put_backlash),
     "flexible-coupling": Hidden(_flexible, _put_flexible),
-    "input-delay": Hidden(lambda r, s: {"delay": r.uniform(2e-3, 8e-3)}, lambda m, p, s: m._replace(delay=p["delay"])),
-    "input-dead-zone": Hidden(
-        lambda r, s: {"V": s.setup.largest * r.uniform(1 / 60, 1 / 20)}, lambda m, p, s: m._replace(dead=p["V"])
-    ),
+    "input-delay": _set(lambda r, s: {"delay": r.uniform(2e-3, 8e-3)}, delay="delay"),
+    "input-dead-zone": _set(lambda r, s: {"V": s.setup.largest * r.uniform(1 / 60, 1 / 20)}, dead="V"),
     "brush-drop": Hidden(lambda r, s: {"V": r.uniform(0.3, 1.0)}, lambda m, p, s: m._replace(Vb=p["V"], i_s=1e-3)),
-    "input-saturation": Hidden(
-        lambda r, s: {"limit": s.setup.largest * r.uniform(0.5, 0.8)}, lambda m, p, s: m._replace(limit=p["limit"])
-    ),
+    "input-saturation": _set(lambda r, s: {"limit": s.setup.largest * r.uniform(0.5, 0.8)}, limit="limit"),
     # A bridge switching at 25 kHz loses two dead times of each period; a supply above its rating gains.
-    "input-gain": Hidden(
+    "input-gain": _set(
         lambda r, s: {"factor": 1 - 2 * 25e3 * r.uniform(2e-6, 4e-6) if r.random() < 0.5 else r.uniform(1.1, 1.2)},
-        lambda m, p, s: m._replace(amplify=p["factor"]),
+        amplify="factor",
     ),
     "sensor-gain": _scaled("factor", (0.9, 0.95), (1.05, 1.1), "y_gain"),
-    "sensor-bias": Hidden(
+    "sensor-bias": _set(
         lambda r, s: {"angle": s.length * _sign(r) * r.uniform(0.1, 0.3), "current": _sign(r) * r.uniform(0.15, 0.5)},
-        lambda m, p, s: m._replace(y_bias=p["angle"], i_bias=p["current"]),
+        y_bias="angle",
+        i_bias="current",
     ),
     "sensor-eccentricity": Hidden(
         lambda r, s: {"e": s.length * r.uniform(0.03, 0.06), "a": _angle(r)},
         lambda m, p, s: m._replace(y_e=p["e"], y_a=p["a"], y_n=1.0 / s.length),
     ),
-    "sensor-delay": Hidden(
-        lambda r, s: {"delay": r.uniform(2e-3, 8e-3)}, lambda m, p, s: m._replace(y_delay=p["delay"])
-    ),
-    "stiffness": Hidden(
-        lambda r, s: {"k": s.torque * r.uniform(6e-3, 20e-3) / s.reach}, lambda m, p, s: m._replace(k=p["k"])
-    ),
-    "cubic-stiffness": Hidden(
-        lambda r, s: {"k3": s.torque * r.uniform(10e-3, 30e-3) / s.reach**3}, lambda m, p, s: m._replace(k3=p["k3"])
-    ),
+    "sensor-delay": _set(lambda r, s: {"delay": r.uniform(2e-3, 8e-3)}, y_delay="delay"),
+    "stiffness": _set(lambda r, s: {"k": s.torque * r.uniform(6e-3, 20e-3) / s.reach}, k="k"),
+    "cubic-stiffness": _set(lambda r, s: {"k3": s.torque * r.uniform(10e-3, 30e-3) / s.reach**3}, k3="k3"),
     "end-stop": Hidden(_end_stop, _put_end_stop),
-    "pendulum-gravity": Hidden(
+    "pendulum-gravity": _set(
         lambda r, s: {"mgl": s.torque * r.uniform(3e-3, 8e-3), "rest": r.uniform(-math.pi, math.pi)},
-        lambda m, p, s: m._replace(grav=p["mgl"], x_grav=p["rest"]),
+        grav="mgl",
+        x_grav="rest",
     ),
-    "actuator-lag": Hidden(lambda r, s: {"T": r.uniform(2e-3, 20e-3)}, lambda m, p, s: m._replace(lag=p["T"])),
+    "actuator-lag": _set(lambda r, s: {"T": r.uniform(2e-3, 20e-3)}, lag="T"),
     "asymmetric-coulomb-friction": Hidden(_asymmetric_coulomb, _put_asymmetric_coulomb),
     "load-dependent-friction": Hidden(
         _load_dependent, lambda m, p, s: _put_gear(m, p["driven"], p["braking"], p["share"], s)
     ),
-    "bouc-wen": Hidden(_bouc_wen, _put_bouc_wen),
+    "bouc-wen": _set(_bouc_wen, k_h="k", x_h="yield", gamma_h="gamma"),
     "torque-ripple": Hidden(
-        _ripple,
-        lambda m, p, s: m._replace(rip=p["A"], rip_w=2 * math.pi * p["frequency"], rip_a=p["a"]),
+        _ripple, lambda m, p, s: m._replace(rip=p["A"], rip_w=2 * math.pi * p["frequency"], rip_a=p["a"])
     ),
-    "one-sided-spring": Hidden(
-        _one_sided, lambda m, p, s: m._replace(side=p["side"], x_side=p["place"], k_side=p["k"])
-    ),
+    "one-sided-spring": _set(_one_sided, side="side", x_side="place", k_side="k"),
     "magnitude-sensor": Hidden(lambda r, s: {}, lambda m, p, s: m._replace(y_abs=1.0)),
 }
 
@@ -426,11 +392,8 @@ def _unchanged(m: Machine, p: Parameters, s: Setting) -> Machine:
 
 
 def _resonance(r: np.random.Generator, s: Setting) -> Parameters:
-    return {
-        "share": r.uniform(0.5, 0.6),
-        "frequency": s.setup.resonance[0] * r.uniform(0.8, 1.3),
-        "hardening": r.uniform(4, 8),
-    }
+    share, frequency = r.uniform(0.5, 0.6), s.setup.resonance[0] * r.uniform(0.8, 1.3)
+    return {"share": share, "frequency": frequency, "hardening": r.uniform(4, 8)}
 
 
 def _put_resonance(m: Machine, p: Parameters, s: Setting) -> Machine:
@@ -442,9 +405,8 @@ def _put_resonance(m: Machine, p: Parameters, s: Setting) -> Machine:
 
 
 OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
-    "field-weakening": Hidden(
-        lambda r, s: {"speed": r.uniform(1.5, 2.3) * s.setup.largest / s.machine.Ke},
-        lambda m, p, s: m._replace(weakening=p["speed"]),
+    "field-weakening": _set(
+        lambda r, s: {"speed": r.uniform(1.5, 2.3) * s.setup.largest / s.machine.Ke}, weakening="speed"
     ),
     "telegraph-load": Hidden(
         lambda r, s: {
@@ -459,17 +421,17 @@ OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
         lambda r, s: {"final": s.torque * r.uniform(15e-3, 30e-3)},
         lambda m, p, s: _dry(m, p["final"], s, wear=p["final"] / s.travel),
     ),
-    "one-sided-magnet": Hidden(
+    "one-sided-magnet": _set(
         lambda r, s: {
             "A": s.torque * r.uniform(20e-3, 40e-3),
             "place": float(np.quantile(s.free.phi, r.uniform(0.35, 0.65))),
             "width": float(np.ptp(s.free.phi)) * r.uniform(0.08, 0.15),
         },
-        lambda m, p, s: m._replace(magnet=p["A"], x_m=p["place"], w_m=p["width"]),
+        magnet="A",
+        x_m="place",
+        w_m="width",
     ),
-    "slew-rate-limit": Hidden(
-        lambda r, s: {"rate": s.setup.largest * r.uniform(4, 12)}, lambda m, p, s: m._replace(slew=p["rate"])
-    ),
+    "slew-rate-limit": _set(lambda r, s: {"rate": s.setup.largest * r.uniform(4, 12)}, slew="rate"),
     "square-root-drag": Hidden(
         lambda r, s: {"c": s.torque * r.uniform(20e-3, 40e-3) / math.sqrt(s.top_speed)},
         lambda m, p, s: m._replace(root_drag=p["c"], root_w=s.length),
@@ -484,12 +446,13 @@ OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
         _dropouts,
     ),
     "nonlinear-resonance": Hidden(_resonance, _put_resonance),
-    "speed-gated-brake": Hidden(
+    "speed-gated-brake": _set(
         lambda r, s: {
             "speed": s.top_speed * r.uniform(0.35, 0.5),
             "b": r.uniform(0.3, 0.6) * s.frequency * s.machine.J1,
         },
-        lambda m, p, s: m._replace(bite=p["speed"], brake=p["b"]),
+        bite="speed",
+        brake="b",
     ),
 }
 
@@ -545,14 +508,13 @@ OF_A_PLANT: Mapping[str, Mapping[str, Hidden]] = {
                 **_share_of_spring("k", 0.03, 0.1)(r, s),
                 "yield": s.reach * r.uniform(0.1, 0.3),
             },
-            _put_bouc_wen,
+            EFFECTS["bouc-wen"].put,
         ),
         "torque-ripple": Hidden(_ripple_beside_a_resonance, EFFECTS["torque-ripple"].put),
     },
     "two-mass": {
         "inertia": Hidden(
-            lambda r, s: {"factor": _either(r, (0.6, 0.78), (1.25, 1.6)), "body": float(r.integers(1, 3))},
-            _one_inertia,
+            lambda r, s: {"factor": _either(r, (0.6, 0.78), (1.25, 1.6)), "body": float(r.integers(1, 3))}, _one_inertia
         ),
         "viscous-friction": Hidden(lambda r, s: {"factor": r.uniform(3, 8)}, _friction_of_the_shaft),
         "stiffness": _scaled("factor", (0.6, 0.78), (1.25, 1.6), "k_s"),

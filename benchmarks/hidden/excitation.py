@@ -1,56 +1,18 @@
-"""Inputs of the blind tests, drawn from a generator; amplitudes are shares of the largest voltage.
-
-Held between the samples, or continuous: the same kinds, smoothed, so that the samples are all that is known of them.
-"""
+"""Inputs of the blind tests, drawn from a generator, held between samples; amplitudes are shares of the largest."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-__all__ = ["HOLDS", "KINDS", "Drive", "drive", "reference", "voltage"]
-
 Array = NDArray[np.float64]
 
 KINDS = ("rich", "square", "oneway", "multisine", "steps")
-HOLDS = ("held", "continuous")
 SQUARE = 11.8 / 24.0  # the thesis' +-11.8 V at a 24 V supply
-BETWEEN = 50  # steps a sample in which a continuous input is held at its value in their middle
-
-
-@dataclass(frozen=True)
-class Drive:
-    """An input: its samples (n,), and where it is continuous its values (BETWEEN n,) in the middle of fine steps."""
-
-    samples: Array
-    fine: Array | None = None
-
-    @classmethod
-    def through(cls, samples: Array, hold: str) -> Drive:
-        """Samples held, or joined by straight lines."""
-        if hold == "held":
-            return cls(samples)
-        n = len(samples)
-        return cls(samples, np.interp((np.arange(BETWEEN * n) + 0.5) / BETWEEN, np.arange(n), samples))
-
-
-def drive(
-    kind: str, n: int, dt: float, largest: float, rng: np.random.Generator, *, inputs: str = "levels",
-    hold: str = "held", resonance: float = 0.0,
-) -> Drive:  # fmt: skip
-    """An input of n samples; see `voltage`. A continuous one has a corner of at least 8 samples a period."""
-    if hold == "held":
-        return Drive(voltage(kind, n, dt, largest, rng, inputs=inputs, resonance=resonance))
-    fine = 2 * BETWEEN
-    raw = voltage(kind, fine * n, dt / fine, largest, rng, inputs=inputs, resonance=resonance)
-    corner = rng.uniform(0.06, 0.125)  # of the sample rate, where a Gaussian has fallen by 3 dB
-    smooth = gaussian_filter1d(raw, 0.1325 / corner * fine, mode="nearest")
-    return Drive(smooth[::fine], smooth[1::2])
 
 
 def voltage(

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from .effects import EFFECTS, MOTOR_ONLY, OUTSIDE_EFFECTS
 
-__all__ = ["ANYWHERE", "CURRENT_ONLY", "FAMILIES", "Family", "possible", "told"]
-
 # A constant offset of the angle is no more than another zero on a plant that integrates; a current shows it.
 CURRENT_ONLY = ("sensor-bias",)
 
@@ -39,45 +37,25 @@ WITHOUT_MOTOR = tuple(name for name in OUTSIDE if name != "field-weakening")
 WITHOUT_SHAFT = tuple(name for name in WITHOUT_MOTOR if name != "nonlinear-resonance")
 
 MOTOR_PAIRS = (
-    ("coulomb-friction", "input-dead-zone"),
-    ("coulomb-friction", "constant-load"),
-    ("coulomb-friction", "cogging"),
-    ("coulomb-friction", "inertia"),
-    ("coulomb-friction", "quadratic-drag"),
-    ("coulomb-friction", "input-delay"),
-    ("coulomb-friction", "asymmetric-viscous-friction"),
-    ("coulomb-friction", "flexible-coupling"),
-    ("coulomb-friction", "resistance-heating"),
-    ("coulomb-friction", "stiffness"),
-    ("constant-load", "quadratic-drag"),
-    ("input-delay", "input-dead-zone"),
-    ("backlash", "constant-load"),
-    ("input-saturation", "cogging"),
-    ("brush-drop", "input-delay"),
-    ("coulomb-friction", "pendulum-gravity"),
-)
+    *(("coulomb-friction", other) for other in (
+        "input-dead-zone", "constant-load", "cogging", "inertia", "quadratic-drag", "input-delay",
+        "asymmetric-viscous-friction", "flexible-coupling", "resistance-heating", "stiffness",
+    )),
+    ("constant-load", "quadratic-drag"), ("input-delay", "input-dead-zone"), ("backlash", "constant-load"),
+    ("input-saturation", "cogging"), ("brush-drop", "input-delay"), ("coulomb-friction", "pendulum-gravity"),
+)  # fmt: skip
 ACTUATOR_PAIRS = tuple(p for p in MOTOR_PAIRS if set(p) <= set(ACTUATOR))
 AXIS_PAIRS = tuple(p for p in MOTOR_PAIRS if set(p) <= set(AXIS))
 OSCILLATOR_PAIRS = (
-    ("cubic-stiffness", "constant-load"),
-    ("cubic-stiffness", "coulomb-friction"),
-    ("cubic-stiffness", "input-delay"),
-    ("coulomb-friction", "stiffness"),
-    ("quadratic-drag", "stiffness"),
-    ("end-stop", "coulomb-friction"),
-    ("viscous-friction", "input-dead-zone"),
-    ("one-sided-spring", "inertia"),
-)
+    ("cubic-stiffness", "constant-load"), ("cubic-stiffness", "coulomb-friction"), ("cubic-stiffness", "input-delay"),
+    ("coulomb-friction", "stiffness"), ("quadratic-drag", "stiffness"), ("end-stop", "coulomb-friction"),
+    ("viscous-friction", "input-dead-zone"), ("one-sided-spring", "inertia"),
+)  # fmt: skip
 TWO_MASS_PAIRS = (
-    ("coulomb-friction", "constant-load"),
-    ("coulomb-friction", "stiffness"),
-    ("coulomb-friction", "input-delay"),
-    ("coulomb-friction", "cogging"),
-    ("coulomb-friction", "pendulum-gravity"),
-    ("cogging", "input-saturation"),
-    ("inertia", "quadratic-drag"),
-    ("end-stop", "coulomb-friction"),
-)
+    ("coulomb-friction", "constant-load"), ("coulomb-friction", "stiffness"), ("coulomb-friction", "input-delay"),
+    ("coulomb-friction", "cogging"), ("coulomb-friction", "pendulum-gravity"), ("cogging", "input-saturation"),
+    ("inertia", "quadratic-drag"), ("end-stop", "coulomb-friction"),
+)  # fmt: skip
 
 # Exact twins, which no record of the family tells apart, told in one way of saying it: one output of a linear plant
 # shows a gain, or a delay, at its input as it does at its sensor; on a spring a constant load moves the rest position

@@ -12,7 +12,7 @@ Dry friction is one LuGre bristle whose level g depends on speed, position, trav
 
 .. math:: \dot z = \omega - \sigma_0 |\omega| z / g, \qquad T_f = \sigma_0 z + \sigma_1 \dot z,
 
-contacts are of Hunt and Crossley (other formulas for both: `hidden.laws`), the winding heats by two thermal masses,
+contacts are of Hunt and Crossley, the winding heats by two thermal masses,
 an actuator's lag is advanced exactly and acts with its mean over the step. Steps are classical Runge-Kutta of
 fourth order, at most 20 microseconds long and shorter where a contact, a bristle or a brush asks for it; the bristle
 alone, which may be as stiff as it likes, is advanced by the exact solution of its equation at the stage's speed. Steps
@@ -32,8 +32,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-
-__all__ = ["Machine", "Run", "longest_step", "simulate"]
 
 Array = NDArray[np.float64]
 
@@ -122,12 +120,6 @@ class Machine(NamedTuple):
     y_delay: float = 0.0
     y_abs: float = 0.0  # 1: the sensor shows the magnitude
     i_bias: float = 0.0
-    # other formulas of the same physics (`hidden.laws`)
-    smooth: float = 0.0  # speed over which dry friction builds up as a tanh, in place of the bristle
-    bend_vs: float = 2.0  # exponent of Stribeck's fall exp(-|omega / vs|**p)
-    kelvin: float = 0.0  # damper beside the stop's spring (Kelvin and Voigt), in place of Hunt and Crossley's
-    hertz: float = 0.0  # depth at which a stop that stiffens as Hertz's contact has k_stop; 0: it does not
-    kelvin_teeth: float = 0.0  # damper beside the spring of the teeth
 
 
 @dataclass(frozen=True)
@@ -156,9 +148,7 @@ def longest_step(m: Machine) -> float:
         rates.append(math.sqrt(m.k_stop / m.J1))
     if m.k_h:
         rates.append(math.sqrt(m.k_h / m.J1))
-    if m.smooth:
-        rates.append((m.Fc + m.dF) / m.smooth / m.J1 / 4.0)  # damped: as of the brush
-    elif m.Fc or m.loss or m.wear:
+    if m.Fc or m.loss or m.wear:
         rates.append(math.sqrt(m.s0 / m.J1))
     return min(LONGEST_STEP, 0.2 / max(rates))
 
@@ -176,51 +166,26 @@ def simulate(
     feedback: tuple[float, float, float] | None = None,
     step: float | None = None,
 ) -> Run:
-    """Run the machine from rest at zero.
+    """Run the machine from rest at zero: voltage u (n,) held over each sample, or the reference of the angle.
 
-    Parameters
-    ----------
-    u
-        Voltage (n,), held over each sample; with ``feedback``, the reference of the angle instead.
-    external
-        Torque on body 1 (n,), held over each sample.
-    alive
-        1 where the driver works, 0 where it drops out (n,).
-    angle_noise, current_noise
-        Added to the sensors' readings (n,); the angle is rounded to ``lsb`` after that.
-    feedback
-        ``(kp, kd, limit)`` of a sampled position controller that reads the sensor and whose output is logged as u.
-    step
-        Longest step in s; `longest_step` by default.
+    ``external``: torque on body 1; ``alive``: 1 where the driver works, 0 where it drops out; noise is added to the
+    readings, and the angle is rounded to ``lsb`` after that. ``feedback``: (kp, kd, limit) of a sampled position
+    controller that reads the sensor and whose output is logged as u.
     """
     n = len(u)
     zeros = np.zeros(n)
     kp, kd, limit = feedback or (0.0, 0.0, 0.0)
-    out = _run(
-        Machine(*map(float, m)),  # an integer among them would be compiled for once more
-        np.ascontiguousarray(u, dtype=np.float64),
-        dt,
-        longest_step(m) if step is None else step,
-        zeros if external is None else external,
-        np.ones(n) if alive is None else alive,
-        zeros if angle_noise is None else angle_noise,
-        zeros if current_noise is None else current_noise,
-        lsb,
-        feedback is not None,
-        kp,
-        kd,
-        limit,
-    )
-    return Run(*out)
+    given = (zeros if x is None else x for x in (angle_noise, current_noise))
+    constants = Machine(*map(float, m))  # an integer among them would be compiled for once more
+    h = longest_step(m) if step is None else step
+    around = zeros if external is None else external, np.ones(n) if alive is None else alive, *given
+    u = np.ascontiguousarray(u, dtype=np.float64)
+    return Run(*_run(constants, u, dt, h, *around, lsb, feedback is not None, kp, kd, limit))
 
 
 @njit(cache=True, error_model="numpy")
 def _shaft(m, e, de):
     """Torque that body 1 passes to body 2 at the twist e and its rate."""
-    if m.gap > 0.0 and m.kelvin_teeth > 0.0:
-        side = math.copysign(1.0, e)
-        depth = side * e - 0.5 * m.gap
-        return side * max(0.0, m.k_s * depth + m.kelvin_teeth * side * de) if depth > 0.0 else 0.0
     if m.gap > 0.0:
         if e > 0.5 * m.gap:
             depth = e - 0.5 * m.gap
@@ -239,7 +204,7 @@ def _friction_level(m, phi, om, travel, shaft):
     if m.dFc != 0.0:
         level += m.dFc if om >= 0.0 else -m.dFc
     if m.dF > 0.0:
-        level += m.dF * math.exp(-((om / m.vs) ** 2 if m.bend_vs == 2.0 else abs(om / m.vs) ** m.bend_vs))
+        level += m.dF * math.exp(-((om / m.vs) ** 2))
     if m.P != 0.0:
         level = max(0.0, level + m.P * math.cos(phi / m.N + m.a_P))
     return level
@@ -290,12 +255,7 @@ def _loads(m, phi, om, x):
 @njit(cache=True, error_model="numpy")
 def _stop(m, depth, into):
     """Force of a stop at a depth, entered at the speed ``into``; it pushes only."""
-    spring = m.k_stop * depth
-    if m.hertz > 0.0:
-        spring *= math.sqrt(depth / m.hertz)
-    if m.kelvin > 0.0:
-        return max(0.0, spring + m.kelvin * into)
-    return max(0.0, spring * (1.0 + m.c_stop * into))
+    return max(0.0, m.k_stop * depth * (1.0 + m.c_stop * into))
 
 
 @njit(cache=True, error_model="numpy")
@@ -319,9 +279,7 @@ def _rates(m, u, R, external, travel, z0, tau, phi, om, p, v, i, x):
         dv = shaft / m.J2
     dry = 0.0
     level = _friction_level(m, phi, om, travel, shaft)
-    if level > 0.0 and m.smooth > 0.0:
-        dry = level * math.tanh(om / m.smooth)
-    elif level > 0.0:
+    if level > 0.0:
         z = _bristle(m, level, om, z0, tau)
         dry = m.s0 * z + m.s1 * (om - m.s0 * abs(om) * z / level)
     dx = 0.0

@@ -13,8 +13,6 @@ import numpy as np
 
 from .machine import Machine
 
-__all__ = ["LEVELS", "PLANTS", "Level", "Setup"]
-
 
 @dataclass(frozen=True)
 class Level:
@@ -35,58 +33,28 @@ LEVELS = {
 
 @dataclass(frozen=True)
 class Setup:
-    """A plant: nominal values with relative tolerances, and how its machine follows from the true values.
+    """A plant: nominal values with relative tolerances, and how its machine follows from the true values."""
 
-    Attributes
-    ----------
-    nominal
-        Name -> (value, relative tolerance).
-    together
-        Groups of names that are one physical constant and are perturbed by one factor.
-    machine
-        True values -> `Machine` without effects.
-    length
-        Unit of the coordinate per radian of a motor (1 for angles), which scales all draws: forces by 1 / length.
-    force, speed
-        Scales of the draws where they are not 1 / length and length.
-    dt
-        Sample time in s.
-    inputs
-        Kind of excitation, see `excitation.held`: "levels", "balanced" or "resonant".
-    input, input_unit
-        The plant's input.
-    second
-        Second measured coordinate, of body 2; empty where there is none.
-    vary
-        The setup of one seed: nominal values that differ from machine to machine.
-    disturbance
-        Factor on the level's coloured torque.
-    resonance
-        Range in Hz of a soft coupling's frequency.
-    feedback
-        kp, kd of the position controller (None: never in closed loop); `reach` is what it is asked to move within.
-    """
-
-    nominal: Mapping[str, tuple[float, float]]
-    together: tuple[tuple[str, ...], ...]
-    machine: Callable[[Mapping[str, float]], Machine]
+    nominal: Mapping[str, tuple[float, float]]  # name -> (value, relative tolerance)
+    together: tuple[tuple[str, ...], ...]  # names that are one physical constant and are perturbed by one factor
+    machine: Callable[[Mapping[str, float]], Machine]  # true values -> machine without effects
     output: str
     unit: str
-    length: float
+    length: float  # of the coordinate per radian of a motor: scales all draws, forces by 1 / length
     largest: float
-    disturbance: float
-    resonance: tuple[float, float]
-    feedback: tuple[float, float] | None
-    reach: float
+    disturbance: float  # factor on the level's coloured torque
+    resonance: tuple[float, float]  # range in Hz of a soft coupling's frequency
+    feedback: tuple[float, float] | None  # kp, kd of the position controller; None: never in closed loop
+    reach: float  # within which the controller is asked to move
     electrical: bool
     input: str = "u"
     input_unit: str = "V"
-    force: float | None = None
+    force: float | None = None  # scales of the draws where they are not 1 / length and length
     speed: float | None = None
     dt: float = 1e-3
-    inputs: str = "levels"
-    second: str = ""
-    vary: Callable[[Setup, np.random.Generator], Setup] | None = None
+    inputs: str = "levels"  # kind of excitation, see `excitation.voltage`: "levels", "balanced" or "resonant"
+    second: str = ""  # second measured coordinate, of body 2
+    vary: Callable[[Setup, np.random.Generator], Setup] | None = None  # the setup of one seed, drawn anew
 
     @property
     def force_scale(self) -> float:
@@ -105,13 +73,7 @@ LEAD = 0.004
 
 def _motor(true: Mapping[str, float]) -> Machine:
     return Machine(
-        J1=true["J"],
-        R=true["R"],
-        L=true["L"],
-        Kt=true["Km"],
-        Ke=true["Kb"],
-        b_pos=true["Kf"],
-        b_neg=true["Kf"],
+        J1=true["J"], R=true["R"], L=true["L"], Kt=true["Km"], Ke=true["Kb"], b_pos=true["Kf"], b_neg=true["Kf"]
     )
 
 
@@ -149,95 +111,36 @@ def _axis(true: Mapping[str, float]) -> Machine:
     return Machine(J1=true["M"], winding=0.0, gain=true["gain"], b_pos=true["Fv"], b_neg=true["Fv"])
 
 
+MOTOR = Setup(
+    nominal={**ELECTRICAL, "J": (1.5e-5, 0.06), "Kf": (1e-5, 0.5)}, together=(("Km", "Kb"),), machine=_motor,
+    output="phi", unit="rad", length=1.0, largest=24.0, disturbance=1.0, resonance=(15.0, 60.0),
+    feedback=(2.0, 0.02), reach=25.0, electrical=True,
+)  # fmt: skip
+ACTUATOR = {
+    **ELECTRICAL, "J": (7.2e-6, 0.06), "Kf": (4.8e-5, 0.35), "J_nut": (2.2071e-5, 0.1), "m_screw": (0.112, 0.1),
+    "m_cart": (3.167 / 6, 0.5),
+}  # fmt: skip
 PLANTS = {
-    "dc-motor": Setup(
-        nominal={**ELECTRICAL, "J": (1.5e-5, 0.06), "Kf": (1e-5, 0.5)},
-        together=(("Km", "Kb"),),
-        machine=_motor,
-        output="phi",
-        unit="rad",
-        length=1.0,
-        largest=24.0,
-        disturbance=1.0,
-        resonance=(15.0, 60.0),
-        feedback=(2.0, 0.02),
-        reach=25.0,
-        electrical=True,
-    ),
-    "linear-actuator": Setup(
-        nominal={
-            **ELECTRICAL,
-            "J": (7.2e-6, 0.06),
-            "Kf": (4.8e-5, 0.35),
-            "J_nut": (2.2071e-5, 0.1),
-            "m_screw": (0.112, 0.1),
-            "m_cart": (3.167 / 6, 0.5),
-        },
-        together=(("Km", "Kb"),),
-        machine=_actuator,
-        output="phi",
-        unit="rad",
-        length=1.0,
-        largest=24.0,
-        disturbance=1.0,
-        resonance=(15.0, 60.0),
-        feedback=(2.0, 0.02),
-        reach=25.0,
-        electrical=True,
-    ),
+    "dc-motor": MOTOR,
+    "linear-actuator": replace(MOTOR, nominal=ACTUATOR, machine=_actuator),
     "servo-axis": Setup(
-        nominal={"M": (95.1089, 0.06), "Fv": (203.5034, 0.3), "gain": (35.15065, 0.03)},
-        together=(),
-        machine=_axis,
-        output="q",
-        unit="m",
+        nominal={"M": (95.1089, 0.06), "Fv": (203.5034, 0.3), "gain": (35.15065, 0.03)}, together=(), machine=_axis,
+        output="q", unit="m",
         length=2.5e-3 / (2 * math.pi),  # the EMPS screw's lead per radian: M length**2 is then a motor's inertia
-        largest=1.2,
-        resonance=(6.0, 20.0),
+        largest=1.2, resonance=(6.0, 20.0),
         disturbance=0.1,  # 0.05 N at the level mid: nothing holds the axis but its slides, so that forces integrate
-        feedback=(2500.0, 100.0),
-        reach=0.012,
-        electrical=False,
+        feedback=(2500.0, 100.0), reach=0.012, electrical=False,
     ),
     "mass-spring-damper": Setup(
-        nominal={},
-        together=(),
-        machine=_oscillator,
-        output="q",
-        unit="m",
-        length=1.0,
-        largest=10.0,
-        resonance=(0.0, 0.0),
-        disturbance=1.0,
-        feedback=None,
-        reach=0.0,
-        electrical=False,
+        nominal={}, together=(), machine=_oscillator, output="q", unit="m", length=1.0, largest=10.0,
+        resonance=(0.0, 0.0), disturbance=1.0, feedback=None, reach=0.0, electrical=False,
         force=16.7,  # as the largest input to that of the motor
-        input="f",
-        input_unit="N",
-        dt=2e-3,
-        inputs="resonant",
-        vary=_oscillator_of_a_seed,
+        input="f", input_unit="N", dt=2e-3, inputs="resonant", vary=_oscillator_of_a_seed,
     ),
     "two-mass": Setup(
-        nominal={},
-        together=(),
-        machine=_two_mass,
-        output="phi1",
-        unit="rad",
-        length=1.0,
-        largest=1.0,
-        resonance=(0.0, 0.0),
-        disturbance=0.1,
-        feedback=(0.3, 0.04),
-        reach=8.0,
-        electrical=False,
-        input="torque",
-        input_unit="N m",
-        force=5.0,
-        speed=0.1,
-        inputs="balanced",
-        second="phi2",
+        nominal={}, together=(), machine=_two_mass, output="phi1", unit="rad", length=1.0, largest=1.0,
+        resonance=(0.0, 0.0), disturbance=0.1, feedback=(0.3, 0.04), reach=8.0, electrical=False,
+        input="torque", input_unit="N m", force=5.0, speed=0.1, inputs="balanced", second="phi2",
         vary=_two_mass_of_a_seed,
     ),
-}
+}  # fmt: skip

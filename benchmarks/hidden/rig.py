@@ -5,19 +5,15 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from robustlab import Record
 
 from .effects import ALL_EFFECTS
-from .excitation import BETWEEN, Drive
 from .machine import Array, Machine, Run, simulate
 from .plants import LEVELS, Setup
 from .sensors import Noise, noise
-
-__all__ = ["Rig", "generator"]
 
 
 def generator(seed: int, *names: object) -> np.random.Generator:
@@ -38,12 +34,10 @@ class Rig:
     dt: float
     feedback: tuple[float, float, float] | None = None
 
-    def clean(self, u: Drive, run: int = 0, *, effects: bool = True) -> Run:
+    def clean(self, u: Array, run: int = 0) -> Run:
         """Answer to an input without noise or disturbance, in open loop."""
-        if not effects:
-            return self._run(self.bare, u)
-        load, alive = self._by_the_clock(len(u.samples))
-        return self._run(self._in_phase(run), u, external=load, alive=alive)
+        load, alive = self._by_the_clock(len(u))
+        return simulate(self._in_phase(run), u, self.dt, external=load, alive=alive)
 
     def _in_phase(self, run: int) -> Machine:
         """The machine as a run finds it: no run waits for the mains."""
@@ -52,15 +46,16 @@ class Rig:
             return m
         return m._replace(rip_a=m.rip_a + generator(self.seed, "mains", run).uniform(0, 2 * np.pi))
 
-    def measured(self, u: Drive, run: int, *, closed: bool = False) -> tuple[Run, Noise]:
+    def measured(self, u: Array, run: int, *, closed: bool = False) -> tuple[Run, Noise]:
         """Answer to an input, or in closed loop to the reference u, with the noise of this run."""
-        n = len(u.samples)
+        n = len(u)
         load, alive = self._by_the_clock(n)
         draws = generator(self.seed, "noise", *self.parameters, run)
         drawn = noise(LEVELS[self.level], self.setup, n, self.dt, draws)
-        got = self._run(
+        got = simulate(
             self._in_phase(run),
             u,
+            self.dt,
             external=load + drawn.torque,
             alive=alive,
             angle_noise=drawn.angle,
@@ -69,14 +64,6 @@ class Rig:
             feedback=self.feedback if closed else None,
         )
         return got, drawn
-
-    def _run(self, machine: Machine, u: Drive, **more: Any) -> Run:
-        """A run; of a continuous input with a finer clock, of which every BETWEEN-th tick is a sample."""
-        if u.fine is None:
-            return simulate(machine, u.samples, self.dt, **more)
-        held: dict[str, Any] = {k: np.repeat(v, BETWEEN) if isinstance(v, np.ndarray) else v for k, v in more.items()}
-        fine = simulate(machine, u.fine, self.dt / BETWEEN, **held)
-        return Run(**{k: v[::BETWEEN] for k, v in vars(fine).items()} | {"u": u.samples})
 
     def channels(self, run: Run, current: bool, drawn: Noise | None = None) -> dict[str, Array]:
         """The outputs that the user sees, name -> (n,); the second coordinate's noise is added here."""

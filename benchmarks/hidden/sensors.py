@@ -10,8 +10,6 @@ import numpy as np
 from .machine import Array
 from .plants import Level, Setup
 
-__all__ = ["BANDWIDTH", "Noise", "coloured", "noise"]
-
 BANDWIDTH = 5.0  # of the torque disturbance in Hz
 
 

@@ -22,8 +22,6 @@ from typing import Any
 
 from robustlab.dynamics.effects.kinds import KINDS
 
-__all__ = ["SCHEMA", "VERDICTS", "read_answers", "write_answers"]
-
 SCHEMA = "robustlab.naming.answers/1"
 VERDICTS = ("named", "open", "unknown", "nothing")
 

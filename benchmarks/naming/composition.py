@@ -11,8 +11,6 @@ from hidden import FAMILIES, Family, NothingInCommon, make_case, told
 
 from robustlab.dynamics.effects.kinds import KIND_OF
 
-__all__ = ["CONDITIONS", "Entry", "accepted", "composition", "drawn"]
-
 CONDITIONS = ("single", "pair", "nothing", "outside", "poor")
 RICH = ("rich", "multisine", "square", "oneway", "steps")  # excitations under which nothing is missing
 POOR = ("square", "oneway")
@@ -62,11 +60,7 @@ def drawn(entry: Entry) -> Any:
     for seed in range(entry.seed, entry.seed + AGAIN * 1_000_000, 1_000_000):
         try:
             return make_case(
-                entry.effects or "none",
-                seed,
-                plant=family.plant,
-                current=family.current,
-                excitation=entry.excitation,
+                entry.effects or "none", seed, plant=family.plant, current=family.current, excitation=entry.excitation
             )
         except NothingInCommon:
             continue

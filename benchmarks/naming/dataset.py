@@ -22,8 +22,6 @@ from robustlab.provenance import Provenance
 
 from .composition import CONDITIONS, Entry, accepted, composition, drawn
 
-__all__ = ["digest", "make", "truth_of"]
-
 SCHEMA = "robustlab.naming/1"
 
 

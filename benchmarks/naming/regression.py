@@ -20,8 +20,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PROGRAMS", "answer", "thresholded"]
-
 Array = NDArray[np.float64]
 
 WINDOW, EDGE, EVERY = 31, 60, 5  # samples: of the Savitzky-Golay filter, left out at the ends, thinning

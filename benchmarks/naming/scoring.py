@@ -17,8 +17,6 @@ from discover_distance import RESOLVABLE
 
 from robustlab.dynamics.effects.kinds import upwards
 
-__all__ = ["is_right", "score", "table"]
-
 Said = Mapping[str, Any]
 ROOTS = ("force",)  # says that something pushes, and no more
 MISSING: Said = {"verdict": "open", "named": [], "possible": [], "complete": False, "missing": True}

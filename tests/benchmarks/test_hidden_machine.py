@@ -114,21 +114,6 @@ def test_only_record_and_plant_come_from_robustlab():
                 assert node.attr == "plant"
 
 
-# --- other formulas (`hidden.laws`) ---
-
-
-def test_a_stop_of_kelvin_and_voigt_rings_as_a_linear_oscillator():
-    """Held in contact by a push: the body's distance from where it comes to rest is a damped sine."""
-    k, ratio, push = 50.0, 0.1, 0.5
-    c = 2 * ratio * np.sqrt(k * J)
-    machine = PUSHED._replace(x_high=0.0, k_stop=k, kelvin=c)
-    got = simulate(machine, np.full(100, push), 1e-4)
-    w = np.sqrt(k / J)
-    wd, t = w * np.sqrt(1 - ratio**2), np.arange(100) * 1e-4
-    depth = push / k * (1 - np.exp(-ratio * w * t) * (np.cos(wd * t) + ratio * w / wd * np.sin(wd * t)))
-    assert np.abs(got.phi - depth).max() < 1e-4 * push / k
-
-
 def ode(rates, x0, n, u, dt=DT):
     """States (n, n_x) of a smooth ODE x' = rates(t, x, u) with u (n,) held over each sample."""
     out = np.zeros((n, len(x0)))
