@@ -20,12 +20,9 @@ Every message says WHERE, what was FOUND and what was EXPECTED on one line; the 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from functools import wraps
-from inspect import signature, unwrap
-from operator import index
-from os import PathLike
-from typing import Literal, ParamSpec, TypeVar, get_origin
+from typing import ParamSpec, TypeVar
 
 __all__ = [
     "EXIT_BUG",
@@ -42,10 +39,7 @@ __all__ = [
     "UsageError",
     "did_you_mean",
     "is_function",
-    "keywords_of",
-    "named_arguments",
     "plain_text",
-    "refuse_unknown",
     "rewritten",
     "told_as",
     "unknown_name",
@@ -234,36 +228,26 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
     The user called ``disk_margin``; that it takes a `small_gain` test on its way is nothing that they could look up.
     What such functions share says ``": K"`` of an argument K, whoever called: the name is put before it.
-    What is no step of ours, a file or a signal for example, stays as it is. Arguments that are no numbers, mappings,
-    functions or names where the signature says so are refused, whatever the function would make of them.
+    What is no step of ours, a file or a signal for example, stays as it is.
 
     Examples
     --------
     >>> @told_as("outer")
-    ... def outer(level: float = 1.0):
+    ... def outer(level):
     ...     raise InputError("care: R" if level else ": level", "singular", "an invertible R")
-    >>> for level in (1.0, 0.0, "one"):
+    >>> for level in (1.0, 0.0):
     ...     try:
     ...         outer(level)
     ...     except InputError as error:
     ...         print(error)
     outer: R: singular, expected an invertible R
     outer: level: singular, expected an invertible R
-    outer: level: 'one', expected a number
     """
     _STEPS.add(name)
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        given, kinds = _arguments(function)
-        known = keywords_of(function)
-
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            refuse_unknown(getattr(function, "__name__", name), kwargs, known)
-            for key, value in (*zip(given, args, strict=False), *kwargs.items()):
-                expected, fits = kinds.get(key, ("", None))
-                if fits is not None and not fits(value):
-                    raise InputError(f"{name}: {key}", repr(value), expected)
             try:
                 return function(*args, **kwargs)
             except RobustlabError as error:
@@ -275,161 +259,6 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return decorate
 
 
-def keywords_of(function: Callable[..., object]) -> tuple[str, ...] | None:
-    """Names of the arguments that may be given by name; None where any may."""
-    parameters = signature(function).parameters.values()
-    if any(p.kind is p.VAR_KEYWORD for p in parameters):
-        return None
-    return tuple(p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY))
-
-
-def refuse_unknown(where: str, given: Iterable[str], known: Sequence[str] | None) -> None:
-    """Raise a TypeError, as Python does, for an argument that a function does not have; it names those that there are.
-
-    Examples
-    --------
-    >>> refuse_unknown("hinf", {"gama_rel": 1.0}, ("P", "gamma_rel"))
-    Traceback (most recent call last):
-        ...
-    TypeError: hinf has no argument 'gama_rel': did you mean gamma_rel? It takes P, gamma_rel
-    """
-    unknown = None if known is None else next((key for key in given if key not in known), None)
-    if unknown is not None:
-        hint = did_you_mean(unknown, tuple(known or ()))
-        told = f"{where} has no argument {unknown!r}{f': {hint}' if hint else ';'} It takes {', '.join(known or ())}"
-        raise TypeError(told.replace("; It", "; it"))
-
-
-def named_arguments(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator of an ``__init__`` that is called often: the same for it, looked at only once Python has refused."""
-    known = tuple(name for name in keywords_of(function) or () if name != "self")
-
-    @wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        try:
-            return function(*args, **kwargs)
-        except TypeError:
-            refuse_unknown(type(args[0]).__name__, kwargs, known)
-            raise
-
-    return call
-
-
-def _arguments(function: Callable[..., object]) -> tuple[list[str], dict[str, tuple[str, Callable[[object], bool]]]]:
-    """Names of what is given by position, and what arguments must be that the signature says more of than a shape."""
-    parameters = signature(function).parameters
-    kinds: dict[str, tuple[str, Callable[[object], bool]]] = {}
-    for key, parameter in parameters.items():
-        said = str(parameter.annotation)
-        bare = _meant(said.removesuffix(" | None"), function)
-        kind = next((k for word, k in _KINDS.items() if bare.startswith(word)), None) if "] | " not in bare else None
-        if bare.endswith("Tuning") and bare.isidentifier():
-            kind = f"a {bare}", _is_named(bare)
-        kind = _BY_NAME.get(key, _WHOLE_KINDS.get(bare, kind))
-        if kind is not None:
-            expected, fits = kind
-            kinds[key] = (f"{expected}, or None", _or_none(fits)) if said.endswith(" | None") else kind
-    return [key for key, p in parameters.items() if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)], kinds
-
-
-def _meant(annotation: str, function: Callable[..., object]) -> str:
-    """What a name of the module stands for, and ``str`` for one of several words; another annotation as it is."""
-    alias = getattr(unwrap(function), "__globals__", {}).get(annotation)
-    if get_origin(alias) in (Literal, get_origin(Callable[[], None]), Sequence):
-        annotation = str(alias).removeprefix("typing.").removeprefix("collections.abc.")
-    return "str" if annotation.startswith("Literal['") else annotation
-
-
-def _or_none(fits: Callable[[object], bool]) -> Callable[[object], bool]:
-    return lambda value: value is None or fits(value)
-
-
 def is_function(thing: object) -> bool:
     """Whether a thing is a function: a model can be called, ``G(s)``, and is none."""
     return callable(thing) and not hasattr(thing, "operator_rank")
-
-
-def _is_number(value: object) -> bool:
-    if isinstance(value, (str, bytes)) or getattr(value, "ndim", 0):
-        return False
-    try:
-        float(value)  # pyright: ignore[reportArgumentType]
-    except (TypeError, ValueError, OverflowError):
-        return False
-    return not isinstance(value, int) or value.bit_length() < 64  # arrays hold no longer ones
-
-
-def _is_row(value: object) -> bool:
-    import numpy as np  # not for whoever only wants the errors
-
-    try:
-        array = np.asarray(value)
-    except (TypeError, ValueError):
-        return False
-    return array.dtype.kind in "biuf" and array.ndim <= 1
-
-
-def _looked_at(values: Iterable[object]) -> Iterable[object]:
-    """What may be looked at; of an iterator nothing, for the function would find it used up."""
-    return () if isinstance(values, Iterator) else values
-
-
-def _is_named(name: str) -> Callable[[object], bool]:
-    """Whether a value is of the class of that name, which this module, below all others, cannot import.
-
-    Plants, which have an uncertain model, are for the function to speak of.
-    """
-    return lambda value: any(kind.__name__ == name for kind in type(value).__mro__) or hasattr(value, "uncertain")
-
-
-def _is_measured(value: object) -> bool:
-    return type(value).__name__ in ("Record", "FrequencyData")
-
-
-def _is_seed(value: object) -> bool:
-    try:
-        return index(value) >= 0  # pyright: ignore[reportArgumentType]
-    except TypeError:
-        return False
-
-
-# What an argument of that name is wherever it stands.
-_BY_NAME = {
-    "seed": ("a whole number, 0 or more", _is_seed),
-    "omega": ("frequencies, real numbers in one row", _or_none(_is_row)),
-    "frequency": ("frequencies, real numbers in one row", _or_none(_is_row)),
-}
-# An annotation -> what is expected, and whether a value is that.
-_WHOLE_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
-    "Literal[-1, 1]": ("-1 or 1", _is_number),
-    "Place": ("a word", lambda value: isinstance(value, str)),
-    "int": ("a number", _is_number),
-    "float": ("a number", _is_number),
-    "bool": ("True or False", lambda value: type(value).__name__ in ("bool", "bool_", "int")),
-    "str": ("a word", lambda value: isinstance(value, str)),
-    "UncertainModel": ("an UncertainModel", _is_named("UncertainModel")),
-    "Record": ("a Record", _is_named("Record")),
-    "Record | FrequencyData": ("a Record or a FrequencyData", _is_measured),
-    "Synthesis": ("a finished design", _is_named("Synthesis")),
-    # A model in the place of the file is for the function to speak of.
-    "str | Path": ("a path", lambda value: isinstance(value, str | PathLike) or hasattr(value, "operator_rank")),
-}
-# Beginning of an annotation -> what is expected, and whether a value is that.
-_KINDS: dict[str, tuple[str, Callable[[object], bool]]] = {
-    "Sequence[str]": (
-        "a list of names",
-        lambda value: isinstance(value, Iterable) and all(isinstance(name, str) for name in _looked_at(value)),
-    ),
-    "Mapping[": ("names with their values, {...}", lambda value: isinstance(value, Mapping)),
-    "Callable[": ("a function", is_function),
-    "Sequence[Block]": (
-        "a list of blocks",
-        lambda value: isinstance(value, Iterable) and all(hasattr(block, "rows") for block in _looked_at(value)),
-    ),
-    "Sequence[Record]": (
-        "a list of records",
-        lambda value: isinstance(value, Iterable) and all(_is_measured(one) for one in _looked_at(value)),
-    ),
-    "Sequence[": ("a list", lambda value: isinstance(value, Iterable) and not isinstance(value, bytes)),
-    "Iterable[Any]": ("a list", lambda value: isinstance(value, Iterable)),
-}

@@ -7,7 +7,7 @@ It lives below `robustlab.dynamics` because a simulation makes one; reading meas
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.clocks import is_uniform
-from robustlab.errors import InputError, did_you_mean, named_arguments, refuse_unknown
+from robustlab.errors import InputError, did_you_mean
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, number, short, with_units
 from robustlab.signals import MAX_NAME
@@ -62,7 +62,6 @@ class Record(Shown, Traced):
     name: str
     meaning: Mapping[str, str]
 
-    @named_arguments
     def __init__(
         self,
         t: ArrayLike,
@@ -187,8 +186,6 @@ class Record(Shown, Traced):
         """
         from robustlab.files.records import RecordOptions, read_record
 
-        known = [*(f.name for f in fields(RecordOptions)), "path", "limits", "isolate"]
-        refuse_unknown("Record.read", options, known)
         reading = {name: options.pop(name) for name in ("limits", "isolate") if name in options}
         wanted = RecordOptions(group, inputs, outputs, dt, **options)
         return cls(**read_record(path, wanted, **reading))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import AnyArray, Array, is_rank_deficient
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, named_arguments
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.shown import SHOWN_BLOCKS, Facts, Part, Shown, matrix_lines, number, short, with_units
@@ -95,7 +95,6 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         "poles": [{"re": float, "im": float}],
     }  # fmt: skip
 
-    @named_arguments
     def __init__(
         self,
         A: ArrayLike,

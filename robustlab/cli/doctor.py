@@ -64,25 +64,6 @@ def _riccati() -> str:
     return "a Riccati equation with a known answer is solved"
 
 
-def _clarabel() -> str:
-    from importlib import import_module
-
-    import numpy as np
-    from scipy.sparse import csc_matrix
-
-    clarabel = import_module("clarabel")  # it ships no types
-
-    # min x subject to x >= 1
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    cones = [clarabel.NonnegativeConeT(1)]
-    solution = clarabel.DefaultSolver(
-        csc_matrix((1, 1)), np.ones(1), csc_matrix([[-1.0]]), -np.ones(1), cones, settings
-    ).solve()
-    assert abs(solution.x[0] - 1.0) < 1e-6, f"min x over x >= 1 came out as {solution.x[0]}"
-    return "a program with a known answer is solved"
-
-
 def _cvxpy() -> str:
     from importlib import import_module
 
@@ -141,7 +122,6 @@ def _threads() -> str:
 _CHECKS = {
     "mu": _mu,
     "scipy": _riccati,
-    "clarabel": _clarabel,
     "cvxpy": _cvxpy,
     "h5py": _hdf5,
     "matplotlib": _figures,

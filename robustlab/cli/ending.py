@@ -4,8 +4,7 @@
 the command returns, or raises an error of ours    its exit code, see `robustlab.errors`
 Ctrl-C, SIGTERM                                    130, after the same cleaning up
 the reader of stdout went away (``| head -1``)     141, as for a program that SIGPIPE ends; nothing is said
-stdout closed or full, no working directory,       5
-not enough memory or address space
+stdout closed or full, not enough memory           5
 the code of a plant file of the user's raised      3, with its file and line
 anything else                                      70: a bug of ours, with a report file
 =================================================  ====================================================================
@@ -42,16 +41,9 @@ _NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start ne
 # How numba says that neither the package's folder nor the user's cache can be written.
 _NO_CACHE = "no locator available"
 
-# Python, numpy, scipy and h5py, with room for the work of a small command. Beneath this native libraries end the
-# process themselves, with exit code 1 and words of their own, before Python could say a word.
-LEAST_ADDRESS_SPACE = 640 << 20
-
 
 def ready_streams() -> None:
     """Give a closed stdin or stderr something to stand on, take SIGTERM for Ctrl-C, and tell a warning in one line.
-
-    An interruption that comes while a destructor or a library's callback runs, where Python can only drop it, is
-    raised again.
 
     A file that is opened later would otherwise get the number of the closed stream, and be written into by whatever
     complains there.
@@ -75,7 +67,6 @@ def ready_streams() -> None:
     if hasattr(signal, "SIGTERM") and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, _interrupt)
     warnings.showwarning = _say_warning
-    sys.unraisablehook = _not_lost
     if sys.stdout is None:
         raise EnvironmentFault("robustlab", "stdout is closed", "somewhere to print the result (> /dev/null)")
 
@@ -87,57 +78,6 @@ def _say_warning(message: Warning | str, *_where: object, **_more: object) -> No
 
 def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
-
-
-def _not_lost(lost: sys.UnraisableHookArgs) -> None:
-    if not (lost.exc_type and issubclass(lost.exc_type, KeyboardInterrupt) and hasattr(signal, "setitimer")):
-        sys.__unraisablehook__(lost)
-        return
-    signal.signal(signal.SIGALRM, _interrupt)  # in a moment: raised here it would be dropped as well
-    signal.setitimer(signal.ITIMER_REAL, 0.02)
-
-
-def require_surroundings() -> None:
-    """What every command needs of the machine.
-
-    Raises EnvironmentFault: the working directory was deleted; the address space is limited to less than the libraries
-    take.
-    """
-    if _no_folder():
-        raise _folder_fault()
-    try:
-        import resource
-    except ImportError:  # Windows knows no such limit
-        return
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
-        found = f"address space limited to {limit >> 20} MiB"
-        raise EnvironmentFault("robustlab", found, f"at least {LEAST_ADDRESS_SPACE >> 20} MiB (ulimit -v)")
-
-
-def keep_compiled_code() -> None:
-    """Where compiled code can be kept nowhere: a folder for this command alone, and a note if it was needed."""
-    from pathlib import Path
-
-    places = Path(__file__).parents[1], Path(os.path.expanduser("~"))  # noqa: PTH111 - without a home it says "~"
-    if os.environ.get("NUMBA_CACHE_DIR") or any(os.access(place, os.W_OK) for place in places):
-        return
-    import atexit
-    import tempfile
-
-    try:
-        os.environ["NUMBA_CACHE_DIR"] = place = tempfile.mkdtemp(prefix="robustlab-")
-    except OSError:  # then it is an error where something is compiled, and says so
-        return
-    atexit.register(_forget, place)
-
-
-def _forget(place: str) -> None:
-    import shutil
-
-    shutil.rmtree(place, ignore_errors=True)
-    if "numba" in sys.modules:
-        _say("note: compiled code cannot be kept here, and is compiled each time: export NUMBA_CACHE_DIR=/some/folder")
 
 
 def main_guard(run: Callable[[], int | None]) -> int:
@@ -216,8 +156,8 @@ def _machine_fault(error: BaseException) -> EnvironmentFault | None:
         )
     if not isinstance(error, OSError):
         return None
-    if error.errno == errno.ENOENT and _no_folder():
-        return _folder_fault()
+    if error.errno == errno.ENOENT and error.filename is None:  # of os.getcwd
+        return EnvironmentFault("robustlab", "the working directory was deleted", "one that exists (cd)")
     if error.errno not in _MACHINE_FAULTS:
         return None
     if error.filename is None:
@@ -231,18 +171,6 @@ def _causes(error: BaseException | None) -> list[BaseException]:
         found.append(error)
         error = error.__cause__ or error.__context__
     return found
-
-
-def _no_folder() -> bool:
-    try:
-        os.getcwd()  # noqa: PTH109  pathlib takes longer to load than this
-    except OSError:
-        return True
-    return False
-
-
-def _folder_fault() -> EnvironmentFault:
-    return EnvironmentFault("robustlab", "the working directory was deleted", "one that exists (cd)")
 
 
 def _say(text: str) -> None:

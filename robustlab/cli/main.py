@@ -93,10 +93,8 @@ def run(arguments: Sequence[str]) -> int:
         kind = "option" if name.startswith("-") else "command"
         hint = did_you_mean(name, list(GROUPS)) or "robustlab --help lists the commands"
         raise UsageError("robustlab", f"no such {kind} {name!r}", f"one of {', '.join(GROUPS)}", hint)
-    from robustlab.cli.ending import answer, keep_compiled_code, require_surroundings
+    from robustlab.cli.ending import answer
 
-    require_surroundings()
-    keep_compiled_code()
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     command = parser(name)

@@ -20,21 +20,10 @@ import robustlab as rl
 from robustlab.cli.console import note
 from robustlab.cli.offers import recipe_or_file
 from robustlab.errors import InputError, UsageError
-from robustlab.units import amount, same_unit, share
+from robustlab.units import amount, same_unit
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numbers; same seed, same answer.")]
-EffortOption = Annotated[
-    float,
-    typer.Option("--effort", help="Work that the search may take, as a multiple of the usual; counted, not timed."),
-]
-TimeLimitOption = Annotated[
-    float | None,
-    typer.Option(
-        "--time-limit",
-        help="Guard in s: where it strikes, the answer is not repeatable. No limit if left out.",
-    ),
-]
 RecipeArgument = Annotated[
     str,
     typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", autocompletion=recipe_or_file),
@@ -77,36 +66,12 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     return called
 
 
-@dataclass(frozen=True)
-class EffortOptions:
-    """How much work a search may take, and the guard on its time; ``**vars(effort)`` hands both on."""
-
-    effort: EffortOption = 1.0
-    time_limit: TimeLimitOption = None
-
-
 # --- texts of options ------------------------------------------------------------------------------------------------
 
 
 def names(text: str) -> list[str]:
     """``"a, b"`` as ``["a", "b"]``."""
     return [part.strip() for part in text.split(",") if part.strip()]
-
-
-def numbers(option: str, text: str) -> list[float]:
-    """Numbers with commas between them."""
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise UsageError(option, repr(text), "numbers, for example 1,2.5") from None
-
-
-def frequencies(option: str, text: str) -> list[float]:
-    """Frequencies in rad/s with commas between them; each may carry another unit, ``10Hz``."""
-    try:
-        return [amount(option, part, "rad/s") for part in text.split(",")]
-    except InputError as error:
-        raise UsageError(option, repr(text), "numbers in rad/s, or with a unit: 1,10 or 2Hz") from error
 
 
 def put_once(found: dict[str, Any], option: str, text: str, name: str, value: Any) -> None:
@@ -122,18 +87,6 @@ def assignments(option: str, texts: list[str] | None, units: Mapping[str, str] |
     for text in texts or []:
         name, value = _named_value(option, text)
         put_once(values, option, text, name, _number(option, text, value, (units or {}).get(name, "")))
-    return values
-
-
-def shares(option: str, texts: list[str] | None) -> dict[str, float]:
-    """``["Km=5%"]`` or ``["Km=0.05"]`` as ``{"Km": 0.05}``."""
-    values: dict[str, float] = {}
-    for text in texts or []:
-        name, value = _named_value(option, text)
-        try:
-            put_once(values, option, text, name, share(f"{option} {text}", value))
-        except InputError as error:
-            raise UsageError(error.where, error.found, error.expected) from None
     return values
 
 

@@ -48,7 +48,7 @@ def machine(kind: Machine, name: str, settings: list[str] | None) -> Any:
 
     found = plant_or_model(name, settings or [])
     if kind.gives[0] != "uncertain":
-        return found
+        return kind.as_wanted(found, name)
     if isinstance(found, Plant):
         uncertain = getattr(found, "uncertain", None)
         if uncertain is None:

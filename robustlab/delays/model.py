@@ -25,7 +25,7 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.closing import wired
 from robustlab.delays.channels import chained, closed, covering, in_order, named
 from robustlab.delays.pade import SHORTEST, checked_order, pade
-from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import CHUNK, at_pole, frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
@@ -76,7 +76,6 @@ class DelayedModel(TransferMatrix, Shown, Traced):
     H: StateSpaceModel
     delays: Array
 
-    @named_arguments
     def __init__(self, H: StateSpaceModel, delays: ArrayLike) -> None:
         model = as_model(H, "DelayedModel: H")
         lengths = real_array("delays", delays, 1, "DelayedModel")

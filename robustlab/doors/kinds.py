@@ -446,11 +446,15 @@ class Thing(Kind):
         from robustlab.dynamics.plant_contract import Plant
         from robustlab.statespace import as_model
 
+        if isinstance(found, rl.Controller) and "controller" not in self.gives:
+            found = found.K
         if self.model:
             return rl.linearise(found) if isinstance(found, Plant) else as_model(found, where)
         if self.gives[0] == "plant" and set(self.gives) <= {"plant", "any"} and not isinstance(found, Plant):
             wanted = "a discovery, or a plant" if self.discovery else "a plant"
             raise InputError(where, f"holds a {type(found).__name__}", wanted, "robustlab plant list")
+        if isinstance(found, rl.Record) and "record" not in self.gives:
+            raise InputError(where, "holds a Record", "a model or a plant")
         of_sets = set(self.gives) <= {"uncertain", "any"} and "uncertain" in self.gives
         if of_sets and not isinstance(found, (rl.UncertainModel, rl.UncertainFrequencyData)):
             held = f"holds a {type(found).__name__}"

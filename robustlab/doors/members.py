@@ -9,7 +9,7 @@ import robustlab as rl
 from robustlab.doors.declaration import Named, door
 from robustlab.doors.kinds import Choice, Kind, Names, Number, Quantity, Table, Whole, in_units
 from robustlab.doors.words import Search, Seed, Uncertain
-from robustlab.errors import UnitMismatch, UsageError
+from robustlab.errors import InputError, UnitMismatch, UsageError
 
 METRICS = (
     "peak-deviation", "peak", "rms", "overshoot", "settling-time", "hinf", "h2", "spectral-abscissa", "damping",
@@ -74,6 +74,8 @@ class Excitation:
         """
         import numpy as np
 
+        if not isinstance(uncertain, rl.UncertainModel):
+            raise InputError("members", f"a {type(uncertain).__name__}", "an uncertain model")
         _check_sine(self.sine, self.frequency)
         units = {s.name: s.unit for s in uncertain.inputs}
         steps, sines = in_units("input", self.input, units), in_units("sine", self.sine, units)

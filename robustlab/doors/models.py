@@ -187,4 +187,4 @@ def two_models(first: Any, second: Any) -> tuple[Any, Any]:
         return first
     if second is None:
         raise UsageError("two models", "one model", "another file, or one that holds /nominal and /perturbed")
-    return first, second
+    return Thing(model=True).as_wanted(first, "nominal"), second

@@ -5,9 +5,7 @@ r"""Linear models in descriptor form as state-space models: what E says of no ra
 =========  =============================================================================================================
 index 0    E has an inverse: ``E^-1 A``, ``E^-1 B``; the states stay
 index 1    equations without a rate fix as many states: they are solved for these, and the rest are the states
-index > 1  some states are determined by derivatives of the input. A staircase of orthogonal transformations separates
-           them; their part of the transfer matrix is a polynomial in s. Where that is a constant it goes into D, else
-           the transfer matrix is improper and there is no state-space model
+index > 1  some states are determined by derivatives of the input: refused
 =========  =============================================================================================================
 
 With Delta channels it is closed to an uncertain state-space model:
@@ -20,14 +18,13 @@ gives, with :math:`\dot x = A x + B u + E^{-1} L_x w` put into z, the M of an up
 
 References
 ----------
-Dai, *Singular Control Systems* (1989), chapter 1; Van Dooren, "The computation of Kronecker's canonical form of a
-singular pencil", Linear Algebra and its Applications 27 (1979).
+Dai, *Singular Control Systems* (1989), chapter 1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -113,8 +110,6 @@ def closed_descriptor(
 
 # The model and the descriptor form must have one transfer matrix, to this accuracy.
 SAME = 1e-8
-# A coefficient of the polynomial part below this share of what its terms could be is zero.
-CANCELLED = 1e-10
 POINTS = 9
 
 
@@ -123,7 +118,7 @@ class Eliminated:
     """A state-space model of a descriptor form, with the evidence."""
 
     model: StateSpaceModel
-    index: int  # 0: E has an inverse; 1: algebraic equations; more: derivatives of the input, which do not show
+    index: int  # 0: E has an inverse; 1: algebraic equations
     # numbers of the given states that are the model's; None where its states are combinations of them
     kept: tuple[int, ...] | None
     n_given: int  # number of states given
@@ -191,14 +186,14 @@ def descriptor(
     Returns
     -------
     StateSpaceModel
-        With as many states as the pencil has finite poles. Its transfer matrix is checked against
+        With as many states as E has rank. Its transfer matrix is checked against
         :math:`C (s E - A)^{-1} B + D` at nine points.
 
     Raises
     ------
     InputError
-        What `StateSpaceModel` refuses; s E - A singular for every s (too few equations for x); an improper transfer
-        matrix, with the index and how often which input is differentiated.
+        What `StateSpaceModel` refuses; s E - A singular for every s (too few equations for x); an index above 1, where
+        states are determined by derivatives of the input.
     NoTrustworthyNumber
         The two transfer matrices differ.
 
@@ -231,7 +226,7 @@ def eliminated(
     if e.shape != (n, n):
         raise InputError(where, f"E is {e.shape}", f"{(n, n)} as A")
     form = _Form(e, given.A, given.B, given.C, given.D)
-    found = _explicit(form) or _semi_explicit(form) or _separated(form, given, where)
+    found = _explicit(form) or _semi_explicit(form) or _turned(form, where)
     names: list[Signal] | tuple[Signal, ...] | None = None
     if found.kept is not None:
         names = [given.states[k] for k in found.kept]
@@ -286,41 +281,32 @@ def _semi_explicit(form: _Form) -> _Reduced | None:
     return _Reduced(rates[:, :n], rates[:, n:], form.C[:, moving] + shown[:, :n], form.D + shown[:, n:], 1, kept)
 
 
-# --- any index: finite and infinite part, separated -------------------------------------------------------------------
+def _turned(form: _Form, where: str) -> _Reduced:
+    """Where E shows only in other coordinates which states have a rate.
 
-
-@dataclass(frozen=True, eq=False)
-class _Staircase:
-    """``left' (s E - A) right`` block upper triangular: the first ``finite`` rows and columns have the finite poles."""
-
-    E: Array
-    A: Array
-    left: Array
-    right: Array
-    finite: int
-    index: int
-
-
-def _separated(form: _Form, given: StateSpaceModel, where: str) -> _Reduced:
+    Raises InputError: an index above 1, or too few equations for x.
+    """
     rows, columns = _scales(form)
-    stairs = _staircase(form.E * rows[:, None] * columns, form.A * rows[:, None] * columns, where)
-    k, e, a = stairs.finite, stairs.E, stairs.A
-    b, c = stairs.left.T @ (form.B * rows[:, None]), form.C * columns @ stairs.right
-    shift = np.linalg.solve(a[k:, k:], e[k:, k:])  # nilpotent: shift^index = 0
-    # [I Z; 0 I] and [I Y; 0 I] on both sides make the two parts one beside the other; the sum over Y ends.
-    own = np.linalg.solve(e[:k, :k], a[:k, k:] @ shift - e[:k, k:])
-    rates = np.linalg.solve(e[:k, :k], a[:k, :k])
-    y = own
-    for _ in range(stairs.index):
-        y = own + rates @ y @ shift
-    z = -np.linalg.solve(a[k:, k:].T, (a[:k, :k] @ y + a[:k, k:]).T).T
-    gain, seen = np.linalg.solve(a[k:, k:], b[k:]), c[:, :k] @ y + c[:, k:]
-    # What enters through all of b and shows in all of c: a path through the infinite part alone may be zero.
-    sizes = [np.linalg.norm(c, axis=1) * (1 + np.linalg.norm(y)), np.linalg.norm(b, axis=0)]
-    rounding = CANCELLED * np.outer(*sizes) * np.linalg.norm(np.linalg.inv(a[k:, k:]), 2)
-    _refuse_improper(seen, shift, gain, rounding, stairs.index, given, where)
-    into = np.linalg.solve(e[:k, :k], b[:k] + z @ b[k:])
-    return _Reduced(rates, into, c[:, :k], form.D - seen @ gain, stairs.index, None)
+    e, a = (m * rows[:, None] * columns for m in (form.E, form.A))
+    u, values, v = np.linalg.svd(e)
+    rank = int((values > ROUNDING * values.max(initial=0.0)).sum())
+    rates = np.where(np.arange(len(e)) < rank, values, 0.0)
+    turned, b, c = u.T @ a @ v.T, u.T @ (form.B * rows[:, None]), form.C * columns @ v.T
+    small = ROUNDING * float(np.linalg.norm(a, 2))
+    if np.linalg.svd(turned[rank:, rank:], compute_uv=False).min(initial=np.inf) <= small:
+        if np.linalg.svd(turned[rank:], compute_uv=False).min() <= small or not _regular(e, a):
+            found = "s E - A is singular for every s: the equations do not determine x"
+            raise InputError(where, found, "as many independent equations as states")
+        hint = "solve the constraints that are differentiated for the states that they determine"
+        raise InputError(where, "an index above 1: derivatives determine states", "index 0 or 1", hint)
+    found = _semi_explicit(_Form(np.diag(rates), turned, b, c, form.D))
+    assert found is not None
+    return replace(found, kept=None)
+
+
+def _regular(e: Array, a: Array) -> bool:
+    size = float(np.linalg.norm(a, 2)) / (float(np.linalg.norm(e, 2)) or 1.0)
+    return any(_has_inverse(s * size * e - a) for s in (0.37, 1.71, -2.3))
 
 
 def _scales(form: _Form) -> tuple[Array, Array]:
@@ -332,56 +318,6 @@ def _scales(form: _Form) -> tuple[Array, Array]:
             largest = (size * rows[:, None] * columns).max(axis=axis)
             scale *= np.exp2(-np.rint(np.log2(np.where(largest > 0, largest, 1.0))))
     return rows, columns
-
-
-def _staircase(e: Array, a: Array, where: str) -> _Staircase:
-    """Step by step the rows without a rate, and the states that they determine, go to the end."""
-    n = len(e)
-    left, right, size, index = np.eye(n), np.eye(n), n, 0
-    small_e, small_a = (ROUNDING * float(np.linalg.norm(m, 2)) for m in (e, a))
-    while size:
-        u, values, _ = np.linalg.svd(e[:size, :size])
-        rank = int((values > small_e).sum())
-        if rank == size:
-            break
-        for m in (e, a):
-            m[:size] = u.T @ m[:size]
-        left[:, :size] = left[:, :size] @ u
-        e[rank:size, :size] = 0.0
-        _, values, v = np.linalg.svd(a[rank:size, :size])
-        if not values.min() > small_a:
-            found = "s E - A is singular for every s: the equations do not determine x"
-            raise InputError(where, found, "as many independent equations as states")
-        turned = np.vstack([v[size - rank :], v[: size - rank]]).T
-        for m in (e, a, right):
-            m[:, :size] = m[:, :size] @ turned
-        a[rank:size, :rank] = 0.0
-        size, index = rank, index + 1
-    return _Staircase(e, a, left, right, size, index)
-
-
-def _refuse_improper(
-    seen: Array, shift: Array, gain: Array, rounding: Array, index: int, given: StateSpaceModel, where: str
-) -> None:
-    """The polynomial part is -seen shift^k gain s^k: nothing of it but ``rounding`` may be left for k > 0."""
-    power, size = gain, float(np.linalg.norm(shift, 2))
-    worst: tuple[int, int, int] | None = None
-    for k in range(1, index):
-        power = shift @ power
-        left = np.argwhere(np.abs(seen @ power) > rounding * size**k)
-        if len(left):
-            worst = k, int(left[0][0]), int(left[0][1])
-    if worst is None:
-        return
-    k, i, j = worst
-    out, into = given.output_names[i], given.input_names[j]
-    times = "once" if k == 1 else f"{k} times"
-    found = f"index {index}: the transfer matrix is improper, output {out!r} has input {into!r} differentiated {times}"
-    hint = f"make that derivative of {into!r} the input, or put a lag of order {k} in front of it"
-    if given.is_discrete:
-        found = f"index {index}: the transfer matrix is improper, output {out!r} needs input {into!r} {k} samples ahead"
-        hint = f"delay the output or the input by {k} samples"
-    raise InputError(where, found, "a proper one", hint)
 
 
 # --- evidence ---------------------------------------------------------------------------------------------------------

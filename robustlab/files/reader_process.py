@@ -26,6 +26,8 @@ from robustlab.files.signature import MIB, Limits
 BASE_ADDRESS_SPACE = 2048 * MIB
 # Each byte of a table: a line of one digit becomes a text, a pair with its number, and a float.
 BASE_TABLE, GROWTH_OF_TABLE = 1024 * MIB, 64
+# Nobody has added up what is nested in a MATLAB file: what it holds as bytes, as arrays and as float64.
+GROWTH_OF_MATLAB = 3
 # Processor time: honest files are read at many times these rates. Values of HDF5 add theirs when they are reached, so
 # that a library that runs in circles in a spoiled header (it does) is ended soon.
 BASE_SECONDS, BYTES_PER_SECOND, VALUES_PER_SECOND = 4, 4 * MIB, 32 * MIB
@@ -46,6 +48,10 @@ def _limit_resources(kind: str, limits: Limits, size: int) -> None:
     seconds, memory = int(limits.seconds) + 1, BASE_ADDRESS_SPACE + 4 * limits.total
     if kind != "matlab5":
         seconds = min(seconds, BASE_SECONDS + size // BYTES_PER_SECOND)
+    else:
+        import scipy.io  # noqa: F401  so that it does not count
+
+        memory = GROWTH_OF_MATLAB * limits.total
     if kind == "table":
         memory = min(memory, BASE_TABLE + GROWTH_OF_TABLE * size)
     memory += _mapped()  # a fork begins with all that the server has loaded

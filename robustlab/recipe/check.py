@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 import robustlab as rl
 from robustlab.doors.declaration import STEPS, in_toml
@@ -19,8 +18,7 @@ from robustlab.errors import InputError, RobustlabError, UsageError, rewritten, 
 from robustlab.recipe.load import MAX_FAULTS_SHOWN, LoadedRecipe, find_file, marked, references
 from robustlab.recipe.schema import Requirement
 from robustlab.recipe.steps.contract import Ahead, Foretold, Step
-from robustlab.recipe.steps.leaves import kind_in_words, look_ahead
-from robustlab.recipe.steps.proofs import with_verified
+from robustlab.recipe.steps.leaves import look_ahead
 from robustlab.units import same_unit
 
 # What a loaded file may hold, and what a step may ask for that takes nothing else.
@@ -58,10 +56,12 @@ def look_through(loaded: LoadedRecipe) -> Ahead:
     for i, requirement in enumerate(recipe.require):
         name = requirement.that.split(".")[0]
         leaves = ahead[name].leaves if ahead[name].leaves is not ... else recipe.step[name].leaves
-        if name in recipe.step:
-            leaves = with_verified(leaves, recipe.verify or recipe.step[name].verify)
-        fault = _wrong_requirement(requirement, leaves)
-        if fault is not None:
+        if leaves is ...:
+            continue
+        proved = {"verified": bool} if name in recipe.step and (recipe.verify or recipe.step[name].verify) else {}
+        try:
+            _check_unit(requirement, look_ahead(requirement.that, {"status": str, **proved, **leaves}))
+        except InputError as fault:
             key = f"{loaded.path.name}: require.{i}.{fault.where}"
             faults.append(InputError(key, fault.found, fault.expected, fault.hint))
     if len(faults) == 1:
@@ -140,33 +140,7 @@ def _known(told: Foretold, side: str) -> list[str] | None:
     return None if None in sides else [name for known in sides for name in known or ()]
 
 
-# --- requirements ----------------------------------------------------------------------------------------------------
-
-
-def _wrong_requirement(requirement: Requirement, leaves: Any) -> InputError | None:
-    """What is wrong with a requirement on what a step leaves; its WHERE is the key of the requirement."""
-    r = requirement
-    try:
-        leaf = look_ahead(r.that, {"status": str, **leaves} if isinstance(leaves, dict) else leaves)
-    except InputError as error:
-        return error
-    if leaf is ...:
-        return None
-    found, asked = kind_in_words(leaf), _asked(r)
-    if isinstance(leaf, dict) or (isinstance(leaf, (list, tuple)) and r.contains is None):
-        return InputError("that", f"{r.that} is {found}", "a single number, text, or yes/no")
-    if found != asked:
-        return InputError("that", f"{r.that} is {found}", f"{asked}, because of its condition, {r.condition}")
-    if r.unit and isinstance(leaf, str) and leaf and not same_unit(r.unit, leaf):
-        unit = "no unit: it is a pure number" if leaf == "1" else f"{leaf}, that of {r.that}"
-        return InputError("unit", r.unit, f"{unit} (a label converts nothing)")
-    return None
-
-
-def _asked(requirement: Requirement) -> str:
-    """What a condition is about, in the words of `kind_in_words`."""
-    if requirement.contains is not None:
-        return "a list"
-    if isinstance(requirement.equals, (bool, str)):
-        return "yes or no" if isinstance(requirement.equals, bool) else "a text"
-    return "a number"
+def _check_unit(r: Requirement, unit: object) -> None:
+    if r.unit and isinstance(unit, str) and unit and not same_unit(r.unit, unit):
+        meant = "no unit: it is a pure number" if unit == "1" else f"{unit}, that of {r.that}"
+        raise InputError("unit", r.unit, f"{meant} (a label converts nothing)")

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, ComplexArray
-from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
@@ -78,7 +78,6 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
 
-    @named_arguments
     def __init__(
         self,
         omega: ArrayLike,

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.closing import fed_back
 from robustlab.closing import wired as wired_controller
-from robustlab.errors import InputError, NoTrustworthyNumber, named_arguments
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
@@ -80,7 +80,6 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         **StateSpaceModel.quantities, "blocks": [str], "channels": "1", "sampled": [str],
     }  # fmt: skip
 
-    @named_arguments
     def __init__(self, M: StateSpaceModel, blocks: Any, operating_point: OperatingPoint | None = None) -> None:
         model = as_model(M, "UncertainModel: M")
         checked = as_blocks(blocks)

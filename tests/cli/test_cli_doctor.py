@@ -1,9 +1,6 @@
-"""``robustlab doctor``: what works, what is missing, and what ``--warm`` compiles and keeps."""
+"""``robustlab doctor``: what works, and what is missing."""
 
 from __future__ import annotations
-
-import os
-from pathlib import Path
 
 import numpy as np
 from numba import njit
@@ -47,9 +44,6 @@ def test_doctor_says_where_cvxpy_lacks_clarabel(monkeypatch):
     assert "missing: EnvironmentFault: cvxpy: The solver CLARABEL is not installed." in out
 
 
-# --- warm ------------------------------------------------------------------------------------------------------------
-
-
 def test_no_place_for_compiled_code_is_one_line_and_5(capsys):
     # A function of a file that is nowhere: numba finds no folder that it can write, and says it in its own words.
     names: dict[str, object] = {}
@@ -58,22 +52,3 @@ def test_no_place_for_compiled_code_is_one_line_and_5(capsys):
     first, hint = capsys.readouterr().err.splitlines()
     assert first.startswith("error: robustlab: compiled code cannot be kept (cannot cache function 'function'")
     assert "NUMBA_CACHE_DIR" in hint
-
-
-def test_where_nothing_can_be_kept_code_is_compiled_for_this_command_alone(monkeypatch, capsys):
-    import atexit
-
-    from robustlab.cli import ending
-
-    later = []
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    monkeypatch.setattr(atexit, "register", lambda *call: later.append(call))
-    ending.keep_compiled_code()
-    place = Path(os.environ["NUMBA_CACHE_DIR"])
-    assert place.is_dir()
-    ((forget, *given),) = later
-    forget(*given)
-    assert not place.exists()
-    assert "compiled each time: export NUMBA_CACHE_DIR=" in capsys.readouterr().err
-    monkeypatch.delenv("NUMBA_CACHE_DIR")

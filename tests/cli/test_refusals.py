@@ -26,6 +26,7 @@ REFUSED = [
     ("model build machine.h5 --at u=0 --pose 0,0,0,0,0,0 --out m.h5", 2, ""),
     ("model build dc-motor --at u=0 --out m.h5", 2, ""),
     ("model build nothing.h5 --out m.h5", 3, "nothing.h5"),
+    ("uncertain build run.h5 lag.h5", 3, "holds a Record"),
     ("model convert lag.h5 m.txt", 2, "extension"),
     ("model convert lag.h5 nowhere/m.h5", 5, "no such folder"),
     ("model convert k.h5 k.c", 3, "discretise"),

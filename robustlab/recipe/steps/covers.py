@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
@@ -35,7 +35,6 @@ from robustlab.recipe.steps.contract import (
     quantity,
     step,
 )
-from robustlab.recipe.steps.leaves import leaves_of
 
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import NoiseInput
@@ -73,9 +72,9 @@ class DataCoverStep(Step):
     def foretell(self, ahead: Ahead) -> Foretold:
         from robustlab.identification.validation.data_cover import DataCover
 
-        more = {"passes": bool, "blocks": [str], "loads": {"*": float}}
+        leaves = {f.name: ... for f in fields(DataCover)} | {"passes": ..., "blocks": ..., "loads": {"*": ...}}
         # The loads of the plant's effects come before its inputs.
-        return Foretold(outputs=ahead[self.of].outputs, leaves=leaves_of(DataCover, "model", "validations", **more))
+        return Foretold(outputs=ahead[self.of].outputs, leaves=leaves)
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.report.set_figures import validation_figure
@@ -168,8 +167,7 @@ class CoverModelsStep(Step):
         from robustlab.mu_analysis.margins.cover import Cover
 
         source = ahead[self.of if self.of is not None else self.models[0]]
-        leaves = {**Cover.quantities, "loads": {"*": float}}
-        return replace(source.select(self.outputs), inputs=None, leaves=leaves)
+        return replace(source.select(self.outputs), inputs=None, leaves={**Cover.quantities, "loads": {"*": float}})
 
     def run(self, work: Workspace) -> Outcome:
         """The smallest uncertain model of a form around a set of models, with its conservatism.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, create_model, model_validator
@@ -57,10 +56,7 @@ class DoorStep(Step):
             return known(self, ahead)
         if known is not None:
             kept = getattr(self, "outputs", None)
-            told = ahead[getattr(self, known)].select(kept if isinstance(kept, list) else None)
-            sides = {"inputs": told.inputs, "outputs": told.outputs}
-            lists = {n: (str,) * len(s) for n, s in sides.items() if s is not None and self.leaves.get(n) == [str]}
-            return replace(told, leaves={**self.leaves, **lists})
+            return ahead[getattr(self, known)].select(kept if isinstance(kept, list) else None)
         first = _first(self.declared)
         given = getattr(self, first) if first else None
         of = given if isinstance(given, str) else None

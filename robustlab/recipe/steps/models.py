@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -30,21 +29,13 @@ from robustlab.recipe.steps.contract import (
     quantity,
     step,
 )
-from robustlab.recipe.steps.leaves import COMPLEX
 
 # What is left of a model, and of an uncertain one.
 MODEL: dict[str, Any] = {
-    "states": "1", "inputs": [str], "outputs": [str], "spectral_abscissa": float, "poles": [COMPLEX],
+    "states": "1", "inputs": [str], "outputs": [str], "spectral_abscissa": float, "poles": list,
 }  # fmt: skip
 RANK = {"rank": "1", "states": "1", "full": bool}
 UNCERTAIN: dict[str, Any] = {"blocks": [str], "channels": "1", "states": "1", "sampled": [str]}
-
-
-def model_leaves(told: Foretold, leaves: Mapping[str, Any] = MODEL) -> dict[str, Any]:
-    """What is left of a model with these signals: its lists are as long as these."""
-    sides = {"inputs": told.inputs, "outputs": told.outputs}
-    poles = {"poles": (COMPLEX,) * told.value.n_states} if isinstance(told.value, rl.StateSpaceModel) else {}
-    return {**leaves, **{side: (str,) * len(names) for side, names in sides.items() if names is not None}, **poles}
 
 
 def same_signals(self: Any, ahead: Ahead) -> Foretold:
@@ -134,9 +125,7 @@ class LoadStep(Step):
 
         if self.saved is not None:
             return replace(ahead[self.saved], leaves=self.leaves)
-        told = Foretold.of(read(ahead.sources[ahead.step]).object)
-        is_model = isinstance(told.value, rl.StateSpaceModel)
-        return replace(told, leaves=model_leaves(told, self.leaves)) if is_model else told
+        return Foretold.of(read(ahead.sources[ahead.step]).object)
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.storage import read

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import robustlab as rl
 from robustlab.evidence import Verified
 from robustlab.recipe.steps.contract import Fact, Outcome
 from robustlab.result import least_trusted
 from robustlab.verification.reading import claims_in_file
-
-__all__ = ["verified", "with_verified"]
 
 
 def verified(outcome: Outcome, files: Sequence[Path], asked: bool) -> Outcome:
@@ -36,11 +33,6 @@ def verified(outcome: Outcome, files: Sequence[Path], asked: bool) -> Outcome:
     numbers = {**outcome.numbers, "verified": all(one.proved for one in found)}
     status = _with(outcome, [one.status for one in found])
     return replace(outcome, facts=(*outcome.facts, *facts), numbers=numbers, status=status)
-
-
-def with_verified(leaves: Any, asked: bool) -> Any:
-    """What requirements may refer to of a step that is verified: whether it was proved, too."""
-    return {**leaves, "verified": bool} if asked and isinstance(leaves, Mapping) else leaves
 
 
 def _label(one: Verified) -> str:

@@ -75,11 +75,10 @@ class SampleStep(ResponseStep):
         else:
             for reference in self.reference:
                 _known(reference.output, list(outputs), "reference: output")
-        covers = {name: (bool,) * sum(r.output == name for r in self.reference) for name in outputs if name != "*"}
         left = {
             name: {
                 "final": dict.fromkeys(("nominal", "lower", "upper"), unit),
-                "peak_deviation": unit, "peak_percent": "%", "covers": covers.get(name, [bool]), "worst_member": "1",
+                "peak_deviation": unit, "peak_percent": "%", "covers": list, "worst_member": "1",
             }
             for name, unit in outputs.items()
         }  # fmt: skip

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, did_you_mean, named_arguments
+from robustlab.errors import InputError, did_you_mean
 from robustlab.operators import Behaviour
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, short, with_units
@@ -118,7 +118,6 @@ class LPVModel(Behaviour, Shown, Traced):
     deviation: Array
     known: str
 
-    @named_arguments
     def __init__(
         self,
         points: Mapping[str, ArrayLike],

