@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.identification.comparison.additions import SURE, Addition, located
 from robustlab.identification.comparison.best_linear_approximation import BestLinearApproximation
 from robustlab.identification.comparison.comparison_parts import (
     FreeRun,
@@ -18,6 +17,7 @@ from robustlab.identification.comparison.comparison_parts import (
     ResidualTests,
     WindowErrors,
 )
+from robustlab.identification.comparison.input_disturbance import InputDisturbance, located
 from robustlab.identification.comparison.localisation import (
     Bin,
     DirectionError,
@@ -30,7 +30,7 @@ from robustlab.identification.comparison.residual_tests import EvenOdd
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
-from robustlab.shown import Each, Facts, listed, number
+from robustlab.shown import Each, Facts, number
 from robustlab.tables import Table, Tabular
 
 POSE = ("tx", "ty", "tz", "ax", "ay", "az")
@@ -74,8 +74,9 @@ class Comparison(Tabular, Evidence):
         The compared signals: measured, free run (as far as it goes; None where that is nowhere), windowed simulation,
         and the recursive residual (n,) by output, NaN where a sample only fixes the state of its window.
     disturbance
-        Input name, or a joint as ``torque at omega`` -> the `Addition` there, and nowhere else, that would explain the
-        record piece by piece. Where none does it alone, ``input u, together`` and such: two places at once.
+        Input name, or a joint as ``torque at omega`` -> the `InputDisturbance` there, and nowhere else, with which the
+        model follows the record best. Joints alone of a nonlinear plant; empty for a discrete model and an uneven
+        clock.
     warnings
         What a reader must know before trusting the numbers.
     direction
@@ -121,7 +122,7 @@ class Comparison(Tabular, Evidence):
     simulated: Record | None
     windowed: Record
     recursive: Mapping[str, Array]
-    disturbance: Mapping[str, Addition]
+    disturbance: Mapping[str, InputDisturbance]
     warnings: tuple[str, ...]
     direction: Mapping[str, Mapping[str, DirectionError]]
     amplitude: Mapping[str, Mapping[str, tuple[Bin, ...]]]
@@ -148,7 +149,7 @@ class Comparison(Tabular, Evidence):
         "residual": Each("outputs", ResidualTests),
         "direction": Each("outputs", {"*": DirectionError}),
         "amplitude": Each("outputs", {"*": [Bin]}),
-        "disturbance": Each("inputs", Addition, ("torque at *", "force at *", "*, together")),
+        "disturbance": Each("inputs", InputDisturbance, ("torque at *", "force at *")),
         "nonlinearity": EvenOdd,
         "initial_state": InitialState,
         "free_run": FreeRun,
@@ -173,9 +174,9 @@ class Comparison(Tabular, Evidence):
         return {"output": name, "start": start, "stop": stop, **({"pose": self.pose} if self.pose else {})}
 
     @property
-    def located(self) -> tuple[Addition, ...]:
-        """Additions that explain the error, the best first: each alone, or two together; empty where none does."""
-        return tuple(self.disturbance[key] for key in located(self.disturbance))
+    def located(self) -> tuple[InputDisturbance, ...]:
+        """Disturbances that explain half of the error as well as the best one does; inputs first."""
+        return located(self.disturbance)
 
     def summary(self) -> str:
         """The result as a few lines of text."""
@@ -499,56 +500,19 @@ def _harmonic_lines(c: Comparison) -> list[str]:
 
 
 def _disturbance_lines(c: Comparison) -> list[str]:
-    """What an addition would explain, and how large it is where it explains something."""
-    told, every = c.located, list(c.disturbance.values())
-    if not every:
+    """Where a disturbance would explain the error, and its means; the best place where none does."""
+    if not c.disturbance:
         return []
-    if not told:
-        best = min(every, key=lambda d: d.worth)
-        where = listed(d.place for d in every if not d.together)
-        text = f"as an addition: nothing at {where} explains half of the error"
-        return ["", f"{text} (best {best.place}, in pieces of {best.seconds:.3g} s: {_shares(best)})"]
-    if told[0].together:
-        places = " and ".join(d.place for d in told)
-        head = f"as additions at {places} together: {_shares(told[0])}, in pieces of {told[0].seconds:.3g} s"
-        return ["", head, *(f"  {d.place}: {_mean_addition(d)}" for d in told)]
-    lines: list[str] = []
-    covered: frozenset[str] = frozenset()
-    for d in told:
-        head = "and at" if d.explains - covered else "or as one at"
-        lines.append(f"{head if lines else 'as an addition at'} {d.place}: {_shares(d)}; {_mean_addition(d)}")
-        covered |= d.explains
-    return ["", *lines, f"  in pieces of {told[0].seconds:.3g} s"]
+    best = max(c.disturbance.values(), key=lambda d: d.explained_share)
+    head = [] if c.located else [f"no disturbance at one place explains half of the error (best {best.place})"]
+    return ["", *head, *(f"disturbance at {d.place}: {_disturbance(d)}" for d in c.located or (best,))]
 
 
-def _shares(d: Addition) -> str:
-    few = len(d.shares) <= MOST_INPUTS_TOLD
-    shown = {name: share for name, share in d.shares.items() if few or name in d.explains}
-    told = [f"{100 * max(share, 0.0):.0f} % of the error of {name}" for name, share in shown.items()]
-    off = [f"{name} off by {value:+.3g} throughout" for name, value in d.offsets.items() if value]
-    return listed([*told, *off], 2 * MOST_INPUTS_TOLD)
-
-
-def _mean_addition(d: Addition) -> str:
-    """The mean additions with their standard errors, where it is sure to differ from zero; what lacks.
-
-    Where no piece moves throughout in one direction, the mean of all.
-    """
-    ways = (d.forward, d.forward_std, "moving forward"), (d.backward, d.backward_std, "backward")
-    sorted_ways = [way for way in ways if np.isfinite(way[1])]
-    parts = [
-        f"{mean:+.3g} +- {std:.2g} {d.unit}".rstrip() + f" {way}"
-        for mean, std, way in sorted_ways or [(*d.mean, "over all pieces")]
-        if abs(mean) > SURE * std
-    ]
-    text = f"mean {', '.join(parts)}" if parts else "no mean that differs from zero"
-    if d.speed is None:
-        return text
-    if not sorted_ways:
-        return f"{text}; too few pieces move throughout in one direction (a shorter window sorts them)"
-    moves = ("forward", d.forward_std, d.speed > 0), ("backward", d.backward_std, d.speed < 0)
-    lacking = [f"too few pieces move {way} throughout" for way, s, there in moves if there.any() and not np.isfinite(s)]
-    return "; ".join([text, *lacking])
+def _disturbance(d: InputDisturbance) -> str:
+    """Its size, its share of the error, and the means that are sure to differ from zero."""
+    means = [f"{mean:+.3g} +- {std:.2g} {d.unit}".rstrip() + f" {way}" for way, (mean, std) in d.sure_means.items()]
+    text = f"rms {number(d.rms, d.unit, 3)}, {100 * d.explained_share:.0f} % of the squared error goes"
+    return f"{text}; mean {', '.join(means)}" if means else f"{text}; no mean that differs from zero"
 
 
 def _residual_lines(c: Comparison, name: str) -> list[str]:

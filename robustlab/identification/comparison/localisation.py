@@ -1,7 +1,7 @@
 """Where an error lives: in time, in speed and position, in frequency; and the gap of a model in multiples of the noise.
 
 Where a record repeats, the gap is set against its noise floor: 1 is a model as good as the noise allows. What would
-have to be added, and where, is in `robustlab.identification.comparison.additions`.
+have to be added, and where, is in `robustlab.identification.comparison.input_disturbance`.
 """
 
 from __future__ import annotations
