@@ -29,6 +29,7 @@ EXPLAINS = 0.5  # share of the squared error that a disturbance has to take away
 TIE = 2.0  # times the best: what another place may leave of the squared error to be as good
 SURE = 3.0  # standard errors from zero, from which a mean is sure
 LEAST_NOISE = 1e-7  # of a sensor, as a share of its range
+SHORTEST = 8  # samples that tell the noise of a sensor
 
 
 @dataclass(frozen=True)
@@ -86,10 +87,11 @@ def input_disturbances(
 ) -> dict[str, InputDisturbance]:
     """One at each input and each joint that no input drives directly, by the input's name or ``torque at omega``.
 
-    ``error``: of the windows of ``length`` samples, (n, n_y). Empty for a discrete model and an uneven clock.
+    ``error``: of the windows of ``length`` samples, (n, n_y). Empty for a discrete model, an uneven
+    clock and a few samples.
     """
     model = response.model
-    if model.is_discrete or not whole.is_uniform:
+    if model.is_discrete or not whole.is_uniform or len(whole.t) < SHORTEST:
         return {}
     model = model.select(outputs=response.output_names)
     u = np.column_stack([whole.u[name] for name in model.input_names])

@@ -45,6 +45,7 @@ from robustlab.identification.experiment.experiment_bench import (
 )
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.result import Evidence
+from robustlab.shown import Facts
 
 CANNOT_TELL = 3.0  # noise sigmas
 
@@ -90,11 +91,11 @@ class NextExperiment(Evidence):
         """True where the choice will be safe (d of 10 or more)."""
         return self.separation >= SAFE
 
-    def summary(self) -> str:
+    def facts(self) -> Facts:
         """Description, predicted separation, and what else would help."""
-        told = f"predicted separation of {', '.join(self.hypotheses)}: {self.separation:.3g} noise sigmas"
-        lines = [self.description, f"{told} (present records: {self.now:.3g}; 3 tell, {SAFE:.0f} are safe)"]
-        return "\n".join([*lines, self.advice] if self.advice else lines)
+        told = f"{self.separation:.3g} noise sigmas of {', '.join(self.hypotheses)}"
+        now = f"present records: {self.now:.3g}; 3 tell, {SAFE:.0f} are safe"
+        return [("signal", self.description), ("predicted separation", f"{told} ({now})"), ("or", self.advice)]
 
     def save(self, path: str | Path) -> Path:
         """Write the signal as a text table: a head of names, then the clock in s and each input, sample by sample.

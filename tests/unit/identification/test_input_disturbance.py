@@ -66,7 +66,7 @@ def test_dry_friction_of_a_motor_is_a_torque_at_its_shaft(names, places):
     assert d.forward == pytest.approx(-LEVEL, rel=0.1)
     assert d.backward == pytest.approx(LEVEL, rel=0.1)
     assert all(share > 0.9 for share in d.shares.values())
-    assert f"disturbance at {places[0]}: rms" in found.summary()
+    assert f"missing: {places[0]}" in dict(found.facts())
 
 
 def test_a_drop_and_a_wrong_gain_of_the_voltage_are_at_the_input():
