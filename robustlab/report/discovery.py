@@ -19,7 +19,7 @@ from robustlab.errors import InputError
 from robustlab.identification.naming.discovery_result import LINEAR, Discovery
 from robustlab.identification.naming.discovery_text import chance, with_interval
 from robustlab.identification.naming.named_effects import Gap, SetProbability, overall
-from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
+from robustlab.identification.naming.residual_force import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.report.drawings import caption_of
 from robustlab.report.figures import (
@@ -370,14 +370,11 @@ def _explains(curve: ForceCurve, earlier: ForceCurve | None) -> str:
     name = plain_label(curve.coordinate)
     if earlier is not None:
         return f"{name}: explains {100 * earlier.share:.0f} % → {100 * curve.share:.0f} %"
-    sure = "p < 0.005" if curve.p_value < 0.005 else f"p = {curve.p_value:.2g}"
-    return f"{name}: explains {100 * curve.share:.0f} % ({sure})"
+    return f"{name}: explains {100 * curve.share:.0f} %"
 
 
 def _shares(panel: Axes, residual: ResidualForce, before: ResidualForce | None) -> None:
     rows = [(f"f({name})", curve.share, COLOURS["nominal"]) for name, curve in residual.curves.items()]
-    rows += [(f"+ sgn(v) f({name})", share, COLOURS["band"]) for name, share in residual.dry_share.items()]
-    rows.append(("all together", residual.joint_share, COLOURS["good"]))
     rows.append(("noise of the estimate", residual.noise_share, COLOURS["sample"]))
     place = np.arange(len(rows))[::-1]
     panel.barh(place, [100 * share for _, share, _ in rows], color=[colour for *_, colour in rows], height=0.65)

@@ -47,11 +47,11 @@ from robustlab.identification.naming.open_intervals import opened_above
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.quantities import force_share
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
+from robustlab.identification.naming.residual_force import ResidualForce
 from robustlab.identification.naming.set_search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
 from robustlab.identification.tuning import AS_LARGE
-from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 from robustlab.record import Record
 from robustlab.result import Status
 

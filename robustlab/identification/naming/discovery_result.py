@@ -27,8 +27,8 @@ from robustlab.tables import Table, Tabular
 if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
     from robustlab.identification.experiment.next_experiment import NextExperiment
+    from robustlab.identification.naming.residual_force import ResidualForce
     from robustlab.identification.record_check.suitability import Finding
-    from robustlab.identification.unnamed.unnamed_effect import ResidualForce
     from robustlab.uncertainty.lft import UncertainModel
 
 LINEAR = "linear about the recorded motion"  # said of the records of such runs

@@ -10,20 +10,10 @@ gives the rates
 with the effects' states z and forces :math:`F_j` as simulated (A and E with what effects have changed). What the
 sensors tell beyond these is smoothed joint by joint.
 
-A screw, a gear or a magnet repeats with the position, hum and unbalanced auxiliaries repeat with time. Such a line may
-be too weak to make simulations of unseen data better, so that no effect is named for it, and be certain all the same:
-a maintainer wants to know of it. For the wave number :math:`\kappa` over a coordinate x the force d is set against
-
-.. math:: d = a_r \cos \kappa x + b_r \sin \kappa x
-
-with a phase of its own in each record r, since an encoder that counts from where it was switched on has another zero
-every time, and over the position in each direction of motion too: a screw pushes with the other flank. Judged is the
-power that this explains, over the mean power under random signs of the blocks of time, which is what a force of this
-spectrum explains by chance. A level counts against the largest level of all wave numbers under each set of signs, and
-twice where two coordinates are searched, so that looking in many places is paid for (as in
-`robustlab.identification.unnamed.unnamed_effect`). Smooth curves over speed, position, time and input are taken off
-before: they are no lines, and their edges would look like some. Lines are then taken off one by one, the one that
-explains most first.
+A line that repeats with the position (a screw) or time (hum) may be too weak to name an effect, and be certain all the
+same. For each wave number a cosine and sine are fitted to the force, with a phase of its own in each record and
+direction of motion; the power explained is judged against the same under random signs of the blocks of time, and
+against the largest level of all wave numbers. Smooth curves are taken off before, and found lines one by one.
 """
 
 from __future__ import annotations
@@ -46,19 +36,17 @@ from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem
 from robustlab.identification.hypotheses.motion_smoother import lacking_forces
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
-from robustlab.identification.unnamed.block_regression import (
-    BlockRegression,
+from robustlab.identification.naming.residual_force import (
     MovingSamples,
-    coordinate_bases,
-    moving_samples,
-    random_signs,
-    role,
-)
-from robustlab.identification.unnamed.unnamed_effect import (
     ResidualForce,
+    moving_samples,
     residual_force,
+    role,
+    without_curves,
 )
 from robustlab.statespace import StateSpaceModel
+
+FLIPS = 400  # random signs
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,21 +273,8 @@ Turns = NDArray[np.complex128]
 def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
     """Lines over position and time in the residual force that chance does not explain (p < 0.01), strongest first.
 
-    Parameters
-    ----------
-    left
-        The residual force along the records: ``force``, ``std``, ``coordinates``, ``blocks`` and the units.
-
-    Returns
-    -------
-    tuple of dict
-        ``over`` ("position" or "time"), ``period`` in ``unit``, ``amplitude`` in ``force_unit`` (RMS over records and
-        directions), ``p_value``. Empty where there is none, or hardly any motion.
-
-    Raises
-    ------
-    InputError
-        Lengths that differ, NaN, a std that is not positive, labels of blocks that go back.
+    Each has ``over`` ("position" or "time"), ``period`` in ``unit``, ``amplitude`` in ``force_unit`` (RMS over records
+    and directions) and ``p_value``. Empty where there is none, or hardly any motion.
     """
     try:
         data = moving_samples(left.force, left.std, left.coordinates, left.blocks)
@@ -309,8 +284,9 @@ def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
         raise
     if (np.diff(data.block) < 0).any():
         raise InputError("remaining lines: blocks", "labels that go back", "contiguous blocks, one after the other")
-    signs = random_signs(data.n_blocks, 0)
-    data = replace(data, d=_without_curves(data))
+    chance = np.random.default_rng(0).choice([-1.0, 1.0], size=(FLIPS, data.n_blocks))
+    signs = np.vstack([np.ones(data.n_blocks), chance])
+    data = replace(data, d=without_curves(data, tuning.CURVE_STIFFNESS))
     searches = list(_searches(data))
     least = tuning.LINE_WORTH * float(data.weight @ data.d**2)
     found: list[dict[str, float | str]] = []
@@ -357,18 +333,6 @@ def _records(data: MovingSamples) -> NDArray[np.int_]:
     if time is None:
         return np.zeros(len(data.d), dtype=int)
     return np.concatenate([[0], np.cumsum(np.diff(time) < 0)])
-
-
-def _without_curves(data: MovingSamples) -> Array:
-    """The force less a sum of smooth curves over all coordinates."""
-    from scipy.linalg import block_diag
-
-    bases = coordinate_bases(data)
-    if not bases:
-        return data.d - np.average(data.d, weights=data.weight)
-    columns = np.hstack([b.columns for b in bases])
-    regression = BlockRegression(data, data.d, columns, np.asarray(block_diag(*(b.penalty for b in bases))))
-    return data.d - columns @ regression.solve(tuning.CURVE_STIFFNESS)[:, 0]
 
 
 def _searches(data: MovingSamples) -> Iterator[_Search]:

@@ -26,8 +26,8 @@ from robustlab.identification.naming.named_effects import (
     overall,
     wave_amplitude,
 )
+from robustlab.identification.naming.residual_force import ForceCurve, ResidualForce
 from robustlab.identification.record_check.suitability import Finding
-from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.recipe.schema import Requirement, judge
 from robustlab.report.discovery import discovery_figures, write_page
@@ -84,10 +84,10 @@ def ambiguous(**changes):
 def unknown(**changes):
     x = np.linspace(-1.0, 1.0, 9)
     curves = {
-        name: ForceCurve(name, unit, x, x**3, x**3 - 0.1, x**3 + 0.1, np.full(9, 40), share, 0.01)
+        name: ForceCurve(name, unit, x, x**3, x**3 - 0.1, x**3 + 0.1, np.full(9, 40), share)
         for name, unit, share in (("speed", "m/s", 0.4), ("position", "m", 0.0), ("time", "s", 0.1))
     }
-    force = ResidualForce("N", 2.5, 0.1, curves, {}, 0.5, 16)
+    force = ResidualForce("N", 2.5, 0.1, curves, 16)
     fields = {
         "status": Status.INCONCLUSIVE,
         "verdict": "unknown",
