@@ -113,32 +113,7 @@ class BestLinearApproximation(Evidence):
 def periodic_bla(
     u: ArrayLike, y: ArrayLike, dt: float, model: StateSpaceModel | None = None, lines: NDArray[np.int_] | None = None
 ) -> BestLinearApproximation | None:
-    r"""Best linear approximation from whole periods in steady state.
-
-    Parameters
-    ----------
-    u, y
-        Input and output, shape (n_realisations, n_periods, n) or (n_periods, n); at least two periods. Realisations
-        excite the same lines with other (random) phases.
-    dt
-        Sample time in s.
-    model
-        A model with one input and one output; None: the response of 0.
-    lines
-        The excited harmonics, 1 the first; left out: those of the input. In closed loop they must be those of the
-        reference: at its other lines the input only answers the output, and the ratio is minus the inverse of the
-        controller.
-
-    Returns
-    -------
-    BestLinearApproximation or None
-        None where no line is excited above the noise.
-
-    Raises
-    ------
-    InputError
-        Shapes that differ, or fewer than two periods.
-    """
+    r"""Best linear approximation from whole periods in steady state."""
     u, y = (np.asarray(x, dtype=np.float64) for x in (u, y))
     u, y = (x[None] if x.ndim == 2 else x for x in (u, y))
     if u.shape != y.shape or u.ndim != 3 or u.shape[1] < 2:
@@ -198,12 +173,6 @@ def arbitrary_bla(
 
     ``t``, ``inputs``, ``y``: clock (n,), the inputs by name in the model's order, and one output (n,). A clock that is
     not uniform is interpolated to its mean step. ``model``: model from these inputs to this output.
-
-    Returns
-    -------
-    dict
-        Input name -> estimate; without the inputs that are constant, and empty where the record is too short for
-        more averages than inputs.
     """
     from scipy.signal import csd
 

@@ -111,13 +111,6 @@ class NoiseFloor(Evidence):
 
         The residual must be made alike in every repeat: windows of a windowed simulation must fall on the same phases
         of every period. Phases with NaN in any repeat are left out.
-
-        Raises
-        ------
-        InputError
-            Another shape.
-        NoTrustworthyNumber
-            Fewer than 8 phases without NaN.
         """
         from scipy.stats import f as fisher
 
@@ -145,34 +138,6 @@ def noise_floor(
 ) -> NoiseFloor:
     """Noise of the outputs of a record, from its own periods or from further records with the same input.
 
-    Parameters
-    ----------
-    record
-        The measurement, on a uniform clock. Every input that is not constant must repeat: exactly or within the
-        quantisation of its samples, or, beside another signal that does (a controller's reference), to 10 %.
-    period
-        The period in s, where no signal that repeats exactly is recorded; a whole number of samples.
-    repeats
-        Further records with the same input, sample by sample, and the same sample time.
-    outputs
-        The outputs to judge; all if left out. Recorded outputs that are not among them may serve as the reference
-        if they repeat to rounding.
-
-    Returns
-    -------
-    NoiseFloor
-        With ``std`` of a single sample.
-
-    Raises
-    ------
-    InputError
-        A stated period or a stated repeat which the inputs contradict.
-    NoTrustworthyNumber
-        The record does not repeat; the reason is in the message.
-
-    References
-    ----------
-    Pintelon and Schoukens, *System Identification: A Frequency Domain Approach* (2012), section 2.5.
 
     Examples
     --------
@@ -218,10 +183,6 @@ def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
     ``samples``: at least two periods of the signal. ``tolerance``: largest difference between repeats of one phase;
     left out: one step of the signal's quantisation where it has more than 200 levels, else rounding.
 
-    Returns
-    -------
-    int or None
-        At least 8; None too for a constant.
 
     Examples
     --------

@@ -69,10 +69,6 @@ class InputCorrelation(Evidence):
 
     with :math:`\tilde u` the input without its mean, and R² of the regression of e on :math:`\tilde u_t, ..., \tilde
     u_{t-m}` at the :math:`N_m` samples that have all of these.
-
-    References
-    ----------
-    Ljung, *System Identification* (1999), section 16.6.
     """
 
     # lags, correlation: lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,).

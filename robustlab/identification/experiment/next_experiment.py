@@ -98,13 +98,7 @@ class NextExperiment(Evidence):
         return [("signal", self.description), ("predicted separation", f"{told} ({now})"), ("or", self.advice)]
 
     def save(self, path: str | Path) -> Path:
-        """Write the signal as a text table: a head of names, then the clock in s and each input, sample by sample.
-
-        Raises
-        ------
-        EnvironmentFault
-            The file cannot be written.
-        """
+        """Write the signal as a text table: a head of names, then the clock in s and each input, sample by sample."""
         from robustlab.files.atomic import atomic_write
 
         table = np.column_stack([self.t, *self.inputs.values()])
@@ -123,35 +117,10 @@ def propose_experiment(
     longest: float | None = None,
     may_add: Sequence[str] | None = None,
 ) -> NextExperiment | None:
-    """The experiment of the menu that separates the named hypothesis and its rivals best.
+    """The experiment of the menu that separates the named hypothesis and its rivals best; None where none can.
 
-    Parameters
-    ----------
-    problem
-        The records and the plant that the fits belong to.
-    named, rivals
-        Fits on these records. Of the rivals the three with the largest evidence are looked at.
-    input_range
-        Input -> (lowest, highest) allowed. By default up to the largest absolute value recorded, both ways; for a plant
-        without a speed that has a joint (tanks), within the recorded values.
-    travel
-        State -> largest range it may run through. By default a position in m keeps to its range in the records; angles
-        are not limited.
-    longest
-        Longest experiment in s. By default as long as the longest record (or 20 of the plant's slowest time constants),
-        up to 5000 samples.
-    may_add
-        Outputs of the plant that could be measured in addition; by default all.
-
-    Returns
-    -------
-    NextExperiment or None
-        None without rivals, and where the plant allows none of the signals.
-
-    Raises
-    ------
-    InputError
-        An unknown name, a range that is empty, a duration of fewer than four windows.
+    By default inputs stay within the recorded sizes, positions in m within their recorded range, and the experiment is
+    as long as the longest record.
     """
     rivals = [r for r in rivals if r.hypothesis.key != named.hypothesis.key]
     if not rivals:

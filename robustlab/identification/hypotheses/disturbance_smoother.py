@@ -85,34 +85,10 @@ def smooth_disturbance(
     noise_std: ArrayLike | None = None,
     bandwidth: ArrayLike | None = None,
 ) -> SmoothedRecord:
-    r"""Smoothed states and forces of a record.
+    """Smoothed states and forces of a record with inputs u held between samples; NaN in y is a missing sample.
 
-    Parameters
-    ----------
-    model
-        Continuous model, without the missing effect.
-    ports
-        Directions P in which the forces act on the rates of the states, (n_x, m): a torque on an inertia J enters the
-        rate of its speed as 1/J.
-    t
-        Uniform clock in s, (n,).
-    u
-        Inputs, held between samples, (n, n_u).
-    y
-        Measured outputs, (n, n_y); NaN is a missing sample.
-    noise_std
-        Standard deviation of each output's noise, (n_y,); estimated where left out. Never taken below
-        1/sqrt(12) of the smallest step between values of the output (its resolution).
-    bandwidth
-        Bandwidth of each force in Hz, (m,) or one for all; estimated where left out.
-
-    Raises
-    ------
-    InputError
-        A discrete model, shapes that do not fit, NaN in t or u, a clock that is not uniform, an output without
-        samples, fewer samples than 3 (n_x + m), a port to which no output responds.
-    NoTrustworthyNumber
-        The response outgrows double precision.
+    ``ports`` (n_x, m): rate of the states per unit of each force. ``noise_std``, ``bandwidth`` (Hz): estimated where
+    left out; the noise is at least 1/sqrt(12) of an output's resolution.
     """
     task = _prepared(model, ports, t, u, y, noise_std)
     given = None

@@ -157,23 +157,7 @@ class _Place(NamedTuple):
 
 
 class Problem:
-    """Records, plant and nuisance parameters of one naming; fits hypotheses on chosen windows.
-
-    Parameters
-    ----------
-    plant
-        Nominal plant.
-    records
-        Prepared records.
-    nuisances
-        Nominal parameters that every hypothesis refits.
-    chosen
-        For each record the indices of the windows to use.
-    clock
-        Steps and input holds that all hypotheses share.
-    work
-        Steps of each simulation that this problem, and those made from it, have run; put down by the problem.
-    """
+    """Records, plant and nuisance parameters of one naming; fits hypotheses on chosen windows."""
 
     def __init__(
         self,

@@ -67,18 +67,8 @@ class PreparedRecord:
     ) -> Array:
         """States at the window starts, (n_windows, n_x), where sensors show them late, scaled or biased.
 
-        Parameters
-        ----------
-        lag
-            Seconds by which the sensors are late.
-        shown
-            Index of an output of the plant -> what is recorded of it over what is there. The smoother took the records
-            for the truth, and its states are linear in them: of each the share that this output told is divided by
-            the gain.
-        biased
-            The same -> what is recorded where nothing is there.
-        late
-            The same -> seconds by which this output alone is late, with what it told of the states.
+        ``lag``: seconds by which all sensors are late. ``shown``, ``biased``, ``late``: index of an output of the plant
+        -> its gain, what it shows of zero, and the seconds by which it alone is late.
         """
         x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
         for j, share, unit in self._corrections(shown, biased):

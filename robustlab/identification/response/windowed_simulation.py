@@ -108,10 +108,6 @@ def starting_state(response: Response, whole: Stretch, longest: int) -> InitialS
     A short stretch suffers from noise, a long one from the faults of the model. The stretch is doubled from 20 samples
     (at least 4 n_x) up to ``longest``, as long as the 3-sigma intervals of all estimates so far have a common point
     (intersection of confidence intervals).
-
-    References
-    ----------
-    Goldenshluger and Nemirovski, "On spatially adaptive estimation of nonparametric regression" (1997).
     """
     shortest = min(len(whole.t), max(SHORTEST_START, 4 * response.n_states))
     names, longest = response.model.state_names, min(longest, len(whole.t))
@@ -216,11 +212,6 @@ def recursive_residual(free: Array, error: Array) -> Array:
     ``free``: free response of this output, shape (n, n_x). ``error``: measured minus simulated output from any one
     initial state, shape (n, n_windows); the residual is the same for all. A window that ends earlier than the others
     ends in NaN.
-
-    Returns
-    -------
-    numpy.ndarray
-        NaN at the samples that only fix the state.
     """
     from robustlab.identification.response.recursion_kernel import predict
 
