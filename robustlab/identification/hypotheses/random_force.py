@@ -80,13 +80,10 @@ class _RecordedForce(Effect):
 class PortMotion:
     """Along one record."""
 
-    force: float  # RMS of the force that moves the port; ``unit`` is its unit
-    unit: str
-    # speed, position: of the port, (n,), None where not told; with their units
+    force: float  # RMS of the force that moves the port
+    # speed, position: of the port, (n,), None where not known
     speed: Array | None = None
     position: Array | None = None
-    speed_unit: str = ""
-    position_unit: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +211,7 @@ def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> PortMotion:
     if place.kind == "input":
         at = [s.name for s in problem.plant.inputs].index(place.name)
         rms = float(np.sqrt(np.mean(record.u[:, at] ** 2))) or 1.0
-        return PortMotion(rms, problem.plant.inputs[at].unit)
+        return PortMotion(rms)
     factors, _ = problem.split(fit.hypothesis, fit.z)
     port = problem.simulators(Hypothesis(()))[k].model(factors, []).ports[place.name]
     x, covariance = record.smoothed.x, record.smoothed.covariance
@@ -226,7 +223,7 @@ def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> PortMotion:
         q = x @ port.position
         std = np.sqrt(np.median(np.einsum("i,nij,j->n", port.position, covariance, port.position)))
         q = q if std < 0.05 * np.ptp(q) else None
-    return PortMotion(rms, port.unit, v, q, port.speed_unit, port.position_unit)
+    return PortMotion(rms, v, q)
 
 
 SIZES = np.concatenate([[0.0], 10.0 ** np.arange(-4.5, 0.1, 0.25)])  # s, of the force that moves the port
@@ -438,14 +435,11 @@ class FittedWindows:
         prior[-1, -1] = self.z @ self.z
         return gram + self.weight * prior
 
-    def segment_sums(self, share: float = 1.0) -> list[tuple[Array, Array]]:
-        """Products of the port's segments with each other and with the errors.
-
-        Under the noise of the hypothesis alone, of its random force a share.
-        """
+    def segment_sums(self) -> list[tuple[Array, Array]]:
+        """Products of the port's segments with each other and with the errors, under the noise of the hypothesis."""
         found = []
         for k, record in enumerate(self.records):
-            s, gram = record.segments, self._within_noise(k, share * self.alone.size)
+            s, gram = record.segments, self._within_noise(k, self.alone.size)
             n, n_x = gram.shape[1], record.xi.shape[1]
             own = range(n)[record.own]
             first = [*range(n - 1 - n_x, n - 1), *own, *range(record.pulses, n - 1 - n_x), n - 1]

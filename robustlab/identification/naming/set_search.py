@@ -170,8 +170,7 @@ def _at_line(candidate: Candidate, line: UnnamedEvidence) -> Candidate:
     scales = replace(candidate.scales, **at)
     starts = effect.starts(scales)
     if {"Ac", "As"} <= set(starts[0]):
-        quarter = float(np.interp(0.25 * line.period, line.x, line.force))
-        starts = (*starts, {**starts[0], "Ac": float(line.force[0]), "As": quarter})
+        starts = (*starts, {**starts[0], "Ac": line.wave[0], "As": line.wave[1]})
     return Candidate(effect, candidate.site, effect.parameters(scales), starts, scales)
 
 
