@@ -33,6 +33,11 @@ from robustlab.result import Evidence, Status
 from robustlab.shown import Each, Facts, Part, listed, number
 from robustlab.tables import Table, Tabular
 
+# Fields that become JSON in another form, or not at all.
+NOT_AS_IT_IS = frozenset((
+    "motions", "measured", "simulated", "windowed", "recursive",
+    "noise_reason", "against_noise", "linear_reason", "pose",
+))  # fmt: skip
 POSE = ("tx", "ty", "tz", "ax", "ay", "az")
 LINEAR = 0.5  # bands whose coherence is lower say nothing about a linear model
 ROUNDING = 1e-9  # a residual below this share of the range is rounding, and no test of it means anything
@@ -340,19 +345,12 @@ class Comparison(Tabular, Evidence):
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields; without ``series`` the time series and the densities over frequency are left out."""
-        data: dict[str, object] = {
-            "status": self.status,
-            "model": self.model,
-            "record": self.record,
+        data: dict[str, object] = {key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS} | {
             "percent_of": self.percent_of,
-            "outputs": self.outputs,
-            "windows": self.windows,
             "worst_window": self.worst_window,
             "speed": {**self._of_motions(signal="speed_source", unit="speed_unit"), "bins": self.speed},
             "position": {**self._of_motions(signal="position_name", unit="position_unit"), "bins": self.position},
             "frequency": {name: s.to_json() if series else s.band_table() for name, s in self.frequency.items()},
-            "direction": self.direction,
-            "amplitude": self.amplitude,
             "noise": {"floor": self.noise, "reason": self.noise_reason, "outputs": self.against_noise},
             "linear": {
                 "reason": self.linear_reason,
@@ -361,17 +359,7 @@ class Comparison(Tabular, Evidence):
                     for y, row in self.linear.items()
                 },
             },
-            "nonlinearity": self.nonlinearity,
-            "disturbance": self.disturbance,
             "residual_reference": REFERENCE,
-            "residual": self.residual,
-            "initial_state": self.initial_state,
-            "free_run": self.free_run,
-            "linearisation": self.linearisation,
-            "sensor_noise": self.sensor_noise,
-            "left_out": list(self.left_out),
-            "window": self.window,
-            "warnings": list(self.warnings),
         }
         if series:
             data |= {

@@ -1,24 +1,12 @@
 r"""Noise floor without a model, where a record repeats.
 
-A system that is driven twice by the same signal gives the same response twice, but for noise. So from P repeats of the
-N samples of a period (or of a whole record) follows, for an output y,
+From P repeats of N samples the variance of the noise of a sample, and an F test of what repeats in a residual r:
 
-.. math:: \hat\sigma^2 = \frac{1}{(P - 1) N} \sum_{p,k} (y_{p,k} - \bar y_k)^2
+.. math:: \hat\sigma^2 = \frac{1}{(P - 1) N} \sum_{p,k} (y_{p,k} - \bar y_k)^2, \qquad
+          F = \frac{\frac{1}{N} \sum_k \bar r_k^2}{\hat\sigma_r^2 / P}
 
-the variance of the noise of a single sample; the half difference of two repeats has the variance
-:math:`\sigma^2 / 2`. What repeats in a model's residual r is no noise: with nothing left to explain,
-
-.. math:: F = \frac{\frac{1}{N} \sum_k \bar r_k^2}{\hat\sigma_r^2 / P}
-
-is near 1, with :math:`\sigma_r` from the spread of the residual itself between the repeats. In open loop this is the
-noise of the output; in closed loop the noise also enters through the recorded input, and a floor of the output alone
-would be too low.
-
-The noise of a machine is coloured and changes along the period, so the N samples are not N independent ones. The test
-counts their effective number by Satterthwaite's rule from the spectrum and the local variance of the deviations.
-
-In closed loop the input does not repeat exactly, as the controller feeds the noise back: there the *reference* tells
-the period, or it is stated.
+The effective number of samples is by Satterthwaite's rule, since noise is coloured and changes along the period. In
+closed loop the *reference* gives the period, or it is stated.
 """
 
 from __future__ import annotations

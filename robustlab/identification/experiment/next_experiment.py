@@ -1,22 +1,10 @@
 r"""What to measure next, so that hypotheses which the present records leave open can be told apart (T-optimality).
 
-For every test signal s of a menu, every set of sensors, and every pair of open hypotheses, A predicts the outputs from
-rest without noise and B is refitted to that prediction, with its nominal parameters under their tolerances. The refit
-distance d is in standard deviations of the noise; the signal proposed is
+For every test signal s, every set of sensors and every pair of open hypotheses, A predicts the outputs from rest and B
+is refitted to them, :math:`d^2 = \min_{z, \xi} V_B(z, \xi; \hat y_A) - \|z_B\|^2`; proposed is :math:`\arg\max_s
+\min_{A \ne B} d_s(A, B)`, and of several that are safe the one with fewest sensors to add, then the shortest. Where B
+contains A only the richer one is taken for the truth. The prior that B pays for the present records is not counted.
 
-.. math:: \arg\max_s \min_{A \ne B} d_s(A, B),
-
-and where several reach what is safe, the one with the fewest sensors to add, and of these the shortest. A pair in which
-B contains A (Stribeck friction contains Coulomb friction) is judged with the richer one as the truth only.
-
-.. math:: d^2 = \min_{z, \xi} V_B\bigl(z, \xi;\, \hat y_A\bigr) - \|z_B\|^2
-
-The prior that B pays already for the present records, with its parameters z_B there, is not counted: d is what the
-experiment adds. The menu is looked through with a linearised refit, one Gauss-Newton step of B, at all sensors and
-lengths at once; what this finds best is then refitted properly.
-
-References
-----------
 Atkinson, Fedorov, "The design of experiments for discriminating between two rival models", Biometrika 62 (1975) 57-70.
 """
 

@@ -20,8 +20,7 @@ from robustlab.dynamics.ports.carried_load import shares_behind
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate
-from robustlab.identification.hypotheses.nuisance import UNIFORM, Nuisance
+from robustlab.identification.hypotheses.effect_fit import UNIFORM, Candidate, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 
 LINE_NEIGHBOURS = 40  # frequencies on either side of a line over time that say how high the noise is there

@@ -3,27 +3,14 @@ r"""Fit of one hypothesis: the nominal parameters within their tolerances, plus 
 With the standardised parameters z and the start :math:`\xi_w` of each window, both a priori standard normal,
 
 .. math::
-    V(z, \xi) = \sum_w \| r_w(z, \xi_w) \|^2 + \|\xi\|^2 + \|z\|^2, \qquad
-    r_w = \Sigma^{-1} F \,\mathrm{mean}(y_w - \hat y_w)
+    V(z, \xi) = \sum_w \| \Sigma^{-1} F \,\mathrm{mean}(y_w - \hat y_w) \|^2 + \|\xi\|^2 + \|z\|^2, \qquad
+    \log p(y | H) = -\tfrac12 V - \tfrac12 \log\det H_{zz} + \text{const}
 
-with the errors averaged over a few samples, filtered by the autoregression F that makes the errors of the best
-hypothesis white, and scaled by their standard deviation. The starts are eliminated window by window (Schur
-complement), so that a step costs one simulation a parameter and one a state. The evidence is Laplace's:
+with the errors averaged over a few samples and whitened by the autoregression F. The starts are eliminated window by
+window. The refit distance of A and B is :math:`d^2 = \min V_B(z, \xi; \hat y_A) - \|z_A\|^2`: B refitted to what A
+predicts, in noise sigmas; below 3 no test on these records tells B from A.
 
-.. math:: \log p(y | H) = -\tfrac12 V - \tfrac12 \log\det H_{zz} + \text{const}
-
-How far apart two hypotheses A and B are for given records is told by the refit distance
-
-.. math:: d^2 = \min_{z, \xi} V_B\bigl(z, \xi;\, \hat y_A\bigr) - \|z_A\|^2
-
-with :math:`\hat y_A` what A predicts for the records without noise: B is refitted to it under its priors. d is in noise
-sigmas; below 3 no test on these records can tell B from A, beyond 10 the choice is safe.
-
-References
-----------
-Transtrum, Sethna, *Improvements to the Levenberg-Marquardt algorithm* (2012), section 3 (geodesic acceleration);
-Björck, *Numerical Methods for Least Squares Problems* (1996), section 9.3 (separable problems); MacKay, *Information
-Theory, Inference, and Learning Algorithms* (2003), chapter 28 (Occam factors).
+Transtrum, Sethna, *Improvements to the Levenberg-Marquardt algorithm* (2012), section 3 (geodesic acceleration).
 """
 
 from __future__ import annotations
@@ -33,6 +20,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
@@ -41,11 +29,52 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.normal_equations import Linearised, NoiseModel, Prior, damped, sandwich
-from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 
 Effects = Sequence[tuple[Effect, Site]]
 DIVERGED = 1e100  # an output that is no number any more; only what the record lacks is a missing error
+
+
+UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard deviations
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What every hypothesis refits: nominal parameters that a common factor of their references scales
+    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
+    """
+
+    # label, names: of the group, and its parameters
+    label: str
+    names: tuple[str, ...]
+    # standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s
+    spread: float
+    additive: bool = False  # the nominal value is 0: the factor is the value in its unit
+    never_negative: bool = False  # physics forbids negative values, as of a friction: an additive factor stops at 0
+    input: str = ""  # input whose clock may be shifted against the outputs'; empty for parameters
+
+    def factor(self, z: float) -> float:
+        """Factor of the standardised z: 1 at z = 0, or 0 where additive."""
+        if not self.additive:
+            return float(np.exp(self.spread * z))
+        return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The standardised z at the two ends of the tolerance; a clock has none."""
+        if self.input:
+            return -np.inf, np.inf
+        if self.additive:
+            return -np.inf if self.never_negative else -UNIFORM, UNIFORM
+        tolerance = np.expm1(UNIFORM * self.spread)
+        return float(np.log1p(-tolerance)) / self.spread if tolerance < 1.0 else -np.inf, UNIFORM
+
+    def log_within(self, z: float, std: float) -> float:
+        """Log probability that what is known as z, give or take ``std``, lies within the tolerance."""
+        low, high = self.ends
+        near, far = sorted(((z - high) / std, (low - z) / std), reverse=True)
+        inside = float(log_ndtr(-near))
+        return inside + float(np.log1p(-np.exp(log_ndtr(far) - inside)))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from robustlab.dynamics.ports.motion_model import Course, motion_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.errors import InputError
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
+from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, output_shares, smooth_disturbance
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.response.response import longest_period, slowest_time_constant
 from robustlab.record import Record
@@ -235,7 +235,7 @@ def _states(
     if isinstance(plant, LinearPlant):
         bare = plant.state_space().select(None, [plant.outputs[columns[j]].name for j in own])
         smoothed, driven, inputs = _smoothed(bare, push, record.t, u, seen)
-        shares = _told(driven, push, record.t, inputs, seen, smoothed)
+        shares = output_shares(driven, push, record.t, inputs, seen, smoothed)
     else:
         moved = smooth_motion(plant, record.t, u, seen, [columns[j] for j in own])
         smoothed, shares = moved.smoothed, (moved.told, moved.constant)
@@ -321,27 +321,6 @@ def _smoothed(
     kinds = [(bare, u), (StateSpaceModel(bare.A, b, bare.C, d), inputs)]
     found = [(smooth_disturbance(model, push, t, seen, y), model, seen) for model, seen in kinds]
     return max(found, key=lambda f: f[0].log_likelihood)
-
-
-def _told(
-    bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord
-) -> tuple[Array, Array]:
-    """Share of each output in the smoothed states, (n_measured, n, n_x): twice what half of the output takes away.
-
-    And what one unit more of it at all samples adds. Noise and bandwidth are held, so that the smoother is linear. (A
-    larger output would raise the least noise that it takes for a quantised one.)
-    """
-
-    def changed(j: int, output: Array) -> Array:
-        other = y.copy()
-        other[:, j] = output
-        there = smooth_disturbance(bare, push, t, u, other, smoothed.noise_std, smoothed.bandwidth)
-        return there.x - smoothed.x
-
-    shares = [-2.0 * changed(j, 0.5 * y[:, j]) for j in range(y.shape[1])]
-    sizes = [float(np.nanmax(np.abs(column))) or 1.0 for column in y.T]
-    constants = [changed(j, y[:, j] + size) / size for j, size in enumerate(sizes)]
-    return np.stack(shares), np.stack(constants)
 
 
 def _lead(first: int, last: int, length: int) -> int:

@@ -1,24 +1,15 @@
-r"""What small forces at ports change in the windows of a fit; what is left of their errors under a random force, and
-how probable they are.
+r"""What small forces at ports change in the windows of a fit, and the errors' likelihood under a random force.
 
-The errors of a window near a fit of a hypothesis, in units of the sensors' noise, are
+Near a fit the errors of a window, in units of the sensors' noise, are :math:`e = J \delta + X \eta + O f +
+\text{noise}` with the moves of parameters and start and the forces f, held over short segments. O is simulated pulse by
+pulse; only the products :math:`G = [O\; J\; X\; e]^T [O\; J\; X\; e]` of each window are kept.
 
-.. math:: e = J\,\delta + X\,\eta + O\,f + \text{noise}
-
-with :math:`\delta, \eta` the moves of the standardised parameters and of the window's start, and f the forces at the
-ports, port after port, held over short segments of the window. O is simulated, pulse by pulse, all windows at once;
-where the model is linear, one pulse tells all, later ones answer alike. All that is ever asked of it are its products
-:math:`G = [O\; J\; X\; e]^T [O\; J\; X\; e]`, once per window: any curve of the force, any random force and any noise
-level are then sums over segments, without a further simulation.
-
-No machine runs without a random force d. With its size s and bandwidth f the errors of a window have the covariance
+No machine runs without a random force. With its size s and bandwidth f the covariance of the errors is
 
 .. math:: \sigma^2 (1 + O\, s^2 K_f\, O^T), \qquad (K_f)_{jk} = e^{-2 \pi f |t_j - t_k|}
 
-and everything else is Gaussian, too: d, the start of the window and the parameters are eliminated in closed form, the
-scale of the noise is taken at its best. The eigenvectors of :math:`L^T O^T O L` with :math:`L L^T = K_f` serve all
-sizes at once. At several ports the random forces are independent, each the same share s of the force that moves its
-port: :math:`K_f` has one block a port, times the square of that force.
+and all else is Gaussian and eliminated in closed form. The eigenvectors of :math:`L^T O^T O L`, :math:`L L^T = K_f`,
+serve all sizes at once. At several ports the forces are independent, each the same share of what moves its port.
 """
 
 from __future__ import annotations

@@ -1,25 +1,13 @@
 r"""Evidence that a force without a name acts on top of a hypothesis: a Gaussian process over what it may depend on.
 
-Near the fit of a hypothesis S the errors of a window, in units of the sensors' noise, are linear in everything small
-(`robustlab.identification.hypotheses.random_force`):
-
 .. math::
-    e = J\,\delta + X\,\eta + O\,(\Phi c + d) + \text{noise}, \qquad z + \delta \sim N(0, 1), \quad
-    \xi + \eta \sim N(0, 1), \quad d \sim N(0, s^2 K_f), \quad c \sim N(0, \lambda^2)
+    e = J\,\delta + X\,\eta + O\,(\Phi c + d) + \text{noise}, \qquad d \sim N(0, s^2 K_f), \quad c \sim N(0, \lambda^2)
 
-with a random force d of bandwidth f and size s (no machine runs without), and an unnamed force :math:`\Phi c` that
-follows the speed, the position, the time or the input: smoothly, or as a line over time or position. All but
-the three numbers (s, f, lambda) is Gaussian: the marginal likelihoods of S alone and of S with the unnamed force are
-closed forms, each maximised over its own s, f and the common scale of the noise, lambda paid for by the number tried, a
-line by the number of lines searched. What is gained is in nats, to be added to the log evidence of S.
-
-So S is not charged with what is random, and nothing is credited to a curve that a random force explains as well. The
-second judge is `cross_validated`: what each window gains by curves told by all the others.
-
-References
-----------
-Rasmussen, Williams, *Gaussian Processes for Machine Learning* (2006), sections 2.7 and 5.4; MacKay, "Bayesian
-interpolation", Neural Computation 4 (1992).
+with the random force d (`robustlab.identification.hypotheses.random_force`) and a force :math:`\Phi c` that follows
+speed, position, time or input smoothly, or as a line over time or position. The marginal likelihoods with and without
+it are maximised over s, f and the scale of the noise, what was searched is paid for; the gain in nats is added to the
+log evidence of the hypothesis. The second judge is `cross_validated`: what each window gains by curves from the others
+(Rasmussen, Williams, *Gaussian Processes for Machine Learning*, 2006, sections 2.7 and 5.4).
 """
 
 from __future__ import annotations

@@ -18,7 +18,15 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import NoTrustworthyNumber, RobustlabError
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
+from robustlab.identification.hypotheses.effect_fit import (
+    Candidate,
+    Fit,
+    FitPlan,
+    Hypothesis,
+    Prior,
+    Problem,
+    simulated_outputs,
+)
 from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
 from robustlab.identification.hypotheses.prepared_record import start_std
 from robustlab.identification.naming.discovery_result import Discovery, Verdict
@@ -43,7 +51,6 @@ from robustlab.identification.naming.named_effects import (
     overall,
 )
 from robustlab.identification.naming.named_kinds import Kinds, kinds_of
-from robustlab.identification.naming.open_intervals import opened_above
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.quantities import force_share
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
@@ -61,6 +68,9 @@ if TYPE_CHECKING:
 
 
 T = TypeVar("T")
+WIDER = 1.25  # times the fitted value, at which the records are asked
+HELD = 1e8  # precision that holds a standardised parameter
+ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -410,11 +420,35 @@ def _named(
     effect = candidate.effect
     return NamedEffect(
         effect.id, effect.title, effect.equation, candidate.site.name,
-        opened_above(found.problem, fit, k, _effect_values(found.problem, fit, k)),
+        _opened_above(found.problem, fit, k, _effect_values(found.problem, fit, k)),
         posterior.of_effect(candidate.key), posterior.best.visited.evidence - less.evidence,
         tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
         matters[candidate.key].error_without if candidate.key in matters else np.nan,
     )  # fmt: skip
+
+
+def _opened_above(problem: Problem, fit: Fit, k: int, values: Sequence[EffectValue]) -> tuple[EffectValue, ...]:
+    """The values of the k-th effect, with the upper end of its prior where a larger one does as well.
+
+    The curvature at the best fit of a gap whose other flank the load never reaches says nothing of its width: a clearly
+    larger value is held, and everything else fitted again.
+    """
+    candidate = fit.hypothesis.candidates[k]
+    name = candidate.effect.told_from_below
+    if not name:
+        return tuple(values)
+    own = [p.name for p in candidate.parameters].index(name)
+    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k]) + own
+    prior = candidate.parameters[own].prior
+    z = fit.z.copy()
+    z[at] = prior.standardised(WIDER * values[own].value)
+    mean, precision = np.zeros(len(z)), np.eye(len(z))
+    mean[at], precision[at, at] = z[at], HELD
+    there = problem.fit(fit.hypothesis, fit.noise, z, fit.starts, FitPlan(ROUNDS), prior=Prior(mean, precision))
+    if there.cost + there.z[at] ** 2 - fit.cost >= tuning.CANNOT_TELL**2:
+        return tuple(values)
+    upper = max(values[own].upper, prior.value(INTERVAL))
+    return tuple(replace(v, upper=upper) if v.name == name else v for v in values)
 
 
 def _rival(problem: Problem, a: Alternative) -> Rival:

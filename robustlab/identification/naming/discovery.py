@@ -33,8 +33,7 @@ from robustlab.identification.hypotheses.candidates import (
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, Hypothesis, Problem
-from robustlab.identification.hypotheses.nuisance import Nuisance
+from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, Hypothesis, Nuisance, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, alike, ports_of, prepare, window_length
 from robustlab.identification.naming.answer import Case, answer
 from robustlab.identification.naming.discovery_result import Discovery

@@ -1,17 +1,9 @@
-r"""Which effects are worth a full fit on top of a set: two short fits of every one, on few windows and then on some.
+"""Which effects are worth a full fit on top of a set: two short fits of every one, on few windows and then on some.
 
-Derivatives over what the set itself has are borrowed from the set in the first of them, so that it costs one
-simulation a parameter of the effect. Both look at cost alone; evidence, priors and held-out data have their say later.
-
-Where there are many effects, what each could gain is first told from one or a few simulations and no fit. At the fit of
-a set the residuals r and their derivatives J over its parameters and X over the windows' starts are known. An effect at
-the place where a fit of it would begin changes the residuals by :math:`\Delta`, and its linear parameters (the two
-parts of a wave, a load) by their own derivatives; with these as columns G the fall of V that linearity promises is
-
-.. math:: g^T h^{-1} g, \qquad h = G^T P G, \quad g = G^T P r,
-
-P the projection off everything that the set refits, under its priors. The strength of the effect is free in it, its
-other parameters stay. Of six legs with thirty effects each, those few that come near the best are worth a fit.
+In the first, derivatives over what the set has are borrowed from the set. Where there are many effects their gain is
+told first from a few simulations: with the residuals r of the set, the change G that an effect and its linear
+parameters make of them, and P the projection off all that the set refits, V falls by :math:`g^T h^{-1} g` with
+:math:`h = G^T P G` and :math:`g = G^T P r`.
 """
 
 from __future__ import annotations

@@ -1,34 +1,14 @@
 r"""How probable each set of effects is, and what that allows to be said.
 
-.. math:: P(S) = e^{E(S) / T} \Big/ \sum_{S'} e^{E(S') / T}
+:math:`P(S) \propto e^{E(S) / T}` with the log evidence E. T is 1 where the best set leaves noise; where an unnamed
+force beside it brings the evidence g, :math:`T = \max(1, g / \ln(p / (1 - p)))` with p the probability of a sure name
+(a coarsened posterior: Miller, Dunson, JASA 114, 2019). The most probable sets are weighed again here under the noise of
+the sensors and a random force (`robustlab.identification.hypotheses.random_force`), over fitted and held-out windows.
 
-over the sets that the search judged and that may be the answer, with E the log evidence and T the temperature. T is 1
-where the best set leaves noise. Where an unnamed force beside it brings the evidence g, the model is right up to a
-neighbourhood of the size of its own misfit only, and what a name brings counts in units of that (a coarsened
-posterior):
-
-.. math:: T = \max\left(1,\ \frac{g}{\ln(p / (1 - p))}\right)
-
-with p the probability of a name that is sure. So a name is sure where it brings more than what is left, and no misfit
-could itself be the name. The search whitened errors by an autoregression, which is quick, and takes a slow random force
-for something to be explained; the most probable sets are weighed again here under the noise of the sensors and a random
-force (`robustlab.identification.hypotheses.random_force`), over the windows that were fitted and those that were held
-out.
-
-Of two sets that differ in one effect, or by one, and whose refit distance d for these very records is below 3, no test
-on the records can tell one from the other: what log evidence they differ by beyond :math:`d^2/2` and their priors is an
-accident of the fits, and is not counted. So an effect without which the rest explains the records as well is not named.
-
-An unnamed force (`robustlab.identification.hypotheses.unnamed_force`) may stand beside any set: where the best set
-leaves one that is more probable than nothing, it is looked for beside every set that it could lift, and beside the
-empty set in any case; what it brings is added to their evidence. So a name that an unnamed force explains as well is
-not sure, and where the force alone is more probable than all names, nothing is named.
-
-References
-----------
-Miller, Dunson, *Robust Bayesian inference via coarsening*, Journal of the American Statistical Association 114 (2019).
-
-A set whose error on held-out data is larger than that of the nominal model refitted within its tolerances is no answer.
+Of two sets that differ in one effect, or by one, with a refit distance below 3, log evidence beyond :math:`d^2/2` and
+the priors is not counted: an effect without which the rest explains the records as well is not named. An unnamed force
+may stand beside any set and adds to its evidence; where it alone is more probable than all names, nothing is named. A
+set whose held-out error is larger than that of the refitted nominal model is no answer.
 """
 
 from __future__ import annotations

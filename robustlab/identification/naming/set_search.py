@@ -1,36 +1,24 @@
 r"""The search over sets of effects, by evidence on what is fitted and on what is held out.
 
-A hypothesis is a set S of effects at their places. With the chain rule
-
 .. math:: \log p(S | y) = \log p(y_f | S) + \log p(y_h | y_f, S) + \log p(S) + \text{const}
 
-the first term is Laplace's evidence of the fitted windows, the second the likelihood of the held-out ones with the
-parameters as well known as the fit tells them (of models far beyond the sensors' noise at the fitted values alone: what
-a wrong model says of its own accuracy is wrong, too), the third the prior: a constant for each effect, less for a
-refinement of another effect, and for a ripple divided among all periods that were looked through.
-
-From the empty set on the most probable set that was not looked at yet is expanded by one effect, all promising ones
-fitted. When nothing that is added to the best set makes it more probable, each of its effects (and, of three, each two)
-are taken away and the rest is expanded again: so an effect that came first and only stood for what came later is
-dropped, exchanged, or two are replaced by one. The search ends when no such move finds a more probable set. All sets
-are judged under one noise model, that of the best one; when that changes, they are fitted again.
-
-Of the clock under which hypotheses are simulated, what a record does not say is inferred: an input may be held between
-its samples, or be a signal that was only sampled (then the plant sees it half a sample earlier on average, and more of
-its fast part). A hypothesis that is simulated better than another would win by that alone; so all share one stepping,
-short enough for the best of them.
+with Laplace's evidence of the fitted windows, the likelihood of the held-out ones, and a prior for each effect. From
+the empty set on the most probable set that was not looked at is expanded by one effect. When nothing added makes the
+best more probable, each of its effects (of three, each two) is taken away and the rest expanded again. All sets are
+judged under one noise model, that of the best, and one clock: input holds and steps short enough for the best of them.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import (
@@ -39,6 +27,7 @@ from robustlab.identification.hypotheses.effect_fit import (
     Fit,
     FitPlan,
     Hypothesis,
+    Nuisance,
     Problem,
     refit_distance,
 )
@@ -53,11 +42,9 @@ from robustlab.identification.hypotheses.noise import (
     whitening,
 )
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
-from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
 from robustlab.identification.naming.materiality import strained
-from robustlab.identification.naming.single_fits import single_fits
 
 
 def clock_nuisances(inputs: tuple[str, ...], dt: float) -> tuple[Nuisance, ...]:
@@ -578,3 +565,62 @@ class _Search:
         self.problem = short_steps(self.problem, fit)
         self.held = self.held.under(self.problem.clock)
         return self._again(fit)
+
+
+TIMES = 10.0  # the V of the best set under the sensors' noise, which a single effect that explains as much comes near
+Said = Callable[[int, int], None]
+Begin = tuple[Hypothesis, Array, Sequence[Array]]  # what is fitted, its standardised parameters, the windows' starts
+
+
+def single_fits(
+    problem: Problem, best: Fit, pool: Sequence[Candidate], ceiling: float, workers: Executor, said: Said
+) -> Iterator[Fit]:
+    """Fits of single effects of ``pool`` under the noise of the ``best`` set, those that may come below ``ceiling``.
+
+    Under small coloured noise the cost is rugged, and a fit from a guess rests in the next valley. So each effect is
+    fitted under the sensors' white noise first, from each of its starts; the lowest go on under that of the search.
+
+    ``said``: called with the number of fits done and to do.
+    """
+    wide, nominal = first_noise(problem), np.zeros(len(problem.nuisances))
+    jobs = [(c, start) for c in pool for start in c.starts]
+    near = problem.fit(best.hypothesis, wide, best.z, best.starts, FitPlan(tuning.ROUGH_FULL, tuning.ROUGH)).cost
+    most = TIMES * near + 2.0 * tuning.FAR_BEHIND
+
+    def smooth(job: tuple[Candidate, Mapping[str, float]]) -> Fit:
+        candidate, start = job
+        z = np.append(nominal, candidate.standardised(start))
+        return problem.fit(
+            Hypothesis((candidate,)), wide, z, plan=FitPlan(tuning.ROUGH_FULL, tuning.ROUGH, ceiling=most)
+        )
+
+    lowest: dict[str, Fit] = {}
+    for done, fit in enumerate(workers.map(smooth, jobs), 1):
+        key = fit.hypothesis.candidates[0].key
+        if key not in lowest or fit.cost < lowest[key].cost:
+            lowest[key] = fit
+        said(done, len(jobs) + tuning.KEPT_LAST)
+    first = sorted((f for f in lowest.values() if f.cost < most), key=lambda f: f.cost)[: tuning.KEPT_LAST]
+
+    def full(begin: Begin) -> Fit:
+        hypothesis, z, starts = begin
+        whole = problem.fit(hypothesis, wide, z, starts, FitPlan(tuning.FULL, 0.05))
+        return problem.fit(hypothesis, best.noise, whole.z, whole.starts, FitPlan(tuning.FULL, 0.05, ceiling=ceiling))
+
+    plain = list(workers.map(full, ((f.hypothesis, f.z, f.starts) for f in first)))
+    yield from plain
+    yield from workers.map(full, _refined_fits(problem, plain, pool))
+
+
+def _refined_fits(problem: Problem, fits: Sequence[Fit], pool: Sequence[Candidate]) -> Iterator[Begin]:
+    """Where what refines the effects of these fits begins: where they stand."""
+    n = len(problem.nuisances)
+    for fit in fits:
+        (there,) = fit.hypothesis.candidates
+        (values,) = problem.split(fit.hypothesis, fit.z)[1]
+        for candidate in pool:
+            if candidate.effect.refines == there.effect.id and candidate.site == there.site:
+                for start in candidate.starts:
+                    kept = {**start, **{name: x for name, x in values.items() if name in start}}
+                    z = np.append(fit.z[:n], candidate.standardised(kept))
+                    yield Hypothesis((candidate,)), z, fit.starts
