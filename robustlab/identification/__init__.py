@@ -10,8 +10,6 @@ experiment     what to measure next: a menu of experiments, and how far apart hy
 naming         `discover`: the search over hypotheses, its verdict, and the plant and uncertainty after it
 monitoring     `watch`: does a model go on explaining a running log, and what changes where it does not
 validation     `validate`: the smallest Delta with which an uncertain model explains a record
-
-`tuning` holds the numbers of the naming, from its windows to the next experiment.
 """
 
 from __future__ import annotations

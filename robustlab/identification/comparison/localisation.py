@@ -167,9 +167,8 @@ def amplitude_edges(value: Array, count: int = 6) -> Array:
 
 
 def directions(speed: Array, error: Array) -> dict[str, DirectionError]:
-    """Sort an error (n,) by the direction of the speed (n,): ``"backward"``, ``"rest"``, ``"forward"``.
-
-    Rest is below 2 % of the largest speed.
+    """Sort an error (n,) by the direction of the speed (n,): ``"backward"``, ``"rest"`` (below 2 % of the largest
+    speed), ``"forward"``.
     """
     limit = REST * float(np.abs(speed).max())
     total = float((error**2).sum()) or 1.0

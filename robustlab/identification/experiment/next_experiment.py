@@ -35,6 +35,12 @@ from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.result import Evidence
 from robustlab.shown import Facts
 
+MOST_OPPONENTS = 3  # rivals that it is to tell from the named effect
+LONGEST_EXPERIMENT = 5000  # samples
+TIME_CONSTANTS_SEEN = 20.0  # slowest time constants of the plant in an experiment, at least
+TIME_CONSTANTS_A_BEAT = 8.0  # the same in a beat of the signals
+MOST_BEATS = 16  # in an experiment
+FEWEST_BEATS = 4
 CANNOT_TELL = 3.0  # noise sigmas
 
 
@@ -113,7 +119,7 @@ def propose_experiment(
     rivals = [r for r in rivals if r.hypothesis.key != named.hypothesis.key]
     if not rivals:
         return None
-    open_ones = [named, *sorted(rivals, key=lambda f: -f.evidence)[: tuning.MOST_OPPONENTS]]
+    open_ones = [named, *sorted(rivals, key=lambda f: -f.evidence)[:MOST_OPPONENTS]]
     labels = labels_of(open_ones)
     limits = _limits(problem, input_range, travel, longest, may_add)
     trials = trials_of(problem, open_ones, limits)
@@ -158,8 +164,8 @@ def _limits(
     slowest = _slowest(problem)
     fewest = tuning.FEWEST_WINDOWS * length
     if longest is None:
-        wanted = max(round(tuning.TIME_CONSTANTS_SEEN * slowest / dt), *(r.record.n for r in records))
-        samples = max(min(wanted, tuning.LONGEST_EXPERIMENT), fewest)
+        wanted = max(round(TIME_CONSTANTS_SEEN * slowest / dt), *(r.record.n for r in records))
+        samples = max(min(wanted, LONGEST_EXPERIMENT), fewest)
     else:
         if not fewest * dt <= longest < np.inf:
             raise InputError(
@@ -167,8 +173,8 @@ def _limits(
             )
         samples = round(longest / dt)
     duration = samples * dt
-    shortest, longest_beat = duration / tuning.MOST_BEATS, duration / tuning.FEWEST_BEATS
-    beat = min(max(tuning.TIME_CONSTANTS_A_BEAT * slowest, shortest), longest_beat)
+    shortest, longest_beat = duration / MOST_BEATS, duration / FEWEST_BEATS
+    beat = min(max(TIME_CONSTANTS_A_BEAT * slowest, shortest), longest_beat)
     return Limits(_ranges(problem, input_range), _travel(problem, travel), samples, beat, tuple(new))
 
 

@@ -31,6 +31,22 @@ from robustlab.identification import tuning
 from robustlab.identification.hypotheses.normal_equations import Linearised, NoiseModel, Prior, damped, sandwich
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 
+FARTHEST = 8.0  # standardised parameters are kept within this of their priors
+RELATIVE = 1e-5  # fall of V, over V, below which a fit stops: smaller, more iterations in flat valleys
+# Of the diagonal. A stretched resistance and inertia leave nearly the same errors: along such a valley J^T J is a
+# millionth of its diagonal, and a damping above that creeps.
+DAMPING = 1e-4
+LEAST_DAMPING = 1e-10
+BEND = 0.1  # of a step, at which its curvature is measured
+MOST_BENT = 0.75  # share of a step that its correction may be: larger follows sharper valleys
+TRIES = 8  # damped steps before a fit gives up
+HOPE = 2.0  # times the expected fall of V that a fit may still fall by: smaller gives up sooner
+LONGEST_STEP = 2.0  # of a standardised parameter in one step
+# Standard deviations of a parameter by which a fit may go on with the matrices of a nonlinear plant: they multiply
+# what deviates from the motion alone, and are made anew where the fit ends.
+NEAR = 0.5
+
+
 Effects = Sequence[tuple[Effect, Site]]
 DIVERGED = 1e100  # an output that is no number any more; only what the record lacks is a missing error
 
@@ -422,7 +438,7 @@ class Problem:
         def exact(there: _Place) -> _Place:
             return there if self._distance(there) == 0.0 else at(there.z, there.xi, there.z)
 
-        damping, count, rounds = tuning.DAMPING, 0, plan.iterations
+        damping, count, rounds = DAMPING, 0, plan.iterations
         here = at(z, xi, z)
         hessian = own.precision
         parts: list[Linearised] = []
@@ -438,25 +454,25 @@ class Problem:
                 here = exact(here)
                 parts = [p.with_residual(r, x) for p, r, x in zip(parts, here.residual, here.xi, strict=True)]
                 fall = self._expected(own.gradient(here.z), hessian, parts, fixed)
-            hopeless = count > 1 and here.cost - tuning.HOPE * fall > plan.ceiling
+            hopeless = count > 1 and here.cost - HOPE * fall > plan.ceiling
             if rounds <= 0 or fall < tolerance or hopeless:
                 break
             improved = 0.0
-            for _ in range(tuning.TRIES):
+            for _ in range(TRIES):
                 dz, dxi = self._step(here.z, own, parts, damping, fixed)
                 if not fixed and not borrowed:
                     bent = self._bent(here, parts, hypothesis, simulators, noise, (dz, dxi), damping, own)
                     dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
                 there = at(self._within(here.z + dz), [x + d for x, d in zip(here.xi, dxi, strict=True)], here.around)
-                if there.cost < here.cost and not plan.draft and self._distance(there) > tuning.NEAR:
+                if there.cost < here.cost and not plan.draft and self._distance(there) > NEAR:
                     there = exact(there)
                 if there.cost < here.cost:
                     improved, here = here.cost - there.cost, there
-                    damping = max(0.1 * damping, tuning.LEAST_DAMPING)
+                    damping = max(0.1 * damping, LEAST_DAMPING)
                     break
-                damping = max(damping, tuning.DAMPING) * 10.0
+                damping = max(damping, DAMPING) * 10.0
             rounds -= 1
-            if improved < max(tolerance, tuning.RELATIVE * here.cost):
+            if improved < max(tolerance, RELATIVE * here.cost):
                 break
         if not plan.draft:
             here = exact(here)
@@ -486,7 +502,7 @@ class Problem:
             return fall + float(gradient @ np.linalg.pinv(hessian, hermitian=True) @ gradient)
 
     def _within(self, z: Array) -> Array:
-        return np.clip(z, -tuning.FARTHEST, tuning.FARTHEST)
+        return np.clip(z, -FARTHEST, FARTHEST)
 
     def _step(
         self, z: Array, prior: Prior, parts: Sequence[Linearised], damping: float, fixed: bool
@@ -497,7 +513,7 @@ class Problem:
         if not fixed:
             equations = damped(reduced, parts, damping, prior.precision)
             dz = -np.linalg.solve(equations, prior.gradient(z) + sum(r.gradient for r in reduced))
-            dz = self._within(z + np.clip(dz, -tuning.LONGEST_STEP, tuning.LONGEST_STEP)) - z
+            dz = self._within(z + np.clip(dz, -LONGEST_STEP, LONGEST_STEP)) - z
         return dz, [-r.offset - r.slope @ dz for r in reduced]
 
     def _bent(
@@ -506,11 +522,11 @@ class Problem:
     ) -> tuple[Array, Sequence[Array]]:  # fmt: skip
         """Second-order correction of a step (geodesic acceleration): valleys of V are curved, straight steps creep."""
         dz, dxi = step
-        z, ahead = here.z, [x + tuning.BEND * d for x, d in zip(here.xi, dxi, strict=True)]
-        there = z + tuning.BEND * dz
+        z, ahead = here.z, [x + BEND * d for x, d in zip(here.xi, dxi, strict=True)]
+        there = z + BEND * dz
         errors = self.whitened(self.errors(hypothesis, there, ahead, simulators, here.around), noise)
         curved = [
-            p.with_residual(2.0 / tuning.BEND * ((e - r) / tuning.BEND - p.along(dz, d)))
+            p.with_residual(2.0 / BEND * ((e - r) / BEND - p.along(dz, d)))
             for p, r, e, d in zip(parts, here.residual, errors, dxi, strict=True)
         ]
         reduced = [p.reduced(damping) for p in curved]
@@ -520,7 +536,7 @@ class Problem:
         bent_xi = [-0.5 * r.offset - r.slope @ bent_z for r in reduced]
         straight = float(dz @ dz) + sum(float((d**2).sum()) for d in dxi)
         bent = float(bent_z @ bent_z) + sum(float((d**2).sum()) for d in bent_xi)
-        if bent < tuning.MOST_BENT**2 * straight:
+        if bent < MOST_BENT**2 * straight:
             return bent_z, bent_xi
         return np.zeros_like(dz), [np.zeros_like(d) for d in dxi]
 

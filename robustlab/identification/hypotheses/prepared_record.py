@@ -21,6 +21,18 @@ from robustlab.identification.response.response import longest_period, slowest_t
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 
+WINDOWS_WANTED = 12  # in the shortest record: more and shorter ones drift less and tell slow effects worse
+LONGEST_WINDOW = 480  # samples; the slowest time constant may ask for up to twice that
+POINTS_PER_WINDOW = 80  # into which errors are averaged: more show faster effects and take more time
+LONGEST_GUESS = 2  # samples in a row without any output over which the input is taken as held
+AVERAGED_SHARE = 0.125  # of the period of the fastest motion seen: errors are averaged over no more
+# Of the current that voltage and speed ask for: how well one is known that no sensor tells; with the inflation
+# below a fit may move it by 0.3 of that at a window's start.
+CURRENT_SHARE = 0.01
+# Times the smoother's own std by which a fit may move a window's start. The smoother has seen the window itself, so
+# its start is told by the fit and not by it.
+START_INFLATION = 30.0
+MOST_GROWTH = 20.0  # of what an unstable nonlinear plant deviates by, over a window
 POINTS = 60  # of a motion that stand for it where a plant's places are asked for
 CONTENT = 0.99  # share of an output's power up to which its frequencies count as seen
 
@@ -126,17 +138,17 @@ def window_length(plant: AnyPlant, records: Sequence[Record], model: PortModel |
     the slowest resonance, as far as four windows fit.
 
     Of a nonlinear plant (``model`` about its motion) it is that twelfth; but over a window the fastest instability,
-    which a controller held when the record was made, grows no more than ``tuning.MOST_GROWTH`` times.
+    which a controller held when the record was made, grows no more than ``MOST_GROWTH`` times.
     """
     n, dt = min(r.n for r in records), records[0].dt
-    length = min(max(20 * n // (20 * tuning.WINDOWS_WANTED + 1), tuning.SHORTEST_WINDOW), tuning.LONGEST_WINDOW)
+    length = min(max(20 * n // (20 * WINDOWS_WANTED + 1), tuning.SHORTEST_WINDOW), LONGEST_WINDOW)
     if isinstance(plant, LinearPlant):
         linear = plant.state_space()
-        slowest = min(round(slowest_time_constant(linear) / dt), 2 * tuning.LONGEST_WINDOW)
+        slowest = min(round(slowest_time_constant(linear) / dt), 2 * LONGEST_WINDOW)
         return min(max(length, slowest, round(2.0 * longest_period(linear) / dt)), n // tuning.FEWEST_WINDOWS)
     about = ports_of(plant, records[0]) if model is None else model
     growth = float(np.linalg.eigvals(about.A).real.max(initial=0.0))
-    stable = math.log(tuning.MOST_GROWTH) / (growth * dt) if growth > 0.0 else math.inf
+    stable = math.log(MOST_GROWTH) / (growth * dt) if growth > 0.0 else math.inf
     return int(min(length, max(stable, tuning.SHORTEST_WINDOW / 2), n // tuning.FEWEST_WINDOWS))
 
 
@@ -175,7 +187,7 @@ def prepare(
     smoothed, told, constant = _states(plant, record, u, y, columns, own, push)
     measured = np.isfinite(y[:, own])
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
-    stretches = _between_gaps(lost, tuning.LONGEST_GUESS)
+    stretches = _between_gaps(lost, LONGEST_GUESS)
     starts = [s for first, last in stretches for s in range(_lead(first, last, length), last - length + 1, length)]
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
     if len(usable) < tuning.FEWEST_WINDOWS:
@@ -191,7 +203,7 @@ def prepare(
         smoothed = _with_plausible_currents(smoothed, model, seen, u)
     std = start_std(smoothed, windows)
     fastest = _fastest_seen(model, y[:, own], record.dt, smoothed.noise_std[own])
-    thin = max(1, min(length // tuning.POINTS_PER_WINDOW, int(tuning.AVERAGED_SHARE * fastest)))
+    thin = max(1, min(length // POINTS_PER_WINDOW, int(AVERAGED_SHARE * fastest)))
     return PreparedRecord(
         record,
         u,
@@ -282,7 +294,7 @@ def _with_plausible_currents(smoothed: SmoothedRecord, model: PortModel, seen: A
         k = int(np.argmax(np.abs(port.velocity)))
         rate = model.A[k, k]
         steady = x[:, k] - (x @ model.A[k] + u @ model.B[k]) / rate if rate < 0 else np.zeros(len(x))
-        own = tuning.CURRENT_SHARE * (float(np.abs(steady).max()) or float(np.ptp(x[:, k])))
+        own = CURRENT_SHARE * (float(np.abs(steady).max()) or float(np.ptp(x[:, k])))
         x[:, k] = np.where(std[:, k] > own, steady, x[:, k])
         std[:, k] = own
     return replace(smoothed, x=x, x_std=std)
@@ -334,7 +346,7 @@ def _lead(first: int, last: int, length: int) -> int:
 
 def start_std(smoothed: SmoothedRecord, windows: Windows) -> Array:
     """How far a fit may move the window starts, (n_windows, n_x): far beyond what the smoother leaves open."""
-    return tuning.START_INFLATION * smoothed.x_std[windows.starts]
+    return START_INFLATION * smoothed.x_std[windows.starts]
 
 
 def _between_gaps(lost: Mask, longest_guess: int) -> list[tuple[int, int]]:

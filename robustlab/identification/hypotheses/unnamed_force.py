@@ -22,7 +22,6 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import RobustlabError
-from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.identification.hypotheses.random_force import (
     FittedWindows,
@@ -31,6 +30,9 @@ from robustlab.identification.hypotheses.random_force import (
     force_response,
     plain_places,
 )
+
+MOST_PLACES = 2  # at which an unnamed force is looked for
+
 
 Over = Literal["speed", "position", "time", "input", "line over time", "line over position"]
 
@@ -243,7 +245,7 @@ def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Sit
     Of a linear plant with few joints (``most_places``) the random force acts at one of them, and each is asked; of
     any other at all of them, and those are asked where more than it is left.
     """
-    places, most = plain_places(problem, fit), tuning.MOST_PLACES
+    places, most = plain_places(problem, fit), MOST_PLACES
     if len(places) <= most and not isinstance(problem.plant, NonlinearPlant):
         return tuple((FittedWindows(force_response(problem, fit, [p]), fit.z, problem), p) for p in places)
     everywhere = FittedWindows(force_response(problem, fit, places), fit.z, problem)

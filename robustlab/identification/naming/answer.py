@@ -67,6 +67,10 @@ if TYPE_CHECKING:
     from robustlab.identification.experiment.next_experiment import NextExperiment
 
 
+MOSTLY = 0.5  # of what the bare model lacks, by names that are sure beside a misfit; below, they are not it
+EXPLAINED = 0.9  # of what the bare model lacks; below, what was named is not the effect
+REPEATABLE = 1.6  # F of the residual against the noise floor beyond which something repeatable remains
+REMARK = 0.005  # of the force that moves the port: a weaker line that remains is a remark
 T = TypeVar("T")
 WIDER = 1.25  # times the fitted value, at which the records are asked
 HELD = 1e8  # precision that holds a standardised parameter
@@ -222,8 +226,8 @@ def _what_is_left(case: Case, found: Found, posterior: Posterior, fit: Fit, stag
     lines = stages.run("lines", lambda: remaining_lines(force) if force else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
     moving = max((c.scales.force for c in case.pool if force and c.site.name == force.port), default=0.0)
-    remains = any(float(line["amplitude"]) > tuning.REMARK * moving for line in lines)
-    remains = remains or any(f > tuning.REPEATABLE for f in excess.values())
+    remains = any(float(line["amplitude"]) > REMARK * moving for line in lines)
+    remains = remains or any(f > REPEATABLE for f in excess.values())
     remains = remains or posterior.noise_ratio > tuning.MOST_NOISE or posterior.best.unnamed is not None
     remains = remains or posterior.random_share > tuning.MOST_RANDOM or not posterior.generalises
     remains = remains or bool(late_clocks(found.problem, fit))
@@ -265,9 +269,9 @@ def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
         return "unknown" if remains else "no missing effect"
     sure = all(kinds.told(c) for c in named)
     explained = _explained(found, kinds.posterior.best.fit) if remains or kinds.coarse else 1.0
-    if kinds.coarse and sure and explained >= tuning.MOSTLY:
+    if kinds.coarse and sure and explained >= MOSTLY:
         return "named"  # against a misfit that counts as much as it does; what else is open is part of what remains
-    if remains and explained < tuning.EXPLAINED:
+    if remains and explained < EXPLAINED:
         return "unknown"
     return "named" if sure and found.settled and not kinds.open() else "ambiguous"
 

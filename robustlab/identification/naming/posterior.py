@@ -2,7 +2,7 @@ r"""How probable each set of effects is, and what that allows to be said.
 
 :math:`P(S) \propto e^{E(S) / T}` with the log evidence E. T is 1 where the best set leaves noise; where an unnamed
 force beside it brings the evidence g, :math:`T = \max(1, g / \ln(p / (1 - p)))` with p the probability of a sure name
-(a coarsened posterior: Miller, Dunson, JASA 114, 2019). The most probable sets are weighed again here under the noise of
+(coarsened posterior: Miller, Dunson, JASA 114, 2019). The most probable sets are weighed again here under the noise of
 the sensors and a random force (`robustlab.identification.hypotheses.random_force`), over fitted and held-out windows.
 
 Of two sets that differ in one effect, or by one, with a refit distance below 3, log evidence beyond :math:`d^2/2` and
@@ -42,6 +42,9 @@ from robustlab.identification.hypotheses.unnamed_force import (
 )
 from robustlab.identification.naming.set_search import Found, Key, Visited
 
+TEMPERATURE = 1.0  # by which log evidence is divided at least: above 1, less sure
+MOST_WEIGHED = 5  # sets that are weighed again under a random force
+MOST_RIVALS = 5  # looked at for each named effect
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
 HARDLY = 0.005  # probability below which a set changes no verdict
 
@@ -207,7 +210,7 @@ def weigh(found: Found) -> Posterior:
     twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL} - renamed
     collection = tuple(_collected(sets, tuning.SURE, twins))
     left = weights[sets[0].key].left if sets[0].key in weights else ()
-    return Posterior(tuple(sets), collection, generalises, left, temperature, temperature > tuning.TEMPERATURE)
+    return Posterior(tuple(sets), collection, generalises, left, temperature, temperature > TEMPERATURE)
 
 
 def _temperature(best: Visited, weights: Mapping[Key, _Weight]) -> float:
@@ -218,7 +221,7 @@ def _temperature(best: Visited, weights: Mapping[Key, _Weight]) -> float:
     left = weights[best.key].left if best.key in weights else ()
     smooth = [f for u in left for f in u.forces if f.wins and not np.isfinite(f.period)]
     gain = max((_gain(f) for f in smooth), default=0.0)
-    return max(tuning.TEMPERATURE, gain / float(np.log(tuning.SURE / (1.0 - tuning.SURE))))
+    return max(TEMPERATURE, gain / float(np.log(tuning.SURE / (1.0 - tuning.SURE))))
 
 
 def _as_machines_have(weights: dict[Key, _Weight], most: float) -> dict[Key, _Weight]:
@@ -244,7 +247,7 @@ def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, floa
         distance = {best.key: 0.0} | _raise(problem, best, less, evidence)
         ahead = max([best, *less], key=lambda v: evidence[v.key])
         if ahead is best:
-            return distance | _raise(problem, best, _exchanged(best, near)[: tuning.MOST_RIVALS], evidence)
+            return distance | _raise(problem, best, _exchanged(best, near)[:MOST_RIVALS], evidence)
         best = ahead
 
 
@@ -334,7 +337,7 @@ def _misjudges(visited: Visited, key: Key, label: str) -> bool:
 
 def _contenders(ordered: Sequence[Visited]) -> list[Visited]:
     """The sets that are weighed again: the best ones, and the empty one."""
-    near = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][: tuning.MOST_WEIGHED]
+    near = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED]
     return near + [v for v in ordered if not v.key and v not in near]
 
 
@@ -396,7 +399,7 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
     left: list[Visited] = []
     failed: list[Visited] = []
     for visited in (v for v in found.sets if v.allowed):
-        judged = visited.key and len(left) < tuning.MOST_WEIGHED
+        judged = visited.key and len(left) < MOST_WEIGHED
         (failed if judged and clearly_larger(errors(visited), refitted) else left).append(visited)
     ahead = any(v.evidence > found.empty.evidence for v in failed)
     return left, not ahead or bool(left[0].key)

@@ -30,7 +30,6 @@ from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification import tuning
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem
 from robustlab.identification.hypotheses.motion_smoother import lacking_forces
@@ -46,6 +45,18 @@ from robustlab.identification.naming.residual_force import (
 )
 from robustlab.statespace import StateSpaceModel
 
+RESIDUAL_BLOCKS = 32  # of time, over all records
+RESIDUAL_SAMPLES = 6000  # over all records; the force is smooth, so every so manieth sample tells it
+LINE_ALARM = 0.01  # p-value of a line worth telling
+MOST_LINES = 4
+LINE_WORTH = 0.02  # of the mean square of the force: a weaker line is certain and of no use
+FEWEST_TURNS = 8.0  # over the range of the position: fewer are a curve, which the splines have taken
+TURNS_PER_BLOCK = 3.0  # of a line over time: slower ones cannot be told from drift between blocks
+MOST_WAVES = 3000  # wave numbers tried over a coordinate
+OVERSAMPLING = 2.0  # wave numbers tried per turn over the range
+WAVES_AT_ONCE = 300  # bounds the memory
+FINER_WAVES = 41  # of the last search, between the neighbours of the best one
+CURVE_STIFFNESS = 1e-4  # of the smooth curves that are taken off first
 FLIPS = 400  # random signs
 
 
@@ -137,8 +148,8 @@ def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
     known = [p for p in parts if p is not None]
     if not known:
         return None
-    per_record = max(4, tuning.RESIDUAL_BLOCKS // len(known))
-    step = max(1, sum(len(p[2]) for p in known) // tuning.RESIDUAL_SAMPLES)
+    per_record = max(4, RESIDUAL_BLOCKS // len(known))
+    step = max(1, sum(len(p[2]) for p in known) // RESIDUAL_SAMPLES)
     blocks = [k * per_record + np.arange(len(p[2])) * per_record // len(p[2]) for k, p in enumerate(known)]
     force = np.concatenate([p[2][::step] for p in known])
     std = np.concatenate([p[3][::step] for p in known])
@@ -185,7 +196,7 @@ def _least(problem: Problem, k: int) -> float:
     hardly any force the likelihood makes that longer than a block, and chance would look like structure.
     """
     windows, dt = problem.records[k].windows, problem.records[k].record.dt
-    return max(4, tuning.RESIDUAL_BLOCKS // len(problem.records)) / (len(windows.starts) * windows.length * dt)
+    return max(4, RESIDUAL_BLOCKS // len(problem.records)) / (len(windows.starts) * windows.length * dt)
 
 
 def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Part | None:
@@ -286,11 +297,11 @@ def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
         raise InputError("remaining lines: blocks", "labels that go back", "contiguous blocks, one after the other")
     chance = np.random.default_rng(0).choice([-1.0, 1.0], size=(FLIPS, data.n_blocks))
     signs = np.vstack([np.ones(data.n_blocks), chance])
-    data = replace(data, d=without_curves(data, tuning.CURVE_STIFFNESS))
+    data = replace(data, d=without_curves(data, CURVE_STIFFNESS))
     searches = list(_searches(data))
-    least = tuning.LINE_WORTH * float(data.weight @ data.d**2)
+    least = LINE_WORTH * float(data.weight @ data.d**2)
     found: list[dict[str, float | str]] = []
-    while len(found) < tuning.MOST_LINES:
+    while len(found) < MOST_LINES:
         sure = [line for s in searches if (line := _strongest(data, s, signs, len(searches)))]
         if not sure:
             break
@@ -343,28 +354,28 @@ def _searches(data: MovingSamples) -> Iterator[_Search]:
         if role(name) not in ("position", "time") or not span > 0:
             continue
         step = np.abs(np.diff(x))
-        longest, group = span / tuning.FEWEST_TURNS, record
+        longest, group = span / FEWEST_TURNS, record
         if role(name) == "time":
             length = float(np.median([np.ptp(x[data.block == b]) for b in range(data.n_blocks)]))
-            longest = min(longest, length / tuning.TURNS_PER_BLOCK)
+            longest = min(longest, length / TURNS_PER_BLOCK)
         else:
             group = 2 * record + (data.sign > 0)
         low, high = 1.0 / longest, 0.5 / float(np.median(step[step > 0]))
-        count = min(tuning.MOST_WAVES, int((high - low) * span * tuning.OVERSAMPLING))
+        count = min(MOST_WAVES, int((high - low) * span * OVERSAMPLING))
         if count >= 2:
-            yield _Search(name, x, low + np.arange(count) / (span * tuning.OVERSAMPLING), group)
+            yield _Search(name, x, low + np.arange(count) / (span * OVERSAMPLING), group)
 
 
 def _strongest(
     data: MovingSamples, place: _Search, signs: Array, searches: int
 ) -> tuple[float, float, _Search, int] | None:
     """Of the waves that chance does not explain the one with the most power: power, p, place, index."""
-    power = _power(data, place, signs, tuning.WAVES_AT_ONCE)
+    power = _power(data, place, signs, WAVES_AT_ONCE)
     mean = power[1:].mean(axis=0)
     level = power / np.where(mean > 0, mean, 1.0)
     chance = np.sort(level[1:].max(axis=1))
     p = searches * (1 + len(chance) - np.searchsorted(chance, level[0])) / len(level)
-    sure = np.flatnonzero(p < tuning.LINE_ALARM)
+    sure = np.flatnonzero(p < LINE_ALARM)
     if not len(sure):
         return None
     at = int(sure[power[0, sure].argmax()])
@@ -418,9 +429,9 @@ def _normal_equations(
 
 def _refined(data: MovingSamples, place: _Search, at: int) -> float:
     """Wave number of the most power between the neighbours of the best one of the grid."""
-    step = 1.0 / (float(np.ptp(place.x)) * tuning.OVERSAMPLING)
-    waves = place.waves[at] + step * np.linspace(-1.0, 1.0, tuning.FINER_WAVES)
-    power = np.zeros(tuning.FINER_WAVES)
+    step = 1.0 / (float(np.ptp(place.x)) * OVERSAMPLING)
+    waves = place.waves[at] + step * np.linspace(-1.0, 1.0, FINER_WAVES)
+    power = np.zeros(FINER_WAVES)
     for moment, inverse in _normal_equations(data, place, waves):
         whole = moment.sum(axis=0)
         power += np.einsum("wp,wpq,wq->w", whole, inverse, whole)

@@ -46,10 +46,26 @@ from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvi
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
 from robustlab.identification.naming.materiality import strained
 
+WORKERS = 2
+ROUGH_FITS = 4  # full fits before the noise is known, of fewer iterations: they only have to find a leader
+ROUGH_FULL = 6
+CLOCK_SHARE = 0.25  # of a sample: standard deviation of an input's shift
+MOST_STEPS = 4  # a sample: more follow stiffer contacts and take more time
+STEP_ERROR = 0.1  # of the noise, by which half as long steps may change a residual
+MOST_EFFECTS = 4
+BEGINNINGS = 3  # single effects from which sets are built where something is missing
+IN_ONE_PIECE = 3.0  # scatter of the windows, over that of independent errors, from which something is
+MOST_EXPANSIONS = 12  # sets to which effects are added before the search is called unfinished
+MOST_WORK = 240_000_000  # steps of simulation, after which no further set is expanded
+PRIOR_EFFECT = 0.02  # of an effect at a place
+PRIOR_REFINEMENT = 0.1  # of a refinement, over that of the effect it refines
+LOOKED_ELSEWHERE = 200.0  # periods among which the one of a ripple was found
+OUT_OF_SIGHT = 100.0  # times the V that would come near a set that leaves only noise, after two looks
+
 
 def clock_nuisances(inputs: tuple[str, ...], dt: float) -> tuple[Nuisance, ...]:
     """A shift of each input against the outputs, a part of a sample: clocks are not told more exactly than that."""
-    return tuple(Nuisance(f"clock of {name}", (), tuning.CLOCK_SHARE * dt, input=name) for name in inputs)
+    return tuple(Nuisance(f"clock of {name}", (), CLOCK_SHARE * dt, input=name) for name in inputs)
 
 
 def held_inputs(problem: Problem, fit: Fit) -> tuple[Fit, Problem]:
@@ -78,7 +94,7 @@ def step_error(problem: Problem, fit: Fit) -> float:
 
 def short_steps(problem: Problem, fit: Fit) -> Problem:
     """The problem with steps so short that halving them changes no residual by more than a tenth of the noise."""
-    while (problem.clock.sub or 1) < tuning.MOST_STEPS and step_error(problem, fit) > tuning.STEP_ERROR:
+    while (problem.clock.sub or 1) < MOST_STEPS and step_error(problem, fit) > STEP_ERROR:
         problem = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
     return problem
 
@@ -138,11 +154,11 @@ def log_prior(hypothesis: Hypothesis) -> float:
     """Log prior of a set."""
     total = 0.0
     for candidate in hypothesis.candidates:
-        total += math.log(tuning.PRIOR_EFFECT)
+        total += math.log(PRIOR_EFFECT)
         if candidate.effect.refines:
-            total += math.log(tuning.PRIOR_REFINEMENT)
+            total += math.log(PRIOR_REFINEMENT)
         if candidate.effect.spatial and candidate.scales.orders:
-            total -= math.log(tuning.LOOKED_ELSEWHERE)
+            total -= math.log(LOOKED_ELSEWHERE)
     return total
 
 
@@ -169,7 +185,7 @@ def search_sets(
     ``problem``, ``held``: the windows to fit and the windows that are kept from the fits. ``allowed``: whether a fitted
     set may be the answer. ``progress``: called with the number of fits done, those expected, and what is being done.
     """
-    with ThreadPoolExecutor(tuning.WORKERS) as workers:
+    with ThreadPoolExecutor(WORKERS) as workers:
         return _Search(problem, held, pool, allowed, progress, workers).run()
 
 
@@ -238,8 +254,8 @@ class _Search:
 
     def _used_up(self) -> bool:
         """Whether the search ends here; a set that leaves only noise is still asked whether all of it is needed."""
-        work, most = sum(self.problem.work), tuning.MOST_WORK
-        if self.expansions >= tuning.MOST_EXPANSIONS or work >= 2 * most:
+        work, most = sum(self.problem.work), MOST_WORK
+        if self.expansions >= MOST_EXPANSIONS or work >= 2 * most:
             return True
         return work >= most and not self._explains(self._told())
 
@@ -288,7 +304,7 @@ class _Search:
         whole = self._whole()
         best = whole.key
         begun = [k for k in self.expanded if len(k) == 1]
-        wanted = bool(begun) and len(begun) < tuning.BEGINNINGS and self.noise.excess > tuning.IN_ONE_PIECE
+        wanted = bool(begun) and len(begun) < BEGINNINGS and self.noise.excess > IN_ONE_PIECE
         if wanted and sum(k <= best for k in begun) < 2 and not self._explains(whole):
             done = [c for k in begun for c in self.visited[k].fit.hypothesis.candidates]
             others = [
@@ -303,7 +319,7 @@ class _Search:
                     self._without(whole.fit, key)
             if self._told().key != told:
                 return self._next()
-        if len(best) < tuning.MOST_EFFECTS and best not in self.expanded:
+        if len(best) < MOST_EFFECTS and best not in self.expanded:
             return best
         sizes = [len(best) - away for away in (1, 2) if away <= len(best) <= 3 or away == 1 <= len(best)]
         smaller = [Key(part) for size in sizes for part in itertools.combinations(sorted(best), size)]
@@ -431,15 +447,15 @@ class _Search:
         asked = {start.candidate.key for start in wrong}
         open_ones = [c for c in open_ones if c.key not in asked]
         # Where something else leaves only noise, what is far from that after two looks would not come near it.
-        far = tuning.OUT_OF_SIGHT if key != self._told().key and self._explains(self._told()) else np.inf
+        far = OUT_OF_SIGHT if key != self._told().key and self._explains(self._told()) else np.inf
         starts = [*wrong, *promising(self.problem, base, best, open_ones, known, self.workers, said, far)]
         if not self.sharpened:
-            starts = starts[: tuning.ROUGH_FITS]
+            starts = starts[:ROUGH_FITS]
         ceiling = self._ceiling(base)
 
         def full(start: Start) -> Fit:
             gain = start.candidate.effect.gain_like
-            rounds = tuning.FULL if self.sharpened else tuning.ROUGH_FULL
+            rounds = tuning.FULL if self.sharpened else ROUGH_FULL
             plan = FitPlan(rounds, 0.05, ceiling=np.inf if gain else ceiling)
             return self.problem.fit(start.hypothesis, self.noise, start.z, start.starts or base.starts, plan)
 
@@ -522,7 +538,7 @@ class _Search:
         leader = self._clocked(self._again(leader))
         self.noise = self._noise_of(leader)
         ordered = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)
-        ordered = ordered[: tuning.ROUGH_FITS]
+        ordered = ordered[:ROUGH_FITS]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit}
         kept[key_of(leader.hypothesis)] = leader
         again = self.workers.map(self._again, kept.values())
@@ -584,15 +600,13 @@ def single_fits(
     """
     wide, nominal = first_noise(problem), np.zeros(len(problem.nuisances))
     jobs = [(c, start) for c in pool for start in c.starts]
-    near = problem.fit(best.hypothesis, wide, best.z, best.starts, FitPlan(tuning.ROUGH_FULL, tuning.ROUGH)).cost
+    near = problem.fit(best.hypothesis, wide, best.z, best.starts, FitPlan(ROUGH_FULL, tuning.ROUGH)).cost
     most = TIMES * near + 2.0 * tuning.FAR_BEHIND
 
     def smooth(job: tuple[Candidate, Mapping[str, float]]) -> Fit:
         candidate, start = job
         z = np.append(nominal, candidate.standardised(start))
-        return problem.fit(
-            Hypothesis((candidate,)), wide, z, plan=FitPlan(tuning.ROUGH_FULL, tuning.ROUGH, ceiling=most)
-        )
+        return problem.fit(Hypothesis((candidate,)), wide, z, plan=FitPlan(ROUGH_FULL, tuning.ROUGH, ceiling=most))
 
     lowest: dict[str, Fit] = {}
     for done, fit in enumerate(workers.map(smooth, jobs), 1):

@@ -6,8 +6,8 @@ r"""Uncertain model and data line by line: the affine maps of a validation in th
 
 with e the measurement minus the nominal response, e and n over the noise bound. A causal stable time-invariant Delta of
 norm gamma with given values at given frequencies exists whenever each value is at most gamma, so every line is a
-problem of its own, tied to the others by the noise bound alone. Of a record whole periods in steady state are judged; what does
-not repeat is known noise, taken off the bound (Smith and Doyle, IEEE TAC 37, 1992, 942-952).
+problem of its own, tied to the others by the noise bound alone. Of a record whole periods in steady state are judged;
+what does not repeat is known noise, taken off the bound (Smith and Doyle, IEEE TAC 37, 1992, 942-952).
 """
 
 from __future__ import annotations
