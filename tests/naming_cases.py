@@ -11,10 +11,10 @@ from oracle.stick_slip import stick_slip
 
 import robustlab as rl
 from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification import tuning
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Problem
 from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification.naming import set_search
 from robustlab.identification.naming.discovery import admissible
 from robustlab.identification.naming.set_search import Found, search_sets
 
@@ -65,7 +65,7 @@ def searched(record: rl.Record, keys=POOL, progress=quiet, **changed) -> Found:
     fit.work.clear()
     with ExitStack() as kept:
         for name, value in changed.items():
-            kept.enter_context(patch.object(tuning, name.upper(), value))
+            kept.enter_context(patch.object(set_search, name.upper(), value))
         return search_sets(fit, held, [pool[k] for k in keys], allowed, progress)
 
 

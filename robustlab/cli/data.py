@@ -95,7 +95,8 @@ def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[st
         said = f"the verdict is {found.verdict!r}: no single name can be vouched for (exit code 4)"
         if found.verdict == "named":
             said = "the verdict is 'named, incomplete': more than half of the error is unexplained (exit code 4)"
-    return Beyond({**result, "files": written}, found.summary(options["details"]), said, code)
+    text = f"{found.headline()}.\n{found.report() if options['details'] else found.summary()}"
+    return Beyond({**result, "files": written}, text, said, code)
 
 
 app.command("discover")(command_of(COMMANDS["data discover"], options_of(DiscoveryFiles), _discovered))

@@ -6,13 +6,10 @@ response       a linear model's response to a record, whole or in windows with t
 record_check   is a record what it is taken for: clock, channels, fitness for naming
 comparison     `compare`: how large the gap is, where it lives, what the residual still contains
 hypotheses     one hypothesis about what is missing: which effects may be, and their fit to prepared records
-unnamed        what no effect explains: a residual force over its coordinates
 experiment     what to measure next: a menu of experiments, and how far apart hypotheses are in each
 naming         `discover`: the search over hypotheses, its verdict, and the plant and uncertainty after it
 monitoring     `watch`: does a model go on explaining a running log, and what changes where it does not
 validation     `validate`: the smallest Delta with which an uncertain model explains a record
-
-`tuning` holds the numbers of the naming, from its windows to the next experiment.
 """
 
 from __future__ import annotations

@@ -203,8 +203,8 @@ def time_figure(comparison: Comparison, output: str | None = None) -> Figure:
 
 
 def speed_figure(comparison: Comparison, output: str | None = None) -> Figure:
-    """Windowed error over speed and direction, and over the same speed what would have to be added where that explains
-    the error: an input, a joint, or two together.
+    """Windowed error over speed and direction, and over the same speed what would have to be added at the input or
+    joint that explains the error.
     """
     output = chosen(list(comparison.speed), output, "output")
     motion, unit = comparison.motions[output], comparison.outputs[output].unit
@@ -215,13 +215,14 @@ def speed_figure(comparison: Comparison, output: str | None = None) -> Figure:
         axes[0].set_ylabel(axis_label("windowed error", unit))
         axes[0].set_title(f"error of {plain_label(output)} in windows of {comparison.window:.3g} s")
         for panel, d in zip(axes[1:], own, strict=True):
-            speed = np.zeros(0) if d.speed is None else d.speed
+            some = slice(None, None, max(1, len(d.value) // 1000))
+            speed, value = np.zeros(0) if d.speed is None else d.speed[some], d.value[some]
             zero_line(panel)
             panel.axvline(0.0, color="#888888", lw=0.8)
-            for colour, some in ((FREE, speed < 0), (WINDOWED, speed >= 0)):
-                panel.plot(speed[some], d.value[some], "o", ms=3.0, alpha=0.6, color=colour, mew=0)
+            for colour, way in ((FREE, speed < 0), (WINDOWED, speed >= 0)):
+                panel.plot(speed[way], value[way], "o", ms=3.0, alpha=0.6, color=colour, mew=0)
             panel.set_ylabel(axis_label("what is lacking", d.unit))
-            panel.set_title(f"{plain_label(d.place)}, in pieces of {d.seconds:.3g} s")
+            panel.set_title(plain_label(d.place))
         for panel in axes:
             panel.set_xlabel(axis_label("speed", motion.speed_unit))
     return figure

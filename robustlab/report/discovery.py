@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.identification.naming.discovery_result import LINEAR, Discovery
-from robustlab.identification.naming.discovery_text import chance, compared, in_words, kind_words, with_interval
+from robustlab.identification.naming.discovery_text import chance, with_interval
 from robustlab.identification.naming.named_effects import Gap, SetProbability, overall
-from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
+from robustlab.identification.naming.residual_force import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.report.drawings import caption_of
 from robustlab.report.figures import (
@@ -370,14 +370,11 @@ def _explains(curve: ForceCurve, earlier: ForceCurve | None) -> str:
     name = plain_label(curve.coordinate)
     if earlier is not None:
         return f"{name}: explains {100 * earlier.share:.0f} % → {100 * curve.share:.0f} %"
-    sure = "p < 0.005" if curve.p_value < 0.005 else f"p = {curve.p_value:.2g}"
-    return f"{name}: explains {100 * curve.share:.0f} % ({sure})"
+    return f"{name}: explains {100 * curve.share:.0f} %"
 
 
 def _shares(panel: Axes, residual: ResidualForce, before: ResidualForce | None) -> None:
     rows = [(f"f({name})", curve.share, COLOURS["nominal"]) for name, curve in residual.curves.items()]
-    rows += [(f"+ sgn(v) f({name})", share, COLOURS["band"]) for name, share in residual.dry_share.items()]
-    rows.append(("all together", residual.joint_share, COLOURS["good"]))
     rows.append(("noise of the estimate", residual.noise_share, COLOURS["sample"]))
     place = np.arange(len(rows))[::-1]
     panel.barh(place, [100 * share for _, share, _ in rows], color=[colour for *_, colour in rows], height=0.65)
@@ -417,36 +414,6 @@ MEANINGS = {
     "ambiguous": "Something is missing that effects of several kinds explain equally well; see the next experiment.",
     "unknown": "Something is missing that no effect of the catalogue explains; see the force that remains.",
 }
-
-
-def facts(d: Discovery) -> list[tuple[str, str, str]]:
-    """Label, value and source of the key numbers: effects with parameters and rivals, gap of each output."""
-    found = [
-        ("Verdict", d.verdict if d.complete else f"{d.verdict}, incomplete: structure remains", MEANINGS[d.verdict])
-    ]
-    found += [(k.words, kind_words(k), f"what tells: {k.form}") for k in d.kinds if not k.settled]
-    for e in d.effects:
-        values = "; ".join(f"{p.name} = {with_interval(p)}" for p in e.parameters)
-        found.append((in_words(e), values, e.equation))
-        rivals = f"; cannot be told from: {', '.join(e.rivals)}" if e.rivals else ""
-        found.append((f"{e.name}: probability", f"{chance(e.confidence)}{rivals}", "of all sets that contain it"))
-        if math.isfinite(e.error_without):
-            errors = f"{_share(e.error_without)} of the range, {_share(d.gap_after)} with it"
-            found.append((f"{e.name}: held-out error without it", errors, d.held_out))
-    for e in d.also_detectable:
-        values = "; ".join(f"{p.name} = {with_interval(p)}" for p in e.parameters)
-        found.append((f"Also seen: {in_words(e)}", values, "brings next to nothing on held-out data: not in the model"))
-    for r in d.rivals:
-        if r.instead_of == "none":
-            values = "; ".join(f"{p.name} = {with_interval(p)}" for p in r.parameters)
-            found.append((f"Not excluded: {r.title}", values, "tolerances of other parameters may hide it"))
-    for gaps, how, on in ((d.gaps, "windows", d.held_out), (d.free_run, run_in_words(d), d.free_run_on)):
-        for g in gaps.values():
-            sizes = f"nominal {g.nominal:.4g}, refitted {g.refitted:.4g}, updated {g.updated:.4g} {g.unit}".rstrip()
-            pairs = ((g.nominal, "the given model"), (g.refitted, "refitted"))
-            change = ", ".join(compared(before, g.updated, name) for before, name in pairs)
-            found.append((f"{g.output}: rms on held-out data, {how}", f"{sizes}; {change}", on))
-    return found
 
 
 def story(d: Discovery) -> list[tuple[str, str, str]]:
@@ -518,9 +485,9 @@ def _step(d: Discovery, figures: Mapping[str, Any]) -> dict[str, Any]:
         "summary": f"{d.headline()}.",
         "error": "",
         "numbers": plain(d.to_json()),
-        "facts": [dict(zip(("label", "value", "source"), fact, strict=True)) for fact in facts(d)],
+        "facts": [{"label": label, "value": value, "source": ""} for label, value in d.facts()],
         "notes": [f.message for f in d.findings],
-        "text": d.summary(details=True),
+        "text": d.tables(),
         "story": [dict(zip(("label", "value", "source"), part, strict=True)) for part in story(d)],
         "figures": [{"stem": name, "caption": caption_of(WHOLE, name)} for name in figures],
     }

@@ -19,7 +19,6 @@ from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, input_signal
 from robustlab.dynamics.ports.motion_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.additions import Addition, sorted_addition
 from robustlab.identification.comparison.comparison_parts import FreeRun, Linearisation
 from robustlab.identification.comparison.comparison_result import POSE, Comparison
 from robustlab.identification.comparison.error_analysis import (
@@ -30,20 +29,20 @@ from robustlab.identification.comparison.error_analysis import (
     samples_of,
     title,
 )
+from robustlab.identification.comparison.input_disturbance import joint_disturbances
 from robustlab.identification.comparison.localisation import (
     Motion,
     motion_of,
     noise_gaps,
     repeated,
 )
+from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.hypotheses.prepared_record import window_length
 from robustlab.identification.record_check.resampling import clock_step, uniform
 from robustlab.identification.record_check.suitability import channel_warnings
 from robustlab.identification.response.motion_response import (
-    FitOfWindows,
     MotionResponse,
-    WindowResponses,
     fit_windows,
     start_along,
     windows_along,
@@ -70,11 +69,9 @@ def motions_of_outputs(
     return {plant.outputs[k].name: _motion(plant, _joint_of_output(plant, local, x, k), x, record) for k in columns}
 
 
-def motions_of_inputs(plant: NonlinearPlant, x: Array, u: Array, record: Record) -> dict[str, Motion]:
-    """Input name -> motion of the joint that it drives, at once or through a current."""
-    local = _about(plant, x, u)
-    ties = _ties_of_inputs(plant, local, x)
-    return {s.name: _motion(plant, _foremost(ties[i]), x, record) for i, s in enumerate(plant.inputs)}
+def motions_of_joints(plant: NonlinearPlant, x: Array, record: Record) -> list[Motion]:
+    """Motion of each joint; nothing for each input of a plant without joints."""
+    return [_motion(plant, j, x, record) for j in range(len(_joints(plant)))] or [NO_MOTION] * len(plant.inputs)
 
 
 def _about(plant: NonlinearPlant, x: Array, u: Array) -> LocalModels:
@@ -106,22 +103,6 @@ def _ties_of_state(local: LocalModels, joints: Sequence[tuple[int, int]], x: Arr
     return np.abs(local.A[:, state, speeds]).mean(axis=0) * np.sqrt((x[:, speeds] ** 2).mean(axis=0))
 
 
-def _ties_of_inputs(plant: NonlinearPlant, local: LocalModels, x: Array) -> Array:
-    """Generalised force of each input at each joint, (n_u, n_joints); of a voltage, the ties of its current."""
-    joints = _joints(plant)
-    found = np.zeros((len(plant.inputs), len(joints)))
-    if not joints:
-        return found
-    rows = [v for _, v in joints]
-    places = [k for k, p in enumerate(plant.port_places) if p.kind == "joint"]
-    inverse = np.linalg.pinv(local.push[:, rows][:, :, places])
-    found[:] = np.abs(inverse @ local.B[:, rows]).mean(axis=0).T
-    for i in np.flatnonzero(~found.any(axis=1)):
-        for state in np.flatnonzero(np.abs(local.B[:, :, i]).mean(axis=0)):
-            found[i] += _ties_of_state(local, joints, x, int(state))
-    return found
-
-
 def _foremost(ties: Array) -> int | None:
     order = np.argsort(ties)[::-1]
     if not len(ties) or not ties[order[0]]:
@@ -148,10 +129,6 @@ def without_a_joint(motions: Mapping[str, Motion]) -> list[str]:
 
 
 SHORTEST_RECORD = 40  # samples
-SHORTEST_PIECE = 20  # samples
-PIECES_PER_WINDOW = 2
-ASKED = 10  # pieces that tell how short they may be
-WELL_TOLD = 0.003  # standard deviation of an addition to an input, of what that input does
 CHECKED = 6  # windows that the nonlinear plant goes through, too
 LINEAR_SHARE = 0.1  # of the error; a larger difference from the nonlinear plant is warned of
 LEAST_NOISE = 1e-6  # of an output's range: a record without noise is not weighed by its rounding
@@ -159,7 +136,6 @@ DIVERGED = 10.0  # times the recorded range from the record: the free run says n
 SECTION = 100  # samples that the free run goes at once
 RTOL = 1e-9
 GROWN = 20.0  # times: an error of the start that grows more is warned of
-TOLD = 1e-6  # an input's answer below this share of itself, once the start is fitted, is not told from it
 
 
 def compare_along(
@@ -179,7 +155,7 @@ def compare_along(
     Raises InputError: as there; a joint whose position is not recorded, an output that shows more than one state,
     samples missing; NoTrustworthyNumber: a motion that the plant cannot have: its equations have no value there.
     """
-    response, outputs, record, noted = _response(plant, record)
+    response, outputs, record, noted, smoothed = _response(plant, record)
     names, inputs = [s.name for s in outputs], [s.name for s in plant.inputs]
     whole, x, u = response.whole, response.course.x, response.course.u
     length = window_length(plant, [record]) if window is None else samples_of("window", window, record)
@@ -188,13 +164,13 @@ def compare_along(
     run, ran = _free_run(response, initial.x0, names)
     stated = motion_of(record, speed, position, length) if speed or position else None
     motions = motions_of_outputs(plant, x, u, record, response.columns)
-    of_inputs = motions_of_inputs(plant, x, u, record)
+    of_joints = motions_of_joints(plant, x, record)
     if stated is not None:
-        motions, of_inputs = dict.fromkeys(names, stated), dict.fromkeys(inputs, stated)
+        motions, of_joints = dict.fromkeys(names, stated), [stated] * len(of_joints)
     size = {name: np.abs(v) for name, v in whole.u.items() if np.ptp(v)} if len(inputs) == 1 else {}
     found = localised(whole, outputs, ran if run.whole else None, windows, motions, size, min(lags, record.n // 4))
     others = [_response(plant, other) for other in repeats]
-    noise, noise_reason = noise_of(record, tuple(taken for _, _, taken, _ in others), names, period)
+    noise, noise_reason = noise_of(record, tuple(taken for _, _, taken, *_ in others), names, period)
     rms = {name: (gap.rms, gap.windowed_rms) for name, gap in found["outputs"].items()}
     errors = []
     if noise:
@@ -215,7 +191,7 @@ def compare_along(
         simulated=kept(record, inputs, names, ran, f"{record.name} (free run)") if len(ran) > 1 else None,
         windowed=kept(record, inputs, names, windows.y, f"{record.name} (windowed simulation)"),
         recursive={name: windows.residual[:, k] for k, name in enumerate(names)},
-        disturbance=_disturbances(response, _piece(response, length), of_inputs),
+        disturbance=joint_disturbances(response, smoothed, whole.y - windows.y, windows.edges, of_joints),
         warnings=(
             *noted,
             *channel_warnings(record, tuple(inputs), tuple(names)),
@@ -258,8 +234,8 @@ def _pose(plant: NonlinearPlant, found: Comparison) -> dict[str, float]:
 
 def _response(
     plant: NonlinearPlant, record: Record
-) -> tuple[MotionResponse, tuple[Signal, ...], Record, tuple[str, ...]]:
-    """The plant about the record's motion, the compared outputs, the record as it was taken, warnings."""
+) -> tuple[MotionResponse, tuple[Signal, ...], Record, tuple[str, ...], SmoothedRecord]:
+    """The plant about the record's motion, the compared outputs, the record as it was taken, warnings, the motion."""
     outputs, warnings = matched(plant.inputs, plant.outputs, record)
     where = f"compare {record.name}"
     if record.n < SHORTEST_RECORD:
@@ -291,7 +267,7 @@ def _response(
         raise InputError(where, wrong.found, wrong.expected, wrong.hint) from None
     noise = np.maximum(smoothed.noise_std, LEAST_NOISE / whole.weight)
     whole = Stretch(whole.t, whole.u, whole.y, 1.0 / noise)
-    return MotionResponse(Course(plant, smoothed.x, u, record.dt), columns, whole), outputs, record, warnings
+    return MotionResponse(Course(plant, smoothed.x, u, record.dt), columns, whole), outputs, record, warnings, smoothed
 
 
 # --- simulations of the nonlinear plant ------------------------------------------------------------------------------
@@ -372,7 +348,7 @@ def _linearisation(response: MotionResponse, windows: WindowedSimulation, names:
     )
 
 
-# --- windows and pieces of the linear one ----------------------------------------------------------------------------
+# --- windows ----------------------------------------------------------------------------------------------------------
 
 
 def _windowed_error(response: MotionResponse, part: Stretch, length: int) -> Array:
@@ -385,68 +361,6 @@ def _windowed_error(response: MotionResponse, part: Stretch, length: int) -> Arr
         left = fit_windows(windows, response.errors(windows), part.weight).left
         error[a - first : b - first] = left.reshape(b - a, -1) / part.weight
     return error
-
-
-def _piece(response: MotionResponse, length: int) -> int:
-    """Samples of a piece: as few as tell an addition to each input in spite of the noise, or half a window."""
-    size, n = min(length, SHORTEST_PIECE), len(response.whole.t)
-    moved = response.course.u.std(axis=0)
-    moving = moved > 0
-    while 2 * size <= length // PIECES_PER_WINDOW:
-        starts = np.unique(np.linspace(0, n - size, ASKED).astype(np.int64))
-        square = np.concatenate([_told(p, response)[0] for p in response.responses(starts, size)])
-        std = 1.0 / np.sqrt(np.maximum(np.median(square, axis=0), 1e-300))
-        if (std[moving] <= WELL_TOLD * moved[moving]).all():
-            break
-        size *= 2
-    return size
-
-
-def _told(pieces: WindowResponses, response: MotionResponse) -> tuple[Array, Array, Array, FitOfWindows]:
-    """Square of what a unit more of each input does that no start can do, and of all it does, (n_pieces, n_u) each; the
-    former itself (n_pieces, length * n_y, n_u), and the fit of the starts.
-    """
-    weight = response.whole.weight
-    fit = fit_windows(pieces, response.errors(pieces), weight)
-    held = (pieces.held * weight[:, None]).reshape(*fit.left.shape, -1)
-    own = held - fit.basis @ (np.swapaxes(fit.basis, 1, 2) @ held)
-    return (own**2).sum(axis=1), (held**2).sum(axis=1), own, fit
-
-
-def _disturbances(response: MotionResponse, length: int, motions: dict[str, Motion]) -> dict[str, Addition]:
-    """What would have to be added to each input, and to no other, in pieces of ``length`` samples."""
-    names = list(motions)
-    edges = np.arange(0, len(response.whole.t) + 1, length)
-    value, std = np.full((2, len(names), len(edges) - 1), np.nan)
-    n_y = response.whole.y.shape[1]
-    before, after = np.zeros((2, len(names), n_y))
-    samples = np.zeros(len(names))
-    for pieces in response.responses(edges[:-1], length):
-        at = np.searchsorted(edges, pieces.starts)
-        square, whole, own, fit = _told(pieces, response)
-        told = square > TOLD**2 * whole
-        d = np.divide(np.einsum("wmi,wm->wi", own, fit.left), square, out=np.zeros_like(square), where=told)
-        remains = fit.left[:, :, None] - own * d[:, None, :]
-        by_output = (len(fit.left), -1, n_y)
-        total = (fit.left.reshape(by_output) ** 2).sum(axis=1)
-        rest = (remains.reshape(*by_output, len(names)) ** 2).sum(axis=1)
-        left = rest.sum(axis=1)
-        spare = np.maximum(1, fit.left.shape[1] - fit.rank - 1)[:, None]
-        with np.errstate(divide="ignore", invalid="ignore"):  # pieces that do not tell it are NaN
-            spread = np.sqrt(left / spare / square)
-        value[:, at], std[:, at] = np.where(told, d, np.nan).T, np.where(told, spread, np.nan).T
-        before += np.einsum("wi,wk->ik", told, total)
-        after += np.einsum("wi,wki->ik", told, rest)
-        samples += told.sum(axis=0) * (fit.left.shape[1] // n_y)
-    t, units, noise = response.whole.t, {s.name: s.unit for s in response.plant.inputs}, 1.0 / response.whole.weight
-    outputs = [response.plant.outputs[k].name for k in response.columns]
-    found: dict[str, Addition] = {}
-    for i, name in enumerate(names):
-        # Errors are in multiples of the sensors' noise here.
-        rms = [np.sqrt(squares[i] / max(samples[i], 1)) * noise for squares in (before, after)]
-        errors = [dict(zip(outputs, row.tolist(), strict=True)) for row in (*rms, noise, 0.0 * noise)]
-        found[name] = sorted_addition(t, edges, value[i], std[i], errors, motions[name], f"input {name}", units[name])
-    return found
 
 
 # --- words -----------------------------------------------------------------------------------------------------------

@@ -1,24 +1,9 @@
-r"""Best linear approximation of a measured system, with its uncertainty, beside the model's frequency response.
+r"""Best linear approximation :math:`S_{yu} S_{uu}^{-1}` of a measured system, and the model's response.
 
-The best linear approximation G is the linear system nearest to a (nonlinear) system in mean square, for inputs of this
-kind and power: :math:`G = S_{yu} S_{uu}^{-1}`.
-
-*Periodic data* give it line by line from the averaged spectra of the periods, :math:`\hat G_k = \bar Y_k / \bar U_k`,
-free of leakage, and also in closed loop. Two variances are told apart:
-
-- the *noise* variance, from the scatter of the periods;
-- the *total* variance, from the scatter over realisations of the excitation where several are given (the robust
-  method), else from the scatter from line to line about a local parabola. What it exceeds the noise by are
-  *nonlinear distortions*: they repeat in every period, and no linear model explains them. (From one realisation, a
-  resonance narrower than the lines' spacing looks the same.)
-
-*Other data* give the H1 estimate of Welch's method. There noise and distortion cannot be told apart, and where the
-input was computed from the output (closed loop) the estimate is biased towards minus the inverse of the controller.
-
-References
-----------
-Pintelon and Schoukens, *System Identification: A Frequency Domain Approach* (2012), sections 2.7, 4.3 and 7.2;
-Bendat and Piersol, *Random Data* (2010), section 9.2.
+*Periodic data* give it line by line, :math:`\bar Y_k / \bar U_k`, in closed loop too, with the noise variance from the
+scatter of the periods, and the total one from the scatter over realisations or, of one, from line to line about a local
+parabola; what the total exceeds the noise by are nonlinear distortions. *Other data* give Welch's H1 estimate, biased
+in closed loop (Pintelon and Schoukens, *System Identification*, 2012, sections 2.7, 4.3 and 7.2).
 """
 
 from __future__ import annotations
@@ -113,32 +98,7 @@ class BestLinearApproximation(Evidence):
 def periodic_bla(
     u: ArrayLike, y: ArrayLike, dt: float, model: StateSpaceModel | None = None, lines: NDArray[np.int_] | None = None
 ) -> BestLinearApproximation | None:
-    r"""Best linear approximation from whole periods in steady state.
-
-    Parameters
-    ----------
-    u, y
-        Input and output, shape (n_realisations, n_periods, n) or (n_periods, n); at least two periods. Realisations
-        excite the same lines with other (random) phases.
-    dt
-        Sample time in s.
-    model
-        A model with one input and one output; None: the response of 0.
-    lines
-        The excited harmonics, 1 the first; left out: those of the input. In closed loop they must be those of the
-        reference: at its other lines the input only answers the output, and the ratio is minus the inverse of the
-        controller.
-
-    Returns
-    -------
-    BestLinearApproximation or None
-        None where no line is excited above the noise.
-
-    Raises
-    ------
-    InputError
-        Shapes that differ, or fewer than two periods.
-    """
+    r"""Best linear approximation from whole periods in steady state."""
     u, y = (np.asarray(x, dtype=np.float64) for x in (u, y))
     u, y = (x[None] if x.ndim == 2 else x for x in (u, y))
     if u.shape != y.shape or u.ndim != 3 or u.shape[1] < 2:
@@ -198,12 +158,6 @@ def arbitrary_bla(
 
     ``t``, ``inputs``, ``y``: clock (n,), the inputs by name in the model's order, and one output (n,). A clock that is
     not uniform is interpolated to its mean step. ``model``: model from these inputs to this output.
-
-    Returns
-    -------
-    dict
-        Input name -> estimate; without the inputs that are constant, and empty where the record is too short for
-        more averages than inputs.
     """
     from scipy.signal import csd
 

@@ -19,7 +19,6 @@ from robustlab.dynamics.fmu import FmuPlant
 from robustlab.dynamics.fmu import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import NoTrustworthyNumber, UsageError, told_as
-from robustlab.identification.comparison.additions import additions, additions_that_tell
 from robustlab.identification.comparison.along_motion import compare_along
 from robustlab.identification.comparison.best_linear_approximation import (
     BestLinearApproximation,
@@ -37,6 +36,7 @@ from robustlab.identification.comparison.error_analysis import (
     samples_of,
     title,
 )
+from robustlab.identification.comparison.input_disturbance import input_disturbances
 from robustlab.identification.comparison.localisation import (
     Motion,
     motion_of,
@@ -56,7 +56,6 @@ LAGS = 25
 SHORTEST_WINDOW = 20  # samples
 WINDOWS_AT_LEAST = 4  # that a window chosen by us leaves in the record
 WINDOWS_WITHOUT_TIME_CONSTANT = 50
-PIECES_PER_WINDOW = 4
 LARGEST_OUTPUT = 1e100  # squares of larger numbers overflow
 
 
@@ -159,7 +158,6 @@ def compare(
         )
     windows = windowed_simulation(response, whole, length)
     motion = motion_of(record, speed, position, length)
-    piece = max(length // PIECES_PER_WINDOW, min(length, SHORTEST_WINDOW))
     motions, lags = dict.fromkeys(outputs, motion), min(lags, record.n // 4)
     found = localised(whole, response.outputs, free, windows, motions, _sizes(response, whole), lags)
     others = tuple(response_of(plant, other).with_units(other) for other in repeats)
@@ -179,7 +177,7 @@ def compare(
         simulated=kept(record, inputs, outputs, free, f"{record.name} (free run)"),
         windowed=kept(record, inputs, outputs, windows.y, f"{record.name} (windowed simulation)"),
         recursive={name: windows.residual[:, k] for k, name in enumerate(outputs)},
-        disturbance=(additions_that_tell if window is None else additions)(plant, response, whole, piece, motion),
+        disturbance=input_disturbances(plant, response, whole, whole.y - windows.y, length, motion),
         warnings=_warnings(response, record, initial, motion),
         noise=noise,
         noise_reason=noise_reason,

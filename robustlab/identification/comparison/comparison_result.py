@@ -1,4 +1,4 @@
-"""What `compare` answers: the gap at every output, where it lives, what the residual still contains; and its text."""
+"""What `compare` answers: the gap at every output, where it lives, what the residual still contains."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.identification.comparison.additions import SURE, Addition, located
 from robustlab.identification.comparison.best_linear_approximation import BestLinearApproximation
 from robustlab.identification.comparison.comparison_parts import (
     FreeRun,
@@ -18,6 +17,7 @@ from robustlab.identification.comparison.comparison_parts import (
     ResidualTests,
     WindowErrors,
 )
+from robustlab.identification.comparison.input_disturbance import InputDisturbance, located
 from robustlab.identification.comparison.localisation import (
     Bin,
     DirectionError,
@@ -30,12 +30,16 @@ from robustlab.identification.comparison.residual_tests import EvenOdd
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
-from robustlab.shown import Each, Facts, listed, number
+from robustlab.shown import Each, Facts, Part, listed, number
 from robustlab.tables import Table, Tabular
 
+# Fields that become JSON in another form, or not at all.
+NOT_AS_IT_IS = frozenset((
+    "motions", "measured", "simulated", "windowed", "recursive",
+    "noise_reason", "against_noise", "linear_reason", "pose",
+))  # fmt: skip
 POSE = ("tx", "ty", "tz", "ax", "ay", "az")
 LINEAR = 0.5  # bands whose coherence is lower say nothing about a linear model
-MOST_INPUTS_TOLD = 3  # one by one
 ROUNDING = 1e-9  # a residual below this share of the range is rounding, and no test of it means anything
 
 REFERENCE = (
@@ -74,8 +78,9 @@ class Comparison(Tabular, Evidence):
         The compared signals: measured, free run (as far as it goes; None where that is nowhere), windowed simulation,
         and the recursive residual (n,) by output, NaN where a sample only fixes the state of its window.
     disturbance
-        Input name, or a joint as ``torque at omega`` -> the `Addition` there, and nowhere else, that would explain the
-        record piece by piece. Where none does it alone, ``input u, together`` and such: two places at once.
+        Input name, or a joint as ``torque at omega`` -> the `InputDisturbance` there, and nowhere else, with which the
+        model follows the record best. Joints alone of a nonlinear plant; empty for a discrete model and an uneven
+        clock.
     warnings
         What a reader must know before trusting the numbers.
     direction
@@ -121,7 +126,7 @@ class Comparison(Tabular, Evidence):
     simulated: Record | None
     windowed: Record
     recursive: Mapping[str, Array]
-    disturbance: Mapping[str, Addition]
+    disturbance: Mapping[str, InputDisturbance]
     warnings: tuple[str, ...]
     direction: Mapping[str, Mapping[str, DirectionError]]
     amplitude: Mapping[str, Mapping[str, tuple[Bin, ...]]]
@@ -148,7 +153,7 @@ class Comparison(Tabular, Evidence):
         "residual": Each("outputs", ResidualTests),
         "direction": Each("outputs", {"*": DirectionError}),
         "amplitude": Each("outputs", {"*": [Bin]}),
-        "disturbance": Each("inputs", Addition, ("torque at *", "force at *", "*, together")),
+        "disturbance": Each("inputs", InputDisturbance, ("torque at *", "force at *")),
         "nonlinearity": EvenOdd,
         "initial_state": InitialState,
         "free_run": FreeRun,
@@ -173,13 +178,9 @@ class Comparison(Tabular, Evidence):
         return {"output": name, "start": start, "stop": stop, **({"pose": self.pose} if self.pose else {})}
 
     @property
-    def located(self) -> tuple[Addition, ...]:
-        """Additions that explain the error, the best first: each alone, or two together; empty where none does."""
-        return tuple(self.disturbance[key] for key in located(self.disturbance))
-
-    def summary(self) -> str:
-        """The result as a few lines of text."""
-        return _text(self)
+    def located(self) -> tuple[InputDisturbance, ...]:
+        """Disturbances that explain half of the error as well as the best one does; inputs first."""
+        return located(self.disturbance)
 
     def headline(self) -> str:
         """The output that is furthest off, in free run where that is whole, else in windows."""
@@ -209,8 +210,17 @@ class Comparison(Tabular, Evidence):
             *gaps,
             ("windows", f"of {number(self.window, 's')}, each from its best start"),
             ("free run", end),
+            ("windows linear about the motion", self._linear_in_words()),
             *(fact for name in self.outputs for fact in self._more(name)),
             ("worst of all", self._worst_in_words()),
+            *self._missing(),
+            ("noise floor", self._floor_in_words()),
+            *(
+                (f"{name}: even/odd nonlinearity", f"{s.words()} of its power")
+                for name, s in self.nonlinearity.signals.items()
+            ),
+            ("even/odd nonlinearity", self.nonlinearity.reason),
+            *(("left out", text) for text in self.left_out),
             *(("warning", text) for text in self.warnings),
         ]
 
@@ -231,7 +241,91 @@ class Comparison(Tabular, Evidence):
             (f"{name}: free run", free),
             (f"{name}: restarted every {number(self.window, 's', 3)}", _errors(g.unit, *sizes)),
             (f"{name}: where", f"windowed error largest at {'; at '.join(places)}"),
+            (f"{name}: noise", self._noise_in_words(name)),
+            (f"{name}: residual", self._residual_in_words(name)),
         ]
+
+    def _noise_in_words(self, name: str) -> str:
+        """The windowed error in multiples of the noise: of the repeats, else of the sensor's scatter."""
+        g, gap, scatter = self.outputs[name], self.against_noise.get(name), self.sensor_noise.get(name)
+        if gap is None:
+            return (
+                f"{number(scatter, g.unit, 3)}; the windowed error is {g.windowed_rms / scatter:.3g} times that"
+                if scatter
+                else ""
+            )
+        e = gap.excess
+        if gap.windowed_rms_percent is None or e.F is None:
+            return "none: the repeats are equal to the last bit"
+        verdict = "the model leaves something to explain" if (e.p_value or 0.0) < 0.01 else "nothing is left to explain"
+        size = f"{number(gap.std, g.unit, 3)}; the windowed error is {gap.windowed_rms_percent / 100:.3g} times that"
+        return f"{size}; {verdict} (F {e.F:.4g}, p {_p(e.p_value or 0.0)})"
+
+    def _residual_in_words(self, name: str) -> str:
+        """Whether the residual is white, and which inputs are still in it."""
+        r, unit = self.residual[name], self.outputs[name].unit
+        if r.rms <= ROUNDING * self.outputs[name].range:
+            return f"zero to rounding (rms {number(r.rms, unit, 1)})"
+        left = sorted((u for u, test in r.inputs.items() if test.p_value < 0.01), key=lambda u: r.inputs[u].p_value)
+        white = "white" if r.whiteness.p_value >= 0.01 else "not white"
+        share = f"{100 * r.whiteness.predictable_share:.1f} % of its variance is predictable from its past"
+        return f"{white} (p {_p(r.whiteness.p_value)}), {share}; " + (
+            f"{listed(left)} still in it" if left else "independent of the inputs"
+        )
+
+    def _linear_in_words(self) -> str:
+        """Of a nonlinear plant, what the linearisation of the windows is worth."""
+        found = self.linearisation
+        if found is None or not len(found.windows):
+            return ""
+        name = max(found.share, key=lambda key: found.share[key])
+        size = number(found.difference[name], self.outputs[name].unit, 2)
+        return f"within {100 * found.share[name]:.2g} % of the error ({name}, {size}) in {len(found.windows)} windows"
+
+    def _floor_in_words(self) -> str:
+        n = self.noise
+        if n is None:
+            return f"none ({self.noise_reason})"
+        alike = f"{n.count} records with the same input"
+        what = alike if n.period is None else f"{n.count} periods of {n.period:.6g} s ({n.signal or 'stated'})"
+        fed_back = ", ".join(number(v, self.measured.units.get(u, ""), 3) + f" at {u}" for u, v in n.input_std.items())
+        return "; ".join([f"from {what}", *([f"fed back by a controller: {fed_back}"] if fed_back else []), *n.notes])
+
+    def _missing(self) -> Facts:
+        """The disturbances that explain the error, with the means that are sure to differ from zero."""
+        if not self.disturbance:
+            return []
+        if not self.located:
+            best = max(self.disturbance.values(), key=lambda d: d.explained_share)
+            text = f"no disturbance at one place explains half of the error (best {best.place}, "
+            return [("missing", f"{text}{100 * best.explained_share:.0f} %)")]
+        found: Facts = []
+        for d in self.located:
+            means = [f"{mean:+.3g} +- {number(std, d.unit, 2)} {way}" for way, (mean, std) in d.sure_means.items()]
+            told = ", ".join(means) or "no mean that differs from zero"
+            share = f"{100 * d.explained_share:.0f} % of the squared error goes"
+            found.append((f"missing: {d.place}", f"rms {number(d.rms, d.unit, 3)}; {told}; {share}"))
+        return found
+
+    def details(self) -> list[Part]:
+        """Tests of the residuals against the inputs, and errors of the frequency responses."""
+        tests = [
+            (name, u, _p(t.p_value), f"{100 * t.explained_share:.1f} %",
+             f"{np.abs(t.correlation).max():.3f}", f"{t.band:.3f}")
+            for name, r in self.residual.items() for u, t in r.inputs.items()
+        ]  # fmt: skip
+        bands = [
+            (name, u, f"{g.bands[k]:.3g} to {g.bands[k + 1]:.3g}", f"{100 * error:.3g} %", f"{share:.2f}")
+            for name, row in self.linear.items() for u, g in row.items()
+            for k, (error, share) in enumerate(zip(g.relative_error, g.band_coherence(), strict=True))
+            if error is not None and share is not None and share >= LINEAR
+        ]  # fmt: skip
+        return [
+            Part("residual against the inputs",
+                 ("output", "input", "p", "explained", "largest correlation", "99 % band"), tests),
+            Part(f"frequency response of the model, where the coherence is {LINEAR:g} or more",
+                 ("output", "input", "Hz", "off by", "coherence"), bands),
+        ]  # fmt: skip
 
     def _worst_in_words(self) -> str:
         worst = self.worst
@@ -251,19 +345,12 @@ class Comparison(Tabular, Evidence):
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields; without ``series`` the time series and the densities over frequency are left out."""
-        data: dict[str, object] = {
-            "status": self.status,
-            "model": self.model,
-            "record": self.record,
+        data: dict[str, object] = {key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS} | {
             "percent_of": self.percent_of,
-            "outputs": self.outputs,
-            "windows": self.windows,
             "worst_window": self.worst_window,
             "speed": {**self._of_motions(signal="speed_source", unit="speed_unit"), "bins": self.speed},
             "position": {**self._of_motions(signal="position_name", unit="position_unit"), "bins": self.position},
             "frequency": {name: s.to_json() if series else s.band_table() for name, s in self.frequency.items()},
-            "direction": self.direction,
-            "amplitude": self.amplitude,
             "noise": {"floor": self.noise, "reason": self.noise_reason, "outputs": self.against_noise},
             "linear": {
                 "reason": self.linear_reason,
@@ -272,17 +359,7 @@ class Comparison(Tabular, Evidence):
                     for y, row in self.linear.items()
                 },
             },
-            "nonlinearity": self.nonlinearity,
-            "disturbance": self.disturbance,
             "residual_reference": REFERENCE,
-            "residual": self.residual,
-            "initial_state": self.initial_state,
-            "free_run": self.free_run,
-            "linearisation": self.linearisation,
-            "sensor_noise": self.sensor_noise,
-            "left_out": list(self.left_out),
-            "window": self.window,
-            "warnings": list(self.warnings),
         }
         if series:
             data |= {
@@ -301,292 +378,9 @@ class Comparison(Tabular, Evidence):
         return {key: next(iter(by.values())) if alike else by for key, by in told.items()}
 
 
-# --- the text --------------------------------------------------------------------------------------------------------
-
-
-def _text(c: Comparison) -> str:
-    """A dozen lines: sizes of the gap, where it lives, what the residual tests say, warnings."""
-    head = (
-        f"{c.model} against {c.record}: {c.measured.n} samples, {c.measured.duration:.4g} s; "
-        f"windows of {c.window:.4g} s; percent of the record's range"
-    )
-    lines = [head, *_run_lines(c)]
-    for name in c.outputs:
-        lines += ["", *_gap_lines(c, name), *_noise_lines(c, name), *_place_lines(c, name)]
-        lines += [*_response_lines(c, name), *_residual_lines(c, name)]
-    lines += ["", *_repetition_lines(c), *_harmonic_lines(c)]
-    lines += _disturbance_lines(c)
-    lines += ["", *(f"left out: {text}" for text in c.left_out)] if c.left_out else []
-    if c.warnings:
-        lines += ["", *(f"warning: {text}" for text in c.warnings)]
-    return "\n".join(lines)
-
-
 def _errors(unit: str, peak: float, peak_percent: float, rms: float, rms_percent: float, fit: float) -> str:
     peak_text = f"peak {number(peak, unit, 3)} ({peak_percent:.3g} % of the range)"
     return f"{peak_text}, rms {number(rms, unit, 3)} ({rms_percent:.3g} %), fit {fit:.4g} %"
-
-
-def _run_lines(c: Comparison) -> list[str]:
-    """What the free run and the linearisation of the windows are worth."""
-    lines: list[str] = []
-    if not c.free_run.whole:
-        lines.append(
-            f"free run: ends at {c.free_run.end:.4g} s of {c.measured.t[-1]:.4g} s ({c.free_run.reason}); "
-            "what follows is of the windows only"
-        )
-    if c.linearisation is not None and len(c.linearisation.windows):
-        name = max(c.linearisation.share, key=lambda key: c.linearisation.share[key] if c.linearisation else 0.0)
-        lines.append(
-            f"windows: linear about the recorded motion; from the same starts the nonlinear plant differs in "
-            f"{len(c.linearisation.windows)} of {len(next(iter(c.windows.values())).start)} windows by at most "
-            f"{_percent(c.linearisation.share[name])} of the error ({name}, "
-            f"{c.linearisation.difference[name]:.2g} {c.outputs[name].unit})"
-        )
-    return lines
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
-
-
-def _gap_lines(c: Comparison, name: str) -> list[str]:
-    g = c.outputs[name]
-    unit = f" {g.unit}" if g.unit else ""
-    free = (
-        f"  free run   peak {g.peak:.4g}{unit} ({g.peak_percent:.3g} %) at {g.peak_time:.4g} s, "
-        f"rms {g.rms:.4g}{unit} ({g.rms_percent:.3g} %), fit {g.fit:.2f} %"
-    )
-    windowed = (
-        f"  windowed   peak {g.windowed_peak:.4g}{unit} ({g.windowed_peak_percent:.3g} %), "
-        f"rms {g.windowed_rms:.4g}{unit} ({g.windowed_rms_percent:.3g} %), fit {g.windowed_fit:.2f} %"
-    )
-    lines = [f"{name}: range {g.range:.4g}{unit}", *([free] if c.free_run.whole else []), windowed]
-    if noise := c.sensor_noise.get(name):
-        lines.append(
-            f"  sensor     its samples scatter by {noise:.3g}{unit} about a smooth motion; "
-            f"the windowed error is {g.windowed_rms / noise:.3g} times that"
-        )
-    return lines
-
-
-def _place_lines(c: Comparison, name: str) -> list[str]:
-    w = c.windows[name]
-    time = (
-        f"  time       worst window {w.start[w.worst]:.4g} to {w.stop[w.worst]:.4g} s holds "
-        f"{100 * w.windowed_share[w.worst]:.1f} % of the windowed squared error "
-        f"({100 / len(w.start):.1f} % if spread evenly)"
-    )
-    return [time, *_speed_lines(c, name), *_amplitude_lines(c, name), *_frequency_lines(c, name)]
-
-
-def _frequency_lines(c: Comparison, name: str) -> list[str]:
-    s = c.frequency.get(name)
-    if s is None:
-        return []
-    top = int(s.error_share.argmax())
-    text = (
-        f"  frequency  {s.bands[top]:.3g} to {s.bands[top + 1]:.3g} Hz holds {100 * s.error_share[top]:.0f} % of the "
-        f"free run's squared error, where it is {100 * s.relative_error[top]:.3g} % of the recorded signal"
-    )
-    return [text]
-
-
-def _speed_lines(c: Comparison, name: str) -> list[str]:
-    if name not in c.speed:
-        return []
-    b = c.speed[name]
-    rest = len(b) // 2
-    parts = {"backward": b[:rest], "rest": b[rest : rest + 1], "forward": b[rest + 1 :]}
-    shares = ", ".join(f"{word} {100 * sum(x.share for x in part):.0f} %" for word, part in parts.items())
-    worst = max(b, key=lambda x: x.rms)
-    text = (
-        f"  speed      windowed squared error: {shares}; largest rms {worst.rms:.3g} {c.outputs[name].unit} "
-        f"at {worst.low:.3g} to {worst.high:.3g} {c.motions[name].speed_unit}"
-    )
-    return [text]
-
-
-def _amplitude_lines(c: Comparison, name: str) -> list[str]:
-    lines: list[str] = []
-    for u, bins in c.amplitude[name].items():
-        filled = [b for b in bins if b.samples]
-        least, most = min(filled, key=lambda b: b.rms), max(filled, key=lambda b: b.rms)
-        unit, of_input = c.outputs[name].unit, c.measured.unit(u)
-        text = (
-            f"  amplitude  windowed rms {least.rms:.3g} {unit} at |{u}| {least.low:.3g} to {least.high:.3g} {of_input}"
-            f", {most.rms:.3g} {unit} at {most.low:.3g} to {most.high:.3g} {of_input}"
-        )
-        lines.append(text)
-    return lines
-
-
-def _noise_lines(c: Comparison, name: str) -> list[str]:
-    gap = c.against_noise.get(name)
-    if gap is None:
-        return []
-    unit = c.outputs[name].unit
-    if gap.rms_percent is None or gap.windowed_rms_percent is None or gap.excess.F is None:
-        return ["  noise      none: the repeats are equal to the last bit"]
-    e = gap.excess
-    verdict = "the model leaves something to explain" if (e.p_value or 0.0) < 0.01 else "nothing is left to explain"
-    free = f"{_times(gap.rms_percent)} (free run), " if c.free_run.whole else ""
-    text = (
-        f"  noise      {gap.std:.3g} {unit} a sample; the error is {free}"
-        f"{_times(gap.windowed_rms_percent)} (windowed) the noise"
-    )
-    test = (
-        f"             {verdict}: F {e.F:.4g} (p {_p(e.p_value or 0.0)}); "
-        f"of the windowed error {e.repeatable:.3g} {unit} repeat, {e.noise:.3g} {unit} do not"
-    )
-    return [text, test]
-
-
-def _times(percent: float) -> str:
-    return f"{percent / 100:.3g} times"
-
-
-def _response_lines(c: Comparison, name: str) -> list[str]:
-    lines: list[str] = []
-    for u, g in c.linear.get(name, {}).items():
-        head = f"  response   {u} to {name} ({g.method}): "
-        known = [k for k, share in enumerate(g.band_coherence()) if share is not None and share >= LINEAR]
-        errors = [(error, k) for k in known if (error := g.relative_error[k]) is not None]
-        if not errors:
-            lines.append(f"{head}nowhere linear in the input (coherence below {LINEAR:g} in all bands)")
-            continue
-        (least, a), (most, b) = min(errors), max(errors)
-        text = f"{head}model off by {100 * most:.3g} % at {g.bands[b]:.3g} to {g.bands[b + 1]:.3g} Hz"
-        if a != b:
-            text += f", {100 * least:.3g} % at {g.bands[a]:.3g} to {g.bands[a + 1]:.3g} Hz"
-        if len(known) < len(g.bands) - 1:
-            text += (
-                f" (coherence above {LINEAR:g} from {g.bands[known[0]]:.3g} to {g.bands[known[-1] + 1]:.3g} Hz only)"
-            )
-        lines.append(text)
-        size = np.abs(g.response)
-        if g.noise_std is not None and g.nonlinear_std is not None and (size > 0).all():
-            distortion, noise = (100 * np.median(s / size) for s in (g.nonlinear_std, g.noise_std))
-            text = (
-                f"             no linear model explains {distortion:.2g} % of the response (nonlinear distortion; "
-                f"noise {noise:.2g} %; medians over {len(size)} lines)"
-            )
-            lines.append(text)
-    return lines
-
-
-def _repetition_lines(c: Comparison) -> list[str]:
-    n = c.noise
-    if n is None:
-        return [f"noise floor: none ({c.noise_reason})"]
-    what = (
-        f"{n.count} records with the same input"
-        if n.period is None
-        else f"{n.count} periods of {n.period:.6g} s ({n.signal or 'stated'})"
-    )
-    fed_back = ", ".join(f"{name} {s:.3g} {c.measured.units.get(name, '')}".rstrip() for name, s in n.input_std.items())
-    closed = f"; not repeated exactly, so fed back by a controller: {fed_back}" if fed_back else ""
-    return [f"noise floor: from {what}{closed}", *(f"             {note}" for note in n.notes)]
-
-
-def _harmonic_lines(c: Comparison) -> list[str]:
-    t = c.nonlinearity
-    if not t.signals:
-        return [f"even/odd nonlinearity: {t.reason}"]
-    lines = [f"even/odd nonlinearity, from {t.excitation}:"]
-    lines += [f"  {name}: {s.words()} of its power" for name, s in t.signals.items()]
-    return [*lines, *([f"  {t.reason}"] if t.reason else [])]
-
-
-def _disturbance_lines(c: Comparison) -> list[str]:
-    """What an addition would explain, and how large it is where it explains something."""
-    told, every = c.located, list(c.disturbance.values())
-    if not every:
-        return []
-    if not told:
-        best = min(every, key=lambda d: d.worth)
-        where = listed(d.place for d in every if not d.together)
-        text = f"as an addition: nothing at {where} explains half of the error"
-        return ["", f"{text} (best {best.place}, in pieces of {best.seconds:.3g} s: {_shares(best)})"]
-    if told[0].together:
-        places = " and ".join(d.place for d in told)
-        head = f"as additions at {places} together: {_shares(told[0])}, in pieces of {told[0].seconds:.3g} s"
-        return ["", head, *(f"  {d.place}: {_mean_addition(d)}" for d in told)]
-    lines: list[str] = []
-    covered: frozenset[str] = frozenset()
-    for d in told:
-        head = "and at" if d.explains - covered else "or as one at"
-        lines.append(f"{head if lines else 'as an addition at'} {d.place}: {_shares(d)}; {_mean_addition(d)}")
-        covered |= d.explains
-    return ["", *lines, f"  in pieces of {told[0].seconds:.3g} s"]
-
-
-def _shares(d: Addition) -> str:
-    few = len(d.shares) <= MOST_INPUTS_TOLD
-    shown = {name: share for name, share in d.shares.items() if few or name in d.explains}
-    told = [f"{100 * max(share, 0.0):.0f} % of the error of {name}" for name, share in shown.items()]
-    off = [f"{name} off by {value:+.3g} throughout" for name, value in d.offsets.items() if value]
-    return listed([*told, *off], 2 * MOST_INPUTS_TOLD)
-
-
-def _mean_addition(d: Addition) -> str:
-    """The mean additions with their standard errors, where it is sure to differ from zero; what lacks.
-
-    Where no piece moves throughout in one direction, the mean of all.
-    """
-    ways = (d.forward, d.forward_std, "moving forward"), (d.backward, d.backward_std, "backward")
-    sorted_ways = [way for way in ways if np.isfinite(way[1])]
-    parts = [
-        f"{mean:+.3g} +- {std:.2g} {d.unit}".rstrip() + f" {way}"
-        for mean, std, way in sorted_ways or [(*d.mean, "over all pieces")]
-        if abs(mean) > SURE * std
-    ]
-    text = f"mean {', '.join(parts)}" if parts else "no mean that differs from zero"
-    if d.speed is None:
-        return text
-    if not sorted_ways:
-        return f"{text}; too few pieces move throughout in one direction (a shorter window sorts them)"
-    moves = ("forward", d.forward_std, d.speed > 0), ("backward", d.backward_std, d.speed < 0)
-    lacking = [f"too few pieces move {way} throughout" for way, s, there in moves if there.any() and not np.isfinite(s)]
-    return "; ".join([text, *lacking])
-
-
-def _residual_lines(c: Comparison, name: str) -> list[str]:
-    r = c.residual[name]
-    w = r.whiteness
-    if r.rms <= ROUNDING * c.outputs[name].range:
-        return [f"  residual   zero to rounding (rms {r.rms:.1g} {c.outputs[name].unit})"]
-    past = (
-        f"  residual   {_verdict(w.p_value, 'white', 'not white')} (Ljung-Box {w.statistic:.4g}, {w.dof} lags, "
-        f"p {_p(w.p_value)}); {100 * w.predictable_share:.1f} % of its variance is predictable from its past"
-    )
-    if len(r.inputs) > MOST_INPUTS_TOLD:
-        return [past, _many_inputs(r)]
-    lines = [past]
-    for u, test in r.inputs.items():
-        text = (
-            f"  input {u + ' ':<5}{_verdict(test.p_value, 'independent of the residual', 'still in the residual')} "
-            f"(statistic {test.statistic:.4g}, {test.dof} degrees, p {_p(test.p_value)}); "
-            f"explains {100 * test.explained_share:.1f} % of its variance; "
-            f"largest correlation {np.abs(test.correlation).max():.3f} (99 % band {test.band:.3f})"
-        )
-        lines.append(text)
-    return lines
-
-
-def _many_inputs(r: ResidualTests) -> str:
-    found = {u: test for u, test in r.inputs.items() if test.p_value < 0.01}
-    if not found:
-        return f"  inputs     the residual is independent of all {len(r.inputs)}"
-    most = max(found, key=lambda u: found[u].explained_share)
-    return (
-        f"  inputs     {len(found)} of {len(r.inputs)} still in the residual; {most} explains most of its variance, "
-        f"{100 * found[most].explained_share:.1f} %"
-    )
-
-
-def _verdict(p_value: float, accepted: str, rejected: str) -> str:
-    return accepted if p_value >= 0.01 else rejected
 
 
 def _p(p_value: float) -> str:

@@ -1,7 +1,7 @@
 """Where an error lives: in time, in speed and position, in frequency; and the gap of a model in multiples of the noise.
 
 Where a record repeats, the gap is set against its noise floor: 1 is a model as good as the noise allows. What would
-have to be added, and where, is in `robustlab.identification.comparison.additions`.
+have to be added, and where, is in `robustlab.identification.comparison.input_disturbance`.
 """
 
 from __future__ import annotations
@@ -167,9 +167,8 @@ def amplitude_edges(value: Array, count: int = 6) -> Array:
 
 
 def directions(speed: Array, error: Array) -> dict[str, DirectionError]:
-    """Sort an error (n,) by the direction of the speed (n,): ``"backward"``, ``"rest"``, ``"forward"``.
-
-    Rest is below 2 % of the largest speed.
+    """Sort an error (n,) by the direction of the speed (n,): ``"backward"``, ``"rest"`` (below 2 % of the largest
+    speed), ``"forward"``.
     """
     limit = REST * float(np.abs(speed).max())
     total = float((error**2).sum()) or 1.0

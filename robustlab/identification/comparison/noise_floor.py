@@ -1,24 +1,12 @@
 r"""Noise floor without a model, where a record repeats.
 
-A system that is driven twice by the same signal gives the same response twice, but for noise. So from P repeats of the
-N samples of a period (or of a whole record) follows, for an output y,
+From P repeats of N samples the variance of the noise of a sample, and an F test of what repeats in a residual r:
 
-.. math:: \hat\sigma^2 = \frac{1}{(P - 1) N} \sum_{p,k} (y_{p,k} - \bar y_k)^2
+.. math:: \hat\sigma^2 = \frac{1}{(P - 1) N} \sum_{p,k} (y_{p,k} - \bar y_k)^2, \qquad
+          F = \frac{\frac{1}{N} \sum_k \bar r_k^2}{\hat\sigma_r^2 / P}
 
-the variance of the noise of a single sample; the half difference of two repeats has the variance
-:math:`\sigma^2 / 2`. What repeats in a model's residual r is no noise: with nothing left to explain,
-
-.. math:: F = \frac{\frac{1}{N} \sum_k \bar r_k^2}{\hat\sigma_r^2 / P}
-
-is near 1, with :math:`\sigma_r` from the spread of the residual itself between the repeats. In open loop this is the
-noise of the output; in closed loop the noise also enters through the recorded input, and a floor of the output alone
-would be too low.
-
-The noise of a machine is coloured and changes along the period, so the N samples are not N independent ones. The test
-counts their effective number by Satterthwaite's rule from the spectrum and the local variance of the deviations.
-
-In closed loop the input does not repeat exactly, as the controller feeds the noise back: there the *reference* tells
-the period, or it is stated.
+The effective number of samples is by Satterthwaite's rule, since noise is coloured and changes along the period. In
+closed loop the *reference* gives the period, or it is stated.
 """
 
 from __future__ import annotations
@@ -111,13 +99,6 @@ class NoiseFloor(Evidence):
 
         The residual must be made alike in every repeat: windows of a windowed simulation must fall on the same phases
         of every period. Phases with NaN in any repeat are left out.
-
-        Raises
-        ------
-        InputError
-            Another shape.
-        NoTrustworthyNumber
-            Fewer than 8 phases without NaN.
         """
         from scipy.stats import f as fisher
 
@@ -145,34 +126,6 @@ def noise_floor(
 ) -> NoiseFloor:
     """Noise of the outputs of a record, from its own periods or from further records with the same input.
 
-    Parameters
-    ----------
-    record
-        The measurement, on a uniform clock. Every input that is not constant must repeat: exactly or within the
-        quantisation of its samples, or, beside another signal that does (a controller's reference), to 10 %.
-    period
-        The period in s, where no signal that repeats exactly is recorded; a whole number of samples.
-    repeats
-        Further records with the same input, sample by sample, and the same sample time.
-    outputs
-        The outputs to judge; all if left out. Recorded outputs that are not among them may serve as the reference
-        if they repeat to rounding.
-
-    Returns
-    -------
-    NoiseFloor
-        With ``std`` of a single sample.
-
-    Raises
-    ------
-    InputError
-        A stated period or a stated repeat which the inputs contradict.
-    NoTrustworthyNumber
-        The record does not repeat; the reason is in the message.
-
-    References
-    ----------
-    Pintelon and Schoukens, *System Identification: A Frequency Domain Approach* (2012), section 2.5.
 
     Examples
     --------
@@ -218,10 +171,6 @@ def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
     ``samples``: at least two periods of the signal. ``tolerance``: largest difference between repeats of one phase;
     left out: one step of the signal's quantisation where it has more than 200 levels, else rounding.
 
-    Returns
-    -------
-    int or None
-        At least 8; None too for a constant.
 
     Examples
     --------

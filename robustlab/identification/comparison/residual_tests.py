@@ -1,24 +1,10 @@
-r"""Is a residual white, and independent of the input? Is an output even or odd in its excitation?
+"""Is a residual white, and independent of the input? Is an output even or odd in its excitation?
 
-The first two tests have the same reference (null hypothesis): the output-error model :math:`y = G(u) + e` with the
-given G and white noise e that is independent of u. A long record makes every deviation significant, however small; so
-each test also gives the *size* of the effect: the share of the residual's variance that its own past, or the input,
-explains linearly.
-
-The third asks the harmonics of a periodic excitation. A linear system answers a periodic input at its own lines only. A
-nonlinearity puts energy at other lines: an even one (x², |x|) at sums of an even number of excited harmonics, an odd
-one (x³, sgn x) at sums of an odd number. If only odd harmonics are excited, the even lines of the output hold even
-nonlinearity and nothing else; if some odd harmonics are left out as well, those lines hold odd nonlinearity. So the
-test needs no model.
-
-It needs a periodic excitation that leaves harmonics out. In closed loop the harmonics of the *reference* count, and
-the recorded input, which the controller corrects, is judged beside the outputs. Line 0 (the mean) is left out: an
-offset is no proof of x². What an odd nonlinearity does at the excited lines cannot be told from the linear response:
-the odd share is a lower bound.
-
-References
-----------
-Pintelon and Schoukens, *System Identification: A Frequency Domain Approach* (2012), section 4.3.
+The first two test :math:`y = G(u) + e` with white e independent of u, and give the share of the variance that the
+residual's past or the input explains. The third needs a periodic excitation that leaves harmonics out: an even
+nonlinearity puts energy at sums of an even number of excited harmonics, an odd one at sums of an odd number. In closed
+loop the harmonics of the reference count; line 0 is left out; the odd share is a lower bound (Pintelon and Schoukens,
+*System Identification: A Frequency Domain Approach*, 2012, section 4.3).
 """
 
 from __future__ import annotations
@@ -69,10 +55,6 @@ class InputCorrelation(Evidence):
 
     with :math:`\tilde u` the input without its mean, and R² of the regression of e on :math:`\tilde u_t, ..., \tilde
     u_{t-m}` at the :math:`N_m` samples that have all of these.
-
-    References
-    ----------
-    Ljung, *System Identification* (1999), section 16.6.
     """
 
     # lags, correlation: lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,).

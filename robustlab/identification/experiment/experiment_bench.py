@@ -21,6 +21,11 @@ from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.record import Record
 
+SHORTER_BEATS = (1.0, 0.5, 0.25, 0.125)  # tried where the plant would run out of its travel
+REFITTED_ENTRIES = 5  # of the menu, properly: more find better experiments, each costs fits of all pairs
+REFIT_ITERATIONS = 12  # valleys of two parameters that nearly do the same are long
+ASSUMED_NOISE = 1e-3  # of the range, of a sensor that was not recorded so far
+SENSOR_WORTH = 0.25  # share of d that a new sensor must bring
 SHORTEST_PERIOD = 4.0  # samples of the fastest sine
 HEATING = 7  # lengths of an ordinary experiment that the winding is warmed for
 
@@ -158,7 +163,7 @@ def trials_of(problem: Problem, fits: Sequence[Fit], limits: Limits) -> list[Tri
     """All signals that the plant can take, with shorter beats where the travel asks for them."""
     dt = problem.records[0].record.dt
     warm = any(c.effect.long_memory for f in fits for c in f.hypothesis.candidates)
-    several, shorter = len(problem.plant.inputs) > 1, tuning.SHORTER_BEATS
+    several, shorter = len(problem.plant.inputs) > 1, SHORTER_BEATS
     found: list[Trial] = []
     for k, signal in enumerate(problem.plant.inputs):
         lowest, highest = limits.ranges[signal.name]
@@ -202,7 +207,7 @@ def _tried_out(problem: Problem, fits: Sequence[Fit], entry: Excitation, u: Arra
 def noise_of(problem: Problem, present: NoiseModel, trials: Sequence[Trial]) -> tuple[NoiseModel, dict[str, float]]:
     """Noise of all outputs of the plant, averaged: as found where recorded, else assumed, and what it is per sample."""
     spans = np.max([np.ptp(t.outputs, axis=0) for t in trials], axis=0)
-    std = tuning.ASSUMED_NOISE * np.where(spans > 0.0, spans, 1.0)
+    std = ASSUMED_NOISE * np.where(spans > 0.0, spans, 1.0)
     assumed = {s.name: float(v) for s, v in zip(problem.plant.outputs, std, strict=True)}
     std /= np.sqrt(problem.records[0].thin)
     ar = np.zeros((len(present.ar), len(std)))
@@ -295,7 +300,7 @@ class Bench:
             return 0, len(entry.added), entry.count, -entry.separation
         if entry.named >= SAFE:
             return 1, len(entry.added), 0, -entry.separation
-        return 2, 0, 0, -entry.separation / (1.0 + tuning.SENSOR_WORTH * len(entry.added))
+        return 2, 0, 0, -entry.separation / (1.0 + SENSOR_WORTH * len(entry.added))
 
     def screened(self, trial: Trial, limits: Limits) -> list[Entry]:
         """The experiment with the present sensors and with each new one, whole and half as long, linearised."""
@@ -352,7 +357,7 @@ class Bench:
             smallest = min(p.separation for p in pairs)
             named = min((p.separation for p in pairs if p.truth == self.labels[0]), default=smallest)
             done.append((replace(entry, named=named, separation=smallest, refitted=True), pairs))
-            if done[-1][0].separation >= SAFE or len(done) >= tuning.REFITTED_ENTRIES:
+            if done[-1][0].separation >= SAFE or len(done) >= REFITTED_ENTRIES:
                 break
         chosen, pairs = min(done, key=lambda d: self.preference(d[0]))
         return chosen, pairs, [e for e, _ in done]
@@ -382,7 +387,7 @@ class Bench:
 
 def _proper_distance(there: Problem, rival: Fit, z: Array) -> float:
     """Distance of the rival, refitted from z to predicted outputs."""
-    cost = there.fit(rival.hypothesis, rival.noise, z, rival.starts, FitPlan(tuning.REFIT_ITERATIONS)).cost
+    cost = there.fit(rival.hypothesis, rival.noise, z, rival.starts, FitPlan(REFIT_ITERATIONS)).cost
     return float(np.sqrt(max(0.0, cost - float(rival.z @ rival.z))))
 
 

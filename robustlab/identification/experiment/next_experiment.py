@@ -1,22 +1,10 @@
 r"""What to measure next, so that hypotheses which the present records leave open can be told apart (T-optimality).
 
-For every test signal s of a menu, every set of sensors, and every pair of open hypotheses, A predicts the outputs from
-rest without noise and B is refitted to that prediction, with its nominal parameters under their tolerances. The refit
-distance d is in standard deviations of the noise; the signal proposed is
+For every test signal s, every set of sensors and every pair of open hypotheses, A predicts the outputs from rest and B
+is refitted to them, :math:`d^2 = \min_{z, \xi} V_B(z, \xi; \hat y_A) - \|z_B\|^2`; proposed is :math:`\arg\max_s
+\min_{A \ne B} d_s(A, B)`, and of several that are safe the one with fewest sensors to add, then the shortest. Where B
+contains A only the richer one is taken for the truth. The prior that B pays for the present records is not counted.
 
-.. math:: \arg\max_s \min_{A \ne B} d_s(A, B),
-
-and where several reach what is safe, the one with the fewest sensors to add, and of these the shortest. A pair in which
-B contains A (Stribeck friction contains Coulomb friction) is judged with the richer one as the truth only.
-
-.. math:: d^2 = \min_{z, \xi} V_B\bigl(z, \xi;\, \hat y_A\bigr) - \|z_B\|^2
-
-The prior that B pays already for the present records, with its parameters z_B there, is not counted: d is what the
-experiment adds. The menu is looked through with a linearised refit, one Gauss-Newton step of B, at all sensors and
-lengths at once; what this finds best is then refitted properly.
-
-References
-----------
 Atkinson, Fedorov, "The design of experiments for discriminating between two rival models", Biometrika 62 (1975) 57-70.
 """
 
@@ -45,7 +33,14 @@ from robustlab.identification.experiment.experiment_bench import (
 )
 from robustlab.identification.hypotheses.effect_fit import Fit, Problem
 from robustlab.result import Evidence
+from robustlab.shown import Facts
 
+MOST_OPPONENTS = 3  # rivals that it is to tell from the named effect
+LONGEST_EXPERIMENT = 5000  # samples
+TIME_CONSTANTS_SEEN = 20.0  # slowest time constants of the plant in an experiment, at least
+TIME_CONSTANTS_A_BEAT = 8.0  # the same in a beat of the signals
+MOST_BEATS = 16  # in an experiment
+FEWEST_BEATS = 4
 CANNOT_TELL = 3.0  # noise sigmas
 
 
@@ -90,20 +85,14 @@ class NextExperiment(Evidence):
         """True where the choice will be safe (d of 10 or more)."""
         return self.separation >= SAFE
 
-    def summary(self) -> str:
+    def facts(self) -> Facts:
         """Description, predicted separation, and what else would help."""
-        told = f"predicted separation of {', '.join(self.hypotheses)}: {self.separation:.3g} noise sigmas"
-        lines = [self.description, f"{told} (present records: {self.now:.3g}; 3 tell, {SAFE:.0f} are safe)"]
-        return "\n".join([*lines, self.advice] if self.advice else lines)
+        told = f"{self.separation:.3g} noise sigmas of {', '.join(self.hypotheses)}"
+        now = f"present records: {self.now:.3g}; 3 tell, {SAFE:.0f} are safe"
+        return [("signal", self.description), ("predicted separation", f"{told} ({now})"), ("or", self.advice)]
 
     def save(self, path: str | Path) -> Path:
-        """Write the signal as a text table: a head of names, then the clock in s and each input, sample by sample.
-
-        Raises
-        ------
-        EnvironmentFault
-            The file cannot be written.
-        """
+        """Write the signal as a text table: a head of names, then the clock in s and each input, sample by sample."""
         from robustlab.files.atomic import atomic_write
 
         table = np.column_stack([self.t, *self.inputs.values()])
@@ -122,40 +111,15 @@ def propose_experiment(
     longest: float | None = None,
     may_add: Sequence[str] | None = None,
 ) -> NextExperiment | None:
-    """The experiment of the menu that separates the named hypothesis and its rivals best.
+    """The experiment of the menu that separates the named hypothesis and its rivals best; None where none can.
 
-    Parameters
-    ----------
-    problem
-        The records and the plant that the fits belong to.
-    named, rivals
-        Fits on these records. Of the rivals the three with the largest evidence are looked at.
-    input_range
-        Input -> (lowest, highest) allowed. By default up to the largest absolute value recorded, both ways; for a plant
-        without a speed that has a joint (tanks), within the recorded values.
-    travel
-        State -> largest range it may run through. By default a position in m keeps to its range in the records; angles
-        are not limited.
-    longest
-        Longest experiment in s. By default as long as the longest record (or 20 of the plant's slowest time constants),
-        up to 5000 samples.
-    may_add
-        Outputs of the plant that could be measured in addition; by default all.
-
-    Returns
-    -------
-    NextExperiment or None
-        None without rivals, and where the plant allows none of the signals.
-
-    Raises
-    ------
-    InputError
-        An unknown name, a range that is empty, a duration of fewer than four windows.
+    By default inputs stay within the recorded sizes, positions in m within their recorded range, and the experiment is
+    as long as the longest record.
     """
     rivals = [r for r in rivals if r.hypothesis.key != named.hypothesis.key]
     if not rivals:
         return None
-    open_ones = [named, *sorted(rivals, key=lambda f: -f.evidence)[: tuning.MOST_OPPONENTS]]
+    open_ones = [named, *sorted(rivals, key=lambda f: -f.evidence)[:MOST_OPPONENTS]]
     labels = labels_of(open_ones)
     limits = _limits(problem, input_range, travel, longest, may_add)
     trials = trials_of(problem, open_ones, limits)
@@ -200,8 +164,8 @@ def _limits(
     slowest = _slowest(problem)
     fewest = tuning.FEWEST_WINDOWS * length
     if longest is None:
-        wanted = max(round(tuning.TIME_CONSTANTS_SEEN * slowest / dt), *(r.record.n for r in records))
-        samples = max(min(wanted, tuning.LONGEST_EXPERIMENT), fewest)
+        wanted = max(round(TIME_CONSTANTS_SEEN * slowest / dt), *(r.record.n for r in records))
+        samples = max(min(wanted, LONGEST_EXPERIMENT), fewest)
     else:
         if not fewest * dt <= longest < np.inf:
             raise InputError(
@@ -209,8 +173,8 @@ def _limits(
             )
         samples = round(longest / dt)
     duration = samples * dt
-    shortest, longest_beat = duration / tuning.MOST_BEATS, duration / tuning.FEWEST_BEATS
-    beat = min(max(tuning.TIME_CONSTANTS_A_BEAT * slowest, shortest), longest_beat)
+    shortest, longest_beat = duration / MOST_BEATS, duration / FEWEST_BEATS
+    beat = min(max(TIME_CONSTANTS_A_BEAT * slowest, shortest), longest_beat)
     return Limits(_ranges(problem, input_range), _travel(problem, travel), samples, beat, tuple(new))
 
 

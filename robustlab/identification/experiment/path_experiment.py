@@ -1,17 +1,13 @@
 r"""What to do next with a platform under control: the path of its pose on which the open hypotheses are furthest apart.
 
-Such a machine falls when its inputs are held, so that an experiment is a reference for its controller. For every path
-of a menu (`robustlab.identification.experiment.path_menu`) and for each open hypothesis A the machine is simulated with
-A under a stated controller of each nut, about the path's first pose,
+For every path of a menu and each open hypothesis A the machine is simulated with A under a stated controller of each
+nut, about the path's first pose,
 
 .. math:: u_j = u_{j0} + k_j\,(r_j - q_j) + d_j\,(\dot r_j - \dot q_j)_f + c_j\, \dot r_{jf}, \qquad
           k_j = \omega^2 / b_j, \quad d_j = 2 \zeta \omega / b_j, \quad c_j = a_j / b_j
 
-with b the acceleration of a nut per unit of its input and a that per unit of its own speed, taken away (back-EMF); f: a
-filtered difference. The user's own controller is not known, and records tell no references; this one moves the machine
-nearly as asked, and that is all that the experiment needs of it. What A makes at an input or a sensor is put on the
-records of that motion, then noise as in the present ones. The record is smoothed as a measured one; A predicts its
-outputs in windows, B is refitted to them, and d is that of `propose_experiment`.
+with b and a the accelerations of a nut per unit of its input and of its own speed; f: a filtered difference. A predicts
+the outputs of the record in windows, B is refitted to them, and d is that of `propose_experiment`.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
-r"""Joints at which a record could not show a backlash, since its load never leaves the drive; and a motion that would.
+"""Joints at which a record could not show a backlash, since its load never leaves the drive; and a motion that would.
 
-A gap behind a joint opens where the force that keeps the load at the drive changes its sign
-(`robustlab.dynamics.ports.carried_load.carried_force`): where the drive is slowed down, or driven ahead, by more than
-what weight and the other joints give the load. On a leg that bears a weight that takes an acceleration a* of its own
-(10 m/s2 along a vertical one). A record that never reaches it is the same with any gap, but for a constant on the
-sensor: no naming can tell it.
-
-The motion proposed is the smallest of its kind that can be counted on: about the visited pose at which a* is smallest
-the joint alone swings with an acceleration of `TIMES` a*, at a share of the largest speed that the records have.
+A gap opens where the force that keeps the load at the drive changes its sign
+(`robustlab.dynamics.ports.carried_load.carried_force`), beyond an acceleration a* of the joint. The motion
+proposed: about the visited pose of smallest a* the joint alone swings with `TIMES` a*, at a share of the
+records' largest speed.
 """
 
 from __future__ import annotations

@@ -19,11 +19,12 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.carried_load import shares_behind
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
 from robustlab.errors import InputError, did_you_mean
-from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate
-from robustlab.identification.hypotheses.nuisance import UNIFORM, Nuisance
+from robustlab.identification.hypotheses.effect_fit import UNIFORM, Candidate, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 
+SPATIAL_LINES = 3  # tried of a force over the position: more find weaker ripples, each costs fits
+FINEST_LINES = 1500  # per range of the position: finer ripples are not looked for
+LINE_P = 0.01  # probability by which a line of a force over time may be noise
 LINE_NEIGHBOURS = 40  # frequencies on either side of a line over time that say how high the noise is there
 # Independent ones among them that a mean would need to say it as well as their median does: a Hann taper joins one and
 # a half frequencies, and a median of exponential powers has 0.48 times the efficiency of their mean.
@@ -163,7 +164,7 @@ def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]]) -> tuple
         for k in pair:
             if all(abs(k - other) > 0.02 * other for other in merged):
                 merged.append(k)
-    return tuple(merged[: 2 * tuning.SPATIAL_LINES])
+    return tuple(merged[: 2 * SPATIAL_LINES])
 
 
 def periods_seen(k: float, position: Array, records: Sequence[PreparedRecord]) -> float:
@@ -189,16 +190,16 @@ def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, stroke: float = m
     trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
     rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
     # Force summed in fine bins of the position, and its spectrum with zeros around: the periodogram, by one transform.
-    bins = int(min(4 * tuning.FINEST_LINES, max(64, len(q) // 2)))
+    bins = int(min(4 * FINEST_LINES, max(64, len(q) // 2)))
     place = np.minimum(((q - q.min()) / span * bins).astype(int), bins - 1)
     padded = 8 * bins
     k = 2.0 * np.pi / span * bins / padded * np.arange(padded // 2 + 1)
     lowest = FEWEST_PERIODS * 2.0 * np.pi / min(span, stroke)
-    keep = (k >= lowest) & (k <= 2.0 * np.pi / span * min(tuning.FINEST_LINES, bins / 4))
+    keep = (k >= lowest) & (k <= 2.0 * np.pi / span * min(FINEST_LINES, bins / 4))
     k = k[keep]
     found: list[float] = []
     # A line brings side lobes that stand above weaker lines; each is taken out before the next is looked for.
-    for _ in range(tuning.SPATIAL_LINES):
+    for _ in range(SPATIAL_LINES):
         power = np.abs(np.fft.rfft(np.bincount(place, weights=rest, minlength=bins), padded))[keep]
         peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
         if not len(peaks):
@@ -222,7 +223,7 @@ def timed_lines(d: Array, v: Array, dt: float, lowest: float) -> tuple[float, ..
     A periodogram, after the part of d that depends on the direction and linearly on the speed is taken out. Of noise
     whose spectrum is smooth the power over its mean is exponential; over the mean m of K neighbours,
     :math:`P(p > x m) = (1 + x/K)^{-K}`. A line counts where that, times the number of frequencies looked at, is below
-    ``tuning.LINE_P``.
+    ``LINE_P``.
     """
     trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
     rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
@@ -231,7 +232,7 @@ def timed_lines(d: Array, v: Array, dt: float, lowest: float) -> tuple[float, ..
     taper = np.hanning(n)
     looked = (f >= lowest) & (f <= 0.4 / dt)  # above, two and a half samples a period, the smoother ends
     found: list[tuple[float, float]] = []
-    for _ in range(tuning.SPATIAL_LINES):
+    for _ in range(SPATIAL_LINES):
         keep = np.flatnonzero(looked)
         if len(keep) < 2 * LINE_NEIGHBOURS:
             break
@@ -239,7 +240,7 @@ def timed_lines(d: Array, v: Array, dt: float, lowest: float) -> tuple[float, ..
         around = median_filter(power, 2 * LINE_NEIGHBOURS + 1, mode="reflect") / math.log(2.0)  # the mean by the median
         height = power[keep] / np.maximum(around[keep], 1e-300)
         best = int(keep[np.argmax(height)])
-        if len(keep) * (1.0 + height.max() / LINE_FREEDOM) ** -LINE_FREEDOM > tuning.LINE_P:
+        if len(keep) * (1.0 + height.max() / LINE_FREEDOM) ** -LINE_FREEDOM > LINE_P:
             break
         line = _between(power, best) / (n * dt)
         wave = np.column_stack([np.cos(2.0 * np.pi * line * t), np.sin(2.0 * np.pi * line * t)])

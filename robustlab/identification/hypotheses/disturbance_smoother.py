@@ -1,26 +1,14 @@
 r"""States and the unknown force along a record, from a Kalman smoother.
 
-What a model lacks acts as a generalised force d at its ports. It is taken as a random walk,
+What a model lacks acts as a force d at its ports, a random walk,
 
 .. math::
     \dot x = A x + B u + P d, \qquad \dot d_j = \sqrt{q_j}\, w_j, \qquad y_k = C x(t_k) + D u_k + e_k,
-    \qquad e_{k,i} \sim N(0, \sigma_i^2),
+    \qquad q_j = (2 \pi f_j)^2 \Big/ \sum_i |G_{ij}(2 \pi \mathrm i f_j)|^2 / (\sigma_i^2 h)
 
-with w white noise of unit density. Nothing is known of d beforehand and the smoother looks both ways, so d neither
-lags nor has to be explained. The intensity :math:`q_j` is told by a bandwidth :math:`f_j`: the frequency at which a
-random walk of that intensity, seen through the plant, is as strong as the noise of the samples,
-
-.. math:: q_j = (2 \pi f_j)^2 \Big/ \sum_i |G_{ij}(2 \pi \mathrm i f_j)|^2 / (\sigma_i^2 h).
-
-Below it the record tells d, above it does not. Bandwidths and noise maximise the likelihood of the innovations (a
-common factor of all variances in closed form).
-
-Units of the states are those of the model; the unit of d_j is that of ``ports[:, j] * d_j`` over the state's rate.
-
-References
-----------
-Kailath, Sayed, Hassibi, *Linear Estimation* (2000); Harvey, *Forecasting, Structural Time Series Models and the Kalman
-Filter* (1989), section 3.4.
+with w white of unit density and the bandwidth f, below which the record shows d. Bandwidths and noise maximise the
+likelihood of the innovations, a common factor of all variances in closed form (Kailath, Sayed, Hassibi, *Linear
+Estimation*, 2000).
 """
 
 from __future__ import annotations
@@ -33,11 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.clocks import UNIFORM_TOLERANCE
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Evidence
-from robustlab.statespace import StateSpaceModel, real_array
+from robustlab.statespace import StateSpaceModel
 
 if TYPE_CHECKING:
     from robustlab.identification.hypotheses.smoother_kernels import Filter
@@ -85,42 +72,39 @@ def smooth_disturbance(
     noise_std: ArrayLike | None = None,
     bandwidth: ArrayLike | None = None,
 ) -> SmoothedRecord:
-    r"""Smoothed states and forces of a record.
+    """Smoothed states and forces of a record with inputs u held between samples; NaN in y is a missing sample.
 
-    Parameters
-    ----------
-    model
-        Continuous model, without the missing effect.
-    ports
-        Directions P in which the forces act on the rates of the states, (n_x, m): a torque on an inertia J enters the
-        rate of its speed as 1/J.
-    t
-        Uniform clock in s, (n,).
-    u
-        Inputs, held between samples, (n, n_u).
-    y
-        Measured outputs, (n, n_y); NaN is a missing sample.
-    noise_std
-        Standard deviation of each output's noise, (n_y,); estimated where left out. Never taken below
-        1/sqrt(12) of the smallest step between values of the output (its resolution).
-    bandwidth
-        Bandwidth of each force in Hz, (m,) or one for all; estimated where left out.
-
-    Raises
-    ------
-    InputError
-        A discrete model, shapes that do not fit, NaN in t or u, a clock that is not uniform, an output without
-        samples, fewer samples than 3 (n_x + m), a port to which no output responds.
-    NoTrustworthyNumber
-        The response outgrows double precision.
+    ``ports`` (n_x, m): rate of the states per unit of each force. ``noise_std``, ``bandwidth`` (Hz): estimated where
+    left out; the noise is at least 1/sqrt(12) of an output's resolution.
     """
     task = _prepared(model, ports, t, u, y, noise_std)
     given = None
     if bandwidth is not None:
-        given = np.log(_positive("bandwidth", np.broadcast_to(np.asarray(bandwidth, dtype=float), (task.m,))))
+        given = np.log(np.broadcast_to(np.asarray(bandwidth, dtype=float), (task.m,)))
     with np.errstate(over="ignore", invalid="ignore"):
         choice = _searched(task, given)
         return _smoothed(task, choice)
+
+
+def output_shares(
+    model: StateSpaceModel, ports: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord
+) -> tuple[Array, Array]:
+    """Share of each output in the smoothed states, (n_measured, n, n_x): twice what half of the output takes away.
+
+    And what one unit more of it at all samples adds. Noise and bandwidth are held, so that the smoother is linear. (A
+    larger output would raise the least noise that it takes for a quantised one.)
+    """
+
+    def changed(j: int, output: Array) -> Array:
+        other = y.copy()
+        other[:, j] = output
+        there = smooth_disturbance(model, ports, t, u, other, smoothed.noise_std, smoothed.bandwidth)
+        return there.x - smoothed.x
+
+    shares = [-2.0 * changed(j, 0.5 * y[:, j]) for j in range(y.shape[1])]
+    sizes = [float(np.nanmax(np.abs(column))) or 1.0 for column in y.T]
+    constants = [changed(j, y[:, j] + size) / size for j, size in enumerate(sizes)]
+    return np.stack(shares), np.stack(constants)
 
 
 @dataclass(frozen=True)
@@ -162,51 +146,27 @@ class _Choice:
 # --- the problem in discrete time ------------------------------------------------------------------------------------
 
 
-def _positive(name: str, value: Array) -> Array:
-    array = real_array(name, value, 1, WHERE)
-    if not (array > 0).all():
-        raise InputError(f"{WHERE}: {name}", f"{array.min():g}", "positive numbers")
-    return array
-
-
 def _prepared(
     model: StateSpaceModel, ports: ArrayLike, t: ArrayLike, u: ArrayLike, y: ArrayLike, noise_std: ArrayLike | None
 ) -> _Task:
-    if model.is_discrete:
-        raise InputError(WHERE, f"a model with dt = {model.dt:g} s", "a continuous model")
-    p = real_array("ports", ports, 2, WHERE)
-    t, u = real_array("t", t, 1, WHERE), real_array("u", u, 2, WHERE)
+    p, t, u = (np.asarray(x, dtype=np.float64) for x in (ports, t, u))
     y = np.array(y, dtype=np.float64)
     n, n_z = len(t), model.n_states + p.shape[1]
-    for name, found, shape in (
-        ("ports", p.shape, (model.n_states, max(1, p.shape[1]))),
-        ("u", u.shape, (n, model.n_inputs)),
-        ("y", y.shape, (n, model.n_outputs)),
-    ):
-        if found != shape:
-            raise InputError(f"{WHERE}: {name}", f"shape {found}", f"{shape}")
-    if np.isinf(y).any():
-        raise InputError(f"{WHERE}: y", f"infinite at sample {int(np.argwhere(np.isinf(y))[0, 0])}", "finite or NaN")
     samples = np.isfinite(y).sum(axis=0)
     if n < 3 * n_z or samples.min(initial=n) < 3 * n_z:
         found = f"{min(n, samples.min(initial=n))} samples"
         raise InputError(WHERE, found, f"at least {3 * n_z} of every output for {n_z} states and forces")
-    step = np.diff(t)
-    if not (step > 0).all() or np.abs(step - step.mean()).max() > UNIFORM_TOLERANCE * step.mean():
-        raise InputError(f"{WHERE}: t", f"steps of {step.min():.6g} to {step.max():.6g} s", "a uniform clock")
     if model.operating_point is not None:
         u, y = u - model.operating_point.u, y - model.operating_point.y
     y = y - u @ model.D.T
-    h = float(step.mean())
+    h = float(t[-1] - t[0]) / (n - 1)
     wide = _with_forces(model, p)
     phi, gamma, _ = transition(wide, h)
     floor = np.maximum([_resolution(column) / math.sqrt(12.0) for column in y.T], SMALLEST_NOISE * _size(y))
     if noise_std is None:
         guess = np.maximum([_rough_noise(column) for column in y.T], floor)
     else:
-        guess = np.maximum(_positive("noise_std", np.asarray(noise_std, dtype=float)), floor)
-        if guess.shape != (model.n_outputs,):
-            raise InputError(f"{WHERE}: noise_std", f"shape {np.shape(noise_std)}", f"({model.n_outputs},)")
+        guess = np.maximum(np.asarray(noise_std, dtype=float), floor)
     return _Task(
         t=t,
         h=h,

@@ -3,27 +3,14 @@ r"""Fit of one hypothesis: the nominal parameters within their tolerances, plus 
 With the standardised parameters z and the start :math:`\xi_w` of each window, both a priori standard normal,
 
 .. math::
-    V(z, \xi) = \sum_w \| r_w(z, \xi_w) \|^2 + \|\xi\|^2 + \|z\|^2, \qquad
-    r_w = \Sigma^{-1} F \,\mathrm{mean}(y_w - \hat y_w)
+    V(z, \xi) = \sum_w \| \Sigma^{-1} F \,\mathrm{mean}(y_w - \hat y_w) \|^2 + \|\xi\|^2 + \|z\|^2, \qquad
+    \log p(y | H) = -\tfrac12 V - \tfrac12 \log\det H_{zz} + \text{const}
 
-with the errors averaged over a few samples, filtered by the autoregression F that makes the errors of the best
-hypothesis white, and scaled by their standard deviation. The starts are eliminated window by window (Schur
-complement), so that a step costs one simulation a parameter and one a state. The evidence is Laplace's:
+with the errors averaged over a few samples and whitened by the autoregression F. The starts are eliminated window by
+window. The refit distance of A and B is :math:`d^2 = \min V_B(z, \xi; \hat y_A) - \|z_A\|^2`: B refitted to what A
+predicts, in noise sigmas; below 3 no test on these records tells B from A.
 
-.. math:: \log p(y | H) = -\tfrac12 V - \tfrac12 \log\det H_{zz} + \text{const}
-
-How far apart two hypotheses A and B are for given records is told by the refit distance
-
-.. math:: d^2 = \min_{z, \xi} V_B\bigl(z, \xi;\, \hat y_A\bigr) - \|z_A\|^2
-
-with :math:`\hat y_A` what A predicts for the records without noise: B is refitted to it under its priors. d is in noise
-sigmas; below 3 no test on these records can tell B from A, beyond 10 the choice is safe.
-
-References
-----------
-Transtrum, Sethna, *Improvements to the Levenberg-Marquardt algorithm* (2012), section 3 (geodesic acceleration);
-Björck, *Numerical Methods for Least Squares Problems* (1996), section 9.3 (separable problems); MacKay, *Information
-Theory, Inference, and Learning Algorithms* (2003), chapter 28 (Occam factors).
+Transtrum, Sethna, *Improvements to the Levenberg-Marquardt algorithm* (2012), section 3 (geodesic acceleration).
 """
 
 from __future__ import annotations
@@ -33,6 +20,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
@@ -41,11 +29,68 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.normal_equations import Linearised, NoiseModel, Prior, damped, sandwich
-from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
+
+FARTHEST = 8.0  # standardised parameters are kept within this of their priors
+RELATIVE = 1e-5  # fall of V, over V, below which a fit stops: smaller, more iterations in flat valleys
+# Of the diagonal. A stretched resistance and inertia leave nearly the same errors: along such a valley J^T J is a
+# millionth of its diagonal, and a damping above that creeps.
+DAMPING = 1e-4
+LEAST_DAMPING = 1e-10
+BEND = 0.1  # of a step, at which its curvature is measured
+MOST_BENT = 0.75  # share of a step that its correction may be: larger follows sharper valleys
+TRIES = 8  # damped steps before a fit gives up
+HOPE = 2.0  # times the expected fall of V that a fit may still fall by: smaller gives up sooner
+LONGEST_STEP = 2.0  # of a standardised parameter in one step
+# Standard deviations of a parameter by which a fit may go on with the matrices of a nonlinear plant: they multiply
+# what deviates from the motion alone, and are made anew where the fit ends.
+NEAR = 0.5
+
 
 Effects = Sequence[tuple[Effect, Site]]
 DIVERGED = 1e100  # an output that is no number any more; only what the record lacks is a missing error
+
+
+UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard deviations
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What every hypothesis refits: nominal parameters that a common factor of their references scales
+    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
+    """
+
+    # label, names: of the group, and its parameters
+    label: str
+    names: tuple[str, ...]
+    # standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s
+    spread: float
+    additive: bool = False  # the nominal value is 0: the factor is the value in its unit
+    never_negative: bool = False  # physics forbids negative values, as of a friction: an additive factor stops at 0
+    input: str = ""  # input whose clock may be shifted against the outputs'; empty for parameters
+
+    def factor(self, z: float) -> float:
+        """Factor of the standardised z: 1 at z = 0, or 0 where additive."""
+        if not self.additive:
+            return float(np.exp(self.spread * z))
+        return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The standardised z at the two ends of the tolerance; a clock has none."""
+        if self.input:
+            return -np.inf, np.inf
+        if self.additive:
+            return -np.inf if self.never_negative else -UNIFORM, UNIFORM
+        tolerance = np.expm1(UNIFORM * self.spread)
+        return float(np.log1p(-tolerance)) / self.spread if tolerance < 1.0 else -np.inf, UNIFORM
+
+    def log_within(self, z: float, std: float) -> float:
+        """Log probability that what is known as z, give or take ``std``, lies within the tolerance."""
+        low, high = self.ends
+        near, far = sorted(((z - high) / std, (low - z) / std), reverse=True)
+        inside = float(log_ndtr(-near))
+        return inside + float(np.log1p(-np.exp(log_ndtr(far) - inside)))
 
 
 @dataclass(frozen=True)
@@ -157,23 +202,7 @@ class _Place(NamedTuple):
 
 
 class Problem:
-    """Records, plant and nuisance parameters of one naming; fits hypotheses on chosen windows.
-
-    Parameters
-    ----------
-    plant
-        Nominal plant.
-    records
-        Prepared records.
-    nuisances
-        Nominal parameters that every hypothesis refits.
-    chosen
-        For each record the indices of the windows to use.
-    clock
-        Steps and input holds that all hypotheses share.
-    work
-        Steps of each simulation that this problem, and those made from it, have run; put down by the problem.
-    """
+    """Records, plant and nuisance parameters of one naming; fits hypotheses on chosen windows."""
 
     def __init__(
         self,
@@ -409,7 +438,7 @@ class Problem:
         def exact(there: _Place) -> _Place:
             return there if self._distance(there) == 0.0 else at(there.z, there.xi, there.z)
 
-        damping, count, rounds = tuning.DAMPING, 0, plan.iterations
+        damping, count, rounds = DAMPING, 0, plan.iterations
         here = at(z, xi, z)
         hessian = own.precision
         parts: list[Linearised] = []
@@ -425,25 +454,25 @@ class Problem:
                 here = exact(here)
                 parts = [p.with_residual(r, x) for p, r, x in zip(parts, here.residual, here.xi, strict=True)]
                 fall = self._expected(own.gradient(here.z), hessian, parts, fixed)
-            hopeless = count > 1 and here.cost - tuning.HOPE * fall > plan.ceiling
+            hopeless = count > 1 and here.cost - HOPE * fall > plan.ceiling
             if rounds <= 0 or fall < tolerance or hopeless:
                 break
             improved = 0.0
-            for _ in range(tuning.TRIES):
+            for _ in range(TRIES):
                 dz, dxi = self._step(here.z, own, parts, damping, fixed)
                 if not fixed and not borrowed:
                     bent = self._bent(here, parts, hypothesis, simulators, noise, (dz, dxi), damping, own)
                     dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
                 there = at(self._within(here.z + dz), [x + d for x, d in zip(here.xi, dxi, strict=True)], here.around)
-                if there.cost < here.cost and not plan.draft and self._distance(there) > tuning.NEAR:
+                if there.cost < here.cost and not plan.draft and self._distance(there) > NEAR:
                     there = exact(there)
                 if there.cost < here.cost:
                     improved, here = here.cost - there.cost, there
-                    damping = max(0.1 * damping, tuning.LEAST_DAMPING)
+                    damping = max(0.1 * damping, LEAST_DAMPING)
                     break
-                damping = max(damping, tuning.DAMPING) * 10.0
+                damping = max(damping, DAMPING) * 10.0
             rounds -= 1
-            if improved < max(tolerance, tuning.RELATIVE * here.cost):
+            if improved < max(tolerance, RELATIVE * here.cost):
                 break
         if not plan.draft:
             here = exact(here)
@@ -473,7 +502,7 @@ class Problem:
             return fall + float(gradient @ np.linalg.pinv(hessian, hermitian=True) @ gradient)
 
     def _within(self, z: Array) -> Array:
-        return np.clip(z, -tuning.FARTHEST, tuning.FARTHEST)
+        return np.clip(z, -FARTHEST, FARTHEST)
 
     def _step(
         self, z: Array, prior: Prior, parts: Sequence[Linearised], damping: float, fixed: bool
@@ -484,7 +513,7 @@ class Problem:
         if not fixed:
             equations = damped(reduced, parts, damping, prior.precision)
             dz = -np.linalg.solve(equations, prior.gradient(z) + sum(r.gradient for r in reduced))
-            dz = self._within(z + np.clip(dz, -tuning.LONGEST_STEP, tuning.LONGEST_STEP)) - z
+            dz = self._within(z + np.clip(dz, -LONGEST_STEP, LONGEST_STEP)) - z
         return dz, [-r.offset - r.slope @ dz for r in reduced]
 
     def _bent(
@@ -493,11 +522,11 @@ class Problem:
     ) -> tuple[Array, Sequence[Array]]:  # fmt: skip
         """Second-order correction of a step (geodesic acceleration): valleys of V are curved, straight steps creep."""
         dz, dxi = step
-        z, ahead = here.z, [x + tuning.BEND * d for x, d in zip(here.xi, dxi, strict=True)]
-        there = z + tuning.BEND * dz
+        z, ahead = here.z, [x + BEND * d for x, d in zip(here.xi, dxi, strict=True)]
+        there = z + BEND * dz
         errors = self.whitened(self.errors(hypothesis, there, ahead, simulators, here.around), noise)
         curved = [
-            p.with_residual(2.0 / tuning.BEND * ((e - r) / tuning.BEND - p.along(dz, d)))
+            p.with_residual(2.0 / BEND * ((e - r) / BEND - p.along(dz, d)))
             for p, r, e, d in zip(parts, here.residual, errors, dxi, strict=True)
         ]
         reduced = [p.reduced(damping) for p in curved]
@@ -507,7 +536,7 @@ class Problem:
         bent_xi = [-0.5 * r.offset - r.slope @ bent_z for r in reduced]
         straight = float(dz @ dz) + sum(float((d**2).sum()) for d in dxi)
         bent = float(bent_z @ bent_z) + sum(float((d**2).sum()) for d in bent_xi)
-        if bent < tuning.MOST_BENT**2 * straight:
+        if bent < MOST_BENT**2 * straight:
             return bent_z, bent_xi
         return np.zeros_like(dz), [np.zeros_like(d) for d in dxi]
 

@@ -1,16 +1,12 @@
 r"""States of a nonlinear plant along a record, joint by joint, and the force that the plant lacks at each.
 
-Where every joint's position is measured, its motion is told by the sensors, not by the plant: with what the plant says
-of its acceleration along the motion as a known input,
+Each joint's position is measured; with the plant's acceleration along the motion as a known input,
 
 .. math:: \dot q = v, \qquad \dot v = f_v(\bar x, u) + k\,(q - \bar q) + c\,(v - \bar v) + a, \qquad
           a \text{ a random walk},
 
-with the means k, c of the plant's own derivatives along the motion is linear and concerns this joint alone; the same in
-first order for any other measured state. Smoothed
-(`robustlab.identification.hypotheses.disturbance_smoother`) it gives a better motion, and with that better known
-inputs. States that no sensor shows follow their own equations along that motion. The lacking force at the joints is
-:math:`F = M a` with M from the plant's pushes.
+with k, c the means of the plant's own derivatives; in first order for any other measured state. States that no sensor
+shows follow their own equations along that motion. The lacking force is :math:`F = M a`, M from the plant's pushes.
 """
 
 from __future__ import annotations
@@ -25,7 +21,7 @@ from robustlab.arrays import Array, Indices
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import Course, exponentials
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
-from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
+from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, output_shares, smooth_disturbance
 from robustlab.statespace import StateSpaceModel
 
 ROUNDS = 2  # of smoothing with known inputs from the motion before
@@ -293,8 +289,8 @@ def _collected(
         covariance[:, np.array(own)[:, None], own] = run.covariance
         noise[outputs], innovations[:, outputs] = run.noise_std, run.innovations
         lacking[:, own[-1]], lacking_std[:, own[-1]] = run.d[:, 0], run.d_std[:, 0]
-        for j in outputs:
-            share, unit = _share(chain, j, t, known[:, own[-1]], y, run)
+        shares = output_shares(chain.model(), chain.push, t, known[:, own[-1:]], y[:, outputs], run)
+        for j, share, unit in zip(outputs, *shares, strict=True):
             told[j][:, own], constant[j][:, own] = share, unit
     if len(hidden):
         std[:, hidden] = STATE_SHARE * np.maximum(np.abs(x[:, hidden]).max(axis=0), 1e-12)
@@ -306,20 +302,6 @@ def _collected(
         innovations=innovations, log_likelihood=float(sum(r.log_likelihood for r in runs)),
     )  # fmt: skip
     return SmoothedMotion(whole, told, constant)
-
-
-def _share(chain: _Chain, j: int, t: Array, known: Array, y: Array, run: SmoothedRecord) -> tuple[Array, Array]:
-    """Share of an output in the smoothed states of its chain, and what a unit more of it at all samples adds."""
-    outputs, at = list(chain.outputs), chain.outputs.index(j)
-    size = float(np.nanmax(np.abs(y[:, j]))) or 1.0
-
-    def changed(column: Array) -> Array:
-        other = y[:, outputs].copy()
-        other[:, at] = column
-        there = smooth_disturbance(chain.model(), chain.push, t, known[:, None], other, run.noise_std, run.bandwidth)
-        return there.x - run.x
-
-    return -2.0 * changed(0.5 * y[:, j]), changed(y[:, j] + size) / size
 
 
 def _forces(plant: NonlinearPlant, x: Array, u: Array, lacking: Array, std: Array) -> tuple[Array, Array]:

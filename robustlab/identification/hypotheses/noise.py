@@ -19,6 +19,8 @@ from robustlab.identification.hypotheses.normal_equations import NoiseModel, Pri
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import AS_LARGE
 
+SETTLING = 15  # iterations of the reported fits
+
 
 def first_noise(problem: Problem) -> NoiseModel:
     """White noise of the size the smoother and the resolution of the sensors tell, averaged."""
@@ -179,7 +181,7 @@ def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = N
     order, from a start by least squares, trusts differences between neighbouring points less, in which what is not
     modelled (a small ripple) shows first.
     """
-    found, settling = fit, tuning.SETTLING
+    found, settling = fit, SETTLING
     if order == 1:
         found = least_squares(problem, fit, noise, FitPlan(settling, 1e-3))
     for _ in range(2):

@@ -1,16 +1,8 @@
 r"""Noise, prior and normal equations of a fit in which every window has a start of its own, which is eliminated.
 
-With the residuals r of a window, their derivatives J over the parameters z and X over the start :math:`\xi` of the
-window, a step minimises
-
-.. math:: \sum_w \| r_w + J_w\,dz + X_w\,d\xi_w \|^2 + \|\xi_w + d\xi_w\|^2 + \| z + dz \|^2 .
-
-:math:`d\xi_w = -(X_w^T X_w + 1)^{-1}(X_w^T r_w + \xi_w + X_w^T J_w\,dz)` leaves equations in dz alone (Schur
-complement).
-
-References
-----------
-Björck, *Numerical Methods for Least Squares Problems* (1996), section 9.3 (separable problems).
+A step minimises :math:`\sum_w \| r_w + J_w\,dz + X_w\,d\xi_w \|^2 + \|\xi_w + d\xi_w\|^2 + \| z + dz \|^2`; with
+:math:`d\xi_w = -(X_w^T X_w + 1)^{-1}(X_w^T r_w + \xi_w + X_w^T J_w\,dz)` equations in dz alone are left (Björck,
+*Numerical Methods for Least Squares Problems*, 1996, section 9.3).
 """
 
 from __future__ import annotations

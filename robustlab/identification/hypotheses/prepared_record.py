@@ -15,12 +15,24 @@ from robustlab.dynamics.ports.motion_model import Course, motion_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.errors import InputError
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
+from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, output_shares, smooth_disturbance
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.response.response import longest_period, slowest_time_constant
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 
+WINDOWS_WANTED = 12  # in the shortest record: more and shorter ones drift less and tell slow effects worse
+LONGEST_WINDOW = 480  # samples; the slowest time constant may ask for up to twice that
+POINTS_PER_WINDOW = 80  # into which errors are averaged: more show faster effects and take more time
+LONGEST_GUESS = 2  # samples in a row without any output over which the input is taken as held
+AVERAGED_SHARE = 0.125  # of the period of the fastest motion seen: errors are averaged over no more
+# Of the current that voltage and speed ask for: how well one is known that no sensor tells; with the inflation
+# below a fit may move it by 0.3 of that at a window's start.
+CURRENT_SHARE = 0.01
+# Times the smoother's own std by which a fit may move a window's start. The smoother has seen the window itself, so
+# its start is told by the fit and not by it.
+START_INFLATION = 30.0
+MOST_GROWTH = 20.0  # of what an unstable nonlinear plant deviates by, over a window
 POINTS = 60  # of a motion that stand for it where a plant's places are asked for
 CONTENT = 0.99  # share of an output's power up to which its frequencies count as seen
 
@@ -67,18 +79,8 @@ class PreparedRecord:
     ) -> Array:
         """States at the window starts, (n_windows, n_x), where sensors show them late, scaled or biased.
 
-        Parameters
-        ----------
-        lag
-            Seconds by which the sensors are late.
-        shown
-            Index of an output of the plant -> what is recorded of it over what is there. The smoother took the records
-            for the truth, and its states are linear in them: of each the share that this output told is divided by
-            the gain.
-        biased
-            The same -> what is recorded where nothing is there.
-        late
-            The same -> seconds by which this output alone is late, with what it told of the states.
+        ``lag``: seconds by which all sensors are late. ``shown``, ``biased``, ``late``: index of an output of the plant
+        -> its gain, what it shows of zero, and the seconds by which it alone is late.
         """
         x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
         for j, share, unit in self._corrections(shown, biased):
@@ -136,17 +138,17 @@ def window_length(plant: AnyPlant, records: Sequence[Record], model: PortModel |
     the slowest resonance, as far as four windows fit.
 
     Of a nonlinear plant (``model`` about its motion) it is that twelfth; but over a window the fastest instability,
-    which a controller held when the record was made, grows no more than ``tuning.MOST_GROWTH`` times.
+    which a controller held when the record was made, grows no more than ``MOST_GROWTH`` times.
     """
     n, dt = min(r.n for r in records), records[0].dt
-    length = min(max(20 * n // (20 * tuning.WINDOWS_WANTED + 1), tuning.SHORTEST_WINDOW), tuning.LONGEST_WINDOW)
+    length = min(max(20 * n // (20 * WINDOWS_WANTED + 1), tuning.SHORTEST_WINDOW), LONGEST_WINDOW)
     if isinstance(plant, LinearPlant):
         linear = plant.state_space()
-        slowest = min(round(slowest_time_constant(linear) / dt), 2 * tuning.LONGEST_WINDOW)
+        slowest = min(round(slowest_time_constant(linear) / dt), 2 * LONGEST_WINDOW)
         return min(max(length, slowest, round(2.0 * longest_period(linear) / dt)), n // tuning.FEWEST_WINDOWS)
     about = ports_of(plant, records[0]) if model is None else model
     growth = float(np.linalg.eigvals(about.A).real.max(initial=0.0))
-    stable = math.log(tuning.MOST_GROWTH) / (growth * dt) if growth > 0.0 else math.inf
+    stable = math.log(MOST_GROWTH) / (growth * dt) if growth > 0.0 else math.inf
     return int(min(length, max(stable, tuning.SHORTEST_WINDOW / 2), n // tuning.FEWEST_WINDOWS))
 
 
@@ -185,7 +187,7 @@ def prepare(
     smoothed, told, constant = _states(plant, record, u, y, columns, own, push)
     measured = np.isfinite(y[:, own])
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
-    stretches = _between_gaps(lost, tuning.LONGEST_GUESS)
+    stretches = _between_gaps(lost, LONGEST_GUESS)
     starts = [s for first, last in stretches for s in range(_lead(first, last, length), last - length + 1, length)]
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
     if len(usable) < tuning.FEWEST_WINDOWS:
@@ -201,7 +203,7 @@ def prepare(
         smoothed = _with_plausible_currents(smoothed, model, seen, u)
     std = start_std(smoothed, windows)
     fastest = _fastest_seen(model, y[:, own], record.dt, smoothed.noise_std[own])
-    thin = max(1, min(length // tuning.POINTS_PER_WINDOW, int(tuning.AVERAGED_SHARE * fastest)))
+    thin = max(1, min(length // POINTS_PER_WINDOW, int(AVERAGED_SHARE * fastest)))
     return PreparedRecord(
         record,
         u,
@@ -245,7 +247,7 @@ def _states(
     if isinstance(plant, LinearPlant):
         bare = plant.state_space().select(None, [plant.outputs[columns[j]].name for j in own])
         smoothed, driven, inputs = _smoothed(bare, push, record.t, u, seen)
-        shares = _told(driven, push, record.t, inputs, seen, smoothed)
+        shares = output_shares(driven, push, record.t, inputs, seen, smoothed)
     else:
         moved = smooth_motion(plant, record.t, u, seen, [columns[j] for j in own])
         smoothed, shares = moved.smoothed, (moved.told, moved.constant)
@@ -292,7 +294,7 @@ def _with_plausible_currents(smoothed: SmoothedRecord, model: PortModel, seen: A
         k = int(np.argmax(np.abs(port.velocity)))
         rate = model.A[k, k]
         steady = x[:, k] - (x @ model.A[k] + u @ model.B[k]) / rate if rate < 0 else np.zeros(len(x))
-        own = tuning.CURRENT_SHARE * (float(np.abs(steady).max()) or float(np.ptp(x[:, k])))
+        own = CURRENT_SHARE * (float(np.abs(steady).max()) or float(np.ptp(x[:, k])))
         x[:, k] = np.where(std[:, k] > own, steady, x[:, k])
         std[:, k] = own
     return replace(smoothed, x=x, x_std=std)
@@ -333,27 +335,6 @@ def _smoothed(
     return max(found, key=lambda f: f[0].log_likelihood)
 
 
-def _told(
-    bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord
-) -> tuple[Array, Array]:
-    """Share of each output in the smoothed states, (n_measured, n, n_x): twice what half of the output takes away.
-
-    And what one unit more of it at all samples adds. Noise and bandwidth are held, so that the smoother is linear. (A
-    larger output would raise the least noise that it takes for a quantised one.)
-    """
-
-    def changed(j: int, output: Array) -> Array:
-        other = y.copy()
-        other[:, j] = output
-        there = smooth_disturbance(bare, push, t, u, other, smoothed.noise_std, smoothed.bandwidth)
-        return there.x - smoothed.x
-
-    shares = [-2.0 * changed(j, 0.5 * y[:, j]) for j in range(y.shape[1])]
-    sizes = [float(np.nanmax(np.abs(column))) or 1.0 for column in y.T]
-    constants = [changed(j, y[:, j] + size) / size for j, size in enumerate(sizes)]
-    return np.stack(shares), np.stack(constants)
-
-
 def _lead(first: int, last: int, length: int) -> int:
     """First sample of the first window of a stretch.
 
@@ -365,7 +346,7 @@ def _lead(first: int, last: int, length: int) -> int:
 
 def start_std(smoothed: SmoothedRecord, windows: Windows) -> Array:
     """How far a fit may move the window starts, (n_windows, n_x): far beyond what the smoother leaves open."""
-    return tuning.START_INFLATION * smoothed.x_std[windows.starts]
+    return START_INFLATION * smoothed.x_std[windows.starts]
 
 
 def _between_gaps(lost: Mask, longest_guess: int) -> list[tuple[int, int]]:

@@ -1,24 +1,15 @@
-r"""What small forces at ports change in the windows of a fit; what is left of their errors under a random force, and
-how probable they are.
+r"""What small forces at ports change in the windows of a fit, and the errors' likelihood under a random force.
 
-The errors of a window near a fit of a hypothesis, in units of the sensors' noise, are
+Near a fit the errors of a window, in units of the sensors' noise, are :math:`e = J \delta + X \eta + O f +
+\text{noise}` with the moves of parameters and start and the forces f, held over short segments. O is simulated pulse by
+pulse; only the products :math:`G = [O\; J\; X\; e]^T [O\; J\; X\; e]` of each window are kept.
 
-.. math:: e = J\,\delta + X\,\eta + O\,f + \text{noise}
-
-with :math:`\delta, \eta` the moves of the standardised parameters and of the window's start, and f the forces at the
-ports, port after port, held over short segments of the window. O is simulated, pulse by pulse, all windows at once;
-where the model is linear, one pulse tells all, later ones answer alike. All that is ever asked of it are its products
-:math:`G = [O\; J\; X\; e]^T [O\; J\; X\; e]`, once per window: any curve of the force, any random force and any noise
-level are then sums over segments, without a further simulation.
-
-No machine runs without a random force d. With its size s and bandwidth f the errors of a window have the covariance
+No machine runs without a random force. With its size s and bandwidth f the covariance of the errors is
 
 .. math:: \sigma^2 (1 + O\, s^2 K_f\, O^T), \qquad (K_f)_{jk} = e^{-2 \pi f |t_j - t_k|}
 
-and everything else is Gaussian, too: d, the start of the window and the parameters are eliminated in closed form, the
-scale of the noise is taken at its best. The eigenvectors of :math:`L^T O^T O L` with :math:`L L^T = K_f` serve all
-sizes at once. At several ports the random forces are independent, each the same share s of the force that moves its
-port: :math:`K_f` has one block a port, times the square of that force.
+and all else is Gaussian and eliminated in closed form. The eigenvectors of :math:`L^T O^T O L`, :math:`L L^T = K_f`,
+serve all sizes at once. At several ports the forces are independent, each the same share of what moves its port.
 """
 
 from __future__ import annotations
@@ -80,13 +71,10 @@ class _RecordedForce(Effect):
 class PortMotion:
     """Along one record."""
 
-    force: float  # RMS of the force that moves the port; ``unit`` is its unit
-    unit: str
-    # speed, position: of the port, (n,), None where not told; with their units
+    force: float  # RMS of the force that moves the port
+    # speed, position: of the port, (n,), None where not known
     speed: Array | None = None
     position: Array | None = None
-    speed_unit: str = ""
-    position_unit: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +202,7 @@ def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> PortMotion:
     if place.kind == "input":
         at = [s.name for s in problem.plant.inputs].index(place.name)
         rms = float(np.sqrt(np.mean(record.u[:, at] ** 2))) or 1.0
-        return PortMotion(rms, problem.plant.inputs[at].unit)
+        return PortMotion(rms)
     factors, _ = problem.split(fit.hypothesis, fit.z)
     port = problem.simulators(Hypothesis(()))[k].model(factors, []).ports[place.name]
     x, covariance = record.smoothed.x, record.smoothed.covariance
@@ -226,7 +214,7 @@ def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> PortMotion:
         q = x @ port.position
         std = np.sqrt(np.median(np.einsum("i,nij,j->n", port.position, covariance, port.position)))
         q = q if std < 0.05 * np.ptp(q) else None
-    return PortMotion(rms, port.unit, v, q, port.speed_unit, port.position_unit)
+    return PortMotion(rms, v, q)
 
 
 SIZES = np.concatenate([[0.0], 10.0 ** np.arange(-4.5, 0.1, 0.25)])  # s, of the force that moves the port
@@ -438,14 +426,11 @@ class FittedWindows:
         prior[-1, -1] = self.z @ self.z
         return gram + self.weight * prior
 
-    def segment_sums(self, share: float = 1.0) -> list[tuple[Array, Array]]:
-        """Products of the port's segments with each other and with the errors.
-
-        Under the noise of the hypothesis alone, of its random force a share.
-        """
+    def segment_sums(self) -> list[tuple[Array, Array]]:
+        """Products of the port's segments with each other and with the errors, under the noise of the hypothesis."""
         found = []
         for k, record in enumerate(self.records):
-            s, gram = record.segments, self._within_noise(k, share * self.alone.size)
+            s, gram = record.segments, self._within_noise(k, self.alone.size)
             n, n_x = gram.shape[1], record.xi.shape[1]
             own = range(n)[record.own]
             first = [*range(n - 1 - n_x, n - 1), *own, *range(record.pulses, n - 1 - n_x), n - 1]

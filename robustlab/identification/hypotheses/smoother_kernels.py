@@ -5,20 +5,11 @@ r"""Compiled square-root Kalman filter and Rauch-Tung-Striebel smoother.
 .. math:: z_{k+1} = \Phi z_k + f_k + w_k, \quad w_k \sim N(0, L^T L), \qquad
           y_k = H z_k + e_k, \quad e_k \sim N(0, \operatorname{diag} \sigma^2)
 
-Covariances are carried as square roots, P = S S^T, so that a diffuse start and units of 1e-8 lose no digits. Outputs
-enter one at a time (Potter), which makes a missing sample a skipped update. The time update is one QR decomposition,
+Covariances are carried as roots, P = S S^T; outputs enter one at a time (Potter). The time update is the QR of
+[[S_f^T Phi^T, S_f^T], [L, 0]] = Q [[S_p^T, W], [0, V]]: predicted root, smoother's gain :math:`W^T S_p^{-1}`, and
+:math:`V^T V`, the covariance given the next state. Roots that repeat are kept, and only the means run on.
 
-.. math:: \begin{pmatrix} S_f^T \Phi^T & S_f^T \\ L & 0 \end{pmatrix} = Q
-          \begin{pmatrix} S_p^T & W \\ 0 & V \end{pmatrix}, \qquad
-          G = W^T S_p^{-1}, \quad \operatorname{cov}(z_k | z_{k+1}) = V^T V,
-
-whose parts are the predicted root, the smoother's gain and what the smoother adds: nothing is ever subtracted. Once
-the roots repeat from sample to sample they are kept, and only the means run on.
-
-References
-----------
-Kailath, Sayed, Hassibi, *Linear Estimation* (2000), chapter 12; Park, Kailath, "New square-root smoothing algorithms",
-IEEE TAC 41 (1996).
+Park, Kailath, "New square-root smoothing algorithms", IEEE TAC 41 (1996).
 """
 
 from __future__ import annotations

@@ -76,7 +76,10 @@ def _stepped(problem: Problem, fit: Fit, residual: Array, free: Array) -> Array:
 
 
 def equations(problem: Problem, fit: Fit) -> PieceEquations:
-    """What the piece tells about the parameters, at the model ``fit`` that was placed in it."""
+    """The piece's equations for the parameters, at the model ``fit`` that was placed in it."""
+    if not len(problem.chosen[0]):  # no window can be trusted
+        zero = np.zeros((len(fit.z) + 1,) * 2)
+        return PieceEquations(zero, zero, 0, 0)
     residual = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
     own = own_derivatives(problem, fit, residual)
     n_y = len(fit.noise.std)

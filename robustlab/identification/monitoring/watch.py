@@ -34,7 +34,7 @@ from robustlab.identification.hypotheses.candidates import (
 from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, ports_of, prepare, window_length
-from robustlab.identification.monitoring.change_test import Alternatives, ChangeTest
+from robustlab.identification.monitoring.change_test import ChangeTest, onset
 from robustlab.identification.monitoring.piece import equations, faithful_windows, fine_steps, placed
 from robustlab.identification.monitoring.watch_result import Watch, WatchedPiece
 from robustlab.identification.naming.discovery import discover
@@ -143,7 +143,7 @@ def watch(
     result = watched.result(false_alarm)
     if watched.told is None:
         return result
-    began, lower, upper = watched.told.onset()
+    began, lower, upper = onset(watched.told)
     # A change may begin within a piece, and too late in it to show there.
     since, since_lower, since_upper = (watched.pieces[k].start for k in (began, max(lower - 1, 0), upper))
     known = {name: tolerance for name, (tolerance, assumed) in stated.items() if not assumed}
@@ -232,7 +232,7 @@ class _Watched:
         sizes, directions = np.linalg.eigh(np.linalg.inv(learned.hessian))
         self.spread = FAR * directions * np.sqrt(np.maximum(sizes, 0.0))
         self.test = ChangeTest(_usual_changes(self.problem, self.hypothesis))
-        self.told: Alternatives | None = None  # the alternatives once an alarm is clear
+        self.told: Array | None = None  # evidence of each beginning once an alarm is clear
         self.highest = alarm  # evidence that they had, or that of an alarm
         self.records: list[Record] = []
         self.windows = [0, 0]  # that the test has seen, and all
@@ -255,7 +255,7 @@ class _Watched:
         evidence = self.test.add(told)
         self.pieces.append(WatchedPiece(float(piece.t[0]), float(piece.t[-1]), evidence, misfit))
         if self.highest <= evidence and self.highest < CLEAR + self.alarm:
-            self.highest, self.told = evidence, self.test.alternatives()
+            self.highest, self.told = evidence, self.test.evidence()
 
     def result(self, false_alarm: float) -> Watch:
         """Of the pieces so far, without what an alarm tells."""

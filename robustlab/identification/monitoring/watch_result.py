@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.result import Evidence, Status
-from robustlab.shown import Facts, Part, listed, number
+from robustlab.shown import Facts, listed, number
 from robustlab.tables import Table, Tabular
 
 
 @dataclass(frozen=True)
 class WatchedPiece(Evidence):
-    """One piece of the log.
+    """One piece of the log."""
 
-    Attributes
-    ----------
-    start, stop
-        Its time in the log, s.
-    evidence
-        Log of E after it; the alarm comes at ``-log(false_alarm)``.
-    misfit
-        Root mean square of its errors under the model as learned, over the noise.
-    """
-
+    # start, stop: its time in the log, s
     start: float
     stop: float
-    evidence: float
-    misfit: float
+    evidence: float  # log of E after it; the alarm comes at ``-log(false_alarm)``
+    misfit: float  # root mean square of its errors under the model as learned, over the noise
 
 
 @dataclass(frozen=True)
@@ -111,21 +101,13 @@ class Watch(Tabular, Evidence):
         return [
             ("verdict", self.verdict),
             ("", self.headline()),
-            ("alarm", "" if self.met else f"at {span_of(self.alarm)}, E = {_large(self.evidence)}"),
-            ("largest E", _large(self.evidence) if self.met else ""),
+            ("alarm", "" if self.met else f"at {span_of(self.alarm)}"),
+            ("largest log E", f"{self.evidence:.2f}"),
             ("false alarms", f"in at most {number(100.0 * self.false_alarm)} % of logs that the model explains"),
             ("noise", f"{listed(f'{name} {number(std)}' for name, std in self.noise.items())} a sample"),
             ("windows", f"{number(self.window, 's')}, {100.0 * self.tested:.0f} % of them tested"),
             *(self.found.facts() if self.found is not None else []),
         ]
-
-    def details(self) -> list[Part]:
-        """The pieces."""
-        rows = [
-            (str(k), span_of(p.start), span_of(p.stop), f"{p.evidence:.2f}", f"{p.misfit:.3f}")
-            for k, p in enumerate(self.pieces, 1)
-        ]
-        return [Part("pieces", ("piece", "from", "to", "log E", "misfit"), rows)]
 
     def table(self) -> Table:
         """A row for each piece."""
@@ -141,8 +123,3 @@ def span_of(seconds: float) -> str:
         if abs(seconds) >= 2.0 * size:
             return f"{seconds / size:.1f} {unit}"
     return f"{seconds:.4g} s"
-
-
-def _large(log: float) -> str:
-    """E to the power of ``log`` as a power of ten where it is large."""
-    return f"{math.exp(log):.3g}" if log < 14.0 else f"1e{log / math.log(10.0):.0f}"

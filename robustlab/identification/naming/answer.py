@@ -18,7 +18,15 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import NoTrustworthyNumber, RobustlabError
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
+from robustlab.identification.hypotheses.effect_fit import (
+    Candidate,
+    Fit,
+    FitPlan,
+    Hypothesis,
+    Prior,
+    Problem,
+    simulated_outputs,
+)
 from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
 from robustlab.identification.hypotheses.prepared_record import start_std
 from robustlab.identification.naming.discovery_result import Discovery, Verdict
@@ -43,15 +51,14 @@ from robustlab.identification.naming.named_effects import (
     overall,
 )
 from robustlab.identification.naming.named_kinds import Kinds, kinds_of
-from robustlab.identification.naming.open_intervals import opened_above
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.quantities import force_share
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
+from robustlab.identification.naming.residual_force import ResidualForce
 from robustlab.identification.naming.set_search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
 from robustlab.identification.tuning import AS_LARGE
-from robustlab.identification.unnamed.unnamed_effect import ResidualForce
 from robustlab.record import Record
 from robustlab.result import Status
 
@@ -60,7 +67,14 @@ if TYPE_CHECKING:
     from robustlab.identification.experiment.next_experiment import NextExperiment
 
 
+MOSTLY = 0.5  # of what the bare model lacks, by names that are sure beside a misfit; below, they are not it
+EXPLAINED = 0.9  # of what the bare model lacks; below, what was named is not the effect
+REPEATABLE = 1.6  # F of the residual against the noise floor beyond which something repeatable remains
+REMARK = 0.005  # of the force that moves the port: a weaker line that remains is a remark
 T = TypeVar("T")
+WIDER = 1.25  # times the fitted value, at which the records are asked
+HELD = 1e8  # precision that holds a standardised parameter
+ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,8 +226,8 @@ def _what_is_left(case: Case, found: Found, posterior: Posterior, fit: Fit, stag
     lines = stages.run("lines", lambda: remaining_lines(force) if force else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
     moving = max((c.scales.force for c in case.pool if force and c.site.name == force.port), default=0.0)
-    remains = any(float(line["amplitude"]) > tuning.REMARK * moving for line in lines)
-    remains = remains or any(f > tuning.REPEATABLE for f in excess.values())
+    remains = any(float(line["amplitude"]) > REMARK * moving for line in lines)
+    remains = remains or any(f > REPEATABLE for f in excess.values())
     remains = remains or posterior.noise_ratio > tuning.MOST_NOISE or posterior.best.unnamed is not None
     remains = remains or posterior.random_share > tuning.MOST_RANDOM or not posterior.generalises
     remains = remains or bool(late_clocks(found.problem, fit))
@@ -255,9 +269,9 @@ def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
         return "unknown" if remains else "no missing effect"
     sure = all(kinds.told(c) for c in named)
     explained = _explained(found, kinds.posterior.best.fit) if remains or kinds.coarse else 1.0
-    if kinds.coarse and sure and explained >= tuning.MOSTLY:
+    if kinds.coarse and sure and explained >= MOSTLY:
         return "named"  # against a misfit that counts as much as it does; what else is open is part of what remains
-    if remains and explained < tuning.EXPLAINED:
+    if remains and explained < EXPLAINED:
         return "unknown"
     return "named" if sure and found.settled and not kinds.open() else "ambiguous"
 
@@ -410,11 +424,35 @@ def _named(
     effect = candidate.effect
     return NamedEffect(
         effect.id, effect.title, effect.equation, candidate.site.name,
-        opened_above(found.problem, fit, k, _effect_values(found.problem, fit, k)),
+        _opened_above(found.problem, fit, k, _effect_values(found.problem, fit, k)),
         posterior.of_effect(candidate.key), posterior.best.visited.evidence - less.evidence,
         tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
         matters[candidate.key].error_without if candidate.key in matters else np.nan,
     )  # fmt: skip
+
+
+def _opened_above(problem: Problem, fit: Fit, k: int, values: Sequence[EffectValue]) -> tuple[EffectValue, ...]:
+    """The values of the k-th effect, with the upper end of its prior where a larger one does as well.
+
+    The curvature at the best fit of a gap whose other flank the load never reaches says nothing of its width: a clearly
+    larger value is held, and everything else fitted again.
+    """
+    candidate = fit.hypothesis.candidates[k]
+    name = candidate.effect.told_from_below
+    if not name:
+        return tuple(values)
+    own = [p.name for p in candidate.parameters].index(name)
+    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k]) + own
+    prior = candidate.parameters[own].prior
+    z = fit.z.copy()
+    z[at] = prior.standardised(WIDER * values[own].value)
+    mean, precision = np.zeros(len(z)), np.eye(len(z))
+    mean[at], precision[at, at] = z[at], HELD
+    there = problem.fit(fit.hypothesis, fit.noise, z, fit.starts, FitPlan(ROUNDS), prior=Prior(mean, precision))
+    if there.cost + there.z[at] ** 2 - fit.cost >= tuning.CANNOT_TELL**2:
+        return tuple(values)
+    upper = max(values[own].upper, prior.value(INTERVAL))
+    return tuple(replace(v, upper=upper) if v.name == name else v for v in values)
 
 
 def _rival(problem: Problem, a: Alternative) -> Rival:

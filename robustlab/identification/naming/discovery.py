@@ -33,8 +33,7 @@ from robustlab.identification.hypotheses.candidates import (
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, Hypothesis, Problem
-from robustlab.identification.hypotheses.nuisance import Nuisance
+from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, Hypothesis, Nuisance, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, alike, ports_of, prepare, window_length
 from robustlab.identification.naming.answer import Case, answer
 from robustlab.identification.naming.discovery_result import Discovery
@@ -46,6 +45,10 @@ from robustlab.identification.response.response import converted, with_units
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel, as_model
 
+MOST_WINDOWS = 24  # that the search fits: more tell weaker effects and take more time
+MOST_SAMPLES = 2400  # of a nonlinear plant, in the windows that the search fits
+MOST_HELD = 12  # that it judges on
+HELD_OUT_EVERY = 4  # without a held-out record, every so manieth window is kept from the fit
 LONGEST_LAG = 0.1  # of a window: until the lag has passed, nothing of the simulation shows
 
 
@@ -290,7 +293,7 @@ def _problems(
     if judged:
         problem = Problem(plant, fitted, nuisances, clock=clock)
         return problem, problem.on(judged), ", ".join(r.name for r in held_out)
-    every = tuning.HELD_OUT_EVERY
+    every = HELD_OUT_EVERY
     apart = [np.arange(r.count) % every == every // 2 for r in fitted]
     problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], clock)
     held = problem.on(fitted, [np.flatnonzero(a) for a in apart])
@@ -320,9 +323,9 @@ def _most_windows(problem: Problem) -> tuple[int, int]:
     """Windows that the search fits and judges on; of a nonlinear plant, whose steps are dear, fewer long ones."""
     length = problem.records[0].windows.length
     if isinstance(problem.plant, LinearPlant):
-        return tuning.MOST_WINDOWS, tuning.MOST_HELD
-    most = min(tuning.MOST_WINDOWS, max(2 * tuning.FEWEST_WINDOWS, tuning.MOST_SAMPLES // length))
-    return most, min(tuning.MOST_HELD, max(tuning.FEWEST_WINDOWS, most // 2))
+        return MOST_WINDOWS, MOST_HELD
+    most = min(MOST_WINDOWS, max(2 * tuning.FEWEST_WINDOWS, MOST_SAMPLES // length))
+    return most, min(MOST_HELD, max(tuning.FEWEST_WINDOWS, most // 2))
 
 
 def _spread(problem: Problem, most: int) -> Problem:

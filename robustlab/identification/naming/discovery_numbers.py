@@ -40,17 +40,7 @@ def quantities_of(kind: str) -> dict[str, Any]:
 
 
 def numbers_of(d: Any) -> dict[str, Any]:
-    """What requirements may address.
-
-    ``verdict``, ``complete``, ``names``, ``places`` (names with where they sit, ``ID@PLACE``), ``answer`` (names and
-    rivals), ``kinds`` (what is sure, in whatever form), ``KIND.probability`` and the quantities of each kind
-    (``dry-friction.level``, with ``level_lower`` and ``level_upper``: 95 %), ``count``, ``gap_before``,
-    ``gap_refitted``, ``gap_after`` in percent of the range, ``gap_ratio`` (before over after), ``refitted_ratio``,
-    ``gaps.OUTPUT.updated`` in its unit; ``free_run.before``, ``.refitted``, ``.after`` in percent of the range and
-    ``free_run.outputs.OUTPUT.updated``; ``effects.ID.PARAMETER`` (and ``.amplitude`` of what is periodic in the
-    position) with ``lower`` and ``upper`` alike (95 %), ``confidence.ID`` (its probability), ``nominal.PARAMETER``,
-    ``next_experiment.name`` ("none" where no rival is left) and ``.separation``; ``line.position.period`` and
-    ``.amplitude`` of the strongest line that remains over the position, and ``line.time`` alike.
+    """What requirements may address (docs/discover.md).
 
     An effect that was tried but not named has confidence 0 and parameters that are no number, so a requirement on it
     is not met, while a misspelt one is refused; of what is periodic its amplitude is 0.

@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from robustlab.dynamics.effects.kinds import KINDS
 from robustlab.identification.naming.discovery_numbers import numbers_of, quantities_of
-from robustlab.identification.naming.discovery_text import (
-    chance,
-    headline_of,
-    in_words,
-    kind_words,
-    percent,
-    summary_of,
-    with_interval,
-)
+from robustlab.identification.naming.discovery_text import details_of, facts_of, headline_of
 from robustlab.identification.naming.named_effects import (
     SURE,
     Gap,
@@ -29,14 +21,14 @@ from robustlab.identification.naming.named_effects import (
     SetProbability,
 )
 from robustlab.result import Evidence, Status
-from robustlab.shown import Each, Facts, listed, number
+from robustlab.shown import Each, Facts, Part
 from robustlab.tables import Table, Tabular
 
 if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
     from robustlab.identification.experiment.next_experiment import NextExperiment
+    from robustlab.identification.naming.residual_force import ResidualForce
     from robustlab.identification.record_check.suitability import Finding
-    from robustlab.identification.unnamed.unnamed_effect import ResidualForce
     from robustlab.uncertainty.lft import UncertainModel
 
 LINEAR = "linear about the recorded motion"  # said of the records of such runs
@@ -212,33 +204,13 @@ class Discovery(Tabular, Evidence):
         """What requirements may refer to; see `robustlab.identification.naming.discovery_numbers`."""
         return numbers_of(self)
 
-    def summary(self, details: bool = False) -> str:
-        """The result as a few lines of text; with ``details`` everything that it rests on."""
-        return summary_of(self, details)
-
     def facts(self) -> Facts:
-        """The verdict, the effects with their parameters, and the gap before and after."""
-        named = [
-            (
-                in_words(e),
-                f"{chance(e.confidence)}; " + "; ".join(f"{p.name} = {with_interval(p)}" for p in e.parameters),
-            )
-            for e in self.effects
-        ]
-        refitted = [(p.name, with_interval(p)) for p in self.nominal if not self.effects]
-        open_kinds = [(k.words, kind_words(k)) for k in self.kinds if not k.settled]
-        return [
-            ("verdict", self.verdict if self.complete else f"{self.verdict}, incomplete: structure remains"),
-            *open_kinds,
-            *named,
-            *refitted,
-            ("not told apart from", listed(r.title for r in self.rivals)),
-            ("also detectable", listed(f"{e.title} at {e.site}" for e in self.also_detectable)),
-            ("error on held-out data", f"{percent(self.gap_before)} -> {percent(self.gap_after)} of the range"),
-            ("plant", self.plant),
-            ("records", listed(self.records)),
-            ("time", number(self.seconds, "s")),
-        ]
+        """Verdict, effects with their parameters, what is left open, errors on held-out data, what to do next."""
+        return facts_of(self)
+
+    def details(self) -> list[Part]:
+        """What the answer rests on."""
+        return details_of(self)
 
     def table(self) -> Table:
         """A row for each parameter of a named effect, with its 95 % interval."""

@@ -1,4 +1,4 @@
-"""The text of a `Discovery`: its headline, its short summary, and everything that it rests on.
+"""The words of a `Discovery`: its headline, its facts, and the tables that it rests on.
 
 The result imports its text, so the text names no type of it.
 """
@@ -24,11 +24,10 @@ from robustlab.identification.naming.named_effects import (
     wave_amplitude,
 )
 from robustlab.identification.tuning import AS_LARGE
+from robustlab.shown import Facts, Part, listed, number
 
-ALONE = 0.02  # probability of all other sets below which a name has no rival
-SHOWN_SETS = 6  # in the short text
+SHOWN_SETS = 6  # in the facts
 SHOWN_SEARCH = 12  # most probable sets of the search
-LABEL = 14  # width of the first column
 MODELS = ("nominal", "refitted", "updated")
 
 
@@ -59,37 +58,60 @@ def headline_of(d: Any) -> str:
     return f"{early}{d.plant} lacks something{beyond} that no effect of the catalogue explains ({change})"
 
 
-def summary_of(d: Any, details: bool) -> str:
-    """Verdict in a sentence, effects with intervals, gap, what remains, what to do next; on demand all the rest."""
-    lines = [f"{d.headline()}.", "", f"verdict: {d.verdict}, {_scope(d)}"]
+def facts_of(d: Any) -> Facts:
+    """Verdict, effects with intervals, what the records leave open, errors, what remains, what to do next."""
+    found = [("verdict", d.verdict if d.complete else f"{d.verdict}, incomplete: structure remains")]
     for kind in d.kinds:
-        lines += _kind_lines(kind, details)
-    for effect in d.effects:
-        lines += _effect_lines(d, effect, details)
-    lines += [_slight_line(e) for e in d.also_detectable]
-    lines += [_doubt_line(r) for r in d.rivals if r.instead_of == "none"]
-    lines += [f"  tried: {f.message}" for f in d.findings if f.kind == "refuted"]
-    lines += [row for f in d.findings if f.kind == "shut-gap" for row in (f"  {f.message}", f"    to tell: {f.hint}")]
+        if not kind.settled:
+            found += [(kind.words, kind_words(kind)), ("what would tell its form", kind.form)]
+    for e in d.effects:
+        found.append((in_words(e), "; ".join([f"probability {chance(e.confidence)}", *_values(e), *_wave(e)])))
+        found += [(f"{e.name} or", _rival(r)) for r in d.rivals if r.instead_of == e.name]
+    found.append(("error on held-out data", f"{percent(d.gap_before)} -> {percent(d.gap_after)} of the range"))
+    for e in d.also_detectable:
+        told = "; ".join([chance(e.confidence), *_values(e)])
+        found.append(
+            (f"also seen: {in_words(e)}", f"{told}; next to nothing on held-out data: not in the updated plant")
+        )
+    found += [("not excluded", _rival(r)) for r in d.rivals if r.instead_of == "none"]
+    found += [("tried", f.message) for f in d.findings if f.kind == "refuted"]
+    found += [("cannot show", f"{f.message}; to tell: {f.hint}") for f in d.findings if f.kind == "shut-gap"]
     if len(d.collection) > 1:
-        shown = d.collection if details else d.collection[:SHOWN_SETS]
-        lines += ["what the records leave open (3 noise sigmas tell):", *(_set_line(p) for p in shown)]
-        lines += [f"  and {left} more" for left in [len(d.collection) - len(shown)] if left]
-    lines += ["", *_gap_lines(d), "", *_remaining_lines(d, details)]
-    lines += [_nominal_line(p) for p in d.nominal if (p.beyond or not d.effects) and not details]
-    if not details:
-        rest = "all that it rests on: --details, summary(details=True)"
-        return "\n".join([*lines, f"next: {_next(d)}", f"named in {d.seconds:.3g} s; {rest}"])
-    within = "" if any(p.beyond for p in d.nominal) else " within their tolerances"
-    for title, part in (
-        (f"nominal parameters, refitted{within}", [_nominal_line(p) for p in d.nominal]),
-        ("inputs between their samples", [_clock_line(c) for c in d.clocks]),
-        ("next experiment", _experiment_lines(d)),
-        ("findings on the records", [f"  {f.message}" for f in d.findings]),
-        (f"search (log evidence; {len(d.search)} sets visited, {len(d.candidates)} effects tried)", _search_lines(d)),
-    ):
-        if part:
-            lines += ["", f"{title}:", *part]
-    return "\n".join([*lines, "", f"named in {d.seconds:.3g} s"])
+        found += [("left open (3 noise sigmas tell)", _set_words(p)) for p in d.collection[:SHOWN_SETS]]
+    for gaps, how in ((d.gaps, f"windows of {d.window:.3g} s"), (d.free_run, d.whole_run)):
+        found += [(f"{g.output}: {how}", _sizes(g)) for g in gaps.values()]
+    found.append(("remains", _remaining(d)))
+    found += [("line", _line(line)) for line in d.remaining_lines]
+    found += [(p.name, _nominal(p)) for p in d.nominal if p.beyond or not d.effects]
+    held = d.held_out if d.free_run_on in ("", d.held_out) else f"{d.held_out}; {d.whole_run}: {d.free_run_on}"
+    return [
+        *found,
+        ("next", _next(d)),
+        ("held out", held),
+        ("plant", d.plant),
+        ("records", listed(d.records)),
+        ("time", number(d.seconds, "s", 3)),
+    ]
+
+
+def details_of(d: Any) -> list[Part]:
+    """Evidence of the effects, refitted parameters, inputs between their samples, next experiment, findings, search."""
+    best = sorted(d.search, key=lambda e: -e.evidence)[:SHOWN_SEARCH]
+    without = {e.name: percent(e.error_without) if math.isfinite(e.error_without) else "" for e in d.effects}
+    structure = [*((key, f"{v:.4g}" if isinstance(v, float) else str(v)) for key, v in d.structure.items()),
+                 *((f"F against the noise floor, {k}", f"{F:.4g}") for k, F in d.floor_excess.items())]  # fmt: skip
+    visited = f"search: {len(d.search)} sets visited, {len(d.candidates)} effects tried"
+    return [
+        Part("evidence", ("effect", "equation", "log evidence", "held-out error without it"),
+             [(e.name, e.equation, f"{e.evidence:+.4g}", without[e.name]) for e in d.effects]),
+        Part("nominal parameters, refitted", ("parameter", "value"), [(p.name, _nominal(p)) for p in d.nominal]),
+        Part("inputs between their samples", ("input", "hold"), [(c.input, _clock(c)) for c in d.clocks]),
+        Part("next experiment", ("", ""), [] if d.next_experiment is None else d.next_experiment.facts()),
+        Part("what remains", ("", ""), structure),
+        Part("findings on the records", ("kind", "finding"), [(f.kind, f.message) for f in d.findings]),
+        Part(visited, ("log evidence", "effects", "decision"),
+             [(f"{e.evidence:.4g}", " + ".join(e.effects) or "none", e.decision) for e in best]),
+    ]  # fmt: skip
 
 
 def in_words(e: NamedEffect) -> str:
@@ -165,11 +187,6 @@ def _what_shows(d: Any) -> str:
     return "matters" if d.also_detectable else "these records show"
 
 
-def _scope(d: Any) -> str:
-    records = ", ".join(d.records)
-    return f"{'complete' if d.complete else 'incomplete: structure remains'} (records: {records}; status {d.status})"
-
-
 def _choices(d: Any) -> str:
     """What all sets of the collection have, then what they differ in: ``A and either B or C``."""
     sets = [(*p.effects, p.unnamed) if p.unnamed else p.effects for p in d.collection]
@@ -188,48 +205,11 @@ def _title(effect: str) -> str:
     return catalogue()[name].title if name in catalogue() else f"an unnamed {name}"
 
 
-def _kind_lines(kind: NamedKind, details: bool) -> list[str]:
-    """A kind whose form is not settled; of a settled one, whose effect follows, its quantities on demand."""
-    rows = [_row(f"  {v.name}", f"{with_interval(v)}  {v.meaning}") for v in kind.values]
-    if kind.settled and not details:
-        return []
-    lines = [f"  {kind.words[:1].upper()}{kind.words[1:]}: probability {chance(kind.probability)}", *rows]
-    if not kind.settled:
-        lines.append(_row("  form", f"{kind.open_form}: {_shares(kind)}"))
-        lines.append(_row("", f"what tells: {kind.form}"))
-    return lines
+def _values(e: NamedEffect | Rival) -> list[str]:
+    return [f"{p.name} = {with_interval(p)}" for p in e.parameters]
 
 
-def _slight_line(e: NamedEffect) -> str:
-    """An effect that the records show and that does not matter."""
-    values = ", ".join(f"{p.name} {_sized(p.value, p.unit)}" for p in e.parameters)
-    error = f" (error without it {percent(e.error_without)})" if math.isfinite(e.error_without) else ""
-    told = f"{chance(e.confidence)}, brings next to nothing on held-out data{error}: not in the updated plant"
-    return _row("also seen", f"{in_words(e)} ({values}): {told}")
-
-
-def _effect_lines(d: Any, effect: NamedEffect, details: bool) -> list[str]:
-    lines = [f"  {in_words(effect)}: probability {chance(effect.confidence)}"]
-    lines += [_row(f"  {p.name}", f"{with_interval(p)}  {p.meaning}".rstrip()) for p in effect.parameters]
-    lines += _wave_line(effect)
-    if not details:
-        return lines
-    if math.isfinite(effect.error_without):
-        error = f"{percent(effect.error_without)} of the range on held-out data, {percent(d.gap_after)} with it"
-        lines.append(_row("  without it", error))
-    lines += [_row("  equation", effect.equation)]
-    lines += [_row("  evidence", f"{effect.evidence:+.4g} (log) over the best set without it")]
-    rivals = [r for r in d.rivals if r.instead_of == effect.name]
-    if not rivals and 1.0 - effect.confidence < ALONE:
-        lines.append(_row("  rivals", f"none: all sets without it have {chance(1.0 - effect.confidence)} together"))
-    for r in rivals:
-        values = ", ".join(f"{p.name} {_sized(p.value, p.unit)}" for p in r.parameters)
-        told = f"probability {chance(r.probability)}, {_sized(r.distance)} noise sigmas apart (3 tell)"
-        lines.append(_row("  or", f"{r.title}, {r.name} at {r.site} ({values}): {told}"))
-    return lines
-
-
-def _wave_line(effect: NamedEffect) -> list[str]:
+def _wave(effect: NamedEffect) -> list[str]:
     """Amplitude and period of an effect that is periodic: what a person looks for in its cosine and sine part."""
     values = {p.name: p.value for p in effect.parameters}
     amplitude = wave_amplitude(values)
@@ -237,79 +217,45 @@ def _wave_line(effect: NamedEffect) -> list[str]:
         return []
     period = 2.0 * math.pi / values["k"]
     (unit,) = (p.unit for p in effect.parameters if p.name == "k")
-    told = f"period {_sized(period, unit.rpartition('/')[2])}"
-    if "rad" in unit:
-        told += f", {values['k']:.4g} a turn"
-    return [_row("  amplitude", f"{_sized(amplitude, effect.parameters[0].unit)}, {told}")]
+    turns = f", {values['k']:.4g} a turn" if "rad" in unit else ""
+    size = _sized(amplitude, effect.parameters[0].unit)
+    return [f"amplitude {size}, period {_sized(period, unit.rpartition('/')[2])}{turns}"]
 
 
-def _doubt_line(r: Rival) -> str:
-    """An effect that the tolerances of other parameters may hide."""
-    values = ", ".join(with_interval(p) for p in r.parameters)
-    told = f"probability {chance(r.probability)}, {_sized(r.distance)} noise sigmas from none (3 tell)"
-    return _row("not excluded", f"{r.title}, {r.name} at {r.site} ({values}): {told}")
+def _rival(r: Rival) -> str:
+    """What may be there instead of an effect, or of none."""
+    told = f"probability {chance(r.probability)}, {_sized(r.distance)} noise sigmas apart (3 tell)"
+    return "; ".join([f"{r.title}, {r.name} at {r.site}", *_values(r), told])
 
 
-def _set_line(p: SetProbability) -> str:
-    told = " + ".join(p.effects) or "nothing missing"
+def _set_words(p: SetProbability) -> str:
     unnamed = f" + unnamed {p.unnamed}" if p.unnamed else ""
-    apart = f"; {_sized(p.distance)} noise sigmas from the first" if p.distance > 0.0 else ""
-    return _row(chance(p.probability), f"{told}{unnamed}{apart}")
+    apart = f", {_sized(p.distance)} noise sigmas from the first" if p.distance > 0.0 else ""
+    return f"{' + '.join(p.effects) or 'nothing missing'}{unnamed}: {chance(p.probability)}{apart}"
 
 
-def _gap_lines(d: Any) -> list[str]:
-    """A table: of each output the three errors in windows and in one run, and what became of the refitted one."""
-    head = f"gap (rms) on data that the fit never saw: {d.held_out}"
-    if d.free_run_on and d.free_run_on != d.held_out:
-        head += f"; {d.whole_run}: {d.free_run_on}"
-    rows: list[tuple[str, ...]] = [("", "", *MODELS, "")]
-    for name, gap in d.gaps.items():
-        rows.append((name, f"windows of {d.window:.3g} s", *_sizes(gap)))
-        if name in d.free_run:
-            rows.append(("", d.whole_run, *_sizes(d.free_run[name])))
-    if len(d.gaps) > 1:
-        rows.append(("all", "windows", *(percent(overall(d.gaps, m)) for m in MODELS), ""))
-        if d.free_run:
-            rows.append(("", d.whole_run, *(percent(overall(d.free_run, m)) for m in MODELS), ""))
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return [head, *("  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)]
-
-
-def _sizes(g: Gap) -> tuple[str, str, str, str]:
+def _sizes(g: Gap) -> str:
     def size(value: float) -> str:
         if math.isinf(value):
             return "diverges"
         return _sized(value, g.unit) + (f" ({percent(100 * value / g.range)})" if g.range > 0 else "")
 
     changes = [compared(g.nominal, g.updated, "the given model"), compared(g.refitted, g.updated, "refitted")]
-    return size(g.nominal), size(g.refitted), size(g.updated), ", ".join(changes)
+    return f"rms {size(g.nominal)} -> {size(g.refitted)} -> {size(g.updated)}; {', '.join(changes)}"
 
 
-def _remaining_lines(d: Any, details: bool) -> list[str]:
+def _remaining(d: Any) -> str:
     if d.complete:
-        told = "nothing systematic was found"
-    elif d.effects and "explained" in d.structure:
-        told = (
-            f"the named effects explain {percent(100.0 * d.structure['explained'])} of the mean-square error as given"
-        )
-    else:
-        told = "the named effects do not explain everything" if d.effects else "unexplained"
+        return "nothing systematic was found"
+    told = "the named effects do not explain everything" if d.effects else "unexplained"
+    if d.effects and "explained" in d.structure:
+        share = percent(100.0 * d.structure["explained"])
+        told = f"the named effects explain {share} of the mean-square error as given"
     force = d.residual_force
-    if force is not None and not d.complete:
-        told += f"; a force of {_sized(force.rms, force.unit)} (rms)"
-    lines = [f"remains: {told}", *(_row("line", _line(line)) for line in d.remaining_lines)]
-    if not details:
-        return lines
-    if d.structure:
-        lines.append(_row("structure", _items(d.structure)))
-    if force is not None:
-        shares = [f"{100 * c.share:.3g} % follow {c.coordinate}" for c in force.curves.values()]
-        lines.append(_row("force", f"rms {_sized(force.rms, force.unit)}; {', '.join(shares)} (of held-out variance)"))
-    lines += [
-        _row("noise", f"{name}: F {_sized(F)} of the updated model against the noise floor (1: nothing is left)")
-        for name, F in d.floor_excess.items()
-    ]
-    return lines
+    if force is None:
+        return told
+    shares = [f"{100 * c.share:.3g} % follow {c.coordinate}" for c in force.curves.values()]
+    return "; ".join([told, f"a force of {_sized(force.rms, force.unit)} (rms)", *shares])
 
 
 def _line(line: Mapping[str, Any]) -> str:
@@ -318,44 +264,29 @@ def _line(line: Mapping[str, Any]) -> str:
     return f"{size} over {line['over']}, period {_sized(line['period'], line['unit'])} (p {line['p_value']:.2g})"
 
 
-def _nominal_line(p: NominalValue) -> str:
+def _nominal(p: NominalValue) -> str:
     if p.lower == p.upper:
-        return _row(p.name, with_interval(p))
+        return with_interval(p)
     change = f", {100 * (p.value / p.nominal - 1):+.3g} %" if p.nominal else ""
     size = f"{100 * p.tolerance:.3g} %" if p.nominal else _sized(p.tolerance, p.unit)
     stated = "assumed" if p.assumed else "stated"
     told = f"{'BEYOND its' if p.beyond else 'within its'} tolerance of {size} ({stated})"
-    return _row(p.name, f"{_sized(p.nominal)} -> {with_interval(p)}{change}: {told}")
+    return f"{_sized(p.nominal)} -> {with_interval(p)}{change}: {told}"
 
 
-def _clock_line(c: InputClock) -> str:
+def _clock(c: InputClock) -> str:
     between = "held from sample to sample" if c.hold == "held" else f"{c.hold} between samples"
     late = f"late by {1e3 * c.shift:.3g} ms (standard deviation {1e3 * c.std:.2g} ms)" if c.std else "clock not fitted"
-    return _row(c.input, f"{between}; {late}")
+    return f"{between}; {late}"
 
 
 def _next(d: Any) -> str:
     """One line on what to do with the answer."""
     if d.next_experiment is not None:
-        return f"measure what tells them apart: {d.next_experiment.summary().splitlines()[0]}"
+        return f"measure what tells them apart: {d.next_experiment.description}"
     if not d.complete:
         return "look at the force that remains, over speed, position, time and input (figure 'force')"
     return "use the updated plant (.model)" if d.effects else "the model can stay as it is, refitted"
-
-
-def _experiment_lines(d: Any) -> list[str]:
-    if d.next_experiment is None:
-        return []
-    return [f"  {line}" for line in d.next_experiment.summary().splitlines()]
-
-
-def _search_lines(d: Any) -> list[str]:
-    best = sorted(d.search, key=lambda e: -e.evidence)[:SHOWN_SEARCH]
-    return [_row(f"{e.evidence:.4g}", f"{' + '.join(e.effects) or 'none'}: {e.decision}") for e in best]
-
-
-def _row(label: str, text: str) -> str:
-    return f"  {label.ljust(LABEL - 1)} {text}"
 
 
 def _in_a_row(texts: Iterable[str]) -> str:
@@ -372,10 +303,6 @@ def _one_of(texts: Iterable[str]) -> str:
 def _small_first(text: str) -> str:
     people = tuple(e.person for e in catalogue().values() if e.person)  # they keep their capital
     return text if text.startswith(people) else text[:1].lower() + text[1:]
-
-
-def _items(table: Mapping[str, Any]) -> str:
-    return ", ".join(f"{key} {_sized(value) if isinstance(value, float) else value}" for key, value in table.items())
 
 
 def _digits(value: float, width: float) -> int:

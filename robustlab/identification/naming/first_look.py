@@ -1,17 +1,9 @@
-r"""Which effects are worth a full fit on top of a set: two short fits of every one, on few windows and then on some.
+"""Which effects are worth a full fit on top of a set: two short fits of every one, on few windows and then on some.
 
-Derivatives over what the set itself has are borrowed from the set in the first of them, so that it costs one
-simulation a parameter of the effect. Both look at cost alone; evidence, priors and held-out data have their say later.
-
-Where there are many effects, what each could gain is first told from one or a few simulations and no fit. At the fit of
-a set the residuals r and their derivatives J over its parameters and X over the windows' starts are known. An effect at
-the place where a fit of it would begin changes the residuals by :math:`\Delta`, and its linear parameters (the two
-parts of a wave, a load) by their own derivatives; with these as columns G the fall of V that linearity promises is
-
-.. math:: g^T h^{-1} g, \qquad h = G^T P G, \quad g = G^T P r,
-
-P the projection off everything that the set refits, under its priors. The strength of the effect is free in it, its
-other parameters stay. Of six legs with thirty effects each, those few that come near the best are worth a fit.
+In the first, derivatives over what the set has are borrowed from the set. Where there are many effects their gain is
+told first from a few simulations: with the residuals r of the set, the change G that an effect and its linear
+parameters make of them, and P the projection off all that the set refits, V falls by :math:`g^T h^{-1} g` with
+:math:`h = G^T P G` and :math:`g = G^T P r`.
 """
 
 from __future__ import annotations
@@ -29,6 +21,13 @@ from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import Linearised
 
+FIRST = 4
+FIRST_WINDOWS = 12  # that the first round looks at, and the second: more judge better and take more time
+SECOND_WINDOWS = 18
+MOST_SCORED = 30  # effects of a nonlinear plant that enter the first round: more find what no score shows
+KEPT_SECOND = 10  # hypotheses that enter the second round, and the last
+KEPT_GAINS = 2  # wrong gains beside them: at the same cost the prior may prefer one
+MOST_STRETCHED = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
 STARTS = 2  # of an effect, the best by what they promise, from which it is fitted where there are many effects
 LATE = 2.0  # standard deviations of a clock, beyond which it may stand for a delay
 NEGLIGIBLE = 1e-9  # of a column's own square: what the set refits makes all of it
@@ -216,13 +215,13 @@ def promising(
     noise = base.noise
     jobs = [start for candidate in pool for start in _starts(problem, base, candidate, known)]
     rough = replace(problem.clock, rough=True)
-    few, few_starts, few_ceiling = _thinned(problem, base, best, tuning.FIRST_WINDOWS)
-    some, some_starts, some_ceiling = _thinned(problem, base, best, tuning.SECOND_WINDOWS)
+    few, few_starts, few_ceiling = _thinned(problem, base, best, FIRST_WINDOWS)
+    some, some_starts, some_ceiling = _thinned(problem, base, best, SECOND_WINDOWS)
     few, some = few.under(rough), some.under(rough)
     few_base = few.fit(base.hypothesis, noise, base.z, few_starts, FitPlan(1))
     some_base = some.fit(base.hypothesis, noise, base.z, some_starts, FitPlan(1))
     if isinstance(problem.plant, NonlinearPlant):  # many joints, and every moved parameter costs its matrices anew
-        jobs = best_scored(few, few_base, jobs, tuning.MOST_SCORED, workers, said)
+        jobs = best_scored(few, few_base, jobs, MOST_SCORED, workers, said)
     borrowed = few.derivatives(few_base)
     # A few windows show a small part of what all of them may bring.
     rough_fall, least = tuning.ROUGH / noise.excess, tuning.PROMISING / noise.excess
@@ -231,7 +230,7 @@ def promising(
     some_ceiling = min(some_ceiling, some_base.cost - 2.0 * least)
 
     def first(job: Start) -> tuple[Start, Fit]:
-        plan = FitPlan(tuning.FIRST, rough_fall, draft=True, ceiling=few_ceiling)
+        plan = FitPlan(FIRST, rough_fall, draft=True, ceiling=few_ceiling)
         return job, few.fit(job.hypothesis, noise, job.z, few_base.starts, plan, borrowed)
 
     def second(entry: tuple[Start, Fit]) -> tuple[Start, Fit]:
@@ -242,13 +241,13 @@ def promising(
     looked = []
     for done, entry in enumerate(workers.map(first, jobs), start=1):
         looked.append(entry)
-        said(done, len(jobs) + tuning.KEPT_SECOND)
+        said(done, len(jobs) + KEPT_SECOND)
     nearest = _best_of_each(looked)
     known.update({job.candidate.key: fit for job, fit in nearest})
-    kept = _kept(nearest, few_base.cost, least, tuning.KEPT_SECOND, tuning.KEPT_GAINS)
+    kept = _kept(nearest, few_base.cost, least, KEPT_SECOND, KEPT_GAINS)
     nearer = _best_of_each(workers.map(second, kept))
     known.update({job.candidate.key: fit for job, fit in nearer})
-    kept = _kept(nearer, some_base.cost, 0.0, tuning.KEPT_LAST, tuning.KEPT_GAINS)
+    kept = _kept(nearer, some_base.cost, 0.0, tuning.KEPT_LAST, KEPT_GAINS)
     kept = [(job, fit) for job, fit in kept if fit.cost <= far * some_far]
     return [Start(job.candidate, fit.hypothesis, fit.z, _carried(fit, some, problem, base)) for job, fit in kept]
 
@@ -314,7 +313,7 @@ def _unstretched(problem: Problem, base: Fit, candidate: Candidate) -> list[Star
         return []
     scaled = [n.names and not n.additive for n in problem.nuisances]
     stretch = [n.spread * z for n, z, own in zip(problem.nuisances, base.z, scaled, strict=False) if own]
-    likely = max(stretch, key=lambda s: abs(s) if abs(s) < tuning.MOST_STRETCHED else 0.0, default=0.0)
+    likely = max(stretch, key=lambda s: abs(s) if abs(s) < MOST_STRETCHED else 0.0, default=0.0)
     found = []
     for sign in (1.0, -1.0):
         start = {candidate.parameters[0].name: float(np.exp(sign * likely))}

@@ -1,17 +1,9 @@
 r"""What each name brings: the error on held-out data with all names but it, refitted, against that with it.
 
-An effect can be certain and not matter: a load of a ten-thousandth of the motor's force, half a step of an encoder.
-With the held-out errors e of the whole set and e' of the set without one effect, over the windows and over whole runs,
-the effect is material where in one of the two
-
-.. math::
-    \operatorname{rms} e' - \operatorname{rms} e \ge s\, \operatorname{rms} e
-    \quad\text{and}\quad \operatorname{rms}(e' - e) \ge \tfrac12 \Delta
-
-for some output, with :math:`\Delta` the step of its sensor; and where its force is a share s of the one that moves the
-joint, for held-out data may be of another motion, in which a cogging that one feels by hand averages out; and where
-only parameters beyond their tolerances, many near their ends, or a clock far off, can take its place. What is not
-material is told beside the answer, decides no verdict and is not put into the model.
+With the held-out errors e of the whole set and e' without one effect, the effect is material where for some output, in
+windows or whole runs, :math:`\operatorname{rms} e' - \operatorname{rms} e \ge s \operatorname{rms} e` and
+:math:`\operatorname{rms}(e' - e) \ge \Delta / 2` with the sensor's step :math:`\Delta`; where its force is a share s of
+the one that moves the joint; and where only parameters beyond their tolerances or a clock far off can take its place.
 """
 
 from __future__ import annotations

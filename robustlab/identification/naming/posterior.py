@@ -1,34 +1,14 @@
 r"""How probable each set of effects is, and what that allows to be said.
 
-.. math:: P(S) = e^{E(S) / T} \Big/ \sum_{S'} e^{E(S') / T}
+:math:`P(S) \propto e^{E(S) / T}` with the log evidence E. T is 1 where the best set leaves noise; where an unnamed
+force beside it brings the evidence g, :math:`T = \max(1, g / \ln(p / (1 - p)))` with p the probability of a sure name
+(coarsened posterior: Miller, Dunson, JASA 114, 2019). The most probable sets are weighed again here under the noise of
+the sensors and a random force (`robustlab.identification.hypotheses.random_force`), over fitted and held-out windows.
 
-over the sets that the search judged and that may be the answer, with E the log evidence and T the temperature. T is 1
-where the best set leaves noise. Where an unnamed force beside it brings the evidence g, the model is right up to a
-neighbourhood of the size of its own misfit only, and what a name brings counts in units of that (a coarsened
-posterior):
-
-.. math:: T = \max\left(1,\ \frac{g}{\ln(p / (1 - p))}\right)
-
-with p the probability of a name that is sure. So a name is sure where it brings more than what is left, and no misfit
-could itself be the name. The search whitened errors by an autoregression, which is quick, and takes a slow random force
-for something to be explained; the most probable sets are weighed again here under the noise of the sensors and a random
-force (`robustlab.identification.hypotheses.random_force`), over the windows that were fitted and those that were held
-out.
-
-Of two sets that differ in one effect, or by one, and whose refit distance d for these very records is below 3, no test
-on the records can tell one from the other: what log evidence they differ by beyond :math:`d^2/2` and their priors is an
-accident of the fits, and is not counted. So an effect without which the rest explains the records as well is not named.
-
-An unnamed force (`robustlab.identification.hypotheses.unnamed_force`) may stand beside any set: where the best set
-leaves one that is more probable than nothing, it is looked for beside every set that it could lift, and beside the
-empty set in any case; what it brings is added to their evidence. So a name that an unnamed force explains as well is
-not sure, and where the force alone is more probable than all names, nothing is named.
-
-References
-----------
-Miller, Dunson, *Robust Bayesian inference via coarsening*, Journal of the American Statistical Association 114 (2019).
-
-A set whose error on held-out data is larger than that of the nominal model refitted within its tolerances is no answer.
+Of two sets that differ in one effect, or by one, with a refit distance below 3, log evidence beyond :math:`d^2/2` and
+the priors is not counted: an effect without which the rest explains the records as well is not named. An unnamed force
+may stand beside any set and adds to its evidence; where it alone is more probable than all names, nothing is named. A
+set whose held-out error is larger than that of the refitted nominal model is no answer.
 """
 
 from __future__ import annotations
@@ -62,6 +42,9 @@ from robustlab.identification.hypotheses.unnamed_force import (
 )
 from robustlab.identification.naming.set_search import Found, Key, Visited
 
+TEMPERATURE = 1.0  # by which log evidence is divided at least: above 1, less sure
+MOST_WEIGHED = 5  # sets that are weighed again under a random force
+MOST_RIVALS = 5  # looked at for each named effect
 NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
 HARDLY = 0.005  # probability below which a set changes no verdict
 
@@ -227,7 +210,7 @@ def weigh(found: Found) -> Posterior:
     twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL} - renamed
     collection = tuple(_collected(sets, tuning.SURE, twins))
     left = weights[sets[0].key].left if sets[0].key in weights else ()
-    return Posterior(tuple(sets), collection, generalises, left, temperature, temperature > tuning.TEMPERATURE)
+    return Posterior(tuple(sets), collection, generalises, left, temperature, temperature > TEMPERATURE)
 
 
 def _temperature(best: Visited, weights: Mapping[Key, _Weight]) -> float:
@@ -238,7 +221,7 @@ def _temperature(best: Visited, weights: Mapping[Key, _Weight]) -> float:
     left = weights[best.key].left if best.key in weights else ()
     smooth = [f for u in left for f in u.forces if f.wins and not np.isfinite(f.period)]
     gain = max((_gain(f) for f in smooth), default=0.0)
-    return max(tuning.TEMPERATURE, gain / float(np.log(tuning.SURE / (1.0 - tuning.SURE))))
+    return max(TEMPERATURE, gain / float(np.log(tuning.SURE / (1.0 - tuning.SURE))))
 
 
 def _as_machines_have(weights: dict[Key, _Weight], most: float) -> dict[Key, _Weight]:
@@ -264,7 +247,7 @@ def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, floa
         distance = {best.key: 0.0} | _raise(problem, best, less, evidence)
         ahead = max([best, *less], key=lambda v: evidence[v.key])
         if ahead is best:
-            return distance | _raise(problem, best, _exchanged(best, near)[: tuning.MOST_RIVALS], evidence)
+            return distance | _raise(problem, best, _exchanged(best, near)[:MOST_RIVALS], evidence)
         best = ahead
 
 
@@ -354,7 +337,7 @@ def _misjudges(visited: Visited, key: Key, label: str) -> bool:
 
 def _contenders(ordered: Sequence[Visited]) -> list[Visited]:
     """The sets that are weighed again: the best ones, and the empty one."""
-    near = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][: tuning.MOST_WEIGHED]
+    near = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED]
     return near + [v for v in ordered if not v.key and v not in near]
 
 
@@ -416,7 +399,7 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
     left: list[Visited] = []
     failed: list[Visited] = []
     for visited in (v for v in found.sets if v.allowed):
-        judged = visited.key and len(left) < tuning.MOST_WEIGHED
+        judged = visited.key and len(left) < MOST_WEIGHED
         (failed if judged and clearly_larger(errors(visited), refitted) else left).append(visited)
     ahead = any(v.evidence > found.empty.evidence for v in failed)
     return left, not ahead or bool(left[0].key)

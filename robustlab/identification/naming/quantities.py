@@ -1,16 +1,9 @@
-r"""What every member of a kind of effects can be asked for, told from the records' own motion.
+r"""What every member of a kind of effects can be asked for, from the records' own motion.
 
-With the force f that a fitted effect gives along the simulated windows, the speed v and the position q of its joint:
-
-.. math::
-    \text{level} = \frac{-\sum f v}{\sum |v|}, \qquad \text{viscous} = \frac{-\sum f v}{\sum v^2}, \qquad
-    \text{stiffness} = \frac{-\operatorname{cov}(f, q)}{\operatorname{var} q}, \qquad
-    \text{force} = -\operatorname{mean} f
-
-So a dry friction, a contact that gives way before it slides, and a hysteretic spring are compared by the work that they
-take from one and the same motion. A lateness is the sum of delay and time constant, a factor that of the path from
-input to sensor (an inertia twice as large halves it). Standard deviations are those of the effect's own parameters, by
-differences (delta method).
+With the force f of a fitted effect along the windows, the speed v and the position q of its joint: level
+:math:`-\sum f v / \sum |v|`, viscous :math:`-\sum f v / \sum v^2`, stiffness :math:`-\operatorname{cov}(f, q) /
+\operatorname{var} q`, force :math:`-\operatorname{mean} f`; a lateness is the sum of delay and time constant. Standard
+deviations are by the delta method.
 """
 
 from __future__ import annotations

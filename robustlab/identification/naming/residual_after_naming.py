@@ -10,20 +10,10 @@ gives the rates
 with the effects' states z and forces :math:`F_j` as simulated (A and E with what effects have changed). What the
 sensors tell beyond these is smoothed joint by joint.
 
-A screw, a gear or a magnet repeats with the position, hum and unbalanced auxiliaries repeat with time. Such a line may
-be too weak to make simulations of unseen data better, so that no effect is named for it, and be certain all the same:
-a maintainer wants to know of it. For the wave number :math:`\kappa` over a coordinate x the force d is set against
-
-.. math:: d = a_r \cos \kappa x + b_r \sin \kappa x
-
-with a phase of its own in each record r, since an encoder that counts from where it was switched on has another zero
-every time, and over the position in each direction of motion too: a screw pushes with the other flank. Judged is the
-power that this explains, over the mean power under random signs of the blocks of time, which is what a force of this
-spectrum explains by chance. A level counts against the largest level of all wave numbers under each set of signs, and
-twice where two coordinates are searched, so that looking in many places is paid for (as in
-`robustlab.identification.unnamed.unnamed_effect`). Smooth curves over speed, position, time and input are taken off
-before: they are no lines, and their edges would look like some. Lines are then taken off one by one, the one that
-explains most first.
+A line that repeats with the position (a screw) or time (hum) may be too weak to name an effect, and be certain all the
+same. For each wave number a cosine and sine are fitted to the force, with a phase of its own in each record and
+direction of motion; the power explained is judged against the same under random signs of the blocks of time, and
+against the largest level of all wave numbers. Smooth curves are taken off before, and found lines one by one.
 """
 
 from __future__ import annotations
@@ -40,25 +30,34 @@ from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification import tuning
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem
 from robustlab.identification.hypotheses.motion_smoother import lacking_forces
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
-from robustlab.identification.unnamed.block_regression import (
-    BlockRegression,
+from robustlab.identification.naming.residual_force import (
     MovingSamples,
-    coordinate_bases,
-    moving_samples,
-    random_signs,
-    role,
-)
-from robustlab.identification.unnamed.unnamed_effect import (
     ResidualForce,
+    moving_samples,
     residual_force,
+    role,
+    without_curves,
 )
 from robustlab.statespace import StateSpaceModel
+
+RESIDUAL_BLOCKS = 32  # of time, over all records
+RESIDUAL_SAMPLES = 6000  # over all records; the force is smooth, so every so manieth sample tells it
+LINE_ALARM = 0.01  # p-value of a line worth telling
+MOST_LINES = 4
+LINE_WORTH = 0.02  # of the mean square of the force: a weaker line is certain and of no use
+FEWEST_TURNS = 8.0  # over the range of the position: fewer are a curve, which the splines have taken
+TURNS_PER_BLOCK = 3.0  # of a line over time: slower ones cannot be told from drift between blocks
+MOST_WAVES = 3000  # wave numbers tried over a coordinate
+OVERSAMPLING = 2.0  # wave numbers tried per turn over the range
+WAVES_AT_ONCE = 300  # bounds the memory
+FINER_WAVES = 41  # of the last search, between the neighbours of the best one
+CURVE_STIFFNESS = 1e-4  # of the smooth curves that are taken off first
+FLIPS = 400  # random signs
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +148,8 @@ def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
     known = [p for p in parts if p is not None]
     if not known:
         return None
-    per_record = max(4, tuning.RESIDUAL_BLOCKS // len(known))
-    step = max(1, sum(len(p[2]) for p in known) // tuning.RESIDUAL_SAMPLES)
+    per_record = max(4, RESIDUAL_BLOCKS // len(known))
+    step = max(1, sum(len(p[2]) for p in known) // RESIDUAL_SAMPLES)
     blocks = [k * per_record + np.arange(len(p[2])) * per_record // len(p[2]) for k, p in enumerate(known)]
     force = np.concatenate([p[2][::step] for p in known])
     std = np.concatenate([p[3][::step] for p in known])
@@ -197,7 +196,7 @@ def _least(problem: Problem, k: int) -> float:
     hardly any force the likelihood makes that longer than a block, and chance would look like structure.
     """
     windows, dt = problem.records[k].windows, problem.records[k].record.dt
-    return max(4, tuning.RESIDUAL_BLOCKS // len(problem.records)) / (len(windows.starts) * windows.length * dt)
+    return max(4, RESIDUAL_BLOCKS // len(problem.records)) / (len(windows.starts) * windows.length * dt)
 
 
 def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Part | None:
@@ -285,21 +284,8 @@ Turns = NDArray[np.complex128]
 def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
     """Lines over position and time in the residual force that chance does not explain (p < 0.01), strongest first.
 
-    Parameters
-    ----------
-    left
-        The residual force along the records: ``force``, ``std``, ``coordinates``, ``blocks`` and the units.
-
-    Returns
-    -------
-    tuple of dict
-        ``over`` ("position" or "time"), ``period`` in ``unit``, ``amplitude`` in ``force_unit`` (RMS over records and
-        directions), ``p_value``. Empty where there is none, or hardly any motion.
-
-    Raises
-    ------
-    InputError
-        Lengths that differ, NaN, a std that is not positive, labels of blocks that go back.
+    Each has ``over`` ("position" or "time"), ``period`` in ``unit``, ``amplitude`` in ``force_unit`` (RMS over records
+    and directions) and ``p_value``. Empty where there is none, or hardly any motion.
     """
     try:
         data = moving_samples(left.force, left.std, left.coordinates, left.blocks)
@@ -309,12 +295,13 @@ def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
         raise
     if (np.diff(data.block) < 0).any():
         raise InputError("remaining lines: blocks", "labels that go back", "contiguous blocks, one after the other")
-    signs = random_signs(data.n_blocks, 0)
-    data = replace(data, d=_without_curves(data))
+    chance = np.random.default_rng(0).choice([-1.0, 1.0], size=(FLIPS, data.n_blocks))
+    signs = np.vstack([np.ones(data.n_blocks), chance])
+    data = replace(data, d=without_curves(data, CURVE_STIFFNESS))
     searches = list(_searches(data))
-    least = tuning.LINE_WORTH * float(data.weight @ data.d**2)
+    least = LINE_WORTH * float(data.weight @ data.d**2)
     found: list[dict[str, float | str]] = []
-    while len(found) < tuning.MOST_LINES:
+    while len(found) < MOST_LINES:
         sure = [line for s in searches if (line := _strongest(data, s, signs, len(searches)))]
         if not sure:
             break
@@ -359,18 +346,6 @@ def _records(data: MovingSamples) -> NDArray[np.int_]:
     return np.concatenate([[0], np.cumsum(np.diff(time) < 0)])
 
 
-def _without_curves(data: MovingSamples) -> Array:
-    """The force less a sum of smooth curves over all coordinates."""
-    from scipy.linalg import block_diag
-
-    bases = coordinate_bases(data)
-    if not bases:
-        return data.d - np.average(data.d, weights=data.weight)
-    columns = np.hstack([b.columns for b in bases])
-    regression = BlockRegression(data, data.d, columns, np.asarray(block_diag(*(b.penalty for b in bases))))
-    return data.d - columns @ regression.solve(tuning.CURVE_STIFFNESS)[:, 0]
-
-
 def _searches(data: MovingSamples) -> Iterator[_Search]:
     """Position and time, each with the wave numbers that its samples can show."""
     record = _records(data)
@@ -379,28 +354,28 @@ def _searches(data: MovingSamples) -> Iterator[_Search]:
         if role(name) not in ("position", "time") or not span > 0:
             continue
         step = np.abs(np.diff(x))
-        longest, group = span / tuning.FEWEST_TURNS, record
+        longest, group = span / FEWEST_TURNS, record
         if role(name) == "time":
             length = float(np.median([np.ptp(x[data.block == b]) for b in range(data.n_blocks)]))
-            longest = min(longest, length / tuning.TURNS_PER_BLOCK)
+            longest = min(longest, length / TURNS_PER_BLOCK)
         else:
             group = 2 * record + (data.sign > 0)
         low, high = 1.0 / longest, 0.5 / float(np.median(step[step > 0]))
-        count = min(tuning.MOST_WAVES, int((high - low) * span * tuning.OVERSAMPLING))
+        count = min(MOST_WAVES, int((high - low) * span * OVERSAMPLING))
         if count >= 2:
-            yield _Search(name, x, low + np.arange(count) / (span * tuning.OVERSAMPLING), group)
+            yield _Search(name, x, low + np.arange(count) / (span * OVERSAMPLING), group)
 
 
 def _strongest(
     data: MovingSamples, place: _Search, signs: Array, searches: int
 ) -> tuple[float, float, _Search, int] | None:
     """Of the waves that chance does not explain the one with the most power: power, p, place, index."""
-    power = _power(data, place, signs, tuning.WAVES_AT_ONCE)
+    power = _power(data, place, signs, WAVES_AT_ONCE)
     mean = power[1:].mean(axis=0)
     level = power / np.where(mean > 0, mean, 1.0)
     chance = np.sort(level[1:].max(axis=1))
     p = searches * (1 + len(chance) - np.searchsorted(chance, level[0])) / len(level)
-    sure = np.flatnonzero(p < tuning.LINE_ALARM)
+    sure = np.flatnonzero(p < LINE_ALARM)
     if not len(sure):
         return None
     at = int(sure[power[0, sure].argmax()])
@@ -454,9 +429,9 @@ def _normal_equations(
 
 def _refined(data: MovingSamples, place: _Search, at: int) -> float:
     """Wave number of the most power between the neighbours of the best one of the grid."""
-    step = 1.0 / (float(np.ptp(place.x)) * tuning.OVERSAMPLING)
-    waves = place.waves[at] + step * np.linspace(-1.0, 1.0, tuning.FINER_WAVES)
-    power = np.zeros(tuning.FINER_WAVES)
+    step = 1.0 / (float(np.ptp(place.x)) * OVERSAMPLING)
+    waves = place.waves[at] + step * np.linspace(-1.0, 1.0, FINER_WAVES)
+    power = np.zeros(FINER_WAVES)
     for moment, inverse in _normal_equations(data, place, waves):
         whole = moment.sum(axis=0)
         power += np.einsum("wp,wpq,wq->w", whole, inverse, whole)

@@ -1,36 +1,24 @@
 r"""The search over sets of effects, by evidence on what is fitted and on what is held out.
 
-A hypothesis is a set S of effects at their places. With the chain rule
-
 .. math:: \log p(S | y) = \log p(y_f | S) + \log p(y_h | y_f, S) + \log p(S) + \text{const}
 
-the first term is Laplace's evidence of the fitted windows, the second the likelihood of the held-out ones with the
-parameters as well known as the fit tells them (of models far beyond the sensors' noise at the fitted values alone: what
-a wrong model says of its own accuracy is wrong, too), the third the prior: a constant for each effect, less for a
-refinement of another effect, and for a ripple divided among all periods that were looked through.
-
-From the empty set on the most probable set that was not looked at yet is expanded by one effect, all promising ones
-fitted. When nothing that is added to the best set makes it more probable, each of its effects (and, of three, each two)
-are taken away and the rest is expanded again: so an effect that came first and only stood for what came later is
-dropped, exchanged, or two are replaced by one. The search ends when no such move finds a more probable set. All sets
-are judged under one noise model, that of the best one; when that changes, they are fitted again.
-
-Of the clock under which hypotheses are simulated, what a record does not say is inferred: an input may be held between
-its samples, or be a signal that was only sampled (then the plant sees it half a sample earlier on average, and more of
-its fast part). A hypothesis that is simulated better than another would win by that alone; so all share one stepping,
-short enough for the best of them.
+with Laplace's evidence of the fitted windows, the likelihood of the held-out ones, and a prior for each effect. From
+the empty set on the most probable set that was not looked at is expanded by one effect. When nothing added makes the
+best more probable, each of its effects (of three, each two) is taken away and the rest expanded again. All sets are
+judged under one noise model, that of the best, and one clock: input holds and steps short enough for the best of them.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import (
@@ -39,6 +27,7 @@ from robustlab.identification.hypotheses.effect_fit import (
     Fit,
     FitPlan,
     Hypothesis,
+    Nuisance,
     Problem,
     refit_distance,
 )
@@ -53,16 +42,30 @@ from robustlab.identification.hypotheses.noise import (
     whitening,
 )
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
-from robustlab.identification.hypotheses.nuisance import Nuisance
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
 from robustlab.identification.naming.materiality import strained
-from robustlab.identification.naming.single_fits import single_fits
+
+WORKERS = 2
+ROUGH_FITS = 4  # full fits before the noise is known, of fewer iterations: they only have to find a leader
+ROUGH_FULL = 6
+CLOCK_SHARE = 0.25  # of a sample: standard deviation of an input's shift
+MOST_STEPS = 4  # a sample: more follow stiffer contacts and take more time
+STEP_ERROR = 0.1  # of the noise, by which half as long steps may change a residual
+MOST_EFFECTS = 4
+BEGINNINGS = 3  # single effects from which sets are built where something is missing
+IN_ONE_PIECE = 3.0  # scatter of the windows, over that of independent errors, from which something is
+MOST_EXPANSIONS = 12  # sets to which effects are added before the search is called unfinished
+MOST_WORK = 240_000_000  # steps of simulation, after which no further set is expanded
+PRIOR_EFFECT = 0.02  # of an effect at a place
+PRIOR_REFINEMENT = 0.1  # of a refinement, over that of the effect it refines
+LOOKED_ELSEWHERE = 200.0  # periods among which the one of a ripple was found
+OUT_OF_SIGHT = 100.0  # times the V that would come near a set that leaves only noise, after two looks
 
 
 def clock_nuisances(inputs: tuple[str, ...], dt: float) -> tuple[Nuisance, ...]:
     """A shift of each input against the outputs, a part of a sample: clocks are not told more exactly than that."""
-    return tuple(Nuisance(f"clock of {name}", (), tuning.CLOCK_SHARE * dt, input=name) for name in inputs)
+    return tuple(Nuisance(f"clock of {name}", (), CLOCK_SHARE * dt, input=name) for name in inputs)
 
 
 def held_inputs(problem: Problem, fit: Fit) -> tuple[Fit, Problem]:
@@ -91,7 +94,7 @@ def step_error(problem: Problem, fit: Fit) -> float:
 
 def short_steps(problem: Problem, fit: Fit) -> Problem:
     """The problem with steps so short that halving them changes no residual by more than a tenth of the noise."""
-    while (problem.clock.sub or 1) < tuning.MOST_STEPS and step_error(problem, fit) > tuning.STEP_ERROR:
+    while (problem.clock.sub or 1) < MOST_STEPS and step_error(problem, fit) > STEP_ERROR:
         problem = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
     return problem
 
@@ -151,11 +154,11 @@ def log_prior(hypothesis: Hypothesis) -> float:
     """Log prior of a set."""
     total = 0.0
     for candidate in hypothesis.candidates:
-        total += math.log(tuning.PRIOR_EFFECT)
+        total += math.log(PRIOR_EFFECT)
         if candidate.effect.refines:
-            total += math.log(tuning.PRIOR_REFINEMENT)
+            total += math.log(PRIOR_REFINEMENT)
         if candidate.effect.spatial and candidate.scales.orders:
-            total -= math.log(tuning.LOOKED_ELSEWHERE)
+            total -= math.log(LOOKED_ELSEWHERE)
     return total
 
 
@@ -170,8 +173,7 @@ def _at_line(candidate: Candidate, line: UnnamedEvidence) -> Candidate:
     scales = replace(candidate.scales, **at)
     starts = effect.starts(scales)
     if {"Ac", "As"} <= set(starts[0]):
-        quarter = float(np.interp(0.25 * line.period, line.x, line.force))
-        starts = (*starts, {**starts[0], "Ac": float(line.force[0]), "As": quarter})
+        starts = (*starts, {**starts[0], "Ac": line.wave[0], "As": line.wave[1]})
     return Candidate(effect, candidate.site, effect.parameters(scales), starts, scales)
 
 
@@ -183,7 +185,7 @@ def search_sets(
     ``problem``, ``held``: the windows to fit and the windows that are kept from the fits. ``allowed``: whether a fitted
     set may be the answer. ``progress``: called with the number of fits done, those expected, and what is being done.
     """
-    with ThreadPoolExecutor(tuning.WORKERS) as workers:
+    with ThreadPoolExecutor(WORKERS) as workers:
         return _Search(problem, held, pool, allowed, progress, workers).run()
 
 
@@ -252,8 +254,8 @@ class _Search:
 
     def _used_up(self) -> bool:
         """Whether the search ends here; a set that leaves only noise is still asked whether all of it is needed."""
-        work, most = sum(self.problem.work), tuning.MOST_WORK
-        if self.expansions >= tuning.MOST_EXPANSIONS or work >= 2 * most:
+        work, most = sum(self.problem.work), MOST_WORK
+        if self.expansions >= MOST_EXPANSIONS or work >= 2 * most:
             return True
         return work >= most and not self._explains(self._told())
 
@@ -302,7 +304,7 @@ class _Search:
         whole = self._whole()
         best = whole.key
         begun = [k for k in self.expanded if len(k) == 1]
-        wanted = bool(begun) and len(begun) < tuning.BEGINNINGS and self.noise.excess > tuning.IN_ONE_PIECE
+        wanted = bool(begun) and len(begun) < BEGINNINGS and self.noise.excess > IN_ONE_PIECE
         if wanted and sum(k <= best for k in begun) < 2 and not self._explains(whole):
             done = [c for k in begun for c in self.visited[k].fit.hypothesis.candidates]
             others = [
@@ -317,7 +319,7 @@ class _Search:
                     self._without(whole.fit, key)
             if self._told().key != told:
                 return self._next()
-        if len(best) < tuning.MOST_EFFECTS and best not in self.expanded:
+        if len(best) < MOST_EFFECTS and best not in self.expanded:
             return best
         sizes = [len(best) - away for away in (1, 2) if away <= len(best) <= 3 or away == 1 <= len(best)]
         smaller = [Key(part) for size in sizes for part in itertools.combinations(sorted(best), size)]
@@ -445,15 +447,15 @@ class _Search:
         asked = {start.candidate.key for start in wrong}
         open_ones = [c for c in open_ones if c.key not in asked]
         # Where something else leaves only noise, what is far from that after two looks would not come near it.
-        far = tuning.OUT_OF_SIGHT if key != self._told().key and self._explains(self._told()) else np.inf
+        far = OUT_OF_SIGHT if key != self._told().key and self._explains(self._told()) else np.inf
         starts = [*wrong, *promising(self.problem, base, best, open_ones, known, self.workers, said, far)]
         if not self.sharpened:
-            starts = starts[: tuning.ROUGH_FITS]
+            starts = starts[:ROUGH_FITS]
         ceiling = self._ceiling(base)
 
         def full(start: Start) -> Fit:
             gain = start.candidate.effect.gain_like
-            rounds = tuning.FULL if self.sharpened else tuning.ROUGH_FULL
+            rounds = tuning.FULL if self.sharpened else ROUGH_FULL
             plan = FitPlan(rounds, 0.05, ceiling=np.inf if gain else ceiling)
             return self.problem.fit(start.hypothesis, self.noise, start.z, start.starts or base.starts, plan)
 
@@ -536,7 +538,7 @@ class _Search:
         leader = self._clocked(self._again(leader))
         self.noise = self._noise_of(leader)
         ordered = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)
-        ordered = ordered[: tuning.ROUGH_FITS]
+        ordered = ordered[:ROUGH_FITS]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit}
         kept[key_of(leader.hypothesis)] = leader
         again = self.workers.map(self._again, kept.values())
@@ -579,3 +581,60 @@ class _Search:
         self.problem = short_steps(self.problem, fit)
         self.held = self.held.under(self.problem.clock)
         return self._again(fit)
+
+
+TIMES = 10.0  # the V of the best set under the sensors' noise, which a single effect that explains as much comes near
+Said = Callable[[int, int], None]
+Begin = tuple[Hypothesis, Array, Sequence[Array]]  # what is fitted, its standardised parameters, the windows' starts
+
+
+def single_fits(
+    problem: Problem, best: Fit, pool: Sequence[Candidate], ceiling: float, workers: Executor, said: Said
+) -> Iterator[Fit]:
+    """Fits of single effects of ``pool`` under the noise of the ``best`` set, those that may come below ``ceiling``.
+
+    Under small coloured noise the cost is rugged, and a fit from a guess rests in the next valley. So each effect is
+    fitted under the sensors' white noise first, from each of its starts; the lowest go on under that of the search.
+
+    ``said``: called with the number of fits done and to do.
+    """
+    wide, nominal = first_noise(problem), np.zeros(len(problem.nuisances))
+    jobs = [(c, start) for c in pool for start in c.starts]
+    near = problem.fit(best.hypothesis, wide, best.z, best.starts, FitPlan(ROUGH_FULL, tuning.ROUGH)).cost
+    most = TIMES * near + 2.0 * tuning.FAR_BEHIND
+
+    def smooth(job: tuple[Candidate, Mapping[str, float]]) -> Fit:
+        candidate, start = job
+        z = np.append(nominal, candidate.standardised(start))
+        return problem.fit(Hypothesis((candidate,)), wide, z, plan=FitPlan(ROUGH_FULL, tuning.ROUGH, ceiling=most))
+
+    lowest: dict[str, Fit] = {}
+    for done, fit in enumerate(workers.map(smooth, jobs), 1):
+        key = fit.hypothesis.candidates[0].key
+        if key not in lowest or fit.cost < lowest[key].cost:
+            lowest[key] = fit
+        said(done, len(jobs) + tuning.KEPT_LAST)
+    first = sorted((f for f in lowest.values() if f.cost < most), key=lambda f: f.cost)[: tuning.KEPT_LAST]
+
+    def full(begin: Begin) -> Fit:
+        hypothesis, z, starts = begin
+        whole = problem.fit(hypothesis, wide, z, starts, FitPlan(tuning.FULL, 0.05))
+        return problem.fit(hypothesis, best.noise, whole.z, whole.starts, FitPlan(tuning.FULL, 0.05, ceiling=ceiling))
+
+    plain = list(workers.map(full, ((f.hypothesis, f.z, f.starts) for f in first)))
+    yield from plain
+    yield from workers.map(full, _refined_fits(problem, plain, pool))
+
+
+def _refined_fits(problem: Problem, fits: Sequence[Fit], pool: Sequence[Candidate]) -> Iterator[Begin]:
+    """Where what refines the effects of these fits begins: where they stand."""
+    n = len(problem.nuisances)
+    for fit in fits:
+        (there,) = fit.hypothesis.candidates
+        (values,) = problem.split(fit.hypothesis, fit.z)[1]
+        for candidate in pool:
+            if candidate.effect.refines == there.effect.id and candidate.site == there.site:
+                for start in candidate.starts:
+                    kept = {**start, **{name: x for name, x in values.items() if name in start}}
+                    z = np.append(fit.z[:n], candidate.standardised(kept))
+                    yield Hypothesis((candidate,)), z, fit.starts

@@ -19,7 +19,7 @@ from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError, told_as
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
 from robustlab.identification.naming.named_effects import INTERVAL, NamedKind
-from robustlab.identification.unnamed.unnamed_effect import ResidualForce
+from robustlab.identification.naming.residual_force import ResidualForce
 
 ONE_FACTOR = "scaled by one factor"
 SIGMAS = 2.0  # standard deviations that a refitted parameter's tolerance covers

@@ -1,23 +1,12 @@
 r"""Is every recorded channel what the model takes it for: its sign, its unit, its name?
 
-Two tests. Where one output of the model is the derivative of another, :math:`\dot y_a = \kappa y_b`, the record must
-show the same, and no model of the plant is needed to see it: over windows, with constant and slope projected out,
+Where one output of the model is the derivative of another the record must show the same: over windows, with constant
+and slope projected out, :math:`y_a \approx s\,\kappa \int y_b\,dt` with s = 1. All else is judged in windows with free
+start, constant disturbance and constant sensor error: :math:`P y_j = n\,P (G u)_j` with n of order one.
 
-.. math:: y_a \approx s \, \kappa \int y_b \, dt, \qquad s = 1.
-
-All else is judged by simulation in windows, each with its own initial state, constant disturbance and constant sensor
-error: the response to the input must stand in the output with a positive factor n of order one,
-
-.. math:: P y_j = n \, P (G u)_j + \text{what missing effects add}, \qquad P = I - Q Q^T .
-
-A channel is called wrong only where turning it (its sign, its unit, its name) explains the record far better than the
-channel as it is *together with* the effects a model may lack: friction, viscous damping and springs with the sign
-that physics asks for at every force equation, gains from 0.05 to 2.5, delays up to 20 ms. So a real missing effect
-stays one, and is left to naming.
-
-Of a nonlinear plant signs are looked at along its motion: with another sign of one channel it follows the record far
-worse, or not at all, since what is missing is then as large as the channel itself. A channel is said to be turned only
-where turning it takes nearly all of the error away, which no missing effect could do.
+A channel is called wrong only where turning it explains the record far better than the channel as it is together with
+the effects that a model may lack: friction, damping, springs, gains of 0.05 to 2.5, delays up to 20 ms. Of a nonlinear
+plant only where turning it takes nearly all of the error away.
 """
 
 from __future__ import annotations

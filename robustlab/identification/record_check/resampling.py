@@ -1,20 +1,8 @@
-r"""Records with missing samples, a jittering clock, or two clocks, brought on one uniform clock; and from where
-positions are counted, where nothing in a plant depends on it.
+"""Records with missing samples, a jittering clock, or two clocks, brought on one uniform clock; datum of positions.
 
-On the clock :math:`\tau_k = \tau_0 + k\,\Delta t` the inputs are held, as a D/A converter holds them, and the outputs
-go straight between two samples:
-
-.. math::
-    u(\tau) = u_j, \qquad y(\tau) = y_j + \frac{\tau - t_j}{t_{j+1} - t_j} (y_{j+1} - y_j), \qquad
-    t_j \le \tau < t_{j+1}.
-
-Where the two samples are further apart than one and a half sample times, a sample is missing between them: what stands
-there is marked as not measured. A time :math:`\tau` that meets a stamp takes over its sample unchanged.
-
-A multi-turn encoder may begin anywhere, thousands of turns from zero. An effect over the position, such as
-:math:`A_c \cos kq + A_s \sin kq`, then has a phase that no record tells: an error of k turns it by q times as much, and
-no fit finds its way. So positions far from zero are counted from a point within the strokes; of an angle by whole
-turns, which leaves all that repeats with the turn as it is.
+Inputs are held, outputs go straight between two samples. Where those are further apart than one and a half sample times
+what stands between is marked as not measured. Positions far from zero (a multi-turn encoder) are counted from a point
+within the strokes, angles by whole turns: else an effect over the position has a phase that no fit finds.
 """
 
 from __future__ import annotations

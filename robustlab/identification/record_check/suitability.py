@@ -267,15 +267,7 @@ class Suitability(Evidence):
         return tuple(finding for finding in self.findings if finding.kind == kind)
 
     def require(self) -> None:
-        """Go on only with a record that is fit.
-
-        Raises
-        ------
-        InputError
-            A channel is wrong or dead: exit code 3.
-        NoTrustworthyNumber
-            The record is too short or not excited: exit code 4.
-        """
+        """Go on only with a record that is fit."""
         if self.fit:
             return
         wrong = sorted(self.fatal, key=lambda finding: finding.kind in TOO_POOR)

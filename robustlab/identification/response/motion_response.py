@@ -2,10 +2,10 @@ r"""A nonlinear plant's response to a record in windows, linear about the record
 
 With the plant about a motion (`robustlab.dynamics.ports.motion_model`) each window has
 
-.. math:: y(t_k) = y_u(t_k) + S(t_k)\,(x_0 - \bar x_0) + \sum_i h_i(t_k)\,d_i
+.. math:: y(t_k) = y_u(t_k) + S(t_k)\,(x_0 - \bar x_0) + \sum_j h_j(t_k)
 
-with the outputs :math:`y_u` from the motion's own state at its start, the free response S, and the answers h to one
-unit more of each input. Unlike a linear plant's, S is another one in each window. All windows of one length go side by
+with the outputs :math:`y_u` from the motion's own state at its start, the free response S, and the answers h to forces
+at the joints. Unlike a linear plant's, S is another one in each window. All windows of one length go side by
 side.
 """
 
@@ -44,7 +44,7 @@ class WindowResponses:
     y: Array  # outputs from ``x0``, (n_windows, length, n_y)
     x0: Array  # the motion's states at the starts, (n_windows, n_x)
     free: Array  # outputs per unit more of each state at the start, (n_windows, length, n_y, n_x)
-    held: Array  # outputs per unit more of each input throughout the window, (n_windows, length, n_y, n_u)
+    pushed: Array  # outputs by each of the added forces alone, (n_windows, length, n_y, n_forces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,42 +83,42 @@ class MotionResponse:
     ) -> Iterator[WindowResponses]:
         """Windows of ``length`` samples, as many side by side as the memory takes.
 
-        ``added``: what `WindowResponses.held` is the answer to, samples (n, n_u); ones where left out.
+        ``added``: forces at the joints, or at the inputs of a plant without joints, (n, n_forces).
         """
-        n_x, n_u = self.n_states, self.course.u.shape[1]
-        size = length * (len(self.columns) * (1 + n_x + n_u) + STEPS * n_x * (2 * n_x + n_u))
+        n_x, n_d = self.n_states, 0 if added is None else added.shape[1]
+        size = length * (len(self.columns) * (1 + n_x + n_d) + STEPS * n_x * (2 * n_x + n_d))
         count = max(1, AT_ONCE // size)
         for k in range(0, len(starts), count):
             yield self._responses(np.asarray(starts[k : k + count], dtype=np.int64), length, added)
 
     def _responses(self, starts: Indices, length: int, added: Array | None) -> WindowResponses:
         dt, n_x, n_u = self.course.dt, self.n_states, self.course.u.shape[1]
+        added = np.zeros((len(self.course.u), 0)) if added is None else added
+        n_d = added.shape[1]
         about = motion_model(self.course, {}, starts, length, STEPS)
         phi, psi = exponentials(np.ascontiguousarray(about.model.A), dt / STEPS)
         b, columns = about.model.B[..., :n_u], list(self.columns)
-        entering = psi @ b
+        joints = [p.force for p in about.model.ports.values() if p.kind == "joint"]
+        driven, forced = psi @ b, psi @ (np.stack(joints, axis=-1) if joints else b)[..., :n_d]
         steps = about.steps.reshape(len(starts), -1)
         rates = about.rates.reshape(*steps.shape, n_x)
         points = about.points.reshape(len(starts), -1)
         c, d = about.model.C[:, columns], about.model.D[:, columns]
         offsets = about.offsets[:, columns].reshape(len(starts), length, len(columns))
-        found = np.empty((len(starts), length, len(columns), 1 + n_x + n_u))
-        # Columns: the window itself, a unit of each state at the start, a unit of each input throughout.
-        x = np.zeros((len(starts), n_x, 1 + n_x + n_u))
+        found = np.empty((len(starts), length, len(columns), 1 + n_x + n_d))
+        # Columns: the window itself, a unit of each state at the start, each force.
+        x = np.zeros((len(starts), n_x, 1 + n_x + n_d))
         x[:, :, 0], x[:, :, 1 : 1 + n_x] = self.course.x[starts], np.eye(n_x)
         for k in range(length):
-            u = self.course.u[starts + k]
-            more = np.ones_like(u) if added is None else added[starts + k]
+            u, force = self.course.u[starts + k], added[starts + k]
             at = points[:, k]
             found[:, k] = c[at] @ x
             found[:, k, :, 0] += offsets[:, k] + (d[at] @ u[..., None])[..., 0]
-            found[:, k, :, 1 + n_x :] += d[at] * more[:, None]
             for step in range(k * STEPS, (k + 1) * STEPS):
                 own = steps[:, step]
                 x = phi[own] @ x
-                pushed = entering[own]
-                x[:, :, 0] += (pushed @ u[..., None] + psi[own] @ rates[:, step, :, None])[..., 0]
-                x[:, :, 1 + n_x :] += pushed * more[:, None]
+                x[:, :, 0] += (driven[own] @ u[..., None] + psi[own] @ rates[:, step, :, None])[..., 0]
+                x[:, :, 1 + n_x :] += forced[own] * force[:, None]
         if not np.isfinite(found).all():
             name = self.plant.name
             raise NoTrustworthyNumber(f"compare {name}", "a window's simulation overflows", None, "shorter windows")

@@ -1,34 +1,13 @@
-r"""Simulation in windows, each from its own best initial state, and the residual that such windows leave.
+r"""Simulation in windows, each from its own least-squares initial state, and the residual that such windows leave.
 
-Over a long record a model with an integrator drifts, and its error says little about where the model is wrong. So the
-record is cut into windows, and in each the initial state is fitted by least squares over the whole window: with the
-forced response :math:`y_u` and the free response :math:`S(t) = C e^{A t}`, :math:`x_0` minimises
-:math:`\sum_k \| W (y_k - y_u(t_k) - S(t_k) x_0) \|^2`. What is left is the part of the error that no initial state
-explains.
-
-The windowed error itself is not white even for a perfect model, because the fit uses up n_x directions in each
-window, and because the fit must weigh outputs of unknown noise against each other. The *recursive residual* has no
-such flaw: sample k of an output is predicted with the initial state fitted to the samples of this output in its window
-before k,
+The *recursive residual* predicts sample k of an output with the state fitted to its samples in the window before k,
 
 .. math:: w_k = \frac{y_k - y_{u,k} - s_k^T \hat x_{k-1}}{\sqrt{1 + s_k^T P_{k-1} s_k}}, \qquad
-          P_{k-1} = \Big(\sum_{j<k} s_j s_j^T\Big)^{-1}.
+          P_{k-1} = \Big(\sum_{j<k} s_j s_j^T\Big)^{-1},
 
-If the model is right and the output noise white, the :math:`w_k` are white with the variance of the noise, exactly
-and for every window length. They come from a QR decomposition that is updated by one row at a time (no matrix is
-inverted).
-
-What an input does to an output is told in windows that know neither their start nor a constant disturbance: each has
-its own initial state, a constant drive of every state's equation, and a constant error of the sensor;
-what these can do is projected out of the measured output and of every response of the model,
-
-.. math:: P y_j \approx \sum_i s_i \, P (G u_i)_j, \qquad P = I - Q Q^T,
-
-so that the factors :math:`s_i` do not depend on drift, offsets or where the machine started.
-
-References
-----------
-Brown, Durbin, Evans, "Techniques for testing the constancy of regression relationships over time" (1975).
+which is white with the variance of the noise where the model is right, for every window length (Brown, Durbin, Evans
+1975). What an input does to an output is judged in windows with free start, constant drive and constant sensor error
+projected out: :math:`P y_j \approx \sum_i s_i\, P (G u_i)_j`.
 """
 
 from __future__ import annotations
@@ -108,10 +87,6 @@ def starting_state(response: Response, whole: Stretch, longest: int) -> InitialS
     A short stretch suffers from noise, a long one from the faults of the model. The stretch is doubled from 20 samples
     (at least 4 n_x) up to ``longest``, as long as the 3-sigma intervals of all estimates so far have a common point
     (intersection of confidence intervals).
-
-    References
-    ----------
-    Goldenshluger and Nemirovski, "On spatially adaptive estimation of nonparametric regression" (1997).
     """
     shortest = min(len(whole.t), max(SHORTEST_START, 4 * response.n_states))
     names, longest = response.model.state_names, min(longest, len(whole.t))
@@ -216,11 +191,6 @@ def recursive_residual(free: Array, error: Array) -> Array:
     ``free``: free response of this output, shape (n, n_x). ``error``: measured minus simulated output from any one
     initial state, shape (n, n_windows); the residual is the same for all. A window that ends earlier than the others
     ends in NaN.
-
-    Returns
-    -------
-    numpy.ndarray
-        NaN at the samples that only fix the state.
     """
     from robustlab.identification.response.recursion_kernel import predict
 

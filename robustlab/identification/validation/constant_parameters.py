@@ -1,16 +1,8 @@
 r"""Smallest constant real parameters that explain a record, by descent: an upper bound of the smallest size.
 
-For fixed :math:`\delta` the noise is affine in the free states, so whether :math:`\delta` explains the record is a
-Chebyshev (or least-squares) fit. Its dual gives weights :math:`\lambda` of a few samples, orthogonal to what free
-states can do, with :math:`\lambda^T e(\delta) > \|\lambda\|_*`: a witness against :math:`\delta`.
-
-With w = 0 a window of the record knows of the others only through its initial state, and of that only the part that the
-outputs show counts. Where it is free, the windows are fits of a few unknowns each,
-
-.. math:: e_i - F_i \xi_i , \qquad F_i = [C; C A; C A^2; \dots] V ,
-
-by least squares (rms bounds), or in the largest deviation (peak bounds): a linear programme over a few samples at a
-time, to which the worst missed one is added until none is left (exchange).
+For fixed :math:`\delta` the noise is affine in the free states: windows with free starts are fits
+:math:`e_i - F_i \xi_i` of a few unknowns each, by least squares (rms bounds) or in the largest deviation (peak bounds,
+a linear programme by exchange). The dual gives weights of a few samples that witness against :math:`\delta`.
 """
 
 from __future__ import annotations

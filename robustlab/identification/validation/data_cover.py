@@ -2,13 +2,8 @@ r"""The smallest unmodelled dynamics at the inputs with which a plant could have
 
 .. math:: y = F_u(M, \delta)\,[\ell;\ (I + r \Delta)\, u] + n, \qquad \|\Delta\| \le 1, \quad n \text{ within its bound}
 
-:math:`\delta` are the tolerances of the parameters and :math:`\ell` the loads that stand for the plant's effects
-(`robustlab.dynamics.extended.effect_loads`), which are known along a record. The radius r is sought at the nominal
-parameters: the set with their tolerances is larger, so that it explains the record as well. r is a share of the input:
-with r = 0.1 a tenth of the force (voltage) that was sent may have done something else.
-
-It is one number for how wrong a model is, in the very form in which a robust design takes it; what a named effect
-explains no longer needs a Delta.
+with the tolerances :math:`\delta` and the loads :math:`\ell` of the plant's effects, known along a record. The radius
+r, a share of the input, is sought at nominal parameters: the set with their tolerances is larger.
 """
 
 from __future__ import annotations

@@ -1,23 +1,14 @@
 r"""Validation in the frequency domain, line by line: cone programmes from above, multipliers from below.
 
-The data are a record in steady state or a measured frequency response (`spectral_problem`). A block of size gamma
-explains w from z if :math:`|w_k|^2 \le \gamma^2 |z_k|^2`. With the tangent
-:math:`\epsilon_k = 2 \operatorname{Re} \bar z^c_k z_k - |z^c_k|^2 \le |z_k|^2` that is kept by
-:math:`|w_k|^2 \le g\, \epsilon_k`, :math:`g = \gamma^2`, a second-order cone: exact where z is known (then
-:math:`\epsilon = |z|^2`), otherwise repeated around the last z (convex-concave procedure).
-
-From below, for any :math:`D_{ik} \ge 0` and :math:`\Lambda \ge 0`
+A block of size gamma explains w from z if :math:`|w_k|^2 \le \gamma^2 |z_k|^2`, kept by the second-order cone
+:math:`|w_k|^2 \le g\, \epsilon_k`, :math:`g = \gamma^2`, with the tangent :math:`\epsilon_k = 2 \operatorname{Re} \bar
+z^c_k z_k - |z^c_k|^2 \le |z_k|^2`, repeated around the last z. From below, for any :math:`D_{ik}, \Lambda \ge 0`
 
 .. math:: L = \sum_{ik} D_{ik} (\gamma_i^2 |z_{ik}|^2 - |w_{ik}|^2) + \sum_j \Lambda_j
               \Bigl(r_j^2 - \sum_k \omega_k |n_{jk}|^2\Bigr) \ge 0
 
-at every explanation, so :math:`\max_w L < 0` disproves gamma; the maximum is one small Hermitian system at each line.
-With at most three such forms the test loses nothing (S-procedure over complex numbers); with more it is a relaxation.
-
-References
-----------
-Smith and Doyle (1992), section IV; Huang and Zhang, "Complex matrix decomposition and quadratic programming",
-Mathematics of Operations Research 32 (2007), theorem 2.1, for when the multipliers are exact.
+at every explanation, so :math:`\max_w L < 0`, one small Hermitian system a line, disproves gamma (Smith and Doyle 1992;
+exact with at most three such forms: Huang and Zhang 2007, theorem 2.1).
 """
 
 from __future__ import annotations

@@ -1,22 +1,13 @@
 r"""Uncertain model and data line by line: the affine maps of a validation in the frequency domain.
 
-With :math:`w = \Delta z` unknown at each frequency,
-
 .. math::
 
     z_k = z^0_k + M_{11}(\omega_k) w_k, \qquad n_k = e_k - M_{21}(\omega_k) w_k
 
-where e is the measurement minus the nominal response, and e and n are over the noise bound. A causal stable time-
-invariant Delta of norm at most gamma that takes given values at given frequencies exists whenever each value is at most
-gamma (boundary interpolation), so that every line is a constant-matrix problem of its own, tied to the others by the
-noise bound alone.
-
-A record is judged over whole periods in steady state, where a finite transform leaks nothing. What does not repeat from
-period to period is noise that is known; it is taken off the bound (Parseval).
-
-References
-----------
-Smith and Doyle, "Model validation: a connection between robust control and identification", IEEE TAC 37 (1992) 942-952.
+with e the measurement minus the nominal response, e and n over the noise bound. A causal stable time-invariant Delta of
+norm gamma with given values at given frequencies exists whenever each value is at most gamma, so every line is a
+problem of its own, tied to the others by the noise bound alone. Of a record whole periods in steady state are judged;
+what does not repeat is known noise, taken off the bound (Smith and Doyle, IEEE TAC 37, 1992, 942-952).
 """
 
 from __future__ import annotations

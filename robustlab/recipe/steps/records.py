@@ -171,7 +171,7 @@ class Naming(DoorStep):
         return f"{step}.free_run.{whole[name]}" if name in whole else None
 
     def outcome(self, found: InLoop, work: Workspace) -> Outcome:
-        from robustlab.report.discovery import facts, story
+        from robustlab.report.discovery import story
 
         named = found.result
         if named.interrupted:
@@ -194,8 +194,8 @@ class Naming(DoorStep):
             work.files.append(file)
             notes.append(f"The signal of the next experiment is in {file}.")
         return replace(
-            told, summary=f"{named.headline()}.", status=status, notes=tuple(notes), text=named.summary(details=True),
-            facts=tuple(Fact(*line) for line in facts(named)), story=tuple(Fact(*part) for part in story(named)),
+            told, summary=f"{named.headline()}.", status=status, notes=tuple(notes),
+            story=tuple(Fact(*part) for part in story(named)),
         )  # fmt: skip
 
 

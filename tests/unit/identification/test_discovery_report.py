@@ -26,8 +26,8 @@ from robustlab.identification.naming.named_effects import (
     overall,
     wave_amplitude,
 )
+from robustlab.identification.naming.residual_force import ForceCurve, ResidualForce
 from robustlab.identification.record_check.suitability import Finding
-from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.recipe.schema import Requirement, judge
 from robustlab.report.discovery import discovery_figures, write_page
@@ -84,10 +84,10 @@ def ambiguous(**changes):
 def unknown(**changes):
     x = np.linspace(-1.0, 1.0, 9)
     curves = {
-        name: ForceCurve(name, unit, x, x**3, x**3 - 0.1, x**3 + 0.1, np.full(9, 40), share, 0.01)
+        name: ForceCurve(name, unit, x, x**3, x**3 - 0.1, x**3 + 0.1, np.full(9, 40), share)
         for name, unit, share in (("speed", "m/s", 0.4), ("position", "m", 0.0), ("time", "s", 0.1))
     }
-    force = ResidualForce("N", 2.5, 0.1, curves, {}, 0.5, 16)
+    force = ResidualForce("N", 2.5, 0.1, curves, 16)
     fields = {
         "status": Status.INCONCLUSIVE,
         "verdict": "unknown",
@@ -112,7 +112,7 @@ def experiment():
 
 
 def test_the_first_line_is_the_verdict_in_a_sentence():
-    assert made().summary().splitlines()[0] == (
+    assert sentence(made()) == (
         "servo-axis lacks Coulomb (dry) friction: error on held-out data 3 % of the range as given, 0.9 % refitted, "
         "0.1 % with it; in free run 25 % -> 10 % -> 0.5 %."
     )
@@ -132,19 +132,16 @@ def test_the_first_line_is_the_verdict_in_a_sentence():
     assert sentence(made(complete=False)).endswith("; incomplete: something else remains.")
 
 
-def test_the_text_is_short_and_has_verdict_names_gaps_and_what_to_do():
-    text = made().summary()
-    assert len(text.splitlines()) <= 16
-    for part in (
-        "Coulomb (dry) friction, coulomb-friction at v: probability 98.5 %",
-        "20.39 N (95 %: 20.31 to 20.47)  friction level",
-        "windows of 0.4 s  0.06 m (3 %)  0.018 m (0.9 %)  0.002 m (0.1 %)  30 times smaller than the given model",
-        "free run          0.5 m (25 %)  0.2 m (10 %)     0.01 m (0.5 %)   50 times smaller than the given model",
-        "next: use the updated plant",
-    ):
-        assert part in text
-    for part in ("f = -Fc", "tolerance", "search", "rivals"):
-        assert part not in text
+def test_the_facts_have_verdict_names_gaps_and_what_to_do():
+    facts = dict(made().facts())
+    found = facts["Coulomb (dry) friction, coulomb-friction at v"]
+    assert found == "probability 98.5 %; Fc = 20.39 N (95 %: 20.31 to 20.47)"
+    sizes = "rms 0.06 m (3 %) -> 0.018 m (0.9 %) -> 0.002 m (0.1 %)"
+    assert facts["q: windows of 0.4 s"].startswith(f"{sizes}; 30 times smaller than the given model")
+    assert facts["q: free run"].startswith("rms 0.5 m (25 %) -> 0.2 m (10 %) -> 0.01 m (0.5 %); 50 times smaller")
+    assert facts["next"] == "use the updated plant (.model)"
+    assert "f = -Fc" not in made().summary()
+    assert "f = -Fc" in made().report()
 
 
 def test_what_is_periodic_is_told_by_amplitude_and_period():
@@ -152,7 +149,7 @@ def test_what_is_periodic_is_told_by_amplitude_and_period():
     parts = tuple(EffectValue(name, x, unit, x - 0.1, x + 0.1, "") for name, (x, unit) in values.items())
     ripple = NamedEffect("cogging", "Cogging", "f = ...", "omega", parts, 1.0, 9.0, ())
     d = made(effects=(ripple,), candidates=("cogging", "coulomb-friction"))
-    assert "amplitude   5 N m, period 0.8976 rad, 7 a turn" in d.summary()
+    assert "amplitude 5 N m, period 0.8976 rad, 7 a turn" in d.summary()
     assert numbers_of(d)["effects"]["cogging"]["amplitude"] == pytest.approx(5.0)
     assert "amplitude" not in numbers_of(made())["effects"]["coulomb-friction"]
     assert numbers_of(made(candidates=("cogging",)))["effects"]["cogging"]["amplitude"] == 0.0
@@ -161,9 +158,11 @@ def test_what_is_periodic_is_told_by_amplitude_and_period():
 
 def test_what_diverges_is_told_as_such():
     gap = Gap("q", "m", 2.0, math.inf, math.inf, 0.01)
-    text = made(free_run={"q": gap}).summary()
-    assert "free run          diverges      diverges         0.01 m (0.5 %)   finite, unlike the given model" in text
-    assert "in free run diverges -> diverges -> 0.5 %" in text
+    found = made(free_run={"q": gap})
+    assert (
+        "diverges -> diverges -> 0.01 m (0.5 %); finite, unlike the given model" in dict(found.facts())["q: free run"]
+    )
+    assert "in free run diverges -> diverges -> 0.5 %" in found.headline()
     assert overall({"q": gap}, "updated") == pytest.approx(0.5)
     assert overall({"q": gap, "v": replace(gap, updated=0.02)}, "updated") == pytest.approx(math.sqrt(0.625))
     assert json.dumps(plain(made(free_run={"q": gap}).to_json()), allow_nan=False)
@@ -173,15 +172,14 @@ def test_an_interrupted_search_says_so_first():
     stopped = Finding("interrupted", "search", "stopped after 3 sets", "", "", False, {})
     found = made(status=Status.INCONCLUSIVE, findings=(stopped,))
     assert found.interrupted
-    assert found.summary().startswith("Interrupted; by then: servo-axis lacks Coulomb")
+    assert found.headline().startswith("Interrupted; by then: servo-axis lacks Coulomb")
     assert not made().interrupted
 
 
 def test_the_next_experiment_is_told_and_kept(tmp_path):
     d = ambiguous(next_experiment=experiment())
-    assert "next: measure what tells them apart: ramp u slowly through zero" in d.summary()
-    text = d.summary(details=True)
-    assert "next experiment:\n  ramp u slowly through zero\n  predicted separation" in text
+    assert dict(d.facts())["next"] == "measure what tells them apart: ramp u slowly through zero"
+    assert "predicted separation" in d.report()
     assert numbers_of(d)["next_experiment"] == {"name": "slow ramp", "separation": 12.0}
     assert numbers_of(made())["next_experiment"]["name"] == "none"
     files = _fill_folder(d, {"model": "servo-axis", **d.to_json()}, tmp_path, Provenance.now("test"))

@@ -13,8 +13,8 @@ from robustlab.dynamics.extended.delays import delay_block
 from robustlab.dynamics.extended.effect_blocks import effect_blocks
 from robustlab.dynamics.extended.effect_loads import effect_loads
 from robustlab.identification.naming.discovery_result import Discovery
+from robustlab.identification.naming.residual_force import ForceCurve, ResidualForce
 from robustlab.identification.naming.updated_plant import uncertain_from
-from robustlab.identification.unnamed.unnamed_effect import ForceCurve, ResidualForce
 
 SERVO = {"M": (95.0, 0.1), "Fv": (200.0, 0.05), "gain": 35.0}
 
@@ -192,12 +192,12 @@ def test_bad_inputs_are_named(options, words):
 
 def test_a_discovery_becomes_a_set_with_what_it_could_not_explain():
     x = np.array([-0.3, -0.1, 0.1, 0.2, 0.4])
-    curve = ForceCurve("speed", "m/s", x, x, x - 1, x + 1, np.full(5, 40), 0.4, 0.01)
+    curve = ForceCurve("speed", "m/s", x, x, x - 1, x + 1, np.full(5, 40), 0.4)
     found = Discovery(
         status=rl.Status.INCONCLUSIVE, verdict="unknown", complete=False, effects=(), rivals=(), nominal=(),
         gap_before=3.0, gap_refitted=2.0, gap_after=1.0, gaps={}, held_out="test", plant="servo-axis",
         records=("train",), window=1.0, candidates=(), structure={},
-        residual_force=ResidualForce("N", 2.5, 0.1, {"speed": curve}, {}, 0.5, 16),
+        residual_force=ResidualForce("N", 2.5, 0.1, {"speed": curve}, 16),
         model=servo(coulomb_friction={"Fc": 20.0}),
     )  # fmt: skip
     made = uncertain_from(found, ["v"])

@@ -250,4 +250,3 @@ def test_requirements_may_ask_for_a_kind_and_its_quantities():
     assert kind.settled
     assert kind.words == "dry friction at v"
     assert "work against the motion" not in found.summary()  # its form is settled: the effect says it
-    assert "work against the motion" in found.summary(details=True)

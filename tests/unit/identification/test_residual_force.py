@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from robustlab.errors import InputError
-from robustlab.identification.unnamed.unnamed_effect import residual_force
+from robustlab.identification.naming.residual_force import residual_force
 
 H = 1e-3
 UNITS = {"speed": "rad/s", "position": "rad", "time": "s", "input u": "V"}
@@ -41,11 +41,8 @@ def test_curve_over_speed_has_the_friction_in_its_band_and_other_coordinates_no_
         truth = friction({"speed": curve.x})
         inside.append((curve.low <= truth) & (truth <= curve.high))
         assert curve.share > 0.93
-        assert curve.p_value < 0.01
         assert found.curves["time"].share < 0.05
         assert found.curves["position"].share < 0.1
-        assert found.joint_share >= curve.share - 0.02
-        assert max(found.dry_share.values()) < 0.02
         assert found.noise_share == pytest.approx(0.2**2 / np.var(d), rel=0.1)
     assert np.mean(inside) > 0.85
 

@@ -1,0 +1,211 @@
+"""Equivalent disturbance: what would have to be added at an input or a joint for the model to follow the record.
+
+At one place at a time a Kalman smoother finds the random walk d(t) that suits the record best. Added to the model it is
+judged by the windows: the share of their squared error that goes. Over the speed, d shows a friction that the model
+lacks as a friction curve with its sign turned round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_model
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.comparison.localisation import REST, Bin, Motion, bins, speed_edges, windowed_error
+from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
+from robustlab.identification.response.motion_response import MotionResponse, fit_windows
+from robustlab.identification.response.response import Response, Stretch
+from robustlab.result import Evidence
+from robustlab.shown import Each
+from robustlab.statespace import StateSpaceModel
+
+EXPLAINS = 0.5  # share of the squared error that a disturbance has to take away to be located
+TIE = 2.0  # times the best: what another place may leave of the squared error to be as good
+SURE = 3.0  # standard errors from zero, from which a mean is sure
+LEAST_NOISE = 1e-7  # of a sensor, as a share of its range
+SHORTEST = 8  # samples that tell the noise of a sensor
+
+
+@dataclass(frozen=True)
+class InputDisturbance(Evidence):
+    """Disturbance at one place, and nowhere else, that makes the model follow the record best."""
+
+    place: str  # ``input u``, or ``torque at omega``
+    unit: str
+    # value, std: at each sample, and its standard deviation, (n,)
+    value: Array
+    std: Array
+    speed: Array | None  # measured speed at each sample, (n,), or None where there is no speed
+    speed_source: str
+    over_speed: tuple[Bin, ...]  # the disturbance over bins of speed
+    rms: float
+    # mean, forward, backward: over all samples, and those that move in one direction (NaN where there are none), with
+    # standard errors
+    mean: float
+    mean_std: float
+    forward: float
+    forward_std: float
+    backward: float
+    backward_std: float
+    shares: Mapping[str, float]  # output -> share of its squared windowed error that goes; negative where it grows
+    explained_share: float  # the same of all outputs, 0..1, each in multiples of its noise
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **dict.fromkeys(("rms", "mean", "mean_std", "forward", "forward_std", "backward", "backward_std"), "*"),
+        "shares": Each("outputs", float),
+        "explained_share": float,
+    }
+
+    @property
+    def sure_means(self) -> dict[str, tuple[float, float]]:
+        """The means by direction, or that of all samples, that are sure to differ from zero, with standard errors."""
+        ways = {"moving forward": (self.forward, self.forward_std), "backward": (self.backward, self.backward_std)}
+        if not np.isfinite([self.forward, self.backward]).any():
+            ways = {"over all": (self.mean, self.mean_std)}
+        return {way: (mean, std) for way, (mean, std) in ways.items() if abs(mean) > SURE * std}
+
+    def to_json(self) -> dict[str, object]:
+        """All but the samples."""
+        return {key: v for key, v in vars(self).items() if key not in ("value", "std", "speed")}
+
+
+def located(found: Mapping[str, InputDisturbance]) -> tuple[InputDisturbance, ...]:
+    """The disturbances that explain half of the error, the best first, with those that do it as well; inputs first."""
+    left = min((1.0 - d.explained_share for d in found.values()), default=1.0)
+    good = [d for d in found.values() if d.explained_share >= EXPLAINS and 1.0 - d.explained_share <= TIE * left]
+    return tuple(sorted(good, key=lambda d: (not d.place.startswith("input "), -d.explained_share)))
+
+
+def input_disturbances(
+    plant: Any, response: Response, whole: Stretch, error: Array, length: int, motion: Motion
+) -> dict[str, InputDisturbance]:
+    """One at each input and each joint that no input drives directly, by the input's name or ``torque at omega``.
+
+    ``error``: of the windows of ``length`` samples, (n, n_y). Empty for a discrete model, an uneven
+    clock and a few samples.
+    """
+    model = response.model
+    if model.is_discrete or not whole.is_uniform or len(whole.t) < SHORTEST:
+        return {}
+    model = model.select(outputs=response.output_names)
+    u = np.column_stack([whole.u[name] for name in model.input_names])
+    noise = _sensor_noise(whole.y)
+    found: dict[str, InputDisturbance] = {}
+    for key, place, unit, push in _places(plant, model):
+        try:
+            smoothed = smooth_disturbance(model, push[:, None], whole.t, u, whole.y, noise)
+        except (InputError, NoTrustworthyNumber):  # no output responds to it, or the record is too short
+            continue
+        d = smoothed.d[:, 0]
+        alone = StateSpaceModel(model.A, push[:, None], model.C, np.zeros((len(noise), 1)), 0.0, ["d"], model.outputs)
+        left = windowed_error(
+            Response(alone, response.outputs, ()), Stretch(whole.t, {"d": d}, error, whole.weight), length
+        )
+        found[key] = _disturbance(
+            place,
+            unit,
+            smoothed,
+            0,
+            motion,
+            response.output_names,
+            error / smoothed.noise_std,
+            left / smoothed.noise_std,
+        )
+    return found
+
+
+def joint_disturbances(
+    response: MotionResponse, smoothed: SmoothedRecord, error: Array, edges: Array, motions: Sequence[Motion]
+) -> dict[str, InputDisturbance]:
+    """One at each joint of a nonlinear plant, or at each input of one without joints.
+
+    ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input.
+    """
+    plant, weight = response.plant, response.whole.weight
+    joints = [(_force_at(p.name, next(s.unit for s in plant.states if s.name == p.name)), p.unit)
+              for p in plant.port_places if p.kind == "joint"]  # fmt: skip
+    places = joints or [(f"input {s.name}", s.unit) for s in plant.inputs]
+    left = np.empty((len(places), *error.shape))
+    for size in np.unique(np.diff(edges)):
+        for windows in response.responses(edges[:-1][np.diff(edges) == size], int(size), smoothed.d):
+            at = windows.starts[:, None] + np.arange(size)
+            for j in range(len(places)):
+                rest = fit_windows(windows, error[at] - windows.pushed[..., j], weight).left
+                left[j][at] = rest.reshape(*at.shape, -1)
+    names = [plant.outputs[k].name for k in response.columns]
+    return {
+        place.removeprefix("input "): _disturbance(place, unit, smoothed, j, motions[j], names, error * weight, left[j])
+        for j, (place, unit) in enumerate(places)
+    }
+
+
+def _places(plant: Any, model: StateSpaceModel) -> Iterable[tuple[str, str, str, Array]]:
+    """Key, text, unit and direction of each place; an input that acts on an output at once is left out."""
+    inputs = [k for k in range(model.n_inputs) if not model.D[:, k].any()]
+    for k in inputs:
+        yield model.input_names[k], f"input {model.input_names[k]}", model.inputs[k].unit, model.B[:, k]
+    if not isinstance(plant, (LinearPlant, StateSpaceModel)):
+        return
+    try:
+        ports: Iterable[Port] = port_model(linear_plant_of(plant)).ports.values()
+    except (InputError, np.linalg.LinAlgError):
+        return
+    for port in ports:
+        if port.kind != "joint" or port.force.shape != (model.n_states,):
+            continue
+        if all(np.linalg.matrix_rank(np.stack([port.force, model.B[:, k]])) == 2 for k in inputs):
+            text = _force_at(port.name, port.speed_unit)
+            yield text, text, port.unit, port.force
+
+
+def _force_at(joint: str, speed_unit: str) -> str:
+    return f"{'torque' if speed_unit == 'rad/s' else 'force'} at {joint}"
+
+
+def _disturbance(
+    place: str, unit: str, smoothed: SmoothedRecord, j: int, motion: Motion, names: Sequence[str], error: Array,
+    left: Array,
+) -> InputDisturbance:  # fmt: skip
+    """``error``, ``left``: of the windows without and with the disturbance, in multiples of each sensor's noise."""
+    d, std, dt = smoothed.d[:, j], smoothed.d_std[:, j], float(smoothed.t[1] - smoothed.t[0])
+    # Samples closer than half a period of the bandwidth say the same.
+    independent = min(1.0, 2.0 * float(smoothed.bandwidth.min()) * dt)
+
+    def mean(chosen: Array) -> tuple[float, float]:
+        n = int(chosen.sum())
+        if not n:
+            return np.nan, np.nan
+        spread = max(float(d[chosen].std()), float(np.sqrt((std[chosen] ** 2).mean())))
+        return float(d[chosen].mean()), spread / float(np.sqrt(max(1.0, independent * n)))
+
+    speed = motion.speed
+    rest = 0.0 if speed is None else REST * float(np.abs(speed).max())
+    ways = [np.zeros(len(d), dtype=bool)] * 2 if speed is None else [speed > rest, speed < -rest]
+    (forward, forward_std), (backward, backward_std) = (mean(way) for way in ways)
+    before, after = (error**2).sum(axis=0), (left**2).sum(axis=0)
+    shares = np.divide(before - after, before, out=np.zeros_like(before), where=before > 0)
+    total = float(before.sum())
+    return InputDisturbance(
+        place=place, unit=unit, value=d, std=std, speed=speed,
+        speed_source=motion.speed_source,
+        over_speed=() if speed is None else bins(speed, d, speed_edges(speed)),
+        rms=float(np.sqrt((d**2).mean())),
+        mean=mean(np.ones(len(d), dtype=bool))[0], mean_std=mean(np.ones(len(d), dtype=bool))[1],
+        forward=forward, forward_std=forward_std, backward=backward, backward_std=backward_std,
+        shares=dict(zip(names, shares.tolist(), strict=True)),
+        explained_share=max(0.0, 1.0 - float(after.sum()) / total) if total else 0.0,
+    )  # fmt: skip
+
+
+def _sensor_noise(y: Array) -> Array:
+    """Noise of each sensor from third differences, of which white noise leaves 20 times its variance."""
+    spread, level = np.ptp(y, axis=0), np.abs(y).max(axis=0)
+    spread = np.where(spread > 0, spread, np.where(level > 0, level, 1.0))
+    third = np.median(np.abs(np.diff(y, 3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
+    return np.maximum(third, LEAST_NOISE * spread)
