@@ -63,7 +63,6 @@ _PUBLIC = {
     "disk_margin": "analysis.margins",
     "classical_margins": "analysis.margins",
     "robust_performance": "mu_analysis",
-    "robust_gain": "mu_analysis.axis.robust_gain",
     "small_gain": "mu_analysis.margins.small_gain",
     "nu_gap": "uncertainty.distances.gap_metric",
     "coprime_margin": "uncertainty.distances.coprime",

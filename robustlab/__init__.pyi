@@ -34,7 +34,6 @@ from robustlab.linear_analysis.structural import controllability as controllabil
 from robustlab.linear_analysis.structural import observability as observability
 from robustlab.mu_analysis import mu as mu
 from robustlab.mu_analysis import robust_performance as robust_performance
-from robustlab.mu_analysis.axis.robust_gain import robust_gain as robust_gain
 from robustlab.mu_analysis.margins.cover import conservatism as conservatism
 from robustlab.mu_analysis.margins.cover import cover as cover
 from robustlab.mu_analysis.margins.small_gain import small_gain as small_gain
@@ -146,7 +145,6 @@ __all__ = [
     "disk_margin",
     "classical_margins",
     "robust_performance",
-    "robust_gain",
     "small_gain",
     "nu_gap",
     "coprime_margin",

@@ -20,7 +20,6 @@ CLAIMS: Mapping[str, str] = {
     "MuBounds": "axis.mu_claims",
     "Margin": "axis.margin_claims",
     "WorstCaseGain": "axis.gain_claims",
-    "RobustGain": "axis.robust_gain_claims",
     "HinfSynthesis": "designs.hinf_claims",
     "NcfSynthesis": "designs.ncf_claims",
     "H2Synthesis": "designs.h2_claims",

@@ -93,7 +93,6 @@ CALLS: dict[str, Any] = {
     "minimal": lambda: {"model": TWO},
     "reduce_model": lambda: {"model": TWO, "order": 1},
     "reduce_model of a set": lambda: {"model": made.spring(), "tolerance": 1e-9},
-    "robust_gain": lambda: {"uncertain": made.first_order(), "level": 4.0},
     "robust_stability": lambda: {"system": made.first_order()},
     "sample": lambda: {"uncertain": made.spring(), "n": 5},
     "sample_size": lambda: {"probability": 0.05},
