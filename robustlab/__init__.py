@@ -67,7 +67,6 @@ _PUBLIC = {
     "nu_gap": "uncertainty.distances.gap_metric",
     "coprime_margin": "uncertainty.distances.coprime",
     "h2_norm": "norms",
-    "passivity": "norms",
     "zeros": "linear_analysis.invariant_zeros",
     "controllability": "linear_analysis.structural",
     "observability": "linear_analysis.structural",

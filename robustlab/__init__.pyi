@@ -38,7 +38,6 @@ from robustlab.mu_analysis.margins.cover import conservatism as conservatism
 from robustlab.mu_analysis.margins.cover import cover as cover
 from robustlab.mu_analysis.margins.small_gain import small_gain as small_gain
 from robustlab.norms import h2_norm as h2_norm
-from robustlab.norms import passivity as passivity
 from robustlab.realisations import ss as ss
 from robustlab.realisations import tf as tf
 from robustlab.realisations import zpk as zpk
@@ -149,7 +148,6 @@ __all__ = [
     "nu_gap",
     "coprime_margin",
     "h2_norm",
-    "passivity",
     "zeros",
     "controllability",
     "observability",

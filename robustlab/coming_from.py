@@ -30,6 +30,7 @@ NAMES = {  # answer -> names that it answers; docs/coming-from has them in full
     "rl.hinf": "hinfsyn",
     "rl.h2": "h2syn lqg",
     "rl.mixsyn": "augw",
+    "rl.peak_gain(2 * (1 + G) ** -1 - 1), at most 1 where G is passive": "passivity isPassive ispassive",
     "rl.ncf": "ncfsyn loopsyn",
     "rl.dk": "musyn dksyn",
     "rl.fixed_structure": "hinfstruct",

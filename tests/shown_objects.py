@@ -278,7 +278,6 @@ OBJECTS: dict[str, Any] = {
     "IqcStability": lambda: rl.robust_stability(first_order(), natures={"pole": rl.Varying()}, order=0),
     "EffectGain": effect_gain,
     "RiccatiSolution": lambda: care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
-    "Passivity": lambda: rl.passivity(lag()),
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,
     "StructuralTest": lambda: rl.controllability(problem()),
     "HinfSynthesis": mixsyn,

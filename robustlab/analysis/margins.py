@@ -104,7 +104,7 @@ def disk_margin(
     given = {"accuracy": accuracy, "order": order, "time_limit": time_limit}
     loop: dict[str, Any] = {"at": at, "skew": skew, "sign": sign, "seed": seed}
     kinds = plant, getattr(K, "K", K)
-    if frequency is not None or any(isinstance(part, UncertainFrequencyData) for part in kinds):
+    if frequency is not None or isinstance(plant, UncertainFrequencyData):
         from robustlab.mu_analysis.margins.at_frequencies import disk_margin_at
 
         options_of(

@@ -31,7 +31,6 @@ CLAIMS: Mapping[str, str] = {
     "BuiltModel": "models.set_claims",
     "SmallGain": "loops.small_gain_claims",
     "CoprimeMargin": "loops.coprime_claims",
-    "Passivity": "loops.passivity_claims",
     "DiskMargins": "loops.disk_claims",
     "DiskMargin": "loops.one_disk_claims",
     "Cover": "covers.cover_claims",

@@ -85,7 +85,6 @@ CALLS: dict[str, Any] = {
     "overbound": lambda: {"omega": OMEGA, "bound": 0.1 + OMEGA / (1.0 + OMEGA), "order": 2},
     "ParameterRange": lambda: {"nominal": 1.0, "radius": 0.1},
     "parametric": lambda: {"A": [["-a"]], "B": ONE, "C": ONE, "D": [[0.0]], "parameters": {"a": (1.0, 0.5, 2.0)}},
-    "passivity": lambda: {"model": TWO},
     "peak_gain": lambda: {"system": TWO},
     "performance_weight": lambda: {"bandwidth": 1.0},
     "RealScalar": lambda: {"name": "a"},
