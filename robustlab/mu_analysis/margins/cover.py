@@ -138,7 +138,7 @@ class Cover(Shown):
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **UncertainModel.quantities, **dict.fromkeys(("count", "members", "size", "missed", "radius"), "1"),
-        **dict.fromkeys(("order", "excess", "least_excess", "conservatism", "conservatism_at_least"), "1"),
+        **dict.fromkeys(("order", "excess", "conservatism", "conservatism_at_least"), "1"),
         "set_gain": float,
     }  # fmt: skip
 
@@ -163,7 +163,7 @@ class Cover(Shown):
             "size": max(self.sizes), "missed": max(self.misses), "radius": self.radius,
         }  # fmt: skip
         if self.fit is not None:
-            found |= {"order": self.fit.order, "excess": self.fit.excess, "least_excess": self.fit.least}
+            found |= {"order": self.fit.order, "excess": self.fit.excess}
         if c is not None and not c.reason:
             found |= {"conservatism": c.ratio, "conservatism_at_least": c.least, "set_gain": c.set_gain}
         return found
@@ -187,10 +187,7 @@ class Cover(Shown):
             ("set", repr(self.model)),
             (
                 "weight",
-                ""
-                if fit is None
-                else f"order {fit.order}, at most {100 * fit.excess:.3g} % above the bound;"
-                f" no weight of this order comes nearer than {100 * fit.least:.3g} %",
+                "" if fit is None else f"order {fit.order}, at most {100 * fit.excess:.3g} % above the bound",
             ),
             ("largest error, of the models' size", "" if fit is None else f"{100 * self.radius:.3g} %"),
             ("largest delta that a model needs", number(max(self.sizes, default=math.nan), "", 6)),
@@ -336,7 +333,6 @@ def _unstructured(
     if not inside or not made.fit.status.trustworthy:
         status = Status.INACCURATE
         reason = f"the weight is {100 * made.fit.excess:.3g} % above the bound: a higher order comes nearer"
-        reason += f" (none of order {made.fit.order} is less than {100 * made.fit.least:.3g} % above it)"
     name = made.model.blocks[0].name
     return Cover(
         made.model, form, status, tuple({name: d} for d in made.deltas), made.sizes, (0.0,) * len(models),
