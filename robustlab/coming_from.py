@@ -24,6 +24,8 @@ NAMES = {  # answer -> names that it answers; docs/coming-from has them in full
     "rl.robust_stability of the set with a disk block in its loop": "wcdiskmargin worst_case_disk_margin",
     "rl.classical_margins": "allmargin margin",
     "rl.mu": "mussv skew_mu",
+    "rl.robust_stability, which a member without a solution fails": "well_posedness",
+    "rl.cover(models, form).conservatism": "conservatism",
     "rl.nu_gap": "gapmetric",
     "rl.coprime_margin": "ncfmargin",
     "rl.loop_functions": "loopsens",

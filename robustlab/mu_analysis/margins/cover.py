@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, cast
 
@@ -29,14 +29,13 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.covering.overbound import Overbound
 from robustlab.uncertainty.covering.parametric_cover import PARAMETRIC_FORMS, parametric_cover
 from robustlab.uncertainty.covering.unstructured_cover import model_set, unstructured_cover
-from robustlab.uncertainty.elementwise import check_pair
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import FORMS
 from robustlab.uncertainty.unstructured import Form as UnstructuredForm
 
 EXACT = 1e-12  # what rounding may take from a member of a cover that is met exactly
 
-__all__ = ["COVER_FORMS", "Conservatism", "Cover", "conservatism", "cover"]
+__all__ = ["COVER_FORMS", "Conservatism", "Cover", "cover"]
 
 COVER_FORMS = (*PARAMETRIC_FORMS, *FORMS)
 Loop = Callable[[UncertainModel], UncertainModel]
@@ -293,7 +292,7 @@ def cover(
     if not gain:
         return made
     say("cover: worst gain of the cover")
-    compared = conservatism(made.model, found, loop=loop, time_limit=time_limit, effort=effort)
+    compared = _conservatism(made.model, found, loop, time_limit, effort)
     return dataclasses.replace(made, conservatism=compared)
 
 
@@ -340,60 +339,23 @@ def _unstructured(
     )  # fmt: skip
 
 
-@told_as("conservatism")
-def conservatism(
+def _conservatism(
     uncertain: UncertainModel,
-    models: Iterable[Any],
-    *,
-    loop: Loop | None = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
+    models: Sequence[StateSpaceModel],
+    loop: Loop | None,
+    time_limit: float | None,
+    effort: float,
 ) -> Conservatism:
-    """How much larger the worst gain of an uncertain model is than the largest one of the models it stands for.
-
-    Parameters
-    ----------
-    uncertain
-        The cover.
-    models
-        The models.
-    loop
-        What is made of each before its gain is taken; nothing where left out.
-    time_limit
-        Time in s for the proof of the worst gain; None: no limit.
-    effort
-        Work of that proof, as in `robustlab.peak_gain`.
-
-    Returns
-    -------
-    Conservatism
-        The ratio of both gains, with its status; FAILED with a reason where there is no gain to compare.
-
-    Raises
-    ------
-    InputError
-        Models that do not fit the cover's signals.
-
-    Examples
-    --------
-    >>> lags = [StateSpaceModel([[-1.0]], [[k]], [[1.0]], [[0.0]]) for k in (1.0, 2.0)]
-    >>> round(conservatism(cover(lags, gain=False).model, lags).ratio, 3)
-    1.0
-    """
+    """How much larger the worst gain of a cover is than the largest one of the models it stands for."""
     around = _closing(loop)
     gains = []
-    for i, given in enumerate(models, 1):
-        model = as_model(given, f"conservatism: model {i}")
-        outer = uncertain.nominal
-        check_pair(_gain_only(outer), _gain_only(model), "cover", f"model {i}", "conservatism")
+    for i, model in enumerate(models, 1):
         norm = hinf_norm(around(UncertainModel(model, [])).nominal)
         if not np.isfinite(norm.upper):
             where = f"model {i} has no finite gain ({norm.reason})"
             hint = "" if loop else "; close a loop around the models first"
             return Conservatism(np.nan, np.nan, np.inf, i, np.nan, np.nan, Status.FAILED, where + hint)
         gains.append(norm.lower)
-    if not gains:
-        raise InputError("conservatism: models", "none", "at least one model")
     largest = float(max(gains))
     number = int(np.argmax(gains)) + 1
     if largest == 0:
@@ -422,7 +384,3 @@ def _closing(loop: Loop | None) -> Loop:
         return found
 
     return made
-
-
-def _gain_only(model: StateSpaceModel) -> StateSpaceModel:
-    return StateSpaceModel([], [], [], model.D, model.dt, model.inputs, model.outputs)
