@@ -7,8 +7,7 @@ any model at frequencies.
 
 References
 ----------
-Bendat, Piersol, *Random Data* (2010), section 9.2, for the confidence of a measured response; Zhou, Doyle, Glover,
-*Robust and Optimal Control* (1996), section 10.1.
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 10.1.
 """
 
 from __future__ import annotations
@@ -205,9 +204,6 @@ def frequency_data(
     omega: ArrayLike,
     *,
     radius: ArrayLike | None = None,
-    coherence: ArrayLike | None = None,
-    averages: int | None = None,
-    confidence: float = 0.95,
     name: str = "measured",
     inputs: Sequence[SignalLike] | None = None,
     outputs: Sequence[SignalLike] | None = None,
@@ -216,12 +212,6 @@ def frequency_data(
 
     .. math:: |G_{ij}(j\omega_k) - \hat G_{k,ij}| \le r_{k,ij} \qquad \text{or} \qquad \bar\sigma(G(j\omega_k) - \hat
        G_k) \le r_k
-
-    For a response of one input that was estimated with a coherence :math:`\gamma^2` from n independent averages (the
-    estimate :math:`\hat G = S_{yu} / S_{uu}`, Gaussian noise at the output, none at the input), r is the quantile of
-    the F distribution with 2 and 2n - 2 degrees of freedom in closed form:
-
-    .. math:: r^2 = |\hat G|^2 \, \frac{1 - \gamma^2}{\gamma^2} \left( (1 - c)^{-1/(n-1)} - 1 \right)
 
     Parameters
     ----------
@@ -233,15 +223,9 @@ def frequency_data(
     radius
         Of a measured response: one number or shape (N,), the largest singular value of the error, a full block; or
         shape (N, n_y, n_u), each entry by itself, a complex scalar for each. An ellipse is held by the circle of its
-        longer half axis. None: the response is exact, or its radius is that of the coherence.
-    coherence, averages
-        In place of a radius: the coherence at the same points as the response, between 0 and 1, and the number n of
-        independent records, 2 or more; overlapping ones count as fewer.
-    confidence
-        c, between 0 and 1: the probability that r holds the true response, at each frequency on its own; for all N at
-        once take ``1 - (1 - c) / N``.
+        longer half axis. None: the response is exact.
     name
-        Beginning of the names of the blocks. Equal names are one uncertainty.
+        Beginning of the names of the blocks.
     inputs, outputs
         Signals of a response; those of a model are kept.
 
@@ -253,8 +237,7 @@ def frequency_data(
     Raises
     ------
     InputError
-        Shapes that do not fit, a radius that is negative, a radius of a model, a coherence outside [0, 1] or without
-        averages.
+        Shapes that do not fit, a radius that is negative, a radius of a model.
     NoTrustworthyNumber
         A pole of a model lies at a frequency.
 
@@ -263,19 +246,7 @@ def frequency_data(
     >>> found = frequency_data([1.0, 0.5 - 0.5j], [0.0, 1.0], radius=[0.01, 0.02])
     >>> [b.name for b in found.blocks], found.delta_channels.shape
     (['measured y1 from u1'], (2, 1, 1))
-    >>> frequency_data([2.0], [1.0], coherence=[0.9], averages=20).delta_channels.shape
-    (1, 1, 1)
-
-    References
-    ----------
-    Bendat, Piersol, *Random Data* (2010), section 9.2.3.
     """
-    if coherence is not None or averages is not None:
-        if coherence is None or averages is None or radius is not None:
-            parts = {"radius": radius, "coherence": coherence, "averages": averages}
-            found = ", ".join(part for part, value in parts.items() if value is not None)
-            raise InputError("frequency_data", found, "a radius, or coherence and averages")
-        radius = response_radius(given, coherence, averages, confidence)
     w = real_array("omega", np.atleast_1d(omega), 1, "frequency_data")
     if not isinstance(given, (np.ndarray, list, tuple, int, float, complex)):
         if radius is not None:
@@ -327,27 +298,6 @@ def _with_radius(plain: UncertainFrequencyData, given: ComplexArray, name: str) 
     M = np.zeros((n, p + n_y, q + n_u), dtype=complex)
     M[:, :p, q:], M[:, p:, :q], M[:, p:, q:] = right, left, plain.M
     return UncertainFrequencyData(plain.omega, M, blocks, plain.inputs, plain.outputs)
-
-
-def response_radius(response: ArrayLike, coherence: ArrayLike, averages: int, confidence: float = 0.95) -> Array:
-    """Radius about a measured response of one input that holds the true one with a probability; see `frequency_data`.
-
-    Examples
-    --------
-    >>> response_radius([2.0], [0.9], 20).round(4)
-    array([0.2755])
-    """
-    G, given = (_complex(k, v, "frequency_data") for k, v in (("response", response), ("coherence", coherence)))
-    g2 = np.where(given.imag == 0, given.real, np.nan)
-    if G.shape != g2.shape or not ((g2 >= 0) & (g2 <= 1)).all():
-        raise InputError("frequency_data: coherence", f"shape {g2.shape}", f"numbers from 0 to 1, shape {G.shape}")
-    if isinstance(averages, bool) or not isinstance(averages, (int, np.integer)) or averages < 2:
-        raise InputError("frequency_data: averages", f"{averages!r}", "a whole number, 2 or more")
-    if not 0 < confidence < 1:
-        raise InputError("frequency_data: confidence", f"{confidence!r}", "a number between 0 and 1")
-    with np.errstate(divide="ignore"):
-        noise = np.where(g2 > 0, (1.0 - g2) / g2, np.inf)
-    return np.abs(G) * np.sqrt(noise * np.expm1(-np.log1p(-confidence) / (averages - 1)))
 
 
 def closed_at(omega: Array, m: AnyArray, delta: AnyArray, where: str) -> ComplexArray:

@@ -55,9 +55,6 @@ CALLS: dict[str, Any] = {
     "elementwise of causes": lambda: {"nominal": made.spring().nominal, "perturbed": {"a": made.four_models()[1]}},
     "fixed_structure": lambda: {"P": made.problem(), "structure": "static", "n_meas": 1, "n_con": 1, "starts": 1},
     "frequency_data": lambda: {"given": made.lag(), "omega": OMEGA},
-    "frequency_data of a coherence": lambda: {
-        "given": [1.0, 2.0], "omega": [1.0, 2.0], "coherence": [0.9, 0.9], "averages": 10,
-    },
     "frequency_response": lambda: {"model": made.lag(), "omega": OMEGA},
     "FrequencyData": lambda: {"omega": [1.0, 2.0], "response": [1.0, 1.0], "input": "u", "outputs": ["y"]},
     "FullBlock": lambda: {"name": "a", "rows": 1, "cols": 1},
