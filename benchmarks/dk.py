@@ -86,7 +86,7 @@ def machines() -> None:
     """Actuator and platform of recipes/robust-machine.toml: what D-K gains over H-infinity, and why not more."""
     from robustlab.synthesis.specifications.tracking_problem import tracking_problem
     from robustlab.synthesis.specifications.weight_design import control_weight, error_weight
-    from robustlab.uncertainty.covering.elementwise_cover import elementwise_cover
+    from robustlab.uncertainty.elementwise import elementwise_cover
 
     motor = rl.plant("linear-actuator")
     shares = {"R": 0.10, "L": 0.10, "Km": 0.05, "Kb": 0.05, "Kf": 0.35, "J": 0.10}

@@ -34,12 +34,9 @@ from robustlab.linear_analysis.structural import controllability as controllabil
 from robustlab.linear_analysis.structural import observability as observability
 from robustlab.mu_analysis import mu as mu
 from robustlab.mu_analysis import robust_performance as robust_performance
-from robustlab.mu_analysis.axis.robust_gain import robust_gain as robust_gain
-from robustlab.mu_analysis.margins.cover import conservatism as conservatism
 from robustlab.mu_analysis.margins.cover import cover as cover
 from robustlab.mu_analysis.margins.small_gain import small_gain as small_gain
 from robustlab.norms import h2_norm as h2_norm
-from robustlab.norms import passivity as passivity
 from robustlab.realisations import ss as ss
 from robustlab.realisations import tf as tf
 from robustlab.realisations import zpk as zpk
@@ -90,7 +87,6 @@ from robustlab.uncertainty.lft import UncertainModel as UncertainModel
 from robustlab.uncertainty.named_wiring import connect as connect
 from robustlab.uncertainty.parametric import parametric as parametric
 from robustlab.uncertainty.unstructured import unstructured as unstructured
-from robustlab.uncertainty.well_posedness import well_posedness as well_posedness
 from robustlab.worst_case_analysis import sample as sample
 from robustlab.worst_case_analysis import sample_size as sample_size
 from robustlab.worst_case_analysis import violation_probability as violation_probability
@@ -127,14 +123,12 @@ __all__ = [
     "parametric",
     "UncertainFrequencyData",
     "frequency_data",
-    "well_posedness",
     "star",
     "beside",
     "stacked",
     "connect",
     "unstructured",
     "cover",
-    "conservatism",
     "overbound",
     "peak_gain",
     "sample",
@@ -146,12 +140,10 @@ __all__ = [
     "disk_margin",
     "classical_margins",
     "robust_performance",
-    "robust_gain",
     "small_gain",
     "nu_gap",
     "coprime_margin",
     "h2_norm",
-    "passivity",
     "zeros",
     "controllability",
     "observability",

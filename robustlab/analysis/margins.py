@@ -32,7 +32,6 @@ def disk_margin(
     *,
     at: Place = "output",
     frequency: ArrayLike | None = None,
-    channel: str | None = None,
     skew: float = 0.0,
     sign: Literal[-1, 1] | None = None,
     accuracy: float | None = None,
@@ -45,30 +44,26 @@ def disk_margin(
 
     .. math:: \alpha = 1 / \sup_\omega \mu\left( S(j\omega) + \tfrac{\sigma - 1}{2} I \right), \qquad S = (I + L)^{-1}
 
-    Of a plain loop, of one with exact delays, of frequency-response data, or at given frequencies: all margins. Of an
-    uncertain plant: the smallest over all members, all loops at once.
+    Of a plain loop, of one with exact delays, of frequency-response data, or at given frequencies.
 
     Parameters
     ----------
     plant
-        Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out: a model, an
-        UncertainModel, a DelayedModel, or UncertainFrequencyData without blocks.
+        Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out: a model, a
+        DelayedModel, or UncertainFrequencyData without blocks.
     K
         Controller (m outputs, p inputs), or one whose signals have names that the plant has too. It may be delayed.
     at
         Where the factors act: on the plant's outputs, its inputs, or both at once.
     frequency
         Frequencies in rad/s: the margins there, and nothing is claimed between them. Data have their own.
-    channel
-        Of an uncertain plant: the one signal whose loop is changed; all at once where left out.
     skew
         sigma: 0 balanced, positive where the gain is more likely to rise, negative where it is more likely to fall.
     sign
         -1 for negative feedback, 1 for positive feedback. Left out: what the controller says of itself, as every
         designed one does; negative for one that says nothing.
     accuracy
-        Of an uncertain plant or a loop with delays: relative distance of the bounds at which the search ends, 0.005 and
-        0.01 where left out.
+        Of a loop with delays: relative distance of the bounds at which the search ends, 0.01 where left out.
     order
         Of a loop with delays: up to which order of Padé's approximations its stability is tried, 1 to 16.
     seed, effort
@@ -80,7 +75,7 @@ def disk_margin(
     -------
     DiskMargins
         ``lower`` proved and ``upper`` attained, of all loops at once; ``channels`` by the name of the plant's signal.
-        `WorstCaseDiskMargin`, `DelayDiskMargins` and `DiskMarginsAt` are such answers with more evidence.
+        `DelayDiskMargins` and `DiskMarginsAt` are such answers with more evidence.
 
     Raises
     ------
@@ -106,10 +101,10 @@ def disk_margin(
     >>> rl.disk_margin(rl.tf([1], [1, 0]), frequency=[1.0]).lower.__round__(6)
     2.0
     """
-    given = {"channel": channel, "accuracy": accuracy, "order": order, "time_limit": time_limit}
+    given = {"accuracy": accuracy, "order": order, "time_limit": time_limit}
     loop: dict[str, Any] = {"at": at, "skew": skew, "sign": sign, "seed": seed}
     kinds = plant, getattr(K, "K", K)
-    if frequency is not None or any(isinstance(part, UncertainFrequencyData) for part in kinds):
+    if frequency is not None or isinstance(plant, UncertainFrequencyData):
         from robustlab.mu_analysis.margins.at_frequencies import disk_margin_at
 
         options_of(
@@ -123,15 +118,11 @@ def disk_margin(
         chosen = options_of("disk_margin", "a loop with exact delays", given, names, hint)
         return delay_disk_margins(plant, K, effort=effort, **loop, **chosen)
     if isinstance(plant, UncertainModel):
-        from robustlab.mu_analysis.margins.worst_case_disk_margin import worst_case_disk_margin
-
-        names = {name: name for name in ("channel", "accuracy", "time_limit")}
-        chosen = options_of("disk_margin", "an uncertain plant", given, names)
-        return worst_case_disk_margin(plant, K, effort=effort, **loop, **chosen)
+        hint = "robust_stability of the set with a disk block in its loop proves it for every member (docs/analysis.md)"
+        raise InputError("disk_margin: plant", "an UncertainModel", "one model, such as .nominal", hint)
     from robustlab.mu_analysis.margins.disk_margin import disk_margin as of_model
 
-    hint = "channels of the result holds each loop alone" if channel is not None else None
-    chosen = options_of("disk_margin", "a model without uncertainty", given, {"time_limit": "time_limit"}, hint)
+    chosen = options_of("disk_margin", "a model without delays", given, {"time_limit": "time_limit"})
     return of_model(plant, K, effort=effort, **loop, **chosen)
 
 

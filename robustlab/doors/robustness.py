@@ -49,7 +49,7 @@ def disk_margin(
     search: Search = USUAL,
     seed: Seed = 0,
 ) -> Any:
-    """Disk margins of a loop with the worst gain and phase; for an uncertain plant those of its worst member.
+    """Disk margins of a loop with the worst gain and phase.
 
     Of a plant with exact delays: with its delays exact, proved for all frequencies.
 
@@ -70,8 +70,7 @@ def classical_margins(
 ) -> Any:
     """Gain, phase and delay margin of each loop alone, with all crossings."""
     if isinstance(plant, rl.UncertainModel):
-        hint = "rl.disk_margin is that of the worst member"
-        raise UsageError("--classical", "an uncertain plant", "one model", hint)
+        raise UsageError("--classical", "an uncertain plant", "one model")
     given: Any = at
     loop, K, sign, words = _loop(plant, around)
     found = rl.classical_margins(loop, K, at=given, sign=sign)
@@ -193,22 +192,6 @@ def robust_performance(
         **search.options,
     )  # fmt: skip
     return InLoop(found, words, (), {}, (found.proved_intervals(),) if intervals else ())
-
-
-@door("mu --level", "robust-gain", result="mu_analysis.axis.robust_gain.RobustGain")
-def robust_gain(
-    system: OfSet,
-    level: Annotated[float, Number(above=0), "How much of the set keeps the gain below this level."],
-    around: Loop = NO_LOOP,
-    signals: Signals = ALL_SIGNALS,
-    tolerance: Tolerance = 0.01,
-    search: Search = USUAL,
-    seed: Seed = 0,
-) -> Any:
-    """How much of the set keeps every member's gain below a level."""
-    loop, words = around.around(system, "robust gain")
-    options: dict[str, Any] = {**search.options, "seed": seed}
-    return InLoop(rl.robust_gain(signals.of(loop), level, tolerance=tolerance, **options), words)
 
 
 @door(

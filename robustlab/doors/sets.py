@@ -56,8 +56,7 @@ def elementwise(
     """
     from robustlab.dynamics.plant_contract import Plant as AnyPlant
     from robustlab.uncertainty.built import BuiltModel
-    from robustlab.uncertainty.covering.elementwise_cover import elementwise_cover
-    from robustlab.uncertainty.elementwise import endpoint_residual, pair_remarks
+    from robustlab.uncertainty.elementwise import elementwise_cover, endpoint_residual, pair_remarks
 
     if isinstance(nominal, AnyPlant) and perturbed is None:
         return uncertain(nominal)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from robustlab.linear_analysis.structural import strong_components
 from robustlab.mu_analysis.axis.axis_model import model_frequency
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.axis.margin import Margin
-from robustlab.mu_analysis.axis.robust_gain import RobustGain, output_unit
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, WorstCaseGain
 from robustlab.mu_analysis.matrix.bounds import BoxProof, MuBounds
 from robustlab.mu_analysis.matrix.box import Box, lowest, root_box
@@ -114,35 +112,6 @@ def gain_claims(found: WorstCaseGain) -> list[Claim]:
     else:
         claim = Claim("worst-gain", {**numbers, **_scalings(found.proof, at)})
     return [claim, *weight_claims(blocks)]
-
-
-def robust_gain_claims(found: RobustGain) -> list[Claim]:
-    """That no member of the set ``lower`` times as large has a gain above ``level``, by the main loop theorem."""
-    uncertain = found.system
-    if uncertain is None or not 0 < found.lower < np.inf or not found.proof:
-        return []
-    performance = FullBlock(PERFORMANCE, len(uncertain.inputs), len(uncertain.outputs))
-    blocks = (*uncertain.blocks, performance)
-    level = np.append(_levels(uncertain.blocks, ABOVE / found.lower), found.level * ABOVE)
-    around = [(_around(blocks, piece.beta, found.level), piece) for piece in found.proof if isinstance(piece, Piece)]
-    proved = around or _large_enough(blocks, found.boxes, level)
-    unit = np.append(np.ones(len(uncertain.blocks)), output_unit(found.level) ** -2.0)
-    proved = [(box, _in_units(blocks, piece, unit)) for box, piece in proved]
-    numbers = {**model_numbers(uncertain.M), "blocks": block_rows(blocks), "level": level}
-    return [Claim("mu-boxes", {**numbers, **_boxes(blocks, proved, found.lower / ABOVE, _frequencies(uncertain))})]
-
-
-def _around(blocks: Sequence[Block], beta: float, level: float) -> Box:
-    """The box about the nominal point in which scalings of the level ``beta`` of the set's blocks hold."""
-    wider = np.maximum(1.0, -lowest(blocks)) / beta
-    return Box(np.zeros(len(blocks)), np.append(wider[:-1], 1 / level))
-
-
-def _in_units(blocks: Sequence[Block], piece: Piece, factors: NDArray[np.float64]) -> Piece:
-    """The piece with the D of each block times its factor."""
-    w, z = (np.repeat(factors, [getattr(b, side) for b in blocks])[:, None] for side in ("rows", "cols"))
-    bound = replace(piece.bound, Dw=w * piece.bound.Dw, Dz=z * piece.bound.Dz)
-    return replace(piece, bound=bound)
 
 
 def joined_scalings(

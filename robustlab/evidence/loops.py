@@ -13,7 +13,6 @@ from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
 from robustlab.mu_analysis.margins.small_gain import SmallGain
 from robustlab.norms import HinfNorm
-from robustlab.norms.positive_real import Passivity
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.uncertainty.distances.coprime import CoprimeMargin, four_block
 from robustlab.verification.claim import Claim
@@ -45,22 +44,6 @@ def coprime_claims(found: CoprimeMargin) -> list[Claim]:
     if found.plant is None or found.K is None or not found.lower > 0:
         return []
     return loop_claims(four_block(found.plant), found.K, 1 / found.lower)
-
-
-def passivity_claims(found: Passivity) -> list[Claim]:
-    r"""That the relative index is at most ``upper``, of a passive model at most one.
-
-    :math:`(I - G)(I + G)^{-1}` is the loop of u = -G y around :math:`z = w + 2 u,\ y = w + u`: no number is rounded.
-    """
-    G = found.system
-    if G is None or not np.isfinite(found.upper):
-        return []
-    one = np.eye(G.n_inputs)
-    plant = StateSpaceModel([], [], [], np.block([[one, 2 * one], [one, one]]), G.dt)
-    claims = loop_claims(plant, StateSpaceModel(G.A, G.B, -G.C, -G.D, G.dt), found.upper)
-    if not found.passive:
-        return claims
-    return [Claim(c.kind, {**c.numbers, "gamma": np.minimum(c.numbers["gamma"], 1.0)}) for c in claims]
 
 
 def disk_claims(found: DiskMargins) -> list[Claim]:

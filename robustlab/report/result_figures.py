@@ -18,7 +18,6 @@ from robustlab.linear_analysis.structural import StructuralTest
 from robustlab.mu_analysis import MuBounds
 from robustlab.mu_analysis.margins.disk_margin import DiskBounds, DiskMargins
 from robustlab.mu_analysis.margins.small_gain import SmallGain
-from robustlab.mu_analysis.margins.worst_case_disk_margin import WorstCaseDiskMargin
 from robustlab.record import Record
 from robustlab.report.figures import (
     COLOURS,
@@ -74,12 +73,9 @@ def band_figure(found: Responses, output: str | None = None) -> Figure:
 
 def disk_figure(found: DiskMargins | DiskBounds) -> Figure:
     """Changes of gain and phase that leave the loop stable: inside of each curve, in that loop and in all at once."""
-    if isinstance(found, WorstCaseDiskMargin):
-        every: Mapping[str, DiskBounds] = {"worst member, proved": found, "nominal": found.nominal}
-    elif isinstance(found, DiskMargins):
+    every: Mapping[str, DiskBounds] = {"disk margin": found}
+    if isinstance(found, DiskMargins):
         every = {"all at once": found.simultaneous, **found.channels}
-    else:
-        every = {"disk margin": found}
     figure, (axes,) = new_figure(width=6.4, height=3.8)
     with house_style():
         for k, (name, margin) in enumerate(every.items()):

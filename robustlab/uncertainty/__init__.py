@@ -9,9 +9,8 @@ unstructured    one full block between two weights, in six places of the loop
 realised_delta  a complex Delta as a stable system
 frequency_responses
                 uncertain frequency-response data: sets of responses at given frequencies
-well_posedness  whether I - D11 Delta can be singular in the set
-covering/       sets that hold given models: weights above a bound, hulls, ellipsoids, coprime factors
-distances/      coprime factors, their margin, gap and nu-gap
+covering/       sets that hold given models: weights above a bound, hulls, directions
+distances/      coprime factors, their margin, nu-gap
 
 Beneath them: upper_lft (a constant Delta closed in), reduction (Kalman reduction), interconnection (operands and
 wires, weights of unmodelled dynamics).

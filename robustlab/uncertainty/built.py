@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from robustlab.result import Status
@@ -22,14 +22,12 @@ class BuiltModel(Shown):
     model
         The set.
     structure
-        What moves together, or what its parts are.
+        What moves together.
     status
         CERTIFIED: the set is proved to hold what it was made of. CONVERGED: to an accuracy that was chosen. None: it is
         what its parameters say, and there is nothing to prove.
     residual
         How far its end is from the perturbed model; None where it was not made of two models.
-    parts
-        What was put into it -> its size and why it is covered.
     notes
         What the reader must know.
     ends
@@ -40,7 +38,6 @@ class BuiltModel(Shown):
     structure: str
     status: Status | None
     residual: EndpointResidual | None = None
-    parts: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     ends: tuple[StateSpaceModel, StateSpaceModel] | None = None
 
@@ -64,7 +61,6 @@ class BuiltModel(Shown):
         return [
             ("structure", self.structure),
             ("off the perturbed model at Delta = I", off),
-            *self.parts.items(),
             *self.model.facts(),
         ]
 
@@ -72,5 +68,5 @@ class BuiltModel(Shown):
         return self.model.details()
 
     def to_json(self) -> dict[str, object]:
-        more = {"structure": self.structure, "residual": self.residual, "parts": dict(self.parts)}
+        more = {"structure": self.structure, "residual": self.residual}
         return {**self.model.to_json(), **more, "status": self.status}

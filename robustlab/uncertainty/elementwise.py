@@ -27,7 +27,7 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, told_as
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
-from robustlab.uncertainty.blocks import RealScalar
+from robustlab.uncertainty.blocks import FullBlock, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 # Rank factors may miss an entry of E by this share of its natural magnitude: above rounding, below the promised 1e-12.
@@ -419,6 +419,43 @@ def _channels(prefix: str, parts: list[_Part], taken: Sequence[str]) -> list[Sig
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------
+
+
+def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
+    r"""A small set around the element-wise one: a full block for each of A, B, C, D that differ, named by it.
+
+    With E the differences of one matrix and :math:`|\delta_{ij}| \le 1` for each entry by itself,
+    :math:`\|E \circ \delta\| \le \| |E| \| = s` (Horn, Johnson 2013, theorem 8.1.18), so that
+    :math:`E \circ \delta = s \Delta` with :math:`\|\Delta\| \le 1` on the rows and columns in which the models differ.
+    What is proved for this set holds for ``elementwise(..., "elements")``. It costs four scalings, not dozens; members
+    come in that no entries can make, complex and dynamic ones among them.
+    """
+    first, second = as_model(nominal, "elementwise: nominal"), as_model(perturbed, "elementwise: perturbed")
+    check_pair(first, second)
+    n, n_u, n_y = first.n_states, first.n_inputs, first.n_outputs
+    left, right, blocks = [np.zeros((n + n_y, 0))], [np.zeros((0, n + n_u))], []
+    for kind, row, column in (("A", 0, 0), ("B", 0, n), ("C", n, 0), ("D", n, n)):
+        size = np.abs(getattr(second, kind) - getattr(first, kind))
+        rows, columns = np.flatnonzero(size.any(axis=1)), np.flatnonzero(size.any(axis=0))
+        if not len(rows):
+            continue
+        root = float(np.sqrt(np.linalg.norm(size, 2)))
+        left.append(root * np.eye(n + n_y)[:, row + rows])
+        right.append(root * np.eye(n + n_u)[column + columns])
+        blocks.append(FullBlock(kind, len(rows), len(columns)))
+    into, out = np.hstack(left), np.vstack(right)
+    M = StateSpaceModel(
+        first.A,
+        np.hstack([into[:n], first.B]),
+        np.vstack([out[:, :n], first.C]),
+        np.block([[np.zeros((len(out), into.shape[1])), out[:, n:]], [into[n:], first.D]]),
+        first.dt,
+        [*(f"w_{b.name}_{i + 1}" for b in blocks for i in range(b.rows)), *first.inputs],
+        [*(f"z_{b.name}_{i + 1}" for b in blocks for i in range(b.cols)), *first.outputs],
+        first.states,
+        where="elementwise",
+    )
+    return UncertainModel(M, blocks)
 
 
 def check_pair(

@@ -3,19 +3,16 @@ r"""Uncertain frequency-response data: a set of responses at given frequencies, 
 .. math:: F_u(M_k, \Delta) = M_{k,22} + M_{k,21} \Delta (I - M_{k,11} \Delta)^{-1} M_{k,12}, \qquad k = 1, \dots, N
 
 for the responses :math:`M_k` at the frequencies :math:`\omega_k`: a measured response with what is not known of it, or
-any model at frequencies. Data and models are interconnected as sets are. Each response stands in the interconnection as
-a full block with a name of its own, so that `robustlab.uncertainty` carries it out; what it makes of the signals is
-then closed at each frequency.
+any model at frequencies.
 
 References
 ----------
-Bendat, Piersol, *Random Data* (2010), section 9.2, for the confidence of a measured response; Zhou, Doyle, Glover,
-*Robust and Optimal Control* (1996), section 10.1.
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 10.1.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,27 +21,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, ComplexArray
+from robustlab.closing import fed_back
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.operators import TransferMatrix
+from robustlab.operators import Behaviour
 from robustlab.provenance import Traced
-from robustlab.shown import SHOWN, Facts, Shown, listed, matrix_lines, number, short, with_units
-from robustlab.signals import Signal, SignalLike, is_constant, picked, real_array, signals
-from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, as_blocks, block_slices, structure_size
-from robustlab.uncertainty.lft import UncertainModel, feedback, parallel, product
+from robustlab.shown import Facts, Shown, listed, number, short, with_units
+from robustlab.signals import Signal, SignalLike, is_number, picked, real_array, same_units, signals
+from robustlab.statespace import as_model
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, as_blocks, delta_matrix, structure_size
+from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.upper_lft import ILL_POSED, closed_response
-
-SAME = 1e-12  # frequencies this close, relative, are one
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class UncertainFrequencyData(TransferMatrix, Shown, Traced):
+class UncertainFrequencyData(Behaviour, Shown, Traced):
     r"""Frequency responses :math:`F_u(M_k, \Delta)` at N frequencies; immutable. Most come of `frequency_data`.
 
-    Nothing is known between the frequencies, and nothing of poles. Interconnections (``@``, ``+``, ``feedback``,
-    `robustlab.star`, `robustlab.beside`, `robustlab.stacked`) take data at the same frequencies, models of any kind,
-    matrices and numbers.
+    Nothing is known between the frequencies, and nothing of poles. ``.feedback(K)`` closes a controller of any kind
+    around the data; the other models of the loop belong into K.
 
     Parameters
     ----------
@@ -64,6 +59,7 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
 
     Examples
     --------
+    >>> from robustlab.statespace import StateSpaceModel
     >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
     >>> loop = frequency_data([[2.0]], [0.0, 1.0], radius=0.1).feedback(lag)
     >>> loop
@@ -77,6 +73,10 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
     blocks: tuple[Block, ...]
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
+
+    operator_rank = 3  # data close the loop, whatever the controller is
+    no_model = "frequency-response data have no state-space model: rl.robust_stability and rl.peak_gain"
+    for_control = "control.frd(np.moveaxis(G.nominal, 0, 2), G.omega) is its nominal response"
 
     def __init__(
         self,
@@ -110,22 +110,9 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
 
     @classmethod
     def read(cls, path: str | Path, name: str = "measured", **options: Any) -> UncertainFrequencyData:
-        """Measured responses from a table in a text file, with radii where the table has them.
+        """Measured responses from a table in a text file: frequencies first, then columns such as ``y from u real``.
 
-        Parameters
-        ----------
-        path
-            The file: frequencies first, then columns such as ``y from u real``; see
-            `robustlab.files.text_table.read_response`.
-        name
-            Beginning of the names of the blocks, as for `frequency_data`.
-        **options
-            ``units`` (column -> unit), ``delimiter``, ``decimal``, as there.
-
-        Raises
-        ------
-        InputError
-            What is wrong with the table, or with the numbers in it.
+        ``name`` is that of `frequency_data`; ``units`` (column -> unit), ``delimiter`` and ``decimal`` are options.
         """
         from robustlab.files.text_table import read_response
 
@@ -153,108 +140,32 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
         return self.M[:, :p, :q]
 
     def response(self, delta: Any) -> ComplexArray:
-        """The responses of the member for a Delta, by block names, shape (N, n_y, n_u).
-
-        Raises
-        ------
-        InputError
-            Unknown names, wrong shapes, a complex value for a real block.
-        """
-        from robustlab.uncertainty.blocks import delta_matrix
-
-        return _closed(self.M, delta_matrix(self.blocks, delta), self.omega, "response")
-
-    def values_at(self, s: ComplexArray) -> ComplexArray:
-        """The nominal responses at s = j omega, for frequencies of the data, shape (n, n_y, n_u): for ``G(s)``."""
-        places = np.abs(self.omega[None] - s.imag[:, None]).argmin(axis=1)
-        off = (s.real != 0) | (np.abs(self.omega[places] - s.imag) > SAME * self.omega[places])
-        if off.any():
-            k = int(np.flatnonzero(off)[0])
-            expected = f"1j * omega of the data, the nearest of them {self.omega[places[k]]:.6g} rad/s"
-            raise InputError("G(s)", f"s = {s[k]:.6g}", expected, "nothing is known between the frequencies")
-        return self.nominal[places]
-
-    # --- algebra: carried out on sets, each response a block of its own ----------------------------------------------
-
-    operator_rank = 3  # data and a model make data
-    for_control = "control.frd(np.moveaxis(G.nominal, 0, 2), G.omega) is its nominal response"
-    no_model = "frequency-response data have no state-space model: rl.robust_stability and rl.peak_gain"
-
-    def carried(self, function: Callable[..., Any], *operands: Any, **options: Any) -> UncertainFrequencyData:
-        """An interconnection that is written for sets, of data and what has a response at their frequencies."""
-        where = function.__name__
-        made = [o if is_constant(o) else self.matched(o, where) for o in operands]
-        data = [o for o in made if isinstance(o, UncertainFrequencyData)]
-        names = [f"response {k + 1} of an interconnection" for k in range(len(data))]
-        named = iter(names)
-        sets = [o.as_set(next(named)) if isinstance(o, UncertainFrequencyData) else o for o in made]
-        found = function(*sets, **options)
-        places = dict(zip((b.name for b in found.blocks), block_slices(found.blocks), strict=True))
-        order = [*names, *(b.name for b in found.blocks if b.name not in names)]
-        q, p = found.delta_shape
-        ins = [k for name in order for k in range(q)[places[name][0]]] + list(range(q, found.M.n_inputs))
-        outs = [k for name in order for k in range(p)[places[name][1]]] + list(range(p, found.M.n_outputs))
-        rows, cols = np.cumsum([[0, 0], *(o.M.shape[1:] for o in data)], axis=0).T
-        held = np.zeros((len(self.omega), rows[-1], cols[-1]), dtype=complex)
-        for k, o in enumerate(data):
-            held[:, rows[k] : rows[k + 1], cols[k] : cols[k + 1]] = o.M
-        whole = _closed(found.M.D[np.ix_(outs, ins)][None], held, self.omega, where)
-        rest = [b for b in found.blocks if b.name not in names]
-        return UncertainFrequencyData(self.omega, whole, rest, found.inputs, found.outputs)
-
-    def matched(self, operand: Any, where: str) -> UncertainFrequencyData:
-        """The other operand at these frequencies."""
-        if not isinstance(operand, UncertainFrequencyData):
-            return frequency_data(operand, self.omega)
-        if not np.array_equal(operand.omega, self.omega):
-            found = f"data at {len(operand.omega)} and at {len(self.omega)} frequencies, not the same ones"
-            raise InputError(where, found, "data at the same frequencies", "nothing is known between them")
-        return operand
-
-    def as_set(self, name: str) -> UncertainModel:
-        """Wires alone: the response as a full block of this name, then the blocks of the data."""
-        (_, outs, ins), (q, p) = self.M.shape, self.delta_shape
-        D = np.block([[np.zeros((ins, outs)), np.eye(ins)], [np.eye(outs), np.zeros((outs, ins))]])
-        w, z = [f"{name}: w{k}" for k in range(outs + q)], [f"{name}: z{k}" for k in range(ins + p)]
-        model = StateSpaceModel([], [], [], D, 0.0, [*w, *self.inputs], [*z, *self.outputs])
-        return UncertainModel(model, [FullBlock(name, outs, ins), *self.blocks])
-
-    def _product(self, second: Any, first: Any) -> UncertainFrequencyData:
-        return self.carried(product, second, first)
-
-    def _sum(self, first: Any, second: Any, sign: int) -> UncertainFrequencyData:
-        return self.carried(parallel, first, second, sign=sign)
+        """The responses of the member for a Delta, by block names, shape (N, n_y, n_u)."""
+        return closed_at(self.omega, self.M, delta_matrix(self.blocks, delta), "response")
 
     def _loop(self, forward: Any, back: Any, sign: int | None) -> UncertainFrequencyData:
-        return self.carried(feedback, forward, back, sign=sign)
-
-    def _identity(self) -> UncertainFrequencyData:
-        if len(self.inputs) != len(self.outputs):
-            raise InputError("power", f"data of {len(self.outputs)} x {len(self.inputs)}", "a square response")
-        one = np.broadcast_to(np.eye(len(self.inputs)), self.nominal.shape)
-        return UncertainFrequencyData(self.omega, one, (), self.inputs, self.outputs)
-
-    def inverse(self) -> UncertainFrequencyData:
-        """The responses from outputs to inputs.
-
-        Raises
-        ------
-        InputError
-            Not square.
-        NoTrustworthyNumber
-            The nominal response is singular at a frequency.
-        """
-        if len(self.inputs) != len(self.outputs):
-            raise InputError("inverse", f"{len(self.outputs)} x {len(self.inputs)}", "a square response")
-        (q, p), n = self.delta_shape, len(self.inputs)
-        # y = M21 w + M22 u solved for u: the first channels carry e = y - M21 w + (I - M22) u, closed by u = e
-        wired = np.zeros((len(self.omega), p + 2 * n, q + 2 * n), dtype=complex)
-        wired[:, n : n + p, n : n + q], wired[:, n : n + p, :n] = self.M[:, :p, :q], self.M[:, :p, q:]
-        wired[:, n + p :, :n] = np.eye(n)
-        wired[:, :n, :n] = np.eye(n) - self.M[:, p:, q:]
-        wired[:, :n, n : n + q], wired[:, :n, n + q :] = -self.M[:, p:, :q], np.eye(n)
-        found = _closed(wired, np.eye(n), self.omega, "inverse")
-        return UncertainFrequencyData(self.omega, found, self.blocks, self.outputs, self.inputs)
+        if forward is not self:
+            raise InputError("feedback", "frequency-response data fed back", "data.feedback(K), K a model")
+        n_y, n_u = self.nominal.shape[1:]
+        if is_number(back):
+            if n_u != n_y:
+                raise InputError("feedback", f"the number {back} around {n_y} x {n_u} channels", "a matrix or a model")
+            back = float(back) * np.eye(n_u)
+        back, sign, _ = fed_back(self, back, sign)
+        h = frequency_data(back, self.omega)
+        if h.nominal.shape[1:] != (n_u, n_y):
+            found = f"what is fed back is {len(h.outputs)} x {len(h.inputs)}"
+            raise InputError("feedback", found, f"{n_u} x {n_y} for data of {n_y} x {n_u}")
+        same_units("feedback", [*zip(self.outputs, h.inputs, strict=True), *zip(h.outputs, self.inputs, strict=True)])
+        (q, p), rows, cols = self.delta_shape, self.M.shape[1], self.M.shape[2]
+        both = np.zeros((len(self.omega), rows + h.M.shape[1], cols + h.M.shape[2]), dtype=complex)
+        both[:, :rows, :cols], both[:, rows:, cols:] = self.M, h.M
+        z, y, z2, v = np.split(np.arange(both.shape[1]), [p, rows, rows + h.delta_shape[1]])
+        w, u, w2, e = np.split(np.arange(both.shape[2]), [q, cols, cols + h.delta_shape[0]])
+        both = both[:, np.hstack([y, v, z, z2, y])][:, :, np.hstack([u, e, w, w2, u])]
+        wires = np.block([[np.zeros((n_u, n_y)), sign * np.eye(n_u)], [np.eye(n_y), np.zeros((n_y, n_u))]])
+        M = closed_at(self.omega, both, wires, "feedback")
+        return UncertainFrequencyData(self.omega, M, (*self.blocks, *h.blocks), self.inputs, self.outputs)
 
     def __getitem__(self, key: Any) -> UncertainFrequencyData:
         """``G[outputs, inputs]`` by numbers, slices, names or lists of these; blocks are kept."""
@@ -278,11 +189,6 @@ class UncertainFrequencyData(TransferMatrix, Shown, Traced):
     def to_json(self) -> dict[str, Any]:
         return {"omega": self.omega, "M": self.M, "blocks": [b.to_json() for b in self.blocks]}
 
-    def _numbers(self) -> list[str]:
-        first = zip(self.omega[:SHOWN].tolist(), self.nominal[:SHOWN].tolist(), strict=True)
-        lines = [line for w, G in first for line in matrix_lines(f"{w:.6g} rad/s", G, len(self.inputs))]
-        return [*lines, *([f"and {len(self.omega) - SHOWN} frequencies more"] if len(self.omega) > SHOWN else [])]
-
     def __repr__(self) -> str:
         (q, p), n = self.delta_shape, len(self.omega)
         ins, outs = (short(tuple(s.name for s in side)) for side in (self.inputs, self.outputs))
@@ -297,9 +203,6 @@ def frequency_data(
     omega: ArrayLike,
     *,
     radius: ArrayLike | None = None,
-    coherence: ArrayLike | None = None,
-    averages: int | None = None,
-    confidence: float = 0.95,
     name: str = "measured",
     inputs: Sequence[SignalLike] | None = None,
     outputs: Sequence[SignalLike] | None = None,
@@ -308,12 +211,6 @@ def frequency_data(
 
     .. math:: |G_{ij}(j\omega_k) - \hat G_{k,ij}| \le r_{k,ij} \qquad \text{or} \qquad \bar\sigma(G(j\omega_k) - \hat
        G_k) \le r_k
-
-    For a response of one input that was estimated with a coherence :math:`\gamma^2` from n independent averages (the
-    estimate :math:`\hat G = S_{yu} / S_{uu}`, Gaussian noise at the output, none at the input), r is the quantile of
-    the F distribution with 2 and 2n - 2 degrees of freedom in closed form:
-
-    .. math:: r^2 = |\hat G|^2 \, \frac{1 - \gamma^2}{\gamma^2} \left( (1 - c)^{-1/(n-1)} - 1 \right)
 
     Parameters
     ----------
@@ -325,15 +222,9 @@ def frequency_data(
     radius
         Of a measured response: one number or shape (N,), the largest singular value of the error, a full block; or
         shape (N, n_y, n_u), each entry by itself, a complex scalar for each. An ellipse is held by the circle of its
-        longer half axis. None: the response is exact, or its radius is that of the coherence.
-    coherence, averages
-        In place of a radius: the coherence at the same points as the response, between 0 and 1, and the number n of
-        independent records, 2 or more; overlapping ones count as fewer.
-    confidence
-        c, between 0 and 1: the probability that r holds the true response, at each frequency on its own; for all N at
-        once take ``1 - (1 - c) / N``.
+        longer half axis. None: the response is exact.
     name
-        Beginning of the names of the blocks. Equal names are one uncertainty.
+        Beginning of the names of the blocks.
     inputs, outputs
         Signals of a response; those of a model are kept.
 
@@ -345,8 +236,7 @@ def frequency_data(
     Raises
     ------
     InputError
-        Shapes that do not fit, a radius that is negative, a radius of a model, a coherence outside [0, 1] or without
-        averages.
+        Shapes that do not fit, a radius that is negative, a radius of a model.
     NoTrustworthyNumber
         A pole of a model lies at a frequency.
 
@@ -355,21 +245,9 @@ def frequency_data(
     >>> found = frequency_data([1.0, 0.5 - 0.5j], [0.0, 1.0], radius=[0.01, 0.02])
     >>> [b.name for b in found.blocks], found.delta_channels.shape
     (['measured y1 from u1'], (2, 1, 1))
-    >>> frequency_data([2.0], [1.0], coherence=[0.9], averages=20).delta_channels.shape
-    (1, 1, 1)
-
-    References
-    ----------
-    Bendat, Piersol, *Random Data* (2010), section 9.2.3.
     """
-    if coherence is not None or averages is not None:
-        if coherence is None or averages is None or radius is not None:
-            parts = {"radius": radius, "coherence": coherence, "averages": averages}
-            found = ", ".join(part for part, value in parts.items() if value is not None)
-            raise InputError("frequency_data", found, "a radius, or coherence and averages")
-        radius = response_radius(given, coherence, averages, confidence)
     w = real_array("omega", np.atleast_1d(omega), 1, "frequency_data")
-    if isinstance(given, UncertainModel) or not _is_response(given):
+    if not isinstance(given, (np.ndarray, list, tuple, int, float, complex)):
         if radius is not None:
             found, hint = "a radius of a model", "rl.unstructured gives a model a weight at all frequencies"
             raise InputError("frequency_data: radius", found, "a measured response", hint)
@@ -388,10 +266,6 @@ def _complex(name: str, given: ArrayLike, where: str) -> ComplexArray:
         return np.array(given, dtype=np.complex128)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{where}: {name}", repr(given), "an array of numbers") from None
-
-
-def _is_response(given: Any) -> bool:
-    return isinstance(given, (np.ndarray, list, tuple, int, float, complex))
 
 
 def _with_radius(plain: UncertainFrequencyData, given: ComplexArray, name: str) -> UncertainFrequencyData:
@@ -425,34 +299,12 @@ def _with_radius(plain: UncertainFrequencyData, given: ComplexArray, name: str) 
     return UncertainFrequencyData(plain.omega, M, blocks, plain.inputs, plain.outputs)
 
 
-def response_radius(response: ArrayLike, coherence: ArrayLike, averages: int, confidence: float = 0.95) -> Array:
-    """Radius about a measured response of one input that holds the true one with a probability; see `frequency_data`.
-
-    Examples
-    --------
-    >>> response_radius([2.0], [0.9], 20).round(4)
-    array([0.2755])
-    """
-    G, given = (_complex(k, v, "frequency_data") for k, v in (("response", response), ("coherence", coherence)))
-    g2 = np.where(given.imag == 0, given.real, np.nan)
-    if G.shape != g2.shape or not ((g2 >= 0) & (g2 <= 1)).all():
-        raise InputError("frequency_data: coherence", f"shape {g2.shape}", f"numbers from 0 to 1, shape {G.shape}")
-    if isinstance(averages, bool) or not isinstance(averages, (int, np.integer)) or averages < 2:
-        raise InputError("frequency_data: averages", f"{averages!r}", "a whole number, 2 or more")
-    if not 0 < confidence < 1:
-        raise InputError("frequency_data: confidence", f"{confidence!r}", "a number between 0 and 1")
-    with np.errstate(divide="ignore"):
-        noise = np.where(g2 > 0, (1.0 - g2) / g2, np.inf)
-    return np.abs(G) * np.sqrt(noise * np.expm1(-np.log1p(-confidence) / (averages - 1)))
-
-
-def _closed(m: AnyArray, delta: Any, omega: Array, where: str) -> ComplexArray:
+def closed_at(omega: Array, m: AnyArray, delta: AnyArray, where: str) -> ComplexArray:
     """`closed_response`, refused where it has no digits left at a frequency."""
-    q, p = delta.shape[-2:]
+    q, p = delta.shape
     with np.errstate(all="ignore"):
-        condition = np.broadcast_to(np.linalg.cond(np.eye(p) - m[:, :p, :q] @ delta) if p else 1.0, (len(omega),))
+        condition = np.linalg.cond(np.eye(p) - m[:, :p, :q] @ delta) if p else np.zeros(len(omega))
     if not (condition <= ILL_POSED).all():
-        k = int(np.flatnonzero(~(condition <= ILL_POSED))[0])
-        found = f"the interconnection is singular at {omega[k]:g} rad/s"
+        found = f"the interconnection is singular at {omega[~(condition <= ILL_POSED)][0]:g} rad/s"
         raise NoTrustworthyNumber(where, found, None, "a pole lies there: leave that frequency out")
-    return np.asarray(closed_response(m, np.asarray(delta)), dtype=np.complex128)
+    return np.asarray(closed_response(m, delta), dtype=np.complex128)

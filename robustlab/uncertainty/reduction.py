@@ -20,13 +20,13 @@ Khatri, "Kalman decomposition of linear fractional transformation representation
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array, Indices
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
@@ -61,7 +61,7 @@ def reduced(M: StateSpaceModel, blocks: Sequence[Block], tolerance: float, seed:
     invariance = 0.0
     while True:
         M, blocks = reduce_blocks(M, blocks, tolerance)
-        step = _joint_step(M, blocks, tolerance)
+        step = _step(M, blocks, {b.name for b in blocks if b.is_scalar}, tolerance)
         if step is None:
             break
         M, blocks = step.M, step.blocks
@@ -129,78 +129,11 @@ def reduce_blocks(
     """
     if not 0 < tolerance < 1:
         raise InputError("reduce", f"tolerance {tolerance}", "a number between 0 and 1")
-    n = M.n_states
-    constant = _constant(M)
-    kept: list[Block] = list(blocks)
-    outputs, inputs = list(M.outputs), list(M.inputs)
-    index = 0
-    while index < len(kept):
-        block = kept[index]
-        w, z = block_slices(kept)[index]
-        rows, cols = np.arange(n + z.start, n + z.stop), np.arange(n + w.start, n + w.stop)
-        wanted = block.is_scalar and (names is None or block.name in names)
-        smaller = _reduced(constant, rows, cols, tolerance, keep) if wanted else None
-        if smaller is None:
-            index += 1
-            continue
-        constant, size = smaller
-        del outputs[z.start + size : z.stop], inputs[w.start + size : w.stop]
-        if size:
-            kept[index] = block.resized(size, size)
-            index += 1
-        else:
-            del kept[index]
-    model = StateSpaceModel(
-        constant[:n, :n],
-        constant[:n, n:],
-        constant[n:, :n],
-        constant[n:, n:],
-        M.dt,
-        inputs,
-        outputs,
-        M.states,
-        where="reduce",
-    )
-    return model, tuple(kept)
-
-
-def _reduced(constant: Array, rows: Indices, cols: Indices, tolerance: float, keep: bool) -> tuple[Array, int] | None:
-    """The constant matrix with a smaller block at these rows and columns, and its new size; None where it stays."""
-    n11 = constant[rows[:, None], cols]
-    n12 = np.delete(constant[rows], cols, axis=1)
-    n21 = np.delete(constant[:, cols], rows, axis=0)
-    # Units of the outside must not decide what counts as zero: its signals are scaled to norm one.
-    into, out = _powers(np.abs(n12).max(axis=0, initial=0.0)), _powers(np.abs(n21).max(axis=1, initial=0.0))
-    a, b, c = n11, n12 / into, n21 / out[:, None]
-    # Channels of one block may carry any scaling T: the one that makes what comes in and what goes out alike is used.
-    balance = _powers(np.sqrt(np.abs(b).max(axis=1, initial=0.0) / _nonzero(np.abs(c).max(axis=0, initial=0.0))))
-    a, b, c = a / balance[:, None] * balance, b / balance[:, None], c * balance
-    # What the second step sees may be rounding of the first: it is judged by the size that b and c had before.
-    b_size, c_size = _norm(b), _norm(c)
-    (reach,), _ = _invariant(a, b, [len(a)], tolerance, b_size)
-    a, b, c = reach.T @ a @ reach, reach.T @ b, c @ reach
-    (show,), _ = _invariant(a.T, c.T, [len(a)], tolerance, c_size)
-    a, b, c = show.T @ a @ show, show.T @ b, c @ show
-    size = a.shape[0]
-    if keep and size == 0:
-        a, b, c, size = np.zeros((1, 1)), np.zeros((1, b.shape[1])), np.zeros((c.shape[0], 1)), 1
-    if size == len(rows) or not _same((n11, n12 / into, n21 / out[:, None]), [len(rows)], (a, b, c), [size]):
-        return None
-    keep_rows, keep_cols = (
-        np.delete(np.arange(constant.shape[0]), rows[size:]),
-        np.delete(np.arange(constant.shape[1]), cols[size:]),
-    )
-    result = constant[keep_rows[:, None], keep_cols]
-    inside_rows, inside_cols = rows[:size], cols[:size]
-    outside_rows = np.delete(np.arange(result.shape[0]), inside_rows)
-    outside_cols = np.delete(np.arange(result.shape[1]), inside_cols)
-    result[inside_rows[:, None], inside_cols] = a
-    result[inside_rows[:, None], outside_cols] = b * into
-    result[outside_rows[:, None], inside_cols] = c * out[:, None]
-    return result, size
-
-
-# --- all blocks jointly ----------------------------------------------------------------------------------------------
+    for block in blocks:
+        if block.is_scalar and (names is None or block.name in names):
+            step = _step(M, blocks, {block.name}, tolerance, keep)
+            M, blocks = (M, blocks) if step is None else (step.M, step.blocks)
+    return M, tuple(blocks)
 
 
 @dataclass(frozen=True)
@@ -210,14 +143,16 @@ class _Step:
     invariance: float
 
 
-def _joint_step(M: StateSpaceModel, blocks: Sequence[Block], tolerance: float) -> _Step | None:
-    """One joint reduction of all scalar blocks; None where nothing goes."""
+def _step(
+    M: StateSpaceModel, blocks: Sequence[Block], names: Collection[str], tolerance: float, keep: bool = False
+) -> _Step | None:
+    """One joint reduction of the scalar blocks of these names; None where nothing goes."""
     n = M.n_states
     whole = _constant(M)
-    scalar = [b for b in blocks if b.is_scalar]
+    scalar = [b for b in blocks if b.name in names]
     if not scalar:
         return None
-    slices = [s for b, s in zip(blocks, block_slices(blocks), strict=True) if b.is_scalar]
+    slices = [s for b, s in zip(blocks, block_slices(blocks), strict=True) if b.name in names]
     cols = np.concatenate([np.arange(n + w.start, n + w.stop) for w, _ in slices])
     rows = np.concatenate([np.arange(n + z.start, n + z.stop) for _, z in slices])
     other_cols, other_rows = np.delete(np.arange(whole.shape[1]), cols), np.delete(np.arange(whole.shape[0]), rows)
@@ -236,29 +171,31 @@ def _joint_step(M: StateSpaceModel, blocks: Sequence[Block], tolerance: float) -
     t = _diagonal(show)
     a2, b2, c2 = t.T @ a1 @ t, t.T @ b1, c1 @ t
     left = [part.shape[1] for part in show]
+    if keep and not any(left):  # of one block
+        a2, b2, c2, left = np.zeros((1, 1)), np.zeros((1, b.shape[1])), np.zeros((len(c), 1)), [1]
     if left == sizes or not _same((a, b, c), sizes, (a2, b2, c2), left):
         return None
-    return _Step(*_rebuilt(M, blocks, left, a2, b2 * into, c2 * out[:, None]), max(miss_1, miss_2))
+    by_name = {block.name: size for block, size in zip(scalar, left, strict=True)}
+    return _Step(*_rebuilt(M, blocks, by_name, a2, b2 * into, c2 * out[:, None]), max(miss_1, miss_2))
 
 
 def _rebuilt(
-    M: StateSpaceModel, blocks: Sequence[Block], left: Sequence[int], a: Array, b: Array, c: Array
+    M: StateSpaceModel, blocks: Sequence[Block], left: Mapping[str, int], a: Array, b: Array, c: Array
 ) -> tuple[StateSpaceModel, tuple[Block, ...]]:
-    """The model with its scalar blocks' channels replaced, ``left`` of each, the full blocks' where they were."""
+    """The model with the channels of some blocks replaced, ``left`` of each by name, the others' where they were."""
     n = M.n_states
     whole = _constant(M)
-    sizes = iter(left)
     kept: list[Block] = []
     keep_in, keep_out = list(range(n)), list(range(n))
     new_in: list[int] = []
     new_out: list[int] = []
     for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
-        if not block.is_scalar:
+        if block.name not in left:
             kept.append(block)
             keep_in += range(n + w.start, n + w.stop)
             keep_out += range(n + z.start, n + z.stop)
             continue
-        size = next(sizes)
+        size = left[block.name]
         if size:
             kept.append(block.resized(size, size))
         new_in += range(len(keep_in), len(keep_in) + size)

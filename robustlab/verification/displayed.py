@@ -23,9 +23,9 @@ from robustlab.verification.models import gain_exceeds, model_of, on_the_axis
 ROUNDING = 2e-6  # of a number: claims are made 1e-6 above what was found
 
 # What is displayed -> which quantity of a claim it has to be. "peak": the bound of a norm, a gain or mu, and "1/peak"
-# the margin that it gives; "h2": of an H2 norm; "attained": a lower bound of mu; "level": of the gain that a size is
-# asked for; "inside": a norm of at most one, or parameters within their ranges; "gain": what the model's gain at the
-# displayed frequency is at least. Braces: the model of that name in a claim, to the last bit, with "+" a part of it.
+# the margin that it gives; "h2": of an H2 norm; "attained": a lower bound of mu; "inside": a norm of at most one, or
+# parameters within their ranges; "gain": what the model's gain at the displayed frequency is at least. Braces: the
+# model of that name in a claim, to the last bit, with "+" a part of it.
 Rules = Mapping[str, str]
 GAIN: Rules = {"upper": "peak"}
 MARGIN: Rules = {"lower": "1/peak"}
@@ -35,12 +35,11 @@ H2_DESIGN: Rules = {"gamma": "h2", "K": "K_{}"}
 ANY = "peak h2 1/peak"
 SHOWN: Mapping[str, Rules] = {
     "HinfNorm": {**GAIN, "lower": "gain", "value": "gain"},
-    **dict.fromkeys(("WorstCaseGain", "DelayGain", "IqcGain", "EffectGain", "LPVGain", "Passivity"), GAIN),
+    **dict.fromkeys(("WorstCaseGain", "DelayGain", "IqcGain", "EffectGain", "LPVGain"), GAIN),
     **dict.fromkeys(("SmallGain", "DiskMargin", "DiskMargins", "DelayDiskMargins", "DelayStability"), MARGIN),
     "CoprimeMargin": {**MARGIN, "value": "1/peak"},
     "IqcStability": {**MARGIN, "margin": "1/peak"},
     **dict.fromkeys(("Margin", "PerformanceMargin"), MARGIN_FOUND),
-    "RobustGain": {**MARGIN, "level": "level"},
     **dict.fromkeys(("HinfSynthesis", "NcfSynthesis", "DKSynthesis"), DESIGN),
     **dict.fromkeys(("H2Synthesis", "LqgSynthesis"), H2_DESIGN),
     "MixedSynthesis": {**H2_DESIGN, "hinf_norm/upper": "peak"},
@@ -179,8 +178,6 @@ def _quantity(claim: Claim, word: str) -> list[float]:
         return values if number == "value" else []
     if word == "attained":
         return [1 / max(_sizes(claim))] if claim.kind == "unstable-member" else values if below else []
-    if word == "level":
-        return np.ravel(claim.numbers["level"]).tolist()[-1:] if claim.kind == "mu-boxes" else []
     if word == "inside":
         return [1.0] if claim.kind == "set" and "delta" in claim.numbers else values
     if claim.kind in ("stable", "delayed-stable"):

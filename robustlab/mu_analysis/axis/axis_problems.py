@@ -10,16 +10,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from robustlab.arrays import Array, Mask
+from robustlab.arrays import Array
 from robustlab.budget import Budget, dense
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import typical_speed
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, extend_work
 from robustlab.mu_analysis.axis.mode_ascent import ascended, is_stable_member, shrunk
 from robustlab.mu_analysis.constants import ASCENT_REACH
-from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, gauge, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights
-from robustlab.mu_analysis.matrix.gain import ascend_corners, gain_at
+from robustlab.mu_analysis.matrix.gain import ascend_corners
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
@@ -29,7 +29,7 @@ PROVED = 0.9999  # a level below this proves the point
 MISSES = 3  # frequencies in a row that cannot be proved cut a region; more: less is proved twice, more in vain
 NEAR_MISS = 0.01  # log width around a missed frequency in which no other is tried before the cut
 
-__all__ = ["GainMarginProblem", "GainProblem", "MarginProblem", "SkewedProblem"]
+__all__ = ["GainProblem", "MarginProblem"]
 
 
 class _AxisProblem:
@@ -141,63 +141,3 @@ class GainProblem(_AxisProblem):
         if best is None:
             return None
         return Improved(best.value, np.append(block_entries(self.blocks[:-1], best.delta), 0.0))
-
-
-class GainMarginProblem(_AxisProblem):
-    """The largest gain over the axis stays ``gain``: levels are one over the size of the set."""
-
-    def __init__(
-        self,
-        model: StateSpaceModel,
-        blocks: Sequence[Block],
-        gain: float,
-        hot: float | None,
-    ) -> None:
-        super().__init__(model, blocks, hot)
-        self.gain = gain
-
-    def root(self, level: float) -> Region:
-        """All Delta of size ``1 / level``, and a performance block of size ``1 / gain``."""
-        whole = root_box(self.blocks, 1 / level)
-        half = whole.half.copy()
-        half[-1] = 1 / self.gain
-        return Region(Box(whole.centre, half), [(0.0, float("inf"))], self.hot)
-
-    def attack(self, region: Region, level: float) -> Improved | None:
-        """Up to a corner that has the gain at the frequency in question, and back towards the nominal point."""
-        M = frequency_response(self.model, np.array([region.hot if region.hot is not None else self.scale]))[0]
-        others = self.blocks[:-1]
-        for met in ascend_corners(M, self.blocks, region.box, region.box.centre):
-            if met.value < self.gain:
-                continue
-            values, inside, outside = block_entries(others, met.delta), 0.0, 1.0
-            for _ in range(20):
-                share = 0.5 * (inside + outside)
-                gain = gain_at(M, self.blocks, centre_matrix(others, share * values).astype(complex))
-                inside, outside = (share, outside) if gain is not None and gain.value < self.gain else (inside, share)
-            size = gauge(others, outside * values)
-            return Improved(1 / size, np.append(outside * values, 0.0)) if size > 0 else None
-        return None
-
-
-class SkewedProblem(_AxisProblem):
-    """The largest level at which blocks ``sought``, of size one over it, are singular with the unit set of others."""
-
-    def __init__(
-        self,
-        model: StateSpaceModel,
-        blocks: Sequence[Block],
-        sought: Mask,
-        hot: float | None,
-    ) -> None:
-        super().__init__(model, blocks, hot)
-        self.sought = sought
-
-    def root(self, level: float) -> Region:
-        """The unit set, and the blocks whose size is sought at one over the level."""
-        whole = root_box(self.blocks)
-        return Region(Box(whole.centre, np.where(self.sought, 1 / level, whole.half)), [(0.0, float("inf"))], self.hot)
-
-    def attack(self, region: Region, level: float) -> Improved | None:
-        """Nothing is looked for: members are, with their own margins."""
-        return None

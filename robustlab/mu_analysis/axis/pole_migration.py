@@ -43,7 +43,6 @@ __all__ = [
     "descended",
     "first_crossing",
     "perturbed_state_matrix",
-    "search_work",
     "smallest_destabilising",
 ]
 
@@ -55,12 +54,6 @@ class Destabilising:
     norm: float
     delta: ComplexArray
     pole: complex
-
-
-def search_work(n_states: int, blocks: Sequence[Block]) -> float:
-    """Work of `smallest_destabilising`, as measured; complex blocks have more starts and slower eigenvalues."""
-    times = 1.0 if all(b.interval for b in blocks) else 3.0
-    return times * (20_000 + 4000 * n_states + 7.5 * n_states**3)
 
 
 def smallest_destabilising(

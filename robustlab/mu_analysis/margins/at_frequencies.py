@@ -49,7 +49,7 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Part, bracket, member, number
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_values
-from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
+from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, closed_at, frequency_data
 
 __all__ = [
     "DiskMarginAt",
@@ -287,14 +287,9 @@ def disk_margin_at(
     where = "disk_margin_at"
     if at not in PLACES or not abs(skew) <= 1e6:
         raise InputError(where, f"at {at!r}, skew {skew!r}", "a place, a finite skew")
-    held = next((o.omega for o in (plant, K) if isinstance(o, UncertainFrequencyData)), None)
-    if held is not None and frequency is not None:
-        raise InputError(f"{where}: frequency", "given beside data", "none: data have their own")
-    p = _data(plant, frequency if held is None or isinstance(plant, UncertainFrequencyData) else held, where)
-    closed = closing(p, K, sign, where)
-    p, K, sign = closed.plant, closed.K, closed.sign
-    unit = np.broadcast_to(np.eye(len(p.inputs)), (len(p.omega), len(p.inputs), len(p.inputs)))
-    k = p.matched(K, where) if K is not None else UncertainFrequencyData(p.omega, unit)
+    closed = closing(_data(plant, frequency, where), K, sign, where)
+    p, sign = closed.plant, closed.sign
+    k = frequency_data(np.eye(len(p.inputs)) if closed.K is None else closed.K, p.omega)
     for label, data in (("plant", p), ("K", k)):
         if data.blocks:
             raise InputError(
@@ -304,10 +299,11 @@ def disk_margin_at(
     if C.shape[1:] != P.shape[:0:-1]:
         raise InputError(f"{where}: K", f"{C.shape[1]} x {C.shape[2]}", f"{P.shape[2]} x {P.shape[1]}")
     m, n = P.shape[2], P.shape[1]
-    around = np.zeros((len(P), m + n, m + n), dtype=complex)
-    around[:, :m, m:], around[:, m:, :m] = sign * C, P
-    one = UncertainFrequencyData(p.omega, np.broadcast_to(np.eye(m + n), around.shape))
-    seen = one.feedback(UncertainFrequencyData(p.omega, around), 1).nominal + 0.5 * (skew - 1.0) * np.eye(m + n)
+    one = np.eye(m + n)
+    around = np.zeros((len(P), 2 * (m + n), 2 * (m + n)), dtype=complex)
+    around[:, :m, m : m + n], around[:, m : m + n, :m] = sign * C, P
+    around[:, m + n :, : m + n] = around[:, : m + n, m + n :] = one
+    seen = closed_at(p.omega, around, one, where) + 0.5 * (skew - 1.0) * one
     places = channel_places(m, n, at)
     names = channel_names([s.name for s in p.inputs], [s.name for s in p.outputs], at)
     M = seen[:, list(places)][:, :, list(places)]

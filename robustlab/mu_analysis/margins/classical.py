@@ -220,7 +220,7 @@ def classical_margins(
     p = as_model(plant, "classical_margins: plant")
     closed = closed_around(p, K, sign, "classical_margins")
     p = closed.plant
-    _, names = disk_channels(p, closed.K, (0, 0), at, -1.0, closed.sign)
+    _, names = disk_channels(p, closed.K, at, -1.0, closed.sign)
     stable, loops = loop_fractions(p, closed.K, closed.sign, channel_places(p.n_inputs, p.n_outputs, at))
     unstable = "" if stable else with_hidden("the closed loop is unstable", p, closed.K)
     channels = {name: _margin(L, unstable, name) for name, L in zip(names, loops, strict=True)}

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, cast
 
@@ -29,14 +29,13 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.covering.overbound import Overbound
 from robustlab.uncertainty.covering.parametric_cover import PARAMETRIC_FORMS, parametric_cover
 from robustlab.uncertainty.covering.unstructured_cover import model_set, unstructured_cover
-from robustlab.uncertainty.elementwise import check_pair
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import FORMS
 from robustlab.uncertainty.unstructured import Form as UnstructuredForm
 
 EXACT = 1e-12  # what rounding may take from a member of a cover that is met exactly
 
-__all__ = ["COVER_FORMS", "Conservatism", "Cover", "conservatism", "cover"]
+__all__ = ["COVER_FORMS", "Conservatism", "Cover", "cover"]
 
 COVER_FORMS = (*PARAMETRIC_FORMS, *FORMS)
 Loop = Callable[[UncertainModel], UncertainModel]
@@ -138,7 +137,7 @@ class Cover(Shown):
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **UncertainModel.quantities, **dict.fromkeys(("count", "members", "size", "missed", "radius"), "1"),
-        **dict.fromkeys(("order", "excess", "least_excess", "conservatism", "conservatism_at_least"), "1"),
+        **dict.fromkeys(("order", "excess", "conservatism", "conservatism_at_least"), "1"),
         "set_gain": float,
     }  # fmt: skip
 
@@ -163,7 +162,7 @@ class Cover(Shown):
             "size": max(self.sizes), "missed": max(self.misses), "radius": self.radius,
         }  # fmt: skip
         if self.fit is not None:
-            found |= {"order": self.fit.order, "excess": self.fit.excess, "least_excess": self.fit.least}
+            found |= {"order": self.fit.order, "excess": self.fit.excess}
         if c is not None and not c.reason:
             found |= {"conservatism": c.ratio, "conservatism_at_least": c.least, "set_gain": c.set_gain}
         return found
@@ -187,10 +186,7 @@ class Cover(Shown):
             ("set", repr(self.model)),
             (
                 "weight",
-                ""
-                if fit is None
-                else f"order {fit.order}, at most {100 * fit.excess:.3g} % above the bound;"
-                f" no weight of this order comes nearer than {100 * fit.least:.3g} %",
+                "" if fit is None else f"order {fit.order}, at most {100 * fit.excess:.3g} % above the bound",
             ),
             ("largest error, of the models' size", "" if fit is None else f"{100 * self.radius:.3g} %"),
             ("largest delta that a model needs", number(max(self.sizes, default=math.nan), "", 6)),
@@ -296,7 +292,7 @@ def cover(
     if not gain:
         return made
     say("cover: worst gain of the cover")
-    compared = conservatism(made.model, found, loop=loop, time_limit=time_limit, effort=effort)
+    compared = _conservatism(made.model, found, loop, time_limit, effort)
     return dataclasses.replace(made, conservatism=compared)
 
 
@@ -336,7 +332,6 @@ def _unstructured(
     if not inside or not made.fit.status.trustworthy:
         status = Status.INACCURATE
         reason = f"the weight is {100 * made.fit.excess:.3g} % above the bound: a higher order comes nearer"
-        reason += f" (none of order {made.fit.order} is less than {100 * made.fit.least:.3g} % above it)"
     name = made.model.blocks[0].name
     return Cover(
         made.model, form, status, tuple({name: d} for d in made.deltas), made.sizes, (0.0,) * len(models),
@@ -344,60 +339,23 @@ def _unstructured(
     )  # fmt: skip
 
 
-@told_as("conservatism")
-def conservatism(
+def _conservatism(
     uncertain: UncertainModel,
-    models: Iterable[Any],
-    *,
-    loop: Loop | None = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
+    models: Sequence[StateSpaceModel],
+    loop: Loop | None,
+    time_limit: float | None,
+    effort: float,
 ) -> Conservatism:
-    """How much larger the worst gain of an uncertain model is than the largest one of the models it stands for.
-
-    Parameters
-    ----------
-    uncertain
-        The cover.
-    models
-        The models.
-    loop
-        What is made of each before its gain is taken; nothing where left out.
-    time_limit
-        Time in s for the proof of the worst gain; None: no limit.
-    effort
-        Work of that proof, as in `robustlab.peak_gain`.
-
-    Returns
-    -------
-    Conservatism
-        The ratio of both gains, with its status; FAILED with a reason where there is no gain to compare.
-
-    Raises
-    ------
-    InputError
-        Models that do not fit the cover's signals.
-
-    Examples
-    --------
-    >>> lags = [StateSpaceModel([[-1.0]], [[k]], [[1.0]], [[0.0]]) for k in (1.0, 2.0)]
-    >>> round(conservatism(cover(lags, gain=False).model, lags).ratio, 3)
-    1.0
-    """
+    """How much larger the worst gain of a cover is than the largest one of the models it stands for."""
     around = _closing(loop)
     gains = []
-    for i, given in enumerate(models, 1):
-        model = as_model(given, f"conservatism: model {i}")
-        outer = uncertain.nominal
-        check_pair(_gain_only(outer), _gain_only(model), "cover", f"model {i}", "conservatism")
+    for i, model in enumerate(models, 1):
         norm = hinf_norm(around(UncertainModel(model, [])).nominal)
         if not np.isfinite(norm.upper):
             where = f"model {i} has no finite gain ({norm.reason})"
             hint = "" if loop else "; close a loop around the models first"
             return Conservatism(np.nan, np.nan, np.inf, i, np.nan, np.nan, Status.FAILED, where + hint)
         gains.append(norm.lower)
-    if not gains:
-        raise InputError("conservatism: models", "none", "at least one model")
     largest = float(max(gains))
     number = int(np.argmax(gains)) + 1
     if largest == 0:
@@ -426,7 +384,3 @@ def _closing(loop: Loop | None) -> Loop:
         return found
 
     return made
-
-
-def _gain_only(model: StateSpaceModel) -> StateSpaceModel:
-    return StateSpaceModel([], [], [], model.D, model.dt, model.inputs, model.outputs)

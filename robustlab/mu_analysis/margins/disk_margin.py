@@ -258,7 +258,7 @@ def disk_margin(
     """Of a rational plant and controller: `robustlab.disk_margin`."""
     p = as_model(plant, "disk_margin: plant")
     found = closed_around(p, K, sign, "disk_margin")
-    loop, names = disk_channels(found.plant, found.K, (0, 0), at, skew, found.sign)
+    loop, names = disk_channels(found.plant, found.K, at, skew, found.sign)
     if len(names) > 1:
         compile_kernels()
     budget = search_budget("disk_margin", WORK, effort, time_limit)
@@ -285,7 +285,7 @@ def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> Closing:
 
 
 def disk_channels(
-    plant: StateSpaceModel, K: StateSpaceModel, delta: tuple[int, int], at: Place, skew: float, sign: Literal[-1, 1]
+    plant: StateSpaceModel, K: StateSpaceModel, at: Place, skew: float, sign: Literal[-1, 1]
 ) -> tuple[StateSpaceModel, tuple[str, ...]]:
     """The closed loop as the disks see it, and the names of its channels."""
     if at not in PLACES:
@@ -293,32 +293,26 @@ def disk_channels(
     if not abs(skew) <= 1e6:
         raise InputError("disk_margin: skew", f"{skew}", "a number of at most 1e6 either way")
     plant, K = modes_apart(plant), modes_apart(K)  # what closes the loop is rounded in their states
-    q, r = delta
-    m, p, n = plant.n_inputs - q, plant.n_outputs - r, plant.n_states
+    m, p = plant.n_inputs, plant.n_outputs
     half = (1 + skew) / 2
-    # Columns: w of Delta, w at the inputs, w at the outputs, u of the controller.
-    unit = np.eye(q + m + p + m)
-    w_delta, w_in, w_out, u = np.split(unit, np.cumsum([q, m, p]))
-    driven = np.vstack([w_delta, u + w_in])
+    # Columns: w at the inputs, w at the outputs, u of the controller.
+    w_in, w_out, u = np.split(np.eye(m + p + m), np.cumsum([m, p]))
+    driven = u + w_in
     through = plant.D @ driven
-    rows = [through[:r], u + half * w_in, through[r:] + half * w_out, through[r:] + w_out]
-    zero = np.zeros((m, n))
-    inputs = [f"w{i}" for i in range(q)] + [f"in{i}" for i in range(m)] + [f"out{i}" for i in range(p)]
+    names = [*(f"in{i}" for i in range(m)), *(f"out{i}" for i in range(p))]
     general = StateSpaceModel(
         plant.A,
         plant.B @ driven,
-        np.vstack([plant.C[:r], zero, plant.C[r:], plant.C[r:]]),
-        np.vstack(rows),
+        np.vstack([np.zeros((m, plant.n_states)), plant.C, plant.C]),
+        np.vstack([u + half * w_in, through + half * w_out, through + w_out]),
         plant.dt,
-        [*inputs, *(f"u{i}" for i in range(m))],
-        [*inputs[:0], *(f"z{i}" for i in range(r)), *inputs[q:], *(f"y{i}" for i in range(p))],
+        [*names, *(f"u{i}" for i in range(m))],
+        [*names, *(f"y{i}" for i in range(p))],
         plant.states,
     )
-    loop = lower_lft(general, signed(K, sign))
-    places = channel_places(m, p, at)
-    kept = [inputs[q + i] for i in places]
-    loop = loop.select([*inputs[:q], *kept], [*(f"z{i}" for i in range(r)), *kept])
-    return loop, tuple(channel_names(plant.input_names[q:], plant.output_names[r:], at))
+    kept = [names[i] for i in channel_places(m, p, at)]
+    loop = lower_lft(general, signed(K, sign)).select(kept, kept)
+    return loop, tuple(channel_names(plant.input_names, plant.output_names, at))
 
 
 def channel_places(n_inputs: int, n_outputs: int, at: Place) -> range:

@@ -47,11 +47,6 @@ def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray,
     return bool(inequality.proves(np.array([beta]) / inequality.unit)[0])
 
 
-def positive_definite(X: ComplexArray, error: float) -> bool:
-    """Whether every Hermitian matrix within ``error`` (2-norm) of X is positive definite, by Rump's criterion."""
-    return bool(_positive_definite(X[None], np.array([error]))[0])
-
-
 def certified_level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
     """The level of D and G, raised until `proves` says yes; inf where it never does."""
     return float(certified_levels(*(part[None] for part in (M, Dw, Dz, G)))[0])
@@ -176,17 +171,6 @@ def singularity(M: ComplexArray, delta: ComplexArray) -> float:
 def delta_norm(blocks: Sequence[Block], delta: ComplexArray) -> float:
     """Largest singular value of the blocks of Delta (q, p)."""
     return max((block.norm(delta[w, z]) for block, (w, z) in _with_slices(blocks)), default=0.0)
-
-
-def has_structure(blocks: Sequence[Block], Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> bool:
-    """Whether D and G commute with every Delta of these blocks, to the last bit: no number of theirs is rounded."""
-    rest = (Dw.copy(), Dz.copy(), G.copy())
-    for block, (w, z) in _with_slices(blocks):
-        if not block.commutes(Dw[w, w], Dz[z, z], G[w, z]):
-            return False
-        for part, rows, cols in zip(rest, (w, z, w), (w, z, z), strict=True):
-            part[rows, cols] = 0
-    return not any(part.any() for part in rest)
 
 
 def project(blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray:

@@ -173,7 +173,7 @@ class CoverModelsStep(Step):
         """The smallest uncertain model of a form around a set of models, with its conservatism.
 
         Numbers: ``blocks``, ``channels``, ``members``, ``missed`` (largest miss of a model), ``size`` (largest delta);
-        ``order``, ``excess``, ``least_excess`` and ``radius`` of an unstructured form; ``conservatism`` and
+        ``order``, ``excess`` and ``radius`` of an unstructured form; ``conservatism`` and
         ``conservatism_at_least``; ``loads.INPUT``, the bound of a load in its unit.
         """
         from robustlab.report.set_figures import cover_figures

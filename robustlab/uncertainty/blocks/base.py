@@ -335,11 +335,6 @@ class Block(ABC):
         """Patterns that span G (rows x cols); none where the set leaves no room for G."""
         return []
 
-    def commutes(self, d_w: ComplexArray, d_z: ComplexArray, g: ComplexArray) -> bool:
-        """Whether D and G fit every member, to the last bit."""
-        d = d_w[0, 0].real
-        return bool((d_w == d * np.eye(self.rows)).all() and (d_z == d * np.eye(self.cols)).all() and not g.any())
-
     def as_complex(self) -> Block:
         """A block without G that holds this one: what D alone can prove."""
         return self

@@ -66,11 +66,6 @@ class ScalarBlock(Block):
         """All Hermitian matrices, the same on both sides."""
         return [(pattern, pattern) for pattern in hermitian_basis(self.repeats)]
 
-    def commutes(self, d_w: ComplexArray, d_z: ComplexArray, g: ComplexArray) -> bool:
-        """D Hermitian and the same on both sides; G Hermitian, where there is room for one."""
-        fits = (d_w == d_z).all() and (d_w == d_w.conj().T).all()
-        return bool(fits and ((g == g.conj().T).all() if self.is_real else not g.any()))
-
     def resized(self, rows: int, cols: int) -> Self:
         """The same number, repeated more or fewer times."""
         return dataclasses.replace(self, repeats=rows) if rows == cols else super().resized(rows, cols)  # type: ignore[type-var]

@@ -40,14 +40,13 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import AnyArray, Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.uncertainty.covering.axis_proof import crossing_points
+from robustlab.statespace import StateSpaceModel, append, as_model
 from robustlab.uncertainty.covering.overbound import Overbound, anonymous, overbound
 from robustlab.uncertainty.elementwise import check_pair
 from robustlab.uncertainty.lft import UncertainModel
@@ -57,6 +56,7 @@ from robustlab.uncertainty.unstructured import Form, unstructured
 BOUND_FLOOR = 1e-4
 # Points of a frequency grid between its ends and around resonances.
 GRID_POINTS = 150
+EPS = float(np.finfo(float).eps)
 # Points of a circle on which Laurent coefficients around a pole are taken.
 CIRCLE_POINTS = 64
 
@@ -111,8 +111,6 @@ STILL = 1e-7
 BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
 # No resonance at the Nyquist frequency is looked at more closely than this share of that frequency.
 NEAREST = 1e-6
-# How often the weight is lifted for what lies between the points of the grid.
-LIFTS = 6
 # Up to here a lift is rounding, or a peak just beside a frequency of the grid.
 LIFT = 1.001
 
@@ -126,10 +124,10 @@ class UnstructuredCover:
     nominal: int | None
     fit: Overbound  # the weight and the bound that it lies above
     sizes: tuple[float, ...]  # for each model the largest gain of its Delta: at most 1
-    # True where no size passes 1 at any frequency: as an H-infinity norm, or because the error crosses the weight
-    # nowhere (`axis_proof`); False where it was evaluated on the grid of `fit` only.
+    # True where no size passes 1 at any frequency, as an H-infinity norm; False where it was evaluated on the grid of
+    # `fit` only.
     proved: bool
-    # For each model its Delta as a system, where it is one without inverting a strictly proper model; else empty.
+    # For each model its Delta as a system, where it can be written as one; else empty.
     deltas: tuple[StateSpaceModel, ...]
     radius: float  # largest ratio of the bound to the models' own size (relative forms: the largest bound)
 
@@ -206,31 +204,10 @@ def _around(
     if proved:
         sizes = tuple(float(n.upper) for n in norms)
     else:
-        fit, sizes, proved = _between_points(models, centre, form, fit, wanted[1])
-        deltas = ()
+        weight, deltas = np.abs(frequency_response(fit.weight, fit.omega)[:, 0, 0]), ()
+        sizes = tuple((error_sizes(models, centre, form, fit.omega) / weight).max(axis=1).tolist())
     model = unstructured(centre, fit.weight, form)
     return UnstructuredCover(model, number, fit, sizes, proved, deltas, radius)
-
-
-def _between_points(
-    models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, fit: Overbound, tolerance: float
-) -> tuple[Overbound, tuple[float, ...], bool]:
-    """The weight, lifted where an error passes it between the points of the grid; each model's size; whether proved."""
-    sizes: list[float] = []
-    for _ in range(LIFTS):
-        sizes, certain = [], True
-        for m in models:
-            found = None if m is centre else crossing_points(m, centre, form, fit.weight)
-            certain = certain and (found is not None or m is centre)
-            omega = np.concatenate([fit.omega, [] if found is None else found])
-            weight = np.abs(frequency_response(fit.weight, omega)[:, 0, 0])
-            with np.errstate(all="ignore"):
-                ratio = _sigma(_error(m, centre, form, _circle(omega, m.dt))) / weight
-            sizes.append(float(np.nanmax(ratio)))
-        if max(sizes) <= 1.0:
-            return fit, tuple(sizes), certain
-        fit = _lifted(fit, max(sizes) * (1.0 + 1e-6), tolerance)
-    return fit, tuple(sizes), False
 
 
 def _to_the_ends(
@@ -270,18 +247,9 @@ def _lifted(fit: Overbound, factor: float, tolerance: float) -> Overbound:
     raised = StateSpaceModel(w.A, w.B, g * w.C, g * w.D, w.dt)
     size = g * fit.magnitude
     ratio = size / fit.bound
-    far = factor > LIFT and float(ratio.max()) - 1.0 > tolerance
-    return Overbound(
-        raised,
-        fit.order,
-        float(ratio.max()) - 1.0,
-        float(ratio.min()) - 1.0,
-        fit.omega,
-        fit.bound,
-        size,
-        Status.INACCURATE if far else fit.status,
-        fit.least,
-    )
+    excess, lowest = float(ratio.max()) - 1.0, float(ratio.min()) - 1.0
+    status = Status.INACCURATE if factor > LIFT and excess > tolerance else fit.status
+    return Overbound(raised, fit.order, excess, lowest, fit.omega, fit.bound, size, status)
 
 
 def _middle(models: tuple[StateSpaceModel, ...]) -> list[tuple[int | None, StateSpaceModel]]:
@@ -453,25 +421,48 @@ def _own_size(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: An
 def _deltas(
     models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, weight: StateSpaceModel
 ) -> tuple[StateSpaceModel, ...]:
-    r"""``E_i / w`` as systems; none where a model would have to be inverted that has no direct way."""
-    if form != "additive" or not all(m.is_stable() for m in (*models, centre)):
+    """``E_i / w`` as systems; none where a model would have to be inverted that has no proper inverse."""
+    back = weight.inverse()
+    back = anonymous(append(*(back.renamed([f"u{k}"], [f"y{k}"]) for k in range(centre.n_inputs))))
+    try:
+        return tuple(anonymous(_error_model(anonymous(m), anonymous(centre), form) @ back) for m in models)
+    except NoTrustworthyNumber:
         return ()
-    back = _inverse(weight)
-    bank = append(*(back.renamed([f"u{k}"], [f"y{k}"]) for k in range(centre.n_inputs)))
-    found = []
-    for m in models:
-        n = m.n_states
-        difference = StateSpaceModel(
-            np.block([[m.A, np.zeros((n, centre.n_states))], [np.zeros((centre.n_states, n)), centre.A]]),
-            np.vstack([m.B, centre.B]),
-            np.hstack([m.C, -centre.C]),
-            m.D - centre.D,
-            m.dt,
-        )
-        found.append(series(anonymous(bank), anonymous(difference)))
-    return tuple(anonymous(d) for d in found)
 
 
-def _inverse(weight: StateSpaceModel) -> StateSpaceModel:
-    d = 1.0 / weight.D
-    return StateSpaceModel(weight.A - weight.B @ d @ weight.C, weight.B @ d, -d @ weight.C, d, weight.dt)
+def _error_model(model: StateSpaceModel, centre: StateSpaceModel, form: Form) -> StateSpaceModel:
+    """``E_i`` as a system."""
+    if form == "additive":
+        return model - centre
+    if form == "inverse-additive":
+        return model.inverse() - centre.inverse()
+    if form.startswith("inverse"):
+        model, centre = centre, model
+    if form.endswith("output-multiplicative"):
+        inverse, other = _proper_quotient(_transposed(centre), _transposed(model))
+        return _transposed(inverse @ other) - np.eye(centre.n_inputs)
+    inverse, other = _proper_quotient(centre, model)
+    return inverse @ other - np.eye(centre.n_inputs)
+
+
+def _proper_quotient(below: StateSpaceModel, above: StateSpaceModel) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """``(P below)^-1`` and ``P above``, with powers of s + a (discrete: z) in a diagonal P that make it invertible."""
+    a = 0.0 if below.is_discrete else float(np.abs(below.poles()).max(initial=0.0)) or 1.0
+    for _ in range(below.n_states):
+        rows = ~(below.D.any(axis=1) | above.D.any(axis=1))
+        if not rows.any():
+            break
+        below, above = (_times_s(m, rows, a) for m in (below, above))
+    return below.inverse(), above
+
+
+def _times_s(m: StateSpaceModel, rows: Mask, a: float) -> StateSpaceModel:
+    """The rows of a model that have no direct way times s + a, for proper rows."""
+    C, D = m.C.copy(), m.D.copy()
+    C[rows], D[rows] = m.C[rows] @ m.A + a * m.C[rows], m.C[rows] @ m.B
+    D[rows] *= np.abs(D[rows]) > 16 * EPS * (np.abs(m.C[rows]) @ np.abs(m.B))  # what cancels to rounding is zero
+    return StateSpaceModel(m.A, m.B, C, D, m.dt)
+
+
+def _transposed(m: StateSpaceModel) -> StateSpaceModel:
+    return StateSpaceModel(m.A.T, m.C.T, m.B.T, m.D.T, m.dt)

@@ -20,7 +20,7 @@ from robustlab.arrays import Array
 from robustlab.closing import closing
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors, is_moderate, refuse_overflow
+from robustlab.linear_analysis.magnitude import balancing_factors, is_moderate, refuse_overflow
 from robustlab.linear_analysis.matrix_equations import RiccatiSolution, care
 from robustlab.linear_analysis.structural import hidden_unstable, with_hidden
 from robustlab.norms import bilinear_to_continuous, hinf_norm
@@ -268,7 +268,8 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     if not model.n_states:
         return model, 1.0, np.zeros(0)
     if not is_moderate(model.A, model.B, model.C, model.D):
-        return _scaled_by_exponents(model)
+        hint = "choose other units of u and y, or of time"
+        raise NoTrustworthyNumber("coprime factors", "entries whose squares overflow or vanish", None, hint)
     scale = balancing_factors(model.A)
     a = model.A / scale[:, None] * scale
     b, c = model.B / scale[:, None], model.C * scale
@@ -279,25 +280,6 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     level = float(2.0 ** np.round(np.log2(in_size / out_size) / 2)) if in_size and out_size else 1.0
     root = np.sqrt(rate)
     return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate, scale * level / root
-
-
-def _scaled_by_exponents(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
-    """The same for entries whose squares overflow: B and C alike, in the time unit of A or of the loop from y to u."""
-    t = balancing_exponents(model.A, model.B, model.C)
-    (a, b, c, d), exponent = (model.A, model.B, model.C, model.D), {}
-    for name, matrix, shift in (("A", a, t - t[:, None]), ("B", b, -t[:, None]), ("C", c, t), ("D", d, 0)):
-        exponent[name] = int((np.frexp(matrix)[1] + shift)[matrix != 0].max(initial=-(10**4)))
-    level = (exponent["B"] - exponent["C"]) // 2 if b.any() and c.any() else 0
-    rate = max(exponent["A"], exponent["B"] + exponent["C"], -1000)
-    if rate > 1000 or exponent["D"] > 500:
-        found = f"a gain of about 1e{max(rate, exponent['D']) * np.log10(2):.0f}: its square overflows"
-        raise NoTrustworthyNumber("coprime factors", found, None, "choose other units of u and y, or of time")
-    half = -(-rate // 2)  # the root of the rate is a power of two as well
-    states = t + level - half
-    shifts = (states - states[:, None] - 2 * half, -states[:, None] - 2 * half, states, 0)
-    with np.errstate(over="ignore", under="ignore"):
-        a, b, c, d = (np.ldexp(m, e) for m, e in zip((a, b, c, d), shifts, strict=True))
-        return StateSpaceModel(a, b, c, d), float(np.ldexp(1.0, 2 * half)), np.ldexp(1.0, states)
 
 
 def _unscaled(model: StateSpaceModel, rate: float) -> StateSpaceModel:

@@ -25,12 +25,7 @@ from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, series
-from robustlab.uncertainty.distances.coprime import (
-    CoprimeFactors,
-    MappedModels,
-    continuous_models,
-    coprime_factors,
-)
+from robustlab.uncertainty.distances.coprime import CoprimeFactors, continuous_models, coprime_factors
 
 # A distance that cannot be told from zero, and one from 1.
 NOTHING = 1e-12
@@ -120,35 +115,18 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
     >>> round(nu_gap(one, two).value, 6)
     0.002
     """
-    mapped = _mapped(P1, P2, "nu_gap")
-    one, two = (coprime_factors(m) for m in mapped.models)
-    return _nu_gap(one, two, mapped)
-
-
-def _mapped(P1: Any, P2: Any, where: str) -> MappedModels:
-    m1, m2 = as_model(P1, f"{where}: first model"), as_model(P2, f"{where}: second model")
+    m1, m2 = as_model(P1, "nu_gap: first model"), as_model(P2, "nu_gap: second model")
     if m1.D.shape != m2.D.shape:
-        raise InputError(
-            where, f"models of {m1.n_outputs} x {m1.n_inputs} and {m2.n_outputs} x {m2.n_inputs}", "equal sizes"
-        )
+        sizes = [f"{m.n_outputs} x {m.n_inputs}" for m in (m1, m2)]
+        raise InputError("nu_gap", f"models of {sizes[0]} and {sizes[1]}", "equal sizes")
     if not m1.D.size:
-        raise InputError(where, f"a model of {m1.n_outputs} x {m1.n_inputs}", "inputs and outputs")
-    return continuous_models(m1, m2)
-
-
-def _distance(one: CoprimeFactors, two: CoprimeFactors) -> StateSpaceModel:
-    """``M2~ N1 - N2~ M1``, stable: states of G1, then of G2~. The left factors are ordered [N2~, M2~]."""
-    p, m = one.right.n_outputs - one.right.n_inputs, one.right.n_inputs
+        raise InputError("nu_gap", f"a model of {m1.n_outputs} x {m1.n_inputs}", "inputs and outputs")
+    mapped = continuous_models(m1, m2)
+    one, two = (coprime_factors(m) for m in mapped.models)
+    # G2~ G1 = M2~ N1 - N2~ M1, stable; the left factors are ordered [N2~, M2~].
+    (p, m), right = m1.D.shape, one.right
     swap = np.block([[np.zeros((m, p)), -np.eye(m)], [np.eye(p), np.zeros((p, m))]])
-    right = one.right
-    return series(
-        StateSpaceModel(right.A, right.B, swap @ right.C, swap @ right.D),
-        StateSpaceModel(two.left.A, two.left.B, two.left.C, two.left.D),
-    )
-
-
-def _nu_gap(one: CoprimeFactors, two: CoprimeFactors, mapped: MappedModels) -> NuGap:
-    norm = hinf_norm(_distance(one, two), rtol=1e-9)
+    norm = hinf_norm(series(StateSpaceModel(right.A, right.B, swap @ right.C, swap @ right.D), two.left), rtol=1e-9)
     frequency = mapped.frequency(norm.frequency)
     if norm.lower <= NOTHING:
         return NuGap(0.0, NOTHING, frequency, norm.lower, 0, Status.CERTIFIED)
@@ -157,19 +135,16 @@ def _nu_gap(one: CoprimeFactors, two: CoprimeFactors, mapped: MappedModels) -> N
     if winding is None:
         text = "det(G2* G1) vanishes on the stability boundary"
         return NuGap(1.0, 1.0, frequency, chordal, 0, norm.status, text)
+    status, reason = norm.status, norm.reason
     # Where the models are 1 apart at some frequency, the winding number no longer matters.
-    if not sure and norm.lower >= 1 - AGREE:
-        return NuGap(chordal, 1.0, frequency, chordal, winding, norm.status, norm.reason)
-    if winding != 0 and norm.lower < 1:
-        status = norm.status if sure else Status.INACCURATE
+    counted = sure or norm.lower < 1 - AGREE
+    if counted and not sure:
+        status, reason = Status.INACCURATE, "a zero of det(G2* G1) lies too close to the stability boundary to count"
+    if counted and winding != 0 and norm.lower < 1:
         text = f"det(G2* G1) winds {winding} times around the origin: no controller is good for both"
-        return NuGap(1.0, 1.0, frequency, chordal, winding, status, text if sure else _UNSURE)
-    status = norm.status if sure else Status.INACCURATE
-    reason = norm.reason if status is norm.status else _UNSURE
-    return NuGap(chordal, min(norm.upper, 1.0), frequency, chordal, winding, status, reason)
-
-
-_UNSURE = "a zero of det(G2* G1) lies too close to the stability boundary to count"
+        return NuGap(1.0, 1.0, frequency, chordal, winding, status, text if sure else reason)
+    upper = min(norm.upper, 1.0) if counted else 1.0
+    return NuGap(chordal, upper, frequency, chordal, winding, status, reason)
 
 
 def _winding(one: CoprimeFactors, two: CoprimeFactors) -> tuple[int | None, bool]:

@@ -68,22 +68,12 @@ RESULTS = {
     "coprime margin": lambda: rl.coprime_margin(UNSTABLE, rl.ss([[3.0]]), sign=-1),
     "coprime margin, positive": lambda: rl.coprime_margin(UNSTABLE, rl.ss([[-3.0]]), sign=1),
     "coprime margin, discrete": lambda: rl.coprime_margin(SAMPLED, rl.ss([[0.3]], dt=0.1), sign=-1),
-    "passive": lambda: rl.passivity(LAG),
-    "passive, discrete": lambda: rl.passivity(rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[2.0]], 0.1)),
-    "not passive": lambda: rl.passivity(OSCILLATOR),
     "reduced in a band": lambda: rl.reduce_model(six(), 3, band=(0.5, 2.0)),
     "reduced between weights": lambda: rl.reduce_model(six(), 3, input_weight=INTO, output_weight=OUT),
     "reduced before a weight": lambda: rl.reduce_model(six(), 3, output_weight=OUT),
     "unstable, reduced": lambda: rl.reduce_model(beside(six(), 0.5), 4),
     "relative error": lambda: rl.reduce_model(rl.tf([1.0, 3.0, 2.0], [1.0, 2.0, 5.0]), 1, method="stochastic"),
-    "robust gain": lambda: rl.robust_gain(_pole(), 4.0),
 }  # fmt: skip
-
-
-def _pole() -> rl.UncertainModel:
-    """``1 / (s + 1 + delta / 2)``: its gain stays below 4 for |delta| < 3/2."""
-    M = rl.StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    return rl.UncertainModel(M, [rl.RealScalar("pole")])
 
 
 @pytest.mark.parametrize("name", RESULTS)
@@ -105,14 +95,10 @@ def test_every_claim_is_proved(name):
         ("reduced controller", lambda r: replace(r, K=-1.0 * r.K)),
         ("small gain", lambda r: replace(r, K=-1.0 * r.K)),
         ("coprime margin", lambda r: replace(r, lower=1.001 * r.upper)),
-        ("passive", lambda r: replace(r, system=-1.0 * r.system)),
-        ("not passive", lambda r: replace(r, passive=True)),
         ("reduced in a band", lambda r: replace(r, error=replace(r.error, upper=0.99 * r.error.lower))),
         ("reduced in a band", lambda r: replace(r, band=(0.0, 1e6))),
         ("reduced between weights", lambda r: replace(r, weights=(1.01 * r.weights[0], r.weights[1]))),
         ("unstable, reduced", lambda r: replace(r, error=replace(r.error, upper=0.99 * r.error.lower))),
-        ("robust gain", lambda r: replace(r, lower=1.01 * r.upper)),
-        ("robust gain", lambda r: replace(r, level=0.99 * r.level)),
     ],
 )
 def test_what_is_not_true_is_not_proved(name, change):
@@ -161,14 +147,11 @@ def test_nothing_is_claimed_of_an_error_that_is_no_difference():
     assert level(relative) == pytest.approx(relative.difference.upper, rel=2e-6)
 
 
-def test_the_cost_of_lqg_and_the_margin_of_a_gain_are_those_of_the_textbook():
+def test_the_cost_of_lqg_is_that_of_the_textbook():
     lag = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]])
     (claim,) = rl.verify(lqg(lag, [[1.0]], [[1.0]], [[1.0]], [[1.0]])).claims
     a = 0.5 + np.sqrt(1.25)  # X = Z solve 2 a x - x^2 + 1 = 0 with a = 1/2: the cost is x + x^3
     assert claim.bound**2 == pytest.approx(a + a**3, rel=1e-5)
-    (claim,) = rl.verify(RESULTS["robust gain"]()).claims
-    assert claim.bound == pytest.approx(1.5, rel=1e-2)
-    assert claim.bound <= 1.5
 
 
 def cut() -> object:

@@ -136,12 +136,10 @@ def test_a_time_limit_that_strikes_is_told():
         "M"
     ]
     uncertain, names = of(MODEL)["model"](0.2), of(STEP)
-    K = rl.StateSpaceModel([], [], [], [[0.1]])
     for found in (
         rl.mu(matrix, [[-1, 0]] * 8, tolerance=1e-4, time_limit=0.0),
         rl.robust_stability(uncertain, time_limit=0.0),
         rl.peak_gain(uncertain, time_limit=0.0),
-        rl.disk_margin(uncertain, K, time_limit=0.0),
         rl.validate(names["model"], names["record"], {"y3": 0.012}, at_rest=True, time_limit=0.0),
     ):
         assert found.status is rl.Status.TIMEOUT

@@ -122,7 +122,7 @@ def test_many_signals_and_long_names_stay_short():
 # --- drawings ---------------------------------------------------------------------------------------------------------
 
 
-PARENT = {"HinfSynthesis": "Synthesis", "WorstCaseDiskMargin": "DiskBounds"}  # one for each drawing that is inherited
+PARENT = {"HinfSynthesis": "Synthesis"}  # one for each drawing that is inherited
 CASES = [(name, kind) for name in NAMES for kind in DRAWINGS.get(PARENT.get(name, name), {})]
 
 

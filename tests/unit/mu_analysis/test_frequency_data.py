@@ -1,4 +1,4 @@
-"""Uncertain frequency-response data: closed forms, members against models, coverage of a confidence circle."""
+"""Uncertain frequency-response data: closed forms, members against models."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.uncertainty.frequency_responses import response_radius
 
 OMEGA = np.geomspace(0.1, 10.0, 12)
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
@@ -21,18 +20,16 @@ def two_by_two():
 def test_a_loop_of_data_sets_and_delays_has_the_members_of_its_parts():
     g = rl.frequency_response(LAG, OMEGA)[:, 0, 0]
     data = rl.frequency_data(g, OMEGA, radius=0.1 * abs(g))
-    loop = (data @ MOTORS).feedback(rl.frequency_data(rl.delay(0.3), OMEGA))
+    loop = data.feedback(MOTORS @ rl.delay(0.3).pade(3))
     delta = {"measured y1 from u1": 0.3 - 0.4j, "k": 0.5, "T": -0.7}
     through = g * (1 + 0.1 * (0.3 - 0.4j) * abs(g) / g)
     member = rl.frequency_response(MOTORS.evaluate({"k": 0.5, "T": -0.7}), OMEGA)[:, 0, 0]
-    expected = through * member / (1 + through * member * np.exp(-0.3j * OMEGA))
+    late = rl.frequency_response(rl.delay(0.3).pade(3), OMEGA)[:, 0, 0]
+    expected = through / (1 + through * member * late)
     assert abs(loop.response(delta)[:, 0, 0] - expected).max() < 1e-13
-    assert loop.blocks != data.blocks
-    # a delayed operand is taken at the frequencies by itself, and the same name is the same uncertainty
-    again = (data @ MOTORS).feedback(rl.delay(0.3))
-    assert abs((again - loop).response(delta)).max() < 1e-13
-    assert abs((loop.inverse() @ loop).response(delta) - 1).max() < 1e-12
-    assert abs((2 * loop + loop).response(delta)[:, 0, 0] - 3 * expected).max() < 1e-12
+    # a model with exact delays is taken at the frequencies
+    again = data.feedback(rl.delay(0.3)).response({"measured y1 from u1": 0.3 - 0.4j})[:, 0, 0]
+    assert abs(again - through / (1 + through * np.exp(-0.3j * OMEGA))).max() < 1e-13
 
 
 def test_margin_and_gain_have_their_closed_forms():
@@ -81,18 +78,6 @@ def test_only_points_are_claimed_and_a_variation_closes_the_gaps():
     assert (between <= inside).all()
 
 
-def test_the_circle_holds_the_true_response_as_often_as_it_says():
-    rng = np.random.default_rng(11)
-    trials, n, truth = 20000, 6, 1.5 - 0.7j
-    noise = (rng.standard_normal((2, trials, n)) + 1j * rng.standard_normal((2, trials, n))) / np.sqrt(2)
-    u, y = noise[0], truth * noise[0] + 0.8 * noise[1]
-    Suu, Syy, Syu = (abs(u) ** 2).sum(1), (abs(y) ** 2).sum(1), (y * u.conj()).sum(1)
-    G = Syu / Suu
-    r = response_radius(G, abs(Syu) ** 2 / (Suu * Syy), n, 0.9)
-    share = (abs(G - truth) <= r).mean()
-    assert abs(share - 0.9) < 4 * np.sqrt(0.9 * 0.1 / trials)
-
-
 def test_disk_margins_at_a_frequency():
     late = 2.0 * LAG @ rl.delay(0.5)
     margin = rl.disk_margin(late)
@@ -123,11 +108,9 @@ def test_disk_margins_at_a_frequency():
         (lambda: rl.peak_gain(MOTORS, frequency=[]), "frequencies that do not increase"),
         (lambda: rl.robust_stability(MOTORS, frequency=[1.0], order=3), "order: 3 for a system at given frequencies"),
         (lambda: rl.robust_stability(rl.frequency_data(LAG, [1.0])), "no uncertainty"),
-        (lambda: rl.frequency_data(LAG, [1.0]) @ rl.frequency_data(LAG, [2.0]), "the same frequencies"),
+        (lambda: rl.frequency_data(LAG, [1.0]).feedback(np.eye(2)), "what is fed back is 2 x 2|1 x 1"),
         (lambda: rl.disk_margin(MOTORS, frequency=[1.0]), "without blocks"),
         (lambda: rl.h2_norm(rl.frequency_data(LAG, [1.0])), "no state-space model"),
-        (lambda: response_radius([1.0], [1.2], 5), "coherence"),
-        (lambda: response_radius([1.0], [0.5j], 5), "coherence"),
         (lambda: rl.frequency_data([1.0], "abc"), "omega"),
         (lambda: rl.frequency_data(["a"], [1.0]), "response"),
         (lambda: rl.frequency_data([1.0], [1.0], radius=1j), "radius"),

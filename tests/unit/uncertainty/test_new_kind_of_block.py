@@ -8,7 +8,6 @@ import pytest
 import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.uncertainty.blocks import Block
-from robustlab.uncertainty.well_posedness import well_posedness
 
 
 @dataclass(frozen=True)
@@ -168,10 +167,3 @@ def test_algebra():
     assert uncertain.reduce().blocks == tuple(BLOCKS) == uncertain.centred().blocks
     with pytest.raises(InputError, match="several operands"):
         uncertain + uncertain
-    direct = rl.UncertainModel(rl.StateSpaceModel([], [], [], np.diag([0.9, 0.5, 0.0])), BLOCKS)
-    assert well_posedness(direct).well_posed is True
-    found = well_posedness(direct, 2.0)
-    loop = np.eye(2) - np.diag([0.9, 0.5]) @ found.delta["stiffness"]
-    assert found.well_posed is False
-    assert is_member(BLOCKS[0], found.delta["stiffness"], 2.0)
-    assert np.linalg.svd(loop, compute_uv=False)[-1] <= 1e-9
