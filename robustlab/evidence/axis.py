@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.evidence.delays import weight_claims
-from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, model_numbers
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.mu_analysis.axis.axis_model import model_frequency
 from robustlab.mu_analysis.axis.intervals import Piece
@@ -21,6 +20,7 @@ from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, WorstCaseGain
 from robustlab.mu_analysis.matrix.bounds import BoxProof, MuBounds
 from robustlab.mu_analysis.matrix.box import Box, lowest, root_box
 from robustlab.mu_analysis.matrix.decomposition import entries
+from robustlab.norms.numbers import ABOVE, Numbers, block_rows, model_numbers
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, FullBlock, block_slices, delta_matrix
 from robustlab.verification.claim import Claim

@@ -9,13 +9,13 @@ import numpy as np
 
 from robustlab.budget import search_budget
 from robustlab.evidence.axis import gain_claims, joined_scalings, margin_claims
-from robustlab.evidence.loops import h2_loop_claims, loop_claims
-from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, loop_numbers
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import cover_axis
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.constants import WORK
 from robustlab.norms import H2Norm, hinf_norm
+from robustlab.norms.claims import h2_loop_claims, loop_claims
+from robustlab.norms.numbers import ABOVE, Numbers, block_rows, loop_numbers
 from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.fixed.fixed_structure import FixedSynthesis
 from robustlab.synthesis.fixed.goal_tuning import TunedSynthesis

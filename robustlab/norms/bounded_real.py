@@ -18,10 +18,10 @@ from flint import arb
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.evidence.numbers import Numbers, model_numbers
 from robustlab.linear_analysis.magnitude import balancing_exponents
 from robustlab.linear_analysis.matrix_equations import care, dare, judged_afterwards, lyapunov
 from robustlab.norms.hinfinity import hinf_norm
+from robustlab.norms.numbers import Numbers, model_numbers
 from robustlab.statespace import StateSpaceModel
 from robustlab.verification.balls import exact, identity, inverse, midpoints, precision
 from robustlab.verification.checker import check
