@@ -32,6 +32,7 @@ SHARE = 0.5  # of what lies between the level and the norm, squared, that the fu
 # Levels, over the one that is wanted, at which the equation is solved in doubles: near the norm no digit is left.
 FIRST = (1.0, 1.0001, 1.01, 2.0)
 BITS = 240  # in which residuals are taken
+ROUGH = 1e-2  # relative residual of an equation that a correction makes good
 STEPS = 40  # of Newton's method
 SMALL = 1e-26  # of P: a correction below it changes no digit of two doubles
 
@@ -45,22 +46,23 @@ def norm_matrix(model: StateSpaceModel, gamma: float, norm: float, numbers: Numb
     if not n or not model.n_inputs or not norm < gamma:
         return {}
     claimed: Numbers = {**(model_numbers(model) if numbers is None else numbers), "gamma": np.array(gamma)}
-    t = np.exp2(balancing_exponents(model.A, model.B, model.C).astype(float))
-    A, B, C, D = model.A / t[:, None] * t, model.B / t[:, None], model.C * t, model.D
+    C, D = model.C / gamma, model.D / gamma  # a tiny level beside A would leave the equation without digits
+    t = np.exp2(balancing_exponents(model.A, model.B, C).astype(float))
+    A, B, C = model.A / t[:, None] * t, model.B / t[:, None], C * t
     try:
         into = hinf_norm(StateSpaceModel(A, B, np.eye(n), np.zeros((n, model.n_inputs)), model.dt), 1e-2).upper
     except (InputError, NoTrustworthyNumber):
         return {}
     if not 0 < into < np.inf:
         return {}
-    room = SHARE * (gamma - norm) * (gamma + norm) / into**2
+    room = SHARE * (1 - norm / gamma) * (1 + norm / gamma) / into**2
     solve = dare if model.is_discrete else care
     for more in FIRST:
         try:
             with judged_afterwards():
-                R = D.T @ D - (more * gamma) ** 2 * np.eye(model.n_inputs)
-                X = solve(A, B, C.T @ C + room * np.eye(n), R, C.T @ D).X
-                P, low = _refined(Claim("", claimed), 0.5 * (X + X.T), t, gamma, room)
+                R = D.T @ D - more**2 * np.eye(model.n_inputs)
+                X = gamma**2 * solve(A, B, C.T @ C + room * np.eye(n), R, C.T @ D, tolerance=ROUGH).X
+                P, low = _refined(Claim("", claimed), 0.5 * (X + X.T), t, gamma, gamma**2 * room)
         except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
             continue
         found = {"P": P / t[:, None] / t, "P_low": low / t[:, None] / t}
@@ -88,7 +90,7 @@ def _refined(claim: Claim, X: Array, t: Array, gamma: float, room: float) -> tup
                 raise NoTrustworthyNumber("norm_matrix", "a level that is too low")
             gain = gain * side.transpose()
             residual, loop = midpoints(left + Q - side * gain), midpoints(A - B * gain)
-            step = lyapunov(loop.T, 0.5 * (residual + residual.T), G.dt > 0, tolerance=1e-2)
+            step = lyapunov(loop.T, 0.5 * (residual + residual.T), G.dt > 0, tolerance=ROUGH)
             P = (P + exact(0.5 * (step + step.T))).mid()
             if np.abs(step).max() <= SMALL * np.abs(X).max():
                 break
