@@ -1,4 +1,4 @@
-r"""A matrix P that proves an H-infinity norm, found in floating point; who checks it trusts nothing of it.
+r"""Matrices P that prove an H-infinity or an H2 norm, found in floating point; who checks it trusts nothing of it.
 
 .. math:: -\begin{pmatrix} A^T P + P A + C^T C & P B + C^T D \\ B^T P + D^T C & D^T D - \gamma^2 I \end{pmatrix} > 0,
    \quad P > 0
@@ -23,7 +23,7 @@ from robustlab.linear_analysis.matrix_equations import care, dare, judged_afterw
 from robustlab.norms.hinfinity import hinf_norm
 from robustlab.norms.numbers import Numbers, model_numbers
 from robustlab.statespace import StateSpaceModel
-from robustlab.verification.balls import exact, identity, inverse, midpoints, precision
+from robustlab.verification.balls import Matrix, exact, identity, inverse, midpoints, precision
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 from robustlab.verification.models import model_of
@@ -94,7 +94,44 @@ def _refined(claim: Claim, X: Array, t: Array, gamma: float, room: float) -> tup
             P = (P + exact(0.5 * (step + step.T))).mid()
             if np.abs(step).max() <= SMALL * np.abs(X).max():
                 break
-        high = midpoints(P)
-        high = 0.5 * (high + high.T)
-        low = midpoints(P - exact(high))
-        return high, 0.5 * (low + low.T)
+        return _in_doubles(P)
+
+
+def gramian_matrix(model: StateSpaceModel, value: float, level: float, numbers: Numbers) -> Numbers:
+    r"""``P`` and ``P_low`` (n, n) that prove the H2 norm ``value`` at the ``level`` above it; nothing where none does.
+
+    :math:`A^T P + P A + C^T C + \varepsilon I = 0` in balanced states, with :math:`\varepsilon` so small that P still
+    proves the level, and solved by residuals in extended precision.
+    """
+    n = model.n_states
+    t = np.exp2(balancing_exponents(model.A, model.B, model.C).astype(float))
+    A, B = model.A / t[:, None] * t, model.B / t[:, None]
+    try:
+        # tr(B'XB) of A'X + XA + I = 0 is what a unit of e costs.
+        unit = lyapunov(A.T, np.eye(n), model.is_discrete, tolerance=ROUGH)
+        cost = float(np.trace(B.T @ unit @ B))
+        e = 0.5 * (level - value) * (level + value) / cost if cost > 0 else 1.0
+        with precision(BITS):
+            G = model_of(Claim("", numbers))
+            into, back = exact(np.diag(1 / t)), exact(np.diag(t))
+            exact_A, C = into * G.A * back, G.C * back
+            Q, P = C.transpose() * C + identity(n) * arb(e), exact(np.zeros((n, n)))
+            for _ in range(STEPS):
+                PA = P * exact_A
+                residual = midpoints((exact_A.transpose() * PA - P if G.dt else PA.transpose() + PA) + Q)
+                step = lyapunov(A.T, 0.5 * (residual + residual.T), model.is_discrete, tolerance=ROUGH)
+                P = (P + exact(0.5 * (step + step.T))).mid()
+                if np.abs(step).max() <= SMALL * np.abs(midpoints(P)).max():
+                    break
+            high, low = _in_doubles(P)
+    except (InputError, NoTrustworthyNumber):
+        return {}
+    return {"P": high / t[:, None] / t, "P_low": low / t[:, None] / t}
+
+
+def _in_doubles(P: Matrix) -> tuple[Array, Array]:
+    """A matrix as the sum of two of doubles, symmetric to the last bit."""
+    high = midpoints(P)
+    high = 0.5 * (high + high.T)
+    low = midpoints(P - exact(high))
+    return high, 0.5 * (low + low.T)
