@@ -14,11 +14,11 @@ import numpy as np
 
 import robustlab as rl
 from robustlab.evidence import claims_of
-from robustlab.evidence.bounded_real import norm_matrix
-from robustlab.evidence.norms import band_scalings, gramian_claims
-from robustlab.evidence.numbers import loop_numbers, matrices
 from robustlab.mu_analysis.axis.worst_gain import worst_case_gain
 from robustlab.mu_analysis.matrix.box import Box, box_matrices, box_model
+from robustlab.norms.bounded_real import norm_matrix
+from robustlab.norms.claims import band_scalings, gramian_claims
+from robustlab.norms.numbers import loop_numbers, matrices
 from robustlab.uncertainty.blocks import Block, ParameterRange, delta_matrix
 
 Rng = np.random.Generator

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,22 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.evidence.delays import weight_claims
-from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, model_numbers
-from robustlab.linear_analysis.structural import strong_components
 from robustlab.mu_analysis.axis.axis_model import model_frequency
 from robustlab.mu_analysis.axis.intervals import Piece
+from robustlab.mu_analysis.axis.joined_scalings import interval_scalings, joined_scalings
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, WorstCaseGain
 from robustlab.mu_analysis.matrix.bounds import BoxProof, MuBounds
 from robustlab.mu_analysis.matrix.box import Box, lowest, root_box
-from robustlab.mu_analysis.matrix.decomposition import entries
-from robustlab.statespace import StateSpaceModel
+from robustlab.norms.numbers import ABOVE, Numbers, block_rows, model_numbers
 from robustlab.uncertainty.blocks import Block, FullBlock, block_slices, delta_matrix
 from robustlab.verification.claim import Claim
 
-APART = 64  # binary digits between the scalings of parts of which one acts on the other, and not back
 SAME = 1e-10  # of a range: faces nearer than this are one face
-DEEPEST = 900  # binary digits in all: beyond them doubles end
 
 
 def mu_claims(found: MuBounds) -> list[Claim]:
@@ -110,19 +105,8 @@ def gain_claims(found: WorstCaseGain) -> list[Claim]:
         proved = _large_enough(blocks, found.boxes, levels) or _whole_box(blocks, 1.0, found.proof)
         claim = Claim("worst-gain-boxes", {**numbers, **_boxes(blocks, proved, 1.0, at)})
     else:
-        claim = Claim("worst-gain", {**numbers, **_scalings(found.proof, at)})
+        claim = Claim("worst-gain", {**numbers, **interval_scalings(found.proof, at)})
     return [claim, *weight_claims(blocks)]
-
-
-def joined_scalings(
-    model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Any], at: Callable[[float], float]
-) -> Numbers | None:
-    """Pieces of a proof as intervals in rad/s with scalings of all blocks; None where they cannot be joined.
-
-    ``at``: what a frequency of the pieces is in rad/s.
-    """
-    whole = _of_the_whole(model, blocks, pieces)
-    return None if whole is None else _scalings(whole, at)
 
 
 def _symmetric(blocks: Sequence[Block]) -> bool:
@@ -193,86 +177,3 @@ def _attained(blocks: Sequence[Block], delta: NDArray[Any]) -> NDArray[np.float6
     """One over the norm of each block; huge where it is zero."""
     norms = [float(np.linalg.norm(delta[w, z], 2)) for w, z in block_slices(blocks)]
     return np.array([1 / n if n > 0 else 1e300 for n in norms])
-
-
-def _scalings(pieces: Sequence[Any], at: Callable[[float], float]) -> Numbers:
-    """The intervals in rad/s of the model, sorted, with their scalings."""
-    ordered = sorted(pieces, key=lambda p: p.low)
-    stacks = {name: np.stack([getattr(p.bound, key) for p in ordered]).astype(complex)
-              for name, key in (("D_w", "Dw"), ("D_z", "Dz"), ("G", "G"))}  # fmt: skip
-    ends = {"low": np.array([at(p.low) for p in ordered]), "high": np.array([at(p.high) for p in ordered])}
-    return {**ends, **stacks}
-
-
-class _Bound:
-    """Scalings put together from those of parts."""
-
-    def __init__(self, Dw: NDArray[Any], Dz: NDArray[Any], G: NDArray[Any]) -> None:
-        self.Dw, self.Dz, self.G = Dw, Dz, G
-
-
-class _Joined:
-    """An interval with scalings of all blocks."""
-
-    def __init__(self, low: float, high: float, bound: _Bound) -> None:
-        self.low, self.high, self.bound = low, high, bound
-
-
-def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Piece]) -> list[Any] | None:
-    r"""Pieces of parts that act on each other in a cycle, as pieces of all blocks.
-
-    Parts of which one acts on the other, and not back, have a triangular M. With D of each part times
-    :math:`2^{-64 k}`, k its depth, what it does to those behind it counts for nothing; a block in no cycle has the
-    identity.
-    """
-    whole = tuple(range(len(blocks)))
-    if all(p.members is None or p.members == whole for p in pieces):
-        return list(pieces)
-    depth = _depths(model, blocks)
-    if depth.max(initial=0) * APART > DEEPEST:
-        return None
-    parts: dict[tuple[int, ...], list[Piece]] = {}
-    for p in pieces:
-        parts.setdefault(p.members or whole, []).append(p)
-    cuts = np.unique([end for p in pieces for end in (p.low, p.high)] + [0.0, np.inf])
-    q, p_ = model.n_inputs, model.n_outputs
-    result: list[Any] = []
-    for low, high in itertools.pairwise(cuts):
-        Dw, Dz, G = np.eye(q, dtype=complex), np.eye(p_, dtype=complex), np.zeros((q, p_), dtype=complex)
-        for i, (w, z) in enumerate(block_slices(blocks)):
-            Dw[w, w] *= 2.0 ** (-APART * depth[i])
-            Dz[z, z] *= 2.0 ** (-APART * depth[i])
-        for members, own in parts.items():
-            piece = next((x for x in own if x.low <= low and x.high >= high), None)
-            if piece is None:
-                return None
-            w, z = entries(blocks, np.array(members))
-            scale = 2.0 ** (-APART * depth[members[0]]) / 2.0 ** np.round(np.log2(np.abs(piece.bound.Dw).max()))
-            Dw[w[:, None], w], Dz[z[:, None], z] = scale * piece.bound.Dw, scale * piece.bound.Dz
-            G[w[:, None], z] = scale * piece.bound.G
-        result.append(_Joined(float(low), float(high), _Bound(Dw, Dz, G)))
-    return result
-
-
-def _depths(model: StateSpaceModel, blocks: Sequence[Block]) -> NDArray[np.int64]:
-    """How many parts lie before each block: the longest way by which others act on it and it does not on them."""
-    n = model.n_states
-    into, out = np.zeros((model.n_inputs, len(blocks))), np.zeros((len(blocks), model.n_outputs))
-    for i, (w, z) in enumerate(block_slices(blocks)):
-        into[w, i], out[i, z] = 1, 1
-    B, C, D = (model.B != 0) @ into, out @ (model.C != 0), out @ (model.D != 0) @ into
-    acts = np.block([[model.A != 0, B], [C, D]]) > 0
-    labels = strong_components(acts)
-    count = int(labels.max(initial=-1)) + 1
-    edges = np.zeros((count, count), dtype=bool)  # from the second to the first
-    for to, source in np.argwhere(acts):
-        edges[labels[to], labels[source]] |= labels[to] != labels[source]
-    holds = np.zeros(count, dtype=np.int64)
-    holds[labels[n:]] = 1
-    depth = np.zeros(count, dtype=np.int64)
-    for _ in range(count):  # the longest way: at most so many rounds
-        deeper = np.where(edges, depth + holds, 0).max(axis=1, initial=0)
-        if (deeper <= depth).all():
-            break
-        depth = np.maximum(depth, deeper)
-    return depth[labels[n:]]

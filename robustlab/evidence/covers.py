@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.evidence.norms import above, proof_of_norm
-from robustlab.evidence.numbers import Numbers, block_rows, loop_numbers, matrices, model_numbers
 from robustlab.mu_analysis.margins.cover import Cover
+from robustlab.norms.claims import above, proof_of_norm
+from robustlab.norms.numbers import Numbers, block_rows, loop_numbers, matrices, model_numbers
 from robustlab.statespace import StateSpaceModel
 from robustlab.verification.claim import Claim
 

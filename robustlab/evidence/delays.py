@@ -11,13 +11,13 @@ from robustlab.arrays import Array
 from robustlab.delays.model import DelayedModel
 from robustlab.delays.neglected import NeglectedWeight
 from robustlab.delays.pade import error_weight, pade
-from robustlab.evidence.norms import above
-from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, matrices, model_numbers
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.margins.delay_loops import DelayDiskMargins
 from robustlab.mu_analysis.margins.delay_margins import DelayGain
 from robustlab.mu_analysis.margins.delay_stability import DelayStability
 from robustlab.mu_analysis.matrix.upper import upper_bounds
+from robustlab.norms.claims import above
+from robustlab.norms.numbers import ABOVE, Numbers, block_rows, matrices, model_numbers
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel

@@ -8,14 +8,15 @@ from __future__ import annotations
 import numpy as np
 
 from robustlab.budget import search_budget
-from robustlab.evidence.axis import gain_claims, joined_scalings, margin_claims
-from robustlab.evidence.loops import h2_loop_claims, loop_claims
-from robustlab.evidence.numbers import ABOVE, Numbers, block_rows, loop_numbers
+from robustlab.evidence.axis import gain_claims, margin_claims
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import cover_axis
+from robustlab.mu_analysis.axis.joined_scalings import loop_axis_claims
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.constants import WORK
 from robustlab.norms import H2Norm, hinf_norm
+from robustlab.norms.claims import h2_loop_claims, loop_claims
+from robustlab.norms.numbers import ABOVE, Numbers, loop_numbers
 from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.fixed.fixed_structure import FixedSynthesis
 from robustlab.synthesis.fixed.goal_tuning import TunedSynthesis
@@ -89,22 +90,14 @@ def dk_claims(found: DKSynthesis) -> list[Claim]:
     Where the design rests on scalings that depend on the frequency, or the loop is discrete, intervals are sought anew
     at the level claimed.
     """
-    loop, numbers = found.plant.close(found.K), loop_numbers(found.plant.model, found.K)
-    mapped = continuous(loop)
-    level = found.gamma * ABOVE
-    pieces = found.pieces
+    level, pieces = found.gamma * ABOVE, found.pieces
     if not pieces:
+        loop = found.plant.close(found.K)
+        mapped = continuous(loop)
         first = np.append(seed_frequencies(mapped), found.frequency if not loop.is_discrete else [])
         budget = search_budget("verify", WORK, 1.0, None)
         cover = cover_axis(mapped, found.blocks, found.gamma, first=first, budget=budget, accuracy=0.5e-6)
         if cover.open or cover.beta > level:
             return []
         pieces = tuple(cover.pieces)
-
-    def at(omega: float) -> float:
-        return float(2 * np.arctan(omega) / loop.dt) if loop.is_discrete else float(omega)
-
-    scalings = joined_scalings(mapped, found.blocks, pieces, at)
-    if scalings is None:
-        return []
-    return [Claim("mu-axis", {**numbers, "blocks": block_rows(found.blocks), "level": np.array(level), **scalings})]
+    return loop_axis_claims(found.plant.model, found.K, found.blocks, level, pieces)

@@ -1,4 +1,4 @@
-"""Claims about norms of loops: plant and controller as they are stored, ``u = K y``, closed by the checker in balls."""
+"""Claims about robustness that rest on a norm of a loop."""
 
 from __future__ import annotations
 
@@ -6,30 +6,14 @@ import numpy as np
 
 from robustlab.budget import search_budget
 from robustlab.evidence.axis import margin_claims
-from robustlab.evidence.norms import above, gramian_claims, norm_claims, proof_of_norm
-from robustlab.evidence.numbers import loop_numbers
 from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
 from robustlab.mu_analysis.margins.small_gain import SmallGain
 from robustlab.norms import HinfNorm
-from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.norms.claims import loop_claims, norm_claims
 from robustlab.uncertainty.distances.coprime import CoprimeMargin, four_block
 from robustlab.verification.claim import Claim
-
-
-def loop_claims(plant: StateSpaceModel, K: StateSpaceModel, gamma: float) -> list[Claim]:
-    """That K, on the last outputs and inputs of the plant, makes a stable loop with a norm of at most ``gamma``."""
-    if not np.isfinite(gamma):
-        return []
-    numbers, level = loop_numbers(plant, K), above(gamma)
-    proof = proof_of_norm(lower_lft(plant, K), level, gamma, numbers)
-    return [Claim("loop-norm", {**numbers, "gamma": np.array(level), **proof})]
-
-
-def h2_loop_claims(plant: StateSpaceModel, K: StateSpaceModel, value: float) -> list[Claim]:
-    """The same of the H2 norm."""
-    return gramian_claims(lower_lft(plant, K), value, loop_numbers(plant, K)) if np.isfinite(value) else []
 
 
 def small_gain_claims(found: SmallGain) -> list[Claim]:

@@ -6,10 +6,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from robustlab.evidence.loops import loop_claims
-from robustlab.evidence.norms import above, band_scalings, proof_of_norm
-from robustlab.evidence.numbers import Numbers, block_rows, matrices, model_numbers
 from robustlab.norms import HinfNorm
+from robustlab.norms.claims import above, band_scalings, loop_claims, proof_of_norm
+from robustlab.norms.numbers import Numbers, block_rows, matrices, model_numbers
 from robustlab.statespace import StateSpaceModel, append
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.uncertainty.built import BuiltModel

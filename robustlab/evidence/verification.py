@@ -15,30 +15,32 @@ from robustlab.verification.claim import Claim, Outcome, Verification
 
 # Class of a result -> what makes its claims. The first class that is met on the way up counts.
 CLAIMS: Mapping[str, str] = {
-    "HinfNorm": "norms.norm_claims",
-    "H2Norm": "norms.h2_claims",
-    "MuBounds": "axis.mu_claims",
-    "Margin": "axis.margin_claims",
-    "WorstCaseGain": "axis.gain_claims",
-    "HinfSynthesis": "designs.hinf_claims",
-    "NcfSynthesis": "designs.ncf_claims",
-    "H2Synthesis": "designs.h2_claims",
-    "FixedSynthesis": "designs.fixed_claims",
-    "TunedSynthesis": "designs.tuned_claims",
-    "DKSynthesis": "designs.dk_claims",
-    "ReducedController": "designs.reduced_controller_claims",
-    "ReducedModel": "models.reduction_claims",
-    "BuiltModel": "models.set_claims",
-    "SmallGain": "loops.small_gain_claims",
-    "CoprimeMargin": "loops.coprime_claims",
-    "DiskMargins": "loops.disk_claims",
-    "DiskMargin": "loops.one_disk_claims",
-    "Cover": "covers.cover_claims",
-    "DelayStability": "delays.stability_claims",
-    "DelayGain": "delays.gain_claims",
-    "DelayDiskMargins": "delays.disk_claims",
-    "NeglectedWeight": "delays.neglected_claims",
-    "UncertainModel": "delays.set_claims",
+    "HinfNorm": "norms.claims.norm_claims",
+    "H2Norm": "norms.claims.h2_claims",
+    "MuBounds": "evidence.axis.mu_claims",
+    "Margin": "evidence.axis.margin_claims",
+    "WorstCaseGain": "evidence.axis.gain_claims",
+    "RobustGain": "evidence.axis.robust_gain_claims",
+    "HinfSynthesis": "evidence.designs.hinf_claims",
+    "NcfSynthesis": "evidence.designs.ncf_claims",
+    "H2Synthesis": "evidence.designs.h2_claims",
+    "FixedSynthesis": "evidence.designs.fixed_claims",
+    "TunedSynthesis": "evidence.designs.tuned_claims",
+    "DKSynthesis": "evidence.designs.dk_claims",
+    "ReducedController": "evidence.designs.reduced_controller_claims",
+    "ReducedModel": "evidence.models.reduction_claims",
+    "BuiltModel": "evidence.models.set_claims",
+    "SmallGain": "evidence.loops.small_gain_claims",
+    "CoprimeMargin": "evidence.loops.coprime_claims",
+    "Passivity": "evidence.loops.passivity_claims",
+    "DiskMargins": "evidence.loops.disk_claims",
+    "DiskMargin": "evidence.loops.one_disk_claims",
+    "Cover": "evidence.covers.cover_claims",
+    "DelayStability": "evidence.delays.stability_claims",
+    "DelayGain": "evidence.delays.gain_claims",
+    "DelayDiskMargins": "evidence.delays.disk_claims",
+    "NeglectedWeight": "evidence.delays.neglected_claims",
+    "UncertainModel": "evidence.delays.set_claims",
 }
 
 
@@ -118,7 +120,7 @@ def claims_of(result: Any) -> list[Claim]:
     for kind in type(result).__mro__:
         if kind.__name__ in CLAIMS and kind.__module__.startswith("robustlab."):
             module, _, name = CLAIMS[kind.__name__].rpartition(".")
-            return getattr(import_module(f"robustlab.evidence.{module}"), name)(result)
+            return getattr(import_module(f"robustlab.{module}"), name)(result)
     return []
 
 

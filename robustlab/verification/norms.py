@@ -73,6 +73,12 @@ def evidence(claim: Claim, n: int) -> NDArray[np.float64] | None:
     return symmetric(claim, "P", n) if "P" in claim.numbers else None
 
 
+def in_two_parts(claim: Claim, n: int) -> Matrix:
+    """The claim's P, or the sum of it and ``P_low``, which has the digits that doubles have not."""
+    P = exact(symmetric(claim, "P", n))
+    return P + exact(symmetric(claim, "P_low", n)) if "P_low" in claim.numbers else P
+
+
 def prove_stable(claim: Claim, work: Work) -> Verdict:
     """A (n, n) is stable; P (n, n), where it is there, may be the proof."""
     A = real(claim, "A", (None, None))
@@ -124,14 +130,12 @@ def prove_norm(claim: Claim, build: Callable[[Claim], Model], work: Work) -> Ver
 
 
 def prove_bounded_real(claim: Claim, build: Callable[[Claim], Model], work: Work) -> Verdict:
-    """The same by ``P`` alone, or by the sum of it and ``P_low``, which has the digits that doubles have not."""
+    """The same by ``P`` alone (`in_two_parts`)."""
     gamma = scalar(claim, "gamma")
 
     def attempt() -> Verdict:
         G = build(claim)
-        P = exact(symmetric(claim, "P", G.n))
-        if "P_low" in claim.numbers:
-            P = P + exact(symmetric(claim, "P_low", G.n))
+        P = in_two_parts(claim, G.n)
         work.spend(G.size)
         proved = definite(P).proved and definite(bounded_real_form(G, P, gamma)).proved
         return PROVED if proved else not_proved("P is no proof")
@@ -191,7 +195,7 @@ def _climbed(gain: Callable[[float], float], a: float, b: float) -> float:
 
 
 def prove_gramian(claim: Claim, work: Work) -> Verdict:
-    r"""The model is stable with H2 norm <= ``value``, by ``P`` (n, n).
+    r"""The model is stable with H2 norm <= ``value``, by ``P`` (n, n; `in_two_parts`).
 
     With P > 0 and :math:`-(A^T P + P A + C^T C) > 0` (discrete :math:`P - A^T P A - C^T C > 0`) P lies above the
     observability Gramian, so the norm's square is at most :math:`\mathrm{tr}(B^T P B)`, discrete plus
@@ -201,7 +205,7 @@ def prove_gramian(claim: Claim, work: Work) -> Verdict:
 
     def attempt() -> Verdict:
         G = model_of(claim)
-        P = exact(symmetric(claim, "P", G.n))
+        P = in_two_parts(claim, G.n)
         if not G.dt and any(x != 0 for x in G.D.entries()):
             return refuted("D is not zero, so the H2 norm is infinite")
         if not G.dt and not all(x == 0 for x in G.D.entries()):  # a loop's D may hide in a ball around zero

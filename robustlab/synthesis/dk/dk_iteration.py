@@ -16,7 +16,6 @@ from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE
 from robustlab.mu_analysis.matrix.certificate import project
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work
-from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.dk.constants import FIRST_POINTS
@@ -36,7 +35,6 @@ from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
-from robustlab.synthesis.problem.stability import proved_stable
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_values, structure_size
 
 WORK = 120 * MILLION  # the usual work at effort 1
@@ -415,7 +413,6 @@ class _Search:
         curve = self._last_curve(chosen, blocks, norm.frequency)
         lower, delta, omega = _lower(curve, blocks, 4 if len(blocks) < MANY_BLOCKS else 1)
         loop = self.plant.close(chosen.K)
-        stable = proved_stable(loop.A, loop.is_discrete)
         cover = AxisCover()
         accuracy = PROOF_ACCURACY
         if curve.peak * (1 + accuracy) < chosen.level:
@@ -423,8 +420,7 @@ class _Search:
             cover = cover_axis(
                 continuous(chosen.loop), blocks, curve.peak, first=peaks, budget=self.budget, accuracy=accuracy
             )
-        proved = not cover.open and cover.beta < chosen.level
-        gamma = cover.beta if proved else chosen.level
+        gamma, pieces, doubt = self.problem.certified(chosen, blocks, cover)
         if lower > gamma * (1 + 1e-6):
             raise NoTrustworthyNumber("synth dk", f"lower bound {lower:.9g} of mu above the proved {gamma:.9g}")
         frequency = omega
@@ -435,17 +431,15 @@ class _Search:
         start_mu = self.start_mu if np.isfinite(self.start_mu) else self.iterates[0].level
         alone = floor.nominal_level(self.budget.apart(ALONE_SHARE * self.whole))
         why = why_not_less(smallest, start_mu, self.iterates[0].level, floor.bound.value, alone, blocks)
-        heard, doubt = self.problem.heard(chosen, loop, norm, cover.pieces if proved else ())
-        doubts = _doubts(stable, None if proved else norm) + [doubt] * bool(doubt)
         status, reason = told(
-            Status.INACCURATE if doubts else Status.CERTIFIED,
-            [*doubts, *self._reasons(chosen, proved, order_rel)],
+            Status.INACCURATE if doubt else Status.CERTIFIED,
+            [*[doubt] * bool(doubt), *self._reasons(chosen, bool(pieces), order_rel)],
             self.budget,
             "a smaller mu",
         )
         return DKSynthesis(
             K=chosen.K,
-            gamma=max(gamma, heard),
+            gamma=gamma,
             closed_loop=loop,
             status=status,
             reason=reason,
@@ -458,7 +452,7 @@ class _Search:
             delta=delta,
             scalings=chosen.scalings,
             scaled_level=chosen.level,
-            pieces=tuple(cover.pieces) if proved else (),
+            pieces=pieces,
             history=tuple(self.history),
             start_mu=start_mu,
             lower_bound=floor.bound,
@@ -475,23 +469,13 @@ class _Search:
 
     def _reasons(self, chosen: Iterate, by_intervals: bool, order_rel: float) -> list[str]:
         how = "constant D, G on intervals that cover the axis" if by_intervals else "the norm of the scaled loop"
-        parts = [f"loop rebuilt from K is stable; mu bound proved at all frequencies by {how}"]
+        parts = [f"loop of P and K is stable; mu bound proved in ball arithmetic at all frequencies by {how}"]
         best = self.best
         if chosen is not best and chosen.level > best.level:
             parts.append(
                 f"lowest order within {order_rel:.1%} of the smallest level {best.level:.6g} ({best.K.n_states} states)"
             )
         return parts
-
-
-def _doubts(stable: bool, norm: HinfNorm | None) -> list[str]:
-    """What lost digits on the way to the bound; nothing where it is proved. ``norm``: of the scaled loop, if used."""
-    doubts: list[str] = []
-    if not stable:
-        doubts.append("eigenvalues are so ill-conditioned that stability of the loop was not proved beyond rounding")
-    if norm is not None and norm.status is not Status.CERTIFIED:
-        doubts.append(f"norm of the scaled loop: {norm.reason}")
-    return doubts
 
 
 def _with_g(scalings: DynamicScalings, real: tuple[Block, ...]) -> DynamicScalings:

@@ -13,8 +13,8 @@ small disturbance d on the controls asks for feedback:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,18 +22,22 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.axis.intervals import Piece
-from robustlab.mu_analysis.matrix.certificate import level as certificate_level
-from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece
+from robustlab.mu_analysis.axis.joined_scalings import loop_axis_claims
+from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
+from robustlab.norms.numbers import ABOVE
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, plant_at_level, proved_level
 from robustlab.synthesis.dk.riccati_level import LevelSearch
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.search import Search, soften
-from robustlab.synthesis.problem.independent_check import AGREEMENT, hinf_voice, separate_responses
+from robustlab.synthesis.problem.certify import SHARES, certified
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
+from robustlab.uncertainty.blocks import Block
+from robustlab.verification.checker import check
+from robustlab.verification.claim import Outcome
 
 # A central controller at the smallest level itself is ill-conditioned: the level is backed off by these shares
 # until the proof agrees. The last ones are for plants of such spread that digits are lost in the controller.
@@ -45,6 +49,8 @@ REGULAR = 1e-6  # D12, D21 below this size in scaled units need regularisation
 STATE_SHARE = 0.3  # of it for penalties and noises on the states
 NOMINAL_SHARE = 0.03  # disturbance on the control of the nominal start, of what the control does without it
 NOMINAL_GAMMA_REL = 1.1  # factor above the smallest gamma that the nominal start's controllers may cost
+AXIS_EFFORT = 1500  # of the checker for mu by intervals: some seconds
+BELOW_ONE = 1 - 2e-6  # a level that is claimed to a millionth, so that it is below one
 NOMINAL_POINTS = 80  # frequencies for the size of that control
 
 
@@ -99,6 +105,14 @@ class Iterate:
     def pace(self) -> float:
         """Largest modulus of the controller's poles."""
         return float(np.abs(self.K.poles()).max(initial=0.0))
+
+
+class DKProof(NamedTuple):
+    """A level of mu, the intervals that prove it (none: the scaled loop's norm), and why it is not proved."""
+
+    gamma: float
+    pieces: tuple[Piece, ...]
+    doubt: str
 
 
 class RobustProblem:
@@ -227,36 +241,27 @@ class RobustProblem:
             return None
         return Iterate(K, loop, scalings, level) if np.isfinite(level) else None
 
-    def heard(
-        self, iterate: Iterate, loop: StateSpaceModel, norm: HinfNorm, pieces: Sequence[Piece]
-    ) -> tuple[float, str]:
-        """What P(jw) and K(jw), each evaluated on its own, say of an iterate's level: the level that they give at
-        single frequencies where it is the larger number (else 0), and why it is not verified (empty: it is).
-
-        ``loop`` is the one in the plant's own time domain, ``norm`` that of the scaled loop; ``pieces`` are those that
-        prove the level where the scalings alone do not.
-        """
-        doubt = hinf_voice(self.plant, iterate.K, loop).doubt(0.0, np.inf)
-        K = _mapped(iterate.K)
-        if not pieces:
-            # The norm of the scaled loop: with G at the level, where it is at most one, without it at one.
-            beta = iterate.level if iterate.scalings.mixed else 1.0
-            plant = self._scaled(iterate.scalings, beta)
-            voice = hinf_voice(plant, K, plant.close(K), [norm.frequency])
-            gamma = voice.larger(norm.upper)
-            return (gamma * beta if gamma > norm.upper else 0.0), doubt or voice.doubt(norm.lower, norm.upper)
-        level, beta = 0.0, max(piece.beta for piece in pieces)
-        low, high = np.array([(piece.low, piece.high) for piece in pieces]).T
-        inside = np.where(np.isfinite(high), np.sqrt(np.maximum(low, 1e-3 * high) * high), 2 * low + 1)
-        inside, which = np.unique(inside, return_index=True)
-        _, T, error = separate_responses(self._continuous, K, iterate.loop, inside)
-        for k, response, blur in zip(which, T, error, strict=True):
-            bound = pieces[k].bound
-            if pieces[k].members is None and np.isfinite(blur):
-                level = max(level, certificate_level(response, bound.Dw, bound.Dz, bound.G))
-        if level > beta * (1 + AGREEMENT):
-            doubt = doubt or f"P and K evaluated separately give mu up to {level:.6g}, the rebuilt loop {beta:.6g}"
-        return (level if level > beta else 0.0), doubt
+    def certified(self, iterate: Iterate, blocks: tuple[Block, ...], cover: AxisCover) -> DKProof:
+        """What the checker proves of mu: the level of the cover's intervals, or else that of the iterate's scalings."""
+        plant, K, doubt, best = self.plant, iterate.K, "", iterate.level
+        if cover.pieces and not cover.open and cover.beta < iterate.level:
+            best, doubt = cover.beta, "pieces of the proof could not be joined"
+            for claim in loop_axis_claims(plant.model, K, blocks, cover.beta * ABOVE, cover.pieces):
+                found = check(claim, effort=AXIS_EFFORT)
+                if found.outcome is Outcome.PROVED:
+                    return DKProof(cover.beta, tuple(cover.pieces), "")
+                doubt = f"not proved in ball arithmetic of P and K as they are: {found.where}"
+        # The norm of the scaled loop: with G at a level a little higher, where it is below one, without it at one.
+        mixed = iterate.scalings.mixed
+        beta = iterate.level * (1 + SHARES[0]) if mixed else 1.0
+        scaled, mapped = self._scaled(iterate.scalings, beta), _mapped(K)
+        proof = certified(scaled, mapped, hinf_norm(scaled.close(mapped)), BELOW_ONE if mixed else None)
+        left = proof.doubt
+        if plant.model.is_discrete:  # the image of K is another one by the rounding of the map
+            left = left or certified(plant, K, hinf_norm(plant.close(K))).doubt
+        if not left:
+            return DKProof(beta * max(proof.gamma, 1.0) if mixed else proof.gamma, (), "")
+        return DKProof(best, (), doubt or left)
 
     def _scaled(self, scalings: DynamicScalings, beta: float) -> GeneralizedPlant:
         """The scaled plant, D22 included."""

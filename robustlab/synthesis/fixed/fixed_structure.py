@@ -27,8 +27,8 @@ from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import Start, multi_start
 from robustlab.synthesis.problem.assumptions import require_stabilisable
+from robustlab.synthesis.problem.certify import certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
-from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.scaling import common_scaling
 from robustlab.tables import Table, Tabular
@@ -408,7 +408,12 @@ class _Search:
         """The best verified design; ``given`` are pairs of a kind and parameters to start from as well."""
         found = multi_start(problem, given, self.starts, self.seed, self.say)
         best_first = [start for start in found[:VERIFIED] if np.isfinite(start.gamma)]
-        kept = [design for start in best_first if (design := _verified(problem, start)) is not None]
+        kept: list[FixedSynthesis] = []
+        for start in best_first:
+            design = _verified(problem, start)
+            kept += [] if design is None else [design]
+            if design is not None and design.status.trustworthy:
+                break
         if not kept:
             raise not_found(problem, found)
         best = min(kept, key=lambda d: (not d.status.trustworthy, d.gamma))
@@ -510,10 +515,10 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
     limits = tuple(LimitValue(c.text, max(c.value(loop, K) for loop in loops)) for c in problem.limits)
     if not np.isfinite(bounds).all() or any(limit.value > KEPT for limit in limits):
         return None
-    heard = [norm_doubt(plant, K, loop, norm) for plant, loop, norm in zip(plants, loops, norms, strict=True)]
-    gammas = tuple(gamma for gamma, _ in heard)
+    proofs = [certified(plant, K, norm) for plant, norm in zip(plants, norms, strict=True)]
+    gammas = tuple(proof.gamma for proof in proofs)
     worst = int(np.argmax(gammas))
-    status, reason = _trust(norms, [doubt for _, doubt in heard])
+    status, reason = _trust(norms, [proof.doubt for proof in proofs if proof.doubt])
     shown = norms[worst]
     peak = shown.frequency if isinstance(shown, HinfNorm) else np.nan
     return FixedSynthesis(
@@ -538,12 +543,11 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
 
 
 def _trust(norms: Sequence[HinfNorm | H2Norm], doubts: Sequence[str]) -> tuple[Status, str]:
-    bad = [norm.reason for norm in norms if not norm.status.trustworthy] + [doubt for doubt in doubts if doubt]
-    if bad:
-        return Status.INACCURATE, bad[0]
-    proved = all(norm.status is Status.CERTIFIED for norm in norms)
+    if doubts:
+        return Status.INACCURATE, doubts[0]
+    proved = all(isinstance(norm, HinfNorm) or norm.status is Status.CERTIFIED for norm in norms)
     loops = "loop" if len(norms) == 1 else f"{len(norms)} loops"
-    text = f"{loops} rebuilt from K: stable, norm verified"
+    text = f"{loops} rebuilt from K: stable, norm proved in ball arithmetic"
     return (Status.CERTIFIED if proved else Status.CONVERGED), text
 
 

@@ -46,9 +46,9 @@ from robustlab.synthesis.nonsmooth.constants import BARRIER_CLOSER
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import central_path, multi_start, polished
+from robustlab.synthesis.problem.certify import certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
 from robustlab.synthesis.problem.gamma_bounds import pointwise_bound
-from robustlab.synthesis.problem.independent_check import norm_doubt
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.problem.scaling import common_scaling, equilibrated, paths_first
 from robustlab.synthesis.specifications.weight_design import performance_weight
@@ -510,9 +510,9 @@ class _Task:
         for plant in plants:
             loop = plant.close(K)
             norm = hinf_norm(loop) if goal.norm == "hinf" else h2_by_gramians(loop)
-            value, doubt = norm_doubt(plant, K, loop, norm)
-            doubts += [f"{goal.text}: {why}" for why in (doubt, "" if norm.status.trustworthy else norm.reason) if why]
-            values.append(value)
+            proof = certified(plant, K, norm)
+            doubts += [f"{goal.text}: {proof.doubt}"] * bool(proof.doubt)
+            values.append(proof.gamma)
         asked = goal.hard and goal.norm == "hinf" and max(values) > 1
         floor = max(_floor(plant) for plant in plants) if asked else float("nan")
         return GoalValue(goal.text, goal.hard, goal.norm, tuple(values), floor, tuple(plants))

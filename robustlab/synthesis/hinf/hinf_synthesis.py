@@ -22,9 +22,9 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.constants import WORK
 from robustlab.synthesis.hinf.search import Candidate, Portfolio, portfolio, soften
 from robustlab.synthesis.problem.assumptions import broken_assumptions, require_stabilisable
+from robustlab.synthesis.problem.certify import EFFORT, certified
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.gamma_bounds import GammaBound, pointwise_bound
-from robustlab.synthesis.problem.independent_check import SecondVoice, hinf_voice
 from robustlab.synthesis.problem.partition import (
     GeneralizedPlant,
     as_generalized_plant,
@@ -35,58 +35,38 @@ from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 
 # What a certified norm may cost where the best loop is so stiff that its norm loses digits. Larger: calmer loops.
 CALMER = 1.001
-# Candidates that are verified before the search counts as failed, and where no norm of them is sure.
+# Candidates of finite norm that are looked at, and how many of them the checker is asked about, best first.
 TRIES = 8
+PROOFS = 3
+# Candidates that are closed before the search counts as failed.
 MOST_TRIES = 40
 # Verified over searched gamma above which the next candidate is tried, too. Larger: quicker, a little worse.
 LOSS = 1.0005
-# A rebuilt loop whose norm is farther (relative) from that of its plant and controller is built in other states.
-DRIFT = 1e-5
-# Difference (relative) of the two voices up to which an uncertified norm is credible.
-CREDIBLE = 0.05
-# How much more a certified norm may be than a credible one. Larger: worse gammas for the sake of certificates.
+# How much more a certified norm may be than another one. Larger: worse gammas for the sake of certificates.
 CERTIFICATE_WORTH = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Verified:
-    """A controller in the units and the time domain of the plant as given, D22 included, with its loop and norm.
-
-    ``voice`` is what P and K give when they are evaluated separately; it speaks of stability, too.
-    """
+class Rebuilt:
+    """A controller in the units and the time domain of the plant as given, D22 included, with its loop and norm."""
 
     candidate: Candidate
     K: StateSpaceModel
     loop: StateSpaceModel
     norm: HinfNorm
-    voice: SecondVoice
 
-    @property
-    def gamma(self) -> float:
-        """Proved upper bound of the closed loop's norm, or the larger number of the second voice."""
-        return self.voice.larger(self.norm.upper)
+
+@dataclass(frozen=True, eq=False)
+class Verified(Rebuilt):
+    """The same with what was proved of P and K: their loop has at most the norm ``gamma``, where ``doubt`` is empty."""
+
+    gamma: float = np.inf
+    doubt: str = ""
 
     @property
     def certified(self) -> bool:
-        """Whether no digits were lost, in the norm and in the proof of stability, and the second voice agrees."""
+        """Whether the norm is proved."""
         return not self.doubt
-
-    @property
-    def doubt(self) -> str:
-        """Why it is not certified; empty where it is."""
-        if self.norm.status is not Status.CERTIFIED:
-            return self.norm.reason
-        return self.voice.doubt(self.norm.lower, self.norm.upper)
-
-    @property
-    def credible(self) -> bool:
-        """Whether both voices give about the same norm: certified or not, it is not far from the truth."""
-        return self.drift <= CREDIBLE and not self.voice.disagreement(0.0, np.inf)
-
-    @property
-    def drift(self) -> float:
-        """How far the rebuilt loop's norm lies from what the second voice finds, relative."""
-        return abs(self.voice.value / self.norm.lower - 1) if self.norm.lower > 0 else self.voice.value
 
 
 class Verifier:
@@ -104,37 +84,39 @@ class Verifier:
         budget: Budget,
     ) -> None:
         self.plant, self.D22, self.budget = plant, D22, budget
-        self._known: dict[int, Verified | None] = {}
-
-    def __call__(self, candidate: Candidate) -> Verified | None:
-        """The candidate with its proved norm, or None where its loop is not stable."""
-        key = id(candidate)
-        if key not in self._known:
-            self._known[key] = self._verified(candidate)
-        return self._known[key]
+        self._closed: dict[int, Rebuilt | None] = {}
+        self._known: dict[int, Verified] = {}
 
     def smallest(self, candidates: list[Candidate]) -> Verified | None:
-        """The candidate of smallest verified norm; one without lost digits goes before others not much better."""
-        found: list[Verified] = []
-        for tried, candidate in enumerate(sorted(candidates, key=lambda c: c.gamma)[:MOST_TRIES]):
-            if tried >= TRIES and any(verified.credible for verified in found):
-                break
-            verified = self(candidate)
-            if verified is None:
+        """The candidate of smallest norm that is proved; of none the smallest norm."""
+        found: list[Rebuilt] = []
+        near = 0
+        for candidate in sorted(candidates, key=lambda c: c.gamma)[:MOST_TRIES]:
+            closed = self.closed(candidate)
+            if closed is None:
                 continue
-            found.append(verified)
-            if (verified.certified and verified.gamma <= LOSS * candidate.gamma) or self.budget.over:
+            found.append(closed)
+            near += closed.norm.upper <= LOSS * candidate.gamma
+            if near == PROOFS or len(found) == TRIES or self.budget.over:
                 break
-        best = min(found, key=lambda v: (not v.certified, not v.credible, v.gamma), default=None)
+        tried: list[Verified] = []
+        for closed in sorted(found, key=lambda c: c.norm.upper)[:PROOFS]:
+            tried.append(self.verified(closed, 1 if tried else EFFORT))
+            if tried[-1].certified:
+                break
+        best = min(tried, key=lambda v: (not v.certified, v.gamma), default=None)
+        if not tried:
+            return None
+        best, least = min(tried, key=lambda v: (not v.certified, v.gamma)), min(tried, key=lambda v: v.gamma)
         # A certificate is worth a larger gamma, but not any.
-        near = min((v for v in found if v.credible), key=lambda v: v.gamma, default=best)
-        return near if best is not None and near is not None and best.gamma > CERTIFICATE_WORTH * near.gamma else best
+        return best if best.gamma <= CERTIFICATE_WORTH * least.gamma else least
 
     def _first(self, candidates: Iterable[Candidate], limit: float, certified: bool) -> Verified | None:
         """The first of few candidates that verifies with a gamma of at most the limit, and with a certificate."""
-        for candidate in islice(candidates, TRIES):
-            verified = self(candidate)
-            if verified is not None and verified.gamma <= limit and verified.certified >= certified:
+        closed = (self.closed(candidate) for candidate in islice(candidates, TRIES))
+        within = (found for found in closed if found is not None and found.norm.upper <= limit)
+        for verified in map(self.verified, islice(within, PROOFS)):
+            if verified.gamma <= limit and verified.certified >= certified:
                 return verified
         return None
 
@@ -166,24 +148,32 @@ class Verifier:
             hint="a larger gamma_rel, a larger bandwidth, or weights that ask for less",
         )
 
-    def _verified(self, candidate: Candidate) -> Verified | None:
-        plant = self.plant
-        try:
-            model = with_direct_term(StateSpaceModel(*candidate.K), self.D22)
-            if plant.model.dt:
-                model = bilinear_to_discrete(model, plant.model.dt)
-        except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
-            return None
-        # Large entries hide slow modes: in coordinates of its modes the same controller is the sounder one.
-        states, other = moderate_states(model)
-        found = self._judged(candidate, states)
-        if (found is not None and found.certified and found.drift <= DRIFT) or other is None:
-            return found
-        again = self._judged(candidate, other)
-        both = [verified for verified in (found, again) if verified is not None]
-        return min(both, key=lambda v: (not v.certified, v.drift), default=None)
+    def closed(self, candidate: Candidate) -> Rebuilt | None:
+        """The candidate with the norm of its loop, or None where that is not stable."""
+        key = id(candidate)
+        if key not in self._closed:
+            plant = self.plant
+            try:
+                model = with_direct_term(StateSpaceModel(*candidate.K), self.D22)
+                if plant.model.dt:
+                    model = bilinear_to_discrete(model, plant.model.dt)
+            except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
+                self._closed[key] = None
+                return None
+            # Large entries hide slow modes: in coordinates of its modes the same controller is the sounder one.
+            self._closed[key] = self._rebuilt(candidate, moderate_states(model))
+        return self._closed[key]
 
-    def _judged(self, candidate: Candidate, model: StateSpaceModel) -> Verified | None:
+    def verified(self, closed: Rebuilt, effort: int = 1) -> Verified:
+        """What the checker says of it; without much ``effort`` what a matrix proves."""
+        key = id(closed.candidate)
+        if key not in self._known:
+            self.budget.spend(dense(closed.loop.n_states, 200))
+            proof = certified(self.plant, closed.K, closed.norm, effort=effort)
+            self._known[key] = Verified(**vars(closed), **proof._asdict())
+        return self._known[key]
+
+    def _rebuilt(self, candidate: Candidate, model: StateSpaceModel) -> Rebuilt | None:
         plant = self.plant
         try:
             named = named_controller(model, plant.measurements, plant.controls, model.dt)
@@ -192,9 +182,7 @@ class Verifier:
             norm = hinf_norm(loop)
         except (InputError, NoTrustworthyNumber):
             return None
-        if not np.isfinite(norm.upper):
-            return None
-        return Verified(candidate, named, loop, norm, hinf_voice(plant, named, loop, [norm.frequency]))
+        return Rebuilt(candidate, named, loop, norm) if np.isfinite(norm.upper) else None
 
 
 @told_as("synth hinf")
@@ -291,7 +279,7 @@ class _Task:
         assumptions: tuple[str, ...],
     ) -> HinfSynthesis:
         status = Status.CERTIFIED if chosen.certified else Status.INACCURATE
-        text = "loop rebuilt from K is stable, its norm was verified, and P(jw), K(jw) on their own give the same"
+        text = "loop of P and K is stable, its norm proved in ball arithmetic"
         parts = [text if status.trustworthy else chosen.doubt, "by two Riccati equations"]
         if chosen is not best:
             allowed = f"allowed {self.gamma_rel - 1:.0%} above the smallest gamma {best.gamma:.6g}"

@@ -18,14 +18,14 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.norms import bilinear_to_discrete
+from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, series
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
+from robustlab.synthesis.problem.certify import certified
 from robustlab.synthesis.problem.design import Synthesis, limiting_channels
-from robustlab.synthesis.problem.independent_check import hinf_voice
 from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, surely_stable
 from robustlab.uncertainty.distances.coprime import (
@@ -199,24 +199,20 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
     loop = plant.close(K)
     if not surely_stable(loop):
         raise NoTrustworthyNumber("synth ncf", "the loop of the plant as given with W1 K W2 is not surely stable")
-    gamma = 1 / margin.lower
-    status, reason = margin.status, "loops of the shaped plant and of the plant as given were rebuilt and are stable"
-    if status is not Status.CERTIFIED:
-        reason = margin.reason
-    elif gamma > factor * gamma_min * SHAPED_LOSS:
-        status, reason = Status.INACCURATE, f"gamma misses {factor:g} gamma_min = {factor * gamma_min:.6g}: digits lost"
     shaped_plant = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs)
     shaped_loop = shaped_plant.close(inner)
-    voice = hinf_voice(shaped_plant, inner, shaped_loop, [margin.frequency])
-    doubt = voice.doubt(1 / margin.upper, gamma) or hinf_voice(plant, K, loop).doubt(0.0, np.inf)
-    if doubt and status is Status.CERTIFIED:
-        status, reason = Status.INACCURATE, doubt
+    norm = HinfNorm(1 / margin.upper, 1 / margin.lower, margin.frequency, margin.status)
+    gamma, doubt = certified(shaped_plant, inner, norm)
+    doubt = doubt or certified(plant, K, hinf_norm(loop)).doubt
+    if not doubt and gamma > factor * gamma_min * SHAPED_LOSS:
+        doubt = f"gamma misses {factor:g} gamma_min = {factor * gamma_min:.6g}: digits lost"
+    proved = "loops of the shaped plant and of the plant as given are stable, with norms proved in ball arithmetic"
     return NcfSynthesis(
         K=K,
-        gamma=voice.larger(gamma),
+        gamma=gamma,
         closed_loop=loop,
-        status=status,
-        reason=reason,
+        status=Status.INACCURATE if doubt else Status.CERTIFIED,
+        reason=doubt or proved,
         limit=limiting_channels(_named_channels(shaped_loop, shaped), margin.frequency),
         plant=plant,
         method="ncf",

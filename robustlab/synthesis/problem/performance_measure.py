@@ -26,7 +26,7 @@ from robustlab.mu_analysis.matrix.upper import points_work
 from robustlab.norms import H2Norm, HinfNorm, bilinear_to_discrete, h2_by_gramians, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.synthesis.problem.independent_check import norm_doubt
+from robustlab.synthesis.problem.certify import certified
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
@@ -43,19 +43,21 @@ Scalings = tuple[StateSpaceModel, StateSpaceModel]
 
 @dataclass(frozen=True)
 class Performance:
-    """A verified upper bound of the measure, its evidence, the frequency of the peak (NaN where there is none), and why
-    plant and controller, evaluated separately, do not confirm it (empty where they do).
+    """An upper bound of the measure, why it is not proved (empty where it is), its evidence, and the frequency of the
+    peak (NaN where there is none).
     """
 
     value: float
+    doubt: str
     evidence: Evidence
     frequency: float
-    doubt: str = ""
 
     @property
     def status(self) -> Status:
         """How much the value can be trusted."""
-        return Status.INACCURATE if self.doubt else self.evidence.status
+        if self.doubt:
+            return Status.INACCURATE
+        return Status.CERTIFIED if isinstance(self.evidence, HinfNorm) else self.evidence.status
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +94,8 @@ class PerformanceMeasure:
         norm = h2_by_gramians(loop) if self.name == "h2" else hinf_norm(loop)
         value, frequency = (norm.value, np.nan) if isinstance(norm, H2Norm) else (norm.upper, norm.frequency)
         if not np.isfinite(value):
-            return Performance(value, norm, frequency)
-        value, doubt = norm_doubt(plant, K, loop, norm)
-        return Performance(value, norm, frequency, doubt)
+            return Performance(value, norm.reason, norm, frequency)
+        return Performance(*certified(plant, K, norm), norm, frequency)
 
     def _margin(self, loop: StateSpaceModel, K: StateSpaceModel) -> Performance:
         try:
@@ -102,10 +103,10 @@ class PerformanceMeasure:
             margin = margin_within(with_performance(UncertainModel(loop, self.blocks)), part, tolerance=1e-3)
         except NoTrustworthyNumber:  # the nominal loop is not stable
             norm = hinf_norm(loop)
-            return Performance(np.inf, norm, np.nan)
+            return Performance(np.inf, norm.reason, norm, np.nan)
         value = 1 / margin.lower if margin.lower > 0 else np.inf
-        _, doubt = norm_doubt(self.plant, K, loop, hinf_norm(loop))
-        return Performance(value, margin, float("nan") if margin.frequency is None else margin.frequency, doubt)
+        frequency = float("nan") if margin.frequency is None else margin.frequency
+        return Performance(value, certified(self.plant, K, hinf_norm(loop)).doubt, margin, frequency)
 
     def estimate(self, K: StateSpaceModel) -> float:
         """A quick estimate from below, on a grid; inf where the loop is not stable or not well posed."""

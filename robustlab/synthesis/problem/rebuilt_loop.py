@@ -18,8 +18,9 @@ from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overfl
 from robustlab.linear_analysis.schur_lyapunov import balanced_schur
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.double_double import DoubleDouble, inverse
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
+from robustlab.verification.balls import exact, midpoints, precision
+from robustlab.verification.balls import inverse as inverse_in_balls
 
 # Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
 ILL_POSED = 1e10
@@ -27,6 +28,7 @@ ILL_POSED = 1e10
 DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)
 # Above this condition number modes are no basis.
 NO_BASIS = 1e12
+BITS = 128  # in which coordinates change
 # From this on the errors of entries count so much that other states are better.
 HIDDEN = 1e6
 
@@ -92,31 +94,28 @@ def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
     return model._in_states(scale, A, B, C)
 
 
-def moderate_states(model: StateSpaceModel) -> tuple[StateSpaceModel, StateSpaceModel | None]:
-    """A model in the states that keep its digits, and in others for a second try (None: there are none).
+def moderate_states(model: StateSpaceModel) -> StateSpaceModel:
+    """A model in the states that keep its digits.
 
-    Balanced states come first, unless slow modes are small differences of large entries there and are not in
-    coordinates of the modes.
+    These are balanced ones, unless slow modes are small differences of large entries there and are not in coordinates
+    of the modes.
     """
-    balanced, modes = balanced_states(model), separated_modes(model)
-    if modes is None:
-        return balanced, None
+    balanced = balanced_states(model)
     hidden = _cancellation(balanced.A)
-    if hidden > HIDDEN and _cancellation(modes.A) < 1e-2 * hidden:
-        return modes, balanced
-    return balanced, modes
+    modes = separated_modes(model) if hidden > HIDDEN else None
+    return balanced if modes is None or _cancellation(modes.A) >= 1e-2 * hidden else modes
 
 
 def _cancellation(A: Array) -> float:
     """Skeel's condition number: by how much the errors of A's entries, each relative to itself, count in A^-1."""
     try:
-        return float((np.abs(np.linalg.inv(A)) @ np.abs(A)).sum(axis=1).max())
+        return float((np.abs(np.linalg.inv(A)) @ np.abs(A)).sum(axis=1).max(initial=0.0))
     except np.linalg.LinAlgError:
         return float("inf")
 
 
 def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
-    """The same response in coordinates of the modes, computed with about 30 digits; None where these are no basis.
+    """The same response in coordinates of the modes, each entry rounded once; None where these are no basis.
 
     Where a fast mode fills all of A with large entries, the slow ones are small differences of these: a loop that is
     built of them is another loop. In these coordinates every entry has the size of its own mode.
@@ -129,10 +128,12 @@ def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
     basis = np.where(np.imag(values) < 0, np.imag(vectors), np.real(vectors))
     if not np.isfinite(basis).all() or not np.linalg.cond(basis) < NO_BASIS:
         return None
-    A, B, C, T = (DoubleDouble.of(part[None]) for part in (m.A, m.B, m.C, basis))
-    with np.errstate(all="ignore"):
-        back, _ = inverse(T)
-        a, b, c = (np.real(part.rounded()[0]) for part in (back @ A @ T, back @ B, C @ T))
+    with precision(BITS):
+        A, B, C, T = (exact(part) for part in (m.A, m.B, m.C, basis))
+        back = inverse_in_balls(T)
+        if back is None:
+            return None
+        a, b, c = (midpoints(part) for part in (back * A * T, back * B, C * T))
     if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(c).all()):
         return None
     return balanced_states(StateSpaceModel(a, b, c, m.D, m.dt, m.inputs, m.outputs))

@@ -21,7 +21,7 @@ from robustlab.linear_analysis.schur_lyapunov import SchurForm, lyapunov_factors
 from robustlab.linear_analysis.structural import LeastOrder, least_order
 from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel, parallel
-from robustlab.synthesis.problem.double_double import sum_of_products
+from robustlab.verification.balls import exact, midpoints, precision
 
 __all__ = [
     "Balancing",
@@ -34,6 +34,7 @@ __all__ = [
 ]
 
 Projection = Literal["truncation", "residualisation"]
+BITS = 128  # in which residuals are taken
 
 # Hankel values below this share of the largest are rounding: their states cannot be balanced, and are truncated.
 NEGLIGIBLE = 1e-14
@@ -83,9 +84,11 @@ def _lost(m: StateSpaceModel, t: AnyArray, parts: StateSpaceModel) -> StateSpace
     .. math:: C (sI - A)^{-1} (R_A (sI - \Lambda)^{-1} \hat B + R_B) + R_C (sI - \Lambda)^{-1} \hat B, \qquad
        R_A = A T - T \Lambda, \quad R_B = B - T \hat B, \quad R_C = C T - \hat C
     """
-    a = sum_of_products((m.A, t), (t, -parts.A))
-    b = sum_of_products((np.eye(len(t)), m.B), (t, -parts.B))
-    c = sum_of_products((m.C, t), (parts.C, -np.eye(t.shape[1])))
+    with precision(BITS):
+        T = exact(t)
+        a = midpoints(exact(m.A) * T - T * exact(parts.A))
+        b = midpoints(exact(m.B) - T * exact(parts.B))
+        c = midpoints(exact(m.C) * T - exact(parts.C))
     if not (a.any() or b.any() or c.any()):
         return None
     return StateSpaceModel(

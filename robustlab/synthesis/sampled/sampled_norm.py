@@ -25,11 +25,11 @@ import numpy as np
 from robustlab.budget import dense, one_thread
 from robustlab.closing import wired
 from robustlab.errors import InputError, told_as
-from robustlab.norms import PeakGain, hinf_norm
+from robustlab.norms import HinfNorm, PeakGain, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, listed, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
-from robustlab.synthesis.problem.independent_check import hinf_voice
+from robustlab.synthesis.problem.certify import certified
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.reduction.balancing import triangular_root
 from robustlab.synthesis.sampled.lifting import LiftedPlant, lift
@@ -246,7 +246,7 @@ def sampled_loop_norm(
 
 
 def _confirmed(norm: SampledDataNorm, lifted: LiftedPlant, K: StateSpaceModel) -> SampledDataNorm:
-    """The norm, unless the lifted plant and K, each evaluated on its own, say something else."""
+    """The norm, unless that of the lifted plant and K as they are is not proved to be within the bracket."""
     plant = lifted.generalized_plant()
     m, n_z = plant.model, plant.model.n_outputs - plant.n_meas
     # An orthogonal turn of the performance outputs: no more of them than states and inputs.
@@ -254,11 +254,9 @@ def _confirmed(norm: SampledDataNorm, lifted: LiftedPlant, K: StateSpaceModel) -
     narrow = StateSpaceModel(
         m.A, m.B, np.vstack([rows[:, : m.n_states], m.C[n_z:]]), np.vstack([rows[:, m.n_states :], m.D[n_z:]]), m.dt
     )
-    voice = hinf_voice(GeneralizedPlant(narrow, plant.n_meas, plant.n_con), _plain(K), norm.loop, [norm.frequency])
-    doubt = voice.doubt(norm.lower, norm.upper)
-    if not doubt:
-        return norm
-    return replace(norm, upper=voice.larger(norm.upper), status=Status.INACCURATE, reason=doubt)
+    found = HinfNorm(norm.lower, norm.upper, norm.frequency, norm.status)
+    proof = certified(GeneralizedPlant(narrow, plant.n_meas, plant.n_con), _plain(K), found, norm.upper)
+    return replace(norm, upper=proof.gamma, status=Status.INACCURATE, reason=proof.doubt) if proof.doubt else norm
 
 
 def _plain(K: StateSpaceModel) -> StateSpaceModel:

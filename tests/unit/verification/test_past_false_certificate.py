@@ -15,7 +15,7 @@ import robustlab as rl
 from robustlab.cli.ending import main_guard
 from robustlab.cli.verify import app
 from robustlab.evidence.designs import h2_claims, hinf_claims
-from robustlab.evidence.numbers import loop_numbers, model_numbers
+from robustlab.norms.numbers import loop_numbers, model_numbers
 from robustlab.verification import Claim, Outcome, check
 
 HOSTILE = Path(__file__).parents[4] / "shared" / "data" / "hostile" / "hinf_r150.npz"

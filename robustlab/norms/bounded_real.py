@@ -1,4 +1,4 @@
-r"""A matrix P that proves an H-infinity norm, found in floating point; who checks it trusts nothing of it.
+r"""Matrices P that prove an H-infinity or an H2 norm, found in floating point; who checks it trusts nothing of it.
 
 .. math:: -\begin{pmatrix} A^T P + P A + C^T C & P B + C^T D \\ B^T P + D^T C & D^T D - \gamma^2 I \end{pmatrix} > 0,
    \quad P > 0
@@ -18,12 +18,12 @@ from flint import arb
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.evidence.numbers import Numbers, model_numbers
 from robustlab.linear_analysis.magnitude import balancing_exponents
 from robustlab.linear_analysis.matrix_equations import care, dare, judged_afterwards, lyapunov
 from robustlab.norms.hinfinity import hinf_norm
+from robustlab.norms.numbers import Numbers, model_numbers
 from robustlab.statespace import StateSpaceModel
-from robustlab.verification.balls import exact, identity, inverse, midpoints, precision
+from robustlab.verification.balls import Matrix, exact, identity, inverse, midpoints, precision
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 from robustlab.verification.models import model_of
@@ -32,6 +32,7 @@ SHARE = 0.5  # of what lies between the level and the norm, squared, that the fu
 # Levels, over the one that is wanted, at which the equation is solved in doubles: near the norm no digit is left.
 FIRST = (1.0, 1.0001, 1.01, 2.0)
 BITS = 240  # in which residuals are taken
+ROUGH = 1e-2  # relative residual of an equation that a correction makes good
 STEPS = 40  # of Newton's method
 SMALL = 1e-26  # of P: a correction below it changes no digit of two doubles
 
@@ -45,22 +46,23 @@ def norm_matrix(model: StateSpaceModel, gamma: float, norm: float, numbers: Numb
     if not n or not model.n_inputs or not norm < gamma:
         return {}
     claimed: Numbers = {**(model_numbers(model) if numbers is None else numbers), "gamma": np.array(gamma)}
-    t = np.exp2(balancing_exponents(model.A, model.B, model.C).astype(float))
-    A, B, C, D = model.A / t[:, None] * t, model.B / t[:, None], model.C * t, model.D
+    C, D = model.C / gamma, model.D / gamma  # a tiny level beside A would leave the equation without digits
+    t = np.exp2(balancing_exponents(model.A, model.B, C).astype(float))
+    A, B, C = model.A / t[:, None] * t, model.B / t[:, None], C * t
     try:
         into = hinf_norm(StateSpaceModel(A, B, np.eye(n), np.zeros((n, model.n_inputs)), model.dt), 1e-2).upper
     except (InputError, NoTrustworthyNumber):
         return {}
     if not 0 < into < np.inf:
         return {}
-    room = SHARE * (gamma - norm) * (gamma + norm) / into**2
+    room = SHARE * (1 - norm / gamma) * (1 + norm / gamma) / into**2
     solve = dare if model.is_discrete else care
     for more in FIRST:
         try:
             with judged_afterwards():
-                R = D.T @ D - (more * gamma) ** 2 * np.eye(model.n_inputs)
-                X = solve(A, B, C.T @ C + room * np.eye(n), R, C.T @ D).X
-                P, low = _refined(Claim("", claimed), 0.5 * (X + X.T), t, gamma, room)
+                R = D.T @ D - more**2 * np.eye(model.n_inputs)
+                X = gamma**2 * solve(A, B, C.T @ C + room * np.eye(n), R, C.T @ D, tolerance=ROUGH).X
+                P, low = _refined(Claim("", claimed), 0.5 * (X + X.T), t, gamma, gamma**2 * room)
         except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
             continue
         found = {"P": P / t[:, None] / t, "P_low": low / t[:, None] / t}
@@ -88,11 +90,48 @@ def _refined(claim: Claim, X: Array, t: Array, gamma: float, room: float) -> tup
                 raise NoTrustworthyNumber("norm_matrix", "a level that is too low")
             gain = gain * side.transpose()
             residual, loop = midpoints(left + Q - side * gain), midpoints(A - B * gain)
-            step = lyapunov(loop.T, 0.5 * (residual + residual.T), G.dt > 0, tolerance=1e-2)
+            step = lyapunov(loop.T, 0.5 * (residual + residual.T), G.dt > 0, tolerance=ROUGH)
             P = (P + exact(0.5 * (step + step.T))).mid()
             if np.abs(step).max() <= SMALL * np.abs(X).max():
                 break
-        high = midpoints(P)
-        high = 0.5 * (high + high.T)
-        low = midpoints(P - exact(high))
-        return high, 0.5 * (low + low.T)
+        return _in_doubles(P)
+
+
+def gramian_matrix(model: StateSpaceModel, value: float, level: float, numbers: Numbers) -> Numbers:
+    r"""``P`` and ``P_low`` (n, n) that prove the H2 norm ``value`` at the ``level`` above it; nothing where none does.
+
+    :math:`A^T P + P A + C^T C + \varepsilon I = 0` in balanced states, with :math:`\varepsilon` so small that P still
+    proves the level, and solved by residuals in extended precision.
+    """
+    n = model.n_states
+    t = np.exp2(balancing_exponents(model.A, model.B, model.C).astype(float))
+    A, B = model.A / t[:, None] * t, model.B / t[:, None]
+    try:
+        # tr(B'XB) of A'X + XA + I = 0 is what a unit of e costs.
+        unit = lyapunov(A.T, np.eye(n), model.is_discrete, tolerance=ROUGH)
+        cost = float(np.trace(B.T @ unit @ B))
+        e = 0.5 * (level - value) * (level + value) / cost if cost > 0 else 1.0
+        with precision(BITS):
+            G = model_of(Claim("", numbers))
+            into, back = exact(np.diag(1 / t)), exact(np.diag(t))
+            exact_A, C = into * G.A * back, G.C * back
+            Q, P = C.transpose() * C + identity(n) * arb(e), exact(np.zeros((n, n)))
+            for _ in range(STEPS):
+                PA = P * exact_A
+                residual = midpoints((exact_A.transpose() * PA - P if G.dt else PA.transpose() + PA) + Q)
+                step = lyapunov(A.T, 0.5 * (residual + residual.T), model.is_discrete, tolerance=ROUGH)
+                P = (P + exact(0.5 * (step + step.T))).mid()
+                if np.abs(step).max() <= SMALL * np.abs(midpoints(P)).max():
+                    break
+            high, low = _in_doubles(P)
+    except (InputError, NoTrustworthyNumber):
+        return {}
+    return {"P": high / t[:, None] / t, "P_low": low / t[:, None] / t}
+
+
+def _in_doubles(P: Matrix) -> tuple[Array, Array]:
+    """A matrix as the sum of two of doubles, symmetric to the last bit."""
+    high = midpoints(P)
+    high = 0.5 * (high + high.T)
+    low = midpoints(P - exact(high))
+    return high, 0.5 * (low + low.T)

@@ -1,17 +1,18 @@
-"""Claims about norms of a model: H-infinity, over the axis or a band, and H2."""
+"""Claims about norms of a model, or of the loop of a plant and a controller as they are stored: H-infinity and H2.
+
+The checker closes loops itself, in balls: `u = K y`.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.evidence.bounded_real import norm_matrix
-from robustlab.evidence.numbers import ABOVE, Numbers, model_numbers
-from robustlab.linear_analysis.matrix_equations import lyapunov
 from robustlab.norms import HinfNorm
+from robustlab.norms.bounded_real import gramian_matrix, norm_matrix
 from robustlab.norms.impulse_energy import H2Norm
+from robustlab.norms.numbers import ABOVE, Numbers, loop_numbers, model_numbers
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.verification.claim import Claim
 
 
@@ -58,20 +59,24 @@ def h2_claims(found: H2Norm) -> list[Claim]:
 
 
 def gramian_claims(model: StateSpaceModel, value: float, numbers: Numbers | None = None) -> list[Claim]:
-    r"""``A'P + PA + C'C + e I = 0``: with e so small that P still proves ``value`` (1 + 1e-6).
+    """By a Gramian that is a little too large, for the level ``value`` (1 + 1e-6); none where none was found.
 
     ``numbers``: what the model is made of, where it is a loop; else those of the model.
     """
-    n, level = model.n_states, above(value)
-    if not n:
+    numbers, level = model_numbers(model) if numbers is None else numbers, above(value)
+    proof = gramian_matrix(model, value, level, numbers) if model.n_states else {}
+    return [Claim("gramian", {**numbers, "value": np.array(level), **proof})] if proof else []
+
+
+def loop_claims(plant: StateSpaceModel, K: StateSpaceModel, gamma: float) -> list[Claim]:
+    """That K, on the last outputs and inputs of the plant, makes a stable loop with a norm of at most ``gamma``."""
+    if not np.isfinite(gamma):
         return []
-    try:
-        # tr(B'XB) of A'X + XA + I = 0 is what a unit of e costs.
-        unit = lyapunov(model.A.T, np.eye(n), model.is_discrete, tolerance=1e-3)
-        cost = float(np.trace(model.B.T @ unit @ model.B))
-        e = 0.5 * (level - value) * (level + value) / cost if cost > 0 else 1.0
-        P = lyapunov(model.A.T, model.C.T @ model.C + e * np.eye(n), model.is_discrete)
-    except (InputError, NoTrustworthyNumber):
-        return []
-    told = model_numbers(model) if numbers is None else numbers
-    return [Claim("gramian", {**told, "value": np.array(level), "P": 0.5 * (P + P.T)})]
+    numbers, level = loop_numbers(plant, K), above(gamma)
+    proof = proof_of_norm(lower_lft(plant, K), level, gamma, numbers)
+    return [Claim("loop-norm", {**numbers, "gamma": np.array(level), **proof})]
+
+
+def h2_loop_claims(plant: StateSpaceModel, K: StateSpaceModel, value: float) -> list[Claim]:
+    """The same of the H2 norm."""
+    return gramian_claims(lower_lft(plant, K), value, loop_numbers(plant, K)) if np.isfinite(value) else []

@@ -1,4 +1,4 @@
-"""The datasets of a claim, from models, blocks and scalings as the library has them."""
+"""The datasets of a claim, from models and blocks as the library has them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block
 
 Numbers = dict[str, NDArray[Any]]
 
@@ -34,7 +33,7 @@ def loop_numbers(plant: StateSpaceModel, K: StateSpaceModel) -> Numbers:
     }  # fmt: skip
 
 
-def block_rows(blocks: Sequence[Block]) -> NDArray[np.int64]:
+def block_rows(blocks: Sequence[Any]) -> NDArray[np.int64]:
     """``[kind, rows, cols]`` of each block: 0 real, 1 complex number times the identity, 2 a full matrix.
 
     Any other set of matrices is taken as a full block, which holds it.
