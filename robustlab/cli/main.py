@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from robustlab.cli.groups import GROUPS, TYPED, parser
+from robustlab.cli.groups import GROUPS, parser
 
 # One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
 # several times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded.
@@ -97,6 +97,8 @@ def run(arguments: Sequence[str]) -> int:
 
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
+    from robustlab.cli.console import TYPED
+
     command = parser(name)
     TYPED[:] = [name, *rest]
 
