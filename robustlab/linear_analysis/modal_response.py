@@ -210,11 +210,6 @@ class ModalResponse:
             sound = (self._weights[0] / decay).max() < KNOWN and error < np.inf
         return square, float(error) if sound else np.inf
 
-    def proves_stable(self, discrete: bool) -> bool:
-        """Whether Gershgorin puts every eigenvalue of ``Lambda + F`` in the open left half plane, or the unit disk."""
-        margin = 1 - np.abs(self.poles) if discrete else -np.real(self.poles)
-        return bool((margin > SECOND_ORDER * self._weights[0] + 4 * EPS).all())
-
     def above(self, level: float, ends: AnyArray, most: int) -> AnyArray | None:
         r"""Frequencies beyond the first of some increasing ones whose gain exceeds a level; empty where none does.
 

@@ -2,7 +2,7 @@
 
 Rooms, each importing from those above it only:
 
-problem         generalised plants, assumptions, scaling; the rebuilt loop and the second voice
+problem         generalised plants, assumptions, scaling; the rebuilt loop and its certificate
 specifications  weights, tracking problems, loop functions
 laws            what a controller may look like
 nonsmooth       nonsmooth optimisation of loops

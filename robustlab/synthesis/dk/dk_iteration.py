@@ -433,7 +433,7 @@ class _Search:
         why = why_not_less(smallest, start_mu, self.iterates[0].level, floor.bound.value, alone, blocks)
         status, reason = told(
             Status.INACCURATE if doubt else Status.CERTIFIED,
-            [*[doubt] * bool(doubt), *self._reasons(chosen, bool(pieces), order_rel)],
+            self._reasons(chosen, bool(pieces), doubt, order_rel),
             self.budget,
             "a smaller mu",
         )
@@ -467,9 +467,9 @@ class _Search:
         first = np.unique(np.concatenate([default_grid(chosen.loop, FIRST_POINTS, 1.0), around]))
         return mu_curve(chosen.loop, blocks, self.budget.share(0.5), first)
 
-    def _reasons(self, chosen: Iterate, by_intervals: bool, order_rel: float) -> list[str]:
+    def _reasons(self, chosen: Iterate, by_intervals: bool, doubt: str, order_rel: float) -> list[str]:
         how = "constant D, G on intervals that cover the axis" if by_intervals else "the norm of the scaled loop"
-        parts = [f"loop of P and K is stable; mu bound proved in ball arithmetic at all frequencies by {how}"]
+        parts = [doubt or f"loop of P and K is stable; mu bound proved in ball arithmetic at all frequencies by {how}"]
         best = self.best
         if chosen is not best and chosen.level > best.level:
             parts.append(

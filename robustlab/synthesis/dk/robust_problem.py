@@ -261,7 +261,7 @@ class RobustProblem:
             left = left or certified(plant, K, hinf_norm(plant.close(K))).doubt
         if not left:
             return DKProof(beta * max(proof.gamma, 1.0) if mixed else proof.gamma, (), "")
-        return DKProof(best, (), doubt or left)
+        return DKProof(max(best, beta * proof.gamma), (), left or doubt)
 
     def _scaled(self, scalings: DynamicScalings, beta: float) -> GeneralizedPlant:
         """The scaled plant, D22 included."""

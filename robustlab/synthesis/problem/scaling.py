@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import LARGEST, SMALLEST, TINY, balancing_exponents, times_power
-from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 
 # Powers of two by which a loop is faster than A where it gives the unit of time, and the largest factor of a scaling.
@@ -155,43 +154,6 @@ def by_magnitude(p: PlantMatrices, discrete: bool = False) -> Scaling:
         raise NoTrustworthyNumber("scaling", "gains of the controller overflow", None, "choose other units of u and y")
     rate, states, into, out, w, z = (np.ldexp(1.0, e) for e in exponents)
     return Scaling(float(rate), states, into, out, float(w), float(z))
-
-
-def in_ordinary_units(
-    plant: GeneralizedPlant, K: StateSpaceModel, loop: StateSpaceModel
-) -> tuple[GeneralizedPlant, StateSpaceModel, StateSpaceModel, int, int]:
-    """Plant, controller and loop with entries that can be multiplied, exactly; as they are where the plant's can be
-    already, and where there are no such units.
-
-    Two exponents lead back: frequencies are ``2^rate`` and closed-loop gains ``2^-gain`` times those of what is
-    returned.
-    """
-    matrices, m = plant.matrices(), plant.model
-    if _is_ordinary(matrices):
-        return plant, K, loop, 0, 0
-    try:
-        s = by_magnitude(matrices, m.is_discrete)
-        k, w, z, t, u, y = (_exponent(x) for x in (s.rate, s.w, s.z, s.states, s.u, s.y))
-        into = np.concatenate([np.full(plant.n_w, w), u])
-        out = np.concatenate([np.full(plant.n_z, z), y])
-        P, rebuilt = _exactly(m, k, t, into, out), _exactly(loop, k, 0, w, z)
-        return replace(plant, model=P), _exactly(K, k, 0, -y, -u), rebuilt, int(k), int(w + z)
-    except (NoTrustworthyNumber, InputError):
-        return plant, K, loop, 0, 0
-
-
-def _exactly(
-    m: StateSpaceModel, rate: AnyArray, states: AnyArray | int, into: AnyArray, out: AnyArray
-) -> StateSpaceModel:
-    """The model in the unit of time ``2^-rate``, with scaled states, inputs and outputs, all by exponents."""
-    t, out = np.broadcast_to(states, m.n_states), np.broadcast_to(out, m.n_outputs)[:, None]
-    exponents = -t[:, None] + t - rate, -t[:, None] + into - rate, t + out, out + into
-    given = m.A, m.B, m.C, m.D
-    parts = [times_power(part, e) for part, e in zip(given, exponents, strict=True)]
-    for part, scaled, e in zip(given, parts, exponents, strict=True):
-        if not np.array_equal(times_power(scaled, -e), part):
-            raise NoTrustworthyNumber("scaling", "entries that are no floating-point numbers after it")
-    return StateSpaceModel(*parts, dt=m.dt, inputs=m.inputs, outputs=m.outputs)
 
 
 def _to_one(*scaled: tuple[AnyArray, AnyArray | int]) -> int:

@@ -75,17 +75,3 @@ def test_the_error_is_within_its_bound(damping, spread):
             assert np.isinf(each_bound).all() or (np.abs(each - exact) <= each_bound + 1e-15 * np.abs(exact)).all()
             A, B = matrices[:2]
             assert np.linalg.norm(np.linalg.solve(s * np.eye(4) - A, B)) <= 1.01 * states or bound == np.inf
-
-
-@pytest.mark.parametrize("discrete", [False, True])
-def test_modes_prove_what_is_stable_and_nothing_else(discrete):
-    for seed in range(20):
-        A, B, C, D = model(seed, 6, 10.0 ** -(seed % 5), seed % 3)
-        A = np.linalg.solve(np.eye(6) - 0.05 * A, np.eye(6) + 0.05 * A) if discrete else A
-        assert ModalResponse.of(A, B, C, D).proves_stable(discrete)
-        poles = np.linalg.eigvals(A)
-        # The mode nearest to the boundary moves onto it, and over it.
-        for over in (0.0, 1e-9):
-            moved = A / np.abs(poles).max() * (1 + over) if discrete else A - (poles.real.max() - over) * np.eye(6)
-            modes = ModalResponse.of(moved, B, C, D)
-            assert modes is None or not modes.proves_stable(discrete)
