@@ -208,10 +208,10 @@ def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
     for m in "ABCD":
         size = np.zeros(d.E.shape)
         size[d.part(m)] = np.abs(d.E[d.part(m)])
-        rows, columns = size.any(axis=1), size.any(axis=0)
-        if rows.any():
+        rows, columns = np.flatnonzero(size.any(axis=1)), np.flatnonzero(size.any(axis=0))
+        if len(rows):
             root = float(np.sqrt(np.linalg.norm(size, 2)))
-            parts.append(_Part(m, root * np.eye(len(rows))[:, rows], root * np.eye(len(columns))[columns]))
+            parts.append(_Part(m, root * np.eye(size.shape[0])[:, rows], root * np.eye(size.shape[1])[columns]))
     return _assemble(first, parts, full=True)
 
 
