@@ -211,7 +211,7 @@ def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
         rows, columns = np.flatnonzero(size.any(axis=1)), np.flatnonzero(size.any(axis=0))
         if len(rows):
             root = float(np.sqrt(np.linalg.norm(size, 2)))
-            parts.append(_Part(m, root * np.eye(size.shape[0])[:, rows], root * np.eye(size.shape[1])[columns]))
+            parts.append(_Part(m, root * np.eye(len(d.E))[:, rows], root * np.eye(len(d.E.T))[columns]))
     return _assemble(first, parts, full=True)
 
 
