@@ -219,7 +219,7 @@ def plain_text(text: str) -> str:
 _STEPS = {
     *("bilinear map", "care", "central controller", "controller", "coprime factors", "dare", "evaluate"),
     *("frequency axis", "gramians", "H-infinity Riccati test", "lifting", "lower_lft", "lyapunov", "lyapunov_factors"),
-    *("perturbed_model", "residualisation", "scaling", "stable part", "upper_lft"),
+    *("residualisation", "scaling", "stable part", "upper_lft"),
 }
 
 

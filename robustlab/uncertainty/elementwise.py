@@ -193,6 +193,28 @@ def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResi
     return EndpointResidual(absolute, relative)
 
 
+def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
+    r"""A small set around the element-wise one: a full block for each of A, B, C, D that differ, named by it.
+
+    With E the differences of one matrix and :math:`|\delta_{ij}| \le 1` for each entry by itself,
+    :math:`\|E \circ \delta\| \le \| |E| \| = s` (Horn, Johnson 2013, theorem 8.1.18), so that
+    :math:`E \circ \delta = s \Delta` with :math:`\|\Delta\| \le 1` on the rows and columns in which the models differ.
+    What is proved for this set holds for ``elementwise(..., "elements")``. It costs four scalings, not dozens; members
+    come in that no entries can make, complex and dynamic ones among them.
+    """
+    first, second = as_model(nominal, "elementwise: nominal"), as_model(perturbed, "elementwise: perturbed")
+    check_pair(first, second)
+    d, parts = _difference(first, second, 0.0), []
+    for m in "ABCD":
+        size = np.zeros(d.E.shape)
+        size[d.part(m)] = np.abs(d.E[d.part(m)])
+        rows, columns = np.flatnonzero(size.any(axis=1)), np.flatnonzero(size.any(axis=0))
+        if len(rows):
+            root = float(np.sqrt(np.linalg.norm(size, 2)))
+            parts.append(_Part(m, root * np.eye(len(d.E))[:, rows], root * np.eye(len(d.E.T))[columns]))
+    return _assemble(first, parts, full=True)
+
+
 # --- the difference of two models ------------------------------------------------------------------------------------
 
 
@@ -383,10 +405,11 @@ def _unique(names: list[str], numbered: list[str]) -> list[str]:
 # --- the uncertain model ---------------------------------------------------------------------------------------------
 
 
-def _assemble(nominal: StateSpaceModel, parts: list[_Part]) -> UncertainModel:
+def _assemble(nominal: StateSpaceModel, parts: list[_Part], full: bool = False) -> UncertainModel:
     """Eqs 10.8, 10.9: the nominal model with the channels of Delta in front."""
     n, m = nominal.n_states, nominal
-    size = sum(part.right.shape[0] for part in parts)
+    into, out = {p.name: p.left.shape[1] for p in parts}, {p.name: p.right.shape[0] for p in parts}
+    size = sum(out.values())
     if size > MAX_STATES:
         raise InputError(
             "elementwise", f"{size} channels of Delta", f"at most {MAX_STATES}", "use structure matrices or single"
@@ -397,65 +420,26 @@ def _assemble(nominal: StateSpaceModel, parts: list[_Part]) -> UncertainModel:
         m.A,
         np.hstack([left[:n], m.B]),
         np.vstack([right[:, :n], m.C]),
-        np.block([[np.zeros((size, size)), right[:, n:]], [left[n:], m.D]]),
+        np.block([[np.zeros((size, left.shape[1])), right[:, n:]], [left[n:], m.D]]),
         m.dt,
-        _channels("w", parts, m.input_names) + list(m.inputs),
-        _channels("z", parts, m.output_names) + list(m.outputs),
+        _channels("w", into, m.input_names) + list(m.inputs),
+        _channels("z", out, m.output_names) + list(m.outputs),
         m.states,
         where="elementwise",
     )
-    return UncertainModel(model, [RealScalar(p.name, p.right.shape[0]) for p in parts], m.operating_point)
+    blocks = [FullBlock(name, r, out[name]) if full else RealScalar(name, r) for name, r in into.items()]
+    return UncertainModel(model, blocks, m.operating_point)
 
 
-def _channels(prefix: str, parts: list[_Part], taken: Sequence[str]) -> list[Signal]:
+def _channels(prefix: str, sizes: Mapping[str, int], taken: Sequence[str]) -> list[Signal]:
     """Names of the Delta channels, for example ``w:A[omega,i]`` or ``w:A#2``; none of them is a signal of the model."""
     while any(name.startswith(f"{prefix}:") for name in taken) and len(prefix) < 10:
         prefix += prefix[0]
-    names = []
-    for part in parts:
-        r = part.right.shape[0]
-        names += [f"{prefix}:{part.name}" if r == 1 else f"{prefix}:{part.name}#{k + 1}" for k in range(r)]
-    return [Signal(name) for name in names]
+    names = [f"{name}#{k + 1}" if r > 1 else name for name, r in sizes.items() for k in range(r)]
+    return [Signal(f"{prefix}:{name}") for name in names]
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------
-
-
-def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
-    r"""A small set around the element-wise one: a full block for each of A, B, C, D that differ, named by it.
-
-    With E the differences of one matrix and :math:`|\delta_{ij}| \le 1` for each entry by itself,
-    :math:`\|E \circ \delta\| \le \| |E| \| = s` (Horn, Johnson 2013, theorem 8.1.18), so that
-    :math:`E \circ \delta = s \Delta` with :math:`\|\Delta\| \le 1` on the rows and columns in which the models differ.
-    What is proved for this set holds for ``elementwise(..., "elements")``. It costs four scalings, not dozens; members
-    come in that no entries can make, complex and dynamic ones among them.
-    """
-    first, second = as_model(nominal, "elementwise: nominal"), as_model(perturbed, "elementwise: perturbed")
-    check_pair(first, second)
-    n, n_u, n_y = first.n_states, first.n_inputs, first.n_outputs
-    left, right, blocks = [np.zeros((n + n_y, 0))], [np.zeros((0, n + n_u))], []
-    for kind, row, column in (("A", 0, 0), ("B", 0, n), ("C", n, 0), ("D", n, n)):
-        size = np.abs(getattr(second, kind) - getattr(first, kind))
-        rows, columns = np.flatnonzero(size.any(axis=1)), np.flatnonzero(size.any(axis=0))
-        if not len(rows):
-            continue
-        root = float(np.sqrt(np.linalg.norm(size, 2)))
-        left.append(root * np.eye(n + n_y)[:, row + rows])
-        right.append(root * np.eye(n + n_u)[column + columns])
-        blocks.append(FullBlock(kind, len(rows), len(columns)))
-    into, out = np.hstack(left), np.vstack(right)
-    M = StateSpaceModel(
-        first.A,
-        np.hstack([into[:n], first.B]),
-        np.vstack([out[:, :n], first.C]),
-        np.block([[np.zeros((len(out), into.shape[1])), out[:, n:]], [into[n:], first.D]]),
-        first.dt,
-        [*(f"w_{b.name}_{i + 1}" for b in blocks for i in range(b.rows)), *first.inputs],
-        [*(f"z_{b.name}_{i + 1}" for b in blocks for i in range(b.cols)), *first.outputs],
-        first.states,
-        where="elementwise",
-    )
-    return UncertainModel(M, blocks)
 
 
 def check_pair(

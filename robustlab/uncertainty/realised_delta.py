@@ -28,10 +28,8 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
-from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix
-from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.upper_lft import ILL_POSED
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import Block, delta_matrix
 
 # Where only real values exist (omega = 0, the end of the axis), imaginary parts up to this share are rounding.
 REAL = 1e-7
@@ -54,7 +52,7 @@ def realise_delta(
     Notes
     -----
     With a critical Delta of `robust_stability` the loop of these systems has a pole at :math:`j \omega_0`
-    (`perturbed_model`), so the loss of stability can be replayed in the time domain.
+    (`UncertainModel.evaluate`), so the loss of stability can be replayed in the time domain.
 
     Examples
     --------
@@ -81,72 +79,6 @@ def realise_delta(
         matrix = value.reshape(block.value_shape)
         result[block.name] = _realised(matrix, float(omega), dt, f"{where}: block {block.name!r}")
     return result
-
-
-@told_as("perturbed_model")
-def perturbed_model(uncertain: UncertainModel, delta: Mapping[str, Any]) -> StateSpaceModel:
-    """The member of the set for blocks that are numbers, real matrices or models, such as `realise_delta` gives.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import FullBlock
-    >>> M = StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    >>> lag = UncertainModel(M, [FullBlock("d", 1, 1)])
-    >>> perturbed_model(lag, {"d": StateSpaceModel([[-3.0]], [[1.0]], [[1.0]], [[0.0]])}).n_states
-    2
-    """
-    blocks, M = uncertain.blocks, uncertain.M
-    systems = {name: value for name, value in delta.items() if not _is_constant(value)}
-    constant = delta_matrix(blocks, {name: value for name, value in delta.items() if name not in systems})
-    delta_matrix(blocks, dict.fromkeys(systems.keys() - {b.name for b in blocks}, 0.0))  # unknown names
-    if np.iscomplexobj(constant):
-        raise InputError("perturbed_model", "a complex value", "real values and models", "realise_delta makes models")
-    q, p = uncertain.delta_shape
-    made = _block_diagonal(blocks, systems, constant, M.dt)
-    loop = np.eye(p) - M.D[:p, :q] @ made.D
-    if p and q and np.linalg.cond(loop) > ILL_POSED:
-        raise NoTrustworthyNumber("perturbed_model", "I - D11 D_Delta is singular: the perturbed model is ill-posed")
-    # The Delta channels come last for lower_lft.
-    w, z = np.r_[q : M.n_inputs, 0:q], np.r_[p : M.n_outputs, 0:p]
-    turned = StateSpaceModel(
-        M.A, M.B[:, w], M.C[z], M.D[z[:, None], w], M.dt, [M.inputs[i] for i in w], [M.outputs[i] for i in z], M.states
-    )
-    return lower_lft(turned, made)
-
-
-def _is_constant(value: Any) -> bool:
-    return isinstance(value, (int, float, complex, np.generic, np.ndarray, list, tuple))
-
-
-def _block_diagonal(blocks: Sequence[Block], systems: Mapping[str, Any], constant: Array, dt: float) -> StateSpaceModel:
-    """Delta as one model with p inputs (z) and q outputs (w); ``constant`` (q, p) holds the constant blocks."""
-    from scipy.linalg import block_diag
-
-    q, p = constant.shape
-    A, B, C = np.zeros((0, 0)), np.zeros((0, p)), np.zeros((q, 0))
-    D = constant.copy()
-    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
-        if block.name not in systems:
-            continue
-        where = f"perturbed_model: block {block.name!r}"
-        if block.is_real:
-            raise InputError(where, "a model", "a number: the block is a real scalar")
-        m = as_model(systems[block.name], where)
-        shape = block.value_shape
-        if m.D.shape != shape:
-            raise InputError(where, f"a model of {m.n_outputs} x {m.n_inputs}", f"{shape[0]} x {shape[1]}")
-        if m.dt != dt and m.n_states:
-            raise InputError(where, f"dt = {m.dt:g} s", f"{dt:g} s, as the uncertain model")
-        copies = block.rows // shape[0]
-        a, b, c, d = (np.kron(np.eye(copies), part) for part in (m.A, m.B, m.C, m.D))
-        n, more = len(A), len(a)
-        A = np.asarray(block_diag(A, a)).reshape(n + more, n + more)
-        B = np.vstack([B, np.zeros((more, p))])
-        B[n:, z] = b
-        C = np.hstack([C, np.zeros((q, more))])
-        C[w, n:] = c
-        D[w, z] = d
-    return StateSpaceModel(A, B, C, D, dt, where="perturbed_model")
 
 
 # --- realisation -----------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from robustlab.shown import AllFields, Facts, Shown, number
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+from robustlab.uncertainty.realised_delta import realise_delta
 
 __all__ = ["CriticalResponse", "block_sensitivities", "pole_block_sensitivities", "replay"]
 
@@ -113,7 +113,7 @@ def _member(uncertain: UncertainModel, margin: Margin, factor: float) -> StateSp
     values = {name: factor * value for name, value in margin.delta.items()}
     frequency = margin.frequency
     assert frequency is not None
-    return perturbed_model(uncertain, realise_delta(uncertain.blocks, values, frequency, uncertain.dt))
+    return uncertain.evaluate(realise_delta(uncertain.blocks, values, frequency, uncertain.dt))
 
 
 def _slowest(nominal: StateSpaceModel) -> float:

@@ -42,7 +42,7 @@ from robustlab.result import Bracket, Status
 from robustlab.shown import Facts, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+from robustlab.uncertainty.realised_delta import realise_delta
 
 NORM_WIDTH = 1e-9  # relative width of the bracket of the small-gain test's norm
 
@@ -204,7 +204,7 @@ def replayed_pole(closed: UncertainModel, delta: Mapping[str, Any], frequency: f
         return None, True
     made = realise_delta(closed.blocks, delta, frequency, closed.dt)
     try:
-        poles = perturbed_model(closed, made).poles()
+        poles = closed.evaluate(made).poles()
     except NoTrustworthyNumber:  # singular in the direct term as well
         return None, True
     at = np.exp(1j * frequency * closed.dt) if closed.dt else 1j * frequency

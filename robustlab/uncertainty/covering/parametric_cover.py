@@ -26,7 +26,7 @@ from robustlab.checks import number, whole
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
-from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, system_matrices
+from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, model_of, system_matrices
 from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -103,8 +103,8 @@ def _hull(
         still &= furthest <= allowance
     above, below = np.where(still, 0.0, above), np.where(still, 0.0, below)
     first = models[0] if nominal is None else nominal
-    centre = _model_of(middle, first)
-    made = elementwise(centre, _model_of(middle + above, first), "elements")
+    centre = model_of(middle, first)
+    made = elementwise(centre, model_of(middle + above, first), "elements")
     at = _entries(middle + above - middle, first.n_states)
     blocks = [
         RealScalar(b.name, b.rows, _range(float(middle[i, j]), float(above[i, j]), float(below[i, j])))
@@ -162,11 +162,11 @@ def _directions(
     order = np.argsort(-half, kind="stable")
     order = order[half[order] > ROUNDING]
     kept, along, centre, half = kept[order], along[:, order], centre[order], half[order]
-    nominal = _model_of(middle + scale * (centre @ kept).reshape(scale.shape), models[0])
+    nominal = model_of(middle + scale * (centre @ kept).reshape(scale.shape), models[0])
     (start,) = system_matrices([nominal])
     names = [f"direction{j + 1}" for j in range(len(half))]
     ends = {
-        name: _model_of(start + scale * (half[j] * kept[j]).reshape(scale.shape), models[0])
+        name: model_of(start + scale * (half[j] * kept[j]).reshape(scale.shape), models[0])
         for j, name in enumerate(names)
     }
     made = by_cause(nominal, ends) if ends else UncertainModel(nominal, [])
@@ -184,11 +184,3 @@ def _needed(cloud: Array, axes: Array, tolerance: float) -> int:
             return count
         rest = rest - np.outer(rest @ axes[count], axes[count])
     return len(axes)
-
-
-def _model_of(s: Array, like: StateSpaceModel) -> StateSpaceModel:
-    n = like.n_states
-    return StateSpaceModel(
-        s[:n, :n], s[:n, n:], s[n:, :n], s[n:, n:], like.dt, like.inputs, like.outputs, like.states,
-        where="cover",
-    )  # fmt: skip

@@ -40,7 +40,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array, Mask
+from robustlab.arrays import AnyArray, Array, Indices
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
@@ -89,6 +89,13 @@ def _without_states(model: StateSpaceModel) -> StateSpaceModel:
 def system_matrices(models: Iterable[StateSpaceModel]) -> Array:
     """``[A B; C D]`` of each model, shape (n_models, n_x + n_y, n_x + n_u)."""
     return np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in models])
+
+
+def model_of(s: Array, like: StateSpaceModel) -> StateSpaceModel:
+    """The model of ``[A B; C D]`` with the signals and states of another one."""
+    n = like.n_states
+    signals = like.inputs, like.outputs, like.states
+    return StateSpaceModel(s[:n, :n], s[:n, n:], s[n:, :n], s[n:, n:], like.dt, *signals, where="cover")
 
 
 def matrices_miss(reached: StateSpaceModel, wanted: StateSpaceModel) -> float:
@@ -257,17 +264,8 @@ def _middle(models: tuple[StateSpaceModel, ...]) -> list[tuple[int | None, State
     first = models[0]
     if any(m.state_names != first.state_names for m in models):
         return []
-    stack, n = system_matrices(models), first.n_states
-    s = 0.5 * (stack.min(axis=0) + stack.max(axis=0))
-    return [
-        (
-            0,
-            StateSpaceModel(
-                s[:n, :n], s[:n, n:], s[n:, :n], s[n:, n:], first.dt, first.inputs, first.outputs, first.states,
-                where="cover",
-            ),
-        )
-    ]  # fmt: skip
+    stack = system_matrices(models)
+    return [(0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), first))]
 
 
 # --- errors by frequency ---------------------------------------------------------------------------------------------
@@ -449,14 +447,14 @@ def _proper_quotient(below: StateSpaceModel, above: StateSpaceModel) -> tuple[St
     """``(P below)^-1`` and ``P above``, with powers of s + a (discrete: z) in a diagonal P that make it invertible."""
     a = 0.0 if below.is_discrete else float(np.abs(below.poles()).max(initial=0.0)) or 1.0
     for _ in range(below.n_states):
-        rows = ~(below.D.any(axis=1) | above.D.any(axis=1))
-        if not rows.any():
+        rows = np.flatnonzero(~(below.D.any(axis=1) | above.D.any(axis=1)))
+        if not len(rows):
             break
         below, above = (_times_s(m, rows, a) for m in (below, above))
     return below.inverse(), above
 
 
-def _times_s(m: StateSpaceModel, rows: Mask, a: float) -> StateSpaceModel:
+def _times_s(m: StateSpaceModel, rows: Indices, a: float) -> StateSpaceModel:
     """The rows of a model that have no direct way times s + a, for proper rows."""
     C, D = m.C.copy(), m.D.copy()
     C[rows], D[rows] = m.C[rows] @ m.A + a * m.C[rows], m.C[rows] @ m.B

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.uncertainty.blocks import delta_values
-from robustlab.uncertainty.realised_delta import perturbed_model, realise_delta
+from robustlab.uncertainty.realised_delta import realise_delta
 
 SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (3, 3), (4, 2), (2, 5)]
 
@@ -99,7 +99,7 @@ def test_a_singularising_delta_puts_a_pole_on_the_stability_boundary(dt, seed, o
     model = uncertain(dt, seed)
     bounds = rl.mu(rl.frequency_response(model.delta_channels, [omega])[0], model.blocks)
     delta = delta_values(model.blocks, bounds.delta)
-    loop = perturbed_model(model, realise_delta(model.blocks, delta, omega, dt))
+    loop = model.evaluate(realise_delta(model.blocks, delta, omega, dt))
     at = np.exp(1j * omega * dt) if dt else 1j * omega
     assert np.abs(loop.poles() - at).min() <= 1e-6
     # With less of it the loop of systems has, at that frequency, the response of the loop of numbers.
@@ -107,7 +107,7 @@ def test_a_singularising_delta_puts_a_pole_on_the_stability_boundary(dt, seed, o
     made = realise_delta(model.blocks, less, omega, dt)
     assert made["r"] == less["r"]
     direct = model.response([omega], less)
-    difference = rl.frequency_response(perturbed_model(model, made), [omega]) - direct
+    difference = rl.frequency_response(model.evaluate(made), [omega]) - direct
     assert np.abs(difference).max() <= 1e-8 * np.abs(direct).max()
 
 
@@ -115,16 +115,6 @@ def test_the_critical_delta_of_a_margin_is_replayed():
     M = rl.StateSpaceModel([[0, 1], [-1, -0.2]], [[0, 0], [1, 1]], [[1, 0.5], [1, 0]], np.zeros((2, 2)))
     model = rl.UncertainModel(M, [rl.ComplexScalar("d")])
     margin = rl.robust_stability(model)
-    loop = perturbed_model(model, realise_delta(model.blocks, margin.delta, margin.frequency))
+    loop = model.evaluate(realise_delta(model.blocks, margin.delta, margin.frequency))
     assert np.abs(loop.poles() - 1j * margin.frequency).min() <= 1e-7
     assert loop.spectral_abscissa() <= 1e-7
-
-
-def test_perturbed_model_agrees_with_evaluate_for_real_values():
-    model = uncertain(0.0)
-    values = {"r": 0.3, "f": np.arange(6.0).reshape(3, 2) / 10}
-    given = {"r": 0.3, "f": rl.StateSpaceModel([], [], [], np.arange(6.0).reshape(3, 2) / 10)}
-    for a, b in zip("ABCD", "ABCD", strict=True):
-        expected = getattr(model.evaluate(values), a)
-        assert getattr(perturbed_model(model, given), b) == pytest.approx(expected, abs=1e-12)
-        assert getattr(perturbed_model(model, values), b) == pytest.approx(expected, abs=1e-12)

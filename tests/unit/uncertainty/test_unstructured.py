@@ -105,11 +105,9 @@ def test_scalar_and_diagonal_weights():
 
 
 def test_a_dynamic_delta_goes_in_as_a_system():
-    from robustlab.uncertainty.realised_delta import perturbed_model
-
     G, W = model(3, 2, 2, 5), rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.1]])
     E = model(2, 2, 2, 6)
-    made = perturbed_model(unstructured(G, W, "output-multiplicative"), {"unmodelled": E})
+    made = unstructured(G, W, "output-multiplicative").evaluate({"unmodelled": E})
     for w in (0.2, 3.0):
         g, weight, e = (rl.frequency_response(s, [w])[0] for s in (G, W, E))
         assert rl.frequency_response(made, [w])[0] == pytest.approx((np.eye(2) + e * weight) @ g)
