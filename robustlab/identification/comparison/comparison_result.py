@@ -342,7 +342,8 @@ class Comparison(Tabular, Evidence):
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields; without ``series`` the time series and the densities over frequency are left out."""
-        data: dict[str, object] = {key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS} | {
+        data: dict[str, object] = {
+            **{key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS},
             "percent_of": self.percent_of,
             "worst_window": self.worst_window,
             "speed": {**self._of_motions(signal="speed_source", unit="speed_unit"), "bins": self.speed},

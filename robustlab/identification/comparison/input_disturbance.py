@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Indices, Mask
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
@@ -112,7 +112,7 @@ def input_disturbances(
 
 
 def joint_disturbances(
-    response: MotionResponse, smoothed: SmoothedRecord, error: Array, edges: Array, motions: Sequence[Motion]
+    response: MotionResponse, smoothed: SmoothedRecord, error: Array, edges: Indices, motions: Sequence[Motion]
 ) -> dict[str, InputDisturbance]:
     """One at each joint of a nonlinear plant, or at each input of one without joints.
 
@@ -168,7 +168,7 @@ def _disturbance(
     # Samples closer than half a period of the bandwidth say the same.
     independent = min(1.0, 2.0 * float(smoothed.bandwidth.min()) * dt)
 
-    def mean(chosen: Array) -> tuple[float, float]:
+    def mean(chosen: Mask) -> tuple[float, float]:
         n = int(chosen.sum())
         if not n:
             return np.nan, np.nan
