@@ -3,7 +3,6 @@
 comparison                  `compare`
 along_motion                the same for a nonlinear plant, about the recorded motion, joint by joint
 error_analysis              what linear and nonlinear plants share
-comparison_parts            sizes of the gap, errors of windows, tests of the residual, reach of the free run
 comparison_result           `Comparison` and its text
 localisation                over time, speed, position, amplitude, direction and frequency; as an addition to the input
 residual_tests              is the residual white, is it independent of the input; even and odd nonlinearity

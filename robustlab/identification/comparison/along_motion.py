@@ -19,9 +19,10 @@ from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, input_signal
 from robustlab.dynamics.ports.motion_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.comparison_parts import FreeRun, Linearisation
 from robustlab.identification.comparison.comparison_result import POSE, Comparison
 from robustlab.identification.comparison.error_analysis import (
+    FreeRun,
+    Linearisation,
     even_odd_test,
     kept,
     localised,
@@ -150,11 +151,7 @@ def compare_along(
     period: float | None,
     repeats: Sequence[Record],
 ) -> Comparison:
-    """`robustlab.identification.comparison.comparison.compare` for a nonlinear plant.
-
-    Raises InputError: as there; a joint whose position is not recorded, an output that shows more than one state,
-    samples missing; NoTrustworthyNumber: a motion that the plant cannot have: its equations have no value there.
-    """
+    """`robustlab.identification.comparison.comparison.compare` for a nonlinear plant."""
     response, outputs, record, noted, smoothed = _response(plant, record)
     names, inputs = [s.name for s in outputs], [s.name for s in plant.inputs]
     whole, x, u = response.whole, response.course.x, response.course.u

@@ -25,9 +25,9 @@ from robustlab.identification.comparison.best_linear_approximation import (
     arbitrary_bla,
     periodic_bla,
 )
-from robustlab.identification.comparison.comparison_parts import FreeRun
 from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.error_analysis import (
+    FreeRun,
     even_odd_test,
     excitation,
     kept,

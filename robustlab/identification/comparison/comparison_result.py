@@ -10,7 +10,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.identification.comparison.best_linear_approximation import BestLinearApproximation
-from robustlab.identification.comparison.comparison_parts import (
+from robustlab.identification.comparison.error_analysis import (
     FreeRun,
     Linearisation,
     OutputGap,
@@ -197,12 +197,11 @@ class Comparison(Tabular, Evidence):
     def facts(self) -> Facts:
         """What was compared, the error of each output in windows, then in free run, and where it is largest."""
         gaps = [
-            (
-                f"{name}: in windows",
-                f"rms error {number(g.windowed_rms, g.unit)} ({g.windowed_rms_percent:.3g} % of its range)",
-            )
+            (f"{name}: in windows", _errors(
+                g.unit, g.windowed_peak, g.windowed_peak_percent, g.windowed_rms, g.windowed_rms_percent, g.windowed_fit
+            ))
             for name, g in self.outputs.items()
-        ]
+        ]  # fmt: skip
         end = "" if self.free_run.whole else f"ends at {number(self.free_run.end, 's')}: {self.free_run.reason}"
         return [
             ("model", self.model),
@@ -228,7 +227,6 @@ class Comparison(Tabular, Evidence):
         """The error of an output in free run and in windows, and where the windowed error is largest."""
         g, motion = self.outputs[name], self.motions[name]
         free = _errors(g.unit, g.peak, g.peak_percent, g.rms, g.rms_percent, g.fit) if self.free_run.whole else ""
-        sizes = g.windowed_peak, g.windowed_peak_percent, g.windowed_rms, g.windowed_rms_percent, g.windowed_fit
         places = ["{:.3g} to {:.3g} s".format(*self.worst_window[name])]
         for bins, over, unit in (
             (self.speed.get(name), "of speed", motion.speed_unit),
@@ -239,7 +237,6 @@ class Comparison(Tabular, Evidence):
                 places.append(f"{worst.low:.3g} to {worst.high:.3g} {unit} {over}")
         return [
             (f"{name}: free run", free),
-            (f"{name}: restarted every {number(self.window, 's', 3)}", _errors(g.unit, *sizes)),
             (f"{name}: where", f"windowed error largest at {'; at '.join(places)}"),
             (f"{name}: noise", self._noise_in_words(name)),
             (f"{name}: residual", self._residual_in_words(name)),
@@ -345,7 +342,8 @@ class Comparison(Tabular, Evidence):
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """All fields; without ``series`` the time series and the densities over frequency are left out."""
-        data: dict[str, object] = {key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS} | {
+        data: dict[str, object] = {
+            **{key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS},
             "percent_of": self.percent_of,
             "worst_window": self.worst_window,
             "speed": {**self._of_motions(signal="speed_source", unit="speed_unit"), "bins": self.speed},

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Indices, Mask
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
@@ -104,24 +104,15 @@ def input_disturbances(
             continue
         d = smoothed.d[:, 0]
         alone = StateSpaceModel(model.A, push[:, None], model.C, np.zeros((len(noise), 1)), 0.0, ["d"], model.outputs)
-        left = windowed_error(
-            Response(alone, response.outputs, ()), Stretch(whole.t, {"d": d}, error, whole.weight), length
-        )
-        found[key] = _disturbance(
-            place,
-            unit,
-            smoothed,
-            0,
-            motion,
-            response.output_names,
-            error / smoothed.noise_std,
-            left / smoothed.noise_std,
-        )
+        pushed = Stretch(whole.t, {"d": d}, error, whole.weight)
+        left = windowed_error(Response(alone, response.outputs, ()), pushed, length)
+        errors = [e / smoothed.noise_std for e in (error, left)]
+        found[key] = _disturbance(place, unit, smoothed, 0, motion, response.output_names, *errors)
     return found
 
 
 def joint_disturbances(
-    response: MotionResponse, smoothed: SmoothedRecord, error: Array, edges: Array, motions: Sequence[Motion]
+    response: MotionResponse, smoothed: SmoothedRecord, error: Array, edges: Indices, motions: Sequence[Motion]
 ) -> dict[str, InputDisturbance]:
     """One at each joint of a nonlinear plant, or at each input of one without joints.
 
@@ -177,7 +168,7 @@ def _disturbance(
     # Samples closer than half a period of the bandwidth say the same.
     independent = min(1.0, 2.0 * float(smoothed.bandwidth.min()) * dt)
 
-    def mean(chosen: Array) -> tuple[float, float]:
+    def mean(chosen: Mask) -> tuple[float, float]:
         n = int(chosen.sum())
         if not n:
             return np.nan, np.nan
@@ -186,20 +177,17 @@ def _disturbance(
 
     speed = motion.speed
     rest = 0.0 if speed is None else REST * float(np.abs(speed).max())
-    ways = [np.zeros(len(d), dtype=bool)] * 2 if speed is None else [speed > rest, speed < -rest]
-    (forward, forward_std), (backward, backward_std) = (mean(way) for way in ways)
+    none, every = np.zeros(len(d), dtype=bool), np.ones(len(d), dtype=bool)
+    ways = [every, none, none] if speed is None else [every, speed > rest, speed < -rest]
     before, after = (error**2).sum(axis=0), (left**2).sum(axis=0)
     shares = np.divide(before - after, before, out=np.zeros_like(before), where=before > 0)
     total = float(before.sum())
+    over_speed = () if speed is None else bins(speed, d, speed_edges(speed))
+    (m, m_std), (forward, forward_std), (backward, backward_std) = (mean(way) for way in ways)
     return InputDisturbance(
-        place=place, unit=unit, value=d, std=std, speed=speed,
-        speed_source=motion.speed_source,
-        over_speed=() if speed is None else bins(speed, d, speed_edges(speed)),
-        rms=float(np.sqrt((d**2).mean())),
-        mean=mean(np.ones(len(d), dtype=bool))[0], mean_std=mean(np.ones(len(d), dtype=bool))[1],
-        forward=forward, forward_std=forward_std, backward=backward, backward_std=backward_std,
-        shares=dict(zip(names, shares.tolist(), strict=True)),
-        explained_share=max(0.0, 1.0 - float(after.sum()) / total) if total else 0.0,
+        place, unit, d, std, speed, motion.speed_source, over_speed, float(np.sqrt((d**2).mean())),
+        m, m_std, forward, forward_std, backward, backward_std, dict(zip(names, shares.tolist(), strict=True)),
+        max(0.0, 1.0 - float(after.sum()) / total) if total else 0.0,
     )  # fmt: skip
 
 

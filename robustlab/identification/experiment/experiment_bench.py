@@ -1,7 +1,4 @@
-"""Experiments of a menu as records that hypotheses predict, and how far apart the hypotheses are there.
-
-The menu has simple test signals.
-"""
+"""Experiments of a menu as records that hypotheses predict, and how far apart the hypotheses are there."""
 
 from __future__ import annotations
 
@@ -80,41 +77,28 @@ def experiment_menu(
         waves = np.cos(2.0 * np.pi * np.outer(t / cycle, order) + phase).sum(axis=1)
         return waves / np.abs(waves).max()
 
-    def seconds(beats: float) -> str:
-        return f"{_rounded(beats * beat, dt):.3g} s"
-
     block = round(8.0 * beat / dt)
     parts = (held(0.5, 1, -1, 0.5, -0.5, 0.1, -0.1), 0.3 * triangle(2), 0.08 * triangle(2), 0.03 * sine(0.25))
     lengths = [round(share * block) for share in (0.375, 0.25, 0.25, 0.125)]
     rich = np.concatenate([part[: min(n, samples)] for part, n in zip(parts, lengths, strict=True)])
     shapes = {
-        "one-way steps": (held(1, 0.25, 0.6, 1, 0.4, 0.8), f"levels of one sign, each for {seconds(1)}"),
-        "levels both ways": (
-            held(1, 1, -1, 0.6, -0.6, 0.3, -0.3, 0.15, -0.15), f"levels of both signs, falling, {seconds(1)} each"
-        ),
-        "square wave": (square(1), f"a square wave of period {seconds(1)} over the whole range"),
-        "small fast reversals": (0.15 * square(0.25), f"a square wave of period {seconds(0.25)} over 15 % of it"),
-        "slow triangle through zero": (0.15 * triangle(8), f"a triangle of period {seconds(8)} over 15 % of the range"),
-        "slow triangle through zero, small": (
-            0.06 * triangle(8), f"a triangle of period {seconds(8)} over 6 % of the range"
-        ),
-        "small sine": (0.06 * sine(0.5), f"a sine of period {seconds(0.5)} over 6 % of the range"),
-        "sine sweep": (0.5 * swept(), f"a sine over half of it, period {sweep[0]:.3g} s falling to {sweep[1]:.3g} s"),
-        "odd multisine": (multisine(), f"odd harmonics of a period of {cycle:.3g} s up to {1.0 / fastest:.3g} Hz"),
-        "rich": (
-            np.resize(rich, samples),
-            f"levels of {seconds(0.5)}, triangles of {seconds(2)} over 30 and 8 %, a sine of {seconds(0.25)} over 3 %",
-        ),
-    }  # fmt: skip
+        "one-way steps": held(1, 0.25, 0.6, 1, 0.4, 0.8),
+        "levels both ways": held(1, 1, -1, 0.6, -0.6, 0.3, -0.3, 0.15, -0.15),
+        "square wave": square(1),
+        "small fast reversals": 0.15 * square(0.25),
+        "slow triangle through zero": 0.15 * triangle(8),
+        "slow triangle through zero, small": 0.06 * triangle(8),
+        "small sine": 0.06 * sine(0.5),
+        "sine sweep": 0.5 * swept(),
+        "odd multisine": multisine(),
+        "rich": np.resize(rich, samples),
+    }
     if warm:
-        hot = np.resize(square(1), HEATING * samples)
-        shapes["first block again when warm"] = (
-            np.concatenate([rich, hot, rich]), f"'rich', a square wave for {len(hot) * dt:.3g} s, 'rich' again"
-        )  # fmt: skip
-    within = f"between {lowest:.3g} and {highest:.3g}{f' {unit}' if unit else ''}"
+        shapes["first block again when warm"] = np.concatenate([rich, np.resize(square(1), HEATING * samples), rich])
+    within = f"of {name} between {lowest:.3g} and {highest:.3g}{f' {unit}' if unit else ''} from rest"
     return tuple(
-        Excitation(key, np.clip(middle + half * shape, lowest, highest), f"{name} {within} from rest: {words}")
-        for key, (shape, words) in shapes.items()
+        Excitation(key, np.clip(middle + half * shape, lowest, highest), f"{key} {within}, periods of {beat:.3g} s")
+        for key, shape in shapes.items()
     )
 
 

@@ -73,8 +73,6 @@ def propose_path(
 
     Returns None without a rival, for a plant that is no Stewart platform, and where no path can be followed. Its
     ``inputs`` are the references of the nut angles, ``phi_1_ref`` and so on, and the poses that they belong to.
-
-    Raises InputError: a name that the menu does not have.
     """
     plant = problem.plant
     others = sorted((r for r in rivals if r.hypothesis.key != named.hypothesis.key), key=lambda f: -f.evidence)

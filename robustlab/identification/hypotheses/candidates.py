@@ -265,8 +265,6 @@ def stated_tolerances(plant: AnyPlant, given: Mapping[str, float] | None) -> dic
 
     ``given``: name -> tolerance, 0.05, ``"5%"`` or ``"0.2 N s/m"``, that overrides the plant's own; 0 holds the
     parameter.
-
-    Raises InputError: an unknown name, a negative tolerance, a share of the value 0.
     """
     asked: dict[str, float] = {}
     for name, value in (given or {}).items():

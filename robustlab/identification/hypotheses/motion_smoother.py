@@ -73,9 +73,6 @@ def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: 
 
     ``t``, ``u``, ``y``: uniform clock (n,), inputs (n, n_u), measured outputs (n, n_measured), NaN where a sample is
     missing. ``columns``: index of each measured output among the plant's outputs.
-
-    Raises InputError: a joint whose position is not measured, a measured output that shows more than one state, a plant
-    that no motion of the record suits.
     """
     arrays = (np.ascontiguousarray(a) for a in (t, u, y))
     return _kept(plant, *(a.tobytes() for a in arrays), tuple(columns))

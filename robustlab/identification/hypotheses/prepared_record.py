@@ -165,8 +165,6 @@ def prepare(
     ``model``: ports of the plant; the unknown force is looked for at its joints, or at its inputs where it has none.
     ``valid``: output name -> mask of the samples that were measured (all where left out). ``outputs``: the outputs that
     count, those of the record where left out; what the record has not is missing at all samples.
-
-    Raises InputError: an input of the plant or every output is missing; fewer than four windows, or four without gaps.
     """
     names = [s.name for s in plant.outputs]
     u, y, columns = _signals(plant, record, outputs)

@@ -56,7 +56,11 @@ class ChangeTest:
         named = self._strengths() + np.log((1.0 - UNNAMED) / 2.0 / max(may.sum(), 1))
         named[0], named[:, :, ~may] = -np.inf, -np.inf  # from the first piece on it is no change
         kinds = ([(p.slow, p.slow_points) for p in self.pieces], [(p.whole, p.points) for p in self.pieces])
-        scatter = [self._scatter(*zip(*kind, strict=True), v) for kind in kinds for v in SCATTERS]
+        scatter = [
+            self._scatter(np.stack([part for part, _ in kind]), np.array([number for _, number in kind]), v)
+            for kind in kinds
+            for v in SCATTERS
+        ]
         unnamed = log_sum(np.array(scatter), axis=0) - np.log(len(scatter)) + np.log(UNNAMED)
         both = np.concatenate([named.reshape(len(tau), -1), unnamed[:, None]], axis=1)
         return log_sum(both, axis=1) - np.log((tau + 1.0) * (tau + 2.0))
@@ -79,10 +83,10 @@ class ChangeTest:
             found.append(0.5 * b**2 * variance / (1.0 + a * variance) - 0.5 * np.log1p(a * variance))
         return log_sum(np.array(found), axis=0) - np.log(len(SIZES))
 
-    def _scatter(self, parts: tuple[Array, ...], points: tuple[int, ...], variance: float) -> Array:
+    def _scatter(self, parts: Array, points: Array, variance: float) -> Array:
         """Log ratio, (n_tau,), of errors that are random with this variance in the directions of the parts."""
         k, whole = len(self.size), np.sum([p.whole for p in self.pieces], axis=0)
-        part, number = _since(np.stack(parts)), _since(np.array(points))
+        part, number = _since(parts), _since(points)
         before, after = _profile(whole, k), _profile(whole - variance / (1.0 + variance) * part, k)
         return -0.5 * (after[0] - before[0] + after[1] - before[1] + number * np.log1p(variance))
 

@@ -20,9 +20,7 @@ from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import EffectParameter, Scales
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_equations import ExtendedEquations
-from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as, unknown_name
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.candidates import (
@@ -34,20 +32,22 @@ from robustlab.identification.hypotheses.candidates import (
 from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, ports_of, prepare, window_length
-from robustlab.identification.monitoring.change_test import ChangeTest, onset
-from robustlab.identification.monitoring.piece import equations, faithful_windows, fine_steps, placed
+from robustlab.identification.monitoring.change_test import ChangeTest, PieceEquations, onset
 from robustlab.identification.monitoring.watch_result import Watch, WatchedPiece
-from robustlab.identification.naming.discovery import discover
+from robustlab.identification.naming.discovery import discover, known_plant
+from robustlab.identification.naming.first_look import own_derivatives
 from robustlab.identification.naming.set_search import clock_nuisances, held_inputs
 from robustlab.identification.record_check.resampling import clock_step, uniform
 from robustlab.identification.response.response import with_units
 from robustlab.record import Record
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, as_model
 
 FAR = 2.0  # standard deviations, as the first piece tells the parameters, within which a window has to be linear
 CLEAR = 10.0  # log evidence beyond an alarm, at which the onset is estimated; a later change may not be linear
 MOST_DISCOVERED = 8  # pieces at the end that `discover` gets
+MOST_BENT = 1.0  # square of the change of a window's residuals, over the noise of one point
+MOST_STEPS, FEW = 16, 0.02  # steps a sample; share of the windows that may still change
+SLOW = 6  # cosines in a window, over which unnamed errors are looked for
 OWN_SPREAD = 0.3  # relative: how well a model's effect is known before its first piece, where it does not say
 
 
@@ -163,11 +163,7 @@ def _parts_of(model: Any) -> tuple[AnyPlant, tuple[AttachedEffect, ...]]:
     """The plant without effects, and its effects."""
     if isinstance(model, ExtendedEquations):
         return model.plant, tuple(model.effects)
-    if isinstance(model, NonlinearPlant):
-        return model, ()
-    if isinstance(model, LinearPlant | StateSpaceModel):
-        return linear_plant_of(model, "watch"), ()
-    return linear_plant_of(as_model(model, "watch"), "watch"), ()
+    return known_plant(model, "watch"), ()
 
 
 def _cut(records: Iterable[Record], every: float | None) -> Iterator[Record]:
@@ -176,15 +172,12 @@ def _cut(records: Iterable[Record], every: float | None) -> Iterator[Record]:
         if not isinstance(record, Record):
             raise InputError("watch", f"a {type(record).__name__}", "records")
         count = 1 if every is None else max(1, round(record.duration / every))
-        edges = (
-            np.linspace(0, record.n, count + 1)
-            if every is None
-            else np.append(np.searchsorted(record.t, record.t[0] + every * np.arange(count) - 1e-9 * every), record.n)
-        )
-        for k, (first, last) in enumerate(zip(edges[:-1].astype(int), edges[1:].astype(int), strict=True)):
-            ins, outs = ({n: v[first:last] for n, v in side.items()} for side in (record.inputs, record.outputs))
-            name = record.name if count == 1 else f"{record.name}, piece {k + 1}"
-            yield replace(record, t=record.t[first:last], inputs=ins, outputs=outs, name=name)
+        if every is None or count == 1:
+            yield record
+            continue
+        edges = [*(record.t[0] + every * (np.arange(count) - 1e-9)), np.inf]
+        for k in range(count):
+            yield replace(record.between(edges[k], edges[k + 1]), name=f"{record.name}, piece {k + 1}")
 
 
 def _one_clock(pieces: Iterable[Record]) -> Iterator[Record]:
@@ -246,7 +239,7 @@ class _Watched:
         if missing := sorted(self.seen - set(piece.outputs)):
             raise InputError(f"watch {piece.name}", f"no output {missing[0]!r}", "the outputs of the first piece")
         there = self.problem.on([replace(self._prepared(piece), thin=self.thin)])
-        fit = placed(there, self.hypothesis, self.noise, self.z)
+        fit = there.fit(self.hypothesis, self.noise, self.z, plan=FitPlan(tuning.LAST, 0.5, fixed=True))
         there, fit = faithful_windows(there, fit, self.spread)
         told = equations(there, fit)
         misfit = float(np.sqrt(told.whole[-1, -1] / max(told.points, 1)))
@@ -322,3 +315,76 @@ def _about(parameter: EffectParameter, value: float, std: float) -> EffectParame
             parameter, prior=replace(prior, centre=value, spread=std or OWN_SPREAD * abs(value) or prior.spread)
         )
     return replace(parameter, prior=replace(prior, centre=value))
+
+
+def faithful_windows(problem: Problem, fit: Fit, spread: Array) -> tuple[Problem, Fit]:
+    """The piece, and the model in it, without the windows in which the simulation is not to be trusted that far.
+
+    Where a force is about that at which a contact breaks away, what is known of the parameters changes the motion
+    otherwise than linear, and a breakaway within a step is told no better than the step. ``spread`` (k, m): steps of
+    the standardised parameters, each tried to both sides. A window stays where neither what is even in such a step,
+    nor steps of half the length, change its residuals, starts free, by more than `MOST_BENT`.
+    """
+    (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
+    free = _free(problem, fit, residual)
+    simulators = problem.simulators(fit.hypothesis)
+
+    def moved(z: Array) -> Array:
+        return problem.whitened(problem.errors(fit.hypothesis, z, fit.starts, simulators), fit.noise)[0] - residual
+
+    bent = _stepped(problem, fit, residual, free)
+    for step in spread.T:
+        bent = np.maximum(bent, _beyond_starts(0.5 * (moved(fit.z + step) + moved(fit.z - step)), free))
+    kept = np.flatnonzero(bent < MOST_BENT)
+    (record,), (chosen,), (starts,) = problem.records, problem.chosen, fit.starts
+    return problem.on([record], [chosen[kept]]), replace(fit, starts=(starts[kept],))
+
+
+def fine_steps(problem: Problem, fit: Fit) -> Problem:
+    """The problem with steps so short that half of them change few windows; shorter ones than `MOST_STEPS` are not."""
+    while (problem.clock.sub or 1) < MOST_STEPS:
+        (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
+        if (_stepped(problem, fit, residual, _free(problem, fit, residual)) > MOST_BENT).mean() <= FEW:
+            break
+        problem = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
+    return problem
+
+
+def _free(problem: Problem, fit: Fit, residual: Array) -> Array:
+    """Orthonormal basis of what the starts do to the residuals, (n_windows, points, n_x)."""
+    ((_, over_x),) = own_derivatives(problem, fit, [residual])
+    return np.linalg.qr(over_x)[0]
+
+
+def _beyond_starts(change: Array, free: Array) -> Array:
+    """Square of a change of the residuals in each window, starts projected out, (n_windows,)."""
+    left = change - (free @ (np.swapaxes(free, 1, 2) @ change[:, :, None]))[:, :, 0]
+    return np.asarray((left**2).sum(axis=1))
+
+
+def _stepped(problem: Problem, fit: Fit, residual: Array, free: Array) -> Array:
+    """The same of steps of half the length."""
+    halved = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
+    (there,) = problem.whitened(halved.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
+    return _beyond_starts(there - residual, free)
+
+
+def equations(problem: Problem, fit: Fit) -> PieceEquations:
+    """The piece's equations for the parameters, at the model ``fit`` that was placed in it."""
+    if not len(problem.chosen[0]):  # no window can be trusted
+        zero = np.zeros((len(fit.z) + 1,) * 2)
+        return PieceEquations(zero, zero, 0, 0)
+    (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
+    ((over_z, over_x),) = own_derivatives(problem, fit, [residual])
+    columns = np.nan_to_num(np.concatenate([over_z, residual[:, :, None]], axis=2), posinf=0.0, neginf=0.0)
+    known, n_y = residual != 0.0, len(fit.noise.std)
+    count, points, n_x = over_x.shape
+    most = max(1, min(SLOW, (points - n_x) // (2 * n_y)))
+    waves = np.cos(np.pi * np.outer(np.arange(points // n_y) + 0.5, np.arange(most)) / (points // n_y))
+    slow = np.kron(waves, np.eye(n_y))[None] * known[:, :, None]
+    basis = np.linalg.qr(np.concatenate([over_x, slow], axis=2))[0]
+    starts, slow = basis[:, :, :n_x], basis[:, :, n_x:]
+    left = columns - starts @ (np.swapaxes(starts, 1, 2) @ columns)
+    within = np.swapaxes(slow, 1, 2) @ left
+    whole, inside = (np.einsum("wpi,wpj->ij", part, part, optimize=True) for part in (left, within))
+    return PieceEquations(whole, inside, int(known.sum()) - count * n_x, count * slow.shape[2])

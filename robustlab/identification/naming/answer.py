@@ -30,10 +30,11 @@ from robustlab.identification.hypotheses.effect_fit import (
 from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
 from robustlab.identification.hypotheses.prepared_record import start_std
 from robustlab.identification.naming.discovery_result import Discovery, Verdict
-from robustlab.identification.naming.held_out_gaps import Gaps, held_out_gaps
-from robustlab.identification.naming.materiality import (
+from robustlab.identification.naming.held_out import (
+    Gaps,
     Matter,
     errors_of,
+    held_out_gaps,
     late_clocks,
     matter_of,
     strained,

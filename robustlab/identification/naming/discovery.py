@@ -184,7 +184,7 @@ def discover(
         Records that say nothing: no excitation, dead sensors.
     """
     began = time.perf_counter()
-    known = _known(plant)
+    known = known_plant(plant, "discover")
     left_out = {effect(name).id for name in exclude}
     if window is not None:
         number("discover: window", window, "a length in s above 0", above=0.0)
@@ -219,19 +219,14 @@ def discover(
     return replace(result, seconds=time.perf_counter() - began)
 
 
-def _known(plant: Any) -> AnyPlant:
+def known_plant(plant: Any, where: str) -> AnyPlant:
+    """The plant in a form that effects can be attached to."""
     if isinstance(plant, (LinearPlant, StateSpaceModel)):
-        return linear_plant_of(plant, "discover")
+        return linear_plant_of(plant, where)
     if isinstance(plant, SteppedPlant):
-        raise InputError(
-            "discover",
-            f"{plant.name} with effects",
-            "a plant without",
-            "give its plant: the effects are found anew, and their parameters with them",
-        )
-    if isinstance(plant, NonlinearPlant):
-        return plant
-    return linear_plant_of(as_model(plant, "discover"), "discover")
+        hint = "give its plant: the effects are found anew, and their parameters with them"
+        raise InputError(where, f"{plant.name} with effects", "a plant without", hint)
+    return plant if isinstance(plant, NonlinearPlant) else linear_plant_of(as_model(plant, where), where)
 
 
 def _checked(plant: AnyPlant, records: Sequence[Record]) -> tuple[Finding, ...]:

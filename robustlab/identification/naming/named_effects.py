@@ -95,31 +95,17 @@ class KindMember(Evidence):
 
 @dataclass(frozen=True)
 class NamedKind(Evidence):
-    """What the records are sure of at one place.
+    """What the records are sure of at one place."""
 
-    Attributes
-    ----------
-    kind, title, place
-        Id in the tree of kinds (`robustlab.dynamics.effects.kinds`), in words, and where.
-    probability
-        Of all sets that have a member of it there, 0..1.
-    values
-        What every member can be asked for, with 95 % intervals over all members.
-    members
-        The effects that it may be, the most probable first.
-    form
-        How to tell the members apart, as an instruction.
-    misfit
-        Whether more than noise is left beside it: that may be what its best form differs from the true one by.
-    """
-
+    # kind, title, place: id in the tree of kinds (`robustlab.dynamics.effects.kinds`), in words, and where
     kind: str
     title: str
     place: str
-    probability: float
-    values: tuple[EffectValue, ...]
-    members: tuple[KindMember, ...]
-    form: str
+    probability: float  # of all sets that have a member of it there, 0..1
+    values: tuple[EffectValue, ...]  # what every member can be asked for, with 95 % intervals over all members
+    members: tuple[KindMember, ...]  # the effects that it may be, the most probable first
+    form: str  # how to tell the members apart, as an instruction
+    # whether more than noise is left beside it: that may be what its best form differs from the true one by
     misfit: bool = False
 
     quantities: ClassVar[Mapping[str, Any]] = {"probability": "1"}
@@ -150,20 +136,13 @@ def wave_amplitude(values: Mapping[str, float]) -> float | None:
 
 @dataclass(frozen=True)
 class Gap(Evidence):
-    """Simulation error (RMS) of one output: in windows, or in one run from the record's start.
+    """Simulation error (RMS) of one output: in windows, or in one run from the record's start."""
 
-    Attributes
-    ----------
-    output, unit, range
-        The output, its unit, its measured range on that data.
-    nominal, refitted, updated
-        RMS of the nominal model as given, of the nominal model refitted, and of the updated one; infinite where the
-        simulation diverges.
-    """
-
+    # output, unit, range: the output, its unit, its measured range on that data
     output: str
     unit: str
     range: float
+    # nominal, refitted, updated: RMS of these models; infinite where the simulation diverges
     nominal: float
     refitted: float
     updated: float

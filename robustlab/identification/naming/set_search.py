@@ -44,7 +44,7 @@ from robustlab.identification.hypotheses.noise import (
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
 from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
-from robustlab.identification.naming.materiality import strained
+from robustlab.identification.naming.held_out import strained
 
 WORKERS = 2
 ROUGH_FITS = 4  # full fits before the noise is known, of fewer iterations: they only have to find a leader

@@ -43,7 +43,6 @@ def columns_of(
     """All columns of a file as outputs, and the column that can only be the time where the file has no usual one.
 
     ``read``: reads the file with a clock and a sample time, or with None for them.
-    Raises InputError: what the reader refuses; no clock, and not one column that rises and may be one.
     """
     try:
         return read(None, dt), None

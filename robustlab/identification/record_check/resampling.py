@@ -85,9 +85,6 @@ def uniform(record: Record, dt: float | None = None) -> UniformRecord:
     ``record``: any record; one that is uniform already, and ``dt`` left out, comes back as it is. ``dt``: sample time
     in s; the record's own (`clock_step`) where left out.
 
-    Raises InputError: a sample time that is not positive, longer than the record, or a hundred times finer than the
-    record's own.
-
     Examples
     --------
     >>> r = Record([0.0, 0.1, 0.2, 0.5, 0.6], {"u": [1, 1, 2, 2, 3]}, {"q": [0.0, 0.1, 0.2, 0.5, 0.6]})

@@ -138,12 +138,7 @@ def slowest_time_constant(model: StateSpaceModel) -> float:
 
 
 def response_of(plant_or_model: Any, record: Record) -> Response:
-    """Match a linear plant or model with a record by signal names, and check units and sample time.
-
-    Raises InputError: an input of the model is not recorded, no output is, a discrete model has another sample time
-    than the record, or the plant is nonlinear; UnitMismatch: a signal carries a unit in the model and another one in
-    the record.
-    """
+    """Match a linear plant or model with a record by signal names, and check units and sample time."""
     if isinstance(plant_or_model, NonlinearPlant):
         # Its linear model would be compared silently, without the effects that were put in.
         raise InputError(
@@ -167,11 +162,7 @@ def response_of(plant_or_model: Any, record: Record) -> Response:
 def matched(
     inputs: Sequence[Signal], outputs: Sequence[Signal], record: Record
 ) -> tuple[tuple[Signal, ...], tuple[str, ...]]:
-    """The outputs that a record shares with a model, with their unit as recorded or else as in the model; warnings.
-
-    Raises InputError: an input is not recorded, or no output is; UnitMismatch: a signal carries a unit in the model and
-    another one in the record.
-    """
+    """The outputs that a record shares with a model, with their unit as recorded or else as in the model; warnings."""
     where = f"compare {record.name}"
     for signal in inputs:
         if signal.name in record.inputs:

@@ -10,7 +10,6 @@ frequency_domain       line by line: cone programmes from above, multipliers fro
 cone_programme         rows, the cones they lie in, and the answer within a budget
 validation_result      `Validation`, and what both domains end with
 data_cover             the unmodelled dynamics that a plant's records need
-gamma_search           what a search is given
 """
 
 from robustlab.identification.validation.model_validation import validate

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Mask
 from robustlab.budget import Budget
 from robustlab.conic import Cone, solve
 from robustlab.errors import NoTrustworthyNumber
@@ -43,6 +43,19 @@ class Rows(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Search:
+    """What every search for the smallest gamma is given."""
+
+    scaled: Mask  # the blocks that gamma scales, (n_blocks,); the others keep the size 1
+    precision: float  # relative width of the bounds to be reached
+    budget: Budget  # work it may take
+
+    def gammas(self, gamma: float) -> Array:
+        """Sizes of the blocks that belong to a gamma."""
+        return np.where(self.scaled, gamma, 1.0)
+
+
+@dataclass(frozen=True)
 class ConeSolution:
     """The point x, and the multipliers of each part of the rows that has a label, with its label."""
 
@@ -57,8 +70,6 @@ def solved_cones(
 
     The budget limits the iterations; a time limit, where there is one, is the solver's too, which needs a second.
     Whatever the solver says of its accuracy, an answer counts only as far as its replay and its certificate go.
-
-    Raises NoTrustworthyNumber: the solver breaks down, or gives no numbers.
     """
     sparse = sparse_matrices()
     A = sparse.vstack([part.matrix for part in rows]).tocsc()

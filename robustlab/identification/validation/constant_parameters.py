@@ -17,7 +17,7 @@ import numpy as np
 from robustlab.arrays import Array, Indices
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.validation.gamma_search import Search
+from robustlab.identification.validation.cone_programme import Search
 from robustlab.identification.validation.sampled_problem import Recorded, held, powers, shown, states
 from robustlab.uncertainty.blocks import Block
 

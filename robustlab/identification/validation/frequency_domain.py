@@ -23,8 +23,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray, Indices
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.validation.cone_programme import ConeSolution, Rows, solved_cones, sparse_matrices
-from robustlab.identification.validation.gamma_search import Search
+from robustlab.identification.validation.cone_programme import ConeSolution, Rows, Search, solved_cones, sparse_matrices
 from robustlab.identification.validation.spectral_problem import (
     FrequencyData,
     SpectralProblem,
@@ -221,10 +220,7 @@ class SpectralSizes:
 
 
 def smallest_by_lines(problem: SpectralProblem, search: Search) -> SpectralSizes:
-    """Bounds over the blocks that are scaled; the others keep the size 1.
-
-    Raises NoTrustworthyNumber: the solver gives no answer, or an impossibility that its multipliers do not prove.
-    """
+    """Bounds over the blocks that are scaled; the others keep the size 1."""
     programme = _Programme(problem, search)
     known = not np.abs(problem.M11).max(initial=0.0)
     none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike
 from robustlab.budget import MILLION, one_thread, search_budget
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.identification.validation.cone_programme import Search
 from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
-from robustlab.identification.validation.gamma_search import Search
 from robustlab.identification.validation.sampled_problem import NoiseNorm, prepared
 from robustlab.identification.validation.spectral_problem import FrequencyData
 from robustlab.identification.validation.time_domain import validate_by_samples

@@ -83,11 +83,7 @@ def prepared(
     at_rest: bool = False,
     missing: Mapping[str, Sequence[int]] | None = None,
 ) -> Recorded:
-    """Match model and record; refuse what cannot be judged.
-
-    Raises InputError: signals that do not fit, an output without a noise bound, windows that are too short;
-    NoTrustworthyNumber: a clock that is not uniform, or a noise bound of zero: the noise model is singular.
-    """
+    """Match model and record; refuse what cannot be judged."""
     where = f"validate {record.name}"
     if not record.is_uniform:
         step = np.diff(record.t)

@@ -15,8 +15,8 @@ import numpy as np
 
 from robustlab.arrays import Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.validation.cone_programme import Search
 from robustlab.identification.validation.constant_parameters import WindowFit, smallest_parameters
-from robustlab.identification.validation.gamma_search import Search
 from robustlab.identification.validation.sampled_problem import Recorded, SampledProblem, sampled, with_delta_of
 from robustlab.identification.validation.time_varying import Contractions, largest_disproved, smallest_contractions
 from robustlab.identification.validation.validation_result import (

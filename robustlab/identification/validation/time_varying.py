@@ -38,8 +38,7 @@ import numpy as np
 
 from robustlab.arrays import Array, Mask
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.validation.cone_programme import ConeSolution, Rows, solved_cones, sparse_matrices
-from robustlab.identification.validation.gamma_search import Search
+from robustlab.identification.validation.cone_programme import ConeSolution, Rows, Search, solved_cones, sparse_matrices
 from robustlab.identification.validation.sampled_problem import SampledProblem
 from robustlab.result import Evidence
 

@@ -11,7 +11,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.validation.gamma_search import Search
+from robustlab.identification.validation.cone_programme import Search
 from robustlab.result import Evidence, Status
 from robustlab.shown import Each, Facts, number
 from robustlab.tables import Table, Tabular
@@ -250,10 +250,7 @@ def in_own_units(
 
 
 def require_replay(error: float, record: str) -> None:
-    """Refuse an explanation whose replay differs from it by ``error`` of the noise bound.
-
-    Raises NoTrustworthyNumber: it differs by more than a thousandth.
-    """
+    """Refuse an explanation whose replay differs from it by ``error`` of the noise bound."""
     if not error <= REPLAYED:
         found = f"the explanation is off by {error:.1e} of the noise bound when replayed"
         raise NoTrustworthyNumber(f"validate {record}", found)

@@ -15,7 +15,7 @@ from robustlab.identification.hypotheses.candidates import nuisance_parameters, 
 from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.held_out_gaps import held_out_gaps
+from robustlab.identification.naming.held_out import held_out_gaps
 
 AXIS = rl.plant("servo-axis")
 HEAVIER = 1.25

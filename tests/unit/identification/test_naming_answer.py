@@ -8,7 +8,7 @@ import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.naming import answer as module
-from robustlab.identification.naming.held_out_gaps import Gaps
+from robustlab.identification.naming.held_out import Gaps
 from robustlab.identification.naming.named_effects import Gap
 from robustlab.result import Status
 

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 import robustlab as rl
 from robustlab.budget import Budget
 from robustlab.identification.comparison.best_linear_approximation import held_response
+from robustlab.identification.validation.cone_programme import Search
 from robustlab.identification.validation.frequency_domain import line_lagrangian, smallest_by_lines
-from robustlab.identification.validation.gamma_search import Search
 from robustlab.identification.validation.spectral_problem import spectrum_of_response
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"])
