@@ -126,10 +126,7 @@ def simulate(
 def default_clock(
     model: StateSpaceModel, where: str, n: int = 401, hint: str = "pass t=numpy.linspace(0, t_end, n)"
 ) -> Array:
-    """A clock over eight time constants of the slowest decay, shape (n,); integrators do not count.
-
-    Raises InputError: the model is unstable: how long to look is the user's to say.
-    """
+    """A clock over eight time constants of the slowest decay, shape (n,); integrators do not count."""
     poles = model.poles()
     if model.is_discrete:
         poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / model.dt

@@ -145,13 +145,6 @@ def run_recipe(
 
     From the first moment the report there says that the run has not finished. However it ends, also by an error, by
     Ctrl-C or by a fault of ours, the report is then that of this run: what was done, what failed, what was not run.
-
-    ``out``: the folder; files in it that are no result of an earlier run stay.
-    ``report``: called with name and kind of each step before it runs.
-    ``png``: figures are drawn as PNG beside the SVG, too.
-    Raises InputError, EnvironmentFault: the recipe or a step cannot be done as it is; all that is known before the
-    first step is told at once. (A step that is done, but ends without a trustworthy number, is no error: the run goes
-    on with the steps that do not need it, and says so.).
     """
     started = time.monotonic()
     target = Path(out).resolve()
@@ -387,10 +380,7 @@ def _files_of_previous_run(target: Path) -> set[str]:
 
 
 def read_result(folder: str | Path) -> dict[str, Any]:
-    """Content of ``result.json`` of a finished run.
-
-    Raises InputError: no such file, or not the result of a run.
-    """
+    """Content of ``result.json`` of a finished run."""
     path = Path(folder) / "result.json"
     try:
         require_file(path)

@@ -14,11 +14,7 @@ from robustlab.verification.reading import claims_in_file
 
 
 def verified(outcome: Outcome, files: Sequence[Path], asked: bool) -> Outcome:
-    """The outcome with what became of its claims; its status is no better than theirs.
-
-    ``files``: the results that the step kept. ``asked``: whether the step itself asks for it; a step whose results
-    hold no claims is then told to be INCONCLUSIVE, where the run as a whole asks it is left as it is.
-    """
+    """The outcome with what became of its claims; its status is no better than theirs."""
     found = [rl.verify(path) for path in files if claims_in_file(path)]
     if not found:
         if not asked:
