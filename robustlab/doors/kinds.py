@@ -229,19 +229,6 @@ class Names(Kind):
 
 
 @dataclass(frozen=True)
-class Texts(Kind):
-    """Texts: an option that may be repeated, a list in a recipe."""
-
-    def annotation(self) -> Any:
-        return list[str]
-
-    def field(self) -> Any:
-        from robustlab.doors.vocabulary import Text
-
-        return list[Text]
-
-
-@dataclass(frozen=True)
 class Numbers(Kind):
     """Numbers with commas between them; each may carry another unit."""
 

@@ -18,7 +18,15 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import NoTrustworthyNumber, RobustlabError
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem, simulated_outputs
+from robustlab.identification.hypotheses.effect_fit import (
+    Candidate,
+    Fit,
+    FitPlan,
+    Hypothesis,
+    Prior,
+    Problem,
+    simulated_outputs,
+)
 from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
 from robustlab.identification.hypotheses.prepared_record import start_std
 from robustlab.identification.naming.discovery_result import Discovery, Verdict
@@ -43,7 +51,6 @@ from robustlab.identification.naming.named_effects import (
     overall,
 )
 from robustlab.identification.naming.named_kinds import Kinds, kinds_of
-from robustlab.identification.naming.open_intervals import opened_above
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.quantities import force_share
 from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
@@ -480,3 +487,28 @@ def _entries(found: Found) -> tuple[SearchEntry, ...]:
     best = found.best.evidence
     words = {True: "judged", False: "no answer: within tolerance, or beyond what the records visit"}
     return tuple(SearchEntry(_places(v.fit), v.evidence - best, words[v.allowed]) for v in found.sets)
+
+
+WIDER = 1.25  # times the fitted value, at which the records are asked
+HELD = 1e8  # precision that holds a standardised parameter
+ROUNDS = 8
+
+
+def opened_above(problem: Problem, fit: Fit, k: int, values: Sequence[EffectValue]) -> tuple[EffectValue, ...]:
+    """The values of the k-th effect, with the upper end of its prior where a larger one does as well."""
+    candidate = fit.hypothesis.candidates[k]
+    name = candidate.effect.told_from_below
+    if not name:
+        return tuple(values)
+    own = [p.name for p in candidate.parameters].index(name)
+    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k]) + own
+    prior = candidate.parameters[own].prior
+    z = fit.z.copy()
+    z[at] = prior.standardised(WIDER * values[own].value)
+    mean, precision = np.zeros(len(z)), np.eye(len(z))
+    mean[at], precision[at, at] = z[at], HELD
+    there = problem.fit(fit.hypothesis, fit.noise, z, fit.starts, FitPlan(ROUNDS), prior=Prior(mean, precision))
+    if there.cost + there.z[at] ** 2 - fit.cost >= tuning.CANNOT_TELL**2:
+        return tuple(values)
+    upper = max(values[own].upper, prior.value(INTERVAL))
+    return tuple(replace(v, upper=upper) if v.name == name else v for v in values)

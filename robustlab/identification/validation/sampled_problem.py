@@ -161,11 +161,6 @@ class SampledProblem:
         x = states(self.A, drive, first)
         return self.z0 + x @ self.C1.T + w @ self.D11.T, self.e - x @ self.C2.T - w @ self.D21.T
 
-    def markov(self) -> tuple[Array, Array]:
-        """Pulse responses from w to z (n, p, q) and to -noise (n, n_y, q), and thereby all that w does."""
-        moved = powers(self.A, self.B, self.n)[: self.n - 1]
-        return np.concatenate([self.D11[None], self.C1 @ moved]), np.concatenate([self.D21[None], self.C2 @ moved])
-
     def free_response(self) -> tuple[Array, Array]:
         """What the jumps add to z (n, p, k m) and to -noise (n, n_y, k m), for the m free starts in turn."""
         k, starts = self.free.shape[1], self.free_starts

@@ -47,11 +47,6 @@ def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray,
     return bool(inequality.proves(np.array([beta]) / inequality.unit)[0])
 
 
-def positive_definite(X: ComplexArray, error: float) -> bool:
-    """Whether every Hermitian matrix within ``error`` (2-norm) of X is positive definite, by Rump's criterion."""
-    return bool(_positive_definite(X[None], np.array([error]))[0])
-
-
 def certified_level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
     """The level of D and G, raised until `proves` says yes; inf where it never does."""
     return float(certified_levels(*(part[None] for part in (M, Dw, Dz, G)))[0])
