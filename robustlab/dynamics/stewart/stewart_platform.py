@@ -372,7 +372,7 @@ class StewartPlatform(NonlinearPlant):
         follow = "torques, currents and voltages" if self.motors else "torques"
         return TrimmedDescriptor(matrices, f"the pose is held, the {follow} follow")
 
-    def trajectory(self, signal: InputSignal, x0: Array, rtol: float | None = None, step: float | None = None) -> Array:
+    def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
         """States (n, 12) or (n, 18) at the times of the signal; compiled.
 
         Raises
@@ -384,11 +384,10 @@ class StewartPlatform(NonlinearPlant):
         start = np.concatenate([pose[0], twist[0], x0[12:]])
         states, z = np.empty((len(signal.t), len(x0))), np.empty((len(signal.t), len(x0)))
         code = motion_kernels()
-        run, accuracy = (code.integrate, rtol) if step is None else (code.integrate_fixed, step)
         low, high = self.geometry.limits
         inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken)
         machine = code.Machine(self.geometry.legs, self._numbers[0], self.motors, low - SLACK, high + SLACK)
-        outcome, time, _ = run(start, inputs, machine, accuracy, z, states)
+        outcome, time, _ = code.integrate(start, inputs, machine, rtol, z, states)
         if outcome == code.LEFT_WORKSPACE:
             raise self._beyond(time)
         if outcome != code.DONE:
