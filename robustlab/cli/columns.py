@@ -36,11 +36,7 @@ def read_named(options: RecordOptions, system: Any, named: str, files: list[str]
 def read_beside(
     system: Any, options: RecordOptions, file: str, group: str | None = None, *, tell: bool = True
 ) -> Record:
-    """The record in a file, with the inputs that were asked for, or the model's.
-
-    Raises InputError: what the reader refuses; columns of other names than the model's: with the proposal how they may
-    belong to its signals, and the command with which that is accepted. No record is read by a proposal alone.
-    """
+    """The record in a file, with the inputs that were asked for, or the model's."""
     inputs, outputs = _sides(system)
     asked = options.inputs or ",".join(s.name for s in inputs)
     try:

@@ -47,8 +47,6 @@ def ready_streams() -> None:
 
     A file that is opened later would otherwise get the number of the closed stream, and be written into by whatever
     complains there.
-
-    Raises EnvironmentFault: stdout is closed: the result could not be told to anybody.
     """
     for number in (0, 1, 2):
         try:

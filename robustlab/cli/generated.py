@@ -82,11 +82,7 @@ More = Callable[[Any, Mapping[str, Any], Mapping[str, Any], list[str]], Beyond]
 
 
 def command_of(declared: Door, own: Options | None = None, more: More | None = None) -> Callable[..., None]:
-    """The command of a door, as the parser takes it.
-
-    ``own``: options beside those of the door and its files, in the place of ``--out`` and ``--figure``; ``more`` is
-    called while progress is shown, and gets them.
-    """
+    """The command of a door, as the parser takes it."""
     return _parsed(declared.command, {"": declared}, declared, own, more)
 
 
@@ -96,11 +92,7 @@ def _own(name: str, taken: Any, offered: Any, default: Any) -> Given:
 
 
 def choosing_command(words: str, doors: Mapping[str, Door], main: Door) -> Callable[..., None]:
-    """One command for several doors: an option says which is meant.
-
-    ``doors``: option of a parameter or flag that chooses -> the door; ``""`` is the door where none is given. Whatever
-    option belongs to none of the chosen door's parameters is refused.
-    """
+    """One command for several doors: an option says which is meant."""
     return _parsed(words, doors, main)
 
 

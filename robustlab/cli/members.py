@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.options import assignments, names
+from robustlab.cli.options import names
+from robustlab.doors.kinds import Number, Table
 from robustlab.errors import InputError, UsageError
 
 SHOWN_BLOCKS = 40
@@ -34,7 +35,7 @@ class ResponseOptions:
 
     def driven(self, model: rl.UncertainModel) -> dict[str, float] | None:
         """Constant inputs by name; None for the default."""
-        return assignments("--input-value", self.values, {s.name: s.unit for s in model.inputs}) or None
+        return Table(Number()).read("--input-value", self.values, {s.name: s.unit for s in model.inputs})
 
     def times(self, model: rl.UncertainModel) -> Any:
         """Times from 0 on, every sample of a discrete model; None where no end was given."""

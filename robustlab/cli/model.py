@@ -13,9 +13,9 @@ from robustlab.cli.generated import add_commands
 from robustlab.cli.members import named
 from robustlab.cli.options import (
     JsonOption,
-    ends,
     grouped,
 )
+from robustlab.doors.kinds import Numbers, Table
 from robustlab.errors import UsageError
 from robustlab.shown import text_table as table
 
@@ -111,7 +111,7 @@ def convert(
     if loaded.kind == "pair":
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
     origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
-    limits = ends("--saturation", saturation) or None
+    limits = Table(Numbers(), words="NAME=LOW:HIGH").read("--saturation", saturation)
     if limits is not None or anti_windup is not None or target.lower().endswith(".c"):
         rl.export_controller(
             target, loaded.object, prefix=prefix, saturation=limits, anti_windup=anti_windup, provenance=origin

@@ -8,7 +8,7 @@ Among them is how the file of a record is read.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
@@ -19,8 +19,8 @@ import typer
 import robustlab as rl
 from robustlab.cli.console import note
 from robustlab.cli.offers import recipe_or_file
-from robustlab.errors import InputError, UsageError
-from robustlab.units import amount, same_unit
+from robustlab.errors import UsageError
+from robustlab.units import same_unit
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the random numbers; same seed, same answer.")]
@@ -72,51 +72,6 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
 def names(text: str) -> list[str]:
     """``"a, b"`` as ``["a", "b"]``."""
     return [part.strip() for part in text.split(",") if part.strip()]
-
-
-def put_once(found: dict[str, Any], option: str, text: str, name: str, value: Any) -> None:
-    """Keep a value under its name; one that is given twice is a mistake of which nobody knows what was meant."""
-    if name in found:
-        raise UsageError(f"{option} {text}", f"{name!r} is given twice", "each name once")
-    found[name] = value
-
-
-def assignments(option: str, texts: list[str] | None, units: Mapping[str, str] | None = None) -> dict[str, float]:
-    """``["u=42"]`` as ``{"u": 42.0}``; also ``["u=42V"]`` where ``units`` has the names' units."""
-    values: dict[str, float] = {}
-    for text in texts or []:
-        name, value = _named_value(option, text)
-        put_once(values, option, text, name, _number(option, text, value, (units or {}).get(name, "")))
-    return values
-
-
-def ends(
-    option: str, texts: list[str] | None, units: Mapping[str, str] | None = None
-) -> dict[str, tuple[float, float]]:
-    """``["tau=0.75:1.5"]`` as ``{"tau": (0.75, 1.5)}``; each end may carry its unit as in `assignments`."""
-    found: dict[str, tuple[float, float]] = {}
-    for text in texts or []:
-        name, _, value = text.rpartition("=")
-        low, colon, high = value.partition(":")
-        if not (name and colon):
-            raise UsageError(f"{option} {text}", "no name and two numbers", "NAME=LOW:HIGH")
-        unit = (units or {}).get(name, "")
-        put_once(found, option, text, name, (_number(option, text, low, unit), _number(option, text, high, unit)))
-    return found
-
-
-def _named_value(option: str, text: str) -> tuple[str, str]:
-    name, _, value = text.rpartition("=")
-    if not name:
-        raise UsageError(f"{option} {text}", "no name", "NAME=VALUE")
-    return name, value
-
-
-def _number(option: str, text: str, value: str, unit: str) -> float:
-    try:
-        return amount(f"{option} {text}", value, unit)
-    except InputError as error:
-        raise UsageError(error.where, f"no number after =: {error.found}", error.expected) from None
 
 
 @dataclass(frozen=True)

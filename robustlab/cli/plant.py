@@ -11,9 +11,9 @@ import robustlab as rl
 from robustlab.cli.console import emit, note, result_alone
 from robustlab.cli.members import named
 from robustlab.cli.offers import PLANTS, plant_or_file
-from robustlab.cli.options import JsonOption, assignments
+from robustlab.cli.options import JsonOption
 from robustlab.doors import reading
-from robustlab.doors.kinds import Machine
+from robustlab.doors.kinds import Machine, Number, Table
 from robustlab.doors.reading import made_of, plant_settings
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.shown import text_table as table
@@ -134,7 +134,7 @@ def show(
         emit("plant show", {"file": plant, "plants": list(names)}, text, as_json)
         return
     made = read_plant(plant, plant_settings(settings))
-    rest = _Rest(made, assignments("--at", at))
+    rest = _Rest(made, Table(Number()).read("--at", at) or {})
     sides = {kind: [{"name": s.name, "unit": s.unit} for s in getattr(made, kind)] for kind in SIDES}
     parameters = [{**p.to_json(), "sign": p.sign, "role": p.role} for p in made.parameters.values()]
     result = {

@@ -57,13 +57,7 @@ class ProgressOptions:
         verbose: bool = False,
         budgets: bool = True,
     ) -> Iterator[Display]:
-        """The display for the time of a ``with`` block.
-
-        ``total``: number of steps, where the command knows it.
-        ``lines``: in mode auto, texts are lines of their own where stderr is no terminal.
-        ``verbose``: in mode auto, they are everywhere.
-        ``budgets``: whether the work that searches count is shown; not where the command has steps of its own.
-        """
+        """The display for the time of a ``with`` block."""
         from robustlab.budget import listening
 
         if self.progress not in MODES:
@@ -77,12 +71,7 @@ class ProgressOptions:
 
 
 class Display:
-    """What a command tells: call it with a text, or tell it steps; it takes care of who sees it.
-
-    ``command``: name of the command.
-    ``mode``: ``bar``, ``json``, ``lines``, or anything else for nothing.
-    ``total``: number of steps.
-    """
+    """What a command tells: call it with a text, or tell it steps; it takes care of who sees it."""
 
     def __init__(self, command: str, mode: str, total: int | None = None) -> None:
         self.command, self.mode = command, mode

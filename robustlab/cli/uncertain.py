@@ -71,7 +71,7 @@ def sample(
         note(f"{len(responses.unstable)} of {len(members)} samples are unstable: {_listed(responses.unstable)}")
     result: dict[str, Any] = {"file": file, "seed": seed, "vertices": members.vertices, **responses.to_json()}
     if figure is not None:
-        result["figures"] = save_figures({"envelope": _envelope(responses)}, figure)
+        result["figures"] = save_figures(_envelopes(responses), figure)
     emit("uncertain sample", result, _summary(responses, members.vertices), as_json)
     require_trust(responses.status)
 
@@ -107,19 +107,14 @@ def _summary(responses: Responses, vertices: int) -> str:
     return f"{head}\n{table(rows, header)}\nstatus: {responses.status}"
 
 
-def _envelope(responses: Responses) -> Figure:
-    """Figure with one panel per output: envelope, samples, worst sample, nominal."""
-    from robustlab.report.figures import COLOURS, axis_label, new_figure
+def _envelopes(responses: Responses) -> dict[str, Figure]:
+    """A figure for each output: envelope, samples, nominal."""
+    from robustlab.report.robustness_figures import response_figure
 
-    figure, axes = new_figure(rows=len(responses.outputs), height=2.4, sharex=True)
-    t = responses.t
-    for k, (axis, signal) in enumerate(zip(axes, responses.outputs, strict=True)):
-        lower, upper = responses.lower[:, k], responses.upper[:, k]
-        axis.fill_between(t, lower, upper, color=COLOURS["band"], alpha=0.3, linewidth=0, label="envelope")
-        axis.plot(t, responses.y[:100, :, k].T, color=COLOURS["sample"], linewidth=0.6, alpha=0.7)
-        axis.plot(t, responses.y[responses.worst[k], :, k], color=COLOURS["worst"], label="farthest sample")
-        axis.plot(t, responses.nominal[:, k], color=COLOURS["nominal"], label="nominal")
-        axis.set_ylabel(axis_label(signal.name, signal.unit))
-    axes[0].legend()
-    axes[-1].set_xlabel("t [s]")
-    return figure
+    sides = zip(responses.lower.T, responses.upper.T, strict=True)
+    return {
+        f"envelope-{signal.name}" if len(responses.outputs) > 1 else "envelope": response_figure(
+            responses.t, responses.y[:, :, k], responses.nominal[:, k], ends, output=(signal.name, signal.unit)
+        )
+        for k, (signal, ends) in enumerate(zip(responses.outputs, sides, strict=True))
+    }

@@ -216,14 +216,7 @@ def door(
     progress: str = "",
     check: Callable[..., None] | None = None,
 ) -> Callable[[F], F]:
-    """Decorator: the function is what a command and a step of recipes do.
-
-    ``command``: its words; an option behind them, ``worst-case --limit``, makes it the function of that option.
-    ``result``: ``module.Class`` of what it returns, or several with commas.
-    ``gives``: what later steps get, ``made`` the attribute that it is.
-    ``foretell``: see `Door`.
-    ``own``, ``progress``, ``check``: see `Door`.
-    """
+    """Decorator: the function is what a command and a step of recipes do."""
 
     def declared(function: F) -> F:
         paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
@@ -302,10 +295,7 @@ def objects(of: Door) -> list[Parameter]:
 
 
 def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[Any, str]:
-    """A system with a controller around it, and the loop in words; the system itself where there is no controller.
-
-    Raises UsageError: a sign without a controller. NoTrustworthyNumber: the nominal loop is not stable.
-    """
+    """A system with a controller around it, and the loop in words; the system itself where there is no controller."""
     from robustlab.closing import fed_back
     from robustlab.errors import NoTrustworthyNumber, UsageError
     from robustlab.linear_analysis.structural import with_hidden

@@ -41,10 +41,7 @@ class Channels:
     ] = None
 
     def posed(self, system: Any, where: str, nominal: bool | None = False) -> Any:
-        """The generalised plant: of a tracking problem its own, else with channels by number or by name.
-
-        ``nominal``: at Delta = 0; None: so of a tracking problem alone.
-        """
+        """The generalised plant: of a tracking problem its own, else with channels by number or by name."""
         from robustlab.synthesis.problem.partition import as_generalized_plant
         from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 

@@ -71,10 +71,7 @@ class Number(Kind):
 
 @dataclass(frozen=True)
 class Quantity(Kind):
-    """A number; a command takes its unit with it, as a text that the function reads (`in_units`).
-
-    ``ends``: ``LOW:HIGH``, two numbers, must or may stand in its place.
-    """
+    """A number; a command takes its unit with it, as a text that the function reads (`in_units`)."""
 
     ends: Literal["", "may", "must"] = ""
     least: float | None = None
@@ -232,19 +229,6 @@ class Names(Kind):
 
 
 @dataclass(frozen=True)
-class Texts(Kind):
-    """Texts: an option that may be repeated, a list in a recipe."""
-
-    def annotation(self) -> Any:
-        return list[str]
-
-    def field(self) -> Any:
-        from robustlab.doors.vocabulary import Text
-
-        return list[Text]
-
-
-@dataclass(frozen=True)
 class Numbers(Kind):
     """Numbers with commas between them; each may carry another unit."""
 
@@ -370,18 +354,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Thing(Kind):
-    """An object: a file of a command, an earlier step of a recipe.
-
-    ``gives``: what that step may give, see `robustlab.doors.vocabulary`.
-    ``model``: a plain model is wanted, that of a controller or a linear plant as well.
-    ``many``: several of them.
-    ``number``: a number may stand in its place.
-    ``settings``: a plant's values may be set, ``--set NAME=VALUE``.
-    ``positional``: a command takes it without an option, though it need not be given.
-    ``pair``: the function takes both models of a file that holds two.
-    ``discovery``: a discovery, too: that of a step, or the plant in the folder of ``data discover --out``.
-    ``words``: words that stay words, in the place of a name.
-    """
+    """An object: a file of a command, an earlier step of a recipe."""
 
     gives: tuple[str, ...] = ("any",)
     model: bool = False
@@ -438,10 +411,7 @@ class Thing(Kind):
         return self.as_wanted(loaded.object, file)
 
     def as_wanted(self, found: Any, where: str) -> Any:
-        """The object as its function takes it.
-
-        Raises InputError: it is of another kind.
-        """
+        """The object as its function takes it."""
         import robustlab as rl
         from robustlab.dynamics.plant_contract import Plant
         from robustlab.statespace import as_model
@@ -477,10 +447,7 @@ class Machine(Thing):
 
 @dataclass(frozen=True)
 class RecordFile(Thing):
-    """A record; its columns are those of the `Machine` beside it. A command says ``FILE#GROUP`` for a group of a file.
-
-    ``remarks``: whether a command says on stderr what reading did to the clock; a result may say it itself.
-    """
+    """A record; its columns are those of the `Machine` beside it. A command says ``FILE#GROUP`` for a group."""
 
     gives: tuple[str, ...] = ("record", "any")
     remarks: bool = True
@@ -488,10 +455,7 @@ class RecordFile(Thing):
     reading: ClassVar[str] = "record"
 
     def as_wanted(self, found: Any, where: str) -> Any:
-        """The record.
-
-        Raises InputError: it is something else.
-        """
+        """The record."""
         import robustlab as rl
 
         if not isinstance(found, rl.Record):

@@ -68,10 +68,7 @@ class Excitation:
     points: Points = 401
 
     def of(self, uncertain: Any) -> dict[str, Any]:
-        """Times and inputs of a response as the functions take them.
-
-        Raises UsageError, InputError: a sine without frequency or end, a value in a unit that is not the input's.
-        """
+        """Times and inputs of a response as the functions take them."""
         import numpy as np
 
         if not isinstance(uncertain, rl.UncertainModel):
@@ -106,10 +103,7 @@ USUAL, UNDRIVEN, AS_USUAL, USUALLY_SURE = Judged(), Excitation(), Search(), Cert
 
 
 def unit_of_metric(step: Any, ahead: Any) -> Any:
-    """Unit of a metric's values before the run; ``float`` where it is not known yet.
-
-    Raises InputError: a sine without its frequency, or the other way round.
-    """
+    """Unit of a metric's values before the run; ``float`` where it is not known yet."""
     _check_sine(step.sine, step.frequency)
     if step.metric in ("overshoot", "settling-time"):
         return "%" if step.metric == "overshoot" else "s"

@@ -45,10 +45,7 @@ Pose = Annotated[
 
 
 def at_rest(plant: Any, at: Any, pose: Any) -> Any:
-    """The pose, or the values at rest; None where the plant is looked at where it rests by itself.
-
-    Raises UsageError: both, or a plant that has one linear model.
-    """
+    """The pose, or the values at rest; None where the plant is looked at where it rests by itself."""
     from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 
     if pose is not None and at:
@@ -175,10 +172,7 @@ def diff(
 
 
 def two_models(first: Any, second: Any) -> tuple[Any, Any]:
-    """Both models: of two files, or of one that holds two.
-
-    Raises UsageError: only one model.
-    """
+    """Both models: of two files, or of one that holds two."""
     from robustlab.doors.kinds import Pair
 
     if isinstance(first, Pair):

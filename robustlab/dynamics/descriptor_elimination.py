@@ -60,10 +60,7 @@ class Channels(NamedTuple):
 
 
 def solved(e: Array, right: Array, where: str) -> Array:
-    """``E^-1 right``; a small inductance in one row and a large mass in another say nothing of the rank of E.
-
-    Raises InputError: E is singular.
-    """
+    """``E^-1 right``; a small inductance in one row and a large mass in another say nothing of the rank of E."""
     size = np.abs(e).max(axis=1, initial=0.0)
     if (size == 0).any() or (len(e) and np.linalg.cond(e / size[:, None]) > 1 / ROUNDING):
         raise InputError(f"{where}: equations", "E is singular", "an equation for the rate of every state")
@@ -81,8 +78,6 @@ def closed_descriptor(
     """The uncertain model around a nominal one, whose descriptor form has E and these channels.
 
     ``outputs``: names of the outputs to keep; states that then neither show nor act are left out. All where left out.
-
-    Raises InputError: a singular E, an output that there is not.
     """
     n, n_u, n_y = nominal.n_states, nominal.n_inputs, nominal.n_outputs
     left, right, inner, blocks = channels
@@ -282,10 +277,7 @@ def _semi_explicit(form: _Form) -> _Reduced | None:
 
 
 def _turned(form: _Form, where: str) -> _Reduced:
-    """Where E shows only in other coordinates which states have a rate.
-
-    Raises InputError: an index above 1, or too few equations for x.
-    """
+    """Where E shows only in other coordinates which states have a rate."""
     rows, columns = _scales(form)
     e, a = (m * rows[:, None] * columns for m in (form.E, form.A))
     u, values, v = np.linalg.svd(e)

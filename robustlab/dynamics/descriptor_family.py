@@ -106,8 +106,6 @@ def uncertain_family(
     ``outputs``: names of the outputs to keep, all where left out.
     Returns: one `RealScalar` for each parameter that has an effect, of its name; ``remainder``, a full block, where the
     values of a parameter are covered by samples. ``origin`` of each block says which it is, and on what evidence.
-    Raises NoTrustworthyNumber: no linear model at a value within the ranges; a set that does not give the plant's own
-    models back.
     """
     if not ranges:
         return UncertainModel(nominal, [], nominal.operating_point)
@@ -148,10 +146,7 @@ def _scale(centre: Array, scans: Sequence[Array]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """N(p) over the ranges of the named parameters.
-
-    ``factors``: a row, and the parameter by which it is multiplied or the column by whose entry it is divided.
-    """
+    """N(p) over the ranges of the named parameters."""
 
     where: str
     matrices: Callable[[Values], Array]

@@ -203,10 +203,7 @@ class FmuPlant(SteppedPlant):
 def _asked(
     path: str | Path, request: Mapping[str, Any], time_limit: float, array: Array | None = None
 ) -> tuple[dict[str, Any], Array | None]:
-    """The child's answer to a request: a table, and an array where one is asked for.
-
-    Raises NativeTimeout: it gave none in time; InputError, NoTrustworthyNumber: a unit that fails, crashes, or is none.
-    """
+    """The child's answer to a request: a table, and an array where one is asked for."""
     shown, running = str(path), request["op"] == "step"
     fault = NoTrustworthyNumber if running else InputError
     with tempfile.TemporaryDirectory(prefix="robustlab-fmu-") as name:

@@ -72,8 +72,6 @@ def held_descriptor(
     left out, the first of these with which there is rest at all ``tried`` values of the parameters: all states but
     currents, the positions of the joints, the inputs.
     ``tried``: values of all parameters by what messages call them.
-    Raises InputError: a name that is no state or input. NoTrustworthyNumber: no rest at one of the tried values; from
-    the function: at the values it is given.
     """
     states, inputs = [s.name for s in plant.states], [s.name for s in plant.inputs]
     places = plant.port_places

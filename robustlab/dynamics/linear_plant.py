@@ -303,8 +303,6 @@ def tied_plant(plant: LinearPlant, groups: Iterable[tuple[str, tuple[str, ...]]]
 
     ``groups``: (label, names of parameters) each.
 
-    Raises InputError: a label that is the name of a parameter, a name that is none, one in two groups.
-
     Examples
     --------
     >>> from robustlab.dynamics import plant

@@ -22,9 +22,6 @@ GIVEN = "given by the user"
 class Parameter:
     """One physical parameter; immutable.
 
-    Raises InputError: NaN or infinite values, a sign that physics forbids, a tolerance that is negative or whose range
-    leaves that sign.
-
     Attributes
     ----------
     name
@@ -111,10 +108,7 @@ class Parameter:
         return ParameterRange(self.value, self.radius, self.unit, sign=self.sign)
 
     def check_ends(self, low: float, high: float) -> None:
-        """Refuse a range that leaves the sign that physics asks for.
-
-        Raises InputError: an end that is no value of the parameter, or zero within a range that must not hold it.
-        """
+        """Refuse a range that leaves the sign that physics asks for."""
         for end in (low, high):
             replace(self, value=end, tolerance=0.0)
         if self.sign == "either" and low <= 0 <= high:
@@ -143,7 +137,6 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
     tolerance)``, the tolerance as `tolerance_of` reads it. A value may be a text: a number with the parameter's unit,
     or one that measures the same.
     ``where``: what messages call the plant.
-    Raises InputError: unknown names (with the closest known one), and everything that `Parameter` refuses.
 
     Examples
     --------
@@ -178,8 +171,6 @@ def parameter_ranges(
     ``given``: name -> (low, high), numbers or texts with a unit, around the parameter's value. ``where``: what messages
     call the plant. ``exact``: names of parameters that take no range.
 
-    Raises InputError: a name that is no parameter or an exact one, ends that do not hold the value or leave its sign.
-
     Examples
     --------
     >>> resistance = Parameter("R", 2.0, "ohm", tolerance=0.1)
@@ -210,8 +201,6 @@ def tolerance_of(where: str, given: Any, nominal: float, unit: str) -> float:
     """A tolerance as `Parameter` holds it: relative, of the value 0 absolute in ``unit``.
 
     ``given``: a number, a share such as ``"5%"``, or an absolute tolerance with its unit such as ``"+-0.2 N s/m"``.
-
-    Raises InputError: a share of the value 0, in which nothing could move; what is no number, or in no such unit.
 
     Examples
     --------

@@ -58,8 +58,6 @@ def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
     ``hold``: "zoh": constant until the next sample (a D/A converter). "foh": straight to the next sample. "spline": the
     not-a-knot spline of degree 5, for a smooth signal (a cubic one would break the integrator's order at every sample);
     it needs at least 6 samples.
-
-    Raises InputError: an unknown hold, or a spline of fewer than 6 samples.
     """
     coefficients = np.zeros((len(t) - 1, 6, samples.shape[1]))
     broken = np.zeros(len(t) - 1, dtype=np.bool_)

@@ -72,9 +72,6 @@ def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None,
     the plant's ``with_parameters``.
     ``path``: where the file was found, if not at the place that the reference says.
     Returns: its ``provenance`` has the SHA-256 of the file, and of the modules beside it that it imported.
-    Raises InputError: no such file or name (with the closest one), no Python, code that raises or ends the program,
-    anything that is no plant, and all that a plant refuses; with file and line. DependencyMissing: the file imports an
-    optional package that is not installed.
     """
     file, name = plant_reference(reference) or ("", "")
     if not file:
@@ -94,10 +91,7 @@ def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None,
 
 
 def plants_in_file(file: str) -> tuple[str, ...]:
-    """Names in a file that may be plants: of `Plant` objects, and of functions that need no argument (none is called).
-
-    Raises InputError, DependencyMissing: as `plant_from_file`.
-    """
+    """Names in a file that may be plants: of `Plant` objects, and of functions that need no argument."""
     return _plants(_run(Path(file), _shown(file, None))[0])
 
 
@@ -326,11 +320,7 @@ def axis(**given):
 
 
 def write_template(name: str) -> Path:
-    """Write ``NAME.py`` in the working directory, or in the folder before the name; a file that is there stays.
-
-    Raises UsageError: a name that a module cannot have, or that Python knows as another module; EnvironmentFault: the
-    file exists already, or cannot be written.
-    """
+    """Write ``NAME.py`` in the working directory, or in the folder before the name; a file that is there stays."""
     folder, last = os.path.split(name)
     stem = last.removesuffix(".py")
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", stem) or keyword.iskeyword(stem):

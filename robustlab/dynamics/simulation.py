@@ -49,7 +49,7 @@ def simulate(
     .. math:: x(t_{k+1}) = e^{A h_k} x(t_k) + \int_0^{h_k} e^{A (h_k - s)} B\, u(t_k + s)\, ds
 
     evaluated by matrix exponentials, hence without discretisation error. A discrete model (dt > 0) is stepped. A
-    nonlinear plant is integrated by DOP853 with the local error held at ``rtol``, or in fixed steps. A plant with
+    nonlinear plant is integrated by DOP853 with the local error held at ``rtol``. A plant with
     effects (`with_effects`) is stepped with its forces held, on a clock of equal steps, with exact sticking. A model
     with exact delays follows the method of steps (`robustlab.delays.response`): without error where the delays are at
     inputs and outputs, else with the estimated error below ``rtol``. Before ``t[0]`` nothing is in its delays.
@@ -75,8 +75,7 @@ def simulate(
         Nonlinear plants: relative local error of a step, 1e-8 where left out. Models with delays inside: largest change
         when the cells are halved, relative to the largest output, 1e-9 where left out.
     step
-        Nonlinear plants that offer it: fixed steps (classical Runge-Kutta) of at most this length in s, without error
-        control. Plants with effects: their longest step, 1 ms where left out; of a nonlinear plant steps are then
+        Plants with effects: their longest step, 1 ms where left out; of a nonlinear plant steps are then
         halved until the states change by no more than 1e-4 of their size.
 
     Returns
@@ -126,10 +125,7 @@ def simulate(
 def default_clock(
     model: StateSpaceModel, where: str, n: int = 401, hint: str = "pass t=numpy.linspace(0, t_end, n)"
 ) -> Array:
-    """A clock over eight time constants of the slowest decay, shape (n,); integrators do not count.
-
-    Raises InputError: the model is unstable: how long to look is the user's to say.
-    """
+    """A clock over eight time constants of the slowest decay, shape (n,); integrators do not count."""
     poles = model.poles()
     if model.is_discrete:
         poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / model.dt
@@ -218,12 +214,12 @@ def _simulate_nonlinear(
     options = {key: value for key, value in (("rtol", rtol), ("step", step)) if value is not None}
     for key, value in options.items():
         number(f"simulate: {key}", value, "a number between 0 and 1", above=0, below=1)
-    if len(options) == 2:
-        raise InputError("simulate", "rtol and step", "one of them: fixed steps have no error control")
     if isinstance(plant, SteppedPlant):
         x, force, y = _stepped(plant, clock, sampled_inputs(plant.inputs, u, len(clock)), start, hold, options)
     else:
-        x, y = plant.response(signal, start, **(options or {"rtol": RTOL}))
+        if step is not None:
+            raise InputError("simulate", f"step for {plant.name}", "rtol: it is integrated with error control")
+        x, y = plant.response(signal, start, rtol=RTOL if rtol is None else rtol)
         force = signal.samples
     _check_finite(np.hstack([x, y]), clock, plant.name)
     return recorded(plant, clock, force, y, name or plant.name)

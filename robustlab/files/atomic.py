@@ -36,9 +36,6 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
     The temporary file lies in the same folder; it is flushed to disk, renamed, and the folder is flushed. A link is
     followed: the file it points to is replaced. Temporary files that a killed process left in the folder more than an
     hour ago are removed.
-
-    Raises EnvironmentFault: disk full, no permission, read-only, no such folder; the previous file is kept and no
-    temporary file stays.
     """
     where = str(path)
     try:

@@ -14,11 +14,7 @@ WORD = {"json": "JSON", "toml": "TOML"}
 
 
 def parse_document(kind: Literal["json", "toml"], raw: bytes, where: str) -> Any:
-    """Tables, lists, texts, numbers, yes/no (and in TOML dates) from the bytes of a file; ``where``: its name.
-
-    Raises InputError: more than 32 MiB; not UTF-8, not JSON or TOML; JSON with NaN or a key written twice; whole
-    numbers beyond 64 bits; nested deeper than `MAX_DEPTH`.
-    """
+    """Tables, lists, texts, numbers, yes/no (and in TOML dates) from the bytes of a file; ``where``: its name."""
     if len(raw) > Limits.document:
         raise InputError(where, f"{size_text(len(raw))} of {WORD[kind]}", f"at most {size_text(Limits.document)}")
     try:

@@ -20,15 +20,7 @@ MAX_ATTRIBUTE_TEXT = 60_000  # bytes; HDF5 keeps attributes in a header of 64 Ki
 
 
 def read_tree(path: str | Path, group: str | None = None, limits: Limits | None = None, isolate: bool = True) -> Tree:
-    """Read an HDF5 or MATLAB (5, 7.3) file from outside.
-
-    ``path``: the file; its kind is told by its content.
-    ``group``: read the values below this group (and in the root) only.
-    ``limits``: sizes that are accepted.
-    ``isolate``: False reads in this process, with the same checks; for tests, and for files this process has just
-    written.
-    Raises InputError: anything that is wrong with the file.
-    """
+    """Read an HDF5 or MATLAB (5, 7.3) file from outside."""
     limits = limits or Limits()
     kind = content_of(path, limits)
     if kind == "text":
@@ -48,9 +40,6 @@ def write_tree(path: str | Path, tree: Tree) -> Path:
     """Write ``tree`` to ``path`` atomically: datasets with fletcher32 checksums, texts as UTF-8.
 
     The file is laid out in memory first, so that a full disk meets one plain write and never a half-flushed library.
-
-    Raises InputError: values that HDF5 or format 1 cannot hold. EnvironmentFault: the file cannot be written; the
-    previous one is kept.
     """
     image = _image(tree)
     return atomic_write(path, lambda temporary: temporary.write_bytes(image))

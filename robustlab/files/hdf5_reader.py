@@ -70,10 +70,6 @@ def read_hdf5(
     """Read ``path`` into a tree; ``group`` limits the values that are read, everything is walked all the same.
 
     ``allow`` is called with the bytes in memory of each dataset before it is read.
-
-    Raises InputError: with all problems of the file, one line each: links out of the tree, external or virtual storage,
-    unknown filters, sizes beyond the limits, checksums that do not match, texts that are not UTF-8, a truncated or
-    damaged file.
     """
     where = shown or path
     try:

@@ -58,10 +58,7 @@ def send_error(stream: BinaryIO, error: InputError) -> None:
 
 
 def receive(data: bytes, file: str) -> Tree:
-    """Inverse of `send_tree` and `send_error`.
-
-    Raises InputError: the error that was sent; ValueError: the bytes are not what the two functions above write.
-    """
+    """Inverse of `send_tree` and `send_error`."""
     header, end = _header_of(data)
     return _Received(memoryview(data)[end:], file).tree(header["tree"], "/")
 
@@ -225,9 +222,6 @@ def read_isolated(kind: str, path: str | Path, limits: Limits, group: str | None
     """Read a file of kind ``hdf5``, ``matlab5`` or ``table`` in a process of its own.
 
     ``options`` go to the reader: of a table ``delimiter``, ``decimal``.
-
-    Raises InputError: what is wrong with the file; a reader that crashed, hung, or ran out of memory. EnvironmentFault:
-    the reader could not be started.
     """
     where = str(path)
     request = _request(kind, limits, path=str(Path(path).absolute()), shown=where, group=group, **options)

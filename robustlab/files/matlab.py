@@ -39,10 +39,7 @@ BYTES_OF_VALUE = {"struct": 400, "object": 400}
 
 
 def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
-    """The variables of a version 5 file; a struct becomes a group, a cell array of texts a text dataset.
-
-    Raises InputError: variables that declare more than the limits, a damaged file.
-    """
+    """The variables of a version 5 file; a struct becomes a group, a cell array of texts a text dataset."""
     from scipy.io import loadmat, whosmat
 
     where = shown or path
@@ -117,10 +114,7 @@ def _latin(text: Any) -> str:
 
 
 def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
-    """Write variables (arrays, numbers, texts, lists of texts as cell columns) to a version 5 file.
-
-    Raises InputError: a name that MATLAB does not allow.
-    """
+    """Write variables (arrays, numbers, texts, lists of texts as cell columns) to a version 5 file."""
     from scipy.io import savemat
 
     for name in variables:

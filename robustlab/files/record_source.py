@@ -61,10 +61,7 @@ def recipe_of(variable: str, kind: str) -> str | None:
 
 
 def logs_of(node: Tree) -> Iterator[Log]:
-    """All channels of the logs in ``node`` and below it; their lengths are those of the file.
-
-    Raises InputError: a value of too many columns.
-    """
+    """All channels of the logs in ``node`` and below it; their lengths are those of the file."""
     yield from _logs(node, node.file, "")
 
 
@@ -203,10 +200,7 @@ def one_of(word: str, names: Sequence[str]) -> str:
 
 
 def need(where: str, package: str, extra: str) -> None:
-    """Go on only where an optional package is installed.
-
-    Raises DependencyMissing: it is not; the hint names the extra.
-    """
+    """Go on only where an optional package is installed."""
     if importlib.util.find_spec(package) is None:
         raise DependencyMissing(where, f"needs the package {package}", None, f"pip install 'robustlab[{extra}]'")
 

@@ -51,10 +51,7 @@ def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
 
 
 def decode_record(node: Tree, where: str) -> dict[str, Any]:
-    """Inverse of `encode_record`.
-
-    Raises InputError: all of: missing ``t``, datasets that are not columns of finite real numbers, lengths that differ.
-    """
+    """Inverse of `encode_record`."""
     problems: list[str] = []
     keywords: dict[str, Any] = {"name": str(node.attrs.get("name", "")) or "record", "units": {}, "meaning": {}}
     if "t" not in node.datasets:
@@ -147,15 +144,7 @@ class RecordOptions:
 def read_record(
     path: str | Path, options: RecordOptions, limits: Limits | None = None, isolate: bool = True
 ) -> dict[str, Any]:
-    """Read one record; the result holds the keyword arguments of `robustlab.record.Record`.
-
-    ``path``: HDF5 (format 1 or plain), MATLAB 5 or 7.3, or a text file; told by content.
-    ``options``: what to take of it.
-    ``limits``, ``isolate``: see `robustlab.files.hdf5.read_tree`.
-    Raises InputError: signals that are missing (all of them, with the nearest names), are not columns of numbers,
-    differ in length; no clock; missing samples; clocks that do not overlap; a unit for no signal, or another one than
-    the file states.
-    """
+    """Read one record; the result holds the keyword arguments of `robustlab.record.Record`."""
     group, content = options.group, content_of(path, limits)
     if content == "text":
         return choose(from_text(path, group, options.delimiter, options.decimal, limits, isolate), options)

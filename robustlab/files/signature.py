@@ -58,10 +58,7 @@ def size_text(n: int) -> str:
 
 
 def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
-    """First 520 bytes of ``path``, once it is a regular, readable, non-empty file within the size limit.
-
-    Raises InputError: in all other cases; a missing file is compared with its neighbours.
-    """
+    """First 520 bytes of ``path``, once it is a regular, readable, non-empty file within the size limit."""
     path = Path(path)
     where = str(path)
     limits = limits or Limits()
@@ -103,10 +100,7 @@ def _missing(path: Path) -> InputError:
 
 
 def content_of(path: str | Path, limits: Limits | None = None) -> Content:
-    """Kind of the file, by content and not by name.
-
-    Raises InputError: it is none of the kinds that robustlab reads, or one that it refuses for a stated reason.
-    """
+    """Kind of the file, by content and not by name."""
     path = Path(path)
     where = str(path)
     head = require_file(path, limits)
@@ -267,10 +261,7 @@ UNREAD = {
 
 
 def refusal(path: Path, formats: str) -> InputError | None:
-    """What is said of a file by its suffix: that it is not read, and how it can be; None of any other.
-
-    ``formats``: what is read, in words.
-    """
+    """What is said of a file by its suffix: that it is not read, and how it can be; None of any other."""
     suffix = path.suffix.lower()
     kind = REFUSED.get(suffix) or UNREAD.get(suffix)
     if kind is None:

@@ -47,12 +47,6 @@ def read_table(
     Lines that begin with ``#`` or ``%`` are comments; the first line that is not made of numbers is the header. Without
     one, a comment directly above the numbers with as many names as there are columns is taken. Names may carry units:
     ``q [m]``, ``q (m)``.
-
-    ``delimiter``: ``,`` ``;`` a tab, or a blank for any white space; found out where left out.
-    ``decimal``: decimal sign, ``.`` or ``,``. A decimal comma is never guessed: ``1,5`` may as well be two numbers.
-    ``isolate``: False reads in this process, with the same checks.
-    Raises InputError: lines with too few or too many cells, cells that are not numbers (with line and column), no
-    numbers at all.
     """
     limits = limits or Limits()
     require_file(path, limits)
@@ -299,11 +293,6 @@ def read_response(
     ``... imag``, or ``... magnitude`` (dB where its unit says so) and ``... phase`` (rad or deg), and may have ``...
     radius``, what is not known of the entry. One channel alone needs no name. A column ``radius`` without a channel
     bounds the largest singular value of the error of all channels.
-
-    ``path``, ``delimiter``, ``decimal``: see `robustlab.files.text_table.read_table`.
-    ``units``: name of a column -> its unit, where the header ``name [unit]`` does not say it.
-    Raises InputError: what is wrong with the table; columns with no such name, channels that are not whole, units that
-    are not said.
     """
     where, table = str(path), read_table(path, delimiter, decimal)
     if not table.has_header:

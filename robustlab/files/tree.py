@@ -101,11 +101,7 @@ def type_name(values: AnyArray | Unread) -> str:
 
 
 def canonical(values: Any, where: str) -> AnyArray:
-    """``values`` as a C-ordered array of float64, int64, bool, complex128, or text: the types format 1 knows.
-
-    Raises InputError: any other type, whole numbers beyond 64 bits, text that cannot be stored (NUL, half a surrogate
-    pair).
-    """
+    """``values`` as a C-ordered array of float64, int64, bool, complex128, or text: the types format 1 knows."""
     array = np.asarray(values)
     kind = array.dtype.kind
     if kind in "O" and array.size == 0:
@@ -130,8 +126,6 @@ def content_sha256(tree: Tree) -> str:
 
     Everything counts but the root attribute ``content_sha256`` and the root group ``provenance``. The bytes that are
     hashed are described in ``docs/hdf5-format.md``.
-
-    Raises InputError: a dataset has a type that format 1 does not know.
     """
     digest = hashlib.sha256()
     objects = sorted(tree.walk(), key=lambda item: item[0].encode())
@@ -238,8 +232,6 @@ def check_header(tree: Tree, no_verify: bool = False) -> tuple[str, list[str]]:
     """Kind of a format 1 file, and warnings.
 
     A file without a hash is accepted with a warning; one with a wrong hash with ``no_verify`` only.
-
-    Raises InputError: a newer major version, an unknown kind, a hash that does not match.
     """
     where, attrs = tree.file, tree.attrs
     if text_attr(attrs, "format") != FORMAT:

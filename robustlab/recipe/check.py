@@ -27,12 +27,7 @@ WANTED: dict[str, type] = {"uncertain": rl.UncertainModel, "record": rl.Record}
 
 
 def look_through(loaded: LoadedRecipe) -> Ahead:
-    """What is known of each step before anything runs.
-
-    Raises InputError: files that are not there or not what they must be, names of signals and parameters that are not
-    among those that a step has, numbers that no step leaves, units that are not theirs; all of them at once. Another
-    error of ours where that is all there is to say.
-    """
+    """What is known of each step before anything runs."""
     recipe = loaded.recipe
     sources: dict[str, Path] = {}
     ahead = Ahead(sources)

@@ -27,10 +27,7 @@ class Key:
 
 
 def keys_of(part: Mapping[str, Any], parts: Mapping[str, Any]) -> list[Key]:
-    """The keys of a table of the schema, without the word that says what a step does.
-
-    ``parts``: the schema's ``$defs``.
-    """
+    """The keys of a table of the schema, without the word that says what a step does."""
     needed = part.get("required", [])
     return [
         Key(name, _takes(key, parts), name in needed, key.get("default"), _meaning(key))

@@ -50,13 +50,7 @@ class LoadedRecipe:
 
 
 def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe:
-    """Read and check a recipe file.
-
-    ``path``: a ``.toml`` file of at most 1 MiB.
-    ``overrides``: ``"a.b=value"`` items: a is a top-level key or a step's name.
-    Raises InputError: the file is missing, too large, not TOML, or not a recipe; all faults are listed. UsageError: an
-    override that has no ``=`` or names no step.
-    """
+    """Read and check a recipe file."""
     file = Path(path)
     if file.suffix.lower() in _REFUSED:
         raise InputError(str(path), f"a {file.suffix} file: {_REFUSED[file.suffix.lower()]}", "a .toml recipe")
@@ -301,9 +295,6 @@ def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:
     A path is looked for beside the recipe, in the folder above it, and in the working directory; one given with
     ``--set`` in the working directory first. Models, and plants in a file of Python, must lie in the recipe's folder or
     the folder above it, unless ``--set`` says otherwise.
-
-    Raises InputError: a file that is not there (with the places looked at), is no regular file, or lies where a recipe
-    may not reach.
     """
     key, given = _named_file(step)
     if given is None:
@@ -369,10 +360,7 @@ def _check_inside(recipe: Path, key: str, given: str, path: Path) -> None:
 
 
 def recipe_path(given: str) -> Path:
-    """The file that ``robustlab run`` means by ``given``: a path, or the name of a shipped recipe.
-
-    Raises InputError: neither a file nor a shipped name.
-    """
+    """The file that ``robustlab run`` means by ``given``: a path, or the name of a shipped recipe."""
     path = Path(given)
     if path.is_file() or path.suffix or len(path.parts) > 1:
         return path  # a path: `load_recipe` says what is wrong with it

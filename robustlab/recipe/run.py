@@ -23,12 +23,13 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import robustlab as rl
 from robustlab.errors import (
     EXIT_BUG,
     EXIT_INTERRUPTED,
@@ -39,6 +40,7 @@ from robustlab.errors import (
     NoTrustworthyNumber,
     RobustlabError,
 )
+from robustlab.evidence import Verified
 from robustlab.files.atomic import atomic_write
 from robustlab.files.document import parse_document
 from robustlab.files.signature import require_file
@@ -46,11 +48,11 @@ from robustlab.provenance import Provenance, file_sha256
 from robustlab.recipe.check import at_step, look_through, step_hint
 from robustlab.recipe.load import LoadedRecipe, references
 from robustlab.recipe.schema import Judgement, Recipe, judge
-from robustlab.recipe.steps.contract import Outcome, Step, Workspace
-from robustlab.recipe.steps.proofs import verified
+from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace
 from robustlab.report.html import ending_of, junit_xml, render
-from robustlab.result import Status, plain
+from robustlab.result import Status, least_trusted, plain
 from robustlab.shown import Facts, Shown, listed
+from robustlab.verification.reading import claims_in_file
 
 DONE, NOT_RUN = "done", "not run"
 FINISHED, RUNNING = "finished", "running"
@@ -145,13 +147,6 @@ def run_recipe(
 
     From the first moment the report there says that the run has not finished. However it ends, also by an error, by
     Ctrl-C or by a fault of ours, the report is then that of this run: what was done, what failed, what was not run.
-
-    ``out``: the folder; files in it that are no result of an earlier run stay.
-    ``report``: called with name and kind of each step before it runs.
-    ``png``: figures are drawn as PNG beside the SVG, too.
-    Raises InputError, EnvironmentFault: the recipe or a step cannot be done as it is; all that is known before the
-    first step is told at once. (A step that is done, but ends without a trustworthy number, is no error: the run goes
-    on with the steps that do not need it, and says so.).
     """
     started = time.monotonic()
     target = Path(out).resolve()
@@ -387,10 +382,7 @@ def _files_of_previous_run(target: Path) -> set[str]:
 
 
 def read_result(folder: str | Path) -> dict[str, Any]:
-    """Content of ``result.json`` of a finished run.
-
-    Raises InputError: no such file, or not the result of a run.
-    """
+    """Content of ``result.json`` of a finished run."""
     path = Path(folder) / "result.json"
     try:
         require_file(path)
@@ -469,3 +461,31 @@ def _same(earlier: Mapping[str, Any], loaded: LoadedRecipe) -> bool:
     recipe = earlier.get("recipe", {})
     origin = recipe.get("origin", "")
     return recipe.get("overrides") == loaded.overrides and origin in ("", recipe_origin(loaded))
+
+
+def verified(outcome: Outcome, files: Sequence[Path], asked: bool) -> Outcome:
+    """The outcome with what became of its claims; its status is no better than theirs."""
+    found = [rl.verify(path) for path in files if claims_in_file(path)]
+    if not found:
+        if not asked:
+            return outcome
+        note = "Nothing of this step can be verified: what it found holds no claims."
+        return replace(outcome, status=_with(outcome, [rl.Status.INCONCLUSIVE]), notes=(*outcome.notes, note))
+    facts = [
+        Fact(_label(one), text, "verify")
+        for one in found
+        for text in (one.headline(), *(f"{label}: {said}" for label, said in one.facts() if said and label != "proved"))
+    ]
+    numbers = {**outcome.numbers, "verified": all(one.proved for one in found)}
+    status = _with(outcome, [one.status for one in found])
+    return replace(outcome, facts=(*outcome.facts, *facts), numbers=numbers, status=status)
+
+
+def _label(one: Verified) -> str:
+    return "Proved independently" if one.proved else "Refuted" if one.refuted else "Not proved independently"
+
+
+def _with(outcome: Outcome, statuses: Sequence[rl.Status]) -> rl.Status:
+    """What is proved does not become better trusted than it was."""
+    own = [] if outcome.status is None else [outcome.status]
+    return least_trusted([*own, *statuses])

@@ -156,11 +156,7 @@ class Judgement:
 
 
 def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str]) -> Judgement:
-    """Judge one requirement; what cannot be judged is not met, and says why.
-
-    ``numbers``: step name -> its numbers.
-    ``missing``: step name -> why it has none.
-    """
+    """Judge one requirement; what cannot be judged is not met, and says why."""
     step = requirement.that.split(".")[0]
     if step in missing:
         return Judgement(requirement, None, False, missing[step])
@@ -176,10 +172,7 @@ def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], mi
 
 
 def look_up(path: str, numbers: Mapping[str, Any], lists: bool = False) -> Any:
-    """The value at a dotted path through tables and lists, for example ``gap.outputs.q.fit`` or ``loop.poles.0``.
-
-    Raises InputError: there is nothing at that path, or a whole table; a whole list, unless ``lists`` asks for one.
-    """
+    """The value at a dotted path through tables and lists, for example ``gap.outputs.q.fit`` or ``loop.poles.0``."""
     here: Any = numbers
     done: list[str] = []
     for part in path.split("."):

@@ -51,11 +51,7 @@ at_least = 788.5
 
 
 def write_starter(name: str, force: bool = False) -> Path:
-    """Write ``NAME.toml`` in the working directory, or in the folder before the name.
-
-    Raises UsageError: a name that a recipe cannot have. EnvironmentFault: the file exists already, and ``force`` is not
-    given; there is no such folder.
-    """
+    """Write ``NAME.toml`` in the working directory, or in the folder before the name."""
     path = Path(os.path.dirname(name), f"{stem_of(name)}.toml")  # noqa: PTH120  a slash at the end is no name
     if path.exists() and not force:
         raise EnvironmentFault(str(path), "exists already", "a new name, or --force to write over it")

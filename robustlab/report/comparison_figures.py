@@ -381,10 +381,7 @@ def response_figure(comparison: Comparison, output: str | None = None) -> Figure
 
 
 def harmonics_figure(comparison: Comparison) -> Figure:
-    """Lines of every judged signal: excited, even and odd ones that are not, over the noise.
-
-    Raises InputError: the excitation does not allow the test.
-    """
+    """Lines of every judged signal: excited, even and odd ones that are not, over the noise."""
     test = comparison.nonlinearity
     if not test.signals:
         raise InputError("plot('harmonics')", test.reason or "no test", "a periodic excitation")

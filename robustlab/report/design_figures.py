@@ -100,14 +100,7 @@ def loop_figure(
     level: str = "γ, verified",
     heading: str = "weighted closed loop",
 ) -> Figure:
-    """Singular values of the weighted closed loop with the peak marked, and the controller's gains.
-
-    ``closed_loop``: singular values, shape (n_omega, k).
-    ``peak``: frequency in rad/s and gamma.
-    ``controller``: largest gains of the controller from each measurement, shape (n_omega, n_y), and the names of these.
-    ``level``: what the marked level is.
-    ``heading``: of the closed loop's panel.
-    """
+    """Singular values of the weighted closed loop with the peak marked, and the controller's gains."""
     figure, (loop, gains) = new_figure(1, 2, width=9.6, height=3.7)
     with house_style():
         low = _span(loop, [closed_loop[:, 0], np.array([peak[1]])], 4.0)
@@ -241,10 +234,7 @@ HEADINGS = {"S": "S: relative error", "KS": "K S: control", "T": "T: relative ou
 def tracking_panels(
     problem: TrackingProblem, controllers: Mapping[str, Any], omega: Array, gamma: float | None = None
 ) -> list[FunctionPanel]:
-    """S, K S and T of the nominal loop of a tracking problem under each controller.
-
-    ``gamma``: verified gamma of the only controller: what it proves is drawn too.
-    """
+    """S, K S and T of the nominal loop of a tracking problem under each controller."""
     gains = {name: problem.gains(K, omega) for name, K in controllers.items()}
     allowed = problem.bounds(omega)
     units = {s.unit for s in problem.plant.controls}

@@ -144,10 +144,7 @@ def stretch_figure(discovery: Discovery, output: str | None = None) -> Figure:
 
 
 def posterior_figure(discovery: Discovery) -> Figure:
-    """Bars of the probability of the best sets of effects, with their log evidence behind the first.
-
-    Raises InputError: no sets were weighed.
-    """
+    """Bars of the probability of the best sets of effects, with their log evidence behind the first."""
     if not discovery.posterior:
         raise InputError("plot('posterior')", "no sets of effects were weighed", "a finished discovery")
     shown = discovery.posterior[:SHOWN]
@@ -177,12 +174,7 @@ def residual_force_figure(
     name: str = "force",
     before: ResidualForce | None = None,
 ) -> Figure:
-    """Residual force over each coordinate; below it, what share of it each explains.
-
-    ``residual``: curves and shares.
-    ``name``: what the force is called on the axes.
-    ``before``: the force before the named effects were in the model, drawn behind it.
-    """
+    """Residual force over each coordinate; below it, what share of it each explains."""
     curves = sorted(residual.curves.values(), key=_place)
     earlier = before.curves if before is not None else {}
     rows = math.ceil((len(curves) + 1) / COLUMNS)
@@ -393,10 +385,7 @@ def _shares(panel: Axes, residual: ResidualForce, before: ResidualForce | None) 
 
 
 def force_of(discovery: Discovery) -> Figure:
-    """The missing force over speed, position, time and input, before and after.
-
-    Raises InputError: no force is known.
-    """
+    """The missing force over speed, position, time and input, before and after."""
     if discovery.residual_force is None or not discovery.residual_force.curves:
         raise InputError("plot('force')", "no force is known", "a discovery that smoothed the missing force")
     return residual_force_figure(discovery.residual_force, "missing force", discovery.missing_force)

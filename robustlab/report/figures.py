@@ -227,13 +227,6 @@ def save_figure(figure: Figure, folder: str | Path, name: str, png: bool = True)
     """Write ``name.svg``, and ``name.png``, into ``folder``; the same figure gives the same bytes.
 
     Each file is written beside its final name first and then renamed, so that a reader never sees half of one.
-
-    Raises EnvironmentFault: the folder cannot be made, or a file not written.
-
-    Returns
-    -------
-    tuple of Path
-        The SVG, and the PNG where one was asked for.
     """
     from robustlab.errors import EnvironmentFault
     from robustlab.files.atomic import atomic_write

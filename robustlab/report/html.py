@@ -126,12 +126,7 @@ def tone(step: Mapping[str, Any]) -> str:
 
 
 def render(result: Mapping[str, Any], folder: str | Path) -> str:
-    """The page for a result as ``result.json`` holds it.
-
-    ``result``: content of ``result.json``; see `robustlab.recipe.run`.
-    ``folder``: the run's folder, with ``figures/*.svg``.
-    Raises InputError: a figure that the result names is not there, or the result lacks a part.
-    """
+    """The page for a result as ``result.json`` holds it."""
     from jinja2 import UndefinedError
 
     try:

@@ -55,11 +55,7 @@ class _Drawn:
 
 
 def step_figure(shown: Any, t: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
-    """Responses of every output to a unit step on every input.
-
-    ``t``: times in s; eight time constants of the slowest decay where left out.
-    ``n``, ``seed``: members of an uncertain model.
-    """
+    """Responses of every output to a unit step on every input."""
     drawn = _drawn(shown, n, seed)
     model = drawn.nominal
     clock = default_clock(_rational(model), "plot('step')") if t is None else np.asarray(t, dtype=float)
@@ -79,11 +75,7 @@ def step_figure(shown: Any, t: ArrayLike | None = None, n: int = MEMBERS, seed: 
 
 
 def bode_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
-    """Magnitude and phase from every input to every output.
-
-    ``omega``: frequencies in rad/s; a decade beyond the poles where left out.
-    ``n``, ``seed``: members of an uncertain model.
-    """
+    """Magnitude and phase from every input to every output."""
     drawn = _drawn(shown, n, seed)
     model = drawn.nominal
     w = _frequencies(model, omega)

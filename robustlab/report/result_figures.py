@@ -128,10 +128,7 @@ def delta_figure(worst: WorstCase | CampaignResult) -> Figure:
 
 
 def campaign_figure(result: CampaignResult) -> Figure:
-    """Share of the samples worse than each value, read from the campaign's store.
-
-    Raises InputError: a campaign of searches, or its store is no longer there.
-    """
+    """Share of the samples worse than each value, read from the campaign's store."""
     if result.kind != "samples":
         raise InputError("plot('exceedance')", f"a campaign of {result.kind}", "one of samples", "plot('delta')")
     store = Store.open(Path(result.store))

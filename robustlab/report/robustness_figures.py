@@ -175,10 +175,7 @@ def replay_figure(replay: CriticalResponse, shown: int = 4) -> Figure:
 
 
 def margin_shares(margin: Margin) -> Figure:
-    """Shares of a margin's blocks.
-
-    Raises InputError: the margin has none: its critical pole is not simple, or the loop is ill-posed there.
-    """
+    """Shares of a margin's blocks."""
     if not margin.shares:
         raise InputError("plot('shares')", "a margin without shares of its blocks", "one at a simple critical pole")
     return shares_figure(margin.shares)
@@ -199,15 +196,7 @@ def response_figure(
     output: tuple[str, str],
     references: Sequence[tuple[float, str]] = (),
 ) -> Figure:
-    """All responses of one output: the whole time on the left, the end of it enlarged on the right.
-
-    ``t``: times in s, shape (n_t,).
-    ``samples``: responses of the members, shape (n_samples, n_t).
-    ``nominal``: nominal response, shape (n_t,).
-    ``envelope``: smallest and largest value of all members at each time, each of shape (n_t,).
-    ``output``: name and unit.
-    ``references``: known values and what they are, drawn as lines.
-    """
+    """All responses of one output: the whole time on the left, the end of it enlarged on the right."""
     figure, (whole, zoom) = new_figure(1, 2, width=9.6, height=3.6)
     with house_style():
         for axes in (whole, zoom):
@@ -228,10 +217,7 @@ def response_figure(
 
 
 def worst_case_figure(found: WorstCase) -> Figure:
-    """Nominal and worst response of the output that is judged, and their difference below.
-
-    Raises InputError: a metric that is not that of a response.
-    """
+    """Nominal and worst response of the output that is judged, and their difference below."""
     if found.response is None:
         raise InputError("plot('response')", f"no response: {found.metric}", "a metric of a response")
     t, nominal, worst = found.response.t, found.response.nominal, found.response.worst
@@ -345,14 +331,7 @@ def _range(values: np.ndarray, limit: float) -> tuple[float, float]:
 def exceedance_figure(
     values: Array, share: Array, upper: Array, *, metric: tuple[str, str], limit: float | None = None
 ) -> Figure:
-    """Share of the samples worse than each value, with its upper confidence bound; the logarithmic axis shows the tail.
-
-    ``values``: values of the metric from the best to the worst, shape (m,).
-    ``share``: share of the samples worse than each, shape (m,).
-    ``upper``: one-sided 95 % bound of the probability that a member is worse than each, shape (m,).
-    ``metric``: its name and unit.
-    ``limit``: a value to mark.
-    """
+    """Share of the samples worse than each value, with its upper confidence bound."""
     figure, (axes,) = new_figure(height=3.4)
     seen = share > 0
     with house_style():
@@ -371,10 +350,7 @@ def exceedance_figure(
 
 
 def violation_influence(found: ViolationProbability) -> Figure:
-    """Which parameters matter for a limited metric.
-
-    Raises InputError: too few samples to tell, or blocks that are not real scalars.
-    """
+    """Which parameters matter for a limited metric."""
     if found.influence is None:
         raise InputError("plot('influence')", "no influences", "32 samples at least, and real scalar blocks")
     return influence_figure(found.influence, found.metric)

@@ -196,10 +196,7 @@ def _moved(m11, m12, m21, full: bool) -> Array:  # type: ignore[no-untyped-def]
 
 
 def cover_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
-    """The weight of an unstructured form (over the errors of ``models``), the cloud of a parametric one.
-
-    Raises InputError: the cover is exact: there is nothing uncertain in it.
-    """
+    """The weight of an unstructured form (over the errors of ``models``), the cloud of a parametric one."""
     if cover.fit is not None:
         return weight_figure(cover, models)
     if not cover.model.blocks:
@@ -265,10 +262,7 @@ def _response_figure(found: Validation, output: str) -> Figure:
 
 
 def delta_figure(found: Validation) -> Figure:
-    """Size of each block over frequency, and gamma.
-
-    Raises InputError: a validation in the time domain, or no Delta explains the record.
-    """
+    """Size of each block over frequency, and gamma."""
     if found.domain != "frequency" or not np.isfinite(found.upper):
         raise InputError(
             "plot('delta')", f"domain {found.domain}, gamma {found.upper:.4g}", "a finite one over frequency"

@@ -51,10 +51,7 @@ CHECKED = 3
 
 
 def saturation_limits(model: StateSpaceModel, saturation: Any, where: str) -> tuple[tuple[float, float], ...] | None:
-    """``(low, high)`` for each output, from a pair for all or a mapping by name with all outputs; None for none.
-
-    Raises InputError: unknown or missing outputs, limits that are no two numbers with ``low < high``.
-    """
+    """``(low, high)`` for each output, from a pair for all or a mapping by name with all outputs; None for none."""
     if saturation is None:
         return None
     names = model.output_names
@@ -104,20 +101,6 @@ def c_source(
     feed_forward: FeedForward | None = None,
 ) -> str:
     """The C99 source of a discrete model.
-
-    ``model``: discrete model with n states, m inputs and p outputs; at least one input and one output.
-    ``prefix``: of every name in the file: a lower-case letter, then letters, digits, underscores (31 at most).
-    ``limits``: ``(low, high)`` of each output; the outputs are held between them, and back-calculation keeps the states
-    from winding up.
-    ``notes``: lines for the comment at the top.
-    ``anti_windup``: time T in s: during saturation modes that are slower are made to decay within it. Ten samples where
-    left out; inf leaves a stable controller's states alone. Or the gain itself, (n, p): what ``y held - y asked for``
-    adds to the states. Of no effect without limits.
-    ``feed_forward``: added to its output before the limits; the step is then given the rate of the reference as a
-    further, last input.
-    Raises InputError: a feed-forward of a signal that the model does not put out, or of a reference that it is not
-    given; a continuous model, one in deviations from an operating point, one without inputs or outputs, a
-    prefix that is no identifier.
 
     Examples
     --------

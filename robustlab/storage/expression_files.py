@@ -32,13 +32,7 @@ RANGE = ("nominal", "low", "high", "unit")
 
 
 def load_parametric(path: str | Path) -> UncertainModel:
-    """The uncertain model that a file of expressions describes; see `robustlab.uncertainty.parametric.parametric`.
-
-
-    Raises InputError: the file is missing, larger than 1 MiB, not TOML; keys that are unknown or missing; all that
-    `parametric` refuses. Every message begins with the file's name. NoTrustworthyNumber: a denominator vanishes inside
-    the ranges.
-    """
+    """The uncertain model that a file of expressions describes; see `robustlab.uncertainty.parametric.parametric`."""
     data = _read(Path(path))
     unknown = [key for key in data if key not in KEYS]
     if unknown:

@@ -121,10 +121,7 @@ def load(
 def load_pair(
     path: str | Path, *, transpose: bool = False, limits: Limits | None = None, isolate: bool = True
 ) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """The nominal and the perturbed model of one file with groups ``nominal`` and ``perturbed``, A B C D in each.
-
-    Raises InputError: anything that is missing, misspelt or does not fit; `UnitMismatch` where units disagree.
-    """
+    """The nominal and the perturbed model of one file with groups ``nominal`` and ``perturbed``, A B C D in each."""
     from robustlab.storage.pairs import decode_pair
 
     tree = _tree(path, None, limits, isolate)

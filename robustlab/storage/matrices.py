@@ -90,13 +90,7 @@ def decode_model(
     like: StateSpaceModel | None = None,
     dt: float | None = None,
 ) -> StateSpaceModel | None:
-    """The model in ``node``, or None with the reasons in ``problems``; a descriptor form (with E) is noted there.
-
-    ``transpose``: the file was written column by column: swap the two axes of A, B, C, D and E.
-    ``like``: a model whose sizes this one must have (``/nominal`` for ``/perturbed``); its signals are taken where this
-    one has none.
-    ``dt``: sample time where ``node`` states none.
-    """
+    """The model in ``node``, or None with the reasons in ``problems``; a descriptor form (with E) is noted there."""
     found = len(problems.lines)
     matrices = _matrices(node, problems, transpose)
     if len(problems.lines) > found:

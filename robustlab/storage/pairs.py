@@ -28,11 +28,7 @@ def looks_like_a_pair(tree: Tree) -> bool:
 
 
 def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """The models in groups ``nominal`` and ``perturbed``.
-
-    Raises InputError: with all that is missing, misspelt or does not fit, in both groups; `UnitMismatch` where only
-    units disagree.
-    """
+    """The models in groups ``nominal`` and ``perturbed``."""
     find_children(tree, GROUPS, problems)
     dt = sample_time(tree, problems)
     models: dict[str, StateSpaceModel | None] = {}
@@ -53,10 +49,7 @@ def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tupl
 
 
 def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str = "nominal and perturbed") -> None:
-    """Refuse two models whose entries do not mean the same; a unit that is not stated agrees with every unit.
-
-    Raises UnitMismatch: a signal carries different units; InputError: sizes, sample times or signal names differ.
-    """
+    """Refuse two models whose entries do not mean the same; a unit that is not stated agrees with every unit."""
     sizes = [(m.n_states, m.n_inputs, m.n_outputs) for m in (nominal, perturbed)]
     if sizes[0] != sizes[1]:
         raise InputError(
@@ -159,10 +152,7 @@ class Difference(Shown):
 
 
 def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.0) -> Difference:
-    """Entries with ``|second - first| > rtol * max(|first|, |second|)``.
-
-    Raises InputError: the models have other sizes, signals, units or sample times; see `check_pair`.
-    """
+    """Entries with ``|second - first| > rtol * max(|first|, |second|)``."""
     check_pair(first, second, "difference of two models")
     rows = {"A": first.state_names, "B": first.state_names, "C": first.output_names, "D": first.output_names}
     columns = {"A": first.state_names, "B": first.input_names, "C": first.state_names, "D": first.input_names}

@@ -40,10 +40,7 @@ def encode_equations(tree: Tree, equations: Equations) -> None:
 
 
 def decode_equations(tree: Tree, n_moving: int, n_parameters: int, problems: Problems) -> Equations:
-    """Inverse of `encode_equations`, for as many states and inputs, and parameters.
-
-    Raises InputError: all that is missing or of no such type; a tape that is none.
-    """
+    """Inverse of `encode_equations`, for as many states and inputs, and parameters."""
     from robustlab.dynamics.symbolic.symbolic_plant import Equations
     from robustlab.dynamics.symbolic.tape import Tape
 
@@ -105,10 +102,7 @@ AGREEMENT = 1e-6
 
 
 def encode_plant(tree: Tree, obj: Plant) -> None:
-    """A B C D and signals as kind ``state-space`` at a rest of the plant; groups ``plant`` and ``effects``.
-
-    Raises InputError: a plant of the user's own that is not linear: its equations are a program.
-    """
+    """A B C D and signals as kind ``state-space`` at a rest of the plant; groups ``plant`` and ``effects``."""
     from robustlab.dynamics.extended.extended_equations import ExtendedEquations
 
     base = obj.plant if isinstance(obj, ExtendedEquations) else obj
@@ -150,11 +144,7 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
 
 
 def decode_plant(tree: Tree, problems: Problems, _transpose: bool = False) -> Plant:
-    """Inverse of `encode_plant`.
-
-    Raises InputError: all that is missing or does not fit; an unknown plant, parameter or effect, with the closest
-    name; a linear model that is not the plant's.
-    """
+    """Inverse of `encode_plant`."""
     known = ("effects", "signals", "operating_point", "provenance", *"ABCD")
     find_children(tree, ("plant",), problems, known, "group")
     model = decode_model(tree, problems)

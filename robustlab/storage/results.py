@@ -151,10 +151,7 @@ def _attribute(value: Any) -> Any:
 
 
 def decode_result(tree: Tree, _problems: Problems, _transpose: bool = False) -> LoadedResult:
-    """Inverse of `encode_result`; lists of numbers come back as arrays.
-
-    Raises InputError: no group ``data``, an unknown status.
-    """
+    """Inverse of `encode_result`; lists of numbers come back as arrays."""
     text = str(np.asarray(tree.attrs.get("status", "")))
     if text not in [status.value for status in Status]:
         raise InputError(tree.file, f"attribute status is {text!r}", f"one of {', '.join(s.value for s in Status)}")

@@ -30,8 +30,6 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
 
     The dataset ``below`` (width of a range beneath its nominal value) is there only if some range is not symmetric,
     ``origin`` only if some block says where it comes from, ``sign`` only if physics limits some parameter's sign.
-
-    Raises InputError: a kind of block that files do not know.
     """
     encode_model(tree.group("M"), model.M)
     if model.operating_point is not None:

@@ -59,7 +59,6 @@ def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], meas
     ``controlled``, ``measured``: names of outputs of the plant.
     Returns: inputs ``<name>_ref``; outputs those of the plant and its inputs; states those of the plant, then
     ``controller_1`` ...
-    Raises InputError: unknown outputs, a controller of other sizes or a discrete one, a plant with a direct term.
 
     Examples
     --------
@@ -100,10 +99,7 @@ def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], meas
 def loop_parts(
     plant: Plant, K: Any, controlled: Sequence[str], measured: Sequence[str]
 ) -> tuple[StateSpaceModel, list[int], list[int]]:
-    """A controller as a model, and the numbers of the outputs that it controls and that it sees.
-
-    Raises InputError: unknown outputs, a controller of other sizes or a discrete one.
-    """
+    """A controller as a model, and the numbers of the outputs that it controls and that it sees."""
     model, where = as_model(K, "controller"), f"{plant.name} under control"
     c, m = _positions(where, controlled, plant), _positions(where, measured, plant)
     sizes = (len(c) + len(m), len(plant.inputs))
@@ -129,7 +125,6 @@ def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 300
     ``plant``: ``plant("linear-actuator")`` with a rotor inertia J > 0.
     ``p_up``, ``p_low``: triple poles of the layers in 1/s.
     Returns: inputs phi_ref [rad], phi [rad], omega [rad/s], i [A]; output u [V]; three states.
-    Raises InputError: another plant, poles that are not positive, no rotor inertia.
 
     References
     ----------
@@ -175,8 +170,6 @@ def controlled_nonlinear(
     ``at``: a rest of the plant.
     Returns: inputs ``<name>_ref``, outputs those of the plant and its inputs, states those of the plant, then
     ``controller_1`` ...; the latter where the plant has effects.
-    Raises InputError: unknown outputs, a controller of other sizes or a discrete one; an effect on an input or output,
-    or one that splits a joint: these act inside the loop, between controller and plant.
     """
     model, c, m = loop_parts(plant, K, controlled, measured)
     base, effects = (plant.plant, plant.effects) if isinstance(plant, ExtendedNonlinearPlant) else (plant, ())
@@ -351,9 +344,6 @@ def driver_in_loop(loop: LinearPlant, plant: LinearPlant, control: str, values: 
     ``loop``: `robustlab.dynamics.control.controlled_plant.controlled_plant` of ``plant``: the plant's states first, its
     inputs among the outputs. ``plant``: the plant with the same parameter values. ``control``: name of an input of the
     plant. ``values``: ``{"d": half width}``.
-
-    Raises InputError: a control that is no input of the plant; a controller with a direct term from the reference,
-    whose command is no state of the loop.
     """
     where = f"input-dead-zone at {control}"
     names = [s.name for s in plant.inputs]

@@ -158,8 +158,6 @@ def follow_sine(
 
     ``effects``: as of `with_effects`; one at a control acts on what the controller commands.
     ``members``: parameters of further members. Limits are compared with, nothing is clipped.
-
-    Raises InputError: the plant is not linear, or has no such signal; what `controlled_plant` and `with_effects` raise.
     """
     if not isinstance(plant, LinearPlant):
         raise InputError("follow_sine: plant", type(plant).__name__, "a linear plant")
@@ -241,8 +239,6 @@ def follow_path(
     alone. Numbers, by controller: ``worst_error`` (largest distance from the path in mm), ``position_error`` in m and
     ``orientation_error`` in rad of the worst axis, ``nut_errors.phi_1`` ... in rad, ``largest_torque`` and, with
     motors, ``largest_voltage``, ``within_limits``, ``spectral_abscissa`` of the linear loop.
-
-    Raises InputError: no such platform; what `follow` and `follow_with_torques` raise.
     """
     runs, abscissas, asked, below = _followed(plant, controllers, path, p_low)
     t, limits = np.linspace(0.0, path.t_end, path.points), next(iter(runs.values())).limits

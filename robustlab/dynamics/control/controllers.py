@@ -91,10 +91,7 @@ class TwoLayerController(AllFields):
 
 @dataclass(frozen=True, eq=False)
 class LayeredController:
-    """Any linear upper layer above the motors' torque loops, in deviations from the trim at which it was designed.
-
-    Raises InputError: an upper layer of other sizes, or a discrete one.
-    """
+    """Any linear upper layer above the motors' torque loops, in deviations from the trim at which it was designed."""
 
     upper: StateSpaceModel  # from r, phi, phidot (6 each) to the six motor torques that it asks for; continuous
     lower: TorqueGains  # gains of every motor's torque loop
@@ -165,7 +162,6 @@ def two_layer(
     9.1.3.
     ``at``: trim to design at; home where left out.
     ``rotor_J``: rotor inertia in kg m2 with which the lower layer is designed.
-    Raises InputError: a plant without motors, poles or an inertia that are not positive.
     """
     if not (isinstance(plant, StewartPlatform) and plant.motors):
         raise InputError("two_layer", "a plant without motors", 'plant("stewart-platform", motors=True)')

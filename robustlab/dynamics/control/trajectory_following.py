@@ -39,10 +39,7 @@ from robustlab.statespace import StateSpaceModel, as_model, real_array
 
 @dataclass(frozen=True, eq=False)
 class SineTrajectory:
-    """A smooth lift followed by sines about the lifted pose.
-
-    Raises InputError: wrong lengths, NaN, a lift_time or omega that is not positive, a negative rise_time.
-    """
+    """A smooth lift followed by sines about the lifted pose."""
 
     start: ArrayLike  # pose (tx, ty, tz, ax, ay, az) at t = 0 in m and rad
     lift: ArrayLike = (0.0, 0.0, 5e-3, 0.0, 0.0, 0.0)  # change of the pose during the first stage, (6,)
@@ -174,8 +171,6 @@ def follow(
     ``t``: times in s to report, (n,).
     ``limits``: only compared with; nothing is clipped. The thesis' motor where left out.
     ``rtol``: relative local error.
-    Raises InputError: a trajectory that leaves the workspace, with the time. NoTrustworthyNumber: the loop is unstable
-    or leaves the poses that exist; the message names the time.
     """
     clock = Record(t, name="follow").t
     reference = _within(plant, trajectory, clock)
@@ -216,8 +211,6 @@ def follow_with_torques(
     ``t``: times in s to report, equally spaced, (n,).
     ``at``: trim of the machine, at which it rests at the first time.
     ``limits``: only compared with; nothing is clipped. The thesis' motor where left out.
-    Raises InputError: a machine with motors, a controller of other sizes, a trajectory that leaves the workspace, with
-    the time. NoTrustworthyNumber: the loop is unstable or leaves the poses that exist; the message names the time.
     """
     machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
     if not isinstance(machine, StewartPlatform) or machine.motors:

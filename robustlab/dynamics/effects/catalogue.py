@@ -18,21 +18,12 @@ _ADDED: dict[str, Effect] = {}
 
 
 def catalogue() -> dict[str, Effect]:
-    """Id -> effect, in the order of their ids.
-
-    Raises InputError: two effects with one id.
-    """
+    """Id -> effect, in the order of their ids."""
     return dict(sorted({**_own(), **_ADDED}.items()))
 
 
 def add_effect(added: Effect) -> None:
-    """Put an effect of your own into the catalogue of this process; one of the same id that was added before goes.
-
-    Raises
-    ------
-    InputError
-        No instance of `Effect`, an attribute that is missing, or the id of an effect of robustlab.
-    """
+    """Put an effect of your own into the catalogue of this process; one of the same id that was added before goes."""
     if not isinstance(added, Effect):
         raise InputError("add_effect", f"{added!r}", "an instance of a class derived from Effect")
     for attribute in ("id", "title", "equation", "site_kind"):
@@ -58,10 +49,7 @@ def _own() -> dict[str, Effect]:
 
 
 def effect(name: str) -> Effect:
-    """The effect with this id.
-
-    Raises InputError: no such effect (with the closest known id).
-    """
+    """The effect with this id."""
     known = catalogue()
     if name not in known:
         raise unknown_name(f"effect {name!r}", "no such effect", name, known)
@@ -75,11 +63,6 @@ def effect_names() -> tuple[str, ...]:
     -------
     tuple
         Sorted; those of `add_effect` among them.
-
-    Raises
-    ------
-    InputError
-        Two effects with one id.
 
     Examples
     --------

@@ -313,13 +313,7 @@ class Effect(ABC):
         return None
 
     def checked(self, values: Mapping[str, float]) -> dict[str, float]:
-        """The values by name, all there and finite.
-
-        Raises
-        ------
-        InputError
-            A missing or unknown name, NaN.
-        """
+        """The values by name, all there and finite."""
         return self._checked(values, self.parameters(Scales()))
 
     def _checked(self, values: Mapping[str, float], parameters: tuple[EffectParameter, ...]) -> dict[str, float]:

@@ -183,11 +183,7 @@ ASKED_SAMPLES, ASKED_STEP = 8, 1e-3
 
 @dataclass(frozen=True)
 class AttachedEffect:
-    """One effect of a plant.
-
-    Raises InputError: a missing or unknown parameter, NaN, a negative value of a quantity that is positive by nature, a
-    negative standard deviation.
-    """
+    """One effect of a plant."""
 
     effect: Effect  # of the catalogue
     site: Site  # where it sits
@@ -392,9 +388,6 @@ def attach(
     """The effect named by ``key`` (``"id"`` or ``"id@site"``) with the given values at its only, or named, site.
 
     ``given``: name -> value, or (value, standard deviation). ``taken``: effects that the plant has already.
-
-    Raises InputError: unknown effect or site (with the closest name), no site at all, several and none named, the same
-    one twice.
     """
     from robustlab.dynamics.effects.catalogue import effect as named
 

@@ -82,8 +82,6 @@ def lag_block(time: float, spread: float, name: str) -> UncertainModel:
     r"""All lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s, exactly.
 
     With the block in :math:`w = \delta z,\ z = \dot x`: :math:`T_0 \dot x = u - x - \Delta T\, w`.
-
-    Raises InputError: a spread that reaches zero.
     """
     if not 0.0 <= spread < time:
         raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")

@@ -163,8 +163,6 @@ def effect_blocks(
     ``pade``: order of the Padé approximation of delays, 1..8.
     ``unnamed``: bound and origin of a force at the first joint that nothing explains; none where left out.
     ``tied``: groups of parameters that move together, as `robustlab.dynamics.linear_plant.tied_plant` takes them.
-    Raises InputError: an effect with a sector at a place without an amplitude; an amplitude at a place without an
-    effect; no plant. NoTrustworthyNumber: the blocks do not give back the plant's own linear model.
     """
     width = float(real_array("sigmas", sigmas, 0, "effect_blocks"))
     checks.number("effect_blocks: sigmas", width, "0 or more", at_least=0)

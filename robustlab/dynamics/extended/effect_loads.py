@@ -61,9 +61,6 @@ class EffectLoads:
 
         The plant is simulated from the first sample, at rest: with the smallest state that shows the outputs measured
         there. A load is its mean over each sample, so that the linear part under it goes through the same states.
-
-        Raises InputError: a record without one of the plant's inputs; NoTrustworthyNumber: the loads do not give the
-        simulated states back.
         """
         if not self.loads:
             return record
@@ -200,8 +197,6 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
     ``records``: where a force has no bound whatever the motion (quadratic drag), it takes the largest value along these
     records; its origin says so. A load is no feedback: that such a force could destabilise a loop is not in the set.
     ``margin``: that largest value counts so many times: another record may move a little faster.
-    Raises InputError: an effect that is neither linear nor bounded (backlash, saturation, a delay): for those
-    `effect_blocks` has sectors and weights. A force without a bound and without records.
 
     Examples
     --------
@@ -245,7 +240,6 @@ def loaded_model(
     ``sigmas``: half width of the range of a fitted value in its standard deviations; a load's bound takes it on top.
     Returns: the linear model at the rest (`robustlab.linearise`); its inputs are the loads, each over its bound, so
     that they are at most one, then the plant's.
-    Raises InputError: an effect that is neither linear nor bounded whatever the motion.
     """
     linear, ports = plant.linear_model(at), plant.about(at.x, plant.mapped_input(at.u)).model.ports
     loads, columns = [], []

@@ -102,9 +102,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         Without a step the steps are halved, from 1 ms or the samples', until the states at the samples change by no
         more than `HALVED` (1e-4), in root mean square, of the largest state of the same unit. What is left
         then is a third of that or less.
-
-        Raises NoTrustworthyNumber: steps that many times shorter still change the motion; a motion that leaves what the
-        plant can do.
         """
         if hold == "foh" and any(e.site.kind == "input" for e in self.effects):
             raise InputError(
@@ -215,10 +212,6 @@ class ExtendedPlant(ExtendedEquations):
 
         ``outputs``: outputs to keep, all where left out. ``sigmas``: half width of the range of a fitted value in its
         standard deviations.
-
-        Raises InputError: a standard deviation so large that the range leaves what physics allows; an unknown output;
-        NoTrustworthyNumber: the form is not exact for this plant (a split joint whose inertia stands in more than one
-        equation).
         """
         width = float(real_array("sigmas", sigmas, 0, "uncertain"))
         number("uncertain: sigmas", width, "0 or more", at_least=0)

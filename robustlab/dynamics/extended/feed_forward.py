@@ -137,8 +137,6 @@ def feed_forward(plant: Any, sigmas: float = 2.0) -> FeedForward:
 
     Linear effects (a wrong inertia, a spring) are the feedback controller's, and left alone.
 
-    Raises InputError: no effect that it knows, effects at several joints, no such input or output.
-
     Examples
     --------
     >>> from robustlab.dynamics import plant

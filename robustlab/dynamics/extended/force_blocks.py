@@ -120,7 +120,6 @@ def force_parts(
     ``dry``: for laws with a bounded force; where left out, ``gain`` where an amplitude is given, else ``load``.
     ``both`` of a law that sees a position is ``load``.
     ``width``: half width of the range of fitted values in standard deviations: ranges and bounds hold for all of them.
-    Raises InputError: a law that needs an amplitude has none.
     """
     sectors: list[ForceSector] = []
     bounded: list[tuple[NoiseInput, Port]] = []
@@ -169,10 +168,7 @@ def signal_name(plant: ExtendedPlant, port: Port, signal: str) -> str:
 
 
 def check_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> None:
-    """Every amplitude is positive (a pair: increasing) and has an effect at its place.
-
-    Raises InputError: one that is not or has not.
-    """
+    """Every amplitude is positive (a pair: increasing) and has an effect at its place."""
     joints = {signal_name(plant, port, s) for _, _, port in plant.laws for s in ("speed", "position")}
     known = tuple(dict.fromkeys([*(e.site.name for e in plant.effects), *sorted(joints)]))
     for name, value in amplitude.items():

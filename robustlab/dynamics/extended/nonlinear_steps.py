@@ -91,8 +91,6 @@ def point_model(plant: NonlinearPlant, effects: Sequence[AttachedEffect], x: Arr
 def somewhere(plant: NonlinearPlant, effects: Sequence[AttachedEffect]) -> PortModel:
     """The model about a point at which the plant has one and nothing is zero by symmetry: all states near 0.1; else
     its rest, or zero.
-
-    Raises InputError: a plant without models along a motion, or one that has none at any of these points.
     """
     changed = scaled(plant, effects)
     n, u = len(plant.states), np.zeros(len(plant.inputs))
@@ -143,9 +141,6 @@ def march(
 
     ``plant``: with the values that its parameters have under the effects. ``x0``: the plant's states and those of the
     effects, (n_x,). ``guess``: a motion (n, n_x) near to the one that is looked for, as from longer steps.
-
-    Raises NoTrustworthyNumber: the iteration did not come to rest even over one step, or the plant has no model there;
-    the message names the time.
     """
     laws = [law for e in effects for law in e.laws()]
     memory = np.zeros((len(laws), max([1, *(law.memory for law in laws)])))
@@ -182,13 +177,7 @@ def march(
 
 
 class _Block:
-    """Some steps of a march.
-
-    Attributes
-    ----------
-    after
-        Memory of the laws at the end of the block, once it has settled.
-    """
+    """Some steps of a march."""
 
     def __init__(
         self,

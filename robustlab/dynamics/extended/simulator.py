@@ -60,8 +60,6 @@ class SampledInput:
 
     ``samples``: shape (n,).
     ``hold``: what it is between them.
-
-    Raises InputError: an unknown hold.
     """
 
     def __init__(self, samples: Array, hold: Hold = "zoh") -> None:
@@ -198,8 +196,6 @@ def stepping(plant: LinearPlant, dt: float) -> int:
 
 class Simulator:
     """One plant with effects at their sites, over one recorded input.
-
-    Raises InputError: no positive number of steps, not one hold for each input, an unknown hold.
 
     Parameters
     ----------

@@ -117,8 +117,6 @@ def mass_spring_damper(**given: Any) -> LinearPlant:
 
     ``given``: ``m c k``, each a value, a tuple ``(value, relative tolerance)``, or a list of those, one for each mass.
     Lists must be equally long; what is no list counts for every mass of the chain.
-
-    Raises InputError: lists of different lengths, an empty list, unknown names, values that physics forbids.
     """
     names = tuple(p.name for p in MASS_SPRING_DAMPER)
     for name in given:

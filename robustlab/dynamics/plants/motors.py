@@ -144,8 +144,6 @@ def linear_actuator(**given: Any) -> LinearPlant:
     ``given``: ``R L Km Kb Kf J J_nut m_screw m_cart``, each as a value or ``(value, relative tolerance)``; ``ratio``
     and ``lead`` as values (tooth counts and a ground thread are exact).
 
-    Raises InputError: an unknown parameter, NaN, a sign that physics forbids, a tolerance on ``ratio`` or ``lead``.
-
     Examples
     --------
     >>> actuator = linear_actuator(m_cart=(2.0, 0.1))

@@ -34,8 +34,6 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
 
     ``share``: s, the load's share of the joint's inertia, between 0 and 1. ``relative``: name of the relative port:
     ``"twist"`` or ``"gap"``. ``where``: what messages call the effect.
-
-    Raises InputError: a second load side at the joint, or a share outside 0..1.
     """
     port = model.ports.get(joint)
     if port is None or port.kind != "joint":

@@ -122,8 +122,6 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
     nominal value, or of one unit where that is 0.
 
     Velocity states are those with the unit rad/s or m/s, current states those with the unit A.
-
-    Raises InputError: a factor for an unknown parameter.
     """
     values = dict(plant.values)
     for name, factor in (factors or {}).items():
@@ -207,8 +205,6 @@ def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects"
     ``damping_<v>``. The inertia J is read off the matrices where their units tell it; then the damping is
     :math:`-J A_{vv}`, and a force at the joint is in N or N m. Elsewhere J is 1 without a unit, and a force is one per
     inertia, in N/kg or N m/(kg m2).
-
-    Raises InputError: a discrete model, or anything that is no linear plant.
     """
     if isinstance(plant, LinearPlant):
         return plant

@@ -154,10 +154,7 @@ _MOTOR = (
 
 
 def machine_parameters(preset: str, motors: bool) -> tuple[Parameter, ...]:
-    """The published parameters; preset ``physical`` adds the rotor's inertia that the thesis leaves out.
-
-    Raises InputError: a preset that is not ``thesis`` or ``physical``, a ``motors`` that is not True or False.
-    """
+    """The published parameters; preset ``physical`` adds the rotor's inertia that the thesis leaves out."""
     if preset not in PRESETS:
         hint = did_you_mean(str(preset), PRESETS)
         raise InputError("stewart-platform: preset", f"{preset!r}", " or ".join(map(repr, PRESETS)), hint)
@@ -212,10 +209,7 @@ class Geometry(Shown):
 
 
 def geometry(p: Mapping[str, float]) -> Geometry:
-    """Points and axes from the parameters.
-
-    Raises InputError: a bearing point that falls on its base point, a lower limit above the upper one.
-    """
+    """Points and axes from the parameters."""
     if p["L_min"] >= p["L_max"]:
         raise InputError("stewart-platform: L_min", f"{p['L_min']:g} m", f"less than L_max = {p['L_max']:g} m")
     angle_p = np.pi / 6 + _PAIR + _SIDE * p["alpha_p"]
@@ -293,10 +287,7 @@ def up(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
 
 
 def check_bodies(p: Mapping[str, float]) -> None:
-    """Refuse inertias that no rigid body has: of the three principal ones none exceeds the sum of the others.
-
-    Raises InputError: a body that breaks the triangle inequality, with its three numbers.
-    """
+    """Refuse inertias that no rigid body has: of the three principal ones none exceeds the sum of the others."""
     for body, axes in {"platform": "xyz", **dict.fromkeys(("link", "nut", "screw", "motor"), "IJK")}.items():
         inertia = np.array([p[f"{body}_{a}"] for a in axes])
         if 2 * inertia.max() > inertia.sum() * (1 + 1e-12):

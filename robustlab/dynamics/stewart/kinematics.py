@@ -78,10 +78,7 @@ LIMIT = 60
 
 
 def poses_array(value: ArrayLike, name: str = "pose", where: str = "stewart-platform") -> tuple[Array, bool]:
-    """One pose (6,) or many (n, 6) as a finite array (n, 6), and whether it was one.
-
-    Raises InputError: another shape, or NaN or Inf, by index.
-    """
+    """One pose (6,) or many (n, 6) as a finite array (n, 6), and whether it was one."""
     one = np.ndim(value) == 1
     array = real_array(name, value, 1 if one else 2, where)
     if array.shape[-1] != 6:
@@ -93,8 +90,6 @@ def inverse_kinematics(geometry: Geometry, poses: ArrayLike, joint: Joint = "shi
     """Actuator lengths in m at the poses (6,) or (n, 6), of the same shape.
 
     ``joint``: ``"shifted"``: the joint's axes are c apart (eqs 6.5-6.8). ``"simple"``: they meet (eqs 6.3, 6.4).
-
-    Raises InputError: a pose that is no pose, an unknown joint.
     """
     array, one = poses_array(poses)
     if joint not in ("shifted", "simple"):
@@ -193,7 +188,6 @@ def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike |
     ``start``: pose (6,) or poses (n, 6) to start from, for example the last known ones; home where left out.
     Returns: where a length is out of reach, ``proved`` is False; nothing is raised, so that one bad row spoils no
     other.
-    Raises InputError: wrong shapes, NaN, a length that is not positive.
     """
     target, _ = poses_array(lengths, "lengths")
     if (target <= 0).any():
@@ -220,8 +214,6 @@ def assembly_poses(geometry: Geometry, lengths: ArrayLike, seeds: ArrayLike) -> 
 
     A Stewart platform can be put together in several ways with the same lengths; seeds from a grid over (and beyond)
     the workspace find those that lie there. Only proved poses are kept; it is no proof that there are no more.
-
-    Raises NoTrustworthyNumber: no seed led to a proved pose.
     """
     target, _ = poses_array(lengths, "lengths")
     starts, _ = poses_array(seeds, "seeds")
@@ -267,10 +259,7 @@ def singularity(geometry: Geometry, poses: ArrayLike) -> Array:
 
 
 def check_pose(geometry: Geometry, pose: ArrayLike, where: str) -> Array:
-    """The pose (6,) where it is within the workspace and not singular.
-
-    Raises InputError: an actuator beyond its limits, by number and length; NoTrustworthyNumber: a singular pose.
-    """
+    """The pose (6,) where it is within the workspace and not singular."""
     array = real_array_of_one(pose, where)
     found, matrix = np.empty((1, 6)), np.empty((1, 6, 6))
     kernels().jacobians(array[None], geometry.legs, geometry.c, found, matrix)
@@ -332,10 +321,7 @@ class ConditionMap(AllFields):
 def condition_map(
     geometry: Geometry, names: tuple[str, str], first: ArrayLike, second: ArrayLike, pose: ArrayLike | None = None
 ) -> ConditionMap:
-    """Map over the coordinates ``names``, the others as in ``pose`` (home where left out).
-
-    Raises InputError: names that are not two different coordinates of a pose.
-    """
+    """Map over the coordinates ``names``, the others as in ``pose`` (home where left out)."""
     if len(names) != 2 or names[0] == names[1] or any(name not in COORDINATES for name in names):
         raise InputError("condition_map: names", f"{names!r}", f"two of {', '.join(COORDINATES)}")
     one, two = np.atleast_1d(np.asarray(first, float)), np.atleast_1d(np.asarray(second, float))

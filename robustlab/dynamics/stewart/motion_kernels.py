@@ -1,6 +1,6 @@
 # pyright: reportMissingParameterType=false
 # (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
-"""Compiled simulation of the Stewart platform: DOP853 with error control and dense output, and RK4 with a fixed step.
+"""Compiled simulation of the Stewart platform: DOP853 with error control and dense output.
 
 The state is z = (pose, twist) or (pose, twist, currents): in the pose the equations need no direct kinematics. Inputs
 are piecewise polynomials of time; the integrator restarts only where they are marked as broken.
@@ -230,40 +230,3 @@ def integrate(start, inputs, machine, rtol, z_at, x_at):
             h = next_step(h, step, error, ends)
         piece = following
     return DONE, t, evaluations
-
-
-@entry(_SIGNATURE)
-def integrate_fixed(start, inputs, machine, step, z_at, x_at):
-    """The same by the classical Runge-Kutta method in equal steps of at most ``step`` between two samples."""
-    clock, _, _ = inputs
-    n = start.shape[0]
-    work = _workspace(n)
-    z, at, dz, total = start.copy(), np.empty(n), np.empty(n), np.empty(n)
-    evaluations = 0
-    z_at[0] = z
-    if not _observe(z, machine, work, x_at[0]):
-        return LEFT_WORKSPACE, clock[0], evaluations
-    for k in range(clock.shape[0] - 1):
-        length = clock[k + 1] - clock[k]
-        count = int(np.ceil(length / step * (1.0 - 1e-9)))
-        h = length / count
-        for m in range(count):
-            t = clock[k] + m * h
-            for s in range(4):
-                share = 0.0 if s == 0 else (1.0 if s == 3 else 0.5)
-                for i in range(n):
-                    at[i] = z[i] if s == 0 else z[i] + share * h * dz[i]
-                input_within(t + share * h, k, inputs, work.u)
-                _rates(at, machine, work, dz)
-                weight = 1.0 if s in (0, 3) else 2.0
-                for i in range(n):
-                    total[i] = weight * dz[i] + (0.0 if s == 0 else total[i])
-            evaluations += 4
-            for i in range(n):
-                z[i] += h / 6.0 * total[i]
-                if not np.isfinite(z[i]):
-                    return NOT_FINITE, t, evaluations
-        z_at[k + 1] = z
-        if not _observe(z, machine, work, x_at[k + 1]):
-            return LEFT_WORKSPACE, clock[k + 1], evaluations
-    return DONE, clock[-1], evaluations

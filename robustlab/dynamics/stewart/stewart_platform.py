@@ -58,10 +58,7 @@ def places(motors: bool) -> tuple[PortPlace, ...]:
 
 
 def motion(geometry: Geometry, x: Array) -> tuple[Array, Array]:
-    """Poses and twists (n, 6) of the states (n, 12 or 18).
-
-    Raises NoTrustworthyNumber: nut angles that no pose could be proved to have.
-    """
+    """Poses and twists (n, 6) of the states (n, 12 or 18)."""
     return _kept_motion(geometry, np.ascontiguousarray(x[:, :12]).tobytes())
 
 
@@ -103,10 +100,7 @@ def accelerations(geometry: Geometry, constants: Array, x: Array, torque: Array)
 
 
 def derivatives(geometry: Geometry, constants: Array, x: Array, torque: Array) -> tuple[Array, Array, Array]:
-    """Derivatives of the nuts' accelerations over nut angles, rates and motor torques, (n, 6, 6) each.
-
-    Raises NoTrustworthyNumber: a singular pose.
-    """
+    """Derivatives of the nuts' accelerations over nut angles, rates and motor torques, (n, 6, 6) each."""
     poses, twists = motion(geometry, x)
     numbers = np.array(np.broadcast_to(constants, (len(x), len(constants))), order="C")
     stiffness, damping, gain = np.empty((3, len(x), 6, 6))
@@ -131,8 +125,6 @@ def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: A
     ``preset``: ``"thesis"``: without the rotors' inertia, as the thesis has it. ``"physical"``: with it. ``motors``:
     true: 18 states, voltages as inputs. False: 12 states, motor torques as inputs. ``given``: parameters, each as a
     value or ``(value, relative tolerance)``.
-
-    Raises InputError: unknown preset or parameter, NaN, a negative mass, inertias that no rigid body has.
 
     Examples
     --------
@@ -380,7 +372,7 @@ class StewartPlatform(NonlinearPlant):
         follow = "torques, currents and voltages" if self.motors else "torques"
         return TrimmedDescriptor(matrices, f"the pose is held, the {follow} follow")
 
-    def trajectory(self, signal: InputSignal, x0: Array, rtol: float | None = None, step: float | None = None) -> Array:
+    def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
         """States (n, 12) or (n, 18) at the times of the signal; compiled.
 
         Raises
@@ -392,11 +384,10 @@ class StewartPlatform(NonlinearPlant):
         start = np.concatenate([pose[0], twist[0], x0[12:]])
         states, z = np.empty((len(signal.t), len(x0))), np.empty((len(signal.t), len(x0)))
         code = motion_kernels()
-        run, accuracy = (code.integrate, rtol) if step is None else (code.integrate_fixed, step)
         low, high = self.geometry.limits
         inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken)
         machine = code.Machine(self.geometry.legs, self._numbers[0], self.motors, low - SLACK, high + SLACK)
-        outcome, time, _ = run(start, inputs, machine, accuracy, z, states)
+        outcome, time, _ = code.integrate(start, inputs, machine, rtol, z, states)
         if outcome == code.LEFT_WORKSPACE:
             raise self._beyond(time)
         if outcome != code.DONE:
@@ -460,9 +451,6 @@ def linear_models(
 
     What `robustlab.dynamics.linearise` does for one pose of one machine, for many in one compiled call. The poses are
     not checked against the workspace.
-
-    Raises InputError: an unknown parameter, one that shapes the legs (build the plant anew for that), values of the
-    wrong number or sign; NoTrustworthyNumber: a singular pose.
     """
     array, _ = poses_array(poses)
     n, values = len(array), dict[str, Any](plant.values)

@@ -38,9 +38,6 @@ Source = tuple[str, int]  # "input", "constant" or "result", and its number
 class Tape:
     """A function from n_in numbers to n_out numbers.
 
-    Raises InputError: an unknown operation, a place that does not come before its use, or a constant that is no finite
-    number.
-
     Examples
     --------
     ``y = 2 x0 + x1``:
@@ -143,8 +140,6 @@ def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable
 
     ``inputs``: column of SX symbols. ``outputs``: column of SX expressions in these symbols and no others. ``n_still``:
     as of `Tape`. ``where``: what messages call the plant. ``label``: number of an output -> what it is, for messages.
-
-    Raises InputError: an operation that is not elementary, or a constant that is no finite number.
     """
     import casadi as ca
 

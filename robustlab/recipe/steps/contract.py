@@ -43,10 +43,7 @@ class Step(Strict):
         return str(vars(self)["do"])
 
     def foretell(self, ahead: Ahead) -> Foretold:
-        """What the step will give and leave, as far as that is known before anything runs; cheap to say.
-
-        Raises RobustlabError: the step cannot be done as the recipe says.
-        """
+        """What the step will give and leave, as far as that is known before anything runs; cheap to say."""
         return Foretold()
 
     def run(self, work: Workspace) -> Outcome:

@@ -123,10 +123,7 @@ class DoorStep(Step):
 
 
 def compared(ahead: Ahead, model: str | None, record: str) -> tuple[Mapping[str, str] | None, Mapping[str, str] | None]:
-    """Inputs of a model, and the outputs that a record shares with it, with their units as far as they are known.
-
-    Raises InputError: an input is not recorded, or no output is; UnitMismatch: their units differ.
-    """
+    """Inputs of a model, and the outputs that a record shares with it, with their units as far as they are known."""
     from robustlab.identification.response.response import matched
 
     ours, recorded = ahead[model], ahead[record]

@@ -38,10 +38,7 @@ def with_signals(
 
 
 def look_ahead(path: str, leaves: Any) -> Any:
-    """Return the unit at a dotted path below a step's name, "" or ``...`` where it is not known.
-
-    Raises InputError: nothing of that name can be there.
-    """
+    """Return the unit at a dotted path below a step's name, "" or ``...`` where it is not known."""
     step, *parts = path.split(".")
     here, done = with_signals(leaves, None, None), [step]
     for part in parts:

@@ -62,12 +62,6 @@ class ClosedLoop(Shown):
         return {**self.model.to_json(), "loop": self.loop, "spectral_abscissa": self.spectral_abscissa}
 
 
-def close_loop(system: Any, controller: Any, sign: Sign | None = None) -> ClosedLoop:
-    """The tracking loop of a controller around a model, an uncertain one or not; see `tracking_loop`."""
-    K, words = with_law(system, controller, sign)
-    return ClosedLoop(tracking_loop(system, K), words)
-
-
 def with_law(system: Any, controller: Any, sign: Sign | None = None) -> tuple[Any, str]:
     """A controller each of whose inputs knows what it takes of a model, and the loop in words.
 

@@ -193,5 +193,3 @@ def test_compiled_integrator_against_scipy(hold, motors):
     found = plant.trajectory(signal, trim.x, rtol=1e-10)
     size = np.abs(expected).max(axis=0)
     np.testing.assert_allclose(found / size, expected / size, rtol=0, atol=2e-7)
-    fixed = plant.trajectory(signal, trim.x, step=2e-5)
-    np.testing.assert_allclose(fixed / size, expected / size, rtol=0, atol=2e-7)
