@@ -230,7 +230,6 @@ class Worker:
             judging = record
 
     def close(self) -> None:
-        """End the process."""
         self.pipe.send(None)
         self.process.join()
 

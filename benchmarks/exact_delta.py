@@ -281,15 +281,12 @@ def member_is_stable(model: Model, delta: Matrix) -> bool:
     """Whether the model closed by Delta is well-posed and surely stable."""
 
     def test() -> bool | None:
-        loop = upper_closed(_channels(model, delta), exact(delta if np.imag(delta).any() else np.real(delta)))
+        q, p = delta.shape
+        channels = system(Model(model.A, model.B[:, :q], model.C[:p], model.D[:p, :q], model.dt))
+        loop = upper_closed(channels, exact(delta if np.imag(delta).any() else np.real(delta)))
         return is_stable(loop.A, loop.discrete)
 
     return bool(with_precision(test))
-
-
-def _channels(model: Model, delta: Matrix) -> Any:
-    q, p = delta.shape
-    return system(Model(model.A, model.B[:, :q], model.C[:p], model.D[:p, :q], model.dt))
 
 
 def is_on_boundary(model: Model, parts: Sequence[Part], delta: Matrix, near: float) -> bool:
@@ -386,7 +383,6 @@ def gain_inside(
 
 
 def float_response(model: Model, omega: float) -> Matrix:
-    """The response in floats."""
     if not len(model.A) or np.isinf(omega):
         return model.D + 0j
     s = np.exp(1j * omega * model.dt) if model.dt else 1j * omega

@@ -95,7 +95,6 @@ def joined(rows: Sequence[Sequence[Matrix]]) -> Matrix:
 
 
 def part(m: Matrix, rows: slice, columns: slice) -> Matrix:
-    """A block of a matrix."""
     chosen = [line[columns] for line in m.tolist()[rows]] if m.ncols() else []
     height = len(range(*rows.indices(m.nrows())))
     width = len(range(*columns.indices(m.ncols())))
@@ -109,7 +108,6 @@ def eye(n: int, of: Any = 1) -> Matrix:
 
 
 def adjoint(a: Matrix) -> Matrix:
-    """Transposed and conjugate."""
     return a.transpose().conjugate() if isinstance(a, acb_mat) else a.transpose()
 
 
@@ -119,7 +117,6 @@ def inverse(a: Matrix) -> Matrix:
 
 
 def solved(a: Matrix, b: Matrix) -> Matrix:
-    """``a^-1 b``."""
     return a.solve(b) if a.nrows() and b.ncols() else b
 
 
@@ -187,7 +184,6 @@ def upper_closed(M: System, delta: Matrix) -> System:
 
 
 def in_series(first: System, second: System) -> System:
-    """``second * first``."""
     n, m = first.A.nrows(), second.A.nrows()
     return System(
         joined([[first.A, fmpq_mat(n, m)], [product(second.B, first.C), second.A]]),

@@ -113,7 +113,6 @@ def apart(folder: Path, truth: dict[str, Any], answers: dict[str, Any], seed: in
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """The three commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     made = commands.add_parser("make", help="write the data set")

@@ -50,7 +50,6 @@ def long(X: Any) -> Any:
 
 
 def doubles(X: fmpq_mat) -> Any:
-    """Fractions, rounded."""
     return np.array([float(Fraction(int(x.p), int(x.q))) for x in X.entries()]).reshape(X.nrows(), X.ncols())
 
 
@@ -85,7 +84,6 @@ def positive(X: Any) -> bool:
 
 
 def star(X: Any) -> Any:
-    """The conjugate transpose."""
     X = X.T.copy()
     X.ravel()[:] = [mp.conj(x) for x in X.ravel()]
     return X
@@ -101,14 +99,12 @@ def response(G: tuple[Any, ...], dt: float, w: Any) -> Any:
 
 
 def spectral_norm(X: Any) -> Any:
-    """The largest singular value."""
     if X.shape == (1, 1):
         return abs(X[0, 0])
     return max(mp.svd_c(mp.matrix(X.tolist()), compute_uv=False))
 
 
 def eigenvalues(A: Any) -> list[Any]:
-    """Those of A."""
     if len(A) <= 1:  # mpmath 1.3 gives one state's with its vectors
         return A.ravel().tolist()
     return list(mp.eig(mp.matrix(A.tolist()), left=False, right=False))

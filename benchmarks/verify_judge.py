@@ -221,12 +221,9 @@ def _singular(numbers: Numbers, allowance: float, matrix: Any = None) -> bool:
     if not parts or not _has_structure(parts, start):
         return False
     real = not any(mp.im(x) for X in (M, start) for x in X.ravel().tolist())
-    found = _newton(long(M), long(start), _units(parts, real), _weights(parts, start))
+    sizes = [float(np.linalg.norm(start[part.w, part.z], 2)) for part in parts]
+    found = _newton(long(M), long(start), _units(parts, real), sizes)
     return found is not None and _fits(numbers, parts, found, allowance)
-
-
-def _weights(parts: Sequence[Part], start: Any) -> list[float]:
-    return [float(np.linalg.norm(start[part.w, part.z], 2)) for part in parts]
 
 
 def _newton(M: Any, delta: Any, units: list[Any], sizes: Sequence[float]) -> Any:
@@ -520,16 +517,12 @@ def _steepest(parts: Sequence[Part], row: Any, column: Any) -> Any:
     return _assembled(parts, block)
 
 
-def _reaches(high: float, stop: float, dt: float) -> bool:
-    return high >= stop or bool(dt and mp.mpf(high) * mp.mpf(dt) >= mp.pi)
-
-
 def _intervals_cover(numbers: Numbers, banded: bool) -> str:
     """Whether the union of the intervals holds all that the claim speaks of."""
     low, high, dt = np.asarray(numbers["low"]), np.asarray(numbers["high"]), float(numbers["dt"])
     start, stop = (float(x) for x in numbers["band"]) if banded and "band" in numbers else (0.0, math.inf)
     reached, first = start, True
-    while first or not _reaches(reached, stop, dt):
+    while first or not (reached >= stop or (dt and mp.mpf(reached) * mp.mpf(dt) >= mp.pi)):
         further = [float(b) for a, b in zip(low, high, strict=True) if a <= reached and b >= reached]
         if not further or (max(further) == reached and not first):
             return f"unjustified: nothing covers what follows {reached} rad/s"

@@ -109,8 +109,8 @@ class Loop:
         x = fmpq_poly([0, 1])
         gain = self._positive(ne * ne + x * no * no - de * de - x * do * do)
         phase = self._positive(no * de - ne * do)
-        lags = [(self._omega(r), float(self._angle(r) + arb.pi())) for r in gain]
-        factors = [(self._omega(r), self._real(r)) for r in phase]
+        lags = [(self._omega(r), float(self._response(r).arg() + arb.pi())) for r in gain]
+        factors = [(self._omega(r), float(self._response(r).real)) for r in phase]
         return sorted(lags), sorted((w, -1 / real) for w, real in factors if real < 0)
 
     def _positive(self, q: fmpq_poly) -> list[arb]:
@@ -126,12 +126,6 @@ class Loop:
     def _response(self, x: arb) -> acb:
         s = acb(0, x.sqrt())
         return acb_poly(self.N)(s) / acb_poly(self.D)(s)
-
-    def _angle(self, x: arb) -> arb:
-        return self._response(x).arg()
-
-    def _real(self, x: arb) -> float:
-        return float(self._response(x).real)
 
     def above_one(self, omega: float) -> bool:
         """Whether |L| > 1 at a frequency, by another way than the roots: exact values."""

@@ -49,7 +49,6 @@ class Case:
 
     @property
     def machine(self) -> Machine:
-        """The true machine's constants."""
         return self.rig.machine
 
     def experiment(self, u: ArrayLike, *, run: int = 0, current: bool | None = None) -> Record:

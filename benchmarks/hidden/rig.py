@@ -76,7 +76,6 @@ class Rig:
         return {**outputs, "i": run.i} if current else outputs
 
     def record(self, measured: tuple[Run, Noise], name: str, current: bool) -> Record:
-        """A run as a `Record` with units."""
         run, drawn = measured
         setup = self.setup
         outputs = self.channels(run, current, drawn)
