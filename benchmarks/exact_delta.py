@@ -297,18 +297,13 @@ def is_on_boundary(model: Model, parts: Sequence[Part], delta: Matrix, near: flo
     return bool(model.D.any()) and distance_to_singular(model.D[:p, :q], parts, delta)[0] <= near
 
 
-def closed_poles(model: Model, deltas: Matrix) -> Matrix:
-    """Poles of the members (k, n), in floats: to choose which members are judged."""
-    q, p = deltas.shape[-2:]
-    B, C, D = model.B[:, :q], model.C[:p], model.D[:p, :q]
-    right = np.linalg.solve(np.eye(p) - D @ deltas, np.broadcast_to(C, (len(deltas), *C.shape)) + 0j)
-    return np.linalg.eigvals(model.A + B @ deltas @ right)
-
-
 def instability(model: Model, deltas: Matrix) -> Matrix:
     """How far the worst pole of each member is outside, relative to its size; negative inside."""
+    q, p = deltas.shape[-2:]
+    B, C, D = model.B[:, :q], model.C[:p], model.D[:p, :q]
     try:
-        found = closed_poles(model, deltas)
+        right = np.linalg.solve(np.eye(p) - D @ deltas, np.broadcast_to(C, (len(deltas), *C.shape)) + 0j)
+        found = np.linalg.eigvals(model.A + B @ deltas @ right)
     except np.linalg.LinAlgError:
         return np.full(len(deltas), -1.0)
     if model.dt:

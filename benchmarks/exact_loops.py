@@ -238,10 +238,15 @@ def is_stable(A: Matrix, discrete: bool) -> bool | None:
     if isinstance(A, acb_mat):  # with the conjugate roots the polynomial is real
         c = [v.real for v in (acb_poly(c) * acb_poly([v.conjugate() for v in c])).coeffs()]
     if discrete:
-        kind, n = fmpq_poly if isinstance(A, fmpq_mat) else arb_poly, len(c) - 1
-        c = sum((v * kind([1, 1]) ** k * kind([1, -1]) ** (n - k) for k, v in enumerate(c)), kind([0])).coeffs()
+        n, c = len(c) - 1, on_the_left(c, fmpq_poly if isinstance(A, fmpq_mat) else arb_poly).coeffs()
         c += [0 * A[0, 0]] * (n + 1 - len(c))
     return _hurwitz(c[::-1])
+
+
+def on_the_left(c: list[Any], kind: Any, degree: int = 0) -> Any:
+    """``(1 - s)^n c((1 + s)/(1 - s))``, c lowest power first: the unit disk goes to the left half plane."""
+    n = degree or len(c) - 1
+    return sum((v * kind([1, 1]) ** k * kind([1, -1]) ** (n - k) for k, v in enumerate(c)), kind([0]))
 
 
 def _hurwitz(c: list[Any]) -> bool | None:
@@ -294,10 +299,7 @@ def norm_is_below(G: System, gamma: Any) -> bool | None:
     A = G.A + product(G.B, inverse_R, D.transpose(), G.C)
     S = eye(D.nrows()) + product(D, inverse_R, D.transpose())
     H = joined(
-        [
-            [A, product(G.B, inverse_R, G.B.transpose())],
-            [product(G.C.transpose(), S, G.C) * -1, A.transpose() * -1],
-        ]
+        [[A, product(G.B, inverse_R, G.B.transpose())], [product(G.C.transpose(), S, G.C) * -1, A.transpose() * -1]]
     )
     even = [c * (-1) ** k for k, c in enumerate(H.charpoly().coeffs()[::2])]
     if sure:

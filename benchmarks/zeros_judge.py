@@ -11,7 +11,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from exact_loops import exact, eye, product, rational, solved
+from exact_loops import exact, eye, on_the_left, product, rational, solved
 from flint import acb, acb_mat, acb_poly, arb, ctx, fmpq, fmpq_mat, fmpq_poly
 
 ctx.prec = 400
@@ -80,12 +80,6 @@ def fraction(A: Any, B: Any, C: Any, D: Any) -> tuple[fmpq_poly, fmpq_poly]:
     return over / shared, under / shared
 
 
-def mapped(p: fmpq_poly, n: int) -> fmpq_poly:
-    """``(1 - v)^n p((1 + v)/(1 - v))``."""
-    up, down = fmpq_poly([1, 1]), fmpq_poly([1, -1])
-    return sum((c * up**k * down ** (n - k) for k, c in enumerate(p.coeffs())), fmpq_poly([0]))
-
-
 class Loop:
     """L = N / D of one channel on the axis: powers of s, or of ``v = (z - 1)/(z + 1)``."""
 
@@ -94,7 +88,7 @@ class Loop:
         self.dt, n = dt, len(A)
         if dt:
             n = max(self.N.degree(), self.D.degree())
-            self.N, self.D = mapped(self.N, n), mapped(self.D, n)
+            self.N, self.D = (on_the_left(p.coeffs(), fmpq_poly, n) for p in (self.N, self.D))
 
     def _parts(self) -> list[fmpq_poly]:
         parts = []

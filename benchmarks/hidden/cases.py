@@ -15,7 +15,7 @@ from robustlab import Record
 from .effects import Setting, hidden_effect
 from .excitation import reference, voltage
 from .families import possible
-from .machine import Array, Machine
+from .machine import Array
 from .plants import LEVELS, PLANTS, Setup
 from .rig import Rig, generator
 
@@ -40,16 +40,8 @@ class Case:
     effects: tuple[str, ...]
     true_parameters: Mapping[str, Mapping[str, float]]
     perturbed: Mapping[str, float]  # parameter -> true over nominal value, within the tolerance
-    seed: int
-    noise: str
-    excitation: str
     current: bool
-    closed_loop: bool
     rig: Rig = field(repr=False)
-
-    @property
-    def machine(self) -> Machine:
-        return self.rig.machine
 
     def experiment(self, u: ArrayLike, *, run: int = 0, current: bool | None = None) -> Record:
         """Measure once more on the same machine, from rest at zero: input u (n,), held.
@@ -125,11 +117,7 @@ def make_case(
         effects=names,
         true_parameters=true,
         perturbed=perturbed,
-        seed=seed,
-        noise=noise,
-        excitation="closed-loop" if closed_loop else excitation,
         current=current,
-        closed_loop=closed_loop,
         rig=rig,
     )
 

@@ -13,11 +13,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from discover_distance import RESOLVABLE
 
 from robustlab.dynamics.effects.kinds import upwards
 
 Said = Mapping[str, Any]
+RESOLVABLE = 3.0  # standard deviations of the noise below which no test on the records tells two sets apart
 ROOTS = ("force",)  # says that something pushes, and no more
 MISSING: Said = {"verdict": "open", "named": [], "possible": [], "complete": False, "missing": True}
 
