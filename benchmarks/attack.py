@@ -1,15 +1,13 @@
 """An attack on every certificate: nasty random cases, judged in balls of 200 digits by code that shares none with it.
 
-Families (`attack_cases`): stiff, nearly uncontrollable, huge D11, light damping with fast poles, Jordan blocks, near
-cancellations, denormal and huge entries, units, poles and zeros on the axis, ordinary; over hinf, mixsyn, h2, ncf,
-robust_stability (margin), worst_case_gain (gain), mu, and hinf_norm with h2_norm (norm). Case i of seed s needs no
-other case. The judge (`attack_verdicts`, `exact_loops`, `exact_delta`; needs python-flint) uses nothing of robustlab.
+Families (`attack_cases`) over hinf, mixsyn, h2, ncf, robust_stability (margin), worst_case_gain (gain), mu, hinf_norm
+and h2_norm (norm). The judge (`attack_verdicts`, `exact_loops`, `exact_delta`) uses nothing of robustlab.
 
 A false certificate: a loop of K and P that is unstable, or whose norm (Hamiltonian in balls: all frequencies) or whose
 gain anywhere (P and K evaluated on their own) exceeds gamma by 1e-3, an H2 norm off by 1e-3; a bracket of a norm off by
 1e-6; D, G that do not prove their bound, a Delta that is not singular to within 1e-8, a singular or unstable Delta
-inside a proved ball (brute force, confirmed in balls), a gain above the proved one or a lower one that is not attained
-(1e-5). Crashes (any exception but a RobustlabError) and hangs (more CPU time than LIMIT) are listed beside them.
+inside a proved ball, a gain above the proved one or a lower one that is not attained (1e-5). Crashes and hangs (more
+CPU time than LIMIT) are listed beside them.
 
 How to run: a campaign in pieces, each of which may be stopped and started again (cases in the file are skipped)::
 
@@ -230,7 +228,6 @@ class Worker:
             judging = record
 
     def close(self) -> None:
-        """End the process."""
         self.pipe.send(None)
         self.process.join()
 

@@ -55,7 +55,7 @@ def make_case(seed: int, index: int) -> Case:
 
 def _modes(values: list[complex]) -> Array:
     """A real block-diagonal matrix with these eigenvalues; of a pair the one above the axis is given."""
-    n = sum(1 if v.imag == 0 else 2 for v in map(complex, values))
+    n = _order([*map(complex, values)])
     A, at = np.zeros((n, n)), 0
     for v in map(complex, values):
         if v.imag == 0:
@@ -65,6 +65,10 @@ def _modes(values: list[complex]) -> Array:
             A[at : at + 2, at : at + 2] = [[v.real, v.imag], [-v.imag, v.real]]
             at += 2
     return A
+
+
+def _order(values: list[complex]) -> int:
+    return sum(1 if v.imag == 0 else 2 for v in values)
 
 
 def _moderate(rng: Rng, n: int, unstable: float) -> list[complex]:
@@ -86,14 +90,14 @@ def _states(family: str, rng: Rng, n: int, unstable: float) -> Array:
     sign = lambda: 1 if rng.random() < unstable else -1  # noqa: E731 - a coin, thrown often
     if family == "stiff":
         values: list[complex] = []
-        while (left := n - sum(1 if v.imag == 0 else 2 for v in values)) > 0:
+        while (left := n - _order(values)) > 0:
             size = 10 ** rng.uniform(-6, 5)
             pair = left > 1 and rng.random() < 0.3
             values.append(size * complex(sign() * 0.4, 0.9) if pair else complex(sign() * size))
         return _modes(values)
     if family == "light damping, fast poles":
         values = [complex(sign() * 10 ** rng.uniform(3, 7)) for _ in range(1 + n % 2)]
-        while sum(1 if v.imag == 0 else 2 for v in values) < n - 1:
+        while _order(values) < n - 1:
             values.append(10 ** rng.uniform(-1, 2) * complex(sign() * 10 ** -rng.uniform(2, 9), 1))
         return _modes(values)
     if family == "Jordan blocks":
@@ -103,7 +107,7 @@ def _states(family: str, rng: Rng, n: int, unstable: float) -> Array:
         return A + np.diag([*[10 ** rng.uniform(-1, 1)] * (length - 1), *[0.0] * (n - length)], 1)[:n, :n]
     if family == "poles and zeros on the axis":
         values = []
-        while (left := n - sum(1 if v.imag == 0 else 2 for v in values)) > 0:
+        while (left := n - _order(values)) > 0:
             real = 0.0 if unstable and rng.random() < 0.6 else -(10 ** -rng.uniform(0, 11))
             pair = left > 1 and rng.random() < 0.4
             values.append(complex(real, 10 ** rng.uniform(-1, 1)) if pair else complex(real))

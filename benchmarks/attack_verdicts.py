@@ -28,7 +28,6 @@ CANCELLED = 1e-10
 
 
 def judge(case: Case, claim: Claim, rng: np.random.Generator) -> list[str]:
-    """All findings about one claim."""
     return list(VERDICTS[case.function](case.data, claim, rng))
 
 
@@ -148,7 +147,9 @@ def _norm_of_loop(loop: Callable[[], System], at: Response, models: list[Model],
         return
     limit = (arb(claim["gamma"]) * arb(1 + DESIGN)).mid()
     below = with_precision(lambda: loops.norm_is_below(loop(), limit))
-    around = [p for m in models for p in np.linalg.eigvals(m.A).tolist()] if below else _all_poles(loop, models)
+    around = [p for m in models for p in np.linalg.eigvals(m.A).tolist()]
+    if not below:
+        around += with_precision(lambda: loops.poles(loop().A)) or []
     points, rounds = (8, 0) if below else (40, 40)
     top, omega = loops.peak(at, around, models[0].dt, points, rounds, 0 if below else 6)
     if top > limit:
@@ -163,11 +164,6 @@ def _norm_of_loop(loop: Callable[[], System], at: Response, models: list[Model],
     bound = claim.get("lower_bound") or 0.0
     if bound > claim["gamma"] * (1 + DESIGN):
         yield f"FALSE: no controller is said to reach {bound:.6g}, this one has {claim['gamma']:.6g}"
-
-
-def _all_poles(loop: Callable[[], System], models: list[Model]) -> list[complex]:
-    found = [p for m in models for p in np.linalg.eigvals(m.A).tolist()]
-    return found + (with_precision(lambda: loops.poles(loop().A)) or [])
 
 
 def _norm(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:

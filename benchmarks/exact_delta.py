@@ -281,15 +281,12 @@ def member_is_stable(model: Model, delta: Matrix) -> bool:
     """Whether the model closed by Delta is well-posed and surely stable."""
 
     def test() -> bool | None:
-        loop = upper_closed(_channels(model, delta), exact(delta if np.imag(delta).any() else np.real(delta)))
+        q, p = delta.shape
+        channels = system(Model(model.A, model.B[:, :q], model.C[:p], model.D[:p, :q], model.dt))
+        loop = upper_closed(channels, exact(delta if np.imag(delta).any() else np.real(delta)))
         return is_stable(loop.A, loop.discrete)
 
     return bool(with_precision(test))
-
-
-def _channels(model: Model, delta: Matrix) -> Any:
-    q, p = delta.shape
-    return system(Model(model.A, model.B[:, :q], model.C[:p], model.D[:p, :q], model.dt))
 
 
 def is_on_boundary(model: Model, parts: Sequence[Part], delta: Matrix, near: float) -> bool:
@@ -300,18 +297,13 @@ def is_on_boundary(model: Model, parts: Sequence[Part], delta: Matrix, near: flo
     return bool(model.D.any()) and distance_to_singular(model.D[:p, :q], parts, delta)[0] <= near
 
 
-def closed_poles(model: Model, deltas: Matrix) -> Matrix:
-    """Poles of the members (k, n), in floats: to choose which members are judged."""
-    q, p = deltas.shape[-2:]
-    B, C, D = model.B[:, :q], model.C[:p], model.D[:p, :q]
-    right = np.linalg.solve(np.eye(p) - D @ deltas, np.broadcast_to(C, (len(deltas), *C.shape)) + 0j)
-    return np.linalg.eigvals(model.A + B @ deltas @ right)
-
-
 def instability(model: Model, deltas: Matrix) -> Matrix:
     """How far the worst pole of each member is outside, relative to its size; negative inside."""
+    q, p = deltas.shape[-2:]
+    B, C, D = model.B[:, :q], model.C[:p], model.D[:p, :q]
     try:
-        found = closed_poles(model, deltas)
+        right = np.linalg.solve(np.eye(p) - D @ deltas, np.broadcast_to(C, (len(deltas), *C.shape)) + 0j)
+        found = np.linalg.eigvals(model.A + B @ deltas @ right)
     except np.linalg.LinAlgError:
         return np.full(len(deltas), -1.0)
     if model.dt:
@@ -386,7 +378,6 @@ def gain_inside(
 
 
 def float_response(model: Model, omega: float) -> Matrix:
-    """The response in floats."""
     if not len(model.A) or np.isinf(omega):
         return model.D + 0j
     s = np.exp(1j * omega * model.dt) if model.dt else 1j * omega

@@ -95,7 +95,6 @@ def joined(rows: Sequence[Sequence[Matrix]]) -> Matrix:
 
 
 def part(m: Matrix, rows: slice, columns: slice) -> Matrix:
-    """A block of a matrix."""
     chosen = [line[columns] for line in m.tolist()[rows]] if m.ncols() else []
     height = len(range(*rows.indices(m.nrows())))
     width = len(range(*columns.indices(m.ncols())))
@@ -109,7 +108,6 @@ def eye(n: int, of: Any = 1) -> Matrix:
 
 
 def adjoint(a: Matrix) -> Matrix:
-    """Transposed and conjugate."""
     return a.transpose().conjugate() if isinstance(a, acb_mat) else a.transpose()
 
 
@@ -119,7 +117,6 @@ def inverse(a: Matrix) -> Matrix:
 
 
 def solved(a: Matrix, b: Matrix) -> Matrix:
-    """``a^-1 b``."""
     return a.solve(b) if a.nrows() and b.ncols() else b
 
 
@@ -150,25 +147,19 @@ def system(model: Model, as_matrix: Callable[[Any], Matrix] = exact) -> System:
     return System(*map(as_matrix, model[:4]), model.dt > 0)
 
 
-def four_parts(D: Matrix, n_meas: int, n_con: int) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+def four_parts(D: Matrix, n_meas: int, n_con: int) -> tuple[Matrix, ...]:
     """11, 12, 21 and 22 of a matrix whose last rows and columns are measurements and controls."""
     z, w = D.nrows() - n_meas, D.ncols() - n_con
-    first, last = slice(0, z), slice(z, z + n_meas)
-    return (
-        part(D, first, slice(0, w)),
-        part(D, first, slice(w, w + n_con)),
-        part(D, last, slice(0, w)),
-        part(D, last, slice(w, w + n_con)),
-    )
+    rows, columns = (slice(0, z), slice(z, None)), (slice(0, w), slice(w, None))
+    return tuple(part(D, r, c) for r in rows for c in columns)
 
 
 def closed(P: System, K: System) -> System:
     """The lower LFT with ``u = K y``. ZeroDivisionError: ``I - D_K D22`` is not regular."""
-    n, n_u, n_y = P.A.nrows(), K.D.nrows(), K.D.ncols()
+    n_u, n_y, every = K.D.nrows(), K.D.ncols(), slice(None)
     z, w = P.D.nrows() - n_y, P.D.ncols() - n_u
-    every = slice(0, n)
-    B1, B2 = part(P.B, every, slice(0, w)), part(P.B, every, slice(w, w + n_u))
-    C1, C2 = part(P.C, slice(0, z), every), part(P.C, slice(z, z + n_y), every)
+    B1, B2 = part(P.B, every, slice(0, w)), part(P.B, every, slice(w, None))
+    C1, C2 = part(P.C, slice(0, z), every), part(P.C, slice(z, None), every)
     D11, D12, D21, D22 = four_parts(P.D, n_y, n_u)
     E = inverse(eye(n_u) - product(K.D, D22))  # u = E (C_K x_K + D_K C2 x + D_K D21 w)
     u_x, u_k, u_w = product(E, K.D, C2), product(E, K.C), product(E, K.D, D21)
@@ -184,24 +175,15 @@ def closed(P: System, K: System) -> System:
 
 def upper_closed(M: System, delta: Matrix) -> System:
     """The upper LFT ``F_u(M, Delta)``. ZeroDivisionError: ``I - D11 Delta`` is not regular."""
-    n, (q, p) = M.A.nrows(), (delta.nrows(), delta.ncols())
-    n_u, n_y = M.D.ncols() - q, M.D.nrows() - p
-    every = slice(0, n)
-    B1, B2 = part(M.B, every, slice(0, q)), part(M.B, every, slice(q, q + n_u))
-    C1, C2 = part(M.C, slice(0, p), every), part(M.C, slice(p, p + n_y), every)
-    D11, D12, D21, D22 = four_parts(M.D, n_y, n_u)
-    E = product(delta, inverse(eye(p) - product(D11, delta)))
-    return System(
-        M.A + product(B1, E, C1),
-        B2 + product(B1, E, D12),
-        C2 + product(D21, E, C1),
-        D22 + product(D21, E, D12),
-        M.discrete,
-    )
+    q, p, every = delta.nrows(), delta.ncols(), slice(None)
+    B = joined([[part(M.B, every, slice(q, None)), part(M.B, every, slice(0, q))]])
+    C = joined([[part(M.C, slice(p, None), every)], [part(M.C, slice(0, p), every)]])
+    D11, D12, D21, D22 = four_parts(M.D, M.D.nrows() - p, M.D.ncols() - q)
+    K = System(fmpq_mat(0, 0), fmpq_mat(0, p), fmpq_mat(q, 0), delta, M.discrete)
+    return closed(System(M.A, B, C, joined([[D22, D21], [D12, D11]]), M.discrete), K)
 
 
 def in_series(first: System, second: System) -> System:
-    """``second * first``."""
     n, m = first.A.nrows(), second.A.nrows()
     return System(
         joined([[first.A, fmpq_mat(n, m)], [product(second.B, first.C), second.A]]),
@@ -212,34 +194,26 @@ def in_series(first: System, second: System) -> System:
     )
 
 
-def sensitivity_plant(G: System, W1: System | None, W2: System | None, W3: System | None) -> System:
+def side_by_side(systems: Sequence[System]) -> System:
+    """Each with inputs and outputs of its own."""
+
+    def diagonal(own: Sequence[Matrix]) -> Matrix:
+        return joined([[m if i == j else fmpq_mat(m.nrows(), other.ncols()) for j, other in enumerate(own)]
+                       for i, m in enumerate(own)])  # fmt: skip
+
+    return System(*map(diagonal, list(zip(*systems, strict=True))[:4]), systems[0].discrete)
+
+
+def sensitivity_plant(G: System, *weights: System | None) -> System:
     """From [r; u] to [W1 e; W2 u; W3 G u; e] with ``e = r - G u``."""
     n, n_y, n_u = G.A.nrows(), G.D.nrows(), G.D.ncols()
-    sources = {  # what drives each weight, from (x, r, u)
-        "e": (G.C * -1, eye(n_y), G.D * -1),
-        "u": (fmpq_mat(n_u, n), fmpq_mat(n_u, n_y), eye(n_u)),
-        "y": (G.C, fmpq_mat(n_y, n_y), G.D),
-    }
-    given = [(w, sources[k]) for w, k in ((W1, "e"), (W2, "u"), (W3, "y")) if w is not None]
-    sizes = [n, *(w.A.nrows() for w, _ in given)]
-
-    def line(diagonal: int, first: Matrix, own: Matrix) -> list[Matrix]:
-        blocks = [first, *(fmpq_mat(first.nrows(), s) for s in sizes[1:])]
-        blocks[diagonal] = own
-        return blocks
-
-    A = [line(0, G.A, G.A)]
-    B = [[fmpq_mat(n, n_y), G.B]]
-    C, D = [], []
-    for k, (w, (x, r, u)) in enumerate(given, 1):
-        A.append(line(k, product(w.B, x), w.A))
-        B.append([product(w.B, r), product(w.B, u)])
-        C.append(line(k, product(w.D, x), w.C))
-        D.append([product(w.D, r), product(w.D, u)])
-    x, r, u = sources["e"]
-    C.append(line(0, x, x))
-    D.append([r, u])
-    return System(joined(A), joined(B), joined(C), joined(D), G.discrete)
+    e = G.C * -1, eye(n_y), G.D * -1  # from x, r and u
+    signals = e, (fmpq_mat(n_u, n), fmpq_mat(n_u, n_y), eye(n_u)), (G.C, fmpq_mat(n_y, n_y), G.D)
+    plain = System(fmpq_mat(0, 0), fmpq_mat(0, n_y), fmpq_mat(n_y, 0), eye(n_y), G.discrete)
+    kept = [*((w, s) for w, s in zip(weights, signals, strict=True) if w is not None), (plain, e)]
+    C, D = joined([[x] for _, (x, _, _) in kept]), joined([[r, u] for _, (_, r, u) in kept])
+    around = System(G.A, joined([[fmpq_mat(n, n_y), G.B]]), C, D, G.discrete)
+    return in_series(around, side_by_side([w for w, _ in kept]))
 
 
 def coprime_plant(G: System) -> System:
@@ -264,10 +238,15 @@ def is_stable(A: Matrix, discrete: bool) -> bool | None:
     if isinstance(A, acb_mat):  # with the conjugate roots the polynomial is real
         c = [v.real for v in (acb_poly(c) * acb_poly([v.conjugate() for v in c])).coeffs()]
     if discrete:
-        kind, n = fmpq_poly if isinstance(A, fmpq_mat) else arb_poly, len(c) - 1
-        c = sum((v * kind([1, 1]) ** k * kind([1, -1]) ** (n - k) for k, v in enumerate(c)), kind([0])).coeffs()
+        n, c = len(c) - 1, on_the_left(c, fmpq_poly if isinstance(A, fmpq_mat) else arb_poly).coeffs()
         c += [0 * A[0, 0]] * (n + 1 - len(c))
     return _hurwitz(c[::-1])
+
+
+def on_the_left(c: list[Any], kind: Any, degree: int = 0) -> Any:
+    """``(1 - s)^n c((1 + s)/(1 - s))``, c lowest power first: the unit disk goes to the left half plane."""
+    n = degree or len(c) - 1
+    return sum((v * kind([1, 1]) ** k * kind([1, -1]) ** (n - k) for k, v in enumerate(c)), kind([0]))
 
 
 def _hurwitz(c: list[Any]) -> bool | None:
@@ -320,10 +299,7 @@ def norm_is_below(G: System, gamma: Any) -> bool | None:
     A = G.A + product(G.B, inverse_R, D.transpose(), G.C)
     S = eye(D.nrows()) + product(D, inverse_R, D.transpose())
     H = joined(
-        [
-            [A, product(G.B, inverse_R, G.B.transpose())],
-            [product(G.C.transpose(), S, G.C) * -1, A.transpose() * -1],
-        ]
+        [[A, product(G.B, inverse_R, G.B.transpose())], [product(G.C.transpose(), S, G.C) * -1, A.transpose() * -1]]
     )
     even = [c * (-1) ** k for k, c in enumerate(H.charpoly().coeffs()[::2])]
     if sure:

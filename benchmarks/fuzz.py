@@ -137,6 +137,9 @@ def readers(folder: Path) -> list[Reader]:
     def text(name: str, file: str, seeds: Iterable[bytes], read: Any, *more: Edit) -> Reader:
         return Reader(name, tuple((file, raw) for raw in seeds), read, (*TEXT, *more))
 
+    def pair(file: Any) -> None:
+        file.update({f"{g}/{n}": v for g in ("nominal", "perturbed") for n, v in MATRICES.items()})
+
     found = []
     for kind, thing in things.items():
         rl.save(folder / "x.h5", thing)
@@ -146,7 +149,7 @@ def readers(folder: Path) -> list[Reader]:
     expressions = ((ROOT / "models" / "springs.toml").read_bytes(), EXPRESSIONS.encode())
     return [
         *found,
-        hdf5("HDF5 plain", ("x.h5", _plain()), ("x.h5", _pair())),
+        hdf5("HDF5 plain", ("x.h5", _plain()), ("x.h5", _image(pair))),
         hdf5("MATLAB 7.3", ("x.mat", _matlab73())),
         Reader("MATLAB 5", matlab, read_stored, (*BYTES, *BYTES, matlab_variables)),
         text("CSV", "x.csv", map(str.encode, TABLES), read_stored),
@@ -205,10 +208,6 @@ def _plain() -> bytes:
         file["signals/input/name"], file["note"] = ["u"], "plain"
 
     return _image(fill)
-
-
-def _pair() -> bytes:
-    return _image(lambda f: [f.update({f"{g}/{n}": v}) for g in ("nominal", "perturbed") for n, v in MATRICES.items()])
 
 
 def _matlab73() -> bytes:

@@ -20,8 +20,8 @@ import importlib.util
 import json
 import statistics
 import sys
+from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -189,33 +189,24 @@ def true_norm(P: dict[str, Any], K: dict[str, Any]) -> tuple[float, list[float]]
     return float(np.nanmax(voices)), voices
 
 
-@dataclass
-class Column:
-    """Results of one tool over the plants."""
+Column = defaultdict[str, list[Any]]  # what became of a tool's answers
 
-    ratios: list[float] = field(default_factory=list)
-    cpu: list[float] = field(default_factory=list)
-    false_claims: list[str] = field(default_factory=list)
-    unstable: list[str] = field(default_factory=list)
-    refused: list[str] = field(default_factory=list)
-    no_return: list[str] = field(default_factory=list)
-    voices: list[float] = field(default_factory=list)
 
-    def row(self, title: str) -> str:
-        n = len(self.ratios)
-        counts = [sum(r <= limit for r in self.ratios) for limit in (1.001, 1.01, 1.05)]
-        cells = [sum(map(np.isfinite, self.ratios)), *counts, len(self.false_claims), len(self.unstable)]
-        cells += [len(self.no_return), len(self.refused)]
-        times = f"{statistics.median(self.cpu):7.2f} {max(self.cpu):7.2f}" if self.cpu else ""
-        return f"{title:30s} {n:3d} " + " ".join(f"{c:7d}" for c in cells) + " " + times
+def row(title: str, column: Column) -> str:
+    ratios, cpu = column["ratios"], column["cpu"]
+    counts = [sum(r <= limit for r in ratios) for limit in (1.001, 1.01, 1.05)]
+    cells = [sum(map(np.isfinite, ratios)), *counts]
+    cells += [len(column[what]) for what in ("false claims", "unstable", "no return", "refused")]
+    times = f"{statistics.median(cpu):7.2f} {max(cpu):7.2f}" if cpu else ""
+    return f"{title:30s} {len(ratios):3d} " + " ".join(f"{c:7d}" for c in cells) + " " + times
 
 
 def judge(name: str, P: dict[str, Any], about: dict[str, Any], answer: dict[str, Any], column: Column) -> str:
     """Enter one answer into the column; a short text about it."""
-    column.cpu.append(answer["cpu"])
+    column["cpu"].append(answer["cpu"])
     if "refused" in answer:
-        (column.no_return if answer["refused"] == "no return" else column.refused).append(name)
-        column.ratios.append(np.inf)
+        column["no return" if answer["refused"] == "no return" else "refused"].append(name)
+        column["ratios"].append(np.inf)
         return answer["refused"][:60]
     K = {k: np.array(answer[k], dtype=float).reshape(len(answer[k]), -1) for k in "ABCD"}
     n_u, n_y = int(about["nu"]), int(about["ny"])
@@ -223,17 +214,17 @@ def judge(name: str, P: dict[str, Any], about: dict[str, Any], answer: dict[str,
         K = {"A": np.zeros((0, 0)), "B": np.zeros((0, n_y)), "C": np.zeros((n_u, 0)), "D": K["D"]}
     norm, voices = true_norm(P, K)
     if not np.isfinite(norm):
-        column.unstable.append(name)
-        column.ratios.append(np.inf)
+        column["unstable"].append(name)
+        column["ratios"].append(np.inf)
         return "unstable loop returned as a success"
     if np.isfinite(voices).all() and norm > 0:
-        column.voices.append(norm / min(voices) - 1)
+        column["voices"].append(norm / min(voices) - 1)
     claim = answer["gamma"]
     false = norm > 1.001 * claim + 1e-12
     if false:
-        column.false_claims.append(f"{name} {claim:.4g} -> {norm:.4g}")
-    column.ratios.append(over_best(norm, about["gamma_full_best_verified"], about["infimum_looks_zero"]))
-    return f"{column.ratios[-1]:9.5f} {answer['cpu']:6.2f} s" + (" FALSE CLAIM" if false else "")
+        column["false claims"].append(f"{name} {claim:.4g} -> {norm:.4g}")
+    column["ratios"].append(over_best(norm, about["gamma_full_best_verified"], about["infimum_looks_zero"]))
+    return f"{column['ratios'][-1]:9.5f} {answer['cpu']:6.2f} s" + (" FALSE CLAIM" if false else "")
 
 
 def main() -> None:
@@ -253,7 +244,7 @@ def main() -> None:
     tools = [t for t in options.tools.replace("ours", "tight,default").split(",") if t in TITLES]
     if importlib.util.find_spec("dkpy") is None and "dkpy" in tools:
         tools.remove("dkpy")
-    columns = {tool: Column() for tool in tools}
+    columns: dict[str, Column] = {tool: defaultdict(list) for tool in tools}
     poles: list[float] = []
     for name, P, about in compleib(options.names, options.most_states, options.data):
         best = max(float(about["gamma_full_best_verified"]), 1e-3)
@@ -271,12 +262,12 @@ def main() -> None:
     header = ("plants", "finite", "<=1.001", "<=1.01", "<=1.05", "false", "unstabl", "no ret.", "refused")
     print(f"\n{'':27s} " + " ".join(f"{h:>7s}" for h in header)[1:] + "  CPU s: median, max")
     for tool, column in columns.items():
-        print(column.row(TITLES[tool]))
+        print(row(TITLES[tool], column))
     for tool, column in columns.items():
-        if column.false_claims:
-            print(f"false claims of {TITLES[tool]}: {'; '.join(column.false_claims)}")
-        if column.voices:
-            print(f"three voices on the loops of {TITLES[tool]} differ by at most {max(column.voices):.2g}")
+        if column["false claims"]:
+            print(f"false claims of {TITLES[tool]}: {'; '.join(column['false claims'])}")
+        if column["voices"]:
+            print(f"three voices on the loops of {TITLES[tool]} differ by at most {max(column['voices']):.2g}")
     if np.isfinite(poles).any():
         print(f"fastest controller pole, tight / default: median {np.nanmedian(poles):.3g}")
 

@@ -129,7 +129,6 @@ def dkpy_bound(blocks):
 
 
 def line(name: str, rows, slow: int, count: int) -> str:
-    """One line of the table."""
     M, blocks = random_stack(rows, count)
     q = M.shape[2]
     bounds, spent = timed(upper_bounds, M, blocks)
@@ -160,7 +159,6 @@ def line(name: str, rows, slow: int, count: int) -> str:
 
 
 def main(count: int = 20) -> None:
-    """Print one line per structure."""
     upper_bounds(np.array([[[0, 2], [1, 1j]]]), as_blocks([[-1, 0]] * 2))  # imports and compilation are not timed
     print(heading("robustlab", "numpy", "slycot", "cvxpy-base", "clarabel", "numba"))
     print(f"CPU ms per random complex matrix, batch of {count},")

@@ -122,7 +122,6 @@ def matrices(count: int) -> None:
 
 
 def published() -> None:
-    """Cases with known answers."""
     made, blocks = mu_models.two_mass()
     margin = rl.robust_stability(rl.UncertainModel(made, blocks))
     ends = f"{margin.lower:.6f} .. {margin.upper:.6f} at {margin.frequency:.3f} rad/s"
@@ -134,7 +133,6 @@ def published() -> None:
 
 
 def main() -> None:
-    """Print every table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--tolerance", type=float, default=0.01)

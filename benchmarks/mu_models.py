@@ -145,6 +145,13 @@ def platform_legs(tolerances: dict[str, float], p_low: float = 3000.0) -> Model:
     return StateSpaceModel(A, B_w, np.hstack([M.C[:p] + D @ direct, D @ K.C]), M.D[:p, :q]), blocks
 
 
+def _under(A, B, C, D, Ak, Bk, Ck, Dk) -> StateSpaceModel:
+    """The first three channels of a plant under u = -K y of the fourth."""
+    loop = np.block([[A - B[:, 3:] * Dk @ C[3:], -B[:, 3:] @ Ck], [Bk @ C[3:], Ak]])
+    C_all = np.hstack([C[:3] - D[:3, 3:] * Dk @ C[3:], -D[:3, 3:] @ Ck])
+    return StateSpaceModel(loop, np.vstack([B[:, :3], Bk @ D[3:, :3]]), C_all, D[:3, :3])
+
+
 def two_mass() -> Model:
     """MathWorks' example: two masses and a spring, each 1 +- 20 %, under 100 ((s + 1) / (0.001 s + 1))^3.
 
@@ -163,16 +170,8 @@ def two_mass() -> Model:
         Ak[i, :i] = -999000.0 * 1000.0 ** np.arange(i - 1, -1, -1)
         Bk[i, 0] = 1000.0**i
         Ck[0, i] = -100.0 * 999000.0 * 1000.0 ** (2 - i)
-    # u = -K y
-    loop = np.zeros((7, 7))
-    loop[:4, :4] = A - B[:, 3:] * Dk @ C[3:]
-    loop[:4, 4:] = -B[:, 3:] @ Ck
-    loop[4:, :4] = Bk @ C[3:]
-    loop[4:, 4:] = Ak
-    B_all = np.vstack([B[:, :3], Bk @ D[3:, :3]])
-    C_all = np.hstack([C[:3] - D[:3, 3:] * Dk @ C[3:], -D[:3, 3:] @ Ck])
-    blocks: list[Block] = [RealScalar("m1"), RealScalar("m2"), RealScalar("k")]
-    return StateSpaceModel(loop, B_all, C_all, D[:3, :3]), blocks
+    M = _under(A, B, C, D, Ak, Bk, Ck, Dk)
+    return M, [RealScalar("m1"), RealScalar("m2"), RealScalar("k")]
 
 
 def two_parameters_with_an_island(r: float = 0.1) -> Model:
@@ -202,10 +201,7 @@ def spring_mass_damper() -> Model:
     # u = -K y with K = 400 (s + 2) / (s + 40) + 20 / s
     Ak, Bk = np.diag([-40.0, 0.0]), np.array([[1.0], [1.0]])
     Ck, Dk = np.array([[400.0 * -38, 20.0]]), 400.0
-    loop = np.block([[A - B[:, 3:] * Dk @ C[3:], -B[:, 3:] @ Ck], [Bk @ C[3:], Ak]])
-    B_all = np.vstack([B[:, :3], np.zeros((2, 3))])
-    C_all = np.hstack([C[:3] - D[:3, 3:] * Dk @ C[3:], -D[:3, 3:] @ Ck])
-    return StateSpaceModel(loop, B_all, C_all, D[:3, :3]), [RealScalar("m"), RealScalar("c"), RealScalar("k")]
+    return _under(A, B, C, D, Ak, Bk, Ck, Dk), [RealScalar("m"), RealScalar("c"), RealScalar("k")]
 
 
 PUBLISHED = {

@@ -121,7 +121,6 @@ def moved(m: rl.StateSpaceModel, T: np.ndarray) -> rl.StateSpaceModel:
 
 
 def main() -> None:
-    """Print both tables."""
     print(heading("numpy", "scipy"))
     rl.robust_stability(random_set(0))  # compiled kernels are not timed
     print(f"{'route to one loop':28s} {'margin':>22s} {'parts':>6s} {'work':>8s} {'CPU s':>7s}")

@@ -8,14 +8,16 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import multiprocessing
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from naming.answers import read_answers, write_answers
 from naming.composition import composition
 from naming.dataset import make
@@ -24,6 +26,7 @@ from naming.regression import answer as regressed
 from naming.scoring import is_right, table
 
 SEED = 2026
+WINDOWS, MOST_STARTS = 12, 24  # into which a record is cut; combinations of places and starts of hidden effects
 
 
 def robustlab(folder: Path) -> dict[str, Any]:
@@ -97,7 +100,6 @@ def apart(folder: Path, truth: dict[str, Any], answers: dict[str, Any], seed: in
 
     An answer that has all that is hidden, and more or none of it sure, is no case that the records cannot tell.
     """
-    from discover_distance import distance
     from naming.composition import drawn
 
     entries = {e.id: e for e in composition(seed)}
@@ -112,8 +114,45 @@ def apart(folder: Path, truth: dict[str, Any], answers: dict[str, Any], seed: in
     return found
 
 
+def distance(case: Any, truth: Sequence[str], answer: Sequence[tuple[str, str, Any]]) -> float:
+    """Refit distance from the hidden effects to those of the answer; NaN where the catalogue cannot say one here."""
+    from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
+    from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
+    from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem, refit_distance
+    from robustlab.identification.hypotheses.noise import first_noise, whitening
+    from robustlab.identification.hypotheses.prepared_record import prepare
+
+    plant = linear_plant_of(case.plant, "bench")
+    ports, length = port_model(plant), case.record.n // WINDOWS
+    problem = Problem(
+        plant, [prepare(plant, ports, case.record, length)], nuisance_parameters(plant, stated_tolerances(plant, None))
+    )
+    pool, noise = candidates(plant, ports, problem.records), first_noise(problem)
+    own = [[(c, start) for c in pool if c.effect.id == name for start in c.starts] for name in truth]
+    fits = [
+        problem.fit(Hypothesis(tuple(c for c, _ in chosen)), noise, _point(problem, chosen), plan=FitPlan(12))
+        for chosen in itertools.islice(itertools.product(*own), MOST_STARTS)
+    ]
+    if not fits:
+        return float("nan")
+    true = min(fits, key=lambda f: f.cost)
+    noise = whitening(problem, true)
+    true = problem.fit(true.hypothesis, noise, true.z, true.starts, FitPlan(12))
+    told = [(c, values) for name, place, values in answer for c in _alike(pool, name, place)]
+    rival = problem.fit(Hypothesis(tuple(c for c, _ in told)), noise, _point(problem, told), true.starts, FitPlan(12))
+    return refit_distance(problem, true, rival)
+
+
+def _alike(pool: Iterable[Any], name: str, place: str) -> list[Any]:
+    return [c for c in pool if c.effect.id == name and c.site.name == place][:1]
+
+
+def _point(problem: Any, chosen: Sequence[tuple[Any, Any]]) -> Any:
+    """Standardised parameters: nominal ones at their values, each effect where it begins."""
+    return np.concatenate([np.zeros(len(problem.nuisances)), *(c.standardised(start) for c, start in chosen)])
+
+
 def main(argv: Sequence[str] | None = None) -> None:
-    """The three commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     made = commands.add_parser("make", help="write the data set")

@@ -98,10 +98,6 @@ def _log(r: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(r.uniform(math.log(low), math.log(high))))
 
 
-def _viscous(r: np.random.Generator, motors: bool) -> Values:
-    return {"c": GEAR**2 * (_log(r, 3e-5, 1.0e-4) if motors else _log(r, 1e-5, 6e-5))}
-
-
 def _stribeck(r: np.random.Generator, _: bool) -> Values:
     level = GEAR * _log(r, 1.5e-3, 4e-3)
     return {"Fc": level, "dF": level * r.uniform(0.4, 1.5), "vs": _log(r, 0.5, 4.0)}
@@ -127,18 +123,6 @@ def _tilt(r: np.random.Generator, _: bool) -> Values:
     return {"x": float(size * math.cos(angle)), "y": float(size * math.sin(angle))}
 
 
-def _put_centre(m: Machine, _: int, v: Values) -> Machine:
-    return replace(m, bodies=replace(m.bodies, platform_cg=(v["x"], v["y"], v["z"])))
-
-
-def _put_tilt(m: Machine, _: int, v: Values) -> Machine:
-    return replace(m, bodies=replace(m.bodies, tilt=(v["x"], v["y"])))
-
-
-def _cable(r: np.random.Generator, _: bool) -> Values:
-    return {"k": _log(r, 1.5e3, 5e3), "side": r.uniform(0, 2 * np.pi), "slack": r.uniform(-0.006, 0.001)}
-
-
 def _put_cable(m: Machine, _: int, v: Values) -> Machine:
     """From the edge of the platform to a pillar 0.3 m outside and 0.2 m above it."""
     out = np.array([math.cos(v["side"]), math.sin(v["side"]), 0.0])
@@ -150,7 +134,9 @@ def _put_cable(m: Machine, _: int, v: Values) -> Machine:
 CLASSES: Mapping[str, Hidden] = {
     "none": Hidden(lambda r, _: {}, lambda m, *_: m, "common"),
     "coulomb-friction": Hidden(lambda r, _: {"Fc": GEAR * _log(r, 1.5e-3, 6e-3)}, _at(coulomb="Fc")),
-    "viscous-friction": Hidden(_viscous, _at(viscous="c")),
+    "viscous-friction": Hidden(
+        lambda r, motors: {"c": GEAR**2 * (_log(r, 3e-5, 1.0e-4) if motors else _log(r, 1e-5, 6e-5))}, _at(viscous="c")
+    ),
     "stribeck-friction": Hidden(_stribeck, _at(coulomb="Fc", breakaway="dF", stribeck="vs")),
     "backlash": Hidden(lambda r, _: {"gap": _log(r, 0.1, 0.5)}, _at(gap="gap")),
     "cogging": Hidden(_ripple, _at(ripple="A", order="order", phase="phase")),
@@ -163,11 +149,19 @@ CLASSES: Mapping[str, Hidden] = {
         lambda r, _: {"offset": float(r.choice([-1.0, 1.0]) * r.uniform(2.5, 6.0))}, _at(offset="offset")
     ),
     "platform-mass": Hidden(_off(0.15, 0.4), _platform_mass, "common"),
-    "platform-centre": Hidden(_centre, _put_centre, "common"),
-    "gravity-direction": Hidden(_tilt, _put_tilt, "common"),
+    "platform-centre": Hidden(
+        _centre, lambda m, _, v: replace(m, bodies=replace(m.bodies, platform_cg=(v["x"], v["y"], v["z"]))), "common"
+    ),
+    "gravity-direction": Hidden(
+        _tilt, lambda m, _, v: replace(m, bodies=replace(m.bodies, tilt=(v["x"], v["y"]))), "common"
+    ),
     "torque-constant-all": Hidden(_off(0.12, 0.25), _times("Km", "Kb"), "all", motors=True),
     "resistance-all": Hidden(_off(0.2, 0.4), _times("R"), "all", motors=True),
-    "cable": Hidden(_cable, _put_cable, "common"),  # no effect of a catalogue of joints
+    "cable": Hidden(  # no effect of a catalogue of joints
+        lambda r, _: {"k": _log(r, 1.5e3, 5e3), "side": r.uniform(0, 2 * np.pi), "slack": r.uniform(-0.006, 0.001)},
+        _put_cable,
+        "common",
+    ),
 }
 OUTSIDE = ("cable",)
 TWICE = ("coulomb-friction", "viscous-friction", "stribeck-friction", "cogging", "torque-constant", "input-gain")
@@ -296,7 +290,6 @@ class PlatformCase:
         return self.name.removeprefix("2x ").removesuffix("-all")
 
     def truth(self) -> dict[str, Any]:
-        """What is in the JSON file."""
         return {
             "name": self.name, "effect": self.effect, "legs": list(self.legs), "values": [dict(v) for v in self.values],
             "perturbed": dict(self.perturbed), "seed": self.seed, "motors": self.motors, "noise": self.noise,
@@ -409,7 +402,6 @@ def cached_case(
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Write cases to a folder."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", default="1", help="like 1-3,7")
     parser.add_argument("--only", nargs="+", help="classes (all)")

@@ -118,10 +118,6 @@ def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path, exclud
     return line
 
 
-def _key(name: str, seed: int, motors: bool, noise: str) -> str:
-    return f"{name} | {seed} | {'motors' if motors else 'torques'} | {noise}"
-
-
 def _in_a_process(name: str, seed: int, asked: argparse.Namespace) -> Line:
     """One case in a process of its own, which is ended when it takes too long."""
     command = [__file__, "--one", name, str(seed), "--noise", asked.noise, "--cache", str(asked.cache)]
@@ -167,7 +163,6 @@ def report(lines: Iterable[Line]) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Run and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", default="1-2", help="like 1-3,7")
     parser.add_argument("--only", nargs="+", metavar="CLASS", help="classes (all that the machine can have)")
@@ -193,7 +188,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     wanted = seeds(asked.seeds)
     if set(wanted) & set(LAST) and not asked.last:
         parser.error(f"seeds {LAST[0]}-{LAST[-1]} are run once, at the very end: --last")
-    keys = {_key(n, s, not asked.torques, asked.noise): (n, s) for s in wanted for n in asked.only or possible}
+    kind = f"{'torques' if asked.torques else 'motors'} | {asked.noise}"
+    keys = {f"{n} | {s} | {kind}": (n, s) for s in wanted for n in asked.only or possible}
     done, began = {line["key"]: line for line in json_lines([asked.store])}, time.time()
     asked.store.parent.mkdir(parents=True, exist_ok=True)
     for number, (key, (name, seed)) in enumerate(keys.items(), 1):

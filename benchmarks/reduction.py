@@ -48,7 +48,6 @@ def lag(k: float, zeros: list[float], poles: list[float]) -> StateSpaceModel:
 
 
 def scalings() -> tuple[StateSpaceModel, StateSpaceModel]:
-    """``(D_z, D_w^-1)``."""
     sides: list[list[StateSpaceModel]] = [[], []]
     k, z, p = np.exp(LOG_D[0]), sorted(np.exp(LOG_D[1:4])), sorted(np.exp(LOG_D[4:]))
     for i in range(2):
@@ -83,7 +82,6 @@ def models() -> None:
 
 
 def row(G: StateSpaceModel, order: int, name: str, own: str, seen: str, status: str, cpu: float) -> str:
-    """A line of the table."""
     return f"{G.n_states:6d}  {order:5d}  {name:15s}  {own}  {seen}  {status:9s}  {1e3 * cpu:7.1f}"
 
 

@@ -13,7 +13,6 @@ STUB = Path(robustlab.__file__).with_suffix(".pyi")
 
 
 def stub_text() -> str:
-    """What the stub must hold."""
     table = robustlab._PUBLIC
     by_module = sorted((module, name) for name, module in table.items())
     lines = [

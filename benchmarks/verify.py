@@ -98,7 +98,6 @@ class Tally:
         return f"{name:52s} {spent:8.2f} {made:6.2f} {checked:7.2f}  {words}{': ' if where else ''}{where[:150]}"
 
     def total(self) -> str:
-        """All of them."""
         told = ", ".join(f"{name} {count}" for name, count in sorted(self.outcomes.items()))
         ratio = f"evidence and check over analysis: median {np.median(self.ratios):.1f}" if self.ratios else ""
         return f"{told}; {ratio}; longest check {self.longest:.1f} s"
@@ -121,7 +120,6 @@ def recipes(folder: str) -> str:
 
 
 def main() -> None:
-    """The part that was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", choices=("hinf", "mu", "axis", "recipes"))
     parser.add_argument("folders", nargs="*")

@@ -105,7 +105,6 @@ def asked(kind: str, numbers: dict[str, Any], hints: tuple[Any, ...]) -> tuple[s
 
 
 def chunk_of(task: tuple[int, int, Path | None, Sequence[str]]) -> list[Row]:
-    """All rows of a chunk."""
     warnings.simplefilter("ignore")
     return list(answers(*task))
 
@@ -130,7 +129,6 @@ def campaign(options: argparse.Namespace) -> tuple[dict[str, Counter[str]], floa
 
 
 def table(counts: dict[str, Counter[str]]) -> list[str]:
-    """The counts by kind, with their sums."""
     lines = [f"{'':17s}" + "".join(f"{word:>15s}" for word in COLUMNS)]
     total: Counter[str] = Counter()
     for kind, count in counts.items():

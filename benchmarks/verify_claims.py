@@ -66,7 +66,6 @@ def model(rng: Rng, n: int, m: int, p: int, dt: float | None = None) -> rl.State
 
 
 def gain(G: rl.StateSpaceModel) -> float:
-    """The H-infinity norm from above."""
     return float(rl.peak_gain(G).upper)
 
 
@@ -138,7 +137,6 @@ def loop_norm_case(rng: Rng) -> Case | None:
 
 
 def closed(P: rl.StateSpaceModel, K: rl.StateSpaceModel, y: int, u: int) -> rl.StateSpaceModel:
-    """The loop in floating point."""
     m, p = P.n_inputs - u, P.n_outputs - y
     N = np.linalg.inv(np.eye(y) - P.D[p:, m:] @ K.D)
     Y = [N @ P.C[p:], N @ P.D[p:, m:] @ K.C, N @ P.D[p:, :m]]

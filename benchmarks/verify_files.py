@@ -35,7 +35,6 @@ TEXTS = ("y", "r - y", "r", "1/s", "N m", "certified", "failed", "")
 
 
 def sources() -> dict[str, Any]:
-    """What is saved."""
     lag, mode = rl.tf([1.0], [1.0, 1.0, 1.0]), rl.tf([4.0], [1.0, 0.4, 4.0])
     motor = rl.plant("dc-motor", R=(2.07, 0.10), Km=(0.052, 0.05)).uncertain(outputs=["omega"])
     loop = (motor @ rl.tf([0.2, 1.0], [1.0, 0.0])).feedback()

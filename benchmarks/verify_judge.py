@@ -14,25 +14,15 @@ from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple
 
+import exact_loops as loops
 import numpy as np
-from exact_loops import (
-    Model,
-    System,
-    closed,
-    is_positive,
-    is_stable,
-    joined,
-    norm_is_below,
-    rational,
-    system,
-    upper_closed,
-)
+from exact_loops import Model, System, is_positive, joined, rational, system
 from flint import fmpq, fmpq_mat
 from mpmath import mp
-from verify_exact import doubles, eigenvalues, embedded, h2_square, long, positive, response, solve, spectral_norm, star
 
 import robustlab as rl
 
+mp.dps = 60
 Numbers = dict[str, Any]
 REAL, COMPLEX, FULL = 0, 1, 2
 ALLOWANCE = 1 + 1e-9
@@ -96,7 +86,7 @@ def _system(numbers: Numbers) -> System:
         K = _model(numbers, "K_{}")
         if (K.D.ncols(), K.D.nrows()) != (int(numbers["n_meas"]), int(numbers["n_con"])):
             raise ValueError("a controller of other channels")
-        return closed(_model(numbers, "P_{}"), K)
+        return loops.closed(_model(numbers, "P_{}"), K)
     return _difference(numbers) if "A1" in numbers else _model(numbers)
 
 
@@ -108,12 +98,12 @@ def _difference(numbers: Numbers) -> System:
 
 
 def _stable(G: System) -> bool:
-    return bool(is_stable(G.A, G.discrete))
+    return bool(loops.is_stable(G.A, G.discrete))
 
 
 def _of_norm(kind: str, numbers: Numbers, proved: bool) -> str:
     if kind == "stable":
-        holds = bool(is_stable(rational(numbers["A"]), float(numbers["dt"]) != 0))
+        holds = bool(loops.is_stable(rational(numbers["A"]), float(numbers["dt"]) != 0))
         return "" if holds == proved else "false: Routh's array says otherwise"
     build = {"norm": _model, "difference-norm": _difference}.get(kind, _system)
     try:
@@ -125,7 +115,7 @@ def _of_norm(kind: str, numbers: Numbers, proved: bool) -> str:
         holds = stable and (float(numbers["dt"]) > 0 or not any(v != 0 for v in G.D.entries()))
         holds = holds and h2_square(G) <= _fraction(numbers["value"]) ** 2
     else:
-        holds = stable and norm_is_below(G, _fraction(numbers["gamma"]))
+        holds = stable and loops.norm_is_below(G, _fraction(numbers["gamma"]))
     if holds == proved:
         return ""
     return f"false: {'a larger norm' if stable else 'not stable'}" if proved else "false: refuted although it is true"
@@ -143,7 +133,7 @@ def _set_holds(numbers: Numbers) -> bool:
         return False
     for end, delta in (("0", 0 * given), ("1", given)):
         try:
-            member = upper_closed(_model(numbers), rational(np.diag(np.repeat(delta, sizes))))
+            member = loops.upper_closed(_model(numbers), rational(np.diag(np.repeat(delta, sizes))))
         except ZeroDivisionError:
             return False
         wanted = _model(numbers, f"{{}}{end}")
@@ -221,12 +211,9 @@ def _singular(numbers: Numbers, allowance: float, matrix: Any = None) -> bool:
     if not parts or not _has_structure(parts, start):
         return False
     real = not any(mp.im(x) for X in (M, start) for x in X.ravel().tolist())
-    found = _newton(long(M), long(start), _units(parts, real), _weights(parts, start))
+    sizes = [float(np.linalg.norm(start[part.w, part.z], 2)) for part in parts]
+    found = _newton(long(M), long(start), _units(parts, real), sizes)
     return found is not None and _fits(numbers, parts, found, allowance)
-
-
-def _weights(parts: Sequence[Part], start: Any) -> list[float]:
-    return [float(np.linalg.norm(start[part.w, part.z], 2)) for part in parts]
 
 
 def _newton(M: Any, delta: Any, units: list[Any], sizes: Sequence[float]) -> Any:
@@ -520,16 +507,12 @@ def _steepest(parts: Sequence[Part], row: Any, column: Any) -> Any:
     return _assembled(parts, block)
 
 
-def _reaches(high: float, stop: float, dt: float) -> bool:
-    return high >= stop or bool(dt and mp.mpf(high) * mp.mpf(dt) >= mp.pi)
-
-
 def _intervals_cover(numbers: Numbers, banded: bool) -> str:
     """Whether the union of the intervals holds all that the claim speaks of."""
     low, high, dt = np.asarray(numbers["low"]), np.asarray(numbers["high"]), float(numbers["dt"])
     start, stop = (float(x) for x in numbers["band"]) if banded and "band" in numbers else (0.0, math.inf)
     reached, first = start, True
-    while first or not _reaches(reached, stop, dt):
+    while first or not (reached >= stop or (dt and mp.mpf(reached) * mp.mpf(dt) >= mp.pi)):
         further = [float(b) for a, b in zip(low, high, strict=True) if a <= reached and b >= reached]
         if not further or (max(further) == reached and not first):
             return f"unjustified: nothing covers what follows {reached} rad/s"
@@ -656,3 +639,97 @@ def _least_eigenvalue(M: Any, D_w: Any, D_z: Any, G: Any, L: Any) -> float:
     GM = G @ M
     F = (weighted - M.conj().T @ D_z @ M - 1j * (GM - GM.conj().T)) * scale[:, None] * scale
     return float(np.linalg.eigvalsh(F)[0]) if np.isfinite(F).all() else -math.inf
+
+
+def embedded(X: Any) -> fmpq_mat:
+    """The real matrix ``[[Re, -Im], [Im, Re]]`` of fractions: products and definiteness go over to it."""
+    X = np.asarray(X, dtype=complex)
+    R, J = rational(X.real), rational(X.imag)
+    return joined([[R, J * -1], [J, R]])
+
+
+def h2_square(G: System) -> fmpq:
+    """Square of the H2 norm of a stable model in rationals; D counts where it is discrete."""
+    n, D = G.A.nrows(), sum((d * d for d in G.D.entries()), fmpq(0))
+    if not n:
+        return D
+    # A^T X + X A + C^T C = 0, or A^T X A - X + C^T C = 0, row by row
+    one, A = np.array([[fmpq(int(i == j)) for j in range(n)] for i in range(n)]), np.array(G.A.transpose().tolist())
+    system = np.kron(A, A) - np.kron(one, one) if G.discrete else np.kron(A, one) + np.kron(one, A)
+    right = fmpq_mat(n * n, 1, [-v for v in (G.C.transpose() * G.C).entries()])
+    X = fmpq_mat(n, n, fmpq_mat(n * n, n * n, system.ravel().tolist()).solve(right).entries())
+    BXB = G.B.transpose() * X * G.B
+    return D + sum((BXB[i, i] for i in range(BXB.nrows())), fmpq(0))
+
+
+def long(X: Any) -> Any:
+    """Doubles, or fractions, as numbers of 60 digits."""
+    if isinstance(X, fmpq_mat):
+        result = np.empty((X.nrows(), X.ncols()), dtype=object)
+        result.ravel()[:] = [mp.mpf(int(x.p)) / int(x.q) for x in X.entries()]
+        return result
+    X = np.asarray(X)
+    result = np.empty(X.shape, dtype=object)
+    result.ravel()[:] = [mp.mpmathify(x) for x in X.ravel().tolist()]
+    return result
+
+
+def doubles(X: fmpq_mat) -> Any:
+    return np.array([float(Fraction(int(x.p), int(x.q))) for x in X.entries()]).reshape(X.nrows(), X.ncols())
+
+
+def solve(A: Any, B: Any) -> Any:
+    """``A^-1 B`` by elimination; ZeroDivisionError where A is singular."""
+    A, B = np.array(A, dtype=object), np.array(B, dtype=object)
+    n = len(A)
+    for i in range(n):
+        k = max(range(i, n), key=lambda r: abs(A[r, i]))
+        if A[k, i] == 0:
+            raise ZeroDivisionError("singular")
+        A[[i, k]], B[[i, k]] = A[[k, i]], B[[k, i]]
+        for r in range(i + 1, n):
+            f = A[r, i] / A[i, i]
+            A[r, i:], B[r] = A[r, i:] - f * A[i, i:], B[r] - f * B[i]
+    for i in reversed(range(n)):
+        if i + 1 < n:
+            B[i] = B[i] - A[i, i + 1 :].dot(B[i + 1 :])
+        B[i] = B[i] / A[i, i]
+    return B
+
+
+def positive(X: Any) -> bool:
+    """Whether a Hermitian matrix is positive definite, by its pivots."""
+    X = np.array(X, dtype=object)
+    for i in range(len(X)):
+        if not mp.re(X[i, i]) > 0:
+            return False
+        for r in range(i + 1, len(X)):
+            X[r, i + 1 :] = X[r, i + 1 :] - (X[r, i] / mp.re(X[i, i])) * X[i, i + 1 :]
+    return True
+
+
+def star(X: Any) -> Any:
+    X = X.T.copy()
+    X.ravel()[:] = [mp.conj(x) for x in X.ravel()]
+    return X
+
+
+def response(G: tuple[Any, ...], dt: float, w: Any) -> Any:
+    """The response of A, B, C, D at w rad/s; inf: D."""
+    A, B, C, D = G
+    if not len(A) or (not dt and mp.isinf(w)):
+        return D
+    s = mp.expjpi(mp.mpf(w) * mp.mpf(dt) / mp.pi) if dt else mp.mpc(0, w)
+    return D + C.dot(solve(long(np.eye(len(A))) * s - A, B))
+
+
+def spectral_norm(X: Any) -> Any:
+    if X.shape == (1, 1):
+        return abs(X[0, 0])
+    return max(mp.svd_c(mp.matrix(X.tolist()), compute_uv=False))
+
+
+def eigenvalues(A: Any) -> list[Any]:
+    if len(A) <= 1:  # mpmath 1.3 gives one state's with its vectors
+        return A.ravel().tolist()
+    return list(mp.eig(mp.matrix(A.tolist()), left=False, right=False))

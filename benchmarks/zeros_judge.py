@@ -11,7 +11,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from exact_loops import exact, eye, product, rational, solved
+from exact_loops import exact, eye, on_the_left, product, rational, solved
 from flint import acb, acb_mat, acb_poly, arb, ctx, fmpq, fmpq_mat, fmpq_poly
 
 ctx.prec = 400
@@ -80,12 +80,6 @@ def fraction(A: Any, B: Any, C: Any, D: Any) -> tuple[fmpq_poly, fmpq_poly]:
     return over / shared, under / shared
 
 
-def mapped(p: fmpq_poly, n: int) -> fmpq_poly:
-    """``(1 - v)^n p((1 + v)/(1 - v))``."""
-    up, down = fmpq_poly([1, 1]), fmpq_poly([1, -1])
-    return sum((c * up**k * down ** (n - k) for k, c in enumerate(p.coeffs())), fmpq_poly([0]))
-
-
 class Loop:
     """L = N / D of one channel on the axis: powers of s, or of ``v = (z - 1)/(z + 1)``."""
 
@@ -94,7 +88,7 @@ class Loop:
         self.dt, n = dt, len(A)
         if dt:
             n = max(self.N.degree(), self.D.degree())
-            self.N, self.D = mapped(self.N, n), mapped(self.D, n)
+            self.N, self.D = (on_the_left(p.coeffs(), fmpq_poly, n) for p in (self.N, self.D))
 
     def _parts(self) -> list[fmpq_poly]:
         parts = []
@@ -109,8 +103,8 @@ class Loop:
         x = fmpq_poly([0, 1])
         gain = self._positive(ne * ne + x * no * no - de * de - x * do * do)
         phase = self._positive(no * de - ne * do)
-        lags = [(self._omega(r), float(self._angle(r) + arb.pi())) for r in gain]
-        factors = [(self._omega(r), self._real(r)) for r in phase]
+        lags = [(self._omega(r), float(self._response(r).arg() + arb.pi())) for r in gain]
+        factors = [(self._omega(r), float(self._response(r).real)) for r in phase]
         return sorted(lags), sorted((w, -1 / real) for w, real in factors if real < 0)
 
     def _positive(self, q: fmpq_poly) -> list[arb]:
@@ -126,12 +120,6 @@ class Loop:
     def _response(self, x: arb) -> acb:
         s = acb(0, x.sqrt())
         return acb_poly(self.N)(s) / acb_poly(self.D)(s)
-
-    def _angle(self, x: arb) -> arb:
-        return self._response(x).arg()
-
-    def _real(self, x: arb) -> float:
-        return float(self._response(x).real)
 
     def above_one(self, omega: float) -> bool:
         """Whether |L| > 1 at a frequency, by another way than the roots: exact values."""

@@ -13,14 +13,4 @@ from .cases import NOISE, Case, make_case
 from .effects import NothingInCommon
 from .families import ANYWHERE, CURRENT_ONLY, FAMILIES, Family, told
 
-__all__ = [
-    "ANYWHERE",
-    "CURRENT_ONLY",
-    "FAMILIES",
-    "NOISE",
-    "Case",
-    "Family",
-    "NothingInCommon",
-    "make_case",
-    "told",
-]
+__all__ = ["ANYWHERE", "CURRENT_ONLY", "FAMILIES", "NOISE", "Case", "Family", "NothingInCommon", "make_case", "told"]

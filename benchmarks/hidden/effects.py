@@ -141,17 +141,9 @@ def _set(draw: Draw, **fields: str) -> Hidden:
     return Hidden(draw, lambda m, p, s: m._replace(**{own: p[name] for own, name in fields.items()}))
 
 
-def _coulomb(r: np.random.Generator, s: Setting) -> Parameters:
-    return {"Fc": s.torque * r.uniform(2e-3, 8e-3)}
-
-
 def _stribeck(r: np.random.Generator, s: Setting) -> Parameters:
     Fc = s.torque * r.uniform(4e-3, 8e-3)
     return {"Fc": Fc, "dF": Fc * r.uniform(0.7, 1.5), "vs": s.speed * r.uniform(6, 20)}
-
-
-def _presliding(r: np.random.Generator, s: Setting) -> Parameters:
-    return {"Fc": s.torque * r.uniform(6e-3, 15e-3), "bend": s.length * r.uniform(0.1, 0.5)}
 
 
 def _asymmetric(r: np.random.Generator, s: Setting) -> Parameters:
@@ -256,11 +248,6 @@ def _asymmetric_coulomb(r: np.random.Generator, s: Setting) -> Parameters:
     return {"F_pos": high, "F_neg": low} if r.random() < 0.5 else {"F_pos": low, "F_neg": high}
 
 
-def _put_asymmetric_coulomb(m: Machine, p: Parameters, s: Setting) -> Machine:
-    mean, half = 0.5 * (p["F_pos"] + p["F_neg"]), 0.5 * (p["F_pos"] - p["F_neg"])
-    return _dry(m, mean, s, Fc=mean, dFc=half)
-
-
 def _ripple(r: np.random.Generator, s: Setting) -> Parameters:
     """Mains and its double, or a beat of two clocks."""
     choice = r.random()
@@ -303,11 +290,16 @@ EFFECTS: Mapping[str, Hidden] = {
     "torque-constant": _scaled("factor", (0.82, 0.9), (1.1, 1.15), "Kt", "Ke"),
     "resistance": _scaled("factor", (1.25, 1.5), None, "R"),
     "resistance-heating": Hidden(_heating, _put_heating),
-    "coulomb-friction": Hidden(_coulomb, lambda m, p, s: _dry(m, p["Fc"], s, Fc=p["Fc"])),
+    "coulomb-friction": Hidden(
+        lambda r, s: {"Fc": s.torque * r.uniform(2e-3, 8e-3)}, lambda m, p, s: _dry(m, p["Fc"], s, Fc=p["Fc"])
+    ),
     "stribeck-friction": Hidden(
         _stribeck, lambda m, p, s: _dry(m, p["Fc"] + p["dF"], s, Fc=p["Fc"], dF=p["dF"], vs=p["vs"])
     ),
-    "presliding": Hidden(_presliding, lambda m, p, s: _bristle(m, p["Fc"], p["bend"], 0.03)._replace(Fc=p["Fc"])),
+    "presliding": Hidden(
+        lambda r, s: {"Fc": s.torque * r.uniform(6e-3, 15e-3), "bend": s.length * r.uniform(0.1, 0.5)},
+        lambda m, p, s: _bristle(m, p["Fc"], p["bend"], 0.03)._replace(Fc=p["Fc"]),
+    ),
     "asymmetric-viscous-friction": _set(_asymmetric, b_pos="b_pos", b_neg="b_neg"),
     "constant-load": _set(lambda r, s: {"T0": s.torque * _sign(r) * r.uniform(1.5e-3, 6e-3)}, T0="T0"),
     "quadratic-drag": _set(lambda r, s: {"c": s.torque / s.speed**2 * r.uniform(4e-8, 1.2e-7)}, drag="c"),
@@ -350,7 +342,12 @@ EFFECTS: Mapping[str, Hidden] = {
         x_grav="rest",
     ),
     "actuator-lag": _set(lambda r, s: {"T": r.uniform(2e-3, 20e-3)}, lag="T"),
-    "asymmetric-coulomb-friction": Hidden(_asymmetric_coulomb, _put_asymmetric_coulomb),
+    "asymmetric-coulomb-friction": Hidden(
+        _asymmetric_coulomb,
+        lambda m, p, s: _dry(
+            m, (p["F_pos"] + p["F_neg"]) / 2, s, Fc=(p["F_pos"] + p["F_neg"]) / 2, dFc=(p["F_pos"] - p["F_neg"]) / 2
+        ),
+    ),
     "load-dependent-friction": Hidden(
         _load_dependent, lambda m, p, s: _put_gear(m, p["driven"], p["braking"], p["share"], s)
     ),
@@ -387,10 +384,6 @@ def _dropouts(p: Parameters, n: int, dt: float) -> Timeline:
     return Timeline(np.zeros(n), alive)
 
 
-def _unchanged(m: Machine, p: Parameters, s: Setting) -> Machine:
-    return m
-
-
 def _resonance(r: np.random.Generator, s: Setting) -> Parameters:
     share, frequency = r.uniform(0.5, 0.6), s.setup.resonance[0] * r.uniform(0.8, 1.3)
     return {"share": share, "frequency": frequency, "hardening": r.uniform(4, 8)}
@@ -414,7 +407,7 @@ OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
             "dwell": r.uniform(0.08, 0.2),
             "schedule": float(r.integers(2**31)),
         },
-        _unchanged,
+        lambda m, p, s: m,
         _telegraph,
     ),
     "wearing-friction": Hidden(
@@ -442,7 +435,7 @@ OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
             "lasts": r.uniform(0.015, 0.04),
             "schedule": float(r.integers(2**31)),
         },
-        _unchanged,
+        lambda m, p, s: m,
         _dropouts,
     ),
     "nonlinear-resonance": Hidden(_resonance, _put_resonance),
@@ -459,10 +452,6 @@ OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
 ALL_EFFECTS = {**EFFECTS, **OUTSIDE_EFFECTS}
 
 
-def _friction_of_the_shaft(m: Machine, p: Parameters, s: Setting) -> Machine:
-    return m._replace(c_s=m.c_s * p["factor"])
-
-
 def _one_inertia(m: Machine, p: Parameters, s: Setting) -> Machine:
     body = "J1" if p["body"] < 1.5 else "J2"
     return m._replace(**{body: getattr(m, body) * p["factor"]})
@@ -476,10 +465,6 @@ def _ripple_beside_a_resonance(r: np.random.Generator, s: Setting) -> Parameters
     p = _ripple(r, s)
     beyond = max(1.0, (2 * math.pi * p["frequency"]) ** 2 * s.machine.J1 / s.machine.k)
     return {**p, "A": beyond * s.setup.largest * r.uniform(0.02, 0.06)}
-
-
-def _share_of_spring(key: str, low: float, high: float) -> Draw:
-    return lambda r, s: {key: s.machine.k * r.uniform(low, high)}
 
 
 # Where a plant has a spring of its own or two bodies, some effects are another thing or another size.
@@ -500,12 +485,12 @@ OF_A_PLANT: Mapping[str, Mapping[str, Hidden]] = {
         "sensor-delay": Hidden(lambda r, s: {"delay": s.dt * r.uniform(0.3, 3)}, EFFECTS["sensor-delay"].put),
         "actuator-lag": Hidden(lambda r, s: {"T": r.uniform(2e-3, 8e-3)}, EFFECTS["actuator-lag"].put),
         "one-sided-spring": Hidden(
-            lambda r, s: {**_one_sided(r, s), **_share_of_spring("k", 0.05, 0.3)(r, s)}, EFFECTS["one-sided-spring"].put
+            lambda r, s: {**_one_sided(r, s), "k": s.machine.k * r.uniform(0.05, 0.3)}, EFFECTS["one-sided-spring"].put
         ),
         "bouc-wen": Hidden(
             lambda r, s: {
                 **_bouc_wen(r, s),
-                **_share_of_spring("k", 0.03, 0.1)(r, s),
+                "k": s.machine.k * r.uniform(0.03, 0.1),
                 "yield": s.reach * r.uniform(0.1, 0.3),
             },
             EFFECTS["bouc-wen"].put,
@@ -516,12 +501,13 @@ OF_A_PLANT: Mapping[str, Mapping[str, Hidden]] = {
         "inertia": Hidden(
             lambda r, s: {"factor": _either(r, (0.6, 0.78), (1.25, 1.6)), "body": float(r.integers(1, 3))}, _one_inertia
         ),
-        "viscous-friction": Hidden(lambda r, s: {"factor": r.uniform(3, 8)}, _friction_of_the_shaft),
+        "viscous-friction": Hidden(
+            lambda r, s: {"factor": r.uniform(3, 8)}, lambda m, p, s: m._replace(c_s=m.c_s * p["factor"])
+        ),
         "stiffness": _scaled("factor", (0.6, 0.78), (1.25, 1.6), "k_s"),
     },
 }
 
 
 def hidden_effect(plant: str, name: str) -> Hidden:
-    """The effect as this plant may have it."""
     return OF_A_PLANT.get(plant, {}).get(name, ALL_EFFECTS[name])

@@ -40,9 +40,13 @@ def voltage(
         return _multisine(n, dt, largest, rng, levels, max(60.0, 1.5 * resonance))
     if kind == "rich" and inputs == "resonant":
         return _joined(n, lambda: _swing(dt, resonance, rng), largest)
-    piece = {"rich": _rich_piece, "oneway": _oneway_piece, "steps": _steps_piece}[kind]
+    piece = {
+        "rich": _rich_piece,
+        "oneway": lambda dt, rng: np.full(int(rng.uniform(0.1, 0.5) / dt), rng.uniform(0.25, 1)),
+        "steps": lambda dt, rng: np.full(int(rng.uniform(0.15, 0.5) / dt), rng.uniform(-1, 1)),
+    }[kind]
     if inputs == "balanced":
-        return _joined(n, lambda: _and_back(piece(dt, rng)), largest)
+        return _joined(n, lambda: np.concatenate([p := piece(dt, rng), -p]), largest)
     pieces = [np.full(int(0.12 / dt), side * rng.uniform(0.9, 1)) for side in (-1, 1)] if kind == "rich" else []
     while sum(map(len, pieces)) < n:
         pieces.append(piece(dt, rng))
@@ -68,10 +72,6 @@ def _joined(n: int, piece: Callable[[], Array], largest: float) -> Array:
     while sum(map(len, pieces)) < n:
         pieces.append(piece())
     return largest * np.concatenate(pieces)[:n]
-
-
-def _and_back(piece: Array) -> Array:
-    return np.concatenate([piece, -piece])
 
 
 def _swing(dt: float, resonance: float, rng: np.random.Generator) -> Array:
@@ -103,14 +103,6 @@ def _rich_piece(dt: float, rng: np.random.Generator) -> Array:
         return np.linspace(rng.uniform(-width, width), rng.uniform(-width, width), m)
     turns = max(1, round(rng.uniform(4, 15) * m * dt))
     return rng.uniform(0.01, 0.05) * np.sin(2 * math.pi * turns * np.arange(m) / m)
-
-
-def _oneway_piece(dt: float, rng: np.random.Generator) -> Array:
-    return np.full(int(rng.uniform(0.1, 0.5) / dt), rng.uniform(0.25, 1))
-
-
-def _steps_piece(dt: float, rng: np.random.Generator) -> Array:
-    return np.full(int(rng.uniform(0.15, 0.5) / dt), rng.uniform(-1, 1))
 
 
 def _multisine(n: int, dt: float, largest: float, rng: np.random.Generator, level: float, top: float) -> Array:

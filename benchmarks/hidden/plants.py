@@ -83,10 +83,6 @@ def _actuator(true: Mapping[str, float]) -> Machine:
     return _motor(true)._replace(J1=true["J"] + reflected)
 
 
-def _oscillator(true: Mapping[str, float]) -> Machine:
-    return Machine(J1=true["m"], winding=0.0, gain=1.0, b_pos=true["c"], b_neg=true["c"], k=true["k"])
-
-
 def _oscillator_of_a_seed(setup: Setup, r: np.random.Generator) -> Setup:
     """Mass 1 kg, 8 to 15 samples a period, damping ratio 0.005 to 0.03."""
     w, zeta = 2 * math.pi / (setup.dt * r.uniform(8, 15)), r.uniform(0.005, 0.03)
@@ -95,20 +91,12 @@ def _oscillator_of_a_seed(setup: Setup, r: np.random.Generator) -> Setup:
     return replace(setup, nominal=nominal, length=length)
 
 
-def _two_mass(true: Mapping[str, float]) -> Machine:
-    return Machine(J1=true["J1"], winding=0.0, gain=1.0, J2=true["J2"], k_s=true["k"], c_s=true["c"])
-
-
 def _two_mass_of_a_seed(setup: Setup, r: np.random.Generator) -> Setup:
     """Resonance at 10 to 40 Hz, damping ratio 0.01 to 0.05, load 0.5 to 3 times the motor."""
     J1, ratio, w, zeta = 1e-3, r.uniform(0.5, 3), 2 * math.pi * r.uniform(10, 40), r.uniform(0.01, 0.05)
     J = J1 * ratio / (1 + ratio)
     nominal = {"J1": (J1, 0.05), "J2": (J1 * ratio, 0.05), "c": (2 * zeta * w * J, 0.5), "k": (w**2 * J, 0.1)}
     return replace(setup, nominal=nominal)
-
-
-def _axis(true: Mapping[str, float]) -> Machine:
-    return Machine(J1=true["M"], winding=0.0, gain=true["gain"], b_pos=true["Fv"], b_neg=true["Fv"])
 
 
 MOTOR = Setup(
@@ -124,7 +112,8 @@ PLANTS = {
     "dc-motor": MOTOR,
     "linear-actuator": replace(MOTOR, nominal=ACTUATOR, machine=_actuator),
     "servo-axis": Setup(
-        nominal={"M": (95.1089, 0.06), "Fv": (203.5034, 0.3), "gain": (35.15065, 0.03)}, together=(), machine=_axis,
+        nominal={"M": (95.1089, 0.06), "Fv": (203.5034, 0.3), "gain": (35.15065, 0.03)}, together=(),
+        machine=lambda p: Machine(J1=p["M"], winding=0.0, gain=p["gain"], b_pos=p["Fv"], b_neg=p["Fv"]),
         output="q", unit="m",
         length=2.5e-3 / (2 * math.pi),  # the EMPS screw's lead per radian: M length**2 is then a motor's inertia
         largest=1.2, resonance=(6.0, 20.0),
@@ -132,13 +121,17 @@ PLANTS = {
         feedback=(2500.0, 100.0), reach=0.012, electrical=False,
     ),
     "mass-spring-damper": Setup(
-        nominal={}, together=(), machine=_oscillator, output="q", unit="m", length=1.0, largest=10.0,
+        nominal={}, together=(),
+        machine=lambda p: Machine(J1=p["m"], winding=0.0, gain=1.0, b_pos=p["c"], b_neg=p["c"], k=p["k"]),
+        output="q", unit="m", length=1.0, largest=10.0,
         resonance=(0.0, 0.0), disturbance=1.0, feedback=None, reach=0.0, electrical=False,
         force=16.7,  # as the largest input to that of the motor
         input="f", input_unit="N", dt=2e-3, inputs="resonant", vary=_oscillator_of_a_seed,
     ),
     "two-mass": Setup(
-        nominal={}, together=(), machine=_two_mass, output="phi1", unit="rad", length=1.0, largest=1.0,
+        nominal={}, together=(),
+        machine=lambda p: Machine(J1=p["J1"], winding=0.0, gain=1.0, J2=p["J2"], k_s=p["k"], c_s=p["c"]),
+        output="phi1", unit="rad", length=1.0, largest=1.0,
         resonance=(0.0, 0.0), disturbance=0.1, feedback=(0.3, 0.04), reach=8.0, electrical=False,
         input="torque", input_unit="N m", force=5.0, speed=0.1, inputs="balanced", second="phi2",
         vary=_two_mass_of_a_seed,

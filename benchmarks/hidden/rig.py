@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -52,17 +53,9 @@ class Rig:
         load, alive = self._by_the_clock(n)
         draws = generator(self.seed, "noise", *self.parameters, run)
         drawn = noise(LEVELS[self.level], self.setup, n, self.dt, draws)
-        got = simulate(
-            self._in_phase(run),
-            u,
-            self.dt,
-            external=load + drawn.torque,
-            alive=alive,
-            angle_noise=drawn.angle,
-            current_noise=drawn.current,
-            lsb=drawn.lsb,
-            feedback=self.feedback if closed else None,
-        )
+        sensors: dict[str, Any] = {"angle_noise": drawn.angle, "current_noise": drawn.current, "lsb": drawn.lsb}
+        around = {"external": load + drawn.torque, "alive": alive, "feedback": self.feedback if closed else None}
+        got = simulate(self._in_phase(run), u, self.dt, **sensors, **around)
         return got, drawn
 
     def channels(self, run: Run, current: bool, drawn: Noise | None = None) -> dict[str, Array]:
@@ -76,7 +69,6 @@ class Rig:
         return {**outputs, "i": run.i} if current else outputs
 
     def record(self, measured: tuple[Run, Noise], name: str, current: bool) -> Record:
-        """A run as a `Record` with units."""
         run, drawn = measured
         setup = self.setup
         outputs = self.channels(run, current, drawn)

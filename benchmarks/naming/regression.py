@@ -220,7 +220,6 @@ def thresholded(labels: Sequence[str], x: Array, y: Array) -> Array:
 
 
 def sindy(problem: Problem) -> list[str]:
-    """The terms that thresholded least squares keeps."""
     labels = list(problem.columns)
     c = thresholded(labels, np.column_stack(list(problem.columns.values())), problem.target)
     return _worth(problem, [label for label, value in zip(labels, c, strict=True) if value])

@@ -13,11 +13,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from discover_distance import RESOLVABLE
 
 from robustlab.dynamics.effects.kinds import upwards
 
 Said = Mapping[str, Any]
+RESOLVABLE = 3.0  # standard deviations of the noise below which no test on the records tells two sets apart
 ROOTS = ("force",)  # says that something pushes, and no more
 MISSING: Said = {"verdict": "open", "named": [], "possible": [], "complete": False, "missing": True}
 
@@ -37,11 +37,6 @@ def _within(told: Sequence[str], kinds: Sequence[str]) -> bool:
     return True
 
 
-def _matches(told: Sequence[str], kinds: Sequence[str]) -> bool:
-    """Whether the kinds told are those of a set, one for one."""
-    return len(told) == len(kinds) and _within(told, kinds)
-
-
 def is_right(said: Said, truth: Mapping[str, Any]) -> bool:
     """Whether the answer is what is hidden, at the level that was told."""
     if truth["condition"] == "outside":
@@ -49,11 +44,9 @@ def is_right(said: Said, truth: Mapping[str, Any]) -> bool:
     if truth["condition"] == "nothing":
         return said["verdict"] == "nothing"
     told = [one["kind"] for one in said["named"]]
-    return said["verdict"] == "named" and any(_matches(told, kinds) for kinds in truth["kinds"])
-
-
-def _named(said: Said, truth: Mapping[str, Any]) -> bool:
-    return bool(said["named"]) or said["verdict"] == "unknown"
+    return said["verdict"] == "named" and any(
+        len(told) == len(kinds) and _within(told, kinds) for kinds in truth["kinds"]
+    )
 
 
 def _wrong(said: Said, truth: Mapping[str, Any]) -> bool:
@@ -99,7 +92,10 @@ def score(truth: Mapping[str, Any], answers: Mapping[str, Said], resolvable: Map
         ("pairs: both, and no third", share(is_right, "pair")),
         ("pairs: sure and wrong", share(_wrong, "pair")),
         ("nothing missing: said so", share(is_right, "nothing")),
-        ("nothing missing: a name all the same", share(_named, "nothing")),
+        (
+            "nothing missing: a name all the same",
+            share(lambda a, _: bool(a["named"]) or a["verdict"] == "unknown", "nothing"),
+        ),
         ("outside the catalogue: unknown, or something remains", share(is_right, "outside")),
         ("poor excitation: right", share(is_right, "poor")),
         ("poor excitation: right, or open with the truth in it", share(_possible, "poor")),
@@ -135,7 +131,6 @@ def _seconds(answers: Iterable[Said]) -> list[Row]:
 
 
 def table(truth: Mapping[str, Any], programs: Mapping[str, tuple[Mapping[str, Said], Mapping[str, float]]]) -> str:
-    """All programs side by side."""
     columns = {name: dict(score(truth, answers, apart)) for name, (answers, apart) in programs.items()}
     labels = list(dict.fromkeys(label for rows in columns.values() for label in rows))
     width = max((len(label) for label in labels), default=0)
