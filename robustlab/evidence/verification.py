@@ -36,10 +36,9 @@ CLAIMS: Mapping[str, str] = {
     "DiskMargins": "loops.disk_claims",
     "DiskMargin": "loops.one_disk_claims",
     "Cover": "covers.cover_claims",
-    "DelayStability": "delays.stability_claims",
-    "DelayGain": "delays.gain_claims",
-    "DelayDiskMargins": "delays.disk_claims",
-    "NeglectedWeight": "delays.neglected_claims",
+    "DelayStability": "loops.delayed_stability_claims",
+    "DelayGain": "loops.delayed_gain_claims",
+    "DelayDiskMargins": "loops.delayed_disk_claims",
     "UncertainModel": "delays.set_claims",
 }
 
