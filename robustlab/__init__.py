@@ -25,7 +25,6 @@ _PUBLIC = {
     "DelayedModel": "delays",
     "delay": "delays",
     "with_delays": "delays",
-    "neglected_dynamics": "delays",
     # plants from physics
     "plant": "dynamics",
     "PlantEquations": "dynamics.symbolic.equations",

@@ -6,7 +6,6 @@ from robustlab.analysis.stability import robust_stability as robust_stability
 from robustlab.analysis.synthesis import hinf as hinf
 from robustlab.delays import DelayedModel as DelayedModel
 from robustlab.delays import delay as delay
-from robustlab.delays import neglected_dynamics as neglected_dynamics
 from robustlab.delays import with_delays as with_delays
 from robustlab.dynamics import linearise as linearise
 from robustlab.dynamics import plant as plant
@@ -107,7 +106,6 @@ __all__ = [
     "DelayedModel",
     "delay",
     "with_delays",
-    "neglected_dynamics",
     "plant",
     "PlantEquations",
     "trim",

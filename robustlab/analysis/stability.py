@@ -137,7 +137,7 @@ def robust_stability(
         chosen = options_of("robust_stability", "a system at given frequencies", given, names, hint)
         return robust_stability_at(system, frequency, seed=seed, **chosen)
     if isinstance(system, DelayedModel):
-        from robustlab.mu_analysis.margins.delay_stability import delay_stability
+        from robustlab.mu_analysis.margins.delay_margins import delay_stability
 
         hint = ".uncertain(order) makes a set of it"
         names = {"order": "highest_order"}

@@ -110,7 +110,7 @@ def check(
     Example: robustlab model check motor.h5
     """
     if isinstance(system, rl.DelayedModel):
-        from robustlab.mu_analysis.margins.delay_stability import delay_stability
+        from robustlab.mu_analysis.margins.delay_margins import delay_stability
 
         return delay_stability(system)
     from robustlab.dynamics.plant_contract import Plant as AnyPlant

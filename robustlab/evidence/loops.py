@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from robustlab.budget import search_budget
-from robustlab.evidence.axis import margin_claims
+from robustlab.delays.model import DelayedModel
+from robustlab.evidence.axis import joined_scalings, margin_claims
+from robustlab.evidence.delays import weight_claims
 from robustlab.mu_analysis.axis.stability import margin_within
 from robustlab.mu_analysis.constants import WORK
+from robustlab.mu_analysis.margins.delay_loops import DelayDiskMargins
+from robustlab.mu_analysis.margins.delay_margins import DelayGain, DelayProof, DelayStability, covering_set
 from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
 from robustlab.mu_analysis.margins.small_gain import SmallGain
 from robustlab.norms import HinfNorm
 from robustlab.norms.claims import loop_claims, norm_claims
+from robustlab.norms.numbers import ABOVE, Numbers, block_rows, model_numbers
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
 from robustlab.uncertainty.distances.coprime import CoprimeMargin, four_block
 from robustlab.verification.claim import Claim
 
@@ -47,3 +55,47 @@ def one_disk_claims(found: DiskMargin) -> list[Claim]:
     budget = search_budget("verify", WORK, 1.0, None)
     margin = margin_within(uncertain, budget, accuracy=1e-4)
     return [claim for claim in margin_claims(margin) if claim.kind == "mu-axis"]
+
+
+# --- exact delays ----------------------------------------------------------------------------------------------------
+
+
+def delayed_stability_claims(found: DelayStability) -> list[Claim]:
+    """That every member of the set is stable, where that was found: the model with its delays is one of them."""
+    if found.system is None or not found.stable:
+        return []
+    return _claims_of_set("delayed-stable", found.system, found.proof, [], {})
+
+
+def delayed_gain_claims(found: DelayGain) -> list[Claim]:
+    """That no member has a gain above ``upper``."""
+    if found.system is None or not np.isfinite(found.upper):
+        return []
+    block = FullBlock("performance", found.system.n_inputs, found.system.n_outputs)
+    return _claims_of_set("worst-gain", found.system, found.proof, [block], {"gamma": np.array(found.upper * ABOVE)})
+
+
+def delayed_disk_claims(found: DelayDiskMargins) -> list[Claim]:
+    """Of each loop its gain, and of several mu of all at once."""
+    claims = [claim for gain in found.gains.values() for claim in delayed_gain_claims(gain)]
+    if found.system is None or found.proof is None:
+        return claims
+    blocks = [ComplexScalar(name) for name in found.channels]
+    delays = len(covering_set(found.system, found.proof.order).blocks)
+    level = np.array([1.0] * delays + [ABOVE / found.simultaneous.lower] * len(blocks))
+    return _claims_of_set("mu-axis", found.system, found.proof, blocks, {"level": level}) + claims
+
+
+def _claims_of_set(
+    kind: str, model: DelayedModel, proof: DelayProof | None, blocks: Sequence[Block], numbers: Numbers
+) -> list[Claim]:
+    """What is claimed of the set that holds the model, and that its weights cover the delays."""
+    if proof is None:
+        return []
+    held = covering_set(model, proof.order, blocks)
+    M = held.delta_channels
+    scalings = joined_scalings(M, held.blocks, proof.pieces, float)
+    if scalings is None:
+        return []
+    rows = {**model_numbers(M), "blocks": block_rows(held.blocks)}
+    return [Claim(kind, {**rows, **numbers, **scalings}), *weight_claims(held.blocks)]

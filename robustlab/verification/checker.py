@@ -14,7 +14,6 @@ from robustlab.verification.balls import PRECISIONS, precision, rounded_down
 from robustlab.verification.boxes import prove_mu_boxes
 from robustlab.verification.claim import Claim, Verdict, Verification, Work, not_proved
 from robustlab.verification.delay_weights import prove_delay_weight
-from robustlab.verification.delays import prove_delayed_mu, prove_delayed_norm, prove_delayed_stable
 from robustlab.verification.iqc import prove_multipliers
 from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
 from robustlab.verification.models import difference, loop, model_of, static, stored
@@ -74,13 +73,12 @@ KINDS: Mapping[str, _Kind] = {
     "unstable-member": _Kind(
         prove_unstable_member, f"{SOME} gives a pole on or beyond the stability boundary, or no well-posed model",
         "level", "level", below=True),
-    "delayed-stable": _Kind(prove_delayed_stable, "all roots of the loop with its exact delays lie left of the axis"),
-    "delayed-norm": _Kind(prove_delayed_norm, "the loop with its exact delays is stable", "gamma", NORM),
-    "delayed-mu": _Kind(
-        prove_delayed_mu, "the loop with its exact delays is stable for every Delta of the structure within 1/level",
-        "level", "mu over all frequencies <="),
+    "delayed-stable": _Kind(
+        lambda c, w: prove_mu_axis(Claim(c.kind, {**c.numbers, "level": np.array(1.0)}), w),
+        "stable for every Delta of the structure within 1, so for the exact delays"),
     "delay-weight": _Kind(
-        prove_delay_weight, "the weight covers what R misses of every delay of the range, at all frequencies"),
+        prove_delay_weight, "the weight and the tolerance cover what R misses of every delay of the range, at all "
+        "frequencies", "tolerance", "tolerance"),
     "set": _Kind(prove_set, "the set is the nominal model at parameters 0 and the perturbed one at 1, by every entry"),
 }
 BAND = _Kind(  # "mu-axis" where a band is given
@@ -89,9 +87,6 @@ NEARLY = _Kind(prove_set, "the set is the nominal model at parameters 0 and the 
                "every entry to within the tolerance")  # "set" where one is given
 MEMBER = _Kind(prove_set, "the model is the member of the set at the given parameters, within their ranges",
                "tolerance", "every entry to within the tolerance")  # "set" with parameters
-ROUNDED = _Kind(  # "delay-weight" where one is given
-    prove_delay_weight, "the weight and the tolerance cover what R misses of every delay of the range, at all "
-    "frequencies", "tolerance", "tolerance")
 # fmt: on
 
 
@@ -117,8 +112,6 @@ def check(claim: Claim, *, effort: int = EFFORT) -> Verification:
         kind = BAND
     if claim.kind == "set" and "tolerance" in claim.numbers:
         kind = MEMBER if "delta" in claim.numbers else NEARLY
-    if claim.kind == "delay-weight" and "tolerance" in claim.numbers:
-        kind = ROUNDED
     number = None
     before = flint.ctx.prec
     try:

@@ -2,28 +2,60 @@ r"""Weights that cover what a rational delay misses, for every delay of a range 
 
 At each frequency :math:`|e^{-j\omega\tau} - R|` is largest at an end of the range of tau, unless the arc of all
 :math:`e^{-j\omega\tau}` has the point opposite to R; and it is never above 1 + |R|. So below a frequency both ends are
-looked at, in boxes of the model :math:`[e^{-s\tau} - R;\; W]` with its exact delay (`delays`), and the arc; above it
-the weight has passed 1 + |R|, a statement about rational models (`axis`).
+looked at, in boxes of the model :math:`[e^{-s\tau} - R;\; W]` with its exact delay, and the arc; above it the weight
+has passed 1 + |R|, a statement about rational models (`axis`).
+
+**Boxes.** With the states x and what leaves the delays w as unknowns, H = (A B_1; C_1 D_11),
+:math:`M(s) = D + C F(s)^{-1} B,\ F(s) = \mathrm{diag}(s I, e^{s \tau_i}) - H`. For :math:`\omega = \omega_0 + r e,\
+|e| \le 1`: :math:`F(j\omega) = F_0 + N(e)`, N diagonal, :math:`N = \sum_{k \ge 1} N_k e^k`, and by Taylor's rest
+:math:`|N(e) - \sum_{k<i} N_k e^k| \le T_i |e|^i`, with :math:`T_1 = r\,\mathrm{diag}(I, \tau)`, :math:`T_i =
+\mathrm{diag}(0, (r \tau)^i / i!)`. With :math:`R = F_0^{-1}`, :math:`X_0 = R B`, :math:`X_k = -R \sum_{1 \le i \le k}
+N_i X_{k-i}`, put :math:`F^{-1} B = \sum_{k<K} X_k e^k + e^K Z`. Then :math:`|F Z| \le Q = \sum_{k<K} T_{K-k} |X_k|`
+entry by entry, so :math:`|Z| \le |R| Q + |R| T_1 |Z|`, and `neumann` bounds Z, proves the spectral radius of
+:math:`|R| T_1` below one, and so F regular in the box.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
-from flint import acb, arb, arb_mat, fmpq_mat
+import numpy as np
+from flint import acb, acb_mat, arb, arb_mat
 
 from robustlab.errors import InputError
 from robustlab.verification.axis import axis
-from robustlab.verification.balls import Definite, definite, diagonal, identity, inverse, stack, zeros
-from robustlab.verification.claim import Claim, Verdict, Work, not_proved, real, scalar
-from robustlab.verification.delays import Delayed, box_of, sweep
+from robustlab.verification.balls import (
+    INDEFINITE,
+    Definite,
+    Matrix,
+    definite,
+    diagonal,
+    exact,
+    identity,
+    inverse,
+    magnitudes,
+    midpoints,
+    rounded_up,
+    stack,
+    zeros,
+)
+from robustlab.verification.claim import PROVED, Claim, Verdict, Work, not_proved, real, scalar
 from robustlab.verification.forms import Form
 from robustlab.verification.models import Model, stored
 from robustlab.verification.norms import climb
-from robustlab.verification.sets import fraction
 from robustlab.verification.stability import stable
 
+DEGREE = 3  # of a polynomial before its rest: beyond it a box gets wider by less than its work grows
+REACH = 0.6  # half width of a box over the distance of the nearest pole, at most: the series converges with this ratio
+MARGIN = 1e-4  # by which a proposed bound of a rest is wider than floating point says
+TINY = 1e-300
+NARROW = 1e-13  # a box in which M changes by less than this part will not gain from another halving
 SMALL = 6  # K for weights: what they cover is small at low frequencies, the difference of numbers that are not
+
+Test = Callable[[float, float, float, float], Definite]
 
 
 def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
@@ -31,31 +63,26 @@ def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
 
     .. math:: |e^{-j\omega\tau} - R(j\omega)|^2 \le |W(j\omega)|^2 + \varepsilon^2 .
 
-    ``R_A ..``, ``W_A ..``: models of one input and output. ``tolerance``: epsilon, zero where left out. Evidence:
-    ``far``, in rad/s, from where on :math:`|W|^2 + \varepsilon^2 > 2 + 2 |R|^2 \ge (1 + |R|)^2`. Without a tolerance R
-    is the number 1, W(0) = 0 by rational numbers, and up to ``near`` :math:`|W / j\omega| > \tau_{\max}`, as
-    :math:`|e^{-j\omega\tau} - 1| \le \omega \tau`; :math:`W(s) = s\, C (sI - A)^{-1} A^{-1} B`.
+    ``R_A ..``, ``W_A ..``: models of one input and output. ``tolerance``: epsilon. Evidence: ``far``, in rad/s, from
+    where on :math:`|W|^2 + \varepsilon^2 > 2 + 2 |R|^2 \ge (1 + |R|)^2`.
     """
     low, high = real(claim, "range", (2,)).tolist()
-    far, exactly = scalar(claim, "far"), "tolerance" not in claim.numbers
-    near, epsilon = (scalar(claim, "near"), 0.0) if exactly else (0.0, scalar(claim, "tolerance"))
+    far, epsilon = scalar(claim, "far"), scalar(claim, "tolerance", zero=True)
     R, W = (stored(claim, name) for name in ("R_{}", "W_{}"))
-    if not 0 <= low <= high or not near <= far or R.dt or (R.m, R.p, W.m, W.p) != (1, 1, 1, 1):
-        raise InputError("range, near, far, R, W", f"{low}, {high}, {near}, {far}", "in order; one input, one output")
+    if not 0 <= low <= high or R.dt or (R.m, R.p, W.m, W.p) != (1, 1, 1, 1):
+        raise InputError("range, R, W", f"{low}, {high}", "in order; one input, one output")
 
     def attempt() -> Verdict:
         R, W = (stored(claim, name) for name in ("R_{}", "W_{}"))
         verdict = stable(R, None, work)
-        if exactly and verdict.proved:
-            verdict = _slope(R, W, near, high, work)
         if verdict.proved:
             form = Form(arb_mat([[arb(epsilon) ** 2 - 2]]), diagonal([arb(2), arb(-1)]), None)
             verdict = axis(_beside(R, W), [(far, math.inf, form)], work)
         for tau in dict.fromkeys((low, high)):
             if verdict.proved:
-                verdict = _end_of_range(R, W, tau, epsilon, near, far, work)
+                verdict = _end_of_range(R, W, tau, epsilon, far, work)
         if verdict.proved and low < high:
-            verdict = _no_opposite(R, low, high, near, far, work)
+            verdict = _no_opposite(R, low, high, far, work)
         return verdict
 
     return climb(attempt)
@@ -68,24 +95,8 @@ def _beside(R: Model, W: Model) -> Model:
     return Model(A, stack([[R.B], [W.B]]), C, stack([[R.D], [W.D]]), 0.0)
 
 
-def _slope(R: Model, W: Model, near: float, tau: float, work: Work) -> Verdict:
-    """``|e^(-jw t) - 1| <= w tau <= |W|`` up to ``near``, as the claim says."""
-    A, B, C, D = (
-        fmpq_mat(X.nrows(), X.ncols(), [fraction(float(x)) for x in X.entries()]) for X in (W.A, W.B, W.C, W.D)
-    )
-    try:
-        zero = (D - C * A.solve(B))[0, 0] == 0
-    except ZeroDivisionError:
-        zero = False
-    over = inverse(W.A)
-    if R.n or R.D[0, 0] != 1 or not zero or over is None:
-        return not_proved("low frequencies: R is not 1, or W(0) is not zero")
-    form = Form(arb_mat([[-(arb(tau) ** 2)]]), -identity(1), None)
-    return axis(Model(W.A, over * W.B, W.C, zeros(1, 1), 0.0), [(0.0, near, form)], work)
-
-
-def _end_of_range(R: Model, W: Model, tau: float, epsilon: float, near: float, far: float, work: Work) -> Verdict:
-    """The inequality for one delay between ``near`` and ``far``: of the model ``[e^(-s tau) - R; W]``."""
+def _end_of_range(R: Model, W: Model, tau: float, epsilon: float, far: float, work: Work) -> Verdict:
+    """The inequality for one delay up to ``far``: of the model ``[e^(-s tau) - R; W]``."""
     both = _beside(R, W)
     n, sign = both.n, diagonal([arb(-1), arb(1)])
     G = Delayed(
@@ -100,11 +111,11 @@ def _end_of_range(R: Model, W: Model, tau: float, epsilon: float, near: float, f
             return Definite(False, math.nan)
         return definite(quadratic.at(box.X[0]), lambda S: quadratic.higher(box.X, S))
 
-    return sweep(G, near, far, test, work)
+    return sweep(G, 0.0, far, test, work)
 
 
-def _no_opposite(R: Model, low: float, high: float, near: float, far: float, work: Work) -> Verdict:
-    """The arc of all delays has nowhere between ``near`` and ``far`` the point opposite to R."""
+def _no_opposite(R: Model, low: float, high: float, far: float, work: Work) -> Verdict:
+    """The arc of all delays has nowhere up to ``far`` the point opposite to R."""
     G = Delayed(R.A, R.B, R.C, R.D, ())
     half, middle = (arb(high) - arb(low)) / 2, (arb(low) + arb(high)) / 2
 
@@ -116,4 +127,136 @@ def _no_opposite(R: Model, low: float, high: float, near: float, far: float, wor
         angle = (value.conjugate() * acb(0, -middle * arb(w0, r)).exp()).arg()
         return Definite(bool(angle.abs_upper() + arb(b) * half < arb.pi()), math.nan)
 
-    return sweep(G, near, far, test, work)
+    return sweep(G, 0.0, far, test, work)
+
+
+# --- boxes of a model with exact delays -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Delayed:
+    """The unknowns (x, w) of the module's text: ball matrices H (n + k, n + k), B, C, D, and the exact delays in s."""
+
+    H: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    delays: tuple[float, ...]
+
+    @property
+    def n(self) -> int:
+        """States."""
+        return self.size - len(self.delays)
+
+    @property
+    def size(self) -> int:
+        """Unknowns."""
+        return self.H.nrows()
+
+    def diagonal(self, state: Any, late: Callable[[arb], Any]) -> Matrix:
+        """The diagonal matrix with ``state`` for each state, ``late(tau)`` for each delay."""
+        entries = [acb(state)] * self.n + [acb(late(arb(t))) for t in self.delays]
+        return acb_mat(
+            self.size, self.size, [x if i == j else 0 for i, x in enumerate(entries) for j in range(self.size)]
+        )
+
+    def at(self, w: float) -> Matrix:
+        """F at the exact frequency ``w``."""
+        return self.diagonal(acb(0, w), lambda t: _turned(w, t)) - self.H
+
+
+def _turned(w: float, tau: arb) -> acb:
+    return acb(0, arb(w) * tau).exp()
+
+
+@dataclass(frozen=True)
+class Box:
+    """In a box of frequency: the coefficients of X(e), the rest in the last, and a bound of ``R N(e)``."""
+
+    X: list[Matrix]
+    N: Matrix
+
+
+def box_of(G: Delayed, w0: float, r: float, degree: int = DEGREE) -> Box | None:
+    """The box ``|w - w0| <= r`` as in the module's text; None where F was not proved to be regular in it."""
+    R = inverse(G.at(w0))
+    if R is None:
+        return None
+    turns = [arb(1)] + [arb(r) ** i / math.factorial(i) for i in range(1, degree + 1)]
+
+    def moved(i: int) -> Matrix:
+        state, power = acb(0, r) if i == 1 else acb(0), acb(0, 1) ** i * turns[i]
+        return G.diagonal(state, lambda t: power * t**i * _turned(w0, t))
+
+    def rest(i: int) -> Matrix:
+        return magnitudes(G.diagonal(r if i == 1 else 0, lambda t: turns[i] * t**i))
+
+    X, steps = [R * G.B], [R * moved(i) for i in range(1, degree)]
+    for k in range(1, degree):
+        X.append(-sum((steps[i - 1] * X[k - i] for i in range(2, k + 1)), steps[0] * X[k - 1]))
+    size = magnitudes(R)
+    N, Q = size * rest(1), rest(degree) * magnitudes(X[0])
+    for k in range(1, degree):
+        Q = Q + rest(degree - k) * magnitudes(X[k])
+    Z = neumann(N, size * Q)
+    if Z is None or neumann(N, _ones(G.size)) is None:
+        return None
+    return Box([*X, _around_zero(Z)], N)
+
+
+def _ones(n: int) -> Matrix:
+    return arb_mat(n, 1, [1] * n)
+
+
+def _around_zero(radii: Matrix) -> Matrix:
+    """Complex balls around zero that hold all numbers of at most these sizes."""
+    return acb_mat(radii.nrows(), radii.ncols(), [acb(arb(0, x), arb(0, x)) for x in radii.entries()])
+
+
+def sweep(G: Delayed, a: float, b: float, test: Test, work: Work) -> Verdict:
+    """Whether ``test(low, middle, high, half width)``, in rad/s, holds in boxes that cover [a, b], from left to right.
+
+    A box that fails is halved; so is one that floating point sees to be wider than its roots are far.
+    """
+    todo, H = [(a, b)], midpoints(G.H)
+    delays = np.array(G.delays)
+    weights = np.concatenate([np.ones(G.n), delays])
+    while todo:
+        a, b = todo.pop()
+        w0 = min(max(a + (b - a) / 2, a), b)
+        r = max(rounded_up(arb(b) - arb(w0)), rounded_up(arb(w0) - arb(a)))
+        F = np.diag(np.concatenate([np.full(G.n, 1j * w0), np.exp(1j * w0 * delays)])) - H
+        speeds = np.abs(np.linalg.eigvals(np.abs(np.linalg.inv(F)) * weights)) if len(F) else np.zeros(1)
+        distance = 1 / max(float(speeds.max()), 1e-300)
+        if r <= REACH * distance:
+            work.spend(G.size)
+            answer = test(a, w0, b, r)
+            if answer.proved:
+                continue
+            if answer.least < INDEFINITE or r <= NARROW * distance:
+                return not_proved(f"at {w0:.9g} rad/s what has to be positive is {answer.least:.3g} of its size")
+        if not a < w0 < b:
+            return not_proved(f"a root on the axis, or nearly, at {w0:.9g} rad/s")
+        todo += [(w0, b), (a, w0)]
+    return PROVED
+
+
+def neumann(N: Matrix, X: Matrix) -> Matrix | None:
+    """A nonnegative ``Y > X + N Y`` (n, m), proposed in floating point and checked in balls; None where none was found.
+
+    Then ``Y >= sum_k N^k X``, and as Y > N Y the spectral radius of N is below one: for all ``|S| <= N``, ``|Z| <= X``
+    entry by entry I - S is regular, and ``|(I - S)^-1 Z| <= Y``.
+    """
+    n, x = midpoints(N), midpoints(X)
+    if not x.size:
+        return X
+    if not (np.isfinite(n).all() and np.isfinite(x).all()):
+        return None
+    try:
+        y = np.linalg.solve(np.eye(len(n)) - n, x * (1 + MARGIN) + MARGIN * MARGIN * x.max() + TINY)
+    except np.linalg.LinAlgError:
+        return None
+    if not (np.isfinite(y).all() and (y >= 0).all()):
+        return None
+    Y = exact(y)
+    return Y if all(v > s for v, s in zip(Y.entries(), (X + N * Y).entries(), strict=True)) else None

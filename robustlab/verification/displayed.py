@@ -52,7 +52,6 @@ SHOWN: Mapping[str, Rules] = {
     "ReducedModel": {"error/upper": "peak", "model": "{}2 K_{}+"},
     "BuiltModel": {"M": "{}"},
     "Cover": {"sizes": "inside"},
-    "NeglectedWeight": {"weight": "W_{}"},
     "AntiWindup": {"proved/upper": "peak", "controller": "K_{}+"},
 }  # fmt: skip
 CONTROLLER: Rules = {"gamma": ANY, "": "K_{}"}

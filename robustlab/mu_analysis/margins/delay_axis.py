@@ -25,7 +25,7 @@ Time-Delay Systems* (2014), chapter 1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,15 +34,10 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.delays.model import DelayedModel
 from robustlab.errors import NoTrustworthyNumber
 
-__all__ = ["FINEST", "DelayAxis", "Measured", "Seen", "proved_peak"]
-
-FINEST = 1e-6  # gap between bounds that may be asked for
+__all__ = ["DelayAxis", "Seen"]
 
 SWEEPS = 6  # of the balancing by T
 FASTEST = 60  # doublings of the frequency in which the far end is sought
-# Intervals that are looked at, at most, and their smallest width relative to the frequency.
-MOST, NARROW = 40_000, 1e-10
-LOOKS = 60  # at the response, before anything is proved
 CHUNK = 2_000_000  # complex numbers solved for at once
 
 
@@ -138,60 +133,9 @@ class DelayAxis:
             omega *= 2.0
         return None
 
-    def speed(self) -> float:
-        """A frequency of its dynamics or delays, in rad/s."""
-        size = float(np.linalg.norm(self.inner[: self.n, : self.n], 2)) if self.n else 0.0
-        return size or 1.0 / float(self.delays.max(initial=1.0))
-
     def characteristic(self, omega: Array) -> ComplexArray:
         """F on the axis, (k, n, n), in balanced unknowns."""
         return self.model.turned(-self.inner, 1j * omega)
-
-
-class Measured(NamedTuple):
-    """At matrices (k,): what is measured is at most ``level + stretch e`` for all matrices within e of each."""
-
-    level: Array
-    stretch: Array
-
-
-def proved_peak(
-    axis: DelayAxis,
-    about: Array,
-    tolerance: float,
-    attained: Callable[[ComplexArray, Array], float],
-    measure: Callable[[ComplexArray], Measured],
-) -> float:
-    """Bound over the whole axis of a measure of the response, inf where there is none."""
-    whole = about[None].astype(np.complex128)
-    limit, left = measure(whole), axis.far(np.inf, about)
-    at_end = float(limit.level[0] + limit.stretch[0] * left)
-    there = int(not left)  # with echoes the response has no limit that it attains
-    attained(whole[:there], np.full(there, np.inf))
-    looks = axis.speed() * np.geomspace(1e-3, 1e3, LOOKS)
-    best = attained(axis.response(looks), looks)
-    # how far above its limit the end of the axis may be, by the share that is allowed or needed
-    room = max(best * (1.0 + tolerance) - at_end, 0.5 * tolerance * max(at_end, best)) / float(limit.stretch[0])
-    end = axis.end(about, left + room) if np.isfinite(left) else None
-    if end is None:
-        return np.inf
-    level, looked = at_end + float(limit.stretch[0]) * room, 0
-    first = np.concatenate([[0.0], np.geomspace(1e-6 * end, end, 81)])
-    begin, stop = first[:-1], first[1:]
-    while len(begin):
-        looked += len(begin)
-        half, middle = 0.5 * (stop - begin), 0.5 * (begin + stop)
-        seen = axis.seen(middle)
-        found = measure(seen.value)
-        top = np.argsort(-found.level)[:3]
-        best = attained(seen.value[top], middle[top])
-        carried = found.level + found.stretch * seen.spread(half)
-        cut = carried > max(best * (1.0 + tolerance), level)
-        level = max(level, float(carried[~cut].max(initial=0.0)))
-        if looked > MOST or (half[cut] <= NARROW * (middle[cut] + 1e-6 * end)).any():
-            return max(level, float(carried.max()))
-        begin, stop = np.concatenate([begin[cut], middle[cut]]), np.concatenate([middle[cut], stop[cut]])
-    return level
 
 
 def _balancing(size: Array) -> Array:

@@ -9,8 +9,7 @@ the function has no zero there, or its derivative has one sign and its ends tell
 count. So no crossing is overlooked between points.
 
 The disk margin of all channels is one over the peak of mu of :math:`S + \frac{\sigma-1}{2} I`, of one channel one over
-its largest gain. On each interval the D scaling of its middle bounds mu for all of it; intervals are cut where that
-lies above the largest value that was found.
+its largest gain: attained by the exact response, and proved of a set that holds the delays (`delay_margins`).
 
 References
 ----------
@@ -22,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -34,9 +33,17 @@ from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.margins.classical import ClassicalMargin, ClassicalMargins, GainCrossing, PhaseCrossing
-from robustlab.mu_analysis.margins.delay_axis import FINEST, DelayAxis, Measured, Seen, proved_peak
-from robustlab.mu_analysis.margins.delay_margins import DelayGain, delay_gain
-from robustlab.mu_analysis.margins.delay_stability import DelayStability, delay_stability
+from robustlab.mu_analysis.margins.delay_axis import DelayAxis, Seen
+from robustlab.mu_analysis.margins.delay_margins import (
+    FINEST,
+    DelayGain,
+    DelayProof,
+    DelayStability,
+    delay_gain,
+    delay_stability,
+    highest,
+    proved_level,
+)
 from robustlab.mu_analysis.margins.disk_margin import (
     PLACES,
     DiskMargin,
@@ -47,12 +54,11 @@ from robustlab.mu_analysis.margins.disk_margin import (
     gain_and_phase,
 )
 from robustlab.mu_analysis.matrix.bounds import mu
-from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.upper import upper_bounds
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.algebra import beside, stacked
-from robustlab.uncertainty.blocks import ComplexScalar, delta_matrix, delta_values
+from robustlab.uncertainty.blocks import ComplexScalar, delta_values
 from robustlab.uncertainty.realised_delta import realise_delta
 
 __all__ = ["DelayDiskMargins", "delay_classical_margins", "delay_disk_margins"]
@@ -62,8 +68,7 @@ MOST, NARROW = 400_000, 1e-10
 # Factors of gain beyond these are not looked for: S that near to 0 or 1 is no crossing.
 LEAST, LARGEST = 1e-6, 1e3
 ROUNDING = 1e-12
-SINGULAR = 1e-7
-STEEPEST = 300.0  # of the D scalings: what they gain at a matrix they lose about it
+LOOKS = 200  # frequencies at which the largest mu is looked for first, twice
 
 
 class _Loop(NamedTuple):
@@ -84,14 +89,15 @@ class DelayDiskMargins(DiskMargins):
         Proved on the whole axis; attained at ``frequency`` by the exact response.
     status
         CERTIFIED: the bounds are within the tolerance. INACCURATE: they are not.
-    gain
-        Of a loop of one channel: the gain whose inverse the margin is, with its proof; else None.
-    sensitivity
-        Of several channels: what the deltas of all factors see, for `robustlab.verify`; else None.
+    gains
+        Of each channel the gain whose inverse its margin is.
+    system, proof
+        What the deltas of all factors see, and the scalings that prove their margin, for `robustlab.verify`.
     """
 
-    gain: DelayGain | None = None
-    sensitivity: DelayedModel | None = None
+    gains: Mapping[str, DelayGain] = field(default_factory=dict)
+    system: DelayedModel | None = None
+    proof: DelayProof | None = None
 
 
 @told_as("delay_classical_margins")
@@ -134,22 +140,18 @@ def delay_disk_margins(
         found = f"skew {skew!r}, tolerance {tolerance!r}"
         raise InputError("delay_disk_margins", found, f"a finite skew, {FINEST:g} <= tolerance < 1")
     loop = _closed(plant, K, at, sign, "delay_disk_margins")
-    if len(loop.names) == 1:  # the gain of one channel needs no search for scalings
-        seen = loop.S + 0.5 * (skew - 1.0) * np.eye(1)
-        gain = delay_gain(seen, tolerance, highest_order, effort)
-        _require_stable(gain.stability, highest_order)
-        every = _of_gain(seen, gain, loop.names[0], skew)
-        return DelayDiskMargins.of(every, {loop.names[0]: every}, at, loop.said, gain=gain)
-    _require_stable(delay_stability(loop.S, highest_order, effort), highest_order)
-    channels = {name: _disk(loop.S, [i], [name], skew, tolerance, seed) for i, name in enumerate(loop.names)}
-    every = _disk(loop.S, range(len(loop.names)), loop.names, skew, tolerance, seed)
-    seen = loop.S + 0.5 * (skew - 1.0) * np.eye(len(loop.names))
-    return DelayDiskMargins.of(every, channels, at, loop.said, sensitivity=seen)
-
-
-def _require_stable(known: DelayStability, highest_order: int) -> None:
+    known = delay_stability(loop.S, highest_order, effort)
     if not _stability(known, highest_order, "delay_disk_margins"):
         raise NoTrustworthyNumber("delay_disk_margins", "the closed loop is unstable", "a stable one")
+    seen = loop.S + 0.5 * (skew - 1.0) * np.eye(len(loop.names))
+    gains, channels = {}, {}
+    for i, name in enumerate(loop.names):
+        gains[name] = delay_gain(seen[i, i], tolerance, highest_order, effort, known)
+        channels[name] = _of_gain(seen[i, i], gains[name], name, skew)
+    every, proof = next(iter(channels.values())), None
+    if len(channels) > 1:
+        every, proof = _at_once(seen, loop.names, skew, tolerance, known, highest_order, seed, effort)
+    return DelayDiskMargins.of(every, channels, at, loop.said, gains=gains, system=seen, proof=proof)
 
 
 def _stability(known: DelayStability, highest_order: int, where: str) -> bool:
@@ -328,23 +330,21 @@ def _phase_crossings(axis: DelayAxis, places: list[float]) -> tuple[PhaseCrossin
 # --- disk margins -----------------------------------------------------------------------------------------------------
 
 
-def _disk(
-    S: DelayedModel, places: Sequence[int], names: Sequence[str], skew: float, tolerance: float, seed: int
-) -> DiskMargin:
-    """The margin of some channels at once: the peak of mu, found and proved."""
-    axis, shift = DelayAxis(S, places, places), 0.5 * (skew - 1.0) * np.eye(len(places))
-    blocks = [ComplexScalar(name) for name in names]
-    peak = _Peak(axis, shift, blocks, seed)
-    upper = peak.prove(0.5 * tolerance)
-    lower = 1.0 / upper if upper else np.inf
-    status = Status.CERTIFIED if upper <= peak.value * (1.0 + tolerance) * (1 + 1e-9) else Status.INACCURATE
-    delta = delta_values(blocks, peak.delta) if peak.delta is not None else {}
-    if delta and np.isfinite(peak.frequency):
-        exact = frequency_response(S, [peak.frequency])[0][np.ix_(list(places), list(places))] + shift
-        if singularity(exact, delta_matrix(blocks, delta).astype(complex)) > SINGULAR:
-            status = Status.INACCURATE
-    bounds = lower, 1.0 / peak.value if peak.value else np.inf
-    return _margin(bounds, peak.frequency, status, blocks, delta, skew)
+def _at_once(
+    seen: DelayedModel, names: Sequence[str], skew: float, tolerance: float, known: DelayStability, *options: Any
+) -> tuple[DiskMargin, DelayProof | None]:
+    """The margin of all channels at once: the peak of mu, found with its Delta, and proved."""
+    blocks, (highest_order, seed, effort) = [ComplexScalar(name) for name in names], options
+    value, frequency = highest(seen, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), LOOKS)
+    found = mu(frequency_response(seen, [frequency]), blocks, seed)
+    value = float(found.lower[0])
+    upper, proof = np.inf, None
+    if value:
+        upper, proof = proved_level(seen, blocks, value, 0.5 * tolerance, highest_order, effort, known.order)
+    delta = delta_values(blocks, found.delta[0]) if found.delta[0] is not None else {}
+    status = Status.CERTIFIED if upper <= value * (1.0 + tolerance) else Status.INACCURATE
+    bounds = 1.0 / upper, 1.0 / value if value else np.inf
+    return _margin(bounds, frequency, status, blocks, delta, skew), proof
 
 
 def _of_gain(seen: DelayedModel, gain: DelayGain, name: str, skew: float) -> DiskMargin:
@@ -384,32 +384,3 @@ def _perturbation(
         return {}, ("the critical deltas are complex at an end of the axis: no real system takes them there",)
     models = {name: factor_model(as_model(made[name]), skew) for name in delta}
     return {name: model for name, model in models.items() if model is not None}, ()
-
-
-class _Peak:
-    """The largest mu on the axis: found from below, proved from above."""
-
-    def __init__(self, axis: DelayAxis, shift: Array, blocks: Sequence[ComplexScalar], seed: int) -> None:
-        self.axis, self.shift, self.blocks, self.seed = axis, shift, blocks, seed
-        self.value, self.frequency, self.delta = 0.0, np.inf, None
-
-    def prove(self, tolerance: float) -> float:
-        """Bound of mu for all frequencies; the largest value is looked for on the way."""
-        return proved_peak(self.axis, self.axis.D, tolerance, self._attained, self._measured)
-
-    def _attained(self, S: ComplexArray, omega: Array) -> float:
-        """Take the largest of some matrices, with its Delta."""
-        if len(S):
-            found = mu(S + self.shift, self.blocks, self.seed)
-            k = int(np.argmax(found.lower))
-            if found.lower[k] > self.value:
-                self.value, self.frequency, self.delta = float(found.lower[k]), float(omega[k]), found.delta[k]
-        return self.value
-
-    def _measured(self, S: ComplexArray) -> Measured:
-        """Mu by the scaling D (diagonal) of each matrix, which bounds it about them, too."""
-        M = S + self.shift
-        d = np.array([np.sqrt(np.real(np.diag(b.Dw))) for b in upper_bounds(M, self.blocks, 1e-4)])
-        d = np.maximum(d, d.max(axis=1, keepdims=True) / STEEPEST)
-        level = np.linalg.norm(d[:, :, None] * M / d[:, None, :], 2, axis=(1, 2))
-        return Measured(level * (1.0 + ROUNDING), d.max(axis=1) / d.min(axis=1))

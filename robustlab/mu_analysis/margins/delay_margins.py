@@ -1,32 +1,206 @@
-r"""Gains of models with exact delays: attained at a frequency, and proved on the whole axis.
+r"""Stability and gain of models with exact delays, proved of a set that holds them.
 
-The largest gain over frequency is bracketed: from below by the exact response at the frequency where it was found
-largest, from above by the exact responses at points and how far the response can go between them
-(`robustlab.mu_analysis.margins.delay_axis`); `delay_stability` and `robustlab.delays.pade` have the other proofs.
+In each set a delay is :math:`e^{-s \tau} = R(s) + W(s) \Delta(s)`, :math:`|\Delta| \le 1` in the right half plane:
+Padé's approximation with a weight that is proved to cover what it misses (`robustlab.delays.pade`), or, of order 0,
+R = 0, W = 1. Where :math:`\mu < 1` on the axis, the end of it included, no root crosses the axis while the block grows
+from 0 to :math:`\Delta`, and none comes from infinity: the model has as many roots right of the axis as the set's
+nominal one. So the nominal one tells whether the model is stable; and with one more block, one over a level in size,
+its gain is below that level.
+
+References
+----------
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorems 11.8 and 11.9; Michiels, Niculescu, *Stability,
+Control, and Computation for Time-Delay Systems* (2014).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import Array, ComplexArray
+from robustlab import checks
+from robustlab.arrays import Array
+from robustlab.budget import one_thread, search_budget
 from robustlab.delays.model import DelayedModel, as_delayed
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.margins.delay_axis import FINEST, DelayAxis, Measured, proved_peak
-from robustlab.mu_analysis.margins.delay_stability import DelayStability, delay_stability
+from robustlab.mu_analysis.axis.axis_model import continuous, coupled_blocks, seed_frequencies
+from robustlab.mu_analysis.axis.intervals import Piece, cover_axis
+from robustlab.mu_analysis.axis.margin import StabilityMargin
+from robustlab.mu_analysis.constants import WORK
+from robustlab.mu_analysis.matrix.decomposition import entries
+from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.norms import PeakGain
+from robustlab.norms.hinfinity import unstable_norm
 from robustlab.result import Status
-from robustlab.shown import Facts
+from robustlab.shown import Facts, number
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import Block, FullBlock
+from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["DelayGain", "delay_gain"]
+__all__ = ["FINEST", "DelayGain", "DelayProof", "DelayStability", "delay_gain", "delay_stability", "proof_below"]
 
+FINEST = 1e-6  # gap between bounds that may be asked for
+ORDERS = (0, 2, 4, 6, 8, 12, 16)  # of the approximations that are tried one after the other
+STEEPER = 3  # by how much the slope of the weights is above the order: of order 6 they miss 1e-4 up to w tau = 5
+BELOW, ACCURACY = 1.0 - 2e-5, 1e-5  # mu that is asked for first, and how near to it the scalings have to come
+LEAST_GAP = 1e-4  # between the bounds of a gain
+SHARE_OF_WORK = 0.1  # of the usual search: a set that needs more is too large to decide
+SHARE = 0.1  # of the tolerance that a bound aims at: it is cheap
+WIDER = (1.001, 1.01, 1.1, 2.0, 10.0)  # levels that are tried where no order proves the one aimed at
 POINTS, PEAKS = 4000, 4
-ROUNDING = 1e-12
-SHARE = 0.1  # of the tolerance that the proof aims at: it is cheap
+
+
+class DelayProof(NamedTuple):
+    """The order of the set, and the intervals of the axis with the scalings that keep its mu below one."""
+
+    order: int
+    pieces: tuple[Piece, ...]
+
+
+def covering_set(model: DelayedModel, order: int, blocks: Sequence[Block] = (), level: float = 1.0) -> UncertainModel:
+    """Return the set of this order; with blocks of sizes up to one over ``level`` at the model's own channels."""
+    held = model.uncertain(order, weight_order=min(order + STEEPER, 2 * order + 1)) if order else model.as_set()
+    M, q = held.M, sum(b.rows for b in held.blocks)
+    scale = np.ones(M.n_inputs)
+    scale[q:] = 1.0 / level
+    return UncertainModel(
+        StateSpaceModel(M.A, M.B * scale, M.C, M.D * scale, 0.0, M.inputs, M.outputs, M.states),
+        [*held.blocks, *blocks],
+    )
+
+
+def proof_below(
+    model: DelayedModel, order: int, blocks: Sequence[Block] = (), level: float = 1.0, effort: float = 1.0
+) -> DelayProof | None:
+    """Prove mu < 1 of the set of this order, with blocks of sizes up to one over ``level`` at the model's channels.
+
+    None where that was not shown. Nothing is said of the nominal model.
+    """
+    compile_kernels()
+    closed = covering_set(model, order, blocks, level)
+    budget = search_budget("delayed model", SHARE_OF_WORK * WORK, effort, None)
+    pieces: list[Piece] = []
+    try:
+        with one_thread():
+            M = continuous(closed.delta_channels)
+            for members in coupled_blocks(M, closed.blocks):
+                w, z = entries(closed.blocks, members)
+                part = StateSpaceModel(M.A, M.B[:, w], M.C[z], M.D[z[:, None], w])
+                some = [closed.blocks[i] for i in members]
+                cover = cover_axis(part, some, BELOW, first=seed_frequencies(M), budget=budget, accuracy=ACCURACY)
+                if cover.open or cover.beta >= 1.0:
+                    return None
+                pieces += [replace(piece, members=tuple(int(i) for i in members)) for piece in cover.pieces]
+    except NoTrustworthyNumber:  # a pole of the nominal model on the axis
+        return None
+    return DelayProof(order, tuple(pieces))
+
+
+@dataclass(frozen=True, eq=False)
+class DelayStability(StabilityMargin):
+    """Whether a model with exact delays is stable, and what shows it.
+
+    Attributes
+    ----------
+    lower, upper
+        Nothing is uncertain: both inf where the model is stable, both 0 where it is not, 0 and inf where neither could
+        be shown.
+    status
+        CERTIFIED: proved on the whole frequency axis, in floating point. INCONCLUSIVE: not decided up to the highest
+        order.
+    order
+        Order of Padé's approximations in the set that shows it, or the last one that was tried; 0 where the delays may
+        be anything of modulus one, or do not matter.
+    root
+        The rightmost pole of that set's nominal model, in 1/s: near a root of the model where the order is not 0. Of a
+        part without delays in its loops the pole that is not stable.
+    system, proof
+        The model and the scalings, for `robustlab.verify`.
+    """
+
+    order: int
+    root: complex | None
+    proof: DelayProof | None = None
+    system: DelayedModel | None = None
+
+    unsaved: ClassVar[tuple[str, ...]] = ("system", "proof")
+
+    @classmethod
+    def of(cls, stable: bool | None, *evidence: Any) -> DelayStability:
+        """The verdict with its evidence: the fields from ``order`` on."""
+        lower, upper = {True: (np.inf, np.inf), False: (0.0, 0.0), None: (0.0, np.inf)}[stable]
+        status = Status.INCONCLUSIVE if stable is None else Status.CERTIFIED
+        return cls(lower, upper, None, status, {}, (), *evidence)
+
+    @property
+    def stable(self) -> bool | None:
+        """True, False, or None where neither could be shown."""
+        return True if self.lower > 0 else False if self.upper == 0 else None
+
+    def headline(self) -> str:
+        return {True: "proved stable", False: "proved unstable", None: "not proved stable"}[self.stable]
+
+    def facts(self) -> Facts:
+        verdict = {True: "yes: proved on the whole axis", False: "no: proved", None: "undecided"}[self.stable]
+        return [("stable", verdict), ("order of the set", str(self.order)), ("pole", number(self.root, "1/s"))]
+
+    def to_json(self) -> dict[str, object]:
+        kept = {name: x for name, x in vars(self).items() if name not in self.unsaved}
+        return {"type": "DelayStability", "stable": self.stable, **kept}
+
+
+@told_as("delay_stability")
+def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float = 1.0) -> DelayStability:
+    """Of a model with exact delays: `robustlab.robust_stability`, by sets of rising order."""
+    g = as_delayed(model, "delay_stability")
+    if isinstance(highest_order, bool) or not isinstance(highest_order, int) or not 1 <= highest_order <= ORDERS[-1]:
+        raise InputError("delay_stability: highest_order", f"{highest_order!r}", f"a number from 1 to {ORDERS[-1]}")
+    checks.number("delay_stability: effort", effort, "a positive finite number", above=0)
+    if (pole := _undelayed_pole(g)) is not None:
+        return DelayStability.of(False, 0, pole)
+    order, root = 0, None
+    for order in _orders(g, 0, highest_order):
+        nominal = covering_set(g, order).M
+        poles = nominal.poles()
+        root = complex(poles[poles.real.argmax()]) if len(poles) else None
+        norm = unstable_norm(nominal) if root is not None and root.real > 0 else None
+        known = nominal.is_stable() or (norm is not None and norm.status is Status.CERTIFIED)
+        if known and (proof := proof_below(g, order, effort=effort)) is not None:
+            return DelayStability.of(nominal.is_stable(), order, root, proof, g)
+    return DelayStability.of(None, order, root, None, g)
+
+
+def _orders(g: DelayedModel, least: int, highest: int) -> list[int]:
+    """The orders that are tried; one without delays needs no more than one."""
+    return [n for n in ORDERS if least <= n <= max(highest, least)] if len(g.delays) else [0]
+
+
+def _undelayed_pole(g: DelayedModel) -> complex | None:
+    """Return a pole on or right of the axis of a part of the model whose loops hold no delay; None if there is none.
+
+    Such a part is a strongly connected component of the graph of states and delays; its eigenvalues are poles of the
+    model whatever the delays are.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    h, n, k = g.H, g.H.n_states, len(g.delays)
+    whole = np.block([[h.A, h.B[:, :k]], [h.C[:k], h.D[:k, :k]]])
+    labels = connected_components(whole != 0, connection="strong")[1]
+    for label in set(labels[:n]) - set(labels[n:]):
+        part = np.flatnonzero(labels[:n] == label)
+        A = h.A[part][:, part]
+        norm = unstable_norm(StateSpaceModel(A, np.zeros((len(A), 1)), np.zeros((1, len(A))), [[0.0]]))
+        if norm is not None and norm.status is Status.CERTIFIED:
+            poles = np.linalg.eigvals(A)
+            return complex(poles[poles.real.argmax()])
+    return None
+
+
+# --- gain ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +219,8 @@ class DelayGain(PeakGain):
     status
         CERTIFIED where the bounds are within the tolerance, INACCURATE where they are not, INCONCLUSIVE without an
         upper one.
-    system
-        The model, for `robustlab.verify`.
+    system, proof
+        The model and the scalings, for `robustlab.verify`.
     """
 
     frequency: float
@@ -54,64 +228,71 @@ class DelayGain(PeakGain):
 
     stability: DelayStability
     system: DelayedModel | None = None
+    proof: DelayProof | None = None
 
-    unsaved: ClassVar[tuple[str, ...]] = ("system",)
+    unsaved: ClassVar[tuple[str, ...]] = ("system", "proof")
 
     def evidence(self) -> Facts:
-        """Whether the model is stable, and the root that shows that it is not."""
+        """Whether the model is stable, and the pole that shows that it is not."""
         facts = self.stability.facts()
-        return [facts[0], *(facts[3:4] if self.stability.stable is False else [])]
+        return [facts[0], *(facts[2:] if self.stability.stable is False else [])]
 
 
 @told_as("delay_gain")
-def delay_gain(model: DelayedModel, tolerance: float = 0.01, highest_order: int = 16, effort: float = 1.0) -> DelayGain:
-    """`robustlab.peak_gain` of a model with exact delays, or of one without."""
+def delay_gain(
+    model: DelayedModel,
+    tolerance: float = 0.01,
+    highest_order: int = 16,
+    effort: float = 1.0,
+    known: DelayStability | None = None,
+) -> DelayGain:
+    """`robustlab.peak_gain` of a model with exact delays, or of one without; its stability may be known."""
     g = as_delayed(model, "delay_gain")
     if not FINEST <= tolerance < 1:
         raise InputError("delay_gain: tolerance", f"{tolerance!r}", f"a number from {FINEST:g} to 1")
-    known = delay_stability(g, highest_order, effort)
+    known = delay_stability(g, highest_order, effort) if known is None else known
     if known.stable is False:
         return DelayGain(np.inf, np.inf, np.nan, Status.CERTIFIED, known)
-    lower, frequency = _attained(g)
+    lower, frequency = highest(g, lambda response: np.linalg.svd(response, compute_uv=False).max(axis=1, initial=0.0))
     if not known.stable:
         return DelayGain(lower, np.inf, frequency, Status.INCONCLUSIVE, known)
-    axis = DelayAxis(g, range(g.n_outputs), range(g.n_inputs))
-    best = [lower, frequency]
-
-    def attained(response: ComplexArray, omega: Array) -> float:
-        size = np.linalg.norm(response, 2, axis=(1, 2))
-        k = int(np.argmax(size)) if len(size) else 0
-        if len(size) and size[k] > best[0]:
-            best[:] = float(size[k]), float(omega[k])
-        return best[0]
-
-    def measured(response: ComplexArray) -> Measured:
-        return Measured(np.linalg.norm(response, 2, axis=(1, 2)) * (1.0 + ROUNDING), np.ones(len(response)))
-
-    upper = proved_peak(axis, axis.D, SHARE * tolerance, attained, measured)
-    near = upper <= (1.0 + tolerance) * best[0] * (1.0 + 10.0 * ROUNDING)
-    status = Status.CERTIFIED if near else Status.INACCURATE if np.isfinite(upper) else Status.INCONCLUSIVE
-    return DelayGain(best[0], upper, best[1], status, known, g)
+    if not lower:  # no gain at 4000 frequencies: no path from an input to an output
+        return DelayGain(0.0, 0.0, frequency, Status.CERTIFIED, known)
+    block = FullBlock("performance", g.n_inputs, g.n_outputs)
+    upper, proof = proved_level(
+        g, [block], lower, max(SHARE * tolerance, LEAST_GAP), highest_order, effort, known.order
+    )
+    near = upper <= (1.0 + tolerance) * lower
+    status = Status.CERTIFIED if near else Status.INACCURATE if proof else Status.INCONCLUSIVE
+    return DelayGain(lower, upper, frequency, status, known, g, proof)
 
 
-def _attained(g: DelayedModel) -> tuple[float, float]:
-    """The largest exact gain found, and its frequency: a grid, then each of its highest peaks by itself."""
+def proved_level(
+    g: DelayedModel, blocks: Sequence[Block], lower: float, gap: float, highest_order: int, effort: float, order: int
+) -> tuple[float, DelayProof | None]:
+    """Return the lowest level that is proved of the blocks at the channels of a stable model, from orders on."""
+    orders = _orders(g, order, highest_order)
+    ends = dict.fromkeys((orders[0], orders[-1]))
+    tried = [(n, 1.0 + gap) for n in orders] + [(n, share) for share in WIDER if share > 1.0 + gap for n in ends]
+    for n, share in tried:
+        if (proof := proof_below(g, n, blocks, share * lower, effort)) is not None:
+            return share * lower, proof
+    return np.inf, None
+
+
+def highest(g: DelayedModel, size: Any, points: int = POINTS) -> tuple[float, float]:
+    """Find the largest size of the exact responses, and its frequency: on a grid, then about its highest peaks."""
     from scipy.optimize import minimize_scalar
 
-    grid = np.concatenate([[0.0], default_grid(g.pade(4), POINTS)])
+    grid = np.concatenate([[0.0], default_grid(g.pade(4), points)])
     if len(g.delays):  # echoes are as far apart as the delays turn
-        turns = np.linspace(0.0, 40.0, POINTS) / g.delays.max()
+        turns = np.linspace(0.0, 40.0, points) / g.delays.max()
         grid = np.unique(np.concatenate([grid, turns]))
-    size = _gains(g, grid)
-    inner = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])) + 1
-    highest = inner[np.argsort(-size[inner])][:PEAKS]
-    found = [(float(size.max()), float(grid[np.argmax(size)]))]
-    for k in highest:
+    sizes: Array = size(frequency_response(g, grid))
+    inner = np.flatnonzero((sizes[1:-1] >= sizes[:-2]) & (sizes[1:-1] >= sizes[2:])) + 1
+    found = [(float(sizes.max()), float(grid[np.argmax(sizes)]))]
+    for k in inner[np.argsort(-sizes[inner])][:PEAKS]:
         ends = float(grid[k - 1]), float(grid[k + 1])
-        near: Any = minimize_scalar(lambda w: -_gains(g, np.array([w]))[0], bounds=ends, method="bounded")
+        near: Any = minimize_scalar(lambda w: -size(frequency_response(g, [w]))[0], bounds=ends, method="bounded")
         found.append((-float(near.fun), float(near.x)))
     return max(found)
-
-
-def _gains(g: DelayedModel, omega: Array) -> Array:
-    return np.linalg.svd(frequency_response(g, omega), compute_uv=False).max(axis=1, initial=0.0)

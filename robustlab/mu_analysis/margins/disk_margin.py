@@ -131,7 +131,7 @@ class DiskBounds(Bracket):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        kept = {name: x for name, x in vars(self).items() if name not in ("system", "sensitivity")}
+        kept = {name: x for name, x in vars(self).items() if name not in ("system", "gains", "proof")}
         return {"type": type(self).__name__, **kept}
 
 
