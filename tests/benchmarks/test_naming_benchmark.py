@@ -95,6 +95,7 @@ def test_the_table_counts_what_it_says():
     assert "mine" in table(truth, {"mine": (answers, {})}).splitlines()[0]
 
 
+@pytest.mark.slow
 def test_the_commands_from_making_to_the_table(tmp_path, capsys, monkeypatch):
     folder, out = tmp_path / "set", tmp_path / "stepwise.json"
     naming_benchmark.main(["make", str(folder), "--case", "0001", "0003"])

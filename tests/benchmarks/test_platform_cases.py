@@ -37,6 +37,7 @@ def run(of, u, **more):
 # --- the machine -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("motors", "size"), [(True, 8.0), (False, 0.02)])
 @pytest.mark.parametrize("crooked", [{}, {"platform_cx": 0.03, "platform_cz": -0.01, "tilt_x": 0.05, "tilt_y": -0.08}])
 def test_without_effects_it_moves_as_the_plant(motors, size, crooked):

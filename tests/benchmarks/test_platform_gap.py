@@ -46,6 +46,7 @@ def flank(of, reduced, monkeypatch):
     return omega / (2 * np.pi)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("motors", "size"), [(False, 0.06), (True, 16.0)])
 def test_the_law_moves_as_the_machine(motors, size, monkeypatch):
     gap = 0.15

@@ -95,6 +95,7 @@ def test_plant_by_name_and_parameters_and_a_model_from_a_file():
     assert robustlab("data", "compare", "axis.h5", *words, code=0).json["outputs"]["q"]["fit"] > 99.99
 
 
+@pytest.mark.slow
 def test_figures_and_result_file(folder):
     robustlab("data", "compare", "servo-axis", "run.h5", "--figure", "f/", "--out", "gap.h5", code=0)
     drawn = {p.stem.removesuffix("-q") for p in (folder / "f").glob("*.svg")}

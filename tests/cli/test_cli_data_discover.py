@@ -180,6 +180,7 @@ def backlash_record(seed):
     return rl.Record(t, {"torque": u}, {"phi1": y[:, 0], "phi2": y[:, 1]}, units, f"backlash{seed}")
 
 
+@pytest.mark.slow
 def test_a_name_that_makes_the_free_run_worse_than_as_given_is_not_named(tmp_path):
     """No effect that is tried is the true one; a softer shaft lowers the error in windows only."""
     paths = [rl.save(tmp_path / f"b{seed}.h5", backlash_record(seed)) for seed in (1, 2)]
@@ -200,6 +201,7 @@ def test_details_are_told_on_demand(files, answer, real):
     assert ("nominal parameters, refitted" in short, "nominal parameters, refitted" in long) == (False, True)
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_tells_what_was_known_and_ends_in_130(files, tmp_path, answer, real):
     stopped = Finding("interrupted", "search", "stopped after 3 sets", "", "", False, {})
     answer(replace(real, status=rl.Status.INCONCLUSIVE, findings=(stopped,)))
@@ -224,6 +226,7 @@ def test_the_updated_plant_is_kept(files, tmp_path, answer, real):
         assert [e.effect.id for e in back.effects] == ["coulomb-friction"]
 
 
+@pytest.mark.slow
 def test_figures_alone(files, tmp_path, answer, real):
     answer(real)
     code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figure", f"{tmp_path}/f/")
@@ -252,6 +255,7 @@ def test_a_record_that_says_nothing_ends_in_4_and_a_wrong_one_in_3(tmp_path):
     assert "sign" in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["--out", "--model-out", "--figure"])
 def test_files_are_written_while_progress_is_shown(files, real, answer, tmp_path, what):
     """The last line of progress said the end before they were."""

@@ -68,6 +68,7 @@ def test_fixed_static_gain_of_an_unstable_lag_is_the_lqr_gain():
     assert found["K"]["D"][0][0] == pytest.approx(-(1 + np.sqrt(2)), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_dk_takes_the_blocks_of_the_uncertain_file_and_its_bound_holds(folder, uncertain):
     channels = ("--measurements", "y", "--controls", "u", "--performance-outputs", "z,effort")
     words = ("--disturbance-inputs", "w,n", "--effort", "0.1", "--figure", "d.svg", "--out", "k.h5", "--json")

@@ -62,6 +62,7 @@ def _read(terminal):
         return b""
 
 
+@pytest.mark.slow
 def test_a_terminal_shows_the_step_the_time_passed_and_the_time_to_go(slow):
     result, shown = on_a_terminal(slow)
     assert result["command"] == "run"
@@ -152,6 +153,7 @@ def test_json_lines_of_commands_that_said_nothing(models, words):
     assert words.startswith(last["command"])
 
 
+@pytest.mark.slow
 def test_figures_of_a_design_are_drawn_while_progress_is_shown(models):
     """The last line of progress said the end before they were."""
     words = ("synth", "ncf", "lag.h5", "--figure", "f.svg", "--out", "new.h5", "--progress", "json")

@@ -37,8 +37,9 @@ def _run(folder, *arguments):
     return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=False)
 
 
-# The naming from the record that comes along takes a minute; smaller ones run in test_cli_data_discover.py.
-MARKED = [pytest.param(c, marks=pytest.mark.slow) if "data discover" in c else c for c in COMMANDS]
+# The naming from the record that comes along takes a minute, the second run of first-light 20 s; smaller ones run in
+# test_cli_data_discover.py and test_cli_run.py.
+MARKED = [pytest.param(c, marks=pytest.mark.slow) if "data discover" in c or "Kf=0.3" in c else c for c in COMMANDS]
 
 
 @pytest.mark.parametrize("command", MARKED)

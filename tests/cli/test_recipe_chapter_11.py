@@ -30,6 +30,7 @@ def numbers(result, step):
 TRIED = ("coulomb-friction", "presliding", "gear-efficiency")
 
 
+@pytest.mark.slow
 def test_the_square_wave_tells_the_friction_and_its_level():
     """Gear efficiency with R, Kb and Kf beyond their tolerances leaves only noise, too; presliding within them does."""
     path = ROOT / "recipes" / "data" / "jig_square.csv"

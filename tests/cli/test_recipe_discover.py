@@ -76,6 +76,7 @@ def require(that, condition):
     return f'[[require]]\ntext = "t"\nthat = "{that}"\n{condition}\n'
 
 
+@pytest.mark.slow
 def test_the_updated_plant_goes_on_through_the_recipe(run):
     later = (
         '[step.linear]\ndo = "linearise"\nof = "naming"\n'

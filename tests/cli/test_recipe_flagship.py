@@ -111,6 +111,7 @@ def test_cover_and_design(tmp_path):
     assert numbers(result, "proved")["controllers"]["before"]["mu_upper"] > 0
 
 
+@pytest.mark.slow
 def test_a_simulated_record_is_called_simulated(tmp_path):
     """By the report of the record, and of what is compared with it; one whose recipe does not say so is measured."""
     head = SMALL[: SMALL.index("[step.wide]")].replace("simulated = true\n", "", 1)

@@ -27,6 +27,7 @@ def numbers(result, step):
     return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
 
 
+@pytest.mark.slow
 def test_first_light_meets_its_requirements(first_light):
     assert [q["text"] for q in first_light.data["requirements"] if not q["met"]] == []
     assert [s["name"] for s in first_light.data["steps"] if not s["trustworthy"]] == []
@@ -73,6 +74,7 @@ unit = "%"
 FREE_RUN = '[[require]]\ntext = "Not in free run"\nthat = "gap.outputs.phi.rms_percent"\nat_least = 5.0\nunit = "%"\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", [False, True])
 def test_what_holds_in_windows_alone_is_not_green_unless_the_free_run_is_asked_for(tmp_path, asked):
     """The demo's model fits in windows to 99 %, and in free run to 56 %."""

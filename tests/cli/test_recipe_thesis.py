@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[2]
 CHAPTER_11, REQUIREMENTS = "# --- chapter 11:", "# --- requirements"
 
 
+@pytest.mark.slow
 def test_thesis_meets_its_requirements(tmp_path):
     """Without the comparisons of chapter 11, whose kind of step first-light tests: they would take half a minute."""
     text = load_recipe(recipe_path("thesis")).text

@@ -80,6 +80,7 @@ def test_a_machine_as_it_was_meets_what_is_required(folder, tmp_path):
     assert "explains all of the log, 4 pieces" in step["summary"]
 
 
+@pytest.mark.slow
 def test_wear_ends_the_recipe_in_1_with_its_time(folder, tmp_path):
     more = """[[require]]
 text = "Changed"

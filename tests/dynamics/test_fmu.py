@@ -110,6 +110,7 @@ def test_what_has_no_meaning_is_refused(motor, ask, match):
         ask(motor)
 
 
+@pytest.mark.slow
 def test_a_unit_that_fails_hangs_or_is_none_is_one_line(motor, tmp_path):
     with pytest.raises(rl.NoTrustworthyNumber, match="fmi2DoStep failed"):
         rl.simulate(motor, T, np.full(101, 2e3))

@@ -177,6 +177,7 @@ def test_spoilt_files_of_plants_are_refused_and_say_why(tmp_path, change, messag
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_motion_that_no_step_resolves_is_no_number():
     """A load that beats a thousand times within the shortest step."""
     plant = rl.with_effects(

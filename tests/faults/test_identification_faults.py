@@ -90,6 +90,7 @@ def test_very_short_records(n):
     assert found.summary()
 
 
+@pytest.mark.slow
 def test_a_record_without_noise_whose_windows_do_not_show_their_whole_start():
     t = np.arange(600) * 5e-3
     u = np.repeat(np.random.default_rng(0).standard_normal(24), 25)

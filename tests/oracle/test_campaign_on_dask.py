@@ -68,6 +68,7 @@ def cluster(tmp_path):
                 process.communicate()
 
 
+@pytest.mark.slow
 def test_same_samples_as_local_though_a_worker_dies(cluster, tmp_path):
     address, worker = cluster
     motor = rl.plant("dc-motor", Kf=(4.8e-5, 0.35), R=(2.07, 0.1)).uncertain(outputs=["omega"])

@@ -110,6 +110,7 @@ def compleib(name):
     return plant, n_y, n_u, best
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not beside the checkout")
 def test_a_plant_whose_best_loops_lose_digits_says_so():

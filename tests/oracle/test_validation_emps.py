@@ -11,6 +11,7 @@ import robustlab as rl
 EMPS = Path(__file__).parents[3] / "shared" / "data" / "emps.h5"
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_a_linear_axis_does_not_explain_the_record_and_a_millimetre_hides_it():
     """24841 samples in windows of 0.48 s: no mass and viscous friction is found that leaves less than 1.7 mm."""

@@ -17,6 +17,7 @@ def blocks_of(name: str) -> list[str]:
     return re.findall(r"```python\n(.*?)```", (ROOT / name).read_text(encoding="utf-8"), flags=re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_page_runs_and_its_numbers_are_right(capsys):
     names = {}
     for block in blocks_of("docs/analysis.md"):

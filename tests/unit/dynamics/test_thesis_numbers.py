@@ -22,6 +22,7 @@ def ours(found, key):
     return found.rows[key].ours
 
 
+@pytest.mark.slow
 def test_rows_r_agree(found):
     assert found.disagreeing == []
     for row in found.with_status("R"):

@@ -125,6 +125,7 @@ def test_one_process_serves_many_files_each_in_its_own(server, tmp_path):
     assert server._process is process
 
 
+@pytest.mark.slow
 @FORKS
 def test_a_server_that_hangs_is_ended_and_the_file_read_by_a_fresh_interpreter(monkeypatch):
     found = isolation.ReaderServer(isolation._environment)

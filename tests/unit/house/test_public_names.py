@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 
+import pytest
 from patience import PATIENCE
 from stub import STUB, stub_text
 
@@ -22,6 +23,7 @@ def test_the_stub_says_what_the_table_says():
     assert STUB.read_text(encoding="utf-8") == stub_text(), "run: python benchmarks/stub.py"
 
 
+@pytest.mark.slow
 def test_a_type_checker_knows_every_public_name(tmp_path):
     lines = ["import robustlab as rl", *(f"reveal_type(rl.{name})" for name in (*rl.__all__, "__version__"))]
     (tmp_path / "user.py").write_text("\n".join(lines))

@@ -39,6 +39,7 @@ def of(source: str) -> dict:
 # --- the same under load ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_mu_to_a_tolerance_is_the_same_under_load():
     found = same_under_load("""
 rng = np.random.default_rng(3)
@@ -49,6 +50,7 @@ print(*bounds.notes, digest(bounds))
     assert USED_UP in found
 
 
+@pytest.mark.slow
 def test_margin_and_gain_are_the_same_under_load_where_the_budget_ends_the_proof():
     found = same_under_load(
         MODEL
@@ -74,6 +76,7 @@ print(*[f.status for f in found], found[0].label, *[digest(f) for f in found])
     assert found.split()[-1] == found.split()[-2]
 
 
+@pytest.mark.slow
 def test_a_discovery_is_the_same_under_load():
     found = same_under_load("""
 from robustlab.dynamics.effects.catalogue import effect_names

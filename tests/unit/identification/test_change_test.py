@@ -75,6 +75,7 @@ def test_e_does_not_depend_on_what_the_parameters_are():
         assert one.add(piece(J, r, U)) == pytest.approx(other.add(piece(J, r - J @ [3.0, -2.0], U)), abs=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["normal", "uniform"])
 def test_alarms_where_nothing_changes_are_as_rare_as_stated(kind):
     """300 runs of 10 pieces, with parameters of their own, and noise that is normal, or bounded with proxy one."""

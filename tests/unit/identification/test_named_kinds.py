@@ -104,6 +104,7 @@ def dahl_record():
     return rl.Record(T, {"u": U}, noisy({"q": q, "v": v}, 5), name="bristles")
 
 
+@pytest.mark.slow
 def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
     found = searched(dahl_record(), (FRICTION, "presliding @ v", "bouc-wen @ v", LOAD))
     kinds = kinds_of(found.problem, weigh(found))

@@ -145,6 +145,7 @@ def only(*names):
     return sorted(set(catalogue()) - set(names))
 
 
+@pytest.mark.slow
 def test_friction_of_one_joint_is_named_at_that_joint():
     perturbed = {"m_2": 1.02 * NOMINAL["m_2"], "b_1": 1.2 * NOMINAL["b_1"], "I_r2": 0.95 * NOMINAL["I_r2"]}
     runs = [arm_record(seed, coulomb=(0.0, 0.5), **perturbed) for seed in (11, 12)]

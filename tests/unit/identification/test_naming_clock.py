@@ -72,6 +72,7 @@ def fitted(problem: Problem) -> Fit:
     return problem.fit(NONE, noise, np.zeros(len(problem.nuisances)), plan=FitPlan(20))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "hold"), [("held", "zoh"), ("continuous", "smooth")])
 @pytest.mark.parametrize("begun", ["zoh", "smooth"])
 def test_what_an_input_does_between_its_samples_is_inferred(kind, hold, begun):

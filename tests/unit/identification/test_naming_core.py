@@ -113,6 +113,7 @@ def test_discover_names_nothing_where_nothing_is_missing():
     assert found.gap_after == pytest.approx(0.1, rel=0.25)  # the noise, in percent of the range
 
 
+@pytest.mark.slow
 def test_held_out_records_are_judged_and_named():
     found = discovered(rubbing(), held_out=rubbing(seed=9, u_sign=-1.0))
     assert found.names == ("coulomb-friction",)
@@ -121,6 +122,7 @@ def test_held_out_records_are_judged_and_named():
     assert found.gaps["q"].range == pytest.approx(np.ptp(other["q"]))
 
 
+@pytest.mark.slow
 def test_two_records_are_named_together():
     one = named_friction()
     both = discovered([rubbing(), rubbing(seed=9, u_sign=-1.0)])
@@ -140,6 +142,7 @@ def test_a_bare_model_serves_as_plant():
     assert value.value == pytest.approx(20.0 / AXIS.values["M"], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_record_with_gaps_is_named():
     run = rubbing()
     keep = np.ones(N, dtype=bool)
@@ -152,6 +155,7 @@ def test_a_record_with_gaps_is_named():
     assert found.effects[0].parameters[0].value == pytest.approx(20.0, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_record_with_a_jittering_clock_is_named():
     t = T + 0.2 * DT * np.random.default_rng(6).uniform(-1, 1, N)
     run = noisy(stick_slip(AXIS, "v", 20.0, t, U).record, name="jitter")

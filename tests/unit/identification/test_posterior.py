@@ -46,6 +46,7 @@ def test_twins_are_told_together():
     assert ratio >= 0.99 * np.exp(-0.5 * rival.weighed.distance**2)
 
 
+@pytest.mark.slow
 def test_a_set_that_fails_on_held_out_data_is_never_the_answer():
     """Fitted to a machine that rubs, judged on one that does not."""
     fit, _, pool, allowed = opened(machine(friction=20.0))
@@ -72,6 +73,7 @@ def test_what_may_be_no_answer_has_no_probability():
 # --- parameters beyond their tolerances ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "named"), [(1.08, True), (0.92, True), (1.045, False), (1.3, True)])
 def test_a_parameter_known_to_lie_beyond_its_tolerance_is_named_misjudged(factor, named):
     """At 1.08 a normal prior of the tolerance, 5 %, would still rather have it stretched than misjudged."""

@@ -115,6 +115,7 @@ def test_an_interrupted_search_gives_what_was_known(after):
     assert (found.best.key == {FRICTION}) == (after == 20)
 
 
+@pytest.mark.slow
 def test_the_answer_does_not_depend_on_the_order_of_the_pool():
     one = usual(friction=20.0, load=8.0)
     other = searched(machine(friction=20.0, load=8.0, seed=3), POOL[::-1])

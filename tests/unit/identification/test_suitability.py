@@ -66,6 +66,7 @@ def wrong(plant, record):
 # --- what is wrong is found -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", INPUTS)
 @pytest.mark.parametrize(
     ("plant", "friction", "amplitude"),

@@ -89,6 +89,7 @@ def test_wear_raises_an_alarm_and_the_pieces_since_have_the_larger_friction(worn
     assert "no longer explains the log since" in worn.headline()
 
 
+@pytest.mark.slow
 def test_what_is_in_no_catalogue_raises_an_alarm():
     wave = lambda t: 4e-3 * math.sin(14.0 * t + 3.0 * math.sin(5.0 * t)) if t >= 6.0 else 0.0  # noqa: E731
     found = rl.watch(axis(), log(3, push=wave, fine=10), every=2.0, noise={"q": NOISE}, exclude=others())
@@ -96,6 +97,7 @@ def test_what_is_in_no_catalogue_raises_an_alarm():
     assert found.found is None or not found.found.complete
 
 
+@pytest.mark.slow
 def test_an_effect_that_the_model_never_had_comes_in():
     load = lambda t: -4e-3 if t >= 8.0 else 0.0  # noqa: E731
     found = rl.watch(axis(), log(5, push=load), every=2.0, noise={"q": NOISE}, exclude=others())
@@ -154,6 +156,7 @@ def run(tmp_path, record, capsys, *more):
     return code, capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_the_command_ends_in_1_with_an_alarm_and_in_0_without(tmp_path, capsys):
     code, printed = run(tmp_path, log(2, friction=wear), capsys, "--json")
     told = json.loads(printed.out)

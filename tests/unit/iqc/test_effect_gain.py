@@ -58,6 +58,7 @@ def test_no_input_of_a_saturated_axis_reaches_more():
     assert 0.3 * found.proved.upper <= worst <= found.proved.upper
 
 
+@pytest.mark.slow
 def test_friction_with_a_stick_speed_is_a_monotone_law():
     found = gain_of({"coulomb-friction": {"Fc": 20.0}}, stick_speed={"v": 0.01})
     assert found.status is Status.CERTIFIED

@@ -123,6 +123,7 @@ def random_set(seed, blocks, n=5, direct=0.0):
     return rl.UncertainModel(rl.StateSpaceModel(A, 0.3 * B, 0.3 * C, D), blocks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1])
 def test_dynamic_blocks_agree_with_mu(seed):
     uncertain = random_set(seed, [rl.FullBlock("f", 1, 2), rl.ComplexScalar("g", 2)], direct=0.1)
@@ -132,6 +133,7 @@ def test_dynamic_blocks_agree_with_mu(seed):
     assert found.margin >= 0.97 * mu.lower
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3])
 def test_real_blocks_agree_with_mu_and_rates_lie_between(seed):
     uncertain = random_set(seed, [rl.RealScalar("a", 2), rl.RealScalar("b")])

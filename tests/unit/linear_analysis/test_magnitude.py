@@ -92,6 +92,7 @@ CALLS: dict[str, tuple[Callable[[Model], Any], str, bool]] = {
 CASES = [(name, case) for name, (_, _, quick) in CALLS.items() for case in (ALL if quick else SOME)]
 
 
+@pytest.mark.slow
 def test_every_end_is_a_result_or_an_error_that_names_the_call_and_no_nan_in_finite_input():
     wrong = []
     for name, case in CASES:

@@ -65,6 +65,7 @@ def test_the_closed_loops_at_the_ends_are_as_stable_as_they_say():
         )
 
 
+@pytest.mark.slow
 def test_disk_margins_of_several_loops():
     P = two_by_two()
     for at in ("output", "input", "both"):

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import robustlab as rl
 from robustlab.statespace import StateSpaceModel
@@ -18,6 +19,7 @@ def member(model: StateSpaceModel, values: np.ndarray, repeats: int) -> np.ndarr
     return model.A + model.B @ delta @ np.linalg.solve(np.eye(len(delta)) - model.D @ delta, model.C)
 
 
+@pytest.mark.slow
 def test_the_margin_of_a_chain_closes_and_attacks_inside_fail():
     model, blocks = chain(12, 3, 0)
     margin = rl.robust_stability(rl.UncertainModel(model, blocks), tolerance=0.05)

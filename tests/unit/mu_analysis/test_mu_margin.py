@@ -249,6 +249,7 @@ def light_modes(damping: float, seed: int) -> rl.UncertainModel:
     return rl.UncertainModel(rl.StateSpaceModel(A, B, C, np.zeros((2 * n, 2 * n))), blocks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [0.002, 0.02])
 def test_light_modes_are_stable_until_a_stiffness_is_gone(damping):
     """K and C positive definite: stable, by the energy. One of them singular: not. So the margin is 1 / 0.2 exactly."""

@@ -182,6 +182,7 @@ def position_loop():
     return StateSpaceModel(A, B, C, D)
 
 
+@pytest.mark.slow
 def test_a_given_order_starts_from_the_static_gain_and_from_the_reduced_full_order_design():
     P = position_loop()
     static = rl.fixed_structure(P, "static", n_meas=2, n_con=1, starts=0)

@@ -47,6 +47,7 @@ def test_a_variance_under_a_hard_gain_limit_in_closed_form() -> None:
     assert found.gamma == soft.value
 
 
+@pytest.mark.slow
 def test_every_value_is_that_of_the_loop_at_its_worst_frequency_and_plant() -> None:
     goals = [TrackingGoal(2.0), SensitivityGoal(1.4, hard=True), GainGoal(20.0, "noise", "control", hard=True)]
     found = rl.tune([SERVO, OTHER], "pd", [*goals, GainGoal(1.1, "reference"), Damping(0.4)], starts=1)
@@ -66,6 +67,7 @@ def test_every_value_is_that_of_the_loop_at_its_worst_frequency_and_plant() -> N
     assert found.table() is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", ["input", "output"])
 def test_the_margin_is_that_of_disk_margin(at: Any) -> None:
     found = rl.tune(SERVO, "pd", [TrackingGoal(1.5), MarginGoal(1.2, at, hard=True)], starts=1)

@@ -335,6 +335,7 @@ def disks_plant() -> rl.LPVModel:
     return rl.LPVModel(ranges, [vertex(a, b) for a in ranges["rho1"] for b in ranges["rho2"]])
 
 
+@pytest.mark.slow
 def test_the_published_spinning_disks_are_beaten_and_a_simulation_stays_below():
     """Wu 1995, in LPVTools' manual: 1.3361, of which up to a fifth is given away for conditioning; no frozen loop gets
     below 0.8150. Weights with poles at 0.04 and 40000 rad/s."""

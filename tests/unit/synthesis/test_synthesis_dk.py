@@ -74,6 +74,7 @@ def pair() -> tuple[DKSynthesis, DKSynthesis]:
     return complex_, real
 
 
+@pytest.mark.slow
 def test_the_column_reaches_its_level_with_few_states(column: DKSynthesis) -> None:
     # Published: 1.0144 after several D-K iterations, with 18 states and more; 1.1792 without any.
     assert column.status is rl.Status.CERTIFIED

@@ -49,6 +49,7 @@ class Clock:
         return 0.0 if self.looks >= 0 else 1e9
 
 
+@pytest.mark.slow
 def test_designs_whose_work_is_used_up_are_the_same_under_load() -> None:
     found = same_under_load(
         BENCHMARKS

@@ -141,6 +141,7 @@ def test_robust_stability(blocks):
         assert poles.real.max() >= -1e-6 * np.abs(poles).max()
 
 
+@pytest.mark.slow
 def test_worst_case_gain_and_worst_case():
     uncertain = model_for(BLOCKS)
     size = min(1.0, 0.5 * rl.robust_stability(uncertain).lower)

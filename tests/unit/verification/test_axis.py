@@ -175,6 +175,7 @@ def test_a_model_that_is_not_well_posed_within_the_set():
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False) | st.floats(-10, 10)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.data(), st.sampled_from(["real", "repeated real", "mixed", "full"]))
 def test_no_evidence_proves_a_margin_that_a_member_contradicts(data, name):

@@ -19,6 +19,7 @@ def lags(rates, gains, scales=None):
     return np.diag(-a), (d * a)[:, None], (g / d)[None], np.zeros((1, 1))
 
 
+@pytest.mark.slow
 def test_rates_over_three_hundred_decades():
     rates = 2.0 ** np.arange(-500, 501, 125)
     model = lags(rates, np.ones(9))
@@ -66,6 +67,7 @@ def test_poles_on_the_boundary(dt):
     assert nearly.outcome is Outcome.PROVED
 
 
+@pytest.mark.slow
 def test_forty_states_by_frequency_alone():
     """Twenty resonances of one damping: no P is given, the form's own boxes do."""
     omega, zeta = np.geomspace(0.1, 1000, 20), 1e-3

@@ -138,6 +138,7 @@ def test_a_delta_that_is_not_of_the_structure_proves_nothing(change):
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False) | st.floats(-10, 10)
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.data(), st.integers(0, 3), st.sampled_from(["real", "complex", "repeated real"]))
 def test_no_scalings_prove_less_than_mu(data, seed, name):
@@ -155,6 +156,7 @@ def test_no_scalings_prove_less_than_mu(data, seed, name):
         assert answer.outcome is not Outcome.PROVED or not found.lower
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.data(), st.integers(0, 3), st.sampled_from(list(cases.STRUCTURES)))
 def test_no_delta_proves_more_than_mu(data, seed, name):

@@ -101,6 +101,7 @@ def zames_falb(odd):
     return claims_of(rl.robust_stability(O_SHEA, natures={("y", "u"): law}, order=3))[0]
 
 
+@pytest.mark.slow
 def test_zames_falb_up_to_kalmans_limit():
     """Kalman's conjecture holds for three states: the limit of all slopes is that of linear gains, 4.5894."""
     made = zames_falb(odd=True)

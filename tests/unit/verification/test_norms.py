@@ -211,6 +211,7 @@ def test_extreme_entries_end_without_an_exception(scale):
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64) | st.floats(-10, 10)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.data(), st.integers(0, 5), st.booleans())
 def test_no_evidence_at_all_proves_a_norm_below_the_true_one(data, seed, discrete):

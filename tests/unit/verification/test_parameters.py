@@ -123,6 +123,7 @@ def test_a_loop_is_in_the_order_of_its_closed_model():
     assert check(Claim("lpv-gain", loop)).outcome is Outcome.PROVED
 
 
+@pytest.mark.slow
 def test_nothing_is_claimed_where_nothing_is_proved_between_the_points():
     model = rl.lpv_model(lambda a: rl.StateSpaceModel([[-(a**2)]], [[1.0]], [[1.0]], [[0.0]]), {"a": [1.0, 1.5, 2.0]})
     assert model.known == "sampled"

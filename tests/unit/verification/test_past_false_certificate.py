@@ -48,6 +48,7 @@ def test_an_h2_design_next_to_an_ill_posed_loop(tmp_path, capsys):
     assert "refuted" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HOSTILE.exists(), reason="needs ../shared")
 def test_a_stiff_h_infinity_loop(tmp_path, capsys):
     """Certified 16.2949 once, 17.25 in truth; with the true number the same loop is proved."""

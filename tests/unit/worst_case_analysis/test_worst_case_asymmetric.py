@@ -48,6 +48,7 @@ def test_worst_of_a_lag_is_at_its_true_end(metric, value):
     assert found.physical == {"pole": (0.25, "1/s")}
 
 
+@pytest.mark.slow
 def test_beside_a_complex_block_the_entry_keeps_its_side():
     """(1 + 0.2 d) / (s + a), |d| <= 1: 4 * 1.2."""
     d = np.zeros((3, 3))
