@@ -231,13 +231,8 @@ def _first_order(rng: Rng, low: float, high: float, corner: float, dt: float) ->
     h = 2 * np.tan(min(corner * dt / 2, 1.4)) / corner if corner * dt > 1e-6 else dt
     inside = 1 / (1 + 0.5 * h * corner)
     # z-domain by Tustin's rule: x+ = a x + b u, y = c (x + b' u) + d u
-    return Model(
-        np.array([[(1 - 0.5 * h * corner) * inside]]),
-        np.array([[h * inside]]),
-        model.C * inside,
-        model.D + model.C * 0.5 * h * inside,
-        dt,
-    )
+    A, B = np.array([[(1 - 0.5 * h * corner) * inside]]), np.array([[h * inside]])
+    return Model(A, B, model.C * inside, model.D + model.C * 0.5 * h * inside, dt)
 
 
 def _static(gain: float, dt: float) -> Model:
