@@ -40,7 +40,6 @@ class Case:
 
     @property
     def model(self) -> Model | None:
-        """The plant, None for a matrix."""
         return next((self.data[key] for key in ("P", "G", "M") if key in self.data), None)
 
 
@@ -286,7 +285,6 @@ def _ncf(family: str, rng: Rng) -> dict[str, Any]:
 
 
 def _parts(rng: Rng, most: int = 5) -> tuple[Part, ...]:
-    """A few blocks of all kinds."""
     kind = rng.choice(["real", "mixed", "complex", "full"], p=[0.45, 0.3, 0.1, 0.15])
     parts: list[Part] = []
     while (left := most - sum(b.rows for b in parts)) > 0 and (not parts or rng.random() < 0.8):
