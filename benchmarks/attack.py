@@ -112,7 +112,6 @@ def call(case: Case) -> Any:
 
 
 def claim_of(case: Case, result: Any) -> dict[str, Any]:
-    """What was said, as plain numbers and arrays."""
     if case.function == "norm":
         norm, h2 = result
         claim = {key: getattr(norm, key) for key in ("lower", "upper", "frequency")}
@@ -279,12 +278,8 @@ def summary(records: list[Record]) -> str:
     seeds = sorted({r["seed"] for r in records})
     discrete = sum(bool(r.get("discrete")) for r in records)
     rows.append(f"seeds {', '.join(map(str, seeds))}; {discrete} discrete")
-    for title, outcome in (
-        ("False certificates", "false"),
-        ("Crashes", "crash"),
-        ("Hangs", "hang"),
-        ("Cases without a judgement", "judge failed"),
-    ):
+    titles = {"False certificates": "false", "Crashes": "crash", "Hangs": "hang"}
+    for title, outcome in {**titles, "Cases without a judgement": "judge failed"}.items():
         listed = [line_of(r) for r in records if r["outcome"] == outcome]
         rows += ["", f"{title}: {len(listed)}", *listed]
     kinds = Counter(f"{r['function']}: {_kind(r['said'])}" for r in records if r["outcome"] == "refused")

@@ -40,7 +40,6 @@ class Case:
 
     @property
     def model(self) -> Model | None:
-        """The plant, None for a matrix."""
         return next((self.data[key] for key in ("P", "G", "M") if key in self.data), None)
 
 
@@ -231,13 +230,8 @@ def _first_order(rng: Rng, low: float, high: float, corner: float, dt: float) ->
     h = 2 * np.tan(min(corner * dt / 2, 1.4)) / corner if corner * dt > 1e-6 else dt
     inside = 1 / (1 + 0.5 * h * corner)
     # z-domain by Tustin's rule: x+ = a x + b u, y = c (x + b' u) + d u
-    return Model(
-        np.array([[(1 - 0.5 * h * corner) * inside]]),
-        np.array([[h * inside]]),
-        model.C * inside,
-        model.D + model.C * 0.5 * h * inside,
-        dt,
-    )
+    A, B = np.array([[(1 - 0.5 * h * corner) * inside]]), np.array([[h * inside]])
+    return Model(A, B, model.C * inside, model.D + model.C * 0.5 * h * inside, dt)
 
 
 def _static(gain: float, dt: float) -> Model:
@@ -291,7 +285,6 @@ def _ncf(family: str, rng: Rng) -> dict[str, Any]:
 
 
 def _parts(rng: Rng, most: int = 5) -> tuple[Part, ...]:
-    """A few blocks of all kinds."""
     kind = rng.choice(["real", "mixed", "complex", "full"], p=[0.45, 0.3, 0.1, 0.15])
     parts: list[Part] = []
     while (left := most - sum(b.rows for b in parts)) > 0 and (not parts or rng.random() < 0.8):

@@ -1,7 +1,6 @@
 """An attack on zeros and crossings: badly scaled and ill-conditioned models, judged in exact arithmetic.
 
-    nice -n 10 python benchmarks/attack_zeros.py --what zeros --first 0 --count 10000 --out zeros.jsonl
-    nice -n 10 python benchmarks/attack_zeros.py --what crossings --first 0 --count 2000 --out crossings.jsonl
+    nice -n 10 python benchmarks/attack_zeros.py --what zeros|crossings --first 0 --count 10000 --out zeros.jsonl
     python benchmarks/attack_zeros.py --summary zeros.jsonl crossings.jsonl
 
 Case i needs no other. The judge (`zeros_judge`) works with the entries as rational numbers, in other ways than the

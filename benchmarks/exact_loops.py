@@ -3,15 +3,11 @@ r"""Loops judged in rationals, or in balls of at least 200 digits: stability, H-
 Nothing of robustlab is used here: the judge takes plain arrays. Every entry is the very number that the float is.
 Rationals decide everything; balls cost less for large models.
 
-Stability
-    Signs of the Routh array of the characteristic polynomial (of a discrete loop after ``z = (1 + s)/(1 - s)``).
-H-infinity norm
-    ``|G| < gamma`` iff G is stable, ``sigma_max(D) < gamma`` and the Hamiltonian of gamma has no eigenvalue on the
-    axis: Sturm's theorem on its characteristic polynomial in ``omega^2``. A proof over all frequencies at once.
-Gain at a frequency
-    P(jw) and K(jw) are evaluated on their own, then joined: it shares nothing with the test above.
-H2 norm
-    The Gramian by doubling of the Cayley transform.
+Stability is told by the signs of the Routh array of the characteristic polynomial. ``|G| < gamma`` iff G is stable,
+``sigma_max(D) < gamma`` and the Hamiltonian of gamma has no eigenvalue on the axis: Sturm's theorem on its
+characteristic polynomial in ``omega^2``, a proof over all frequencies at once. For a gain at a frequency P(jw) and
+K(jw) are evaluated on their own, then joined: it shares nothing with that test. The H2 norm is that of the Gramian by
+doubling of the Cayley transform.
 
 A test in balls whose sign no precision decides answers None.
 """

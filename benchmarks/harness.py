@@ -38,7 +38,6 @@ def timed(call: Callable[..., Any], *given: Any, **options: Any) -> tuple[Any, f
 
 
 def middle_and_most(values: Iterable[float], form: str = "9.3f") -> str:
-    """Median and largest."""
     values = np.array(list(values))
     return f"{np.median(values):{form}} {values.max():{form}}"
 

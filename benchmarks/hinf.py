@@ -124,7 +124,6 @@ def _ab13dd(P: dict[str, Any], problem: dict[str, Any]) -> Callable[[], dict[str
 
 
 def asked(tool: str, problem: dict[str, Any], limit: float) -> dict[str, Any]:
-    """A tool's answer, from a child."""
     text = json.dumps(problem | {"limit": limit})
     return in_child([__file__, "--child", tool, "--cpu-limit", str(limit)], text, limit)
 

@@ -21,22 +21,13 @@ from robustlab.uncertainty.blocks import FullBlock, RealScalar, as_blocks, struc
 
 # name, rows of mussv, matrices for cvxpy and dkpy
 CASES = [
-    ("6 real", [[-1, 0]] * 6, 3),
-    ("12 real", [[-1, 0]] * 12, 1),
-    ("24 real", [[-1, 0]] * 24, 0),
-    ("40 real", [[-1, 0]] * 40, 0),
-    ("6 real twice", [[-2, 0]] * 6, 1),
-    ("12 real twice", [[-2, 0]] * 12, 0),
-    ("24 real twice", [[-2, 0]] * 24, 0),
-    ("6 complex", [[1, 0]] * 6, 3),
-    ("12 complex", [[1, 0]] * 12, 1),
-    ("24 complex", [[1, 0]] * 24, 0),
-    ("3 complex twice", [[2, 0]] * 3, 2),
-    ("5 full 4x4", [[4, 4]] * 5, 0),
-    ("3 full 2x3", [[2, 3]] * 3, 2),
-    ("3 real, 3 full 2x2", [[-1, 0]] * 3 + [[2, 2]] * 3, 2),
+    ("6 real", [[-1, 0]] * 6, 3), ("12 real", [[-1, 0]] * 12, 1), ("24 real", [[-1, 0]] * 24, 0),
+    ("40 real", [[-1, 0]] * 40, 0), ("6 real twice", [[-2, 0]] * 6, 1), ("12 real twice", [[-2, 0]] * 12, 0),
+    ("24 real twice", [[-2, 0]] * 24, 0), ("6 complex", [[1, 0]] * 6, 3), ("12 complex", [[1, 0]] * 12, 1),
+    ("24 complex", [[1, 0]] * 24, 0), ("3 complex twice", [[2, 0]] * 3, 2), ("5 full 4x4", [[4, 4]] * 5, 0),
+    ("3 full 2x3", [[2, 3]] * 3, 2), ("3 real, 3 full 2x2", [[-1, 0]] * 3 + [[2, 2]] * 3, 2),
     ("every kind", [[-2, 0], [-1, 0], [2, 0], [1, 0], [2, 1], [2, 2]], 1),
-]
+]  # fmt: skip
 
 
 class Inequality:
@@ -102,7 +93,6 @@ def random_stack(rows, count: int) -> tuple[np.ndarray, list]:
 
 
 def each(function, items) -> tuple[float, list]:
-    """CPU milliseconds per item, and the answers."""
     answers, seconds = timed(lambda: [function(item) for item in items])
     return 1e3 * seconds / max(len(items), 1), answers
 

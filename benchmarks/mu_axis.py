@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import mu_models
 import numpy as np
@@ -39,24 +40,25 @@ def with_performance(uncertain: rl.UncertainModel, size: float, seed: int) -> rl
     return rl.UncertainModel(rl.StateSpaceModel(M.A, B, C, D), uncertain.blocks)
 
 
-def models(seeds: range) -> Iterator[tuple[str, list[tuple[rl.UncertainModel, int]]]]:
-    """The random models of each class."""
+def by_class(seeds: range, widths: tuple[int, ...], measure: Callable[[rl.UncertainModel, int], Any]) -> None:
+    """One line per class: median and largest of what is measured of each model."""
     for name, given in CLASSES.items():
-        yield name, [(model(*given, seed), seed) for seed in seeds]
+        rows = [measure(model(*given, seed), seed) for seed in seeds]
+        cells = (middle_and_most(column) for column in zip(*rows, strict=True))
+        print(f"{name:44s} " + " ".join(f"{c:>{w}s}" for c, w in zip(cells, widths, strict=True)), flush=True)
 
 
 def margins(seeds: range, tolerance: float) -> None:
-    """One line per class: gap with D, G alone and after branch and bound, CPU seconds."""
+    """Gap with D, G alone and after branch and bound, CPU seconds."""
+
+    def measure(uncertain: rl.UncertainModel, _: int) -> tuple[float, float, float]:
+        alone = rl.robust_stability(uncertain, tolerance=np.inf)
+        margin, spent = timed(rl.robust_stability, uncertain, tolerance=tolerance)
+        return 100 * alone.gap, 100 * margin.gap, spent
+
     print(f"\nrobust_stability(tolerance={tolerance:g}), {len(seeds)} models a class")
     print(f"{'class':44s} {'D-G gap %: median  max':>24s} {'gap %: median  max':>22s} {'CPU s: median  max':>22s}")
-    for name, sets in models(seeds):
-        rows = []
-        for uncertain, _ in sets:
-            alone = rl.robust_stability(uncertain, tolerance=np.inf)
-            margin, spent = timed(rl.robust_stability, uncertain, tolerance=tolerance)
-            rows.append((100 * alone.gap, 100 * margin.gap, spent))
-        cells = [middle_and_most(column) for column in zip(*rows, strict=True)]
-        print(f"{name:44s} {cells[0]:>24s} {cells[1]:>22s} {cells[2]:>22s}", flush=True)
+    by_class(seeds, (24, 22, 22), measure)
 
 
 CHAINS = ((12, 1, 0), (12, 2, 0), (12, 3, 0), (18, 2, 0), (18, 3, 0), (24, 2, 0), (24, 4, 0), (24, 6, 0))
@@ -91,16 +93,15 @@ def chains(tolerance: float) -> None:
 
 def gains(seeds: range) -> None:
     """Worst-case gain of the same models at half their margin."""
+
+    def measure(uncertain: rl.UncertainModel, seed: int) -> tuple[float, float]:
+        size = 0.5 * rl.robust_stability(uncertain, tolerance=np.inf).lower
+        worst, spent = timed(rl.peak_gain, with_performance(uncertain, size, seed))
+        return 100 * worst.gap, spent
+
     print(f"\nworst_case_gain at half the margin, 2 x 2 performance channels, {len(seeds)} models a class")
     print(f"{'class':44s} {'gap %: median  max':>22s} {'CPU s: median  max':>22s}")
-    for name, sets in models(seeds):
-        rows = []
-        for uncertain, seed in sets:
-            size = 0.5 * rl.robust_stability(uncertain, tolerance=np.inf).lower
-            worst, spent = timed(rl.peak_gain, with_performance(uncertain, size, seed))
-            rows.append((100 * worst.gap, spent))
-        cells = [middle_and_most(column) for column in zip(*rows, strict=True)]
-        print(f"{name:44s} {cells[0]:>22s} {cells[1]:>22s}", flush=True)
+    by_class(seeds, (22, 22), measure)
 
 
 def matrices(count: int) -> None:

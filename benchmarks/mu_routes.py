@@ -115,7 +115,6 @@ def two_trolleys() -> tuple[rl.UncertainModel, rl.StateSpaceModel]:
 
 
 def moved(m: rl.StateSpaceModel, T: np.ndarray) -> rl.StateSpaceModel:
-    """The model in states T x."""
     back = np.linalg.inv(T)
     return rl.StateSpaceModel(T @ m.A @ back, T @ m.B, m.C @ back, m.D)
 

@@ -34,7 +34,6 @@ STEP = 5e-5  # of the drives' integration, in s
 
 
 def oracle() -> ModuleType:
-    """The tests' Pinocchio model of the platform."""
     name = "stewart_pinocchio"
     if name not in sys.modules:
         path = Path(__file__).parents[1] / "tests" / "oracle" / f"{name}.py"
@@ -261,7 +260,6 @@ def nut_angles(poses: Array) -> Array:
 
 
 def mechanism(machine: Machine, pose: Array) -> _Mechanics:
-    """The machine's rigid bodies, started at a pose."""
     return _Mechanics(machine, pose)
 
 

@@ -298,7 +298,6 @@ def uncertain(rng: Rng, asymmetric: bool, performance: bool) -> rl.UncertainMode
 
 
 def margin_case(rng: Rng, kind: str) -> Case | None:
-    """mu-axis, mu-boxes and unstable-member of a margin."""
     if kind == "mu-axis" and rng.random() < 0.3:
         return loop_margin_case(rng) if rng.random() < 0.7 else difference_case(rng, banded=True)
     set_of = uncertain(rng, kind == "mu-boxes", False)
@@ -405,7 +404,6 @@ def split_boxes(numbers: Numbers, set_of: rl.UncertainModel, rng: Rng) -> Number
 
 
 def gain_case(rng: Rng, kind: str) -> Case | None:
-    """worst-gain and worst-gain-boxes."""
     set_of = uncertain(rng, kind == "worst-gain-boxes", True)
     try:
         found = worst_case_gain(set_of)

@@ -88,7 +88,6 @@ def kept_structure(name: str, at: tuple[Any, ...], X: Any, result: Numbers) -> N
 
 
 def slices(table: Any, column: int) -> list[slice]:
-    """Where each block's channels are."""
     ends = np.concatenate([[0], np.cumsum(table[:, column])])
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 

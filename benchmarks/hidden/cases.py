@@ -107,19 +107,10 @@ def make_case(
     rig = Rig(setup, machine, bare, true, seed, noise, dt, feedback)
     record = rig.measured(first, RECORD, closed=closed_loop)
     held_out = rig.measured(second, HELD_OUT, closed=closed_loop)
-    return Case(
-        plant=rl.plant(plant, **setup.nominal),
-        record=rig.record(record, "record", current),
-        held_out=rig.record(held_out, "held-out", current),
-        repeat=rig.record(rig.measured(first, REPEAT, closed=closed_loop), "repeat", current),
-        record_clean=rig.channels(rig.clean(record[0].u, RECORD), current),
-        held_out_clean=rig.channels(rig.clean(held_out[0].u, HELD_OUT), current),
-        effects=names,
-        true_parameters=true,
-        perturbed=perturbed,
-        current=current,
-        rig=rig,
-    )
+    repeat = rig.measured(first, REPEAT, closed=closed_loop)
+    records = (rig.record(*of, current) for of in ((record, "record"), (held_out, "held-out"), (repeat, "repeat")))
+    clean = (rig.channels(rig.clean(got[0].u, run), current) for got, run in ((record, RECORD), (held_out, HELD_OUT)))
+    return Case(rl.plant(plant, **setup.nominal), *records, *clean, names, true, perturbed, current, rig)
 
 
 def _resonance(setup: Setup) -> float:

@@ -290,27 +290,20 @@ EFFECTS: Mapping[str, Hidden] = {
     "torque-constant": _scaled("factor", (0.82, 0.9), (1.1, 1.15), "Kt", "Ke"),
     "resistance": _scaled("factor", (1.25, 1.5), None, "R"),
     "resistance-heating": Hidden(_heating, _put_heating),
-    "coulomb-friction": Hidden(
-        lambda r, s: {"Fc": s.torque * r.uniform(2e-3, 8e-3)}, lambda m, p, s: _dry(m, p["Fc"], s, Fc=p["Fc"])
-    ),
+    "coulomb-friction": Hidden(lambda r, s: {"Fc": s.torque * r.uniform(2e-3, 8e-3)},
+                               lambda m, p, s: _dry(m, p["Fc"], s, Fc=p["Fc"])),
     "stribeck-friction": Hidden(
-        _stribeck, lambda m, p, s: _dry(m, p["Fc"] + p["dF"], s, Fc=p["Fc"], dF=p["dF"], vs=p["vs"])
-    ),
-    "presliding": Hidden(
-        lambda r, s: {"Fc": s.torque * r.uniform(6e-3, 15e-3), "bend": s.length * r.uniform(0.1, 0.5)},
-        lambda m, p, s: _bristle(m, p["Fc"], p["bend"], 0.03)._replace(Fc=p["Fc"]),
-    ),
+        _stribeck, lambda m, p, s: _dry(m, p["Fc"] + p["dF"], s, Fc=p["Fc"], dF=p["dF"], vs=p["vs"])),
+    "presliding": Hidden(lambda r, s: {"Fc": s.torque * r.uniform(6e-3, 15e-3), "bend": s.length * r.uniform(0.1, 0.5)},
+                         lambda m, p, s: _bristle(m, p["Fc"], p["bend"], 0.03)._replace(Fc=p["Fc"])),
     "asymmetric-viscous-friction": _set(_asymmetric, b_pos="b_pos", b_neg="b_neg"),
     "constant-load": _set(lambda r, s: {"T0": s.torque * _sign(r) * r.uniform(1.5e-3, 6e-3)}, T0="T0"),
     "quadratic-drag": _set(lambda r, s: {"c": s.torque / s.speed**2 * r.uniform(4e-8, 1.2e-7)}, drag="c"),
     "position-dependent-friction": Hidden(
-        _position_friction, lambda m, p, s: _dry(m, p["Fc"] + p["P"], s, Fc=p["Fc"], P=p["P"], N=p["N"], a_P=p["a"])
-    ),
+        _position_friction, lambda m, p, s: _dry(m, p["Fc"] + p["P"], s, Fc=p["Fc"], P=p["P"], N=p["N"], a_P=p["a"])),
     "cogging": _set(_cogging, A="A", n="n", a_A="a"),
-    "gear-efficiency": Hidden(
-        lambda r, s: {"eta": r.uniform(0.65, 0.88), "share": r.uniform(0.5, 0.7)},
-        lambda m, p, s: _put_gear(m, 1 - p["eta"], 1 - p["eta"], p["share"], s),
-    ),
+    "gear-efficiency": Hidden(lambda r, s: {"eta": r.uniform(0.65, 0.88), "share": r.uniform(0.5, 0.7)},
+                              lambda m, p, s: _put_gear(m, 1 - p["eta"], 1 - p["eta"], p["share"], s)),
     "backlash": Hidden(_backlash, _put_backlash),
     "flexible-coupling": Hidden(_flexible, _put_flexible),
     "input-delay": _set(lambda r, s: {"delay": r.uniform(2e-3, 8e-3)}, delay="delay"),
@@ -320,44 +313,30 @@ EFFECTS: Mapping[str, Hidden] = {
     # A bridge switching at 25 kHz loses two dead times of each period; a supply above its rating gains.
     "input-gain": _set(
         lambda r, s: {"factor": 1 - 2 * 25e3 * r.uniform(2e-6, 4e-6) if r.random() < 0.5 else r.uniform(1.1, 1.2)},
-        amplify="factor",
-    ),
+        amplify="factor"),
     "sensor-gain": _scaled("factor", (0.9, 0.95), (1.05, 1.1), "y_gain"),
-    "sensor-bias": _set(
-        lambda r, s: {"angle": s.length * _sign(r) * r.uniform(0.1, 0.3), "current": _sign(r) * r.uniform(0.15, 0.5)},
-        y_bias="angle",
-        i_bias="current",
-    ),
-    "sensor-eccentricity": Hidden(
-        lambda r, s: {"e": s.length * r.uniform(0.03, 0.06), "a": _angle(r)},
-        lambda m, p, s: m._replace(y_e=p["e"], y_a=p["a"], y_n=1.0 / s.length),
-    ),
+    "sensor-bias": _set(lambda r, s: {"angle": s.length * _sign(r) * r.uniform(0.1, 0.3),
+                                      "current": _sign(r) * r.uniform(0.15, 0.5)}, y_bias="angle", i_bias="current"),
+    "sensor-eccentricity": Hidden(lambda r, s: {"e": s.length * r.uniform(0.03, 0.06), "a": _angle(r)},
+                                  lambda m, p, s: m._replace(y_e=p["e"], y_a=p["a"], y_n=1.0 / s.length)),
     "sensor-delay": _set(lambda r, s: {"delay": r.uniform(2e-3, 8e-3)}, y_delay="delay"),
     "stiffness": _set(lambda r, s: {"k": s.torque * r.uniform(6e-3, 20e-3) / s.reach}, k="k"),
     "cubic-stiffness": _set(lambda r, s: {"k3": s.torque * r.uniform(10e-3, 30e-3) / s.reach**3}, k3="k3"),
     "end-stop": Hidden(_end_stop, _put_end_stop),
-    "pendulum-gravity": _set(
-        lambda r, s: {"mgl": s.torque * r.uniform(3e-3, 8e-3), "rest": r.uniform(-math.pi, math.pi)},
-        grav="mgl",
-        x_grav="rest",
-    ),
+    "pendulum-gravity": _set(lambda r, s: {"mgl": s.torque * r.uniform(3e-3, 8e-3),
+                                           "rest": r.uniform(-math.pi, math.pi)}, grav="mgl", x_grav="rest"),
     "actuator-lag": _set(lambda r, s: {"T": r.uniform(2e-3, 20e-3)}, lag="T"),
     "asymmetric-coulomb-friction": Hidden(
-        _asymmetric_coulomb,
-        lambda m, p, s: _dry(
-            m, (p["F_pos"] + p["F_neg"]) / 2, s, Fc=(p["F_pos"] + p["F_neg"]) / 2, dFc=(p["F_pos"] - p["F_neg"]) / 2
-        ),
-    ),
+        _asymmetric_coulomb, lambda m, p, s: _dry(m, (p["F_pos"] + p["F_neg"]) / 2, s, Fc=(p["F_pos"] + p["F_neg"]) / 2,
+                                                  dFc=(p["F_pos"] - p["F_neg"]) / 2)),
     "load-dependent-friction": Hidden(
-        _load_dependent, lambda m, p, s: _put_gear(m, p["driven"], p["braking"], p["share"], s)
-    ),
+        _load_dependent, lambda m, p, s: _put_gear(m, p["driven"], p["braking"], p["share"], s)),
     "bouc-wen": _set(_bouc_wen, k_h="k", x_h="yield", gamma_h="gamma"),
     "torque-ripple": Hidden(
-        _ripple, lambda m, p, s: m._replace(rip=p["A"], rip_w=2 * math.pi * p["frequency"], rip_a=p["a"])
-    ),
+        _ripple, lambda m, p, s: m._replace(rip=p["A"], rip_w=2 * math.pi * p["frequency"], rip_a=p["a"])),
     "one-sided-spring": _set(_one_sided, side="side", x_side="place", k_side="k"),
     "magnitude-sensor": Hidden(lambda r, s: {}, lambda m, p, s: m._replace(y_abs=1.0)),
-}
+}  # fmt: skip
 
 # Effects of winding, brushes and back-EMF; and the torque constant, which a force-driven axis has only as input gain.
 MOTOR_ONLY = ("torque-constant", "resistance", "resistance-heating", "brush-drop")
@@ -398,56 +377,26 @@ def _put_resonance(m: Machine, p: Parameters, s: Setting) -> Machine:
 
 
 OUTSIDE_EFFECTS: Mapping[str, Hidden] = {
-    "field-weakening": _set(
-        lambda r, s: {"speed": r.uniform(1.5, 2.3) * s.setup.largest / s.machine.Ke}, weakening="speed"
-    ),
-    "telegraph-load": Hidden(
-        lambda r, s: {
-            "A": s.torque * r.uniform(5e-3, 10e-3),
-            "dwell": r.uniform(0.08, 0.2),
-            "schedule": float(r.integers(2**31)),
-        },
-        lambda m, p, s: m,
-        _telegraph,
-    ),
-    "wearing-friction": Hidden(
-        lambda r, s: {"final": s.torque * r.uniform(15e-3, 30e-3)},
-        lambda m, p, s: _dry(m, p["final"], s, wear=p["final"] / s.travel),
-    ),
-    "one-sided-magnet": _set(
-        lambda r, s: {
-            "A": s.torque * r.uniform(20e-3, 40e-3),
-            "place": float(np.quantile(s.free.phi, r.uniform(0.35, 0.65))),
-            "width": float(np.ptp(s.free.phi)) * r.uniform(0.08, 0.15),
-        },
-        magnet="A",
-        x_m="place",
-        w_m="width",
-    ),
+    "field-weakening": _set(lambda r, s: {"speed": r.uniform(1.5, 2.3) * s.setup.largest / s.machine.Ke},
+                            weakening="speed"),
+    "telegraph-load": Hidden(lambda r, s: {"A": s.torque * r.uniform(5e-3, 10e-3), "dwell": r.uniform(0.08, 0.2),
+                                           "schedule": float(r.integers(2**31))}, lambda m, p, s: m, _telegraph),
+    "wearing-friction": Hidden(lambda r, s: {"final": s.torque * r.uniform(15e-3, 30e-3)},
+                               lambda m, p, s: _dry(m, p["final"], s, wear=p["final"] / s.travel)),
+    "one-sided-magnet": _set(lambda r, s: {"A": s.torque * r.uniform(20e-3, 40e-3),
+                                           "place": float(np.quantile(s.free.phi, r.uniform(0.35, 0.65))),
+                                           "width": float(np.ptp(s.free.phi)) * r.uniform(0.08, 0.15)},
+                             magnet="A", x_m="place", w_m="width"),
     "slew-rate-limit": _set(lambda r, s: {"rate": s.setup.largest * r.uniform(4, 12)}, slew="rate"),
-    "square-root-drag": Hidden(
-        lambda r, s: {"c": s.torque * r.uniform(20e-3, 40e-3) / math.sqrt(s.top_speed)},
-        lambda m, p, s: m._replace(root_drag=p["c"], root_w=s.length),
-    ),
-    "driver-dropouts": Hidden(
-        lambda r, s: {
-            "every": r.uniform(0.1, 0.25),
-            "lasts": r.uniform(0.015, 0.04),
-            "schedule": float(r.integers(2**31)),
-        },
-        lambda m, p, s: m,
-        _dropouts,
-    ),
+    "square-root-drag": Hidden(lambda r, s: {"c": s.torque * r.uniform(20e-3, 40e-3) / math.sqrt(s.top_speed)},
+                               lambda m, p, s: m._replace(root_drag=p["c"], root_w=s.length)),
+    "driver-dropouts": Hidden(lambda r, s: {"every": r.uniform(0.1, 0.25), "lasts": r.uniform(0.015, 0.04),
+                                            "schedule": float(r.integers(2**31))}, lambda m, p, s: m, _dropouts),
     "nonlinear-resonance": Hidden(_resonance, _put_resonance),
-    "speed-gated-brake": _set(
-        lambda r, s: {
-            "speed": s.top_speed * r.uniform(0.35, 0.5),
-            "b": r.uniform(0.3, 0.6) * s.frequency * s.machine.J1,
-        },
-        bite="speed",
-        brake="b",
-    ),
-}
+    "speed-gated-brake": _set(lambda r, s: {"speed": s.top_speed * r.uniform(0.35, 0.5),
+                                            "b": r.uniform(0.3, 0.6) * s.frequency * s.machine.J1},
+                              bite="speed", brake="b"),
+}  # fmt: skip
 
 ALL_EFFECTS = {**EFFECTS, **OUTSIDE_EFFECTS}
 
@@ -473,40 +422,27 @@ OF_A_PLANT: Mapping[str, Mapping[str, Hidden]] = {
         "inertia": _scaled("factor", (0.85, 0.93), (1.08, 1.2), "J1"),
         "viscous-friction": _scaled("factor", (2.0, 4.0), None, "b_pos", "b_neg"),
         "stiffness": _scaled("factor", (0.88, 0.95), (1.06, 1.14), "k"),
-        "cubic-stiffness": Hidden(
-            lambda r, s: {"k3": s.machine.k * r.uniform(0.01, 0.05) / float(np.var(s.free.phi))},
-            EFFECTS["cubic-stiffness"].put,
-        ),
-        "constant-load": Hidden(
-            lambda r, s: {"T0": s.machine.k * s.length * _sign(r) * r.uniform(0.1, 0.4)}, EFFECTS["constant-load"].put
-        ),
-        "end-stop": Hidden(_stop_of_a_spring, EFFECTS["end-stop"].put),
-        "input-delay": Hidden(lambda r, s: {"delay": s.dt * r.uniform(0.3, 3)}, EFFECTS["input-delay"].put),
-        "sensor-delay": Hidden(lambda r, s: {"delay": s.dt * r.uniform(0.3, 3)}, EFFECTS["sensor-delay"].put),
-        "actuator-lag": Hidden(lambda r, s: {"T": r.uniform(2e-3, 8e-3)}, EFFECTS["actuator-lag"].put),
-        "one-sided-spring": Hidden(
-            lambda r, s: {**_one_sided(r, s), "k": s.machine.k * r.uniform(0.05, 0.3)}, EFFECTS["one-sided-spring"].put
-        ),
-        "bouc-wen": Hidden(
-            lambda r, s: {
-                **_bouc_wen(r, s),
-                "k": s.machine.k * r.uniform(0.03, 0.1),
-                "yield": s.reach * r.uniform(0.1, 0.3),
-            },
-            EFFECTS["bouc-wen"].put,
-        ),
+        "cubic-stiffness": _set(lambda r, s: {"k3": s.machine.k * r.uniform(0.01, 0.05) / float(np.var(s.free.phi))},
+                                k3="k3"),
+        "constant-load": _set(lambda r, s: {"T0": s.machine.k * s.length * _sign(r) * r.uniform(0.1, 0.4)}, T0="T0"),
+        "end-stop": Hidden(_stop_of_a_spring, _put_end_stop),
+        "input-delay": _set(lambda r, s: {"delay": s.dt * r.uniform(0.3, 3)}, delay="delay"),
+        "sensor-delay": _set(lambda r, s: {"delay": s.dt * r.uniform(0.3, 3)}, y_delay="delay"),
+        "actuator-lag": _set(lambda r, s: {"T": r.uniform(2e-3, 8e-3)}, lag="T"),
+        "one-sided-spring": Hidden(lambda r, s: {**_one_sided(r, s), "k": s.machine.k * r.uniform(0.05, 0.3)},
+                                   EFFECTS["one-sided-spring"].put),
+        "bouc-wen": Hidden(lambda r, s: {**_bouc_wen(r, s), "k": s.machine.k * r.uniform(0.03, 0.1),
+                                         "yield": s.reach * r.uniform(0.1, 0.3)}, EFFECTS["bouc-wen"].put),
         "torque-ripple": Hidden(_ripple_beside_a_resonance, EFFECTS["torque-ripple"].put),
     },
     "two-mass": {
-        "inertia": Hidden(
-            lambda r, s: {"factor": _either(r, (0.6, 0.78), (1.25, 1.6)), "body": float(r.integers(1, 3))}, _one_inertia
-        ),
-        "viscous-friction": Hidden(
-            lambda r, s: {"factor": r.uniform(3, 8)}, lambda m, p, s: m._replace(c_s=m.c_s * p["factor"])
-        ),
+        "inertia": Hidden(lambda r, s: {"factor": _either(r, (0.6, 0.78), (1.25, 1.6)),
+                                         "body": float(r.integers(1, 3))}, _one_inertia),
+        "viscous-friction": Hidden(lambda r, s: {"factor": r.uniform(3, 8)},
+                                   lambda m, p, s: m._replace(c_s=m.c_s * p["factor"])),
         "stiffness": _scaled("factor", (0.6, 0.78), (1.25, 1.6), "k_s"),
     },
-}
+}  # fmt: skip
 
 
 def hidden_effect(plant: str, name: str) -> Hidden:

@@ -42,13 +42,8 @@ def make(folder: Path, seed: int, ids: set[str] | None = None) -> dict[str, str]
 def truth_of(entry: Entry) -> dict[str, Any]:
     """What is hidden in a case; ``kinds``: every set of kinds that is right, none where the catalogue has no name."""
     assert entry.condition in CONDITIONS
-    return {
-        "family": entry.family,
-        "condition": entry.condition,
-        "excitation": entry.excitation,
-        "effects": list(entry.effects),
-        "kinds": accepted(entry),
-    }
+    told = {name: getattr(entry, name) for name in ("family", "condition", "excitation")}
+    return {**told, "effects": list(entry.effects), "kinds": accepted(entry)}
 
 
 def digest(case: Any) -> str:
