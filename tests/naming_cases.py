@@ -16,7 +16,6 @@ from robustlab.identification.hypotheses.effect_fit import Problem
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming import set_search
 from robustlab.identification.naming.discovery import admissible
-from robustlab.identification.naming.set_search import Found, search_sets
 
 AXIS = rl.plant("servo-axis")
 GAIN = AXIS.values["gain"]
@@ -59,23 +58,23 @@ def quiet(*_: object) -> None:
     """No word of progress."""
 
 
-def searched(record: rl.Record, keys=POOL, progress=quiet, **changed) -> Found:
+def searched(record: rl.Record, keys=POOL, progress=quiet, **changed) -> set_search.Found:
     """The search over these effects, with some numbers of its tuning changed."""
     fit, held, pool, allowed = opened(record)
     fit.work.clear()
     with ExitStack() as kept:
         for name, value in changed.items():
             kept.enter_context(patch.object(set_search, name.upper(), value))
-        return search_sets(fit, held, [pool[k] for k in keys], allowed, progress)
+        return set_search.search_sets(fit, held, [pool[k] for k in keys], allowed, progress)
 
 
 @cache
-def usual(friction: float = 0.0, load: float = 0.0, seed: int = 3) -> Found:
+def usual(friction: float = 0.0, load: float = 0.0, seed: int = 3) -> set_search.Found:
     """The search over the usual pool for what a machine lacks; not to be changed."""
     return searched(machine(friction, load, seed))
 
 
-def values(found: Found, key: str) -> dict[str, float]:
+def values(found: set_search.Found, key: str) -> dict[str, float]:
     """Parameters of an effect of the best set."""
     fit = found.best.fit
     _, each = found.problem.split(fit.hypothesis, fit.z)

@@ -74,8 +74,7 @@ class DiscoveryFiles:
 def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[str, Any], files: list[str]) -> Beyond:
     """Write what was asked for, and end as the verdict says."""
     result = {"model": options["named"]["model"], **found.to_json()}
-    origin = provenance_of("data discover", files, values)
-    written: list[str] = []
+    origin, written = provenance_of("data discover", files, values), list[str]()
     if options["figures"] or options["model_out"] or options["folder"]:
         options["report"]("figures and files")
     if options["figures"]:
@@ -95,8 +94,8 @@ def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[st
         said = f"the verdict is {found.verdict!r}: no single name can be vouched for (exit code 4)"
         if found.verdict == "named":
             said = "the verdict is 'named, incomplete': more than half of the error is unexplained (exit code 4)"
-    text = f"{found.headline()}.\n{found.report() if options['details'] else found.summary()}"
-    return Beyond({**result, "files": written}, text, said, code)
+    text = found.report() if options["details"] else found.summary()
+    return Beyond({**result, "files": written}, f"{found.headline()}.\n{text}", said, code)
 
 
 app.command("discover")(command_of(COMMANDS["data discover"], options_of(DiscoveryFiles), _discovered))
