@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robustlab.cli.console import note
-from robustlab.cli.groups import TYPED
+from robustlab.cli import TYPED
 from robustlab.cli.options import RecordOptions, names
 from robustlab.errors import InputError, RobustlabError
 

@@ -23,10 +23,6 @@ GROUPS: dict[str, tuple[str | tuple[str, ...], str]] = {
 }
 
 
-# What was typed behind ``robustlab``, for commands that answer with the same command and more; set in `main`.
-TYPED: list[str] = []
-
-
 def parser(name: str) -> Any:
     """What reads the words after ``robustlab NAME``: typer's command, or its group of them."""
     from typer.main import get_command

@@ -12,7 +12,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from robustlab.cli.groups import GROUPS, TYPED, parser
+from robustlab.cli import TYPED
+from robustlab.cli.groups import GROUPS, parser
 
 # One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
 # several times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded.
