@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robustlab.cli.console import TYPED, note
+from robustlab.cli import TYPED
+from robustlab.cli.console import note
 from robustlab.cli.options import RecordOptions, names
 from robustlab.errors import InputError, RobustlabError
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# What was typed behind ``robustlab``, for commands that answer with the same command and more; set in `main`.
-TYPED: list[str] = []
 SCHEMA = "robustlab.result/1"
 FIGURE = "Figures to write, SVG and PNG: NAME, one of several NAME-...; or FOLDER/."
 

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from robustlab.cli import TYPED
 from robustlab.cli.groups import GROUPS, parser
 
 # One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
@@ -97,8 +98,6 @@ def run(arguments: Sequence[str]) -> int:
 
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
-    from robustlab.cli.console import TYPED
-
     command = parser(name)
     TYPED[:] = [name, *rest]
 

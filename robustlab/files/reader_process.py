@@ -49,8 +49,7 @@ def _limit_resources(kind: str, limits: Limits, size: int) -> None:
     if kind != "matlab5":
         seconds = min(seconds, BASE_SECONDS + size // BYTES_PER_SECOND)
     else:
-        import scipy.io  # noqa: F401  so that it does not count
-
+        import_module("scipy.io")  # so that it does not count
         memory = GROWTH_OF_MATLAB * limits.total
     if kind == "table":
         memory = min(memory, BASE_TABLE + GROWTH_OF_TABLE * size)

@@ -193,7 +193,7 @@ class ControlledNonlinearPlant(NonlinearPlant):
     plant: NonlinearPlant  # the plant, without direct term from inputs to outputs
     # the controller, from (references, measured outputs) to the plant's inputs, in deviations from ``at``
     K: StateSpaceModel
-    measured: tuple[int, ...]  # numbers of the plant's outputs that the controller sees
+    measured: tuple[int, ...]  # numbers of the plant's outputs, and behind them its states, that the controller sees
     at: Trim  # the rest of the plant at which it takes hold
     offset: Array  # v at that rest, (n_r + n_m,)
 
@@ -205,7 +205,7 @@ class ControlledNonlinearPlant(NonlinearPlant):
         """The loop of a controller whose sizes are known to be right."""
         references = tuple(Signal(f"{plant.outputs[i].name}_ref", plant.outputs[i].unit) for i in controlled)
         states = (*plant.states, *(Signal(f"controller_{k + 1}") for k in range(K.n_states)))
-        offset = at.y[[*controlled, *measured]]
+        offset = np.concatenate([at.y, at.x])[[*controlled, *measured]]
         return cls(
             name, plant.parameters, references, (*plant.outputs, *plant.inputs), states, plant, K, tuple(measured), at,
             offset,
@@ -235,7 +235,7 @@ class ControlledNonlinearPlant(NonlinearPlant):
         """The plant's states, its outputs, v and its inputs at points x (n, n_x), r (n, n_r)."""
         own, inner = np.split(x, [len(self.plant.states)], axis=1)
         y = self.plant.outputs_along(own, np.tile(self.at.u, (len(x), 1)), values)
-        v = np.hstack([r, y[:, list(self.measured)]]) - self.offset
+        v = np.hstack([r, np.hstack([y, own])[:, list(self.measured)]]) - self.offset
         return own, y, v, self.at.u + inner @ self.K.C.T + v @ self.K.D.T
 
     def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
@@ -262,7 +262,8 @@ class ControlledNonlinearPlant(NonlinearPlant):
         if local.D.any():
             raise InputError(self.name, "a direct term from input to output", "a plant without one")
         n_r = len(self.inputs)
-        seen = local.C[:, list(self.measured)]
+        states = np.broadcast_to(np.eye(own.shape[1]), (n, own.shape[1], own.shape[1]))
+        seen = np.concatenate([local.C, states], axis=1)[:, list(self.measured)]
 
         def many(matrix: Array) -> Array:
             return np.broadcast_to(matrix, (n, *matrix.shape))

@@ -39,7 +39,6 @@ from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.errors import InputError
-from robustlab.shown import AllFields
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 
@@ -58,38 +57,6 @@ class TorqueGains:
 
 
 @dataclass(frozen=True, eq=False)
-class TwoLayerController(AllFields):
-    """The controller in deviations from the trim at which it was designed."""
-
-    # p_up, p_low: triple poles of the layers in 1/s
-    p_up: float
-    p_low: float
-    # Kp, Kd, Ki: gains of the upper layer from nut angles to motor torques, (6, 6), in N m/rad, N m s/rad, N m/(rad s)
-    Kp: Array
-    Kd: Array
-    Ki: Array
-    lower: TorqueGains  # gains of every motor's torque loop
-    at: Trim  # the trim; its torques and voltages are added to what the controller gives
-
-    def __post_init__(self) -> None:
-        for gain in (self.Kp, self.Kd, self.Ki):
-            gain.setflags(write=False)
-
-    def upper_layer(self) -> StateSpaceModel:
-        """The upper layer alone: 6 states, inputs r, phi, phidot (6 each), outputs the six motor torques."""
-        one, none = np.eye(6), np.zeros((6, 6))
-        b, d = np.hstack([one, -one, none]), np.hstack([none, -self.Kp, -self.Kd])
-        return StateSpaceModel(none, b, self.Ki, d, 0.0, _ABOVE, _TORQUES, where="two-layer: upper layer")
-
-    def state_space(self) -> StateSpaceModel:
-        """Linear model of the controller: 18 states, inputs r, phi, phidot, torque (6 each), outputs the six voltages.
-
-        States: integrals of the angles' errors and of the torques' errors, and sigma.
-        """
-        return _above_torque_loops(self.upper_layer(), self.lower)
-
-
-@dataclass(frozen=True, eq=False)
 class LayeredController:
     """Any linear upper layer above the motors' torque loops, in deviations from the trim at which it was designed."""
 
@@ -104,8 +71,18 @@ class LayeredController:
             raise InputError("layered controller", found, "r, phi, phidot (6 each) in and 6 torques out, continuous")
 
     def state_space(self) -> StateSpaceModel:
-        """Linear model of the controller: inputs r, phi, phidot, torque (6 each), outputs the six voltages."""
-        return _above_torque_loops(self.upper, self.lower)
+        """Linear model of the controller: inputs r, phi, phidot, torque (6 each), outputs the six voltages.
+
+        States: those of the upper layer, the integrals of the torques' errors, and sigma.
+        """
+        upper, lower = self.upper, self.lower
+        n, one, none = upper.n_states, np.eye(6), np.zeros((6, 6))
+        below = np.zeros((6, n))
+        a = np.block([[upper.A, np.zeros((n, 12))], [upper.C, none, none], [below, lower.ki * one, none]])
+        b = np.block([[upper.B, np.zeros((n, 6))], [upper.D, -one], [np.zeros((6, 18)), -lower.kp * one]])
+        c, d = np.hstack([below, none, one]), np.hstack([np.zeros((6, 18)), -lower.kd * one])
+        inputs = [*_ABOVE, *(Taken(*s) for s in _TORQUES)]
+        return StateSpaceModel(a, b, c, d, 0.0, inputs, _signals(("u", "V")), where="two-layer")
 
 
 def _signals(*kinds: tuple[str, str]) -> list[Signal]:
@@ -119,25 +96,11 @@ _ABOVE = [
 _TORQUES = _signals(("torque", "N m"))
 
 
-def _above_torque_loops(upper: StateSpaceModel, lower: TorqueGains) -> StateSpaceModel:
-    """The upper layer's torques as references of the motors' torque loops; states: its own, xi, sigma."""
-    n, one, none = upper.n_states, np.eye(6), np.zeros((6, 6))
-    below = np.zeros((6, n))
-    a = np.block(
-        [[upper.A, np.zeros((n, 12))], [upper.C, none, none], [below, lower.ki * one, none]]
-    )  # fmt: skip
-    b = np.block([[upper.B, np.zeros((n, 6))], [upper.D, -one], [np.zeros((6, 18)), -lower.kp * one]])
-    c, d = np.hstack([below, none, one]), np.hstack([np.zeros((6, 18)), -lower.kd * one])
-    return StateSpaceModel(
-        a,
-        b,
-        c,
-        d,
-        0.0,
-        [*_ABOVE, *(Taken(*s) for s in _TORQUES)],
-        _signals(("u", "V")),
-        where="two-layer",
-    )
+def upper_layer(Kp: Array, Kd: Array, Ki: Array) -> StateSpaceModel:
+    """The I-PD of the angles with these gains (6, 6): inputs r, phi, phidot (6 each), outputs the six motor torques."""
+    one, none = np.eye(6), np.zeros((6, 6))
+    b, d = np.hstack([one, -one, none]), np.hstack([none, -Kp, -Kd])
+    return StateSpaceModel(none, b, Ki, d, 0.0, _ABOVE, _TORQUES, where="two-layer: upper layer")
 
 
 def torque_gains(p: float, *, R: float, L: float, Km: float, Kb: float, Kf: float, J: float) -> TorqueGains:
@@ -154,7 +117,7 @@ def torque_gains(p: float, *, R: float, L: float, Km: float, Kb: float, Kf: floa
 
 def two_layer(
     plant: StewartPlatform, p_up: float = 236.0, p_low: float = 3000.0, at: Trim | None = None, rotor_J: float = ROTOR
-) -> TwoLayerController:
+) -> LayeredController:
     """Two-layer controller of a Stewart platform with motors.
 
     ``plant``: ``plant("stewart-platform", motors=True)``, of either preset.
@@ -175,9 +138,8 @@ def two_layer(
     right = np.hstack([3 * p_up**2 * one + stiffness, 3 * p_up * one + damping, p_up**3 * one])
     upper = np.asarray(np.linalg.solve(gain, right), dtype=np.float64)
     motor = {name: p[name] for name in ("R", "L", "Km", "Kb", "Kf")}
-    return TwoLayerController(
-        p_up, p_low, upper[:, :6], upper[:, 6:12], upper[:, 12:], torque_gains(p_low, J=rotor_J, **motor), point
-    )
+    gains = torque_gains(p_low, J=rotor_J, **motor)
+    return LayeredController(upper_layer(upper[:, :6], upper[:, 6:12], upper[:, 12:]), gains, point)
 
 
 def measured(plant: StewartPlatform) -> Array:
@@ -188,9 +150,7 @@ def measured(plant: StewartPlatform) -> Array:
     return c
 
 
-def closed_loop(
-    plant: StewartPlatform, controller: TwoLayerController | LayeredController, at: Trim | None = None
-) -> StateSpaceModel:
+def closed_loop(plant: StewartPlatform, controller: LayeredController, at: Trim | None = None) -> StateSpaceModel:
     """Linear model of the machine under control: references r (6) to nut angles, torques and voltages (18).
 
     Its states are the machine's 18 and the controller's.

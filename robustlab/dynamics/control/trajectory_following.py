@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.checks import number
 from robustlab.dynamics.control.controlled_plant import ControlledNonlinearPlant, controlled_nonlinear
-from robustlab.dynamics.control.controllers import LayeredController, TwoLayerController, measured
+from robustlab.dynamics.control.controllers import LayeredController, measured
 from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.stewart.kinematics import check_pose, inside, nut_angles
@@ -105,7 +105,6 @@ class TrajectoryFollowing:
     current: Array
     lengths: Array  # of the actuators in m, (n, 6)
     limits: MotorLimits  # what the motors may be asked for
-    evaluations: int  # how often the equations of motion were evaluated; 0 where nobody counted
     status: Status = Status.CONVERGED  # CONVERGED: integrated to the end with its local error held
 
     def __post_init__(self) -> None:
@@ -156,7 +155,7 @@ class TrajectoryFollowing:
 
 def follow(
     plant: StewartPlatform,
-    controller: TwoLayerController | LayeredController,
+    controller: LayeredController,
     trajectory: SineTrajectory,
     t: ArrayLike,
     *,
@@ -174,9 +173,16 @@ def follow(
     """
     clock = Record(t, name="follow").t
     reference = _within(plant, trajectory, clock)
-    loop = _Loop(plant, controller, lambda time: nut_angles(plant.geometry, trajectory.pose(time)))
-    states = _integrated(loop, clock, trajectory.breaks, rtol)
-    y = states[:, :18] @ measured(plant).T
+    read, k, at = measured(plant), controller.state_space(), controller.at
+    # of the currents, which are no outputs, the controller makes the torques that it sees
+    sees = StateSpaceModel(
+        k.A, np.hstack([k.B[:, :6], k.B[:, 6:] @ read]), k.C, np.hstack([k.D[:, :6], k.D[:, 6:] @ read])
+    )
+    loop = ControlledNonlinearPlant.of(f"{plant.name} under control", plant, sees, range(6), range(12, 30), at)
+    states = _integrated(
+        loop, lambda time: nut_angles(plant.geometry, trajectory.pose(time)), clock, trajectory.breaks, rtol
+    )
+    torque = states[:, :18] @ read[12:].T
     lengths = plant.geometry.home_lengths + states[:, :6] / plant.geometry.turns
     low, high = plant.geometry.limits
     beyond = ((lengths < low) | (lengths > high)).any(axis=1)
@@ -184,10 +190,10 @@ def follow(
         found = f"an actuator reaches the end of its range at t = {clock[np.argmax(beyond)]:.6g} s"
         raise NoTrustworthyNumber(plant.name, found, None, UNSTABLE)
     poses = plant.poses(states[:, :6], reference[0])
-    voltage = loop.trim.u + (states - loop.rest) @ loop.into_u.T
+    voltage = loop.outputs_along(states, nut_angles(plant.geometry, reference))[:, 12:]
     return TrajectoryFollowing(
-        clock, reference, poses, states[:, :6].copy(), y[:, 12:].copy(), voltage, states[:, 12:18].copy(), lengths,
-        limits or MotorLimits(), loop.evaluations,
+        clock, reference, poses, states[:, :6].copy(), torque, voltage, states[:, 12:18].copy(), lengths,
+        limits or MotorLimits(),
     )  # fmt: skip
 
 
@@ -232,7 +238,7 @@ def follow_with_torques(
     none = np.zeros((len(clock), 0))
     return TrajectoryFollowing(
         clock, reference, machine.poses(phi, reference[0]), phi, torque, none, none,
-        machine.geometry.home_lengths + phi / machine.geometry.turns, limits or MotorLimits(), 0,
+        machine.geometry.home_lengths + phi / machine.geometry.turns, limits or MotorLimits(),
     )  # fmt: skip
 
 
@@ -255,52 +261,31 @@ def _within(plant: StewartPlatform, trajectory: SineTrajectory, clock: Array) ->
     return reference
 
 
-class _Loop:
-    """Rates and Jacobian of the states: 18 of the machine, and the controller's in deviations from its trim."""
-
-    def __init__(
-        self,
-        plant: StewartPlatform,
-        controller: TwoLayerController | LayeredController,
-        angles: Callable[[float], Array],
-    ) -> None:
-        self.plant, self.angles, self.evaluations = plant, angles, 0
-        self.k, self.c, self.trim = controller.state_space(), measured(plant), controller.at
-        self.into_u = np.hstack([self.k.D[:, 6:] @ self.c, self.k.C])
-        self.into_k = np.hstack([self.k.B[:, 6:] @ self.c, self.k.A])
-        self.rest = np.concatenate([self.trim.x, np.zeros(self.k.n_states)])
-
-    def voltage(self, state: Array) -> Array:
-        return self.trim.u + self.into_u @ (state - self.rest)
-
-    def rates(self, time: float, state: Array) -> Array:
-        self.evaluations += 1
-        try:
-            machine = self.plant.derivative(state[:18], self.voltage(state))
-        except NoTrustworthyNumber:  # a trial state that is no pose: not finite makes the integrator try a shorter step
-            machine = np.full(18, np.nan)
-        asked = self.angles(time) - self.trim.x[:6]
-        return np.concatenate([machine, self.into_k @ (state - self.rest) + self.k.B[:, :6] @ asked])
-
-    def jacobian(self, time: float, state: Array) -> Array:
-        a, b, _, _ = self.plant.jacobians(state[:18], self.voltage(state))
-        machine = np.hstack([a, np.zeros((18, self.k.n_states))]) + b @ self.into_u
-        return np.vstack([machine, self.into_k])
-
-
-def _integrated(loop: _Loop, t: Array, breaks: tuple[float, ...], rtol: float) -> Array:
-    """States (n, 18 + n_k) at the times t, from rest at the trim."""
+def _integrated(
+    loop: ControlledNonlinearPlant, angles: Callable[[float], Array], t: Array, breaks: tuple[float, ...], rtol: float
+) -> Array:
+    """States (n, n_x) at the times t, from the rest at which the controller takes hold."""
     from scipy.integrate import solve_ivp
 
     number("follow: rtol", rtol, "a number between 0 and 1", above=0, below=1)
+
+    def rates(time: float, state: Array) -> Array:
+        try:
+            return loop.rates_along(state[None], angles(time)[None])[0]
+        except NoTrustworthyNumber:  # a trial state that is no pose: not finite makes the integrator try a shorter step
+            return np.full(len(state), np.nan)
+
+    def jacobian(time: float, state: Array) -> Array:
+        return loop.local_models(state[None], angles(time)[None]).A[0]
+
     # Sizes below which a state counts as small: angles, rates, currents, and the controller's integrals.
-    small = np.abs(loop.into_u).max(axis=0)
-    scale = np.concatenate([np.full(6, 1.0), np.full(6, 1.0), np.full(6, 0.1), 0.1 / np.maximum(small[18:], 1.0)])
+    small = np.abs(loop.K.C).max(axis=0)
+    scale = np.concatenate([np.full(12, 1.0), np.full(6, 0.1), 0.1 / np.maximum(small, 1.0)])
     edges = [t[0], *sorted({b for b in breaks if t[0] < b < t[-1]}), t[-1]]
-    states, state = np.empty((len(t), len(loop.rest))), loop.rest
+    states, state = np.empty((len(t), len(loop.states))), loop.start
     for first, last in itertools.pairwise(edges):
         found = solve_ivp(
-            loop.rates, (first, last), state, "Radau", jac=loop.jacobian, dense_output=True, rtol=rtol,
+            rates, (first, last), state, "Radau", jac=jacobian, dense_output=True, rtol=rtol,
             atol=rtol * scale, first_step=1e-6,
         )  # fmt: skip
         if not found.success or found.sol is None:

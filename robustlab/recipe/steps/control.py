@@ -129,7 +129,7 @@ class CascadeStep(Step):
 
         plant = work.values[self.of]
         if isinstance(plant, StewartPlatform):
-            K = two_layer(plant, self.p_up, self.p_low).upper_layer()
+            K = two_layer(plant, self.p_up, self.p_low).upper
             what = "upper layer of the thesis, angles and rates to torques"
         else:
             K = actuator_cascade(plant, self.p_up, self.p_low)

@@ -7,7 +7,6 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics.control.controlled_plant import actuator_cascade, controlled_plant
-from robustlab.dynamics.control.controllers import LayeredController, two_layer
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
@@ -69,13 +68,6 @@ def test_bad_loops(actuator):
     discrete = StateSpaceModel(K.A * 0, K.B, K.C, K.D, 0.01)
     with pytest.raises(InputError, match="continuous"):
         controlled_plant(actuator, discrete, ["phi"], SEEN)
-
-
-def test_the_upper_layer_above_the_torque_loops_is_the_two_layer_controller(machine):
-    whole = two_layer(machine)
-    layered = LayeredController(whole.upper_layer(), whole.lower, whole.at)
-    for matrix in "ABCD":
-        np.testing.assert_array_equal(getattr(layered.state_space(), matrix), getattr(whole.state_space(), matrix))
 
 
 @pytest.mark.parametrize(("p_up", "p_low"), [(0.0, 3000.0), (236.0, -1.0), (np.nan, 3000.0)])

@@ -59,13 +59,13 @@ def test_torque_loop_has_its_triple_pole_with_a_free_rotor():
 
 def test_upper_loop_has_its_triple_pole_in_every_channel(machines):
     p = 236.0
-    controller = two_layer(machines["thesis"], p_up=p)
+    upper = two_layer(machines["thesis"], p_up=p).upper
     model = rl.linearise(rl.plant("stewart-platform"))
     b, none = model.B[6:], np.zeros((6, 6))
     loop = np.block(
         [
             [none, np.eye(6), none],
-            [model.A[6:, :6] - b @ controller.Kp, model.A[6:, 6:] - b @ controller.Kd, b @ controller.Ki],
+            [model.A[6:, :6] + b @ upper.D[:, 6:12], model.A[6:, 6:] + b @ upper.D[:, 12:], b @ upper.C],
             [-np.eye(6), none, none],
         ]
     )

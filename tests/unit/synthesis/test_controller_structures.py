@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robustlab.dynamics.control.controllers import TorqueGains, TwoLayerController
+from robustlab.dynamics.control.controllers import LayeredController, TorqueGains, upper_layer
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
@@ -103,9 +103,9 @@ def test_fixed_poles_are_the_controllers_poles():
 def test_the_two_layers_are_the_thesis_controller():
     rng = np.random.default_rng(3)
     low = TorqueGains(kp=2.0, kd=3.0, ki=5.0)
-    gains = (rng.standard_normal((6, 6)) for _ in range(3))
-    made = TwoLayerController(236.0, 3000.0, *gains, low, Trim("unused", *np.zeros((3, 6)), 0.0))
-    start = {"Kp": made.Kp, "Kd": made.Kd, "Ki": made.Ki, "kp": low.kp, "kd": low.kd, "ki": low.ki}
+    gains = {name: rng.standard_normal((6, 6)) for name in ("Kp", "Kd", "Ki")}
+    made = LayeredController(upper_layer(**gains), low, Trim("unused", *np.zeros((3, 6)), 0.0))
+    start = {**gains, "kp": low.kp, "kd": low.kd, "ki": low.ki}
     model = made.state_space()
     law = MultichannelPID("two-layer", start=start).law(model.inputs, model.outputs, 0.0)
     K = model_of(law, np.array([q.start for q in law.parameters]), 0.0)
