@@ -257,7 +257,7 @@ def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Seque
     identity.
     """
     whole = tuple(range(len(blocks)))
-    if all(p.members is None or p.members == whole for p in pieces):
+    if pieces and all(p.members is None or p.members == whole for p in pieces):
         return list(pieces)
     depth = _depths(model, blocks)
     if depth.max(initial=0) * APART > DEEPEST:

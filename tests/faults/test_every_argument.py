@@ -77,8 +77,6 @@ CALLS: dict[str, Any] = {
     "mu": lambda: {"M": [[0.5, 1.0], [1.0, 0.0]], "blocks": [[1, 0], [1, 0]]},
     "mu of fixed blocks": lambda: {"M": [[0.5, 1.0], [1.0, 0.0]], "blocks": [[1, 0], [1, 0]], "fixed": ["delta1"]},
     "ncf": lambda: {"G": made.lag()},
-    "neglected_dynamics": lambda: {"delay": 0.1},
-    "neglected_dynamics of a lag": lambda: {"lag": 0.1},
     "Nonlinearity": lambda: {"sector": (0.0, 1.0)},
     "nu_gap": lambda: {"P1": made.lag(), "P2": 2.0 * made.lag()},
     "observability": lambda: {"model": TWO},
