@@ -51,7 +51,7 @@ def robust_stability(
 
     With ``natures``: for blocks that vary or are nonlinear, by integral quadratic constraints. With ``frequency``, and
     of data: at these frequencies; a stable nominal system is then taken for granted. With exact delays: whether the
-    system is stable at all, by counting its roots, by a set that holds it, or by an unstable root.
+    system is stable at all, by a set that holds it.
 
     Parameters
     ----------

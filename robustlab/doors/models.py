@@ -104,7 +104,7 @@ def check(
 ) -> Any:
     """Poles, stability, controllability and observability of a model.
 
-    Of a model with exact delays: whether it is stable, proved for all frequencies, or refuted by a root.
+    Of a model with exact delays: whether it is stable, proved for all frequencies either way.
     Exit code 4: neither could be shown.
 
     Example: robustlab model check motor.h5

@@ -53,7 +53,7 @@ REACH = 0.6  # half width of a box over the distance of the nearest pole, at mos
 MARGIN = 1e-4  # by which a proposed bound of a rest is wider than floating point says
 TINY = 1e-300
 NARROW = 1e-13  # a box in which M changes by less than this part will not gain from another halving
-SMALL = 6  # K for weights: what they cover is small at low frequencies, the difference of numbers that are not
+SMALL = 12  # K for weights: what they cover is small at low frequencies, the difference of numbers that are not
 
 Test = Callable[[float, float, float, float], Definite]
 

@@ -52,6 +52,7 @@ SHARE_OF_WORK = 0.1  # of the usual search: a set that needs more is too large t
 SHARE = 0.1  # of the tolerance that a bound aims at: it is cheap
 WIDER = (1.001, 1.01, 1.1, 2.0, 10.0)  # levels that are tried where no order proves the one aimed at
 POINTS, PEAKS = 4000, 4
+TINY = 1e-100
 
 
 class DelayProof(NamedTuple):
@@ -256,13 +257,11 @@ def delay_gain(
     lower, frequency = highest(g, lambda response: np.linalg.svd(response, compute_uv=False).max(axis=1, initial=0.0))
     if not known.stable:
         return DelayGain(lower, np.inf, frequency, Status.INCONCLUSIVE, known)
-    if not lower:  # no gain at 4000 frequencies: no path from an input to an output
-        return DelayGain(0.0, 0.0, frequency, Status.CERTIFIED, known)
+    size = lower or TINY  # without a path from an input to an output, any level can be proved
     block = FullBlock("performance", g.n_inputs, g.n_outputs)
-    upper, proof = proved_level(
-        g, [block], lower, max(SHARE * tolerance, LEAST_GAP), highest_order, effort, known.order
-    )
-    near = upper <= (1.0 + tolerance) * lower
+    gap = max(SHARE * tolerance, LEAST_GAP)
+    upper, proof = proved_level(g, [block], size, gap, highest_order, effort, known.order)
+    near = upper <= (1.0 + tolerance) * size
     status = Status.CERTIFIED if near else Status.INACCURATE if proof else Status.INCONCLUSIVE
     return DelayGain(lower, upper, frequency, status, known, g, proof)
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.delays.neglected import covers_delay
 from robustlab.delays.pade import error_bound, error_weight, high_pass, pade, phase_bound, phase_error
 from robustlab.errors import InputError, NoTrustworthyNumber
 
@@ -89,11 +88,6 @@ def test_a_discrete_delay_is_a_row_of_states():
         (lambda: rl.delay(1.0).pade(-1), "from 0 to 40"),
         (lambda: rl.delay(1.0).uncertain(2, spread=2.0), "the delay itself"),
         (lambda: rl.frequency_response(rl.delay(1.0), [np.inf]), "finite"),
-        (lambda: rl.neglected_dynamics(delay=0.0), "positive"),
-        (lambda: rl.neglected_dynamics(delay=1.0, order=2), "1 or 3"),
-        (lambda: rl.neglected_dynamics(lag=-1.0), "positive"),
-        (rl.neglected_dynamics, "one of the two"),
-        (lambda: rl.neglected_dynamics(lag=1.0, order=3), "with a lag"),
     ],
 )
 def test_what_is_wrong_is_said(wrong, said):
@@ -244,32 +238,3 @@ def test_an_uncertain_model_with_a_delay_in_a_range():
         rl.with_delays(plant, inputs={0: (0.3, 0.1)})
     with pytest.raises(InputError, match="a range of delays"):
         rl.with_delays(LAG, inputs={0: 0.1}, order=2)
-
-
-# --- weights for what is left out -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("order", [1, 3])
-def test_the_weight_of_a_neglected_delay_covers_all_shorter_ones(order):
-    weight = np.abs(response(rl.neglected_dynamics(delay=0.2, order=order)))
-    for tau in np.linspace(0.0, 0.2, 21):
-        assert (np.abs(np.exp(-1j * OMEGA * tau) - 1) <= weight).all()
-    fine = np.linspace(0.01, 30, 20000) / 0.2
-    error = 2 * np.sin(np.minimum(fine * 0.2, np.pi) / 2)
-    ratio = np.abs(response(rl.neglected_dynamics(delay=0.2, order=order), fine)) / error
-    assert 1.0 < ratio.min() < 1.003
-    assert ratio.max() < (1.42 if order == 1 else 1.021)
-
-
-def test_a_weight_that_does_not_cover_is_not_proved():
-    one, half = Fraction(1), Fraction(1, 2)
-    # tau s / (tau s / 2 + 1), which is often used, lies below the error
-    assert not covers_delay([Fraction(0), one], [one, half])
-    assert covers_delay([Fraction(0), 2 * one], [one, half])
-
-
-def test_the_weight_of_a_neglected_lag_covers_all_shorter_ones():
-    weight = np.abs(response(rl.neglected_dynamics(lag=0.3)))
-    for tau in np.linspace(0.0, 0.3, 16):
-        assert (np.abs(1 / (1 + 1j * OMEGA * tau) - 1) <= weight).all()
-    assert weight == pytest.approx(np.abs(0.3j * OMEGA / (1 + 0.3j * OMEGA)), rel=1e-8)

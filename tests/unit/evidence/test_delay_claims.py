@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.delays.neglected import neglected_weight
 from robustlab.evidence import claims_of
 from robustlab.verification import Claim, check
 
@@ -38,8 +37,6 @@ RESULTS = {
     "range": lambda: RANGE,
     "margin": lambda: rl.robust_stability(RANGE.feedback()),
     "worst-case gain": lambda: rl.peak_gain(RANGE.feedback()),
-    "neglected": lambda: neglected_weight(0.02),
-    "neglected, order 3": lambda: neglected_weight(0.02, order=3),
     "elements": lambda: rl.cover(UNITS, "elements", gain=False),
     "elements about one": lambda: rl.cover(UNITS, "elements", nominal=UNITS[0], gain=False),
     "pca": lambda: rl.cover(UNITS, "pca", gain=False),
@@ -59,10 +56,8 @@ def test_every_claim_is_proved(name):
         ("stability", lambda r: replace(r, system=(6.0 * LATE).feedback())),
         ("gain", lambda r: replace(r, upper=0.9999 * r.lower)),
         ("gain", lambda r: replace(r, system=(2.05 * LATE).feedback())),
-        ("disk margin", lambda r: replace(r, gain=replace(r.gain, upper=0.9999 * r.gain.lower))),
+        ("disk margin", lambda r: replace(r, gains={"y1": replace(r.gains["y1"], upper=0.9999 / r.upper)})),
         ("disk margins", lambda r: replace(r, simultaneous=smaller(r.simultaneous))),
-        ("neglected", lambda r: replace(r, delay=1.06 * r.delay)),
-        ("neglected, order 3", lambda r: replace(r, delay=(1 + 1e-7) * r.delay)),
         ("pca", lambda r: replace(r, models=(*r.models[:-1], UNITS[0]))),
         ("additive", lambda r: replace(r, fit=replace(r.fit, weight=0.9999 * r.fit.weight))),
     ],
@@ -76,10 +71,8 @@ def test_the_delay_margin_is_where_stability_ends():
     margin = (np.pi - np.arctan(w)) / w
     below, above = (rl.robust_stability((4.0 * LAG @ rl.delay(t * margin)).feedback()) for t in (0.999, 1.001))
     assert rl.verify(below).proved
-    assert claims_of(above) == []  # an unstable root was found: nothing is claimed
-    claim = claims_of(below)[0]
-    later = Claim(claim.kind, {**claim.numbers, "delays": np.array([1.001 * margin])})
-    assert check(later).outcome.value == "refuted"
+    assert above.stable is False
+    assert claims_of(above) == []
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.1])

@@ -43,16 +43,11 @@ CLAIMS = {
     "set": {"A": -ONE, "B": np.ones((1, 2)), "C": np.ones((2, 1)), "D": np.zeros((2, 2)), "blocks": BLOCK["blocks"]}
     | {"A0": -ONE, "B0": ONE, "C0": ONE, "D0": 0 * ONE, "A1": 0 * ONE, "B1": ONE, "C1": ONE, "D1": 0 * ONE},
 }
-LATE = LAG | {"B": np.array([[0.5, 1.0]]), "C": np.ones((2, 1)), "D": np.zeros((2, 2)), "delays": np.array([0.7])}
 CLAIMS |= {
-    "delayed-stable": LATE,
-    "delayed-norm": LATE | {"gamma": np.array(2.1), "frequency": np.array(1.0)},
-    "delayed-mu": LATE
-    | {"blocks": np.array([[1, 1, 1]]), "level": np.array(2.1), "low": np.array([0.0]), "high": np.array([np.inf])}
-    | {"D_w": ONE[None], "D_z": ONE[None], "G": 0 * ONE[None]},
+    "delayed-stable": CLAIMS["mu-axis"] | {"B": 0.9 * ONE},
     "delay-weight": {"R_A": np.zeros((0, 0)), "R_B": np.zeros((0, 1)), "R_C": np.zeros((1, 0)), "R_D": ONE}
     | {"W_A": -2.695 * ONE, "W_B": 2.695 * ONE, "W_C": -2.83 * ONE, "W_D": 2.83 * ONE, "dt": np.array(0.0)}
-    | {"range": np.array([0.0, 1.0]), "far": np.array(3.1), "near": np.array(1e-3)},
+    | {"range": np.array([0.0, 1.0]), "far": np.array(3.1), "tolerance": np.array(1e-9)},
 }
 JUNK = [
     np.array(np.nan), np.array(-1.0), np.array(0.0), np.array(5e-324), np.array(1.7e308), np.zeros((0, 0)), -ONE,
