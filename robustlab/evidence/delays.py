@@ -16,8 +16,7 @@ from robustlab.mu_analysis.margins.delay_loops import DelayDiskMargins
 from robustlab.mu_analysis.margins.delay_margins import DelayGain
 from robustlab.mu_analysis.margins.delay_stability import DelayStability
 from robustlab.mu_analysis.matrix.upper import upper_bounds
-from robustlab.norms.claims import above
-from robustlab.norms.numbers import ABOVE, Numbers, block_rows, matrices, model_numbers
+from robustlab.norms.numbers import ABOVE, Numbers, above, block_rows, matrices, model_numbers
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel

@@ -12,8 +12,8 @@ import numpy as np
 
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.norms.bounded_real import norm_matrix
-from robustlab.norms.claims import above, gramian_claims, h2_loop_claims
-from robustlab.norms.numbers import loop_numbers
+from robustlab.norms.claims import gramian_claims, h2_loop_claims
+from robustlab.norms.numbers import above, loop_numbers
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.verification.balls import midpoints, precision
