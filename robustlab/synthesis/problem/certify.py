@@ -84,7 +84,8 @@ def closed_exactly(plant: GeneralizedPlant, K: StateSpaceModel) -> StateSpaceMod
     """The loop of P and K, each entry rounded once."""
     with precision(BITS):
         exact = closed_in_balls(Claim("", loop_numbers(plant.model, K)))
-        return StateSpaceModel(*(midpoints(X) for X in (exact.A, exact.B, exact.C, exact.D)), plant.model.dt)
+        A, B, C, D = (midpoints(X) for X in (exact.A, exact.B, exact.C, exact.D))
+        return StateSpaceModel(A, B, C, D, plant.model.dt)
 
 
 def _in_floats(true: StateSpaceModel, norm: HinfNorm | H2Norm, shown: float, doubt: str) -> Certificate:
