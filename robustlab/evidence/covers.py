@@ -13,8 +13,8 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.mu_analysis.margins.cover import Cover
-from robustlab.norms.claims import above, proof_of_norm
-from robustlab.norms.numbers import Numbers, block_rows, loop_numbers, matrices, model_numbers
+from robustlab.norms.claims import proof_of_norm
+from robustlab.norms.numbers import Numbers, above, block_rows, loop_numbers, matrices, model_numbers
 from robustlab.statespace import StateSpaceModel
 from robustlab.verification.claim import Claim
 

@@ -7,8 +7,8 @@ from fractions import Fraction
 import numpy as np
 
 from robustlab.norms import HinfNorm
-from robustlab.norms.claims import above, band_scalings, loop_claims, proof_of_norm
-from robustlab.norms.numbers import Numbers, block_rows, matrices, model_numbers
+from robustlab.norms.claims import band_scalings, loop_claims, proof_of_norm
+from robustlab.norms.numbers import Numbers, above, block_rows, matrices, model_numbers
 from robustlab.statespace import StateSpaceModel, append
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.uncertainty.built import BuiltModel

@@ -1,6 +1,5 @@
 """System norms with their evidence, and the bilinear map, which keeps the H-infinity norm."""
 
-from robustlab.norms.axis_integral import AxisTuning, panel_ends
 from robustlab.norms.bilinear_map import bilinear_to_continuous, bilinear_to_discrete
 from robustlab.norms.hinfinity import (
     QUIET,
@@ -12,11 +11,11 @@ from robustlab.norms.hinfinity import (
     norm_as_given,
 )
 from robustlab.norms.impulse_energy import H2Norm, h2_by_channels, h2_by_gramians, h2_norm
+from robustlab.norms.panels import panel_ends
 from robustlab.norms.peak_gain import PeakGain
 
 __all__ = [
     "QUIET",
-    "AxisTuning",
     "H2Norm",
     "HinfNorm",
     "PeakGain",

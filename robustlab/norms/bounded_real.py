@@ -26,11 +26,12 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.verification.balls import Matrix, exact, identity, inverse, midpoints, precision
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
-from robustlab.verification.models import model_of
+from robustlab.verification.models import Model, model_of
 
 SHARE = 0.5  # of what lies between the level and the norm, squared, that the further outputs take up
 # Levels, over the one that is wanted, at which the equation is solved in doubles: near the norm no digit is left.
 FIRST = (1.0, 1.0001, 1.01, 2.0)
+RANGE = (1e-150, 1e150)  # of levels whose squares are doubles
 BITS = 240  # in which residuals are taken
 ROUGH = 1e-2  # relative residual of an equation that a correction makes good
 STEPS = 40  # of Newton's method
@@ -43,7 +44,7 @@ def norm_matrix(model: StateSpaceModel, gamma: float, norm: float, numbers: Numb
     ``numbers``: those of a loop, of which ``model`` has the rounded matrices; the equation is that of the loop itself.
     """
     n = model.n_states
-    if not n or not model.n_inputs or not norm < gamma:
+    if not n or not model.n_inputs or not norm < gamma or not RANGE[0] < gamma < RANGE[1]:
         return {}
     claimed: Numbers = {**(model_numbers(model) if numbers is None else numbers), "gamma": np.array(gamma)}
     C, D = model.C / gamma, model.D / gamma  # a tiny level beside A would leave the equation without digits
@@ -55,7 +56,6 @@ def norm_matrix(model: StateSpaceModel, gamma: float, norm: float, numbers: Numb
         return {}
     if not 0 < into * into < np.inf:
         return {}
-    room = SHARE * (1 - norm / gamma) * (1 + norm / gamma) / (into * into)
     solve = dare if model.is_discrete else care
     for more in FIRST:
         try:
@@ -101,7 +101,7 @@ def gramian_matrix(model: StateSpaceModel, value: float, level: float, numbers: 
     r"""``P`` and ``P_low`` (n, n) that prove the H2 norm ``value`` at the ``level`` above it; nothing where none does.
 
     :math:`A^T P + P A + C^T C + \varepsilon I = 0` in balanced states, with :math:`\varepsilon` so small that P still
-    proves the level, and solved by residuals in extended precision.
+    proves the level.
     """
     n = model.n_states
     t = np.exp2(balancing_exponents(model.A, model.B, model.C).astype(float))
@@ -109,24 +109,42 @@ def gramian_matrix(model: StateSpaceModel, value: float, level: float, numbers: 
     try:
         # tr(B'XB) of A'X + XA + I = 0 is what a unit of e costs.
         unit = lyapunov(A.T, np.eye(n), model.is_discrete, tolerance=ROUGH)
-        cost = float(np.trace(B.T @ unit @ B))
-        e = 0.5 * (level - value) * (level + value) / cost if cost > 0 else 1.0
+        size = float(np.abs(B).max(initial=0.0)) or 1.0
+        cost = float(np.trace(B.T / size @ unit @ B / size))
+        e = 0.5 * ((level - value) / size) * ((level + value) / size) / cost if cost > 0 else 1.0
         with precision(BITS):
-            G = model_of(Claim("", numbers))
-            into, back = exact(np.diag(1 / t)), exact(np.diag(t))
-            exact_A, C = into * G.A * back, G.C * back
-            Q, P = C.transpose() * C + identity(n) * arb(e), exact(np.zeros((n, n)))
-            for _ in range(STEPS):
-                PA = P * exact_A
-                residual = midpoints((exact_A.transpose() * PA - P if G.dt else PA.transpose() + PA) + Q)
-                step = lyapunov(A.T, 0.5 * (residual + residual.T), model.is_discrete, tolerance=ROUGH)
-                P = (P + exact(0.5 * (step + step.T))).mid()
-                if np.abs(step).max() <= SMALL * np.abs(midpoints(P)).max():
-                    break
-            high, low = _in_doubles(P)
+            high, low = _in_doubles(_gramian(model_of(Claim("", numbers)), A, t, e))
     except (InputError, NoTrustworthyNumber):
         return {}
     return {"P": high / t[:, None] / t, "P_low": low / t[:, None] / t}
+
+
+def gramian_square(model: StateSpaceModel) -> float | None:
+    """The square of the H2 norm of a stable model, to the last bit; None where the Gramian does not settle."""
+    t = np.exp2(balancing_exponents(model.A, model.B, model.C).astype(float))
+    try:
+        with precision(BITS):
+            G = model_of(Claim("", model_numbers(model)))
+            P, into = _gramian(G, model.A / t[:, None] * t, t, 0.0), exact(np.diag(1 / t)) * G.B
+            parts = (into.transpose() * P * into, G.D.transpose() * G.D)
+            return float(sum((X[i, i] for X in parts for i in range(G.m)), arb(0)))
+    except (InputError, NoTrustworthyNumber):
+        return None
+
+
+def _gramian(G: Model, A: Array, t: Array, e: float) -> Matrix:
+    """P of states divided by t, where G's A is about ``A``, by residuals in extended precision."""
+    into, back = exact(np.diag(1 / t)), exact(np.diag(t))
+    exact_A, C = into * G.A * back, G.C * back
+    Q, P = C.transpose() * C + identity(G.n) * arb(e), exact(np.zeros((G.n, G.n)))
+    for _ in range(STEPS):
+        PA = P * exact_A
+        residual = midpoints((exact_A.transpose() * PA - P if G.dt else PA.transpose() + PA) + Q)
+        step = lyapunov(A.T, 0.5 * (residual + residual.T), G.dt > 0, tolerance=ROUGH)
+        P = (P + exact(0.5 * (step + step.T))).mid()
+        if np.abs(step).max() <= SMALL * np.abs(midpoints(P)).max():
+            return P
+    raise NoTrustworthyNumber("gramian", "residuals that do not settle")
 
 
 def _in_doubles(P: Matrix) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ import numpy as np
 from robustlab.norms import HinfNorm
 from robustlab.norms.bounded_real import gramian_matrix, norm_matrix
 from robustlab.norms.impulse_energy import H2Norm
-from robustlab.norms.numbers import ABOVE, Numbers, loop_numbers, model_numbers
+from robustlab.norms.numbers import Numbers, above, loop_numbers, model_numbers
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.verification.claim import Claim
@@ -38,11 +38,6 @@ def band_scalings(q: int, p: int, band: tuple[float, float]) -> Numbers:
     whole = {"low": np.array([low]), "high": np.array([high]), "band": np.array([low, high])}
     scalings = {"D_w": np.eye(q)[None], "D_z": np.eye(p)[None], "G": np.zeros((1, q, p))}
     return {"blocks": np.array([[2, q, p]], dtype=np.int64), **whole, **scalings}
-
-
-def above(number: float) -> float:
-    """What is claimed of a number that was found."""
-    return float(number * ABOVE) if number > 0 else 1e-300
 
 
 def proof_of_norm(model: StateSpaceModel, level: float, norm: float, loop: Numbers | None = None) -> Numbers:

@@ -19,7 +19,7 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import solved_response
 from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, lapack
 from robustlab.linear_analysis.modal_response import ModalResponse, largest_gain
-from robustlab.norms.axis_integral import AxisTuning, panel_ends
+from robustlab.norms.panels import panel_ends
 from robustlab.shown import Tuning
 from robustlab.statespace import StateSpaceModel
 
@@ -38,7 +38,7 @@ LOOKED_AT, ROUGHLY = 3, 1e4
 # Frequencies at which the states are solved for where the bound by the modes is too coarse, those where it is largest.
 REACHES = 40
 # How much wider the intervals of a proof get away from a pole.
-COVER = AxisTuning(growth=3.0)
+COVER = 3.0
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,11 @@ Numbers = dict[str, NDArray[Any]]
 ABOVE = 1 + 1e-6  # a level is claimed so much above what was found: the evidence then holds with a margin
 
 
+def above(number: float) -> float:
+    """What is claimed of a number that was found."""
+    return float(number * ABOVE) if number > 0 else 1e-300
+
+
 def matrices(model: StateSpaceModel, name: str = "{}") -> Numbers:
     """``A, B, C, D``, called as ``name`` says."""
     return {name.format(letter): getattr(model, letter) for letter in "ABCD"}

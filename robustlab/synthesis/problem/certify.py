@@ -12,8 +12,8 @@ import numpy as np
 
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.norms.bounded_real import norm_matrix
-from robustlab.norms.claims import above, gramian_claims, h2_loop_claims
-from robustlab.norms.numbers import loop_numbers
+from robustlab.norms.claims import gramian_claims, h2_loop_claims
+from robustlab.norms.numbers import above, loop_numbers
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.verification.balls import midpoints, precision
@@ -84,7 +84,8 @@ def closed_exactly(plant: GeneralizedPlant, K: StateSpaceModel) -> StateSpaceMod
     """The loop of P and K, each entry rounded once."""
     with precision(BITS):
         exact = closed_in_balls(Claim("", loop_numbers(plant.model, K)))
-        return StateSpaceModel(*(midpoints(X) for X in (exact.A, exact.B, exact.C, exact.D)), plant.model.dt)
+        A, B, C, D = (midpoints(X) for X in (exact.A, exact.B, exact.C, exact.D))
+        return StateSpaceModel(A, B, C, D, plant.model.dt)
 
 
 def _in_floats(true: StateSpaceModel, norm: HinfNorm | H2Norm, shown: float, doubt: str) -> Certificate:

@@ -18,14 +18,14 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.norms import AxisTuning, panel_ends
+from robustlab.norms import panel_ends
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.reduction.balancing import triangular_root
 
 __all__ = ["band_gramian_factors"]
 
 # Points of Gauss and Legendre's rule in a panel; how much wider panels get away from a pole, and beyond all of them.
-NODES, AXIS = 10, AxisTuning(growth=4.0)
+NODES, GROWTH = 10, 4.0
 # Frequencies at a time.
 CHUNK = 1000
 
@@ -44,9 +44,9 @@ def _rule(model: StateSpaceModel, low: float, high: float) -> tuple[AnyArray, An
     x, w = np.polynomial.legendre.leggauss(NODES)
     poles: AnyArray = model.poles()
     if model.is_discrete:
-        ends = panel_ends(np.log(poles[np.abs(poles) > 1e-12]) / model.dt, model.dt, AXIS)
+        ends = panel_ends(np.log(poles[np.abs(poles) > 1e-12]) / model.dt, model.dt, GROWTH)
     else:
-        ends = panel_ends(poles, 0.0, AXIS)[:-1]
+        ends = panel_ends(poles, 0.0, GROWTH)[:-1]
     last = ends[-1]
     inside = np.unique(np.concatenate([ends[(ends > low) & (ends < high)], [low, min(high, max(low, last))]]))
     half = 0.5 * np.diff(inside)
