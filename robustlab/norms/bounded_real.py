@@ -54,8 +54,9 @@ def norm_matrix(model: StateSpaceModel, gamma: float, norm: float, numbers: Numb
         into = hinf_norm(StateSpaceModel(A, B, np.eye(n), np.zeros((n, model.n_inputs)), model.dt), 1e-2).upper
     except (InputError, NoTrustworthyNumber):
         return {}
-    if not 0 < into * into < np.inf:
+    if not 0 < into < np.inf:
         return {}
+    room = SHARE * (1 - norm / gamma) * (1 + norm / gamma) / into / into
     solve = dare if model.is_discrete else care
     for more in FIRST:
         try:
