@@ -190,7 +190,8 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         H, k = self.H, len(self.delays)
         inner, scale = np.block([[H.A, H.B[:, :k]], [H.C[:k], H.D[:k, :k]]]), np.ones(H.n_states + k)
         if len(scale):
-            balanced: Any = matrix_balance(inner, permute=False, separate=True)
+            with np.errstate(invalid="ignore"):  # scipy casts the scales to a permutation that nobody asked for
+                balanced: Any = matrix_balance(inner, permute=False, separate=True)
             scale = np.asarray(balanced[1][0], dtype=float)
         B, C = np.vstack([H.B, H.D[:k]])[:, k:], np.hstack([H.C, H.D[:, :k]])[k:]
         return inner / scale[:, None] * scale, B / scale[:, None], C * scale, H.D[k:, k:]
