@@ -133,14 +133,14 @@ def offered(*words):
 
 def test_plants_and_metrics_are_those_of_the_library():
     from robustlab.dynamics import plant_names
-    from robustlab.worst_case_analysis.metrics import METRICS as KNOWN
+    from robustlab.worst_case_analysis import METRICS as KNOWN
 
     assert set(PLANTS) == set(plant_names())
     assert set(METRICS) == set(KNOWN)
 
 
 def test_choices_are_those_of_the_library():
-    from robustlab.campaign.settings import CampaignSettings
+    from robustlab.campaign import CampaignSettings
     from robustlab.dynamics.extended.force_blocks import Dry
     from robustlab.identification.validation.sampled_problem import NoiseNorm
     from robustlab.mu_analysis.margins.cover import COVER_FORMS

@@ -8,7 +8,7 @@ from command_files import write_models
 from shell import robustlab
 
 import robustlab as rl
-from robustlab.linear_analysis.frequency import frequency_response
+from robustlab import frequency_response
 from robustlab.norms import h2_norm
 from robustlab.statespace import lower_lft
 

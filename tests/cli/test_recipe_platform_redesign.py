@@ -12,8 +12,8 @@ from shell import robustlab
 
 import robustlab as rl
 from robustlab.dynamics.stewart import nut_angles
+from robustlab.identification import Comparison
 from robustlab.identification.comparison.along_motion import _pose
-from robustlab.identification.comparison.comparison_result import Comparison
 
 ROOT = Path(__file__).parents[2]
 

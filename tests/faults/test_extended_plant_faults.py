@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
-from robustlab.dynamics.parameters import Parameter
+from robustlab.dynamics import Descriptor, LinearPlant, Parameter
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.tree import content_sha256
 

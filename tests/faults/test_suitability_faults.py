@@ -5,7 +5,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.record_check.suitability import suitability
+from robustlab.identification import suitability
 
 AXIS, MOTOR = rl.plant("servo-axis"), rl.plant("dc-motor")
 DT = 1e-3

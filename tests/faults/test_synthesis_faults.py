@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robustlab import mixsyn
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import hamiltonian_riccati
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
-from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 from robustlab.synthesis.hinf.search import trial_norm
 from robustlab.synthesis.problem.partition import Realisation
 

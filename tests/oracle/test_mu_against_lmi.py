@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.uncertainty.blocks import FullBlock, RealScalar, as_blocks, structure_size
+from robustlab import FullBlock, RealScalar
+from robustlab.uncertainty.blocks import as_blocks, structure_size
 
 
 def hermitian_variable(cp, n):

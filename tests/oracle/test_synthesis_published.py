@@ -9,15 +9,12 @@ import control
 import numpy as np
 import pytest
 
+from robustlab import h2, mixsyn, ncf, performance_weight
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.norms import h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, lower_lft
-from robustlab.synthesis.h2.h2_synthesis import h2
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
-from robustlab.synthesis.hinf.loop_shaping import ncf
-from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.specifications.weight_design import performance_weight
 
 SHARED = Path(__file__).parents[3] / "shared"
 COMPLEIB = SHARED / "data" / "compleib.h5"

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 import scipy.optimize
 
+from robustlab import ComplexScalar, FullBlock, ParameterRange, RealScalar, UncertainModel, elementwise
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
-from robustlab.uncertainty.elementwise import elementwise
-from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample, worst_case
 
 # --- the thesis' motor (Maxon RE 35), no-load step of 42 V -----------------------------------------------------------

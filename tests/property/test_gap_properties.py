@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.uncertainty.distances.coprime import coprime_margin
-from robustlab.uncertainty.distances.gap_metric import nu_gap
+from robustlab import coprime_margin, nu_gap
 
 
 def near(seed: int, n: int, p: int, m: int, step: float) -> tuple[rl.StateSpaceModel, ...]:

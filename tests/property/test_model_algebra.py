@@ -8,11 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robustlab import ComplexScalar, RealScalar, UncertainModel, frequency_response
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
-from robustlab.uncertainty.lft import UncertainModel
 
 OMEGA = np.geomspace(0.05, 50.0, 12)
 SEEDS = st.integers(0, 10**6)

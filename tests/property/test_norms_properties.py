@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.linear_analysis.frequency import frequency_response
+from robustlab import frequency_response
 from robustlab.norms import bilinear_to_discrete, hinf_norm
 from robustlab.statespace import StateSpaceModel, series
 

@@ -10,11 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.dynamics import Descriptor, LinearPlant, NonlinearPlant, Parameter, overridden
+from robustlab.dynamics import Descriptor, LinearPlant, NonlinearPlant, Parameter, Trim, overridden
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Scales
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.storage import read
 

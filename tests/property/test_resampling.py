@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robustlab.errors import InputError
-from robustlab.identification.record_check.resampling import join_clocks, uniform
+from robustlab.identification import join_clocks
+from robustlab.identification.record_check.resampling import uniform
 from robustlab.record import Record
 
 DT = 0.01

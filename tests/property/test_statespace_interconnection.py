@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.linear_analysis.frequency import frequency_response
+from robustlab import frequency_response
 from robustlab.statespace import StateSpaceModel, append, feedback, lower_lft, series
 
 OMEGA = np.array([0.0, 0.3, 1.0, 7.0, 50.0])

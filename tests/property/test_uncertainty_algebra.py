@@ -7,13 +7,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from robustlab import ComplexScalar, FullBlock, ParameterRange, RealScalar, UncertainModel, frequency_response
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty import algebra, lft
 from robustlab.uncertainty.algebra import centred
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
-from robustlab.uncertainty.lft import UncertainModel
 
 SETTINGS = settings(max_examples=20, deadline=None, derandomize=True)
 OMEGA = np.array([0.0, 0.7, 20.0])

@@ -6,8 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robustlab import elementwise
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.elementwise import STRUCTURES, elementwise, endpoint_residual
+from robustlab.uncertainty.elementwise import STRUCTURES, endpoint_residual
 
 SETTINGS = settings(max_examples=50, deadline=None, derandomize=True)
 

@@ -8,12 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
+from robustlab import ComplexScalar, FullBlock, RealScalar, UncertainModel, elementwise, frequency_response
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar, delta_matrix, delta_values
-from robustlab.uncertainty.elementwise import elementwise
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.blocks import delta_matrix, delta_values
 from robustlab.uncertainty.upper_lft import upper_lft
 
 SETTINGS = settings(max_examples=40, deadline=None, derandomize=True)

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
+from robustlab import ParameterRange, RealScalar, parametric
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.uncertainty.blocks import ParameterRange, RealScalar
-from robustlab.uncertainty.parametric import parametric
 
 SETTINGS = settings(max_examples=25, deadline=None, derandomize=True)
 

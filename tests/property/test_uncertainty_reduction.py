@@ -7,13 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robustlab import FullBlock, RealScalar, UncertainModel, elementwise
 from robustlab.errors import InputError
 from robustlab.result import plain
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.algebra import reduction
-from robustlab.uncertainty.blocks import FullBlock, RealScalar
-from robustlab.uncertainty.elementwise import STRUCTURES, elementwise
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.elementwise import STRUCTURES
 
 SETTINGS = settings(max_examples=12, deadline=None, derandomize=True)
 seeds = st.integers(0, 100_000)

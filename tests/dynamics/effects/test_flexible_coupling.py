@@ -8,11 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
+from robustlab.dynamics import Descriptor, LinearPlant, Parameter
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
-from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.ports.port_model import port_model
 from robustlab.errors import InputError
 from robustlab.statespace import Signal

@@ -57,7 +57,7 @@ def designs():
 
 
 def rl_goal():
-    from robustlab.synthesis.fixed.goal_tuning import TrackingGoal
+    from robustlab.synthesis import TrackingGoal
 
     return TrackingGoal(2.0)
 

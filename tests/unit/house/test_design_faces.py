@@ -7,7 +7,7 @@ import shown_objects
 
 from robustlab.recipe.steps import contract
 from robustlab.result import plain
-from robustlab.synthesis.problem.design import Design
+from robustlab.synthesis import Design
 
 KINDS = [
     *("DKSynthesis", "FixedSynthesis", "H2Synthesis", "HinfSynthesis"),

@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
+from robustlab.dynamics import Descriptor, LinearPlant, Parameter, overridden
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Scales
-from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
-from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.candidates import (

@@ -196,7 +196,7 @@ def test_what_cannot_be_compared_is_refused(record, options, said):
 
 @pytest.mark.parametrize("name", ["torque_2", "q_1"])
 def test_a_record_check_tells_a_turned_channel(name):
-    from robustlab.identification.record_check.suitability import suitability
+    from robustlab.identification import suitability
 
     record, _ = arm_record()
     assert suitability(arm(), arm_record(b_2=1.5)[0]).fit  # a missing friction is no wrong sign
@@ -206,7 +206,7 @@ def test_a_record_check_tells_a_turned_channel(name):
 
 
 def test_validate_and_cover_ask_for_a_linear_set():
-    from robustlab.identification.comparison.envelope import cover
+    from robustlab.identification import cover
 
     for call in (rl.validate, cover):
         with pytest.raises(rl.InputError, match="an uncertain linear model about a trim"):

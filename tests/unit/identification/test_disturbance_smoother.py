@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from robustlab.dynamics.simulation import simulate
+from robustlab import simulate
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses import disturbance_smoother as ds
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance

@@ -8,7 +8,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.identification.record_check.suitability import check_record
+from robustlab.identification import check_record
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab import ComplexScalar, RealScalar, UncertainModel
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.envelope import cover
+from robustlab.identification import cover
 from robustlab.result import Status
-from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
-from robustlab.uncertainty.lft import UncertainModel
 
 T = np.linspace(0.0, 5.0, 1001)
 STEP = (T >= 0.5).astype(float)  # rest first: the initial state is then known

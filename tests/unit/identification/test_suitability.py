@@ -8,8 +8,9 @@ import pytest
 from oracle.stick_slip import stick_slip
 
 import robustlab as rl
+from robustlab.identification import suitability
 from robustlab.identification.record_check.channel_identity import derivative_pairs
-from robustlab.identification.record_check.suitability import quantisation_step, suitability
+from robustlab.identification.record_check.suitability import quantisation_step
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 DT = 1e-3

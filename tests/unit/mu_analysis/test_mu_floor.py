@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.linear_analysis.frequency import frequency_response
+from robustlab import ComplexScalar, FullBlock, RealScalar, frequency_response
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis import GeneralizedPlant
 from robustlab.synthesis.dk.mu_floor import mu_floor
-from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
 
 
 def servo(spread: float = 0.5) -> GeneralizedPlant:

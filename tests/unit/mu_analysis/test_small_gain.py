@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.margins.small_gain import small_gain
+from robustlab import small_gain, unstructured
 from robustlab.uncertainty.realised_delta import realise_delta
-from robustlab.uncertainty.unstructured import FORMS, unstructured
+from robustlab.uncertainty.unstructured import FORMS
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.2]])
 

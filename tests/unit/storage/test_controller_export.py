@@ -11,9 +11,9 @@ import pytest
 from patience import PATIENCE
 
 import robustlab as rl
+from robustlab import discretise
 from robustlab.errors import InputError
 from robustlab.storage.controller_export import c_source
-from robustlab.synthesis.sampled.sampled_controller import discretise
 from robustlab.synthesis.windup.back_calculation import back_calculation
 
 CC = shutil.which("cc")

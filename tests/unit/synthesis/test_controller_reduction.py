@@ -8,7 +8,7 @@ import pytest
 import robustlab as rl
 from robustlab.result import Status, plain
 from robustlab.statespace import lower_lft
-from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis import GeneralizedPlant
 from robustlab.synthesis.problem.performance_measure import plant_with_scalings
 from robustlab.synthesis.reduction.controller_reduction import ReducedController
 

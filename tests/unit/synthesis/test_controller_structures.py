@@ -5,22 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robustlab import frequency_response
+from robustlab.dynamics import Trim
 from robustlab.dynamics.control.controllers import LayeredController, TorqueGains, upper_layer
-from robustlab.dynamics.plant_contract import Trim
 from robustlab.errors import InputError
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import Signal
+from robustlab.synthesis import PID, Decentralised, FixedOrder, FixedPoles, MultichannelPID, Part, Series, StaticGain
 from robustlab.synthesis.laws.controller_laws import model_of
-from robustlab.synthesis.laws.controller_structures import (
-    PID,
-    Decentralised,
-    FixedOrder,
-    FixedPoles,
-    MultichannelPID,
-    Part,
-    Series,
-    StaticGain,
-)
 
 OMEGA = np.array([0.1, 0.7, 3.0])
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab import control_weight
+from robustlab.synthesis import GeneralizedPlant
 from robustlab.synthesis.dk.dk_iteration import structure_with_performance
 from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, Factor, unit_scalings
 from robustlab.synthesis.dk.robust_problem import RobustProblem
 from robustlab.synthesis.dk.scalings_fit import as_complex
-from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.specifications.tracking_problem import tracking_problem
-from robustlab.synthesis.specifications.weight_design import control_weight, error_weight
+from robustlab.synthesis.specifications.weight_design import error_weight
 from robustlab.uncertainty.blocks import Block
 
 

@@ -15,8 +15,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.laws.controller_structures import PID, FixedOrder
-from robustlab.synthesis.nonsmooth.design_limits import Bandwidth, Damping, Decay, RollOff, StableController
+from robustlab.synthesis import PID, Bandwidth, Damping, Decay, FixedOrder, RollOff, StableController
 from robustlab.synthesis.nonsmooth.parameter_search import descend
 
 GAIN = "K[u2,y3]"

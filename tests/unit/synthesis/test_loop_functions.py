@@ -5,12 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robustlab import (
+    complementary_weight,
+    control_weight,
+    frequency_response,
+    loop_functions,
+    mixsyn,
+    performance_weight,
+)
 from robustlab.errors import InputError
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
-from robustlab.synthesis.specifications.loop_functions import loop_functions
-from robustlab.synthesis.specifications.weight_design import complementary_weight, control_weight, performance_weight
 
 OMEGA = np.geomspace(1e-3, 1e3, 60)
 

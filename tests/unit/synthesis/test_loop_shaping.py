@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
+from robustlab import loop_functions, ncf, nu_gap
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, feedback, lower_lft, series
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
-from robustlab.synthesis.hinf.loop_shaping import ncf
-from robustlab.synthesis.specifications.loop_functions import loop_functions
 from robustlab.uncertainty.distances.coprime import four_block
-from robustlab.uncertainty.distances.gap_metric import nu_gap
 
 # 200 / ((10 s + 1) (0.05 s + 1)^2) as a chain, and (s + 2) / s.
 DISTURBED = StateSpaceModel(

@@ -11,8 +11,8 @@ import shown_objects
 from scipy.linalg import expm
 
 import robustlab as rl
+from robustlab import frequency_response
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.result import Status
 from robustlab.statespace import lower_lft
 from robustlab.synthesis import LPVController

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab import ComplexScalar, FullBlock, ParameterRange, RealScalar, frequency_response
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis import GeneralizedPlant
 from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.dk.dk_iteration import structure_with_performance
 from robustlab.synthesis.dk.robust_problem import RobustProblem
-from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, ParameterRange, RealScalar
 
 OMEGA = np.concatenate([[0.0], np.geomspace(1e-5, 1e5, 1500)])
 

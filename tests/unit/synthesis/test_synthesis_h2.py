@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robustlab import generalized_plant, h2
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import h2_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.h2.h2_synthesis import h2
-from robustlab.synthesis.problem.partition import generalized_plant
 
 
 def regular_plant(seed=0, n=4, m1=3, m2=2, p1=3, p2=2, dt=0.0, D11=False, D22=False, unstable=True):

@@ -6,12 +6,11 @@ import control
 import numpy as np
 import pytest
 
+from robustlab import complementary_weight, control_weight, frequency_response, mixsyn, performance_weight
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, feedback, series
-from robustlab.synthesis.hinf.mixed_sensitivity import mixed_sensitivity_plant, mixsyn
-from robustlab.synthesis.specifications.weight_design import complementary_weight, control_weight, performance_weight
+from robustlab.synthesis.hinf.mixed_sensitivity import mixed_sensitivity_plant
 
 OMEGA = np.geomspace(1e-4, 1e5, 200)
 

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab import RealScalar, UncertainModel, frequency_response, generalized_plant
 from robustlab.errors import InputError
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
-from robustlab.synthesis.problem.partition import generalized_plant
-from robustlab.uncertainty.blocks import RealScalar
-from robustlab.uncertainty.lft import UncertainModel
 
 
 def uncertain_model() -> UncertainModel:

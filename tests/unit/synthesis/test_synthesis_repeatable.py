@@ -12,11 +12,10 @@ from dk import oscillator
 from repeatable import same_under_load
 
 import robustlab as rl
-from robustlab import budget
+from robustlab import ComplexScalar, budget
 from robustlab.budget import NOT_REPEATABLE
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar
 
 USED_UP = "work budget used up: a larger effort may find"
 BENCHMARKS = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[3] / 'benchmarks')!r})\n"

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from robustlab import mixsyn
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn
 
 
 def random_discrete(seed: int) -> StateSpaceModel:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab import complementary_weight, control_weight, frequency_response
 from robustlab.dynamics.control.controlled_plant import actuator_cascade
 from robustlab.errors import InputError
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.specifications.tracking_problem import tracking_problem
-from robustlab.synthesis.specifications.weight_design import complementary_weight, control_weight, error_weight
+from robustlab.synthesis.specifications.weight_design import error_weight
 
 OMEGA = np.geomspace(1e-2, 1e3, 60)
 SIZES = {"reference": {"q": 2.0, "v": 0.5}, "disturbance": {"f": 3.0}, "noise": {"q_ref": 0.1, "v": 0.2}}

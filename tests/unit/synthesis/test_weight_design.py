@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robustlab import frequency_response, makeweight
 from robustlab.errors import InputError
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.specifications.weight_design import (
-    makeweight,
-)
 
 LAG = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab import coprime_margin, nu_gap
 from robustlab.norms import bilinear_to_discrete
-from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors, coprime_margin
-from robustlab.uncertainty.distances.gap_metric import nu_gap
+from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
 
 
 def first_order(gain: float, pole: float, direct: float = 0.0) -> rl.StateSpaceModel:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.uncertainty.covering.overbound import overbound
+from robustlab import overbound
 
 
 def size_of(zeros, poles, gain=1.0):

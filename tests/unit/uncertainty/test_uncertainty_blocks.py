@@ -5,20 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robustlab import ComplexScalar, FullBlock, ParameterRange, RealScalar, UncertainModel
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import (
-    ComplexScalar,
-    FullBlock,
-    ParameterRange,
-    RealScalar,
-    as_blocks,
-    block_slices,
-    delta_matrix,
-    delta_values,
-    structure_size,
-)
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.blocks import as_blocks, block_slices, delta_matrix, delta_values, structure_size
 
 
 def test_mussv_rows():

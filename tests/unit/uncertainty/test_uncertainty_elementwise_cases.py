@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab import elementwise, frequency_response, generalized_plant
 from robustlab.cli import main
 from robustlab.errors import InputError, UnitMismatch
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.partition import generalized_plant
-from robustlab.uncertainty.elementwise import STRUCTURES, by_cause, elementwise, endpoint_residual
+from robustlab.uncertainty.elementwise import STRUCTURES, by_cause, endpoint_residual
 
 A = np.array([[-6.0, 7200.0], [-84.0, -3300.0]])
 B, C, D = np.array([[0.0], [1600.0]]), np.eye(2), np.zeros((2, 1))

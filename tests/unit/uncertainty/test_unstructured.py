@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.uncertainty.unstructured import FORMS, unstructured
+from robustlab import unstructured
+from robustlab.uncertainty.unstructured import FORMS
 
 
 def model(n: int, p: int, m: int, seed: int, dt: float = 0.0, shift: float = 0.5) -> rl.StateSpaceModel:

@@ -8,12 +8,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robustlab import ComplexScalar, ParameterRange, RealScalar, UncertainModel
 from robustlab.budget import Budget
 from robustlab.campaign import CampaignSettings
 from robustlab.campaign.evaluation import TILE, Evaluator
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar, ParameterRange, RealScalar
-from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import MetricBatch, MetricRequest, sample, violation_probability, worst_case
 from robustlab.worst_case_analysis.draws import RealSet
 from robustlab.worst_case_analysis.ensemble import delta_stack, members

@@ -7,12 +7,10 @@ import pickle
 import numpy as np
 import pytest
 
+from robustlab import ComplexScalar, RealScalar, UncertainModel, elementwise
 from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
-from robustlab.uncertainty.elementwise import elementwise
-from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import METRICS, MetricBatch, MetricRequest, worst_case
 from robustlab.worst_case_analysis.metrics import make_metric
 from robustlab.worst_case_analysis.worst_case_search import _Climb, _Search

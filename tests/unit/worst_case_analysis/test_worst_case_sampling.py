@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from robustlab.dynamics.simulation import simulate
+from robustlab import ComplexScalar, FullBlock, RealScalar, UncertainModel, elementwise, simulate
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
-from robustlab.uncertainty.elementwise import elementwise
-from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample
 from robustlab.worst_case_analysis.ensemble import split
 

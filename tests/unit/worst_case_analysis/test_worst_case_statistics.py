@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from robustlab import RealScalar, UncertainModel, elementwise
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.report.robustness_figures import distribution_figure, influence_figure
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import RealScalar
-from robustlab.uncertainty.elementwise import elementwise
-from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import (
     clopper_pearson,
     quantile_bounds,
