@@ -8,6 +8,7 @@ whose optimum is the measure of tightness. Slow peers get the first matrices of 
 from __future__ import annotations
 
 import importlib.util
+from typing import Any
 
 import numpy as np
 import slycot
@@ -15,7 +16,7 @@ from harness import heading, timed
 
 import robustlab as rl
 from robustlab.budget import one_thread
-from robustlab.mu_analysis.matrix.certificate import has_structure, proves
+from robustlab.mu_analysis.matrix.certificate import project, proves
 from robustlab.mu_analysis.matrix.upper import upper_bounds
 from robustlab.uncertainty.blocks import FullBlock, RealScalar, as_blocks, structure_size
 
@@ -78,6 +79,15 @@ class Inequality:
         return high * size
 
 
+def commute(blocks: Any, bound: Any) -> bool:
+    """Whether ``D_w Delta = Delta D_z`` and ``Delta^* G`` is Hermitian for a random Delta of the structure."""
+    rng = np.random.default_rng(1)
+    delta = project(blocks, rng.standard_normal(bound.G.shape) + 1j * rng.standard_normal(bound.G.shape))
+    turned = delta.conj().T @ bound.G
+    off = np.linalg.norm(bound.Dw @ delta - delta @ bound.Dz) + np.linalg.norm(turned - turned.conj().T)
+    return bool(off <= 1e-12 * (np.linalg.norm(bound.Dw) + np.linalg.norm(bound.G)) * np.linalg.norm(delta))
+
+
 def _diagonal(cp, parts):
     shapes = [part.shape for part in parts]
     rows = range(len(parts))
@@ -125,10 +135,7 @@ def line(name: str, rows, slow: int, count: int) -> str:
     own_ms = 1e3 * spent / count
     own = np.array([b.beta for b in bounds])
     lower = rl.mu(M[:3], blocks).lower
-    proved = [
-        has_structure(blocks, b.Dw, b.Dz, b.G) and proves(m, b.Dw, b.Dz, b.G, b.beta)
-        for m, b in zip(M, bounds, strict=True)
-    ]
+    proved = [commute(blocks, b) and proves(m, b.Dw, b.Dz, b.G, b.beta) for m, b in zip(M, bounds, strict=True)]
     wrong = count - sum(proved) + int((own[:3] < lower * (1 - 1e-8)).sum())
     cells = [f"{name:20s}{own_ms:9.2f}"]
     for peer, some in ((ab13md(blocks), M if q <= 12 else M[:3] if q <= 24 else M[:1]), (dkpy_bound(blocks), M[:slow])):

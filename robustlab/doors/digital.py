@@ -227,7 +227,7 @@ def close_loop(
     sign: Annotated[Sign, Named(option="--feedback")] = None,
 ) -> Any:
     """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out."""
-    from robustlab.synthesis.specifications.tracking_loop import close_loop as closed
+    from robustlab.synthesis.specifications.tracking_loop import ClosedLoop, tracking_loop, with_law
 
-    given: Any = sign
-    return closed(system, controller, given)
+    K, words = with_law(system, controller, sign)
+    return ClosedLoop(tracking_loop(system, K), words)
