@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
+from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.norms import PeakGain
 from robustlab.report.figures import (
     COLOURS,
@@ -46,7 +48,7 @@ SHOWN_BLOCKS = 16
 def mu_figure(margin: Margin) -> Figure:
     """Bounds of mu at the frequencies of the margin, and what is proved between them."""
     figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
-    omega, lower, upper = margin.omega, margin.mu_lower, margin.mu_upper
+    omega, lower, upper = _with_points_of_the_peak(margin)
     with house_style():
         shown = _frame(axes, omega, margin.intervals)
         if shown.any():
@@ -71,6 +73,25 @@ def mu_figure(margin: Margin) -> Figure:
         axes.set_ylabel("structured singular value μ")
         legend_below(figure, (axes,), 2)
     return figure
+
+
+def _with_points_of_the_peak(margin: Margin) -> tuple[Array, Array, Array]:
+    """Frequencies and bounds of mu of the margin, and some more around its peak, which may lie between two of them."""
+    omega, lower, upper = margin.omega, margin.mu_lower, margin.mu_upper
+    peak, system = margin.frequency, margin.system
+    if not len(omega) or system is None or peak is None or not 0 < peak < np.inf:
+        return omega, lower, upper
+    added = peak * np.exp(np.append(0.0, np.outer([1, -1], np.geomspace(1e-3, 0.3, 9))))
+    if system.dt:
+        added = added[added < np.pi / system.dt]
+    try:
+        found = mu(frequency_response(system.delta_channels, added), system.blocks)
+    except InputError:  # ranges wider on one side
+        return omega, lower, upper
+    order = np.argsort(np.append(omega, added))
+    bounds = ((omega, added), (lower, found.lower), (upper, found.upper))
+    first, second, third = (np.concatenate([np.atleast_1d(part) for part in both])[order] for both in bounds)
+    return first, second, third
 
 
 def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:

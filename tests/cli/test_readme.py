@@ -29,6 +29,7 @@ def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("readme")
     shutil.copytree(ROOT / "models", place / "models")
     shutil.copytree(ROOT / "recipes", place / "recipes")
+    (place / "out").mkdir()
     return place
 
 
