@@ -117,6 +117,8 @@ def disk_margin(
         names, hint = {"accuracy": "tolerance", "order": "highest_order"}, ".uncertain(order) makes a set of it"
         chosen = options_of("disk_margin", "a loop with exact delays", given, names, hint)
         return delay_disk_margins(plant, K, effort=effort, **loop, **chosen)
+    if isinstance(plant, UncertainModel) and not plant.blocks:
+        plant = plant.nominal
     if isinstance(plant, UncertainModel):
         hint = "robust_stability of the set with a disk block in its loop proves it for every member (docs/analysis.md)"
         raise InputError("disk_margin: plant", "an UncertainModel", "one model, such as .nominal", hint)

@@ -66,7 +66,7 @@ def test_a_sign_that_contradicts_the_file_stands_above_the_number(run):
 
 
 @pytest.mark.parametrize("file", ["plain.h5", "unsaid.h5"])
-@pytest.mark.parametrize("command", ["mu osc.h5", "model margins osc.h5", "model margins nominal.h5"])
+@pytest.mark.parametrize("command", ["mu osc.h5", "model margins nominal.h5"])
 def test_a_controller_that_says_nothing_is_asked_about(run, command, file):
     said = run(*command.split(), "-k", file, code=3)
     assert "does not say its sign, and both signs leave the loop stable" in said

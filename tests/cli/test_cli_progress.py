@@ -138,7 +138,6 @@ def test_every_command_that_can_take_long_shows_where_it_stands():
 @pytest.mark.parametrize(
     "words",
     [
-        "model margins pole.h5",
         "model margins lag.h5 --classical",
         "model check lag.h5",
         "model reduce lag.h5 --order 0",
