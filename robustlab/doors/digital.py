@@ -229,5 +229,6 @@ def close_loop(
     """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out."""
     from robustlab.synthesis.specifications.tracking_loop import ClosedLoop, tracking_loop, with_law
 
-    K, words = with_law(system, controller, sign)
+    given: Any = sign
+    K, words = with_law(system, controller, given)
     return ClosedLoop(tracking_loop(system, K), words)

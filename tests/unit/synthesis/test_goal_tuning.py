@@ -116,7 +116,6 @@ def test_a_sampled_plant() -> None:
         (["tracking"], InputError, "'tracking'"),
         ([TrackingGoal(0.0)], InputError, "response_time"),
         ([MarginGoal(1.0, "middle")], InputError, "middle"),
-        (MarginGoal(1.0), InputError, "a list"),
         ([GainGoal(1.0, "reference", "outputs")], InputError, "'outputs'"),
         ([VarianceGoal(1.0, "noise", "control")], InputError, "H2 norm is infinite"),
     ],
