@@ -52,6 +52,7 @@ def test_without_effects_it_moves_as_the_plant(motors, size, crooked):
         np.testing.assert_allclose(found.rates[:, i], expected[f"phidot_{i + 1}"], rtol=0, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_dry_friction_agrees_with_the_package():
     plant, of = machine(False)
     t, u = inputs(plant, 80, 0.01)

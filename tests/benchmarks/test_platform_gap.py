@@ -79,6 +79,7 @@ def swing(of, plant, target):
     return pm.simulate(of, POSE, len(target), DT, pc._controller(of, whole, r))
 
 
+@pytest.mark.slow
 def test_a_shut_gap_stays_shut_in_the_machine_and_opens_in_the_motion_that_is_proposed():
     plant, of = machine(False, 0.1)
     t = np.arange(400) * DT

@@ -213,6 +213,7 @@ def test_an_interrupted_search_tells_what_was_known_and_ends_in_130(files, tmp_p
     assert (tmp_path / "out" / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_the_updated_plant_is_kept(files, tmp_path, answer, real):
     machine = rl.with_effects(rl.plant("servo-axis", M=96.0), {"coulomb-friction": {"Fc": (FC, 0.1)}})
     answer(replace(real, model=machine))

@@ -97,6 +97,7 @@ def test_nominal_leaves_the_perturbation_out(uncertain):
     assert robustlab(*words, code=0).json["gamma"] > nominal
 
 
+@pytest.mark.slow
 def test_mixsyn_leaves_out_untouched_states_with_a_note_and_draws(folder):
     G = rl.StateSpaceModel([[0, 1], [0, -10]], [[0], [10]], np.eye(2), np.zeros((2, 1)), outputs=["phi", "omega"])
     rl.save("g.h5", G)

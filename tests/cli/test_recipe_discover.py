@@ -108,6 +108,7 @@ def test_the_updated_plant_goes_on_through_the_recipe(run):
     assert rl.load(result.folder / "evidence" / "naming.h5").data["verdict"] == "named"
 
 
+@pytest.mark.slow
 def test_a_requirement_that_is_not_met_ends_in_1(run):
     result = run(DISCOVER + require("naming.names", 'contains = "backlash"'))
     (judged,) = result.data["requirements"]

@@ -44,7 +44,8 @@ def unmet(result):
 
 @pytest.mark.shared
 @pytest.mark.parametrize(
-    "name", [pytest.param("rack-pinion", marks=pytest.mark.slow), "cascaded-tanks", "coupled-drives"]
+    "name",
+    [*(pytest.param(name, marks=pytest.mark.slow) for name in ("rack-pinion", "coupled-drives")), "cascaded-tanks"],
 )
 def test_what_the_other_records_say(name, tmp_path):
     """hsm150 takes minutes: it is not run here."""

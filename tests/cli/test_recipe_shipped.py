@@ -34,6 +34,7 @@ def test_first_light_meets_its_requirements(first_light):
     assert first_light.exit_code == 0
 
 
+@pytest.mark.slow
 def test_first_light_has_the_thesis_numbers(first_light):
     """THESIS items 8-12: published figures, and closed forms of the steady state."""
     assert numbers(first_light, "no_load")["outputs"]["omega"] == pytest.approx(779.1, abs=0.05)

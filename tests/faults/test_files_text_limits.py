@@ -167,7 +167,9 @@ BOMBS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("what", BOMBS)
+@pytest.mark.parametrize(
+    "what", [pytest.param(name, marks=pytest.mark.slow) if name == "a cell of many" else name for name in BOMBS]
+)
 def test_matlab_files_that_grow_are_refused(what, tmp_path):
     make, words = BOMBS[what]
     (tmp_path / "p.mat").write_bytes(HEADER + make())

@@ -154,6 +154,7 @@ def test_dry_laws(name, without):
     assert fine < 0.2 * coarse
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SMOOTH)
 def test_smooth_laws(name, without):
     site, values, physics = SMOOTH[name]

@@ -50,6 +50,7 @@ def test_every_claim_is_proved(name):
     assert found.proved, found.summary()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "change"),
     [

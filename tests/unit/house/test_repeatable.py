@@ -63,6 +63,7 @@ print(*margin.notes, digest(margin), *gain.notes, digest(gain))
     assert found.count(USED_UP) == 2
 
 
+@pytest.mark.slow
 def test_the_worst_member_is_the_same_under_load_and_for_any_number_of_threads():
     found = same_under_load(
         MODEL

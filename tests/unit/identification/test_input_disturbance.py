@@ -101,6 +101,7 @@ def test_friction_at_a_load_is_not_where_the_motor_pushes():
     assert (d.forward, d.backward) == pytest.approx((-0.08, 0.08), rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_stated_errors_of_a_constant_force_hold_the_truth():
     misses, force, t = 0, 0.5, np.arange(3000) * 1e-3
     f = steps(t, 3.0, 1.0)

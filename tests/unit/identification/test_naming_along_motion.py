@@ -159,6 +159,7 @@ def test_friction_of_one_joint_is_named_at_that_joint():
     assert np.isfinite(again["q_1"]).all()
 
 
+@pytest.mark.slow
 def test_nothing_missing_is_said_of_an_arm_within_its_tolerances():
     perturbed = {"m_1": 0.98 * NOMINAL["m_1"], "b_2": 0.8 * NOMINAL["b_2"]}
     runs = [arm_record(seed, **perturbed) for seed in (21, 22)]

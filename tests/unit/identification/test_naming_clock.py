@@ -87,6 +87,7 @@ def test_what_an_input_does_between_its_samples_is_inferred(kind, hold, begun):
     assert abs(shift[0]) < 0.02 * DT
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_late_is_found():
     problem = problem_of(record("late"), Clock(1, ("smooth",)))
     fit = fitted(problem)
@@ -96,6 +97,7 @@ def test_a_clock_that_is_late_is_found():
     assert 0.0 < std < 0.1 * DT
 
 
+@pytest.mark.slow
 def test_discover_reports_the_clock():
     few = [name for name in catalogue() if name not in ("coulomb-friction", "constant-load")]
     found = rl.discover(OSCILLATOR, record("continuous"), exclude=few, tolerances={"m": 0.05, "c": 0.5, "k": 0.05})

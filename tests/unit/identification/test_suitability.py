@@ -127,6 +127,7 @@ def test_inputs_swapped_or_turned():
 # --- what is only missing is not called wrong -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", INPUTS)
 @pytest.mark.parametrize("share", [0.6, 0.9, 1.2])
 def test_friction_up_to_sticking(kind, share):

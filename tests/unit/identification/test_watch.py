@@ -79,6 +79,7 @@ def worn():
     return rl.watch(axis(), log(2, friction=wear), every=2.0, noise={"q": NOISE}, exclude=others())
 
 
+@pytest.mark.slow
 def test_wear_raises_an_alarm_and_the_pieces_since_have_the_larger_friction(worn):
     assert (worn.verdict, worn.met) == ("changed", False)
     assert 6.0 < worn.alarm <= 12.0

@@ -41,6 +41,7 @@ def attacks(t):
     return np.hstack([waves, np.sign(waves)]) * (t < 0.7 * t[-1])[:, None]
 
 
+@pytest.mark.slow
 def test_no_input_of_a_saturated_axis_reaches_more():
     found = gain_of({"input-saturation": {"u_max": 10.0}}, amplitude={"u": 40.0})
     assert found.status is Status.CERTIFIED

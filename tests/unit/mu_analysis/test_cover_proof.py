@@ -39,6 +39,7 @@ def test_every_form_is_proved_and_holds_on_a_dense_grid(form, dt):
     assert ratio.max() > 0.9  # and the weight is no larger than it has to be
 
 
+@pytest.mark.slow
 def test_a_peak_too_narrow_for_any_grid_is_below_the_weight():
     """A needle of 2 at sqrt(7), 1e-7 wide, is the whole error of the additive form and of those of a biproper model."""
     plain = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]])

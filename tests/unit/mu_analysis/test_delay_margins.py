@@ -62,6 +62,7 @@ def test_two_delays_in_one_loop(a, b, first, second):
     assert verdict(loop) is (count == 0)
 
 
+@pytest.mark.slow
 def test_a_loop_that_jumps_for_ever_is_not_called_stable_without_proof():
     through = rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]]))
     assert verdict(through.feedback(0.9 * rl.delay(1.0))) is True

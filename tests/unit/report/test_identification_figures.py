@@ -19,6 +19,7 @@ def comparison():
     return rl.compare(rl.plant("servo-axis"), rl.Record(t, {"u": u}, {"q": noisy}, {"u": "V", "q": "m"}, "$run$ <3>"))
 
 
+@pytest.mark.slow
 def test_all_figures_are_drawn_and_small(comparison, tmp_path):
     figures = comparison_figures(comparison)
     assert list(figures) == ["where-q", "time-q", "speed-q", "spectrum-q", "response-q", "residual-q"]

@@ -112,6 +112,7 @@ def test_a_stable_controller_that_rolls_off():
     assert not design.K.D.any()
 
 
+@pytest.mark.slow
 def test_the_worst_member_of_an_uncertain_plant_is_bounded():
     """Stiffness within +-60 %: the nominal design's worst member is worse than the robust design's."""
     A, B = [[0, 1], [-1, -0.1]], [[0, 0, 0], [0.6, 1, 1]]

@@ -176,6 +176,7 @@ def scheduled_pi_loop(p: float) -> rl.StateSpaceModel:
     return rl.StateSpaceModel(A, [[k_i], [direct], [0], [direct / tau]], [[0, 0, 0, -K]], [[1.0]])
 
 
+@pytest.mark.slow
 def test_a_published_gain_of_a_scheduled_loop():
     """LPVTools manual (Balas, Hjartarson, Packard, Seiler 2015), "Worst-Case Gain Analysis of LPV System", after Tan,
     Hang, Chai 1997: with the uncertainty at its worst, 0.1, at any rate 20.1476; at 0.1 per second between 1.2968 and

@@ -85,6 +85,7 @@ def test_the_column_reaches_its_level_with_few_states(column: DKSynthesis) -> No
     assert column.lower <= column.gamma
 
 
+@pytest.mark.slow
 def test_the_scaled_loop_recomputed_by_hand(column: DKSynthesis) -> None:
     peaks = by_hand(column, OMEGA)
     assert peaks.max() <= column.scaled_level * (1 + 1e-9)
@@ -110,6 +111,7 @@ def test_the_critical_delta_is_singular(column: DKSynthesis) -> None:
     assert np.linalg.svd(np.eye(4) - M @ delta, compute_uv=False)[-1] < 1e-8
 
 
+@pytest.mark.slow
 def test_a_real_stiffness_gives_a_smaller_mu(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
     complex_, real = pair
     assert real.gamma <= 0.85 * complex_.gamma
@@ -133,7 +135,9 @@ def test_a_singular_plant_with_a_closed_form() -> None:
     assert design.lower == pytest.approx(2.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("block", [ComplexScalar("d", 2), RealScalar("d", 2), FullBlock("d", 2, 3)])
+@pytest.mark.parametrize(
+    "block", [ComplexScalar("d", 2), pytest.param(RealScalar("d", 2), marks=pytest.mark.slow), FullBlock("d", 2, 3)]
+)
 def test_repeated_and_non_square_blocks(block: ComplexScalar | RealScalar | FullBlock) -> None:
     rng = np.random.default_rng(3)
     n, n_w, n_z = 3, block.rows + 1, block.cols + 2
