@@ -26,6 +26,7 @@ def test_enough_classes():
     assert {*CURRENT_ONLY} <= {*FAMILIES["motor-current"].classes} - {*MOTOR.classes}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", ["none", "stribeck-friction", "telegraph-load", PAIRS[0]])
 def test_a_seed_is_a_case(effect):
     a, b, c = (make_case(effect, seed, duration=0.6, current=True) for seed in (3, 3, 4))

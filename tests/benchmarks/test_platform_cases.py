@@ -67,6 +67,7 @@ def test_dry_friction_agrees_with_the_package():
         np.testing.assert_allclose(found.phi[:, i], other[f"phi_{i + 1}"], rtol=0, atol=2e-3 * np.ptp(found.phi[:, 2]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault",
     [{"coulomb": 0.05}, {"coulomb": 0.03, "breakaway": 0.03, "stribeck": 1.0}, {"gap": 0.2}, {"ripple": 0.02}],
@@ -82,6 +83,7 @@ def test_half_the_step_changes_nothing(fault):
     assert np.abs(fine.clean - coarse.clean).max() < 0.1 * effect
 
 
+@pytest.mark.slow
 def test_delays_and_offsets_are_what_they_say():
     plant, of = machine(True)
     _, u = inputs(plant, 80, 8.0)
@@ -106,6 +108,7 @@ EVERY = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "motors"), EVERY)
 def test_a_case_of_every_class(name, motors):
     case = pc.make_case(name, 3, motors=motors, duration=0.2)

@@ -117,6 +117,7 @@ def test_a_requirement_that_is_not_met_ends_in_1(run):
     assert "coulomb-friction" in (result.folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("accept", "code", "status"), [("", 4, "inconclusive"), ('accept = ["ambiguous"]\n', 0, "converged")]
 )

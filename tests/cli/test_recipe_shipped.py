@@ -43,12 +43,14 @@ def test_first_light_has_the_thesis_numbers(first_light):
     assert numbers(first_light, "structure")["controllability"]["rank"] == 2
 
 
+@pytest.mark.slow
 def test_the_worst_member_is_the_corner_that_physics_names(first_light):
     """A faster motor: low resistance, friction, inertia and back-EMF, strong torque."""
     delta = numbers(first_light, "six_worst")["delta"]
     assert [delta[name] for name in ("R", "Kb", "Kf", "J", "Km")] == [-1, -1, -1, -1, 1]
 
 
+@pytest.mark.slow
 def test_the_margin_is_proved_and_its_delta_destabilises(first_light):
     margin = numbers(first_light, "margin")
     assert 1 < margin["lower"] <= margin["upper"]
@@ -57,6 +59,7 @@ def test_the_margin_is_proved_and_its_delta_destabilises(first_light):
     assert max(abs(value) for value in margin["delta"].values()) == pytest.approx(margin["upper"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_first_light_writes_everything_beside_the_report(first_light):
     assert all((first_light.folder / name).is_file() for name in first_light.data["files"])
     assert len(list((first_light.folder / "figures").glob("*.svg"))) >= 10
@@ -96,6 +99,7 @@ def test_what_holds_in_windows_alone_is_not_green_unless_the_free_run_is_asked_f
     assert ("In windows alone: Restarted in windows" in top) == (not asked)
 
 
+@pytest.mark.slow
 def test_the_record_of_the_demo_says_that_it_is_simulated(first_light):
     (record,) = [s for s in first_light.data["steps"] if s["name"] == "record"]
     assert "Simulated, not measured" in record["notes"][0]

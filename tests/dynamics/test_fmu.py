@@ -126,6 +126,7 @@ def test_a_unit_that_fails_hangs_or_is_none_is_one_line(motor, tmp_path):
         rl.plant(str(tmp_path / "x.fmu"))
 
 
+@pytest.mark.slow
 def test_the_page_and_a_recipe_run(file, tmp_path, monkeypatch):
     shutil.copy(file, tmp_path / "motor.fmu")
     monkeypatch.chdir(tmp_path)

@@ -33,6 +33,7 @@ def test_rows_r_agree(found):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_fit_is_no_reproduction(found):
     """The platform's mass and p_up were chosen so that these rows agree."""
     fits = found.with_status("F")

@@ -192,6 +192,7 @@ def test_the_next_experiment_is_told_and_kept(tmp_path):
 # --- figures and page ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("d", "tone", "mark"), [(made(), "good", "✓"), (ambiguous(), "warn", "?"), (unknown(), "warn", "?")]
 )

@@ -69,6 +69,7 @@ def test_dry_friction_of_a_motor_is_a_torque_at_its_shaft(names, places):
     assert f"missing: {places[0]}" in dict(found.facts())
 
 
+@pytest.mark.slow
 def test_a_drop_and_a_wrong_gain_of_the_voltage_are_at_the_input():
     for options in ({"drop": 0.5}, {"gain": 0.9}):
         found = motor(["phi", "i"], off=0.0, **options)

@@ -132,6 +132,7 @@ def test_two_records_are_named_together():
     assert width[1] < width[0]
 
 
+@pytest.mark.slow
 def test_a_bare_model_serves_as_plant():
     m = AXIS.state_space()
     model = StateSpaceModel(m.A, m.B, m.C, m.D, inputs=AXIS.inputs, outputs=AXIS.outputs, states=AXIS.states)

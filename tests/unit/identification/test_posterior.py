@@ -19,6 +19,7 @@ def weighed(request) -> tuple[Posterior, set[str]]:
     return weigh(usual(**lacking)), {"friction": {FRICTION}, "both": {FRICTION, LOAD}}.get(request.param, set())
 
 
+@pytest.mark.slow
 def test_probabilities_sum_to_one_and_the_best_comes_first(weighed):
     posterior, truth = weighed
     shares = [w.probability for w in posterior.sets]

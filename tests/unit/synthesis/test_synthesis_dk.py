@@ -94,6 +94,7 @@ def test_the_scaled_loop_recomputed_by_hand(column: DKSynthesis) -> None:
     assert column.proved_again() == pytest.approx(column.scaled_level, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_bound_holds_for_ab13md_on_a_grid(column: DKSynthesis) -> None:
     from slycot import ab13md
 
@@ -214,6 +215,7 @@ def test_a_mode_that_cannot_be_stabilised_is_named() -> None:
 # --- the parts -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_different_controller_is_not_proved(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
     plant = GeneralizedPlant(oscillator(), 1, 1)
     problem = RobustProblem(plant)
