@@ -519,28 +519,3 @@ def _entries(found: Found) -> tuple[SearchEntry, ...]:
     best = found.best.evidence
     words = {True: "judged", False: "no answer: within tolerance, or beyond what the records visit"}
     return tuple(SearchEntry(_places(v.fit), v.evidence - best, words[v.allowed]) for v in found.sets)
-
-
-WIDER = 1.25  # times the fitted value, at which the records are asked
-HELD = 1e8  # precision that holds a standardised parameter
-ROUNDS = 8
-
-
-def opened_above(problem: Problem, fit: Fit, k: int, values: Sequence[EffectValue]) -> tuple[EffectValue, ...]:
-    """The values of the k-th effect, with the upper end of its prior where a larger one does as well."""
-    candidate = fit.hypothesis.candidates[k]
-    name = candidate.effect.told_from_below
-    if not name:
-        return tuple(values)
-    own = [p.name for p in candidate.parameters].index(name)
-    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k]) + own
-    prior = candidate.parameters[own].prior
-    z = fit.z.copy()
-    z[at] = prior.standardised(WIDER * values[own].value)
-    mean, precision = np.zeros(len(z)), np.eye(len(z))
-    mean[at], precision[at, at] = z[at], HELD
-    there = problem.fit(fit.hypothesis, fit.noise, z, fit.starts, FitPlan(ROUNDS), prior=Prior(mean, precision))
-    if there.cost + there.z[at] ** 2 - fit.cost >= tuning.CANNOT_TELL**2:
-        return tuple(values)
-    upper = max(values[own].upper, prior.value(INTERVAL))
-    return tuple(replace(v, upper=upper) if v.name == name else v for v in values)
