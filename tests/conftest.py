@@ -1,10 +1,20 @@
-"""The order of the test files: several processes share them, and the longest must not be the last to begin."""
+"""The order of the test files, and the examples that hypothesis draws."""
+
+import os
+
+from hypothesis import settings
+
+# The same examples in every run, so that a failure is due to the change; HYPOTHESIS_PROFILE=search draws new ones.
+settings.register_profile("repeat", derandomize=True, deadline=None)
+settings.register_profile("search", derandomize=False, deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
 
 
 def pytest_addoption(parser):
     parser.addoption("--update", action="store_true", help="write the transcripts of commands anew")
 
 
+# Several processes share the files; the longest must not be the last to begin.
 LONGEST_FIRST = (
     "test_recipe_emps.py",
     "test_recipe_real_records.py",

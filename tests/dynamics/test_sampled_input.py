@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.integrate import solve_ivp
@@ -29,7 +29,6 @@ def oscillator(samples_a_period, ratio=0.01):
     return rl.plant("mass-spring-damper", m=1.0, k=omega**2, c=2 * ratio * omega), omega
 
 
-@settings(deadline=None)
 @given(signals, st.integers(-50, 50), st.integers(1, 5), st.sampled_from(HOLDS))
 def test_a_shift_by_whole_samples_shifts_the_record(u, late, sub, hold):
     n = len(u)

@@ -37,7 +37,7 @@ def close(found, expected):
     assert np.abs(found - expected).max() <= 1e-8 * (1 + np.abs(expected).max())
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(delayed(), delayed())
 def test_products_sums_and_stacks(g, h):
     close(at(g @ h), at(g) @ at(h))
@@ -48,7 +48,7 @@ def test_products_sums_and_stacks(g, h):
     close(at(g[1, [1, 0]]), at(g)[:, 1:, ::-1])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(delayed(), delayed())
 def test_loops_and_inverses(g, h):
     loop = (0.1 * g).feedback(h)
@@ -58,13 +58,13 @@ def test_loops_and_inverses(g, h):
     close(at(whole.inverse()) @ (5 * np.eye(2) + first), np.tile(np.eye(2), (len(OMEGA), 1, 1)))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(delayed(), st.integers(1, 6))
 def test_the_cover_is_pade_at_its_centre(g, order):
     close(at(g.uncertain(order).nominal), at(g.pade(order)))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(delayed(), st.integers(0, 6), st.sampled_from([0.13, 0.9, 4.1, 33.0]))
 def test_the_cover_holds_the_exact_model(g, order, w):
     cover = g.uncertain(order)

@@ -11,7 +11,7 @@ import robustlab as rl
 from robustlab.dynamics import Descriptor, LinearPlant, Parameter
 from robustlab.statespace import Signal
 
-QUICK = settings(max_examples=40, deadline=None, derandomize=True)
+QUICK = settings(max_examples=40)
 PLANTS = {
     "dc-motor": {"R": 0.1, "L": 0.2, "Km": 0.1, "Kb": 0.15, "Kf": 0.35, "J": 0.25},
     "servo-axis": {"M": 0.2, "Fv": 0.3, "gain": 0.1},

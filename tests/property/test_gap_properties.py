@@ -30,7 +30,7 @@ CASES = {
 
 
 @given(**CASES)
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_they_are_metrics(seed, n, p, m, step):
     a, b, c = near(seed, n, p, m, step)
     slack = 1e-7  # the factors of both models are rounded: 2.4e-8 was seen
@@ -43,7 +43,7 @@ def test_they_are_metrics(seed, n, p, m, step):
 
 
 @given(**CASES, gain=st.floats(0.1, 3.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_the_margin_that_is_left(seed, n, p, m, step, gain):
     """Vinnicombe: arcsin b(P2, C) >= arcsin b(P1, C) - arcsin delta_nu(P1, P2)."""
     one, two, _ = near(seed, n, p, m, step)

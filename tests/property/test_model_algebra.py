@@ -44,7 +44,7 @@ def close(found, wanted):
     return np.abs(found - wanted).max(initial=0.0) <= 1e-12 * max(1.0, np.abs(wanted).max(initial=0.0))
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(SEEDS, st.integers(0, 4), st.integers(0, 4), SIZES, SIZES, SIZES, TIMES)
 def test_every_expression_is_that_of_python_control(seed, n1, n2, n_y, n_m, n_u, dt):
     rng = np.random.default_rng(seed)
@@ -72,7 +72,7 @@ def test_every_expression_is_that_of_python_control(seed, n1, n2, n_y, n_m, n_u,
         assert close(at(ours), judged(theirs))
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(SEEDS, st.integers(0, 4), SIZES, TIMES, st.integers(-2, 3))
 def test_powers_are_those_of_python_control(seed, n, size, dt, exponent):
     G = model(np.random.default_rng(seed), n, size, size, dt, invertible=True)
@@ -83,7 +83,7 @@ def test_powers_are_those_of_python_control(seed, n, size, dt, exponent):
         assert close(found, judged(G.to_control() ** exponent))
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(SEEDS, st.integers(0, 4), SIZES, SIZES, TIMES)
 def test_identities(seed, n, n_y, n_u, dt):
     rng = np.random.default_rng(seed)
@@ -100,7 +100,7 @@ def test_identities(seed, n, n_y, n_u, dt):
     assert close(columns, at(G))
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(SEEDS, st.integers(0, 4), SIZES, TIMES)
 def test_a_model_times_its_inverse_is_the_identity(seed, n, size, dt):
     G = model(np.random.default_rng(seed), n, size, size, dt, invertible=True)
@@ -126,7 +126,7 @@ def uncertain(rng, n, n_y, n_u, names, dt=0.0, invertible=False):
     return UncertainModel(StateSpaceModel(m.A, m.B, m.C, d, dt), [RealScalar(name) for name in names])
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(SEEDS, st.integers(0, 3), SIZES, TIMES)
 def test_a_member_of_an_expression_is_the_expression_of_the_members(seed, n, size, dt):
     rng = np.random.default_rng(seed)

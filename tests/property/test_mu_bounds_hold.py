@@ -50,7 +50,7 @@ def random_delta(blocks, rng):
 
 
 @given(problems())
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 def test_bounds_and_their_evidence(problem):
     M, blocks, rng = problem
     bounds = rl.mu(M, blocks)
@@ -71,7 +71,7 @@ def test_bounds_and_their_evidence(problem):
 
 
 @given(st.integers(0, 10**6), st.integers(2, 5))
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15)
 def test_invariant_under_scaling_that_commutes(seed, n):
     rng = np.random.default_rng(seed)
     M = rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n))
@@ -82,7 +82,7 @@ def test_invariant_under_scaling_that_commutes(seed, n):
 
 
 @given(st.integers(0, 10**6), st.integers(1, 5), st.integers(0, 3))
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 def test_smallest_step_is_the_smallest(seed, n_real, n_complex):
     """The primal point is feasible, and the dual over a fine grid of phases proves that none is smaller."""
     rng = np.random.default_rng(seed)

@@ -10,7 +10,7 @@ from robustlab import frequency_response
 from robustlab.norms import bilinear_to_discrete, hinf_norm
 from robustlab.statespace import StateSpaceModel, series
 
-SETTINGS = settings(max_examples=40, deadline=None, derandomize=True)
+SETTINGS = settings(max_examples=40)
 
 
 @st.composite

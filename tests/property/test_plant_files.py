@@ -33,7 +33,7 @@ def there_and_back(plant):
     return loaded.object, matrices
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 @given(
     r=POSITIVE,
     tolerance=st.floats(0.0, 0.9),

@@ -54,7 +54,7 @@ def test_what_is_no_toml(text):
 
 
 @given(st.integers(0, len(LINES) - 1), toml_values)
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 def test_a_real_recipe_with_one_value_replaced(index, value):
     lines = LINES.copy()
     key, equals, _ = lines[index].partition("=")
@@ -65,7 +65,7 @@ def test_a_real_recipe_with_one_value_replaced(index, value):
 @given(
     st.text(st.characters(codec="utf-8"), min_size=1, max_size=20), st.text(st.characters(codec="utf-8"), max_size=20)
 )
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @example("step.motor", "{}")
 @example("step", "3")
 @example("motor.parameters.R.x", "1")

@@ -45,13 +45,13 @@ def same(one, two):
     assert (one.units, one.name, one.meaning) == (two.units, two.name, two.meaning)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(records())
 def test_pandas_and_back(record):
     same(record, rl.Record.from_pandas(record.to_pandas()))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(records())
 def test_format_1_and_back(record):
     with tempfile.TemporaryDirectory() as folder:
@@ -59,7 +59,7 @@ def test_format_1_and_back(record):
         same(record, rl.Record.read(path, isolate=False))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.integers(1, 10**6), min_size=1, max_size=20), st.sampled_from(["s", "ms", "us", "ns"]), st.booleans()
 )
@@ -81,7 +81,7 @@ def clock(rng, step, n, jitter):
     return rng.uniform(-0.01, 0.01) + step * (np.arange(n) + jitter * rng.uniform(-1, 1, n))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seeds, st.floats(0, 0.2), st.floats(0, 0.2), st.sampled_from([None, 2e-3, 7e-3]))
 def test_lines_stay_lines_and_levels_stay_levels(rng, one, two, dt):
     """A straight line is interpolated exactly wherever the stamps are; a held input has the last sample before."""
@@ -104,7 +104,7 @@ def test_lines_stay_lines_and_levels_stay_levels(rng, one, two, dt):
     assert {line.partition(":")[0] for line in lines[1:]} == {"a", "b"}
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seeds, st.floats(1e-4, 0.1))
 def test_jitter_rate_and_gap_of_a_clock(rng, jitter):
     t = 1e-3 * (np.arange(4000) + jitter * rng.standard_normal(4000).clip(-2, 2))

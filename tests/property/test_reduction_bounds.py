@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +21,7 @@ def random_model(seed: int, n: int, dt: float) -> rl.StateSpaceModel:
     return rl.StateSpaceModel(A, B, C, rng.normal(size=(p, m)), dt)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(1, 8),
@@ -45,7 +44,7 @@ def test_error_lies_between_the_next_hankel_value_and_twice_the_tail(seed, n, da
     assert np.linalg.norm(gap, 2, axis=(1, 2)).max() <= found.error.upper + 1e-8 * largest
 
 
-@settings(deadline=None, max_examples=3)
+@settings(max_examples=3)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 6), loss=st.sampled_from([1e-3, 0.05, 0.5]))
 def test_a_reduced_controller_loses_what_it_says_and_no_more_than_allowed(seed, n, loss):
     rng = np.random.default_rng(seed)
@@ -62,4 +61,5 @@ def test_a_reduced_controller_loses_what_it_says_and_no_more_than_allowed(seed, 
     loop = p[:, :2, :2] + p[:, :2, 2:] @ k @ np.linalg.solve(1 - p[:, 2:, 2:] @ k, p[:, 2:, :2])
     assert np.linalg.norm(loop, 2, axis=(1, 2)).max() <= small.gamma * (1 + 1e-9)
     assert small.gamma <= design.gamma * (1 + loss) * (1 + 1e-5)
-    assert small.gamma == pytest.approx(rl.peak_gain(small.closed_loop).upper, rel=1e-5)
+    peak = rl.peak_gain(small.closed_loop)  # wide where the closed loop is badly conditioned, and never beside gamma
+    assert peak.lower * (1 - 1e-5) <= small.gamma <= peak.upper * (1 + 1e-5)

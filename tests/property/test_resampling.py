@@ -26,7 +26,7 @@ def signals(rng, n):
     return rng.choice([-2.0, 0.0, 5.0], n), rng.standard_normal(n)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(clocks)
 def test_missing_samples_are_found_one_by_one(rng):
     t, kept = lossy(rng)
@@ -41,7 +41,7 @@ def test_missing_samples_are_found_one_by_one(rng):
     np.testing.assert_array_equal(found.record["u"], u[kept][held])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(clocks)
 def test_pieces_are_the_measured_stretches_and_nothing_else(rng):
     t, kept = lossy(rng, lost=0.05)
@@ -54,7 +54,7 @@ def test_pieces_are_the_measured_stretches_and_nothing_else(rng):
         np.testing.assert_array_equal(piece["u"], u[run])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(clocks, st.floats(0.0, 0.2))
 def test_a_jittering_clock_keeps_lines_and_levels(rng, jitter):
     n = 150
@@ -71,7 +71,7 @@ def test_a_jittering_clock_keeps_lines_and_levels(rng, jitter):
     np.testing.assert_array_equal(found.record["u"][1:], u[inside][1:])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(clocks, st.sampled_from([0.5e-3, 2e-3 / 3, 1.7e-3]), st.floats(-0.05, 0.05))
 def test_two_clocks_on_one(rng, other, shift):
     first = Record(1e-3 * np.arange(300), outputs={"speed": rng.standard_normal(300)})

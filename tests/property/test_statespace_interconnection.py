@@ -11,7 +11,7 @@ from robustlab import frequency_response
 from robustlab.statespace import StateSpaceModel, append, feedback, lower_lft, series
 
 OMEGA = np.array([0.0, 0.3, 1.0, 7.0, 50.0])
-SETTINGS = settings(max_examples=40, deadline=None, derandomize=True)
+SETTINGS = settings(max_examples=40)
 
 
 def random_model(seed, n, n_u, n_y, dt=0.0):

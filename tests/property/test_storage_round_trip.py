@@ -16,7 +16,7 @@ from robustlab.result import Result, Status
 from robustlab.statespace import OperatingPoint
 from robustlab.storage import read
 
-SETTINGS = settings(max_examples=25, deadline=None, derandomize=True)
+SETTINGS = settings(max_examples=25)
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
 TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=12)
 NAMES = TEXTS.filter(bool)

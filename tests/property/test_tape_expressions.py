@@ -21,7 +21,7 @@ UNARY = (
 STEP = st.tuples(st.integers(0, len(BINARY) + len(UNARY) - 1), st.integers(0, 60), st.integers(0, 60))
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(steps=st.lists(STEP, min_size=1, max_size=60), still=st.integers(0, 3), seed=st.integers(0, 99))
 def test_a_tape_is_the_expression(steps, still, seed):
     x = ca.SX.sym("x", 3)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import robustlab as rl
 from robustlab.errors import InputError
 
-QUICK = settings(max_examples=25, deadline=None, derandomize=True)
+QUICK = settings(max_examples=25)
 POSES = {"home": None, "tilted": [0.004, -0.003, 0.13, 0.02, -0.03, 0.05]}
 # inertias that move alone within these keep to the triangle inequality
 MASSES = {

@@ -13,7 +13,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty import algebra, lft
 from robustlab.uncertainty.algebra import centred
 
-SETTINGS = settings(max_examples=20, deadline=None, derandomize=True)
+SETTINGS = settings(max_examples=20)
 OMEGA = np.array([0.0, 0.7, 20.0])
 SHARED = RealScalar("k", 1, ParameterRange(1.0, 0.5, "N/m", below=0.25))
 seeds = st.integers(0, 100_000)

@@ -10,7 +10,7 @@ from robustlab import elementwise
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.elementwise import STRUCTURES, endpoint_residual
 
-SETTINGS = settings(max_examples=50, deadline=None, derandomize=True)
+SETTINGS = settings(max_examples=50)
 
 sizes = st.tuples(st.integers(0, 6), st.integers(0, 3), st.integers(0, 3))
 seeds = st.integers(0, 100_000)

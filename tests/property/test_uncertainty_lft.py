@@ -14,7 +14,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_matrix, delta_values
 from robustlab.uncertainty.upper_lft import upper_lft
 
-SETTINGS = settings(max_examples=40, deadline=None, derandomize=True)
+SETTINGS = settings(max_examples=40)
 OMEGA = np.array([0.0, 0.4, 2.0, 30.0])
 seeds = st.integers(0, 100_000)
 

@@ -13,7 +13,7 @@ import robustlab as rl
 from robustlab import ParameterRange, RealScalar, parametric
 from robustlab.errors import InputError, NoTrustworthyNumber
 
-SETTINGS = settings(max_examples=25, deadline=None, derandomize=True)
+SETTINGS = settings(max_examples=25)
 
 
 def repeats(model):

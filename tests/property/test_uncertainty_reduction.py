@@ -14,7 +14,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.algebra import reduction
 from robustlab.uncertainty.elementwise import STRUCTURES
 
-SETTINGS = settings(max_examples=12, deadline=None, derandomize=True)
+SETTINGS = settings(max_examples=12)
 seeds = st.integers(0, 100_000)
 
 

@@ -100,7 +100,7 @@ random_values = st.fixed_dictionaries(
 )
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(random_values, st.floats(-50.0, 50.0), st.sampled_from([1e-4, 1e-3, 5e-3]))
 def test_no_contact_creates_energy_at_any_step(values, speed, dt):
     states, force = run(np.zeros(400), dt, values, x0=(0.0, speed))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import robustlab as rl
@@ -29,7 +29,6 @@ def coupled(J1, J2, c, k):
     return rl.plant("mass-spring-damper", m=J1 + J2, c=0.0, k=0.0), values
 
 
-@settings(deadline=None)
 @given(st.floats(1e-4, 1e-2), st.floats(1e-4, 1e-2), st.floats(0, 1e-2), st.floats(0.1, 100))
 def test_it_is_the_two_mass_plant(J1, J2, c, k):
     one, values = coupled(J1, J2, c, k)

@@ -55,7 +55,7 @@ signed = st.floats(-1e3, 1e3).map(lambda x: 0.0 if abs(x) < 1e-6 else x)
 positive = st.floats(-6, 6).map(lambda e: 10.0**e)
 steps = st.sampled_from([1e-5, 5e-4, 1e-2])
 # The same examples in every run of one version of hypothesis.
-asked = settings(deadline=None, max_examples=100, derandomize=True)
+asked = settings(max_examples=100)
 
 
 @asked

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -21,14 +21,12 @@ def mapped(name, u, values, h=1e-3):
     return effect(name).input(u, values, h)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(signals, sizes)
 def test_dead_zone_and_saturation_of_one_width_make_up_the_input(u, d):
     parts = mapped("input-dead-zone", u, {"d": d}) + mapped("input-saturation", u, {"u_max": d})
     np.testing.assert_allclose(parts, u, rtol=1e-15, atol=1e-15)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(signals, sizes, st.sampled_from(["input-dead-zone", "input-saturation", "input-gain"]))
 def test_the_footprint_is_a_sector_that_holds(u, size, name):
     values = {{"input-dead-zone": "d", "input-saturation": "u_max", "input-gain": "s"}[name]: size}
@@ -48,7 +46,6 @@ def test_a_delay_of_whole_steps_shifts(steps):
     np.testing.assert_allclose(late[:steps], u[0], atol=1e-13)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(signals, st.floats(0, 0.1))
 def test_a_delay_keeps_the_mean_over_every_step(u, d):
     # the integral of a held signal is a broken line through its sums; shifted and sampled it is np.interp

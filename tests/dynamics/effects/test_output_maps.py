@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robustlab.dynamics.effects.catalogue import effect
@@ -34,7 +34,6 @@ def test_an_eccentricity_repeats_every_turn_and_has_the_amplitude_of_its_parts()
     assert effect("sensor-eccentricity").footprint(Site("output", "y"), values, 1.0).offset == pytest.approx(0.005)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.floats(0, 0.05), st.floats(-5, 5), st.floats(-5, 5))
 def test_a_delayed_straight_line_is_exact_from_the_first_sample(d, slope, start):
     t = 1e-3 * np.arange(30)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
@@ -60,7 +60,6 @@ def test_a_pendulum_swings_with_its_period_about_its_own_zero_and_keeps_its_ener
 # --- lag -------------------------------------------------------------------------------------------------------------
 
 
-@settings(deadline=None)
 @given(st.floats(-5, 1).map(lambda e: 10.0**e), st.sampled_from([1e-4, 1e-3, 1e-2]), st.integers(0, 99))
 def test_a_lagged_step_is_the_mean_of_the_exact_one(T, h, seed):
     """Of a held input: x' = (u - x) / T piece by piece, with the mean of x from its own balance."""

@@ -151,7 +151,7 @@ def test_a_metric_that_is_not_a_number_is_a_lost_sample(motor, monkeypatch):
 # --- what is stored and sent ---------------------------------------------------------------------------------------
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**40), st.integers(0, 2**40))
 def test_deltas_of_every_kind_survive(seed, index):
     blocks = kinds_of_blocks()

@@ -48,7 +48,7 @@ def test_a_position_must_integrate_the_velocity_and_nothing_else():
     assert found == {"exact": True, "driven": False, "leaking": False}
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(k=st.floats(-50.0, 500.0))
 def test_a_force_fed_back_from_the_position_is_a_spring(k):
     plant = rl.plant("mass-spring-damper")

@@ -38,7 +38,7 @@ def test_errors_cross_process_boundaries():
     assert str(copy) == str(error)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @given(st.text(max_size=40))
 def test_no_control_character_reaches_the_terminal(text):
     shown = str(RobustlabError(text, text, text, text, (text,)))

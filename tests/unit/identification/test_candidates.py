@@ -36,7 +36,7 @@ scales = st.builds(
 )  # fmt: skip
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seen=scales, z=st.floats(-3.0, 3.0))
 @pytest.mark.parametrize("name", list(catalogue()))
 def test_priors_of_the_catalogue_turn_back(name, seen, z):

@@ -141,7 +141,7 @@ def judged(y, u, count=4, noise=0.0, seed=0):
     return even_odd(floor, np.tile(u, count), {"y": y}, DT)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     a=st.floats(0.5, 2), b=st.floats(-1, 1), c=st.floats(-1, 1), A=st.floats(0.3, 2), line=st.sampled_from([1, 3, 7])
 )

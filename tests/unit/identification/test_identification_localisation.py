@@ -50,7 +50,7 @@ def test_coherence_is_one_for_an_error_made_by_the_input_and_low_otherwise():
 samples = st.lists(st.floats(-1e3, 1e3).filter(lambda x: x == 0 or abs(x) > 1e-3), min_size=4, max_size=60)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @given(samples, st.integers(1, 20))
 def test_shares_of_windows_and_bins_sum_to_one(values, length):
     error = np.array(values)

@@ -30,14 +30,14 @@ def coloured(shape, pole, seed):
     return lfilter([1.0], [1.0, -pole], rng.standard_normal(shape[0] * shape[1] + 500))[500:].reshape(shape)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(n=st.integers(8, 60), count=st.integers(2, 5), tail=st.integers(0, 59), seed=st.integers(0, 10**6))
 def test_a_period_is_found_wherever_the_record_ends(n, count, tail, seed):
     one = np.random.default_rng(seed).standard_normal(n)
     assert period_of(np.resize(one, count * n + tail % n)) == n
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(n=st.integers(20, 300), seed=st.integers(0, 10**6))
 def test_noise_and_a_ramp_have_no_period(n, seed):
     x = np.random.default_rng(seed).standard_normal(n)

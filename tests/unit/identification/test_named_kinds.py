@@ -153,7 +153,7 @@ def path(rng):
 
 
 @pytest.mark.slow
-@settings(max_examples=6, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@settings(max_examples=6, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(seed=st.integers(0, 10_000), late=st.floats(2.5, 9.4))
 def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, late):
     """Random masses, dampings, springs; any delay, in parts of a sample too."""

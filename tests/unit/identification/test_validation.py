@@ -60,7 +60,7 @@ def test_a_system_in_the_loop_is_bracketed_too():
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_a_true_model_is_never_invalidated(seed):
     model, inputs, y, noise, bound = benchmark.plausible(seed, 40)
     for norm, size in (("peak", bound), ("rms", float(np.sqrt(np.mean(noise**2))) * (1 + 1e-9))):

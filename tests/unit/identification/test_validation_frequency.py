@@ -117,7 +117,7 @@ def test_a_record_against_the_closed_form():
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_a_true_model_is_never_invalidated(seed):
     rng = np.random.default_rng(seed)
     form = ["additive", "output-multiplicative", "inverse-output-multiplicative", "inverse-additive"][seed % 4]
@@ -129,7 +129,7 @@ def test_a_true_model_is_never_invalidated(seed):
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_the_certificate_bounds_every_point(seed):
     """L at random w is never above its maximum, and is not negative at an explanation."""
     rng = np.random.default_rng(seed)

@@ -32,7 +32,7 @@ entry = st.one_of(st.just(0.0), st.integers(-3, 3).map(float), st.floats(-1e3, 1
                   st.sampled_from([1e300, -1e-300, 5e-324, 1e17]))  # fmt: skip
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(st.data(), st.integers(0, 3), st.integers(0, 2))
 def test_determinants_are_exact(data, n, m):
     k = n + m

@@ -29,7 +29,7 @@ def matched(found, wanted):
     return worst
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 10**6), st.integers(1, 8), st.integers(1, 3), st.booleans())
 def test_zeros_of_square_models_make_the_pencil_singular(seed, n, m, direct):
     G = random_model(seed, n, m, m, direct)

@@ -51,7 +51,7 @@ def test_a_gain_of_one_everywhere_is_refused():
         rl.classical_margins(allpass)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_crossings_and_ends_of_random_loops(seed):
     """Closed loops over a sweep of gains; sign changes of |L| - 1 and of Im L over a dense axis."""

@@ -31,7 +31,7 @@ def random_set(seed, count=5, directions=2):
 
 @pytest.mark.parametrize("form", ["elements", "pca"])
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 def test_every_model_is_a_member_at_its_delta(form, seed):
     models = random_set(seed)
     found = rl.cover(models, form, gain=False)

@@ -17,7 +17,7 @@ def gain_problem(seed: int, kind, n: int = 3):
     return M, [*(kind(f"d{i}") for i in range(n)), rl.FullBlock("p", 2, 2)]
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(st.integers(0, 10_000), st.sampled_from([rl.RealScalar, rl.ComplexScalar]))
 def test_the_largest_gain_lies_between_the_bounds(seed, kind):
     M, blocks = gain_problem(seed, kind)

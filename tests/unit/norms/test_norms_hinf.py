@@ -229,7 +229,7 @@ def test_stability_in_exact_arithmetic(A, discrete, stable):
     assert exactly_stable(A, discrete) is stable
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(1, 6), st.integers(0, 2**32), st.booleans())
 def test_stability_in_exact_arithmetic_where_eigenvalues_know_it(n, seed, discrete):
     A = np.random.default_rng(seed).standard_normal((n, n))

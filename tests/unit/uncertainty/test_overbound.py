@@ -44,7 +44,7 @@ def test_a_bound_that_is_the_size_of_a_weight_is_found_again(zeros, poles, order
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 def test_never_below_the_bound_on_a_grid_of_its_own(seed):
     rng = np.random.default_rng(seed)
     parts = [

@@ -49,7 +49,7 @@ def test_value_and_singular_values(shape, kind, dt):
     size=st.floats(1e-6, 1e6),
     omega=st.floats(1e-4, 1e4),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_complex_number_at_any_frequency(phase, size, omega):
     value = size * np.exp(1j * phase)
     made = realise_delta([rl.ComplexScalar("d")], {"d": value}, omega)["d"]

@@ -176,7 +176,7 @@ NUMBERS = st.floats(allow_nan=False, allow_infinity=False) | st.floats(-10, 10)
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data(), st.sampled_from(["real", "repeated real", "mixed", "full"]))
 def test_no_evidence_proves_a_margin_that_a_member_contradicts(data, name):
     _, margin, numbers, _ = example(name, 1)

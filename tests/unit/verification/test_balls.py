@@ -61,7 +61,7 @@ def signed(seed, n, values):
     return S.T @ np.diag(values) @ S
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.integers(0, 10**6), st.integers(2, 7), st.sampled_from([1.0, 1e-9, 1e-300]), st.booleans())
 def test_definiteness_is_inertia(seed, n, least, definite):
     values = np.ones(n)

@@ -12,7 +12,7 @@ from robustlab.verification.claim import Blurred, Work
 BITS = 192
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.integers(0, 10**6), st.integers(1, 6), st.floats(0.01, 10))
 def test_regular_within_agrees_with_the_eigenvalues(seed, n, r):
     rng = np.random.default_rng(seed)

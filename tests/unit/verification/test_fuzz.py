@@ -72,7 +72,7 @@ def test_each_dataset_replaced_by_junk(kind):
 
 
 @pytest.mark.parametrize("kind", CLAIMS)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(st.data())
 def test_numbers_of_any_size(kind, data):
     numbers = {}

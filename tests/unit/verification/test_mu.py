@@ -139,7 +139,7 @@ NUMBERS = st.floats(allow_nan=False, allow_infinity=False) | st.floats(-10, 10)
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.data(), st.integers(0, 3), st.sampled_from(["real", "complex", "repeated real"]))
 def test_no_scalings_prove_less_than_mu(data, seed, name):
     blocks = cases.STRUCTURES[name]
@@ -157,7 +157,7 @@ def test_no_scalings_prove_less_than_mu(data, seed, name):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.data(), st.integers(0, 3), st.sampled_from(list(cases.STRUCTURES)))
 def test_no_delta_proves_more_than_mu(data, seed, name):
     blocks = cases.STRUCTURES[name]

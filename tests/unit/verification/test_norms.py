@@ -212,7 +212,7 @@ NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64) | st.floats
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data(), st.integers(0, 5), st.booleans())
 def test_no_evidence_at_all_proves_a_norm_below_the_true_one(data, seed, discrete):
     n = 2
