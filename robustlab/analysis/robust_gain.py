@@ -1,0 +1,169 @@
+"""How much of an uncertainty leaves the gain of every member below a level."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from robustlab.errors import InputError, told_as
+from robustlab.mu_analysis import WorstCaseGain, worst_case_gain
+from robustlab.mu_analysis.axis.margin import delta_rows
+from robustlab.result import Bracket, Status
+from robustlab.shown import Facts, Part, bracket, member, number
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.lft import UncertainModel
+from robustlab.verification.claim import Claim
+
+LARGEST = 2.0**20  # sets more than this many times as large as given are not looked at
+STEPS = 20  # worst-case gains at most; 1 % takes about 5
+INNER = 0.25  # each of them is proved to this share of the tolerance, less where the level is next to the nominal gain
+
+
+@dataclass(frozen=True, eq=False)
+class RobustGain(Bracket):
+    """Largest size of a set for which every member's gain is below ``level``.
+
+    Attributes
+    ----------
+    lower, upper
+        Every member of the set ``lower`` times as large has a gain below ``level``, proved; the member ``delta`` of the
+        set ``upper`` times as large reaches it. Both are 0 where the nominal model reaches it; ``upper`` is inf where
+        no member of the sets that were looked at does. Above 1 the set as given keeps the level.
+    frequency
+        Frequency in rad/s at which the member ``delta`` reaches the level.
+    level
+        The level, in the unit of the outputs over that of the inputs.
+    delta, physical
+        That member, in units of the set as given, and its physical parameters with units.
+    proof
+        The worst-case gain of the set ``lower`` times as large; None where ``lower`` is 0.
+    status
+        CERTIFIED where the ends are as close as was asked; else INCONCLUSIVE.
+    """
+
+    level: float
+    delta: Mapping[str, Any]
+    physical: Mapping[str, tuple[float, str]]
+    proof: WorstCaseGain | None
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "lower": "1", "upper": "1", "frequency": "rad/s", "delta": {"*": ...}, "level": float,
+    }  # fmt: skip
+    unsaved: ClassVar[tuple[str, ...]] = ("proof",)
+
+    def claims(self) -> list[Claim]:
+        """What `robustlab.verify` proves: the gain of the set ``lower`` times as large."""
+        from robustlab.evidence.axis import gain_claims
+
+        return gain_claims(self.proof) if self.proof is not None else []
+
+    def headline(self) -> str:
+        kept = "proved for the whole set" if self.lower >= 1 else "not proved for the whole set"
+        return f"a gain below {number(self.level, digits=6)} is {kept}"
+
+    def facts(self) -> Facts:
+        return [
+            ("robust gain margin", bracket(self.lower, self.upper, ("proved", "attained"))),
+            ("gain below", number(self.level, digits=6)),
+            ("critical member", member(self.delta, self.physical)),
+            ("critical frequency", number(self.frequency, "rad/s")),
+        ]
+
+    def details(self) -> list[Part]:
+        rows = delta_rows(self.delta, self.physical)
+        return [Part("member that reaches it:", ("block", "delta", "parameter"), rows)]
+
+
+@told_as("robust_gain")
+def robust_gain(
+    uncertain: UncertainModel, level: float, tolerance: float = 0.01, seed: int = 0, effort: float = 1.0
+) -> RobustGain:
+    r"""Largest k for which all Delta of size below k leave the gain below ``level``.
+
+    .. math:: k^* = \sup \Big\{ k : \; \sup_{|\Delta| \le k} \|F_u(M, \Delta)\|_\infty < \gamma \Big\}
+
+    The level stays where it is while the set grows; in `robust_performance` both grow. The worst-case gain grows with
+    k, so k is searched, each time with a proved upper bound and a member that attains the lower one.
+
+    Parameters
+    ----------
+    uncertain
+        Uncertain model; a range that is wider on one side grows in proportion on both.
+    level
+        :math:`\gamma`, positive, in the unit of the outputs over that of the inputs.
+    tolerance
+        Relative gap between the bounds that is aimed at.
+    seed, effort
+        As in `robustlab.peak_gain`, of each worst-case gain.
+
+    Returns
+    -------
+    RobustGain
+        Both bounds, the member that reaches the level, and what proves ``lower``.
+
+    Raises
+    ------
+    InputError
+        No uncertain model, or a level or tolerance that is not positive.
+    NoTrustworthyNumber
+        The nominal model is unstable.
+
+    References
+    ----------
+    Packard, Balas, Liu, Shin, "Results on worst-case performance assessment", ACC 2000.
+
+    Examples
+    --------
+    >>> import robustlab as rl
+    >>> M = rl.StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
+    >>> found = rl.robust_gain(rl.UncertainModel(M, [rl.RealScalar("pole")]), 4.0)  # 1 / (s + 1 + delta / 2)
+    >>> found.lower <= 1.5 <= found.upper, round(found.upper, 2)
+    (True, 1.5)
+    """
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError("robust_gain", type(uncertain).__name__, "an UncertainModel")
+    if not (np.isfinite(level) and level > 0 and tolerance > 0):
+        raise InputError("robust_gain", f"level {level}, tolerance {tolerance}", "both positive, the level finite")
+
+    nominal = worst_case_gain(UncertainModel(uncertain.nominal, []))
+    if nominal.lower >= level:
+        return RobustGain(0.0, 0.0, nominal.frequency, Status.CERTIFIED, level, {}, {}, None)
+    inner = INNER * tolerance * min(level / nominal.upper - 1, 1.0) if nominal.upper else INNER * tolerance
+    lower, upper, proof, attained = 0.0, np.inf, None, None
+    below, above = 1 / nominal.upper if nominal.upper else np.inf, 0.0  # 1 / gain at both ends
+    size, aside = 1.0, tolerance / 3
+    for step in range(STEPS):
+        found = worst_case_gain(_grown(uncertain, size), tolerance=inner, seed=seed, effort=effort)
+        if found.upper < level:
+            lower, proof, below = size, found, 1 / found.upper if found.upper else np.inf
+        elif found.lower >= level:
+            upper, attained, above = size, found, 1 / found.lower
+        else:  # the bounds of the gain lie on both sides of the level: aim further away from it
+            aside *= 2
+        if upper <= lower * (1 + tolerance) or not 1 / LARGEST < lower + size < LARGEST:
+            break
+        if np.isinf(upper):
+            size *= 4
+        else:  # 1 / gain is about linear in the size; aims on both sides of the level in turn
+            share = (below - 1 / level) / (below - above) if np.isfinite(below) else 0.5
+            aim = (lower + (upper - lower) * share) * (1 + aside if step % 2 else 1 - aside)
+            size = float(np.clip(aim, lower + 0.05 * (upper - lower), upper - 0.05 * (upper - lower)))
+    delta: dict[str, Any] = {} if attained is None else {name: upper * v for name, v in attained.delta.items()}
+    close = upper <= lower * (1 + tolerance) or (attained is None and 4 * lower > LARGEST)
+    return RobustGain(
+        lower, upper, attained.frequency if attained else None, Status.CERTIFIED if close else Status.INCONCLUSIVE,
+        level, delta, uncertain.physical(delta) if delta else {}, proof,
+    )  # fmt: skip
+
+
+def _grown(uncertain: UncertainModel, size: float) -> UncertainModel:
+    """The set ``size`` times as large: its Delta is multiplied where it enters."""
+    M = uncertain.M
+    grown = np.ones(M.n_inputs)
+    grown[: M.n_inputs - len(uncertain.inputs)] = size
+    return UncertainModel(
+        StateSpaceModel(M.A, M.B * grown, M.C, M.D * grown, M.dt, M.inputs, M.outputs, M.states), uncertain.blocks
+    )
