@@ -156,7 +156,7 @@ def test_sigterm_is_taken_as_ctrl_c(folder, kind, number):
     process.send_signal(number)
     out, errors = process.communicate(timeout=PATIENCE)
     assert (process.returncode, out) == (130, "")
-    assert "interrupted" in errors.splitlines()[-1]
+    assert "interrupted" in errors  # what the workers print may follow
     assert "Traceback" not in errors
     until = time.monotonic() + PATIENCE
     while any(map(alive, workers)) and time.monotonic() < until:
