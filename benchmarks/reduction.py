@@ -25,9 +25,9 @@ from dk import distillation
 from harness import timed
 
 import robustlab as rl
+from robustlab import hinf
 from robustlab.mu_analysis import robust_performance
 from robustlab.statespace import StateSpaceModel, append, series
-from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.nonsmooth.parameter_search import descend
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.performance_measure import plant_with_scalings

@@ -1,19 +1,6 @@
-"""Controllers, every one verified in the loop rebuilt from it.
+"""Controllers, every one verified in the loop rebuilt from it; rooms, each importing from those before it only:
 
-Rooms, each importing from those above it only:
-
-problem         generalised plants, assumptions, scaling; the rebuilt loop and its certificate
-specifications  weights, tracking problems, loop functions
-laws            what a controller may look like
-nonsmooth       nonsmooth optimisation of loops
-hinf            H-infinity, mixed sensitivity, loop shaping
-h2              H2, H2 under an H-infinity bound
-dk              robust performance
-scheduling      models and controllers that depend on measured parameters
-reduction       models and controllers of lower order
-fixed           fixed structure, for one plant, several, or an uncertain set
-sampled         digital controllers
-windup          controllers whose actuators saturate
+problem, specifications, laws, nonsmooth, hinf, h2, dk, scheduling, reduction, fixed, sampled, windup.
 """
 
 from __future__ import annotations

@@ -309,10 +309,8 @@ class _Search:
         self.problem.budget = self.search
 
     def descend(self) -> None:
-        """Direct minimisation over D in growing order, from D = I (of many blocks: the best constants) and from a
-        fit of low order.
-
-        Where blocks are real, then over D and G from a D of low order; that gets two thirds of the work.
+        """Direct minimisation over D in growing order, from D = I (of many blocks: the best constants) and from a fit
+        of low order.
         """
         self.problem.regularise(self.best, FINE)
         starts = [unit_scalings(self.blocks) if self.warm is None else _without_g(self.warm, self.blocks)]

@@ -1,33 +1,8 @@
 r"""Rational scalings D(s), G(s) of a block structure that prove a bound of mu at every frequency at once.
 
-A full block of r x c has one scalar factor d(s), on c outputs and r inputs. A scalar repeated r times has
-``D(s) = diag(d_1 .. d_r) T`` with a constant unit upper triangular T. Every factor is
+.. math:: \| D_z M D_w^{-1} G_M / \beta - G_N \|_\infty \le 1 \quad \Rightarrow \quad \sup_\omega \mu(M) \le \beta
 
-.. math:: d(s) = k \prod_i \frac{s / z_i + 1}{s / p_i + 1}
-    \prod_j \frac{s^2 / \omega_{zj}^2 + 2 \zeta_{zj} s / \omega_{zj} + 1}
-                 {s^2 / \omega_{pj}^2 + 2 \zeta_{pj} s / \omega_{pj} + 1}
-
-with at most one first-order section; all its numbers are positive, so that d and 1/d are stable by construction, and
-their logarithms are free parameters. Real scalars also carry normalised coprime factors of an odd function
-:math:`\hat g = G_N / G_M`, imaginary on the axis, made of two all-pass functions U, V of the same order:
-
-.. math:: G_M = \tfrac12 (U + V), \quad G_N = \tfrac12 (U - V), \qquad
-    U = \prod_i \frac{s - q_i}{s + q_i}, \quad V = \prod_i \frac{s - p_i}{s + p_i}, \qquad |G_M|^2 + |G_N|^2 = 1
-
-(pairs of factors may be complex conjugate). They are stable for all positive numbers, and G vanishes where U = V. With
-them
-
-.. math:: \| D_z M D_w^{-1} G_M / \beta - G_N \|_\infty \le 1 \quad \Rightarrow \quad \sup_\omega \mu(M) \le \beta .
-
-so that beta bounds mu where the loop of K and the plant with these scalings at level beta,
-
-.. math:: \tilde P_\beta: \quad \tilde z = D_z z - G_N \tilde w, \qquad w = D_w^{-1} G_M \tilde w / \beta ,
-
-has a norm of at most one.
-
-References
-----------
-Young, "Robustness with parametric and dynamic uncertainty", PhD thesis (1993), chapter 9; Fan, Tits, Doyle (1991).
+Young, "Robustness with parametric and dynamic uncertainty" (1993), chapter 9; Fan, Tits, Doyle (1991).
 """
 
 from __future__ import annotations
@@ -449,11 +424,7 @@ def loop_at_level(loop: StateSpaceModel, scalings: DynamicScalings, beta: float 
 def proved_level(
     loop: StateSpaceModel, scalings: DynamicScalings, guess: float = 1.0, rtol: float = 1e-6
 ) -> tuple[float, HinfNorm]:
-    """Smallest beta that these scalings prove for mu of a stable continuous loop at all frequencies; inf where none.
-
-    Without G it is the norm of the scaled loop; with G the level at which that norm is one, sought from ``guess`` on
-    (every larger level is proved as well). The norm that comes with it is that of the scaled loop at one and at beta.
-    """
+    """Smallest beta that these scalings prove for mu of a stable continuous loop at all frequencies; inf where none."""
     norm = hinf_norm(loop_at_level(loop, scalings), rtol)
     if not scalings.mixed:
         return norm.upper, norm

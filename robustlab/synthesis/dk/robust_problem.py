@@ -1,15 +1,4 @@
-r"""A robust-performance problem: its first controller, and controllers solved for given scalings, closed and proved.
-
-For given D, G the smallest level is an H-infinity problem (`LevelSearch`); its central controller is closed with the
-plant as given, and counts by what the same D, G prove for the loop rebuilt (`proved_level`).
-
-The first controller: H-infinity synthesis for all channels of a perturbed plant weighs perturbations in the units they
-happen to have, and its controller may be far from any good one. The nominal problem has the units of the
-specifications; but where nothing in it disturbs the plant, its best controller is little more than a feedforward. A
-small disturbance d on the controls asks for feedback:
-
-.. math:: u = K y + \eta \, \mathrm{diag}(\|T_{u_i w}\|_\infty) \, d
-"""
+"""A robust-performance problem: its first controller, and controllers solved for given scalings, closed and proved."""
 
 from __future__ import annotations
 
@@ -60,10 +49,7 @@ def nominal_start(
     n_z: int,
     budget: Budget,
 ) -> StateSpaceModel | None:
-    """H-infinity controller of the last ``n_w`` w and ``n_z`` z with a small disturbance on every control.
-
-    None where no controller was verified, or where the control has nothing to do.
-    """
+    """H-infinity controller of the last ``n_w`` w and ``n_z`` z with a small disturbance on every control."""
     m, n_u, n_y, gamma_rel = plant.model, plant.n_con, plant.n_meas, NOMINAL_GAMMA_REL
     into = np.arange(m.n_inputs - n_u - n_w, m.n_inputs)
     out = np.arange(m.n_outputs - n_y - n_z, m.n_outputs)
@@ -116,12 +102,7 @@ class DKProof(NamedTuple):
 
 
 class RobustProblem:
-    """Plant, structure and regularisation of a robust-performance synthesis.
-
-    ``plant``: generalised plant as given; its w and z are exactly the channels of the structure.
-    ``budget``: what is done is counted there, and it is asked between steps; each stage of a search may put its own.
-    None: no limit.
-    """
+    """Plant, structure and regularisation of a robust-performance synthesis."""
 
     def __init__(
         self,
@@ -185,12 +166,7 @@ class RobustProblem:
         return best
 
     def softened(self, iterate: Iterate, limit: float) -> Iterate:
-        """The same scalings with the controller of slowest poles whose proved level is at most ``limit``.
-
-        The central controller at the smallest level has poles that run away to infinity; at a level a little higher
-        they are slower by orders of magnitude, and slower once more with penalties on u and noises on y as large as
-        the limit allows.
-        """
+        """The same scalings with the controller of slowest poles whose proved level is at most ``limit``."""
         if not iterate.level:  # a static loop that lets nothing through
             return iterate
         search = self.search(iterate.scalings)
@@ -271,11 +247,7 @@ class RobustProblem:
         return GeneralizedPlant(StateSpaceModel(model.A, model.B, model.C, D), self.plant.n_meas, self.plant.n_con)
 
     def regularise(self, iterate: Iterate, share: float) -> None:
-        r"""Add weak penalties on u and x and noises on y and x where the plant is singular for the Riccati equations.
-
-        Each channel gets about ``share`` of the gain of the present scaled loop, ``eps_u = share beta / ||T_uw||`` and
-        so on: the smallest level rises by the square of it.
-        """
+        """Add weak penalties on u and x and noises on y and x where the plant is singular for the Riccati equations."""
         if self._regular:
             return
         self.budget.spend(dense(iterate.loop.n_states + iterate.scalings.n_states, 4))

@@ -1,9 +1,4 @@
-r"""Optimal scalings of a closed loop at single frequencies, and rational ones of low order that come close to them.
-
-The second half of a D-K iteration with K fixed: at each frequency the D, G of the smallest upper bound of mu, on a grid
-that follows mu and D; then factors d(s) whose modulus is close to D there, :math:`\min_d \sum_k w_k^2 \big(\log
-|d(j\omega_k)| - \log d_k\big)^2`, of growing order until the scaled peak is close to that of mu.
-"""
+"""Optimal scalings of a closed loop at single frequencies, and rational ones of low order that come close to them."""
 
 from __future__ import annotations
 
@@ -75,12 +70,7 @@ def mu_curve(
     budget: Budget,
     first: AnyArray | None = None,
 ) -> MuCurve:
-    """The curve of a stable continuous loop on frequencies that follow it.
-
-    The rising frequencies ``first`` (those of `default_grid` where left out); then, round by round, the middles of the
-    intervals in which mu is close to its peak or the entries of D change most, the most urgent ones first. Where
-    the budget is over after some of them, it is left at those (the first ones are spread over all).
-    """
+    """The curve of a stable continuous loop on frequencies that follow it."""
     grid = default_grid(loop, FIRST_POINTS, 1.0) if first is None else first
     # Every so-many-th frequency first, as far as the budget goes.
     stride = max(1, len(grid) // CHUNK)
@@ -141,12 +131,7 @@ def fitted_scalings(
     max_states: int,
     budget: Budget,
 ) -> DynamicScalings:
-    """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be.
-
-    All factors start as constants; in each round that one gets one order more which lowers the peak most for the states
-    it costs, or all of them where no single one does: a block that drifts away from all others needs that. At most
-    ``max_states`` states are spent.
-    """
+    """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be."""
     fit = _Fit(curve, blocks, budget)
     scalings = fit.constants()
     score = fit.score(scalings)
@@ -249,11 +234,7 @@ def _fit_factor(
     weights: AnyArray,
     before: Factor | None,
 ) -> Factor:
-    r"""Factor with ``log |d(j omega)|`` close to the given values, by weighted least squares.
-
-    A constant where ``before`` is None; else of one order more than ``before``, with the better of two starts: the new
-    section in the middle, or where ``before`` is furthest off.
-    """
+    """Factor with ``log |d(j omega)|`` close to the given values, by weighted least squares."""
     from scipy.optimize import least_squares
 
     if before is None:
@@ -289,11 +270,7 @@ def _bounds(factor: Factor, low: float, high: float) -> tuple[AnyArray, AnyArray
 
 
 def _targets(curve: MuCurve, blocks: Sequence[Block]) -> tuple[list[list[AnyArray]], list[tuple[float, ...]]]:
-    """For each block its ``log d(omega)`` a factor, and the constant mixing of a repeated scalar.
-
-    T comes from the real part of D at the highest level, ``Re D = T^T diag T``; what is left of D elsewhere is fitted
-    on its diagonal.
-    """
+    """For each block its ``log d(omega)`` a factor, and the constant mixing of a repeated scalar."""
     one = reference_block(blocks)
     slices = block_slices(blocks)
     D = np.stack([bound.Dw for bound in curve.bounds])

@@ -1,13 +1,7 @@
 r"""Controllers of a given structure for goals and several plants: hard goals met, the others made small.
 
-Every goal is a norm of a weighted closed loop of ``u = K (r - y)`` that is to be at most one. T_i leads from one group
-of signals to another: the references r, disturbances d at the controls and noise n on the measurements; the outputs y,
-the controls u, the total inputs u + d of the plant, and the errors r - y.
-
-With hard goals g and soft goals f the search makes :math:`\max(g, \alpha f)` small, first for alpha = 1, then again and
-again for alpha = 1 / (the f reached), from where it is: the value starts at 1 and falls, so that every step keeps the
-hard goals and lowers the soft ones, until both are 1. Where the hard goals are not met at first, alpha falls until they
-are, at last to 0.
+Every goal is the norm of a weighted loop of ``u = K (r - y)``, met where it is at most one. The search makes
+:math:`\max(g, \alpha f)` of hard goals g and soft goals f small, again and again for alpha = 1 / (the f reached).
 """
 
 from __future__ import annotations
@@ -174,10 +168,7 @@ class VarianceGoal(Goal):
 
 @dataclass(frozen=True)
 class MarginGoal(Goal):
-    r"""A disk margin of at least ``disk`` at the plant's outputs, inputs: :math:`\|S - I/2\|_\infty \le 1/\alpha`.
-
-    With several loops the norm takes them as one full block, which asks for more than a margin of all loops at once.
-    """
+    r"""A disk margin of at least ``disk`` at the plant's outputs, inputs: :math:`\|S - I/2\|_\infty \le 1/\alpha`."""
 
     disk: float
     at: str = "output"

@@ -1,7 +1,6 @@
 """Starts for controllers of a given order: the best static gain, and the full-order design brought to that order.
 
-With B_K = C_K = 0 the norm of the loop does not change with either to first order: a search that begins there stands
-still. Here the static gain is kept and B_K made nonzero, so that the norm is the static one and C_K has a slope.
+With B_K = C_K = 0 a search stands still: here B_K is made nonzero, so that C_K has a slope.
 """
 
 from __future__ import annotations
@@ -42,13 +41,7 @@ def informed_starts(
     seed: int,
     progress: Callable[[str], None],
 ) -> list[tuple[str, AnyArray]]:
-    """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws.
-
-    ``problem``: the search that follows; at most half of what is left of its budget is used here. Its plants have no
-    uncertainty, and the full-order design is that of the first.
-    ``seed``: of that search.
-    ``progress``: called with a line after every start of the static search.
-    """
+    """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws."""
     law, budget = problem.law, problem.budget
     if not isinstance(law, AffineLaw) or not _is_given_order(law):
         return []

@@ -1,17 +1,6 @@
-r"""H-infinity synthesis by linear matrix inequalities, for scheduled plants.
+"""H-infinity synthesis by linear matrix inequalities, for scheduled plants that share R and S.
 
-A controller of full order with closed-loop norm below gamma exists iff there are symmetric R and S with
-
-.. math::
-    N_R^T \begin{bmatrix} A R + R A^T & R C_1^T & B_1 \\ \cdot & -\gamma I & D_{11} \\ \cdot & \cdot & -\gamma I
-    \end{bmatrix} N_R \prec 0, \quad
-    N_S^T \begin{bmatrix} A^T S + S A & S B_1 & C_1^T \\ \cdot & -\gamma I & D_{11}^T \\ \cdot & \cdot & -\gamma I
-    \end{bmatrix} N_S \prec 0, \quad \begin{bmatrix} R & I \\ I & S \end{bmatrix} \succeq 0
-
-(Gahinet, Apkarian 1994, theorem 4.2). Nothing is assumed about ranks of D12 and D21 or zeros on the axis.
-
-Several plants may share R and S: those at the vertices of a polytope, between which the controllers are interpolated
-(Apkarian, Gahinet, Becker 1995).
+Gahinet, Apkarian 1994, theorem 4.2; Apkarian, Gahinet, Becker 1995 for several plants.
 """
 
 from __future__ import annotations
@@ -54,15 +43,7 @@ class LmiOutcome:
 def projection(
     plants: Sequence[PlantMatrices], level: float | None, coupling: float, budget: Budget, widest: bool = False
 ) -> tuple[float | None, Outer | None, LmiOutcome]:
-    """Smallest gamma (``level`` None), or R and S at a level, with ``[R t I; t I S] >= 0`` and both bounded.
-
-    At many optima R or S is infinite: of states that w does not move, or that z does not show. The bound makes them
-    attained.
-
-    ``plants``: of equal sizes, without D22.
-    ``level``, ``coupling``: the level asked for, and t.
-    ``widest``: R and S of the largest margin, in rows of one size; else of small trace.
-    """
+    """Smallest gamma (``level`` None), or R and S at a level, with ``[R t I; t I S] >= 0`` and both bounded."""
     if budget.over:
         return None, None, LmiOutcome(False, "no work was left for the LMI")
     n = plants[0].sizes[0]
@@ -104,10 +85,7 @@ def _dual(p: PlantMatrices) -> PlantMatrices:
 def _add_outer(
     conditions: Inequalities, p: PlantMatrices, basis: AnyArray, at: int, last: int, level: float | None
 ) -> None:
-    """The second inequality of a plant, in an orthonormal basis of its null space and rows of one size.
-
-    ``last``: the unknown that is gamma, or at a level the margin.
-    """
+    """The second inequality of a plant, in an orthonormal basis of its null space and rows of one size."""
     from scipy.linalg import block_diag, null_space
 
     n, m, _, q, _ = p.sizes

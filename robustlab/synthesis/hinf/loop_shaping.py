@@ -1,10 +1,6 @@
-r"""H-infinity loop shaping (Glover, McFarlane): the most robust controller of a plant whose loop was shaped by weights.
+r"""H-infinity loop shaping (Glover, McFarlane): the most robust controller of a plant shaped by weights.
 
-.. math:: G_s = W_2 G W_1, \qquad \gamma_{min} = \sqrt{1 + \lambda_{max}(X Z)}
-
-with the solutions X, Z of the two Riccati equations of G_s's normalised coprime factors. 1/gamma is the radius of the
-ball of coprime-factor perturbations that the loop survives, and with it a distance in the gap and nu-gap metric: K
-stabilises every plant closer to G_s than 1/gamma (`robustlab.nu_gap`).
+:math:`\gamma_{min} = \sqrt{1 + \lambda_{max}(X Z)}` with the two Riccati solutions of the normalised coprime factors.
 """
 
 from __future__ import annotations
@@ -107,14 +103,9 @@ class NcfSynthesis(Synthesis):
         return [*rows[:2], ("smallest gamma possible", best), *rows[2:]]
 
     def to_json(self) -> dict[str, Any]:
-        return super().to_json() | {
-            "gamma_min": self.gamma_min,
-            "factor": self.factor,
-            "margin": self.margin.to_json(),
-            "K_shaped": self.K_shaped.to_json(),
-            "shaped_plant": self.shaped_plant.to_json(),
-            "observer": None if self.observer is None else vars(self.observer),
-        }
+        numbers = {"gamma_min": self.gamma_min, "factor": self.factor}
+        parts = {name: getattr(self, name).to_json() for name in ("margin", "K_shaped", "shaped_plant")}
+        return super().to_json() | numbers | parts | {"observer": self.observer and vars(self.observer)}
 
 
 @told_as("synth ncf")
@@ -200,7 +191,6 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
     if not surely_stable(loop):
         raise NoTrustworthyNumber("synth ncf", "the loop of the plant as given with W1 K W2 is not surely stable")
     shaped_plant = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs)
-    shaped_loop = shaped_plant.close(inner)
     norm = HinfNorm(1 / margin.upper, 1 / margin.lower, margin.frequency, margin.status)
     gamma, doubt = certified(shaped_plant, inner, norm)
     doubt = doubt or certified(plant, K, hinf_norm(loop)).doubt
@@ -213,7 +203,7 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
         closed_loop=loop,
         status=Status.INACCURATE if doubt else Status.CERTIFIED,
         reason=doubt or proved,
-        limit=limiting_channels(_named_channels(shaped_loop, shaped), margin.frequency),
+        limit=limiting_channels(_named_channels(shaped_plant.close(inner), shaped), margin.frequency),
         plant=plant,
         method="ncf",
         gamma_min=gamma_min,

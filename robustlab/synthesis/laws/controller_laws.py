@@ -1,9 +1,4 @@
-r"""Controllers as functions of named parameters: packed matrices :math:`\Theta(p) = [A_K, B_K; C_K, D_K]`.
-
-A structure (`robustlab.synthesis.laws.controller_structures`) becomes a law once the measurements, the controls and the
-sample time are known. A law gives the packed matrices and pulls a gradient back to the parameters:
-``pullback(p, G)_j = sum(G * dTheta/dp_j)``.
-"""
+r"""Controllers as functions of named parameters: packed matrices :math:`\Theta(p) = [A_K, B_K; C_K, D_K]`."""
 
 from __future__ import annotations
 
@@ -78,13 +73,11 @@ class AffineLaw:
     weight: AnyArray
 
     def packed(self, p: AnyArray) -> AnyArray:
-        """See `Law`."""
         theta = self.base.astype(np.result_type(self.base, p))
         np.add.at(theta, (self.row, self.column), self.weight * p[self.index])
         return theta
 
     def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        """See `Law`."""
         return np.bincount(self.index, self.weight * G[self.row, self.column], len(self.parameters))
 
 
@@ -116,12 +109,7 @@ class AffineBuilder:
 
 @dataclass(frozen=True, eq=False)
 class FilteredLaw:
-    r"""An affine law with one more parameter, the time constant tau of its derivative filters.
-
-    The states from ``first`` on are filters, ``tau x' = -x + y`` (discrete: backward Euler), and act as
-    ``(y - x)/tau``: the affine law is written for ``tau = 1`` and its last parameters' derivative gains multiply
-    ``(y - x)``; here they are divided by tau.
-    """
+    """An affine law with one more parameter, the time constant tau of its derivative filters."""
 
     law: AffineLaw
     tau: Parameter
@@ -149,7 +137,6 @@ class FilteredLaw:
         return np.where(self.derivative, p[:-1] / (p[-1] + self.dt), p[:-1])
 
     def packed(self, p: AnyArray) -> AnyArray:
-        """See `Law`."""
         theta = self.law.packed(self._scaled(p))
         k, n_y = self.sizes[0], self.sizes[2]
         rate, _ = self._rate(p[-1])
@@ -160,7 +147,6 @@ class FilteredLaw:
         return theta
 
     def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        """See `Law`."""
         inner = self.law.pullback(self._scaled(p), G)
         tau = p[-1] + self.dt
         k, n_y = self.sizes[0], self.sizes[2]
@@ -172,10 +158,7 @@ class FilteredLaw:
 
 @dataclass(frozen=True, eq=False)
 class DiagonalLaw:
-    """Laws side by side; part i sees the measurements ``measurements[i]`` and drives the controls ``controls[i]``.
-
-    What several parts give to one control adds up.
-    """
+    """Laws side by side; part i sees the measurements ``measurements[i]`` and drives the controls ``controls[i]``."""
 
     parts: tuple[Law, ...]
     controls: tuple[tuple[int, ...], ...]
@@ -205,7 +188,6 @@ class DiagonalLaw:
         return found
 
     def packed(self, p: AnyArray) -> AnyArray:
-        """See `Law`."""
         k = self.sizes[0]
         theta = np.zeros((k + self.n_controls, k + self.n_measurements), dtype=np.result_type(float, p))
         for part, own, rows, columns in self._places():
@@ -213,7 +195,6 @@ class DiagonalLaw:
         return theta
 
     def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        """See `Law`."""
         return np.concatenate(
             [part.pullback(p[own], G[rows[:, None], columns]) for part, own, rows, columns in self._places()]
         )
@@ -240,7 +221,6 @@ class SeriesLaw:
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """See `Law`."""
         return self.first.sizes[0] + self.second.sizes[0], self.second.sizes[1], self.first.sizes[2]
 
     def _parts(self, p: AnyArray) -> tuple[AnyArray, AnyArray]:
@@ -248,7 +228,6 @@ class SeriesLaw:
         return p[:count], p[count:]
 
     def packed(self, p: AnyArray) -> AnyArray:
-        """See `Law`."""
         one, two = self._parts(p)
         a1, b1, c1, d1 = unpacked(self.first.packed(one), self.first.sizes[0])
         a2, b2, c2, d2 = unpacked(self.second.packed(two), self.second.sizes[0])
@@ -256,7 +235,6 @@ class SeriesLaw:
         return np.vstack([top, np.hstack([b2 @ c1, a2, b2 @ d1]), np.hstack([d2 @ c1, c2, d2 @ d1])])
 
     def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        """See `Law`."""
         one, two = self._parts(p)
         i, j = self.first.sizes[0], self.second.sizes[0]
         first, second = self.first.packed(one), self.second.packed(two)
@@ -280,13 +258,10 @@ class RelabelledLaw:
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """See `Law`."""
         return self.law.sizes
 
     def packed(self, p: AnyArray) -> AnyArray:
-        """See `Law`."""
         return self.law.packed(p)
 
     def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        """See `Law`."""
         return self.law.pullback(p, G)

@@ -58,7 +58,6 @@ class StaticGain(Structure):
     mask: Any = None  # which entries of K are free, shape (n_con, n_meas); the others are zero. All where left out.
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         free = _mask(self.mask, len(controls), len(measurements))
         builder = AffineBuilder(0, len(controls), len(measurements))
         for i, j in np.argwhere(free):
@@ -87,7 +86,6 @@ class FixedOrder(Structure):
     form: str = "tridiagonal"  # `"tridiagonal"` (any A_K with simple poles has this form; few parameters) or `"full"`
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         k, n_u, n_y = self.order, len(controls), len(measurements)
         if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or not 0 <= k <= 500:
             raise InputError(f"{WHERE}: order", f"{k!r}", "a whole number from 0 to 500")
@@ -163,7 +161,6 @@ class MultichannelPID(Structure):
     start: Any = None
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         if self.layout == "pid":
             return self._pid(measurements, controls, dt)
         if self.layout not in ("ipd", "two-layer"):
@@ -298,7 +295,6 @@ class FixedPoles(Structure):
     strictly_proper: bool = False  # True for no direct term
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         poles = np.asarray(self.poles, dtype=complex).ravel()
         if not len(poles) or not np.isfinite(poles).all():
             raise InputError(f"{WHERE}: poles", f"{list(poles)}", "at least one finite pole")
@@ -344,7 +340,6 @@ class Decentralised(Structure):
     parts: Sequence[Part | Structure]
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         laws: list[Law] = []
         rows: list[tuple[int, ...]] = []
         columns: list[tuple[int, ...]] = []
@@ -372,7 +367,6 @@ class Sum(Structure):
     second: Structure
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         one, two = (s.law(measurements, controls, dt) for s in (self.first, self.second))
         return sum_law(_prefixed(one, "1."), _prefixed(two, "2."))
 
@@ -387,7 +381,6 @@ class Series(Structure):
     signals: Sequence[Any]  # names, or (name, unit) pairs, of the signals between them
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         between = tuple(Signal(s) if isinstance(s, str) else Signal(*s) for s in self.signals)
         if not between:
             raise InputError(f"{WHERE}: series", "no signal between the two", "at least one name")
@@ -401,11 +394,7 @@ def _prefixed(law: Law, prefix: str) -> Law:
 
 
 def as_structure(structure: Any, rate: float) -> Structure:
-    """A structure from its friendly forms: ``"static"``, ``"pid"``, an order, a mask, or a list (decentralised).
-
-    The derivative filters of ``"pid"`` and ``"pd"`` get a time constant between 0.01 and 10 times ``1 / rate``, the
-    plant's own time.
-    """
+    """A structure from its friendly forms: ``"static"``, ``"pid"``, an order, a mask, or a list (decentralised)."""
     if isinstance(structure, Structure):
         return structure
     if isinstance(structure, str):
@@ -430,21 +419,7 @@ GAINS = ("full", "diagonal", "scalar")
 
 
 def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
-    """A structure for the channels of a plant, as `robustlab.fixed_structure` takes it.
-
-    ``text``: ``static``; ``p``, ``i``, ``pi``, ``pd``, ``pid`` (one per channel); ``order:N``; ``poles:-1,-20``
-    (rad/s); ``ipd`` and ``two-layer``, the thesis' laws, with ``:full``, ``:diagonal`` or ``:scalar`` gains;
-    ``decentralised:WORD``, the same structure for every channel by itself.
-    ``plant``: its channels, and its time scale for the filters of derivatives.
-    Raises InputError: an unknown word, a number that is none.
-
-    Examples
-    --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> plant = GeneralizedPlant(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), 1, 1)
-    >>> structure_in_words("order:2", plant)
-    2
-    """
+    """A structure for the channels of a plant, as `robustlab.fixed_structure` takes it."""
     where = f"structure {text!r}"
     word, _, rest = text.strip().lower().partition(":")
     if word not in WORDS:

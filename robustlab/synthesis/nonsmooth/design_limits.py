@@ -71,12 +71,10 @@ class _PoleLimit(Limit):
         raise NotImplementedError
 
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
-        """See `Limit`."""
         poles = plant_loop.poles()
         return float(self.measure(_continuous_poles(poles, plant_loop.dt)).max()) if len(poles) else -1.0
 
     def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
-        """See `Limit`."""
         unit = 1.0 if dt else scaling.rate
         found = family.pole(theta, lambda poles: self.measure(_continuous_poles(unit * poles, dt)))
         if found is None:
@@ -97,15 +95,12 @@ class Decay(_PoleLimit):
 
     @property
     def text(self) -> str:
-        """See `Limit`."""
         return f"decay rate >= {self.rate:g} 1/s"
 
     def measure(self, s: AnyArray) -> AnyArray:
-        """See `_PoleLimit`."""
         return np.real(s) / self.rate + 1
 
     def slope(self, s: complex) -> complex:
-        """See `_PoleLimit`."""
         return 1 / self.rate + 0j
 
 
@@ -120,15 +115,12 @@ class Damping(_PoleLimit):
 
     @property
     def text(self) -> str:
-        """See `Limit`."""
         return f"damping >= {self.ratio:g}"
 
     def measure(self, s: AnyArray) -> AnyArray:
-        """See `_PoleLimit`."""
         return self.ratio + np.real(s) / np.maximum(np.abs(s), 1e-300)
 
     def slope(self, s: complex) -> complex:
-        """See `_PoleLimit`."""
         size = max(abs(s), 1e-300)
         return 1 / size - s.real * np.conj(s) / size**3
 
@@ -144,15 +136,12 @@ class Bandwidth(_PoleLimit):
 
     @property
     def text(self) -> str:
-        """See `Limit`."""
         return f"poles within {self.frequency:g} rad/s"
 
     def measure(self, s: AnyArray) -> AnyArray:
-        """See `_PoleLimit`."""
         return np.abs(s) / self.frequency - 1
 
     def slope(self, s: complex) -> complex:
-        """See `_PoleLimit`."""
         return np.conj(s) / (max(abs(s), 1e-300) * self.frequency)
 
 
@@ -164,15 +153,12 @@ class StableController(Limit):
 
     @property
     def text(self) -> str:
-        """See `Limit`."""
         return "controller stable"
 
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
-        """See `Limit`."""
         return K.spectral_abscissa() if K.n_states else -1.0
 
     def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
-        """See `Limit`."""
         from scipy.linalg import eig
 
         k = family.order
@@ -206,11 +192,9 @@ class RollOff(Limit):
 
     @property
     def text(self) -> str:
-        """See `Limit`."""
         return f"controller gain <= {self.gain:g} from {self.frequency:g} rad/s on"
 
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
-        """See `Limit`; the peak between all frequencies at which the gain crosses the largest value met."""
         return self._peak(Realisation.of(K), self.frequency, bool(K.dt), K.dt)[0] / self.gain - 1
 
     def _peak(self, K: Realisation, frequency: float, discrete: bool, dt: float) -> tuple[float, float]:
@@ -242,7 +226,6 @@ class RollOff(Limit):
         return best, at
 
     def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
-        """See `Limit`."""
         # In the plant's own signals, but in the scaled plant's time.
         k, rate = family.order, scaling.rate
         back = np.concatenate([np.ones(k), scaling.u])[:, None] * np.concatenate([np.ones(k), scaling.y])[None, :]

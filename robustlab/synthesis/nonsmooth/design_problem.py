@@ -60,16 +60,7 @@ class _Coordinate:
 
 
 class DesignProblem:
-    """The closed loops of all plants as functions of the search variables v of a law.
-
-    ``plants``: generalised plants with the same measurements, controls and sample time.
-    ``law``: the controller.
-    ``objective``: ``"hinf"`` or ``"h2"``: the largest norm over the plants; or one of them for each plant.
-    ``limits``: what the design must keep, strictly.
-    ``budget``: every evaluation is counted there. None: no limit.
-    ``limited``: plants whose loops the limits are about, where those of ``plants`` have poles of weights; these where
-    left out.
-    """
+    """The closed loops of all plants as functions of the search variables v of a law."""
 
     def __init__(
         self,

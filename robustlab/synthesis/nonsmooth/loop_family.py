@@ -1,13 +1,6 @@
-r"""Closed loops of one plant with every controller of a packed form, and derivatives with respect to the controller.
+"""Closed loops of one plant with every packed controller Theta = [A_K, B_K; C_K, D_K], and their derivatives by Theta.
 
-A controller of n_K states is packed as :math:`\Theta = [A_K, B_K; C_K, D_K]`; with the plant extended by n_K
-integrators the loop is affine in it,
-
-.. math::
-    \dot x = (A + B \Theta C) x + (B_1 + B \Theta D_{21}) w, \qquad z = (C_1 + D_{12} \Theta C) x + (D_{11} + D_{12}
-    \Theta D_{21}) w,
-
-and a direct term D22 of the plant is first taken into :math:`\Theta (I - D_{22} \Theta)^{-1}`.
+With the plant extended by integrators the loop is affine in Theta, or in Theta (I - D22 Theta)^-1.
 """
 
 from __future__ import annotations
@@ -52,13 +45,7 @@ class _Member:
 
 
 class LoopFamily:
-    """The closed loops ``F_l(P, K)`` of one plant for all controllers K of ``order`` states.
-
-    ``plant``: matrices of the plant without D22.
-    ``D22``: its direct term from u to y.
-    ``order``: states of the controller.
-    ``discrete``: True for a sampled plant.
-    """
+    """The closed loops ``F_l(P, K)`` of one plant for all controllers K of ``order`` states."""
 
     def __init__(
         self,
@@ -154,10 +141,7 @@ class LoopFamily:
     # --- norms -------------------------------------------------------------------------------------------------------
 
     def norm(self, theta: AnyArray, give_up_above: float = np.inf) -> tuple[float, AnyArray | None]:
-        """H-infinity norm and its gradient; ``(inf, None)`` for a loop that is not stable.
-
-        Above ``give_up_above`` the value may be a lower bound and the gradient is None.
-        """
+        """H-infinity norm and its gradient; ``(inf, None)`` for a loop that is not stable."""
         member = self._member(theta)
         continuous = None if member is None else self._continuous(member)
         if member is None or continuous is None:
@@ -233,12 +217,7 @@ class LoopFamily:
         return found
 
     def h2_norm(self, theta: AnyArray) -> tuple[float, AnyArray | None]:
-        r"""H2 norm and its gradient; ``(inf, None)`` for a loop that is not stable.
-
-        With the Gramians P and Q, :math:`d\,\|T\|_2^2 = 2\,\mathrm{tr}[Q (dA\,P + dB\,B^T) + dC\,P C^T]`; discrete,
-        :math:`2\,\mathrm{tr}[Q (dA\,P A^T + dB\,B^T) + dC\,P C^T + dD\,D^T]`. The direct term of a
-        continuous loop is left out: it must be zero.
-        """
+        """H2 norm and its gradient; ``(inf, None)`` for a loop that is not stable."""
         from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
         member = self._member(theta)

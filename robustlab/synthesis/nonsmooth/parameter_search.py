@@ -1,12 +1,4 @@
-"""Search for the parameters of a controller law: stabilise, follow the central path, descend on the norm, polish.
-
-Many starts take a few steps down the norm, the better ones more, and the best go on along the end of the central path
-and down the norm again. With limits every start takes the whole path: at the edge of what is feasible a descent stops.
-Every start goes through the same steps, and the budget of the problem counts evaluations, so that the same seed gives
-the same answer.
-
-From a controller that is known, `descend` takes one start alone: a last improvement for other methods.
-"""
+"""Search for the parameters of a controller law: stabilise, follow the central path, descend on the norm, polish."""
 
 from __future__ import annotations
 
@@ -78,10 +70,7 @@ def multi_start(
     seed: int,
     progress: Callable[[str], None],
 ) -> list[Start]:
-    """All starts, the best ones polished; best first. Those that were never stable come last.
-
-    ``given`` are pairs of a kind and parameters; they, and the structure's own start, also take the whole central path.
-    """
+    """All starts, the best ones polished; best first."""
     field: list[_Runner] = []
     total = len(given) + 1 + starts
     for i in range(total):
@@ -200,10 +189,7 @@ def _bfgs(problem: DesignProblem, function: Function, v: AnyArray, **steps: Any)
 
 
 def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
-    """Variables from v on that stabilise all loops and keep the limits, or the best found, and what is violated.
-
-    The second is negative for a feasible design; else the spectral abscissa (in scaled time) or the violated limit.
-    """
+    """Variables from v on that stabilise all loops and keep the limits, or the best found, and what is violated."""
 
     def loops(x: AnyArray, _: float) -> tuple[float, AnyArray | None]:
         return problem.instability(x)
@@ -293,17 +279,7 @@ def descend(
     K0: StateSpaceModel,
     budget: Budget,
 ) -> StateSpaceModel:
-    """A controller of the order of K0 with a norm that is at most K0's, by descent from K0.
-
-    K0 is written in modal coordinates (or keeps its own where the modes almost coincide) and all its entries move. Of
-    very many (`MANY`) only its inputs, outputs and direct term do.
-
-    ``plant``: the generalised plant.
-    ``K0``: a stabilising controller, ``u = K y`` with positive feedback.
-    ``budget``: evaluations are counted there; once it is over the descent ends.
-    Returns: K0 itself where nothing better was found or K0 does not stabilise. Nothing here is verified: the caller
-    does.
-    """
+    """A controller of the order of K0 with a norm that is at most K0's, by descent from K0."""
     if (K0.n_inputs, K0.n_outputs) != (plant.n_meas, plant.n_con):
         found = f"K0 has {K0.n_inputs} inputs and {K0.n_outputs} outputs"
         raise InputError("descend", found, f"{plant.n_meas} and {plant.n_con}")

@@ -259,12 +259,7 @@ def design_budget(where: str, work: float, effort: float, time_limit: float | No
 
 
 def told(status: Status, parts: Sequence[str], budget: Budget, smaller: str = "a smaller gamma") -> tuple[Status, str]:
-    """Status and reason of a design, with what ended its search where that was the budget and not the method.
-
-    ``status``: what was proved about the controller; TIMEOUT in its place where it can be trusted but the clock struck.
-    ``parts``: what else there is to say.
-    ``smaller``: what a longer search might find.
-    """
+    """Status and reason of a design, with what ended its search where that was the budget and not the method."""
     reason, ended = "; ".join(parts), ""
     if budget.struck:
         status, ended = (Status.TIMEOUT if status.trustworthy else status), NOT_REPEATABLE

@@ -30,10 +30,7 @@ def symmetric_basis(n: int) -> Array:
 
 
 def equal_rows(matrix: Array) -> Array:
-    """Factors d with which the largest entry of each row of ``d_i m_ij d_j`` is about one (Ruiz 2001).
-
-    The rows of fast states drown those of slow ones otherwise.
-    """
+    """Factors d with which the largest entry of each row of ``d_i m_ij d_j`` is about one (Ruiz 2001)."""
     size, d = np.abs(matrix), np.ones(len(matrix))
     for _ in range(10):
         largest = (d[:, None] * size * d).max(axis=1, initial=0.0)

@@ -8,10 +8,6 @@ r"""From continuous to discrete time by formula; a controller with its plant is 
 ``impulse``           T times the samples of the impulse response (no direct term)
 ``matched``           poles and zeros by :math:`z = e^{s T}`, zeros at infinity to z = -1, equal gain at zero frequency
 ====================  ==================================================================================================
-
-References
-----------
-Franklin, Powell, Workman, *Digital Control of Dynamic Systems* (1998), chapter 6.
 """
 
 from __future__ import annotations
@@ -343,14 +339,7 @@ class MergedModes:
 
 
 def merged_modes(model: StateSpaceModel, dt: float) -> tuple[MergedModes, ...]:
-    r"""Pairs of different modes with :math:`e^{\lambda_i T} = e^{\lambda_j T}` up to 1e-6.
-
-    Such a pair costs a single input (output) the controllability (observability) that the continuous model has.
-
-    References
-    ----------
-    Kalman, Ho, Narendra (1963); Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), theorem 3.2.1.
-    """
+    r"""Pairs of different modes with :math:`e^{\lambda_i T} = e^{\lambda_j T}` up to 1e-6."""
     poles, found = model.poles(), list[MergedModes]()
     sampling = 2 * np.pi / dt
     for i, one in enumerate(poles):

@@ -1,18 +1,7 @@
 r"""The H-infinity norm of a loop of continuous plant, sampler, digital controller and hold, between the samples too.
 
-.. math:: \|T\| = \sup_{w \ne 0} \frac{\|z\|_{L_2}}{\|w\|_{L_2}}
-
-for every w of finite energy, not sinusoids alone: the loop is periodic, and answers a sinusoid with many. Disturbances
-that reach the sampler directly, as references and sensor noise do in most generalised plants, are those that change at
-the samples only: of others a sample has no bound. A filter before the sampler makes room for all.
-
-With Q the mean over each of N intervals of a period (of w, of z), and Q' = I - Q the rest,
-
-.. math:: \|T Q\| \le \|T\| \le \left\| \begin{bmatrix} \|Q T Q\| & \|Q T Q'\| \\ \|Q' T Q\| & \|Q' T Q'\|
-   \end{bmatrix} \right\|
-
-The left side and the first column are H-infinity norms of discrete loops, exactly; the second column is bounded by
-Gramians. Both sides meet like 1 / N^2.
+With Q the mean over each interval of a period and Q' = I - Q, :math:`\|T Q\|` bounds the norm from below, and the norm
+of the 2 x 2 matrix of the gains of Q T Q, Q T Q', Q' T Q, Q' T Q' from above.
 """
 
 from __future__ import annotations
@@ -158,11 +147,7 @@ def sampled_data_norm(
 def plant_and_controller(
     plant: Any, K: Any, n_meas: int | None, n_con: int | None, delay: float, where: str, *, performance: bool = False
 ) -> tuple[GeneralizedPlant, StateSpaceModel]:
-    """Plant and digital controller, the latter without names, checked: they fit, and the sample time is one.
-
-    With ``performance`` the plant must have w and z beside the controls and measurements; a bare plant hears of that
-    first.
-    """
+    """Plant and digital controller, the latter without names, checked: they fit, and the sample time is one."""
     k = as_model(getattr(K, "K", K), f"{where}: K")
     p = as_generalized_plant(plant, n_meas or k.n_inputs, n_con or k.n_outputs, where)
     if performance:
@@ -214,10 +199,7 @@ def sampled_loop_norm(
     rtol: float,
     enough: float = np.inf,
 ) -> SampledDataNorm:
-    """`sampled_data_norm` for arguments that were checked; more and more intervals until the bracket is closed.
-
-    Or until ``lower`` exceeds ``enough``: then nobody asks how much.
-    """
+    """`sampled_data_norm` for arguments that were checked; more and more intervals until the bracket is closed."""
     m = plant.model
     n_w, n_z = m.n_inputs - plant.n_con, m.n_outputs - plant.n_meas
     history: list[tuple[int, float, float]] = []

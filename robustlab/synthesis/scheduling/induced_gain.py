@@ -134,12 +134,7 @@ def lpv_gain(
     time_limit: float | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> LPVGain:
-    r"""`robustlab.peak_gain` of an LPV model, by a Lyapunov function :math:`x^T P(\rho) x`.
-
-    The inequality of `robustlab.synthesis.scheduling.lyapunov_inequality` is imposed on the Bernstein coefficients of
-    every cell: it holds between the grid points because it is a convex combination of them there. A family that is not
-    multi-linear is allowed for by the model's ``deviation``. ``progress`` gets one short line after every stage.
-    """
+    r"""`robustlab.peak_gain` of an LPV model, by a Lyapunov function :math:`x^T P(\rho) x`."""
     if not isinstance(model, LPVModel):
         raise InputError("lpv_gain", f"a {type(model).__name__}", "an LPVModel", "rl.lpv_model makes one")
     if not model.inputs or not model.outputs:
@@ -280,10 +275,7 @@ def _solved(
     budget: Budget,
     say: Callable[[str], None],
 ) -> tuple[tuple[float, Array] | None, str]:
-    """Smallest proved level and its P by the LMIs, or None and why.
-
-    They are posed again in the states in which the last P is the identity, until the optimum stands.
-    """
+    """Smallest proved level and its P by the LMIs, or None and why."""
     best, last, text = None, np.inf, ""
     for _ in range(BALANCINGS):
         turned = posed.turned(basis)
@@ -316,11 +308,7 @@ def _solved(
 
 
 def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[float | None, Array | None, str]:
-    """Smallest level (None), or P of the largest margin at a level, from the solver; unchecked.
-
-    Unknowns: the triangles of P, then gamma, a margin, and a bound of P's size, with which the model's deviation
-    counts. The margin is that of the inequalities in rows of one size, as it counts in the check.
-    """
+    """Smallest level (None), or P of the largest margin at a level, from the solver; unchecked."""
     n, at = posed.n, {w: k for k, w in enumerate(np.ndindex(*posed.shape))}
     basis = symmetric_basis(n)
     diagonal = np.einsum("bii->b", basis) > 0

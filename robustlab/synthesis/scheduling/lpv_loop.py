@@ -1,17 +1,4 @@
-r"""The closed loop of an LPV plant and an LPV controller, as an LPV model with the error between the points proved.
-
-With the generalised plant's :math:`u = K(\rho) y`, :math:`D_{22} = 0`,
-
-.. math:: M_{cl}(\rho) = P(\rho) + U(\rho) K(\rho) V(\rho)
-
-where P, U, K and V are multi-linear in each cell. Where U and V (B2, D12, C2, D21) do not depend on the parameters the
-product is multi-linear too, and the loop is exact at the vertices of the cells. Else multi-linear interpolation errs by
-at most
-
-.. math:: \tfrac14 \sum_i |\Delta_i U| |\Delta_i K| |V| + |\Delta_i U| |K| |\Delta_i V| + |U| |\Delta_i K| |\Delta_i V|
-
-with the largest changes :math:`\Delta_i` along parameter i over the cell.
-"""
+"""The closed loop of an LPV plant and an LPV controller, as an LPV model with the error between the points proved."""
 
 from __future__ import annotations
 

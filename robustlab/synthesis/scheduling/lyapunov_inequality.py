@@ -1,21 +1,7 @@
-r"""The dissipation inequality of an LPV model over whole cells: its coefficients, as a solver takes them.
+"""The dissipation inequality of an LPV model over whole cells: its Bernstein coefficients, as a solver takes them.
 
-:math:`V = x^T P(\rho) x` proves an induced gain below :math:`\gamma` where :math:`P \succ 0` and
-
-.. math:: L = \begin{bmatrix} A^T P + P A + \sum_i \dot\rho_i\, \partial P / \partial \rho_i & P B & C^T \\
-    \cdot & -\gamma I & D^T \\ \cdot & \cdot & -\gamma I \end{bmatrix} \prec 0
-    \qquad \text{for all } \rho \text{ and } |\dot\rho_i| \le \nu_i
-
-(Wu, Yang, Packard, Becker 1996). With model and P multi-linear in a cell, L is a polynomial of degree 2 in each
-parameter along which P varies and of degree 1 in the others. In Bernstein form,
-
-.. math:: L(\rho) = \sum_c \beta_c(\rho) L_c, \qquad \beta_c \ge 0, \quad \sum_c \beta_c = 1,
-
-it is a convex combination of its coefficients, each the mean of :math:`L(M_v, P_w)` over the pairs of vertices with
-:math:`v + w = c`. Where all of them are negative definite, so is L everywhere in the cell. It is affine in the rates,
-whose ends suffice. It is affine in the model's deviation from its interpolation too: where few entries deviate, each
-coefficient is asked for with both signs of each; where many do, a bound entry by entry is allowed for. What the solver
-finds is proved in ball arithmetic for the model as it was given (`robustlab.verification.parameters`).
+Wu, Yang, Packard, Becker 1996. Where all coefficients are negative definite, so is the inequality in the whole cell.
+What the solver finds is proved in ball arithmetic (`robustlab.verification.parameters`).
 """
 
 from __future__ import annotations
@@ -53,12 +39,7 @@ class Coefficient:
 
 
 class Inequality:
-    """The coefficients of one model, scaled by powers of two.
-
-    ``varying``: whether P varies along the parameters whose rates are bounded, multi-linear on the model's own grid;
-    else P is one matrix, and the rates do not matter.
-    ``size``: a gain, if one is known: in the scaled units it is about one. A solver's tolerances are absolute.
-    """
+    """The coefficients of one model, scaled by powers of two."""
 
     def __init__(self, model: LPVModel, varying: bool, size: float = 0.0) -> None:
         self.varies = tuple(varying and np.isfinite(p.rate) for p in model.parameters)

@@ -1,14 +1,4 @@
-r"""Linear parameter-varying (LPV) models: state-space models at the points of a grid, multi-linear between them.
-
-.. math:: \dot x = A(\rho) x + B(\rho) u, \qquad y = C(\rho) x + D(\rho) u, \qquad
-    M = \begin{bmatrix} A & B \\ C & D \end{bmatrix} = \sum_v \alpha_v(\rho)\, M_v + E(\rho), \quad
-    |E(\rho)| \le \bar E
-
-:math:`\alpha_v \ge 0` are the products of the linear weights along each parameter; in a cell of the grid M is a convex
-combination of the cell's vertices, but for E. Two points for each parameter make a polytopic model;
-there every affine dependence is exact. :math:`\bar E` bounds, entry by entry, what a family that is not multi-linear
-does between the points.
-"""
+"""Linear parameter-varying (LPV) models: state-space models at the points of a grid, multi-linear between them."""
 
 from __future__ import annotations
 
@@ -36,10 +26,7 @@ KNOWN = (EXACT, PROVED, SAMPLED)
 
 @dataclass(frozen=True)
 class SchedulingParameter:
-    """A measured parameter: values at which the model is given, from one end of its range to the other.
-
-    ``rate`` bounds ``|d rho/dt|`` in its unit per second; infinite where it may jump, 0 where it is constant.
-    """
+    """A measured parameter: values at which the model is given, from one end of its range to the other."""
 
     name: str
     points: tuple[float, ...]
@@ -235,13 +222,7 @@ class LPVModel(Behaviour, Shown, Traced):
     # --- evaluation --------------------------------------------------------------------------------------------------
 
     def at(self, rho: Mapping[str, float] | Sequence[float] | None = None, **values: float) -> StateSpaceModel:
-        """The model at one value of every parameter: a mapping, a sequence in their order, or by name.
-
-        Raises
-        ------
-        InputError
-            A parameter that is missing or unknown, a value outside its range.
-        """
+        """The model at one value of every parameter: a mapping, a sequence in their order, or by name."""
         return self.model_of(self.matrix_at(self.place(rho, **values)))
 
     def place(self, rho: Mapping[str, float] | Sequence[float] | None = None, **values: float) -> Array:
@@ -276,8 +257,8 @@ class LPVModel(Behaviour, Shown, Traced):
         return found
 
     def refined(self, pieces: int | Mapping[str, int] = 2) -> LPVModel:
-        """The same model with every cell cut into ``pieces`` along each parameter, or those named: a finer grid
-        for Lyapunov functions and controllers.
+        """The same model with every cell cut into ``pieces`` along each parameter, or those named: a finer grid for
+        Lyapunov functions and controllers.
         """
         cuts = dict.fromkeys(self.names, pieces) if isinstance(pieces, int) else dict(pieces)
         matrices, deviation, parameters = self.matrices, self.deviation, []

@@ -1,12 +1,7 @@
-r"""`hinf` of an LPV model: H-infinity controllers scheduled by measured parameters, their loops verified by `lpv_gain`.
+"""`hinf` of an LPV model: controllers scheduled by measured parameters, their loops verified by `lpv_gain`.
 
-At the points of the grid the projection LMIs are solved with shared R and S
-(`robustlab.synthesis.hinf.lmi_synthesis`); at each point a controller is reconstructed for the closed loop's
-Lyapunov matrix X, and between the points the controllers are interpolated. With shared R and S, and with B2, C2, D12,
-D21 that do not depend on the parameters, X proves the interpolated loop in every cell (Apkarian, Gahinet, Becker 1995).
-
-Whatever the LMIs say, a controller is returned with what `lpv_gain` proves of the loop that is rebuilt from plant and
-controller; where rates are bounded, with a Lyapunov matrix that varies.
+The projection LMIs with shared R and S, a controller for each grid point, interpolated between them (Apkarian, Gahinet,
+Becker 1995). Whatever the LMIs say, what is returned is proved of the loop rebuilt from plant and controller.
 """
 
 from __future__ import annotations
@@ -89,10 +84,7 @@ class LPVSynthesis(Design):
         return LPVController(self.K, self.gamma, self.status, "lpv-hinf")
 
     def claims(self) -> list[Claim]:
-        """That plant and controller, as they are stored, make a loop with that gain.
-
-        Nothing where B2, C2, D12 or D21 depend on a parameter: that loop is not multi-linear between the points.
-        """
+        """That plant and controller, as they are stored, make a loop with that gain."""
         plant, K, n = self.plant, self.K, self.plant.n_states
         z, w = len(plant.outputs) - len(K.inputs), len(plant.inputs) - len(K.outputs)
         M, E = (X.reshape(-1, *X.shape[-2:]) for X in (plant.matrices, plant.deviation))
@@ -213,12 +205,7 @@ class _Task:
         return best
 
     def _conditioned(self) -> tuple[_Conditioned | None, str]:
-        """The plants in states in which R and S of the last optimum are equal and diagonal, until it stands.
-
-        Without it the optimum that a solver in double precision finds may be many times too large, or there is none: R
-        and S of a stiff or singular problem range over ten decades. The first states are those of the Riccati equations
-        of one frozen plant.
-        """
+        """The plants in states in which R and S of the last optimum are equal and diagonal, until it stands."""
         middle = self.matrices[len(self.matrices) // 2]
         found: _Conditioned | None = None
         text = "the frozen plant in the middle has no controller"
@@ -234,11 +221,7 @@ class _Task:
         return found, text
 
     def _frozen_states(self, p: PlantMatrices) -> list[tuple[Array, float]]:
-        """States in which ``X^-1`` and ``Y^-1`` of a frozen plant are equal and diagonal, and its smallest gamma.
-
-        Of the plant with small channels added, as X and Y of its own may be singular, and at a gamma some times its
-        own: nearer to it the states that w does not move or z does not show are measured too differently.
-        """
+        """States in which ``X^-1`` and ``Y^-1`` of a frozen plant are equal and diagonal, and its smallest gamma."""
         found: list[tuple[float, TwoRiccatiProblem]] = []
         for size in ADDED:
             try:
@@ -317,15 +300,7 @@ class _Task:
 
 
 def _state_units(K: Array, n: int) -> Array:
-    """Units of the n states in which their rows and columns are alike in size, all points (k, n + n_u, n + n_y) as one.
-
-    Those that come with X and the scaled plant may be out of all proportion. The same units at all points leave what is
-    interpolated between them as it is, and powers of two leave every digit.
-
-    References
-    ----------
-    Osborne, "On pre-conditioning of matrices" (1960).
-    """
+    """Units of the n states in which their rows and columns are alike in size, all points as one (Osborne 1960)."""
     size, units = np.abs(K).sum(axis=0), np.ones(n)
     size[range(n), range(n)] = 0.0
     for _ in range(SWEEPS):

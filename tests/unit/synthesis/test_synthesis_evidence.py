@@ -9,13 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab import mixsyn
+from robustlab import hinf, mixsyn
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import bilinear_to_discrete, hinf_norm
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import GeneralizedPlant
-from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.synthesis.problem.gamma_bounds import point_in_words, pointwise_bound
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 
