@@ -21,7 +21,7 @@ from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.fixed.constants import VERIFIED, WORK
 from robustlab.synthesis.fixed.structure_starts import informed_starts
-from robustlab.synthesis.laws.controller_laws import Law, RelabelledLaw, model_of
+from robustlab.synthesis.laws.controller_laws import Law
 from robustlab.synthesis.laws.controller_structures import as_structure
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
@@ -354,7 +354,7 @@ def bounded_law(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
         if not low <= high:
             raise InputError(f"{WHERE}: bounds of {name}", f"({low:g}, {high:g})", "low <= high")
         parameters[j] = replace(parameters[j], low=low, high=high, start=float(np.clip(parameters[j].start, low, high)))
-    return RelabelledLaw(law, tuple(parameters))
+    return replace(law, parameters=tuple(parameters))
 
 
 def parameter_values(law: Law, p: AnyArray) -> tuple[ParameterValue, ...]:
@@ -506,7 +506,7 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
     plants, law, objective = problem.plants, problem.law, problem.objective
     first = plants[0]
     try:
-        K = model_of(law, start.p, first.model.dt, first.measurements, first.controls)
+        K = law.model(start.p, first.model.dt, first.measurements, first.controls)
         loops = tuple(plant.close(K) for plant in plants)
         norms = tuple(hinf_norm(loop) if objective == "hinf" else h2_by_gramians(loop) for loop in loops)
     except (InputError, NoTrustworthyNumber):  # entries overflow, or a loop is not well posed

@@ -34,7 +34,7 @@ from robustlab.synthesis.fixed.fixed_structure import (
     require_finite_h2,
 )
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
-from robustlab.synthesis.laws.controller_laws import Law, model_of
+from robustlab.synthesis.laws.controller_laws import Law
 from robustlab.synthesis.laws.controller_structures import as_structure
 from robustlab.synthesis.nonsmooth.constants import BARRIER_CLOSER
 from robustlab.synthesis.nonsmooth.design_limits import Limit
@@ -468,7 +468,7 @@ class _Task:
     def judged(self, p: AnyArray) -> TunedSynthesis:
         """The design with every goal verified on loops rebuilt from K."""
         first = self.loops[0]
-        K = model_of(self.law, p, first.model.dt, first.measurements, first.controls)
+        K = self.law.model(p, first.model.dt, first.measurements, first.controls)
         whole = [loop.close(K) for loop in self.loops]
         limits = tuple(LimitValue(c.text, max(c.value(loop, K) for loop in whole)) for c in self.limits)
         if any(limit.value > KEPT for limit in limits):

@@ -21,9 +21,7 @@ from robustlab.synthesis.laws.controller_laws import (
     FilteredLaw,
     Law,
     Parameter,
-    RelabelledLaw,
     SeriesLaw,
-    sum_law,
 )
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.problem.scaling import common_scaling
@@ -201,17 +199,14 @@ class MultichannelPID(Structure):
 
     def _filtered(self, builder: AffineBuilder, first: int, derivative: AnyArray, dt: float) -> Law:
         if self.tau is None:
-            raise InputError(
-                f"{WHERE}: tau",
-                "missing",
-                "the derivative filter's time constant in s, or (low, high) for one to be found",
-            )
+            expected = "the derivative filter's time constant in s, or (low, high) for one to be found"
+            raise InputError(f"{WHERE}: tau", "missing", expected)
         pair = (self.tau, self.tau) if np.ndim(self.tau) == 0 else tuple(self.tau)
         low, high = (float(x) for x in pair)
         if not 0 < low <= high < np.inf:
             raise InputError(f"{WHERE}: tau", f"{self.tau}", "a positive time in s, or a pair (low, high) of them")
-        tau = Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
-        return FilteredLaw(builder.law(), tau, first, dt, derivative)
+        law, tau = builder.law(), Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
+        return FilteredLaw((*law.parameters, tau), law.sizes, law, first, dt, derivative)
 
     def _groups(self, n_u: int, n_y: int) -> list[tuple[str, list[tuple[int, int]]]]:
         """Every free gain's index text and the entries of the gain matrix that it fills."""
@@ -266,18 +261,15 @@ class MultichannelPID(Structure):
             for name, places in groups:
                 entries = [(row + i, column + j, sign) for i, j in places]
                 builder.parameter(self._gain(matrix, name, _unit(out, signal, power), *places[0]), *entries)
-        if two:
-            self._torque_loops(builder, n, k, torque, measurements[3 * n], controls[0])
+        if two:  # one kp, ki, kd for the loops of all axes
+            m, u = measurements[3 * n], controls[0]
+            for name, entries, unit in (
+                ("kp", [(2 * n + j, torque + j, -1.0) for j in range(n)], _unit(u, m, "/s")),
+                ("kd", [(k + j, torque + j, -1.0) for j in range(n)], _unit(u, m)),
+                ("ki", [(2 * n + j, n + j, 1.0) for j in range(n)], _unit(u, m, "/s2")),
+            ):
+                builder.parameter(self._gain(name, "", unit, 0, 0), *entries)
         return builder.law()
-
-    def _torque_loops(self, builder: AffineBuilder, n: int, k: int, torque: int, m: Signal, u: Signal) -> None:
-        """One kp, ki, kd for the loops of all axes."""
-        for name, entries, unit in (
-            ("kp", [(2 * n + j, torque + j, -1.0) for j in range(n)], _unit(u, m, "/s")),
-            ("kd", [(k + j, torque + j, -1.0) for j in range(n)], _unit(u, m)),
-            ("ki", [(2 * n + j, n + j, 1.0) for j in range(n)], _unit(u, m, "/s2")),
-        ):
-            builder.parameter(self._gain(name, "", unit, 0, 0), *entries)
 
 
 def PID(terms: str = "PID", tau: Any = None, limit: float = np.inf, start: Any = None) -> MultichannelPID:
@@ -340,23 +332,21 @@ class Decentralised(Structure):
     parts: Sequence[Part | Structure]
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        laws: list[Law] = []
-        rows: list[tuple[int, ...]] = []
-        columns: list[tuple[int, ...]] = []
         plain = all(isinstance(part, Structure) for part in self.parts)
         if not self.parts or (plain and not len(self.parts) == len(measurements) == len(controls)):
             found = f"{len(self.parts)} parts for {len(measurements)} measurements and {len(controls)} controls"
             raise InputError(f"{WHERE}: decentralised", found, "one for each channel, or Part(structure, names, names)")
+        laws, rows, columns = list[Law](), list[list[int]](), list[list[int]]()
         for i, part in enumerate(self.parts):
             if isinstance(part, Structure):
                 part = Part(part, [measurements[i].name], [controls[i].name])
-            y = tuple(signal_positions(part.measurements, [s.name for s in measurements], f"{WHERE}: measurement"))
-            u = tuple(signal_positions(part.controls, [s.name for s in controls], f"{WHERE}: control"))
+            y = signal_positions(part.measurements, [s.name for s in measurements], f"{WHERE}: measurement")
+            u = signal_positions(part.controls, [s.name for s in controls], f"{WHERE}: control")
             law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
             laws.append(_prefixed(law, f"{i + 1}."))
             rows.append(u)
             columns.append(y)
-        return DiagonalLaw(tuple(laws), tuple(rows), tuple(columns), len(controls), len(measurements))
+        return DiagonalLaw.of(laws, rows, columns, len(controls), len(measurements))
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,8 +357,12 @@ class Sum(Structure):
     second: Structure
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        one, two = (s.law(measurements, controls, dt) for s in (self.first, self.second))
-        return sum_law(_prefixed(one, "1."), _prefixed(two, "2."))
+        laws = [
+            _prefixed(structure.law(measurements, controls, dt), f"{i}.")
+            for i, structure in ((1, self.first), (2, self.second))
+        ]
+        u, y = range(len(controls)), range(len(measurements))
+        return DiagonalLaw.of(laws, (u, u), (y, y), len(u), len(y))
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,12 +379,12 @@ class Series(Structure):
         if not between:
             raise InputError(f"{WHERE}: series", "no signal between the two", "at least one name")
         one, two = self.first.law(measurements, between, dt), self.second.law(between, controls, dt)
-        return SeriesLaw(_prefixed(one, "1."), _prefixed(two, "2."))
+        return SeriesLaw.of(_prefixed(one, "1."), _prefixed(two, "2."))
 
 
 def _prefixed(law: Law, prefix: str) -> Law:
     """The law with a prefix to the names of its parameters, so that they stay unique."""
-    return RelabelledLaw(law, tuple(replace(p, name=prefix + p.name) for p in law.parameters))
+    return replace(law, parameters=tuple(replace(p, name=prefix + p.name) for p in law.parameters))
 
 
 def as_structure(structure: Any, rate: float) -> Structure:
@@ -425,9 +419,14 @@ def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
     if word not in WORDS:
         raise InputError(where, "unknown", f"one of {', '.join(WORDS)}", did_you_mean(word, WORDS))
     if word == "order":
-        return _order(where, rest)
+        if not rest.isdigit() or int(rest) > 1000:
+            raise InputError(where, f"{rest!r}", "a whole number from 0 to 1000: order:3")
+        return int(rest)
     if word == "poles":
-        return FixedPoles(_poles(where, rest))
+        try:
+            return FixedPoles([complex(part.strip()) for part in rest.split(",")])
+        except ValueError:
+            raise InputError(where, f"{rest!r}", "numbers: poles:-1,-20 or poles:-1+2j,-1-2j") from None
     if word in ("ipd", "two-layer"):
         gains = rest or "full"
         if gains not in GAINS:
@@ -440,16 +439,3 @@ def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
     if rest:
         raise InputError(where, f"{rest!r} after {word}", "nothing")
     return word
-
-
-def _order(where: str, text: str) -> int:
-    if not text.isdigit() or int(text) > 1000:
-        raise InputError(where, f"{text!r}", "a whole number from 0 to 1000: order:3")
-    return int(text)
-
-
-def _poles(where: str, text: str) -> list[complex]:
-    try:
-        return [complex(part.strip()) for part in text.split(",")]
-    except ValueError:
-        raise InputError(where, f"{text!r}", "numbers: poles:-1,-20 or poles:-1+2j,-1-2j") from None

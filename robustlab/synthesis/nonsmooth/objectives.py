@@ -6,7 +6,7 @@ Frequencies are those of a continuous loop; a discrete loop is mapped by the bil
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,8 @@ ENTROPY_RESIDUAL = 1e-7
 
 # Real parts of poles above this share of the norm of A cannot be told from zero.
 BLUR = 1e-13
+# Eigenvectors whose product is below this share get their derivatives from a perturbed A.
+DEFECTIVE = 1e-14
 
 
 def bilinear(loop: Realisation) -> Realisation | None:
@@ -59,6 +61,17 @@ def resolvent_point(omega: float, discrete: bool) -> complex:
     if not discrete:
         return 1j * omega
     return -1.0 + 0j if np.isinf(omega) else (1 + 1j * omega) / (1 - 1j * omega)
+
+
+def extreme_pole(A: AnyArray, measure: Callable[[AnyArray], AnyArray]) -> tuple[complex, AnyArray, AnyArray]:
+    """The pole with the largest ``measure(poles)``, and u, v with ``d pole = u^T dA v``."""
+    from scipy.linalg import eig
+
+    values, left, right = (np.asarray(x) for x in eig(A, left=True, check_finite=False))
+    k = int(np.argmax(measure(values)))
+    u, v = left[:, k].conj(), right[:, k]
+    product = u @ v
+    return complex(values[k]), u / (product if abs(product) >= DEFECTIVE else DEFECTIVE), v
 
 
 class PeakFinder:
@@ -100,7 +113,7 @@ class PeakFinder:
         """Raise the value until the Hamiltonian shows no crossing above it."""
         for _ in range(PEAK_LEVELS):
             level = value * (1 + PEAK_LEVEL)
-            crossing = crossings(loop, level, NEAR_AXIS)
+            crossing = crossings(loop, level)
             if not len(crossing):
                 break
             points = np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:]), [0.5 * crossing[0]]])
@@ -211,7 +224,7 @@ class ModalLoop:
         return omega
 
 
-def crossings(loop: Realisation, level: float, near_axis: float = NEAR_AXIS) -> AnyArray:
+def crossings(loop: Realisation, level: float) -> AnyArray:
     """Frequencies >= 0 at which a singular value of the loop may have this level, in order."""
     a, b, c, d = loop
     root = np.sqrt(level)
@@ -234,7 +247,7 @@ def crossings(loop: Realisation, level: float, near_axis: float = NEAR_AXIS) -> 
     if info:
         return np.zeros(0)
     size = np.hypot(real, imag)
-    near = (imag >= 0) & (np.abs(real) <= near_axis * size + 1e-12 * size.max())
+    near = (imag >= 0) & (np.abs(real) <= NEAR_AXIS * size + 1e-12 * size.max())
     return np.unique(imag[near])
 
 
@@ -262,11 +275,7 @@ class Entropy:
     by_loop: Realisation
 
 
-def entropy(
-    loop: Realisation,
-    gamma: float,
-    s0: float = 1.0,
-) -> Entropy | None:
+def entropy(loop: Realisation, gamma: float) -> Entropy | None:
     """The entropy with its derivatives; None where the loop is not stable or its norm not below gamma."""
     a, b, c, d = loop
     n, m = b.shape
@@ -282,15 +291,16 @@ def entropy(
         by_gamma = -2 * gamma * float(np.trace(r_inv)) + 2 * m / gamma
         by_loop = Realisation(nothing((0, 0)), nothing((0, m)), nothing((len(c), 0)), 2 * d @ r_inv)
         return Entropy(value, by_gamma, by_loop)
-    x = _stabilising(loop, r_inv, ENTROPY_RESIDUAL)
+    # Mustafa, Glover, *Minimum entropy H-infinity control* (1990): with A^T X + X A + C^T C + F^T R F = 0 the factor
+    # R^(1/2) (I - F (sI - A)^-1 B) is outer, and Poisson's integral gives the entropy from its value at s = 1.
+    x = _stabilising(loop, r_inv)
     if x is None:
         return None
     f = r_inv @ (b.T @ x + d.T @ c)
-    a_f = a + b @ f
-    w, w_f = np.linalg.inv(s0 * np.eye(n) - a), np.linalg.inv(s0 * np.eye(n) - a_f)
-    _, log_a = np.linalg.slogdet(s0 * np.eye(n) - a)
-    _, log_f = np.linalg.slogdet(s0 * np.eye(n) - a_f)
-    value = -float(np.linalg.slogdet(r)[1]) + 2 * m * np.log(gamma) + 2 * float(log_a - log_f)
+    a_f, eye = a + b @ f, np.eye(n)
+    w, w_f = np.linalg.inv(eye - a), np.linalg.inv(eye - a_f)
+    logs = [float(np.linalg.slogdet(m)[1]) for m in (r, eye - a, eye - a_f)]
+    value = -logs[0] + 2 * m * np.log(gamma) + 2 * (logs[1] - logs[2])
     v = w_f @ b @ r_inv
     s = v @ b.T
     y = _lyapunov(a_f, s + s.T)
@@ -305,12 +315,12 @@ def entropy(
     return Entropy(value, by_gamma, Realisation(by_a, by_b, by_c, by_d))
 
 
-def _stabilising(loop: Realisation, r_inv: AnyArray, tolerance: float) -> AnyArray | None:
+def _stabilising(loop: Realisation, r_inv: AnyArray) -> AnyArray | None:
     """X from the stable invariant subspace of the Hamiltonian; None where there is none or A is not stable."""
     a, b, c, d = loop
     n = len(a)
-    a1 = a + b @ (r_inv @ (d.T @ c)) if d.any() else a
-    low = c.T @ (c + d @ (r_inv @ (d.T @ c))) if d.any() else c.T @ c
+    by_d = r_inv @ (d.T @ c)
+    a1, low = a + b @ by_d, c.T @ (c + d @ by_d)
     hamiltonian = np.block([[a1, b @ r_inv @ b.T], [-low, -a1.T]])
     if not np.isfinite(hamiltonian).all():
         return None
@@ -329,7 +339,7 @@ def _stabilising(loop: Realisation, r_inv: AnyArray, tolerance: float) -> AnyArr
         return None
     terms = x @ a1, x @ hamiltonian[:n, n:] @ x
     residual = np.abs(terms[0] + terms[0].T + low + terms[1]).max()
-    return x if residual <= tolerance * max(np.abs(t).max() for t in (*terms, low)) else None
+    return x if residual <= ENTROPY_RESIDUAL * max(np.abs(t).max() for t in (*terms, low)) else None
 
 
 def _lyapunov(a: AnyArray, q: AnyArray) -> AnyArray | None:

@@ -12,7 +12,7 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.laws.controller_laws import AffineBuilder, AffineLaw, Parameter, model_of
+from robustlab.synthesis.laws.controller_laws import AffineBuilder, AffineLaw, Parameter
 from robustlab.synthesis.nonsmooth.constants import BARRIER_CLOSER, BARRIER_KNOWN
 from robustlab.synthesis.nonsmooth.descent_methods import Descent, Function, bfgs, sequential_linear
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
@@ -293,7 +293,7 @@ def descend(
     q, after = polished(problem, problem.parameters(v)[0])
     if not after < before:
         return K0
-    return model_of(law, q, K0.dt, K0.inputs, K0.outputs)
+    return law.model(q, K0.dt, K0.inputs, K0.outputs)
 
 
 def law_around(
