@@ -6,7 +6,7 @@ What the solver finds is proved in ball arithmetic (`robustlab.verification.para
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,6 +18,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated
+from robustlab.synthesis.scheduling.inequalities import bounded_real
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 
 # Entries of the deviation in a cell up to which every choice of signs is asked for: exact, but 2^n inequalities.
@@ -91,8 +92,6 @@ class Inequality:
         ]
         return made
 
-    # --- coefficients ------------------------------------------------------------------------------------------------
-
     @cached_property
     def coefficients(self) -> list[Coefficient]:
         """All of them; those that neighbouring cells share once."""
@@ -152,23 +151,23 @@ class Inequality:
                     total[at] = total.get(at, 0.0) + part
         return tuple((part, at) for at, part in total.items() if part)
 
-    # --- evaluated ---------------------------------------------------------------------------------------------------
+    def matrix(self, c: Coefficient, P: Mapping[Index, Any], gamma: Any) -> Any:
+        """``L_c`` for a solver, P at its vertices and gamma unknown."""
+        import cvxpy as cp
+
+        n, share, matrices = self.n, 1.0 / len(c.pairs), self.model.matrices
+        top = sum(share * (P[w] @ (matrices[v] + c.shift)[:n]) for v, w in c.pairs)
+        drift = top[:, :n] + top[:, :n].T + sum(factor * P[w] for factor, w in c.slopes)
+        return bounded_real(cp.hstack([drift, top[:, n:]]), *self._outputs(c), gamma)
+
+    def sizes(self, c: Coefficient) -> Array:
+        """The same for ``P = I`` at every vertex without slopes and ``gamma = 1``."""
+        n, mean = self.n, np.mean([self.model.matrices[v] for v, _ in c.pairs], axis=0) + c.shift
+        a, b, (out, direct) = mean[:n, :n], mean[:n, n:], self._outputs(c)
+        slope = sum(factor for factor, _ in c.slopes) * np.eye(n)
+        q, m = direct.shape
+        return np.block([[a + a.T + slope, b, out.T], [b.T, -np.eye(m), direct.T], [out, direct, -np.eye(q)]])
 
     def _outputs(self, c: Coefficient) -> tuple[Array, Array]:
         mean = np.mean([self.model.matrices[v][self.n :] for v, _ in c.pairs], axis=0) + c.shift[self.n :]
         return mean[:, : self.n], mean[:, self.n :]
-
-    def parts(self, c: Coefficient, basis: Array) -> tuple[dict[Index, Array], Array, Array]:
-        """For a solver: vertex of P -> what each matrix of a basis there adds to L, shape (m, N, N); C and D."""
-        n, share = self.n, 1.0 / len(c.pairs)
-        out, direct = self._outputs(c)
-        n_w, whole = direct.shape[1], n + sum(direct.shape)
-        found: dict[Index, Array] = {}
-        for v, w in c.pairs:
-            part = found.setdefault(w, np.zeros((len(basis), whole, whole)))
-            made = share * (basis @ (self.model.matrices[v] + c.shift)[:n])
-            part[:, :n, : n + n_w] += made
-            part[:, : n + n_w, :n] += np.swapaxes(made, 1, 2)
-        for factor, w in c.slopes:
-            found.setdefault(w, np.zeros((len(basis), whole, whole)))[:, :n, :n] += factor * basis
-        return found, out, direct

@@ -18,13 +18,12 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.shown import Facts, number
 from robustlab.signals import Taken
 from robustlab.statespace import Signal
-from robustlab.synthesis.hinf.lmi_synthesis import projection, reconstructed, shared
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.design import Design
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
-from robustlab.synthesis.scheduling.constants import BALANCINGS, NEAR, WORK
-from robustlab.synthesis.scheduling.induced_gain import LPVGain, gain_from, model_numbers
+from robustlab.synthesis.scheduling.induced_gain import BALANCINGS, NEAR, WORK, LPVGain, gain_from, model_numbers
+from robustlab.synthesis.scheduling.inequalities import projection, reconstructed, shared
 from robustlab.synthesis.scheduling.lpv_loop import closed_loop, plant_matrices
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 from robustlab.synthesis.scheduling.scheduled_controller import LPVController
@@ -39,8 +38,6 @@ COUPLINGS = (1.5, 1.05)
 # small, and how many times its gamma they may cost at the first start, and at the second.
 ADDED = tuple(10.0 ** (-0.5 * k) for k in range(17))
 COSTS = (30.0, 3.0)
-
-__all__ = ["LPVSynthesis", "scheduled_hinf"]
 
 # Rounds over the states of a controller, at most, until their units stand.
 SWEEPS = 30
@@ -192,7 +189,7 @@ class _Task:
         for widest in (True, False):
             for coupling in (*COUPLINGS, 1 + 0.2 * backoff):
                 _, outer, _ = projection(problem.plants, level, coupling, self.budget, widest=widest)
-                X = None if outer is None else shared(outer.R, outer.S)
+                X = None if outer is None else shared(*outer)
                 made = None if X is None else self._controller(problem, X, level * (1 + 0.5 * backoff))
                 if made is None or X is None:
                     continue
@@ -246,9 +243,9 @@ class _Task:
         found, waited = None, 0
         for _ in range(BALANCINGS):
             plants = [_turned(scaling.apply(p), turn) for p in self.matrices]
-            gamma, outer, outcome = projection(plants, None, 1.0, self.budget)
+            gamma, outer, text = projection(plants, None, 1.0, self.budget)
             if gamma is None or outer is None:
-                return found, False, outcome.text
+                return found, False, text
             self.say(f"states balanced by R and S: optimum {gamma / scaling.gain:.6g}")
             best = np.inf if found is None else found.gamma
             if gamma < best:
@@ -256,11 +253,11 @@ class _Task:
             # The first rounds may go up: R and S of a bad start say little.
             waited = 0 if gamma < best * (1 - 0.5 * NEAR) else waited + 1
             if waited == 2 or abs(gamma / best - 1) < 0.5 * NEAR:
-                return found, abs(gamma / best - 1) < NEAR, outcome.text
+                return found, abs(gamma / best - 1) < NEAR, text
             # Above the optimum R and S are moderate; where the solver has none there, those at the optimum serve.
             _, softer, _ = projection(plants, 1.05 * gamma + 1e-9, 1.5, self.budget)
             outer = outer if softer is None else softer
-            turn = turn @ _balancing(outer.R, outer.S)
+            turn = turn @ _balancing(*outer)
         return found, True, "the optimum still falls"
 
     def _controller(self, problem: _Conditioned, X: Array, level: float) -> tuple[LPVModel, Array] | None:
