@@ -115,16 +115,12 @@ class DKSynthesis(Tabular, Synthesis):
         return Table(("iterate", range(1, len(self.history) + 1)), columns)
 
     def to_json(self) -> dict[str, Any]:
+        plain = ("lower", "frequency", "delta", "scaled_level", "start_mu", "why")
         return super().to_json() | {
-            "lower": self.lower,
-            "frequency": self.frequency,
-            "delta": self.delta,
+            **{key: getattr(self, key) for key in plain},
             "blocks": [b.name for b in self.blocks],
-            "scaled_level": self.scaled_level,
             "scalings": self.scalings.to_json(),
             "intervals": [(p.low, p.high, p.beta) for p in self.pieces],
             "history": list(self.history),
-            "start_mu": self.start_mu,
             "lower_bound": self.lower_bound.to_json(),
-            "why": self.why,
         }

@@ -34,10 +34,7 @@ class MuFloor:
     # The plant with the channels of that block and member alone; None where nothing bounds mu.
     channels: PlantMatrices | None
 
-    def nominal_level(
-        self,
-        budget: Budget,
-    ) -> float:
+    def nominal_level(self, budget: Budget) -> float:
         """The smallest level of the Riccati equations for ``channels``: what these alone need, an estimate."""
         if self.channels is None or not self.bound.value > 0:
             return float("nan")

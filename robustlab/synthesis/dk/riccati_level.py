@@ -73,18 +73,11 @@ class Level:
 class LevelSearch:
     """Smallest levels of ``plant(theta, beta)`` in the units of one numerical scaling."""
 
-    def __init__(
-        self,
-        plant: Callable[[AnyArray, float], PlantMatrices],
-        scaling: Scaling,
-        budget: Budget | None = None,
-    ) -> None:
-        self._plant, self.scaling = plant, scaling
-        self.budget = Budget() if budget is None else budget
+    def __init__(self, plant: Callable[[AnyArray, float], PlantMatrices], scaling: Scaling, budget: Budget) -> None:
+        self._plant, self.scaling, self.budget = plant, scaling, budget
 
-    def smallest(self, theta: AnyArray, start: float, rtol: float | None = None) -> Level | None:
+    def smallest(self, theta: AnyArray, start: float, rtol: float = LEVEL_RTOL) -> Level | None:
         """The smallest level near ``start``; None where none is found."""
-        rtol = LEVEL_RTOL if rtol is None else rtol
         high = low = None  # (log beta, log rho) with rho < 1; with rho > 1, or rho None where the test fails
         best: tuple[float, _Pair] | None = None
         log_beta, step = float(np.log(max(start, 1e-300))), 1e-4
@@ -117,12 +110,12 @@ class LevelSearch:
         """The largest eigenvalues of X Y, at and little below the level, by theta; None: no smooth level."""
         if not level.smooth:
             return None
-        n, most, step = len(self.scaling.states), MOST, STEP
-        self.budget.spend(dense(n, 2 * most) + 2 * (len(theta) + 1) * (FORM_WORK + n**3 // 100))
+        n, step = len(self.scaling.states), STEP
+        self.budget.spend(dense(n, 2 * MOST) + 2 * (len(theta) + 1) * (FORM_WORK + n**3 // 100))
         forms = self._frozen(theta, level)
         log_beta = float(np.log(level.beta))
         slope = (forms(theta, log_beta + step) - forms(theta, log_beta - step)) / (2 * step)
-        size = level.pair.eigenvalues[:most]
+        size = level.pair.eigenvalues[:MOST]
         below = np.log(size) * size / np.where(slope < 0, -slope, np.nan)
         if not below[0] > -np.inf:
             return None

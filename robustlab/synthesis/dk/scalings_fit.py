@@ -12,7 +12,6 @@ from robustlab.budget import Budget, dense
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_work, upper_bounds
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.dk.constants import FIRST_POINTS
 from robustlab.synthesis.dk.dynamic_scalings import (
     BlockScaling,
     DynamicScalings,
@@ -22,6 +21,7 @@ from robustlab.synthesis.dk.dynamic_scalings import (
 )
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
+FIRST_POINTS = 40  # frequencies before any is added
 ROUNDS = 3  # rounds of refinement ...
 ADDED = 24  # ... and frequencies added in each; more: fewer peaks missed, more work
 CHUNK = 8  # frequencies between two looks at the budget
@@ -35,9 +35,6 @@ REACH = 2.3  # ... and so far (logarithm) beyond: farther ones cost the synthesi
 FIT_EVALUATIONS = 60  # of one least-squares fit
 
 FIT_WORK = 6000  # of a fit of first order, as measured; it rises with the square of the order
-
-
-# --- optimal scalings at single frequencies ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +61,7 @@ def as_complex(blocks: Sequence[Block]) -> tuple[Block, ...]:
     return tuple(b.as_complex() for b in blocks)
 
 
-def mu_curve(
-    loop: StateSpaceModel,
-    blocks: Sequence[Block],
-    budget: Budget,
-    first: AnyArray | None = None,
-) -> MuCurve:
+def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, first: AnyArray | None = None) -> MuCurve:
     """The curve of a stable continuous loop on frequencies that follow it."""
     grid = default_grid(loop, FIRST_POINTS, 1.0) if first is None else first
     # Every so-many-th frequency first, as far as the budget goes.
@@ -103,10 +95,7 @@ def mu_curve(
 
 
 def _until(
-    loop: StateSpaceModel,
-    blocks: Sequence[Block],
-    omega: AnyArray,
-    budget: Budget,
+    loop: StateSpaceModel, blocks: Sequence[Block], omega: AnyArray, budget: Budget
 ) -> tuple[AnyArray, list[UpperBound]]:
     """Responses and bounds at the first of the frequencies, as far as the budget goes, and at some of them always."""
     responses: list[AnyArray] = []
@@ -121,15 +110,8 @@ def _until(
     return np.concatenate(responses), bounds
 
 
-# --- rational scalings fitted to them ---------------------------------------------------------------------------------
-
-
 def fitted_scalings(
-    curve: MuCurve,
-    blocks: Sequence[Block],
-    loss: float,
-    max_states: int,
-    budget: Budget,
+    curve: MuCurve, blocks: Sequence[Block], loss: float, max_states: int, budget: Budget
 ) -> DynamicScalings:
     """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be."""
     fit = _Fit(curve, blocks, budget)
@@ -160,16 +142,10 @@ def fitted_scalings(
 class _Fit:
     """Factors of every order fitted to a curve, each of them once."""
 
-    def __init__(
-        self,
-        curve: MuCurve,
-        blocks: Sequence[Block],
-        budget: Budget,
-    ) -> None:
+    def __init__(self, curve: MuCurve, blocks: Sequence[Block], budget: Budget) -> None:
         self.curve, self.blocks, self.budget = curve, blocks, budget
         # A factor may be off by as much (in logarithms) as mu lies below its peak.
-        room = ROOM
-        self.weights = room / (room + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
+        self.weights = ROOM / (ROOM + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
         self.targets, self.mixings = _targets(curve, blocks)
         self.known: dict[tuple[int, int, int], Factor] = {}
 
@@ -228,12 +204,7 @@ def _orders(scalings: DynamicScalings) -> list[int]:
     return [f.order for part in scalings.parts for f in part.factors]
 
 
-def _fit_factor(
-    omega: AnyArray,
-    log_d: AnyArray,
-    weights: AnyArray,
-    before: Factor | None,
-) -> Factor:
+def _fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Factor | None) -> Factor:
     """Factor with ``log |d(j omega)|`` close to the given values, by weighted least squares."""
     from scipy.optimize import least_squares
 

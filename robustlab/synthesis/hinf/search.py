@@ -168,7 +168,9 @@ class Search:
     def relative(self, loop: Candidate, share: float, state_share: float, cap: float = 1.0) -> Regularisation | None:
         """Added channels that each carry about ``share`` of the gain of this loop."""
         if self._gains is None or self._gains[0] is not loop:
-            self._gains = (loop, self._channel_gains(loop))
+            self.budget.spend(dense(len(self.plant.A) + len(loop.K.A), 2))
+            K = self.scaling.controller_from_plant(loop.K)
+            self._gains = (loop, channel_gains(trial_loop(self.plant.with_channels(1, 1, 1, 1), K), self.plant.sizes))
         gains, gamma = self._gains[1], loop.gamma * self.scaling.gain
         if gains is None or gamma <= 0:  # a loop without gain (T with K = 0) sets no scale
             return None
@@ -176,28 +178,6 @@ class Search:
         of_states = state_share * share
         return Regularisation(
             share * u / np.sqrt(len(u)), share * y / np.sqrt(len(y)), float(of_states * x_out), float(of_states * x_in)
-        )
-
-    def _channel_gains(self, candidate: Candidate) -> Regularisation | None:
-        """Peak gains in scaled units on a grid: w to each u, noise on each y to z, w to x, x disturbance to z."""
-        n, n_w, n_u, n_z, n_y = self.plant.sizes
-        self.budget.spend(dense(n + len(candidate.K.A), 2))
-        loop = trial_loop(self.plant.with_channels(1.0, 1.0, 1.0, 1.0), self.scaling.controller_from_plant(candidate.K))
-        if not all(np.isfinite(part).all() for part in loop):
-            return None
-        response = loop.D[None]
-        if len(loop.A):
-            modal = ModalLoop(loop)
-            if not modal.stable:
-                return None
-            response = modal.response(modal.frequencies())
-        if not np.isfinite(response).all():
-            return None
-        u = np.linalg.norm(response[:, n_z : n_z + n_u, :n_w], axis=2).max(axis=0)
-        y = np.linalg.norm(response[:, :n_z, n_w : n_w + n_y], axis=1).max(axis=0)
-        x_out, x_in = response[:, n_z + n_u :, :n_w], response[:, :n_z, n_w + n_y :]
-        return Regularisation(
-            u, y, *(np.linalg.norm(x, 2, axis=(1, 2)).max(initial=0.0) if x.size else 0.0 for x in (x_out, x_in))
         )
 
     def _trial(
@@ -384,6 +364,30 @@ def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> 
         if softest is None or softest.pace > 0.7 * start.pace:
             return
         start, low, high, steps = softest, low / 2, 3 * low, SOFTEN_LATER_STEPS
+
+
+def channel_gains(loop: Realisation, sizes: tuple[int, int, int, int, int]) -> Regularisation | None:
+    """Peak gains on a grid: w to each u, noise on each y to z, w to x, x disturbance to z; None of an unstable loop.
+
+    ``sizes``: those of the plant, whose channels come before [u; x] and [noise on y; x].
+    """
+    if not all(np.isfinite(part).all() for part in loop):
+        return None
+    _, n_w, n_u, n_z, n_y = sizes
+    response = loop.D[None]
+    if len(loop.A):
+        modal = ModalLoop(loop)
+        if not modal.stable:
+            return None
+        response = modal.response(modal.frequencies())
+    if not np.isfinite(response).all():
+        return None
+    u = np.linalg.norm(response[:, n_z : n_z + n_u, :n_w], axis=2).max(axis=0)
+    y = np.linalg.norm(response[:, :n_z, n_w : n_w + n_y], axis=1).max(axis=0)
+    x_out, x_in = response[:, n_z + n_u :, :n_w], response[:, :n_z, n_w + n_y :]
+    return Regularisation(
+        u, y, *(float(np.linalg.norm(x, 2, axis=(1, 2)).max(initial=0.0)) if x.size else 0.0 for x in (x_out, x_in))
+    )
 
 
 def trial_loop(p: PlantMatrices, K: Realisation) -> Realisation:

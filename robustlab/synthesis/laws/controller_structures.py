@@ -15,14 +15,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Mask
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal
-from robustlab.synthesis.laws.controller_laws import (
-    AffineBuilder,
-    DiagonalLaw,
-    FilteredLaw,
-    Law,
-    Parameter,
-    SeriesLaw,
-)
+from robustlab.synthesis.laws.controller_laws import AffineBuilder, DiagonalLaw, FilteredLaw, Law, Parameter, SeriesLaw
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.problem.scaling import common_scaling
 

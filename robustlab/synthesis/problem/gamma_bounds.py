@@ -44,11 +44,7 @@ class GammaBound:
         return vars(self).copy()
 
 
-def pointwise_bound(
-    p: PlantMatrices,
-    scalings: Sequence[Scaling],
-    dt: float = 0.0,
-) -> GammaBound:
+def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0.0) -> GammaBound:
     """The largest of Parrott's bounds over points of the closed right half plane, refined around the best ones."""
     first = scalings[0]
     scaled = first.apply(p)
@@ -92,9 +88,7 @@ def point_in_words(s: complex, dt: float = 0.0) -> str:
     return f"s = {text} rad/s: no stable loop can do better at this point of the right half plane"
 
 
-def _points(
-    p: PlantMatrices,
-) -> AnyArray:
+def _points(p: PlantMatrices) -> AnyArray:
     """Points of the closed right half plane: polar grid, mirror images and neighbours of the poles."""
     poles = np.linalg.eigvals(p.A) if p.A.size else np.zeros(0)
     size = np.abs(poles)[np.abs(poles) > AT_ZERO]

@@ -116,11 +116,7 @@ class LPVGain(PeakGain, Traced):
 
     def evidence(self) -> Facts:
         """What it holds for, and how it was proved."""
-        return [
-            ("holds", self.scope),
-            ("Lyapunov function", self.lyapunov),
-            ("how", self.reason),
-        ]
+        return [("holds", self.scope), ("Lyapunov function", self.lyapunov), ("how", self.reason)]
 
     def to_json(self) -> dict[str, Any]:
         return {**super().to_json(), "scope": self.scope}
@@ -155,11 +151,7 @@ def lpv_gain(
 
 
 def gain_from(
-    model: LPVModel,
-    lyapunov: Lyapunov | None,
-    budget: Budget,
-    say: Callable[[str], None],
-    guess: Array | None = None,
+    model: LPVModel, lyapunov: Lyapunov | None, budget: Budget, say: Callable[[str], None], guess: Array | None = None
 ) -> LPVGain:
     """`lpv_gain` on a budget; ``guess`` is a constant P to try first, and in whose states the LMIs are posed."""
     bounded = any(np.isfinite(p.rate) for p in model.parameters)

@@ -51,13 +51,7 @@ def bounded_real(top: Any, C: Array, D: Array, gamma: Any) -> Any:
     import cvxpy as cp
 
     n, (q, m) = C.shape[1], D.shape
-    return cp.bmat(
-        [
-            [top[:, :n], top[:, n:], C.T],
-            [top[:, n:].T, -gamma * np.eye(m), D.T],
-            [C, D, -gamma * np.eye(q)],
-        ]
-    )
+    return cp.bmat([[top[:, :n], top[:, n:], C.T], [top[:, n:].T, -gamma * np.eye(m), D.T], [C, D, -gamma * np.eye(q)]])
 
 
 def equal_rows(matrix: Array) -> Array:

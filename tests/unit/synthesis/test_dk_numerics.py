@@ -7,6 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab import control_weight
+from robustlab.budget import Budget
 from robustlab.synthesis import GeneralizedPlant
 from robustlab.synthesis.dk.dk_iteration import structure_with_performance
 from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, Factor, unit_scalings
@@ -53,7 +54,7 @@ def test_a_level_found_over_ten_decades_of_poles_is_proved() -> None:
     for i, block in enumerate(blocks):
         if block.name in sections:
             scalings = scalings.with_part(i, BlockScaling((Factor(*sections[block.name]),)))
-    problem = RobustProblem(plant)
+    problem = RobustProblem(plant, Budget())
     level = problem.search(scalings).smallest(scalings.parameters(), 1.5, 1e-5)
     found = problem.solve(scalings, 1.5)
     assert level is not None

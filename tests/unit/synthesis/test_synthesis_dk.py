@@ -5,6 +5,7 @@ import pytest
 
 import robustlab as rl
 from robustlab import ComplexScalar, FullBlock, ParameterRange, RealScalar, frequency_response
+from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel
@@ -218,7 +219,7 @@ def test_a_mode_that_cannot_be_stabilised_is_named() -> None:
 @pytest.mark.slow
 def test_a_different_controller_is_not_proved(pair: tuple[DKSynthesis, DKSynthesis]) -> None:
     plant = GeneralizedPlant(oscillator(), 1, 1)
-    problem = RobustProblem(plant)
+    problem = RobustProblem(plant, Budget())
     wrong = StateSpaceModel(pair[1].K.A, pair[1].K.B, -pair[1].K.C, -pair[1].K.D)
     found = problem.proved(wrong, pair[1].scalings, 0.4)
     assert found is None or found.level > 1.5 * pair[1].gamma
