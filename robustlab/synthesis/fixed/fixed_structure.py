@@ -90,7 +90,28 @@ class LimitValue:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FixedSynthesis(Tabular, Synthesis):
+class ParametricDesign(Tabular, Synthesis):
+    """What designs of a given structure have: limits and parameters with their values."""
+
+    parameters: tuple[ParameterValue, ...]
+    limits: tuple[LimitValue, ...]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters' values by name; a start for another design."""
+        return {p.name: p.value for p in self.parameters}
+
+    def parameter_facts(self) -> Facts:
+        """A row for each limit and each of the first parameters."""
+        rows = [("limit", f"{limit.text}{' (active)' if limit.active else ''}") for limit in self.limits]
+        shown = self.parameters[:40]
+        rows += [(p.name, f"{p.value:.6g} {p.unit}{' (at its bound)' if p.at_bound else ''}".rstrip()) for p in shown]
+        more = len(self.parameters) - len(shown)
+        return [*rows, ("further parameters", str(more))] if more else rows
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FixedSynthesis(ParametricDesign):
     """A controller of a given structure; ``gamma`` bounds the largest norm over all models.
 
     Of an uncertain plant, ``gamma`` is the proved upper bound of the worst-case gain where that proof succeeded.
@@ -126,14 +147,16 @@ class FixedSynthesis(Tabular, Synthesis):
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("peak_frequency",), float),
     }  # fmt: skip
+    saved = (
+        *Synthesis.saved, "objective", "parameters", "gammas", "peak_frequency", "limits", "active", "starts",
+        "scenarios", "norms", "worst_case_gain",
+    )  # fmt: skip
 
     objective: str
-    parameters: tuple[ParameterValue, ...]
     gammas: tuple[float, ...]
     norms: tuple[HinfNorm | H2Norm, ...]
     closed_loops: tuple[StateSpaceModel, ...]
     peak_frequency: float
-    limits: tuple[LimitValue, ...]
     starts: tuple[Start, ...]
     scenarios: tuple[Mapping[str, Any], ...] = ()
     worst: WorstCaseGain | None = None
@@ -141,9 +164,9 @@ class FixedSynthesis(Tabular, Synthesis):
     uncertain: UncertainModel | None = None
 
     @property
-    def values(self) -> dict[str, float]:
-        """The parameters' values by name; a start for another design."""
-        return {p.name: p.value for p in self.parameters}
+    def worst_case_gain(self) -> WorstCaseGain | None:
+        """``worst``."""
+        return self.worst
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -165,23 +188,12 @@ class FixedSynthesis(Tabular, Synthesis):
             rows.insert(2, (label, ", ".join(f"{g:.5g}" for g in self.gammas)))
         stable = sum(s.gamma < float("inf") for s in self.starts)
         rows.append(("starts", f"{len(self.starts)}, of which {stable} stabilised"))
-        rows += [("limit", f"{limit.text}{' (active)' if limit.active else ''}") for limit in self.limits]
-        shown = self.parameters[:40]
-        rows += [(p.name, f"{p.value:.6g} {p.unit}{' (at its bound)' if p.at_bound else ''}".rstrip()) for p in shown]
-        if len(shown) < len(self.parameters):
-            rows.append(("further parameters", str(len(self.parameters) - len(shown))))
-        return rows
+        return [*rows, *self.parameter_facts()]
 
     def table(self) -> Table:
         """A row for each parameter of the controller; a column says its unit."""
         columns = {key: [getattr(p, key) for p in self.parameters] for key in ("value", "low", "high", "unit")}
         return Table(("parameter", [p.name for p in self.parameters]), columns)
-
-    def to_json(self) -> dict[str, Any]:
-        lists = {key: [x.to_json() for x in getattr(self, key)] for key in ("parameters", "limits", "starts", "norms")}
-        plain = {key: list(getattr(self, key)) for key in ("gammas", "active", "scenarios")}
-        numbers = {key: getattr(self, key) for key in ("objective", "peak_frequency")}
-        return super().to_json() | numbers | lists | plain | {"worst_case_gain": self.worst and self.worst.to_json()}
 
 
 @told_as("synth fixed")

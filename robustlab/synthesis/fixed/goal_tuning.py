@@ -26,7 +26,7 @@ from robustlab.synthesis.fixed.fixed_structure import (
     VERIFIED,
     WORK,
     LimitValue,
-    ParameterValue,
+    ParametricDesign,
     check_starts,
     given_starts,
     law_of,
@@ -45,7 +45,7 @@ from robustlab.synthesis.problem.gamma_bounds import pointwise_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.synthesis.specifications.weight_design import performance_weight
-from robustlab.tables import Table, Tabular
+from robustlab.tables import Table
 
 INPUTS = ("reference", "disturbance", "noise")
 OUTPUTS = ("output", "control", "total", "error")
@@ -237,7 +237,7 @@ class GoalValue:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TunedSynthesis(Tabular, Synthesis):
+class TunedSynthesis(ParametricDesign):
     """A controller of given structure for goals, ``u = K (r - y)``.
 
     ``gamma`` is the largest value of the soft goals (of all goals where every one is hard); ``closed_loop`` is the loop
@@ -257,14 +257,9 @@ class TunedSynthesis(Tabular, Synthesis):
 
     quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "missed": float}
 
-    goals: tuple[GoalValue, ...]
-    limits: tuple[LimitValue, ...]
-    parameters: tuple[ParameterValue, ...]
+    saved = (*Synthesis.saved, "goals", "limits", "parameters")
 
-    @property
-    def values(self) -> dict[str, float]:
-        """The parameters' values by name; a start for another design."""
-        return {p.name: p.value for p in self.parameters}
+    goals: tuple[GoalValue, ...]
 
     @property
     def missed(self) -> tuple[GoalValue, ...]:
@@ -283,8 +278,7 @@ class TunedSynthesis(Tabular, Synthesis):
             word = ("hard" if goal.hard else "soft") + ("" if goal.met else ", missed" if goal.hard else ", above 1")
             floor = f"; no controller below {goal.floor:.4g}" if goal.floor > 1 else ""
             rows.append((goal.text, f"{goal.value:.4g} ({word}{floor})"))
-        rows += [("limit", f"{limit.text}{' (active)' if limit.active else ''}") for limit in self.limits]
-        return rows + [(p.name, f"{p.value:.6g} {p.unit}".rstrip()) for p in self.parameters[:40]]
+        return [*rows, *self.parameter_facts()]
 
     def table(self) -> Table:
         """A row for each goal."""
@@ -292,8 +286,7 @@ class TunedSynthesis(Tabular, Synthesis):
         return Table(("goal", [goal.text for goal in self.goals]), columns)
 
     def to_json(self) -> dict[str, Any]:
-        parts = {key: [x.to_json() for x in getattr(self, key)] for key in ("goals", "limits", "parameters")}
-        return super().to_json() | parts | {"missed": [goal.text for goal in self.missed]}
+        return super().to_json() | {"missed": [goal.text for goal in self.missed]}
 
 
 @told_as("synth tune")

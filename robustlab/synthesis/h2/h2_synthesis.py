@@ -67,6 +67,9 @@ class H2Synthesis(Synthesis):
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("regularisation", "regularised_norm", "smallest_norm"), float),
     }  # fmt: skip
+    saved = (
+        *Synthesis.saved, "norm", "regularisation", "regularised_norm", "regularised_channels", "smallest_norm",
+    )  # fmt: skip
 
     norm: H2Norm
     regularisation: float
@@ -83,11 +86,6 @@ class H2Synthesis(Synthesis):
             return rows
         text = f"{self.regularisation:.0e} in scaled units; optimal norm with it {self.regularised_norm:.6g}"
         return [*rows[:2], ("regularisation", text), *rows[2:]]
-
-    def to_json(self) -> dict[str, Any]:
-        numbers = {key: getattr(self, key) for key in ("regularisation", "regularised_norm", "smallest_norm")}
-        channels = {"regularised_channels": list(self.regularised_channels)}
-        return super().to_json() | {"norm": self.norm.to_json()} | numbers | channels
 
 
 @told_as("synth h2")

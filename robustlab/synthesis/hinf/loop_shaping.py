@@ -16,7 +16,7 @@ from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts
+from robustlab.shown import AllFields, Facts
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, series
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
@@ -38,7 +38,7 @@ SHAPED_LOSS = 1.001
 
 
 @dataclass(frozen=True, eq=False)
-class ObserverForm:
+class ObserverForm(AllFields):
     r"""The controller of a strictly proper continuous shaped plant as an observer with state feedback.
 
     .. math:: \dot{\hat x} = A \hat x + B u_s + H (C \hat x - y_s), \qquad u_s = F \hat x
@@ -85,6 +85,7 @@ class NcfSynthesis(Synthesis):
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("gamma_min", "factor"), float),
     }  # fmt: skip
+    saved = (*Synthesis.saved, "gamma_min", "factor", "margin", "K_shaped", "shaped_plant", "observer")
 
     gamma_min: float
     factor: float
@@ -101,11 +102,6 @@ class NcfSynthesis(Synthesis):
         verdict = "the loop's shape is kept" if self.margin.lower >= 0.25 else "shape the loop differently"
         best = f"{self.gamma_min:.6g} (margin {1 / self.gamma_min:.4g}): {verdict}"
         return [*rows[:2], ("smallest gamma possible", best), *rows[2:]]
-
-    def to_json(self) -> dict[str, Any]:
-        numbers = {"gamma_min": self.gamma_min, "factor": self.factor}
-        parts = {name: getattr(self, name).to_json() for name in ("margin", "K_shaped", "shaped_plant")}
-        return super().to_json() | numbers | parts | {"observer": self.observer and vars(self.observer)}
 
 
 @told_as("synth ncf")

@@ -94,6 +94,10 @@ class SampledController(Synthesis):
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, "dt": "s", "delay": "s", "antialiasing": "rad/s", "loss": float, "allowed_loss": float,
     }  # fmt: skip
+    saved = (
+        *Synthesis.saved, "dt", "chosen", "loss", "allowed_loss", "delay", "antialiasing", "continuous_norm", "norm",
+        "trials", "pathological", "original",
+    )  # fmt: skip
 
     original: StateSpaceModel
     continuous_norm: HinfNorm
@@ -137,12 +141,6 @@ class SampledController(Synthesis):
         tried = [f"{t.method}: {_loss_text(t)}" for t in self.trials]
         notes = [("note", str(merged)) for merged in self.pathological]
         return [*head, *rows, ("loss by method", ", ".join(tried)), *notes]
-
-    def to_json(self) -> dict[str, Any]:
-        plain = ("dt", "chosen", "loss", "allowed_loss", "delay", "antialiasing")
-        parts = {key: getattr(self, key).to_json() for key in ("continuous_norm", "norm", "original")}
-        lists = {key: [one.to_json() for one in getattr(self, key)] for key in ("trials", "pathological")}
-        return super().to_json() | {key: getattr(self, key) for key in plain} | parts | lists
 
 
 @overload

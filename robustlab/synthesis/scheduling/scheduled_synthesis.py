@@ -68,6 +68,7 @@ class LPVSynthesis(Design):
     """
 
     quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("gamma", "lmi_gamma"), float)
+    saved = ("status", "gamma", "lmi_gamma", "reason", "K", "gain")
 
     K: LPVModel
     plant: LPVModel
@@ -105,12 +106,6 @@ class LPVSynthesis(Design):
             ("controller", "; ".join(p.words for p in self.K.parameters) + f"; {self.K.n_states} states"),
             ("how", self.reason),
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "status": self.status, "gamma": self.gamma, "lmi_gamma": self.lmi_gamma,
-            "reason": self.reason, "K": self.K.to_json(), "gain": self.gain.to_json(),
-        }  # fmt: skip
 
 
 def scheduled_hinf(
