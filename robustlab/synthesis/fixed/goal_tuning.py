@@ -41,9 +41,8 @@ from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import BARRIER_CLOSER, central_path, multi_start, polished
 from robustlab.synthesis.problem.certify import certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
-from robustlab.synthesis.problem.gamma_bounds import pointwise_bound
+from robustlab.synthesis.problem.gamma_bounds import gamma_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
-from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.synthesis.specifications.weight_design import performance_weight
 from robustlab.tables import Table
 
@@ -482,7 +481,7 @@ class _Task:
             doubts += [f"{goal.text}: {proof.doubt}"] * bool(proof.doubt)
             values.append(proof.gamma)
         asked = goal.hard and goal.norm == "hinf" and max(values) > 1
-        floor = max(_floor(plant) for plant in plants) if asked else float("nan")
+        floor = max(gamma_bound(plant).value for plant in plants) if asked else float("nan")
         return GoalValue(goal.text, goal.hard, goal.norm, tuple(values), floor, plants)
 
 
@@ -491,10 +490,3 @@ def _times(plant: GeneralizedPlant, share: float) -> GeneralizedPlant:
     m, size = plant.model, np.where(np.arange(plant.model.n_outputs) < plant.n_z, share, 1.0)[:, None]
     model = StateSpaceModel(m.A, m.B, size * m.C, size * m.D, m.dt, m.inputs, m.outputs)
     return GeneralizedPlant(model, plant.n_meas, plant.n_con)
-
-
-def _floor(plant: GeneralizedPlant) -> float:
-    """What no controller of any structure gets below."""
-    matrices = plant.continuous().matrices()
-    bound = pointwise_bound(matrices, (paths_first(matrices), equilibrated(matrices)), plant.model.dt)
-    return bound.value if bound.proved else 0.0

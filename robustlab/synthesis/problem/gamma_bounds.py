@@ -13,8 +13,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.linear_analysis.magnitude import LARGEST
-from robustlab.synthesis.problem.partition import PlantMatrices
-from robustlab.synthesis.problem.scaling import Scaling
+from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
+from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
 # Points of the right half plane: radii and angles of a polar grid. More: a little higher bounds.
 RADII = 48
@@ -42,6 +42,12 @@ class GammaBound:
 
     def to_json(self) -> dict[str, object]:
         return vars(self).copy()
+
+
+def gamma_bound(plant: GeneralizedPlant) -> GammaBound:
+    """What no stabilising controller of this plant gets below."""
+    p = plant.continuous().matrices()
+    return pointwise_bound(p, (paths_first(p), equilibrated(p)), plant.model.dt)
 
 
 def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0.0) -> GammaBound:

@@ -24,8 +24,6 @@ from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 # Entries of the deviation in a cell up to which every choice of signs is asked for: exact, but 2^n inequalities.
 SIGNED_ENTRIES = 3
 
-__all__ = ["Coefficient", "Inequality"]
-
 Index = tuple[int, ...]
 
 
@@ -59,7 +57,7 @@ class Inequality:
         rows = np.append(1 / (scaling.states * scaling.rate), np.full(len(middle) - n, scaling.z))
         cols = np.append(scaling.states, np.full(middle.shape[1] - n, scaling.w))
         factor = rows[:, None] * cols
-        self.model = model.with_matrices(model.matrices * factor, model.deviation * factor)
+        self.model = model.changed(matrices=model.matrices * factor, deviation=model.deviation * factor)
         self.scaling: Scaling = scaling
         self.given = model
         self.rates = tuple(p.rate / scaling.rate for p in model.parameters)
@@ -85,7 +83,7 @@ class Inequality:
         made, n, back = copy(self), self.n, np.linalg.inv(T)
         left, right = np.eye(self.model.matrices.shape[-2]), np.eye(self.model.matrices.shape[-1])
         left[:n, :n], right[:n, :n] = back, T
-        made.model = self.model.with_matrices(left @ self.model.matrices @ right)
+        made.model = self.model.changed(matrices=left @ self.model.matrices @ right)
         made.coefficients = [
             replace(c, shift=left @ c.shift @ right, deviation=np.abs(left) @ c.deviation @ np.abs(right))
             for c in self.coefficients

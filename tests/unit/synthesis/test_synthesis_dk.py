@@ -9,10 +9,7 @@ from robustlab.budget import Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis import GeneralizedPlant
-from robustlab.synthesis.dk.dk_design import DKSynthesis
-from robustlab.synthesis.dk.dk_iteration import structure_with_performance
-from robustlab.synthesis.dk.robust_problem import RobustProblem
+from robustlab.synthesis import DKSynthesis, GeneralizedPlant, RobustProblem, structure_with_performance
 
 OMEGA = np.concatenate([[0.0], np.geomspace(1e-5, 1e5, 1500)])
 
