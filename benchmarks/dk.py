@@ -23,7 +23,7 @@ from harness import timed
 
 import robustlab as rl
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis import GeneralizedPlant
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
 
 BLOCKS = [FullBlock("u", 2, 2), FullBlock("p", 2, 2)]  # of the column
@@ -84,8 +84,8 @@ def default() -> None:
 
 def machines() -> None:
     """Actuator and platform of recipes/robust-machine.toml: what D-K gains over H-infinity, and why not more."""
-    from robustlab.synthesis.specifications.tracking_problem import tracking_problem
-    from robustlab.synthesis.specifications.weight_design import control_weight, error_weight
+    from robustlab import control_weight
+    from robustlab.synthesis import error_weight, tracking_problem
     from robustlab.uncertainty.elementwise import elementwise_cover
 
     motor = rl.plant("linear-actuator")

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from harness import compleib, heading, in_child, limit_cpu, over_best, timed
 
+from robustlab import fixed_structure
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.fixed.fixed_structure import fixed_structure
 
 
 def child(name: str, starts: int, limit: float) -> dict[str, Any]:

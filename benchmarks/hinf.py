@@ -65,8 +65,8 @@ def _listed(K: Any, gamma: Any) -> dict[str, Any]:
 
 def _ours(tool: str) -> Callable[..., Callable[[], dict[str, Any]]]:
     def prepare(P: dict[str, Any], problem: dict[str, Any]) -> Callable[[], dict[str, Any]]:
+        from robustlab import hinf
         from robustlab.statespace import StateSpaceModel
-        from robustlab.synthesis.hinf.hinf_synthesis import hinf
 
         tiny = StateSpaceModel([[-1.0]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
         hinf(tiny, 1, 1)  # scipy's imports are not the plant's time

@@ -25,11 +25,10 @@ from dk import distillation
 from harness import timed
 
 import robustlab as rl
+from robustlab import hinf
 from robustlab.mu_analysis import robust_performance
 from robustlab.statespace import StateSpaceModel, append, series
-from robustlab.synthesis.hinf.hinf_synthesis import hinf
-from robustlab.synthesis.nonsmooth.parameter_search import descend
-from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis import GeneralizedPlant, descend
 from robustlab.synthesis.problem.performance_measure import plant_with_scalings
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller
 from robustlab.uncertainty.blocks import ComplexScalar

@@ -210,7 +210,7 @@ def controlled_runs() -> Any:
 
 
 def tracking_loop() -> Any:
-    from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, tracking_problem
+    from robustlab.synthesis import TrackingLoop, tracking_problem
 
     asked = tracking_problem(lag(), ["y"], ["y"], W1=rl.performance_weight(1.0, 0.01, 2.0), W2=0.1)
     design = rl.hinf(asked.plant)

@@ -55,7 +55,7 @@ CODECS = (
     ),
     Codec(
         "lpv-controller",
-        "synthesis.scheduling.scheduled_controller.LPVController",
+        "synthesis.scheduling.parameter_varying.LPVController",
         "scheduled_models.encode_lpv_controller",
         "scheduled_models.decode_lpv_controller",
     ),

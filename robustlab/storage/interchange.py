@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from robustlab.record import Record
     from robustlab.result import Result
     from robustlab.synthesis.problem.controller import Controller
-    from robustlab.synthesis.scheduling.parameter_varying import LPVModel
-    from robustlab.synthesis.scheduling.scheduled_controller import LPVController
+    from robustlab.synthesis.scheduling.parameter_varying import LPVController, LPVModel
     from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
     from robustlab.uncertainty.lft import UncertainModel
 

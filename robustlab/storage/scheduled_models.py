@@ -11,8 +11,7 @@ from robustlab.files.tree import Tree, Unread
 from robustlab.result import Status
 from robustlab.statespace import Signal
 from robustlab.storage.matrices import Problems, decode_signals, encode_signals, entries, find_children
-from robustlab.synthesis.scheduling.parameter_varying import LPVModel, SchedulingParameter
-from robustlab.synthesis.scheduling.scheduled_controller import LPVController
+from robustlab.synthesis.scheduling.parameter_varying import LPVController, LPVModel, SchedulingParameter
 
 
 def encode_lpv(tree: Tree, model: LPVModel) -> None:

@@ -1,19 +1,6 @@
-"""Controllers, every one verified in the loop rebuilt from it.
+"""Controllers, every one verified in the loop rebuilt from it; rooms, each importing from those before it only:
 
-Rooms, each importing from those above it only:
-
-problem         generalised plants, assumptions, scaling; the rebuilt loop and its certificate
-specifications  weights, tracking problems, loop functions
-laws            what a controller may look like
-nonsmooth       nonsmooth optimisation of loops
-hinf            H-infinity, mixed sensitivity, loop shaping
-h2              H2, H2 under an H-infinity bound
-dk              robust performance
-scheduling      models and controllers that depend on measured parameters
-reduction       models and controllers of lower order
-fixed           fixed structure, for one plant, several, or an uncertain set
-sampled         digital controllers
-windup          controllers whose actuators saturate
+problem, specifications, laws, nonsmooth, hinf, h2, dk, scheduling, reduction, fixed, sampled, windup.
 """
 
 from __future__ import annotations
@@ -47,7 +34,31 @@ _WORDS = {
     "Design": "problem.design",
     "Synthesis": "problem.design",
     "HinfSynthesis": "problem.design",
-    "LPVController": "scheduling.scheduled_controller",
+    "LPVController": "scheduling.parameter_varying",
+    "closed_loop": "scheduling.scheduled_synthesis",
+    "PlantMatrices": "problem.partition",
+    "MeasureName": "problem.performance_measure",
+    "gamma_bound": "problem.gamma_bounds",
+    "mixed_sensitivity_plant": "hinf.mixed_sensitivity",
+    "TrackingLoop": "specifications.tracking_problem",
+    "tracking_problem": "specifications.tracking_problem",
+    "error_weight": "specifications.weight_design",
+    "tracking_loop": "specifications.tracking_loop",
+    "with_law": "specifications.tracking_loop",
+    "LoopFamily": "nonsmooth.loop_family",
+    "descend": "nonsmooth.parameter_search",
+    "DKSynthesis": "dk.dk_design",
+    "RobustProblem": "dk.robust_problem",
+    "BlockScaling": "dk.dynamic_scalings",
+    "Factor": "dk.dynamic_scalings",
+    "unit_scalings": "dk.dynamic_scalings",
+    "structure_with_performance": "dk.dk_iteration",
+    "mu_floor": "dk.mu_floor",
+    "SampledMethod": "sampled.discretisation",
+    "merged_modes": "sampled.discretisation",
+    "lift": "sampled.lifting",
+    "mean_and_variance": "sampled.lifting",
+    "back_calculation": "windup.back_calculation",
 }
 
 __all__ = list(_WORDS)  # pyright: ignore[reportUnsupportedDunderAll]

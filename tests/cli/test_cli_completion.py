@@ -145,9 +145,8 @@ def test_choices_are_those_of_the_library():
     from robustlab.identification.validation.sampled_problem import NoiseNorm
     from robustlab.mu_analysis.margins.cover import COVER_FORMS
     from robustlab.mu_analysis.margins.disk_margin import Place
-    from robustlab.synthesis.problem.performance_measure import MeasureName
+    from robustlab.synthesis import MeasureName, SampledMethod
     from robustlab.synthesis.reduction.model_reduction import Method as Reduction
-    from robustlab.synthesis.sampled.sampled_controller import SampledMethod
 
     kinds = get_args(get_type_hints(CampaignSettings)["kind"])
     assert set(COVERS) == set(COVER_FORMS)

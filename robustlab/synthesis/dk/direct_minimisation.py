@@ -1,16 +1,7 @@
-r"""Direct minimisation of the smallest level over the scalings themselves.
+"""Direct minimisation of the smallest level over the parameters of the scalings, of growing order.
 
-.. math:: \min_{D, G} \; \beta^*(D, G), \qquad
-    \beta^*(D, G) = \min \{ \beta : \exists K: \| D_z F_l(P, K) D_w^{-1} G_M / \beta - G_N \|_\infty \le 1 \}
-
-K is eliminated: the two Riccati equations give the level of scalings and its derivative by their logarithmic
-parameters (see `robustlab.synthesis.dk.riccati_level`). D-K iteration minimises over D and K in turn and stops where
-neither alone brings progress; this goes on from there. Orders grow one section of D or G at a time, each placed
-where the level falls most steeply.
-
-References
-----------
-Fletcher, *Practical Methods of Optimization* (1987), section 14.4 (minimax by sequential quadratic programming).
+K is eliminated by the two Riccati equations (`riccati_level`). Minimax by sequential quadratic programming: Fletcher,
+*Practical Methods of Optimization* (1987), section 14.4.
 """
 
 from __future__ import annotations
@@ -54,12 +45,7 @@ class _Objective:
 def minimised(
     problem: RobustProblem, scalings: DynamicScalings, guess: float, steps: int | None = None
 ) -> tuple[DynamicScalings, float] | None:
-    """Scalings of the same form with a smaller level, and that level; None where the start has none.
-
-    Sequential quadratic programming on the branches, ``min_d max_i (values_i + slopes_i^T d) + d^T H^{-1} d / 2``, with
-    H by BFGS updates of the Lagrangian: where two eigenvalues of X Y meet the level has a kink, and a descent that
-    knows one of them only gets stuck.
-    """
+    """Scalings of the same form with a smaller level, and that level; None where the start has none."""
     objective = _Objective(problem, scalings)
     x = scalings.parameters()
     level = objective.level(x, guess)
@@ -92,11 +78,7 @@ def minimised(
 
 
 def _multipliers(branches: Branches, H: AnyArray) -> tuple[AnyArray, float]:
-    """Weights of the branches in the best step, shape (m,), and the change of log beta that it promises (<= 0).
-
-    The dual ``max_lambda values^T lambda - lambda^T Q lambda / 2`` on the simplex, ``Q = slopes H slopes^T``, solved
-    exactly by going through the few sets of branches that may be active.
-    """
+    """Weights of the branches in the best step, shape (m,), and the change of log beta that it promises (<= 0)."""
     values, Q = branches.values - branches.values[0], branches.slopes @ H @ branches.slopes.T
     m = len(values)
     best, best_value = np.eye(m)[0], values[0] - 0.5 * Q[0, 0]
@@ -160,11 +142,7 @@ def _updated(H: AnyArray, s: AnyArray, y: AnyArray, first: bool) -> AnyArray:
 def grown(
     problem: RobustProblem, scalings: DynamicScalings, level: float, omega: tuple[float, float], max_states: int
 ) -> tuple[DynamicScalings, float] | None:
-    """Scalings one section of D or G larger; None where no place for it lowers the level.
-
-    Candidates are sections with zero = pole, and sections of G with p = q, at places over the frequencies ``omega``
-    (low, high); they leave the level as it is. The steepest ones are followed for a few steps, and the best is kept.
-    """
+    """Scalings one section of D or G larger; None where no place for it lowers the level."""
     candidates: list[tuple[float, DynamicScalings]] = []
     for trial in _candidates(scalings, np.linspace(np.log(omega[0]), np.log(omega[1]), PLACES)):
         if problem.budget.over:

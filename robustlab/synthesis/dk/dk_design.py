@@ -68,6 +68,10 @@ class DKSynthesis(Tabular, Synthesis):
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("lower", "frequency", "scaled_level", "start_mu"), float),
     }  # fmt: skip
+    saved = (
+        *Synthesis.saved, "lower", "frequency", "delta", "scaled_level", "scalings", "history", "start_mu",
+        "lower_bound", "why",
+    )  # fmt: skip
 
     blocks: tuple[Block, ...]
     lower: float
@@ -115,16 +119,5 @@ class DKSynthesis(Tabular, Synthesis):
         return Table(("iterate", range(1, len(self.history) + 1)), columns)
 
     def to_json(self) -> dict[str, Any]:
-        return super().to_json() | {
-            "lower": self.lower,
-            "frequency": self.frequency,
-            "delta": self.delta,
-            "blocks": [b.name for b in self.blocks],
-            "scaled_level": self.scaled_level,
-            "scalings": self.scalings.to_json(),
-            "intervals": [(p.low, p.high, p.beta) for p in self.pieces],
-            "history": list(self.history),
-            "start_mu": self.start_mu,
-            "lower_bound": self.lower_bound.to_json(),
-            "why": self.why,
-        }
+        intervals = [(p.low, p.high, p.beta) for p in self.pieces]
+        return super().to_json() | {"blocks": [b.name for b in self.blocks], "intervals": intervals}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,19 +19,12 @@ from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.dk.constants import FIRST_POINTS
 from robustlab.synthesis.dk.direct_minimisation import grown, minimised
 from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis
-from robustlab.synthesis.dk.dynamic_scalings import (
-    BlockScaling,
-    CoprimePair,
-    DynamicScalings,
-    proved_level,
-    unit_scalings,
-)
+from robustlab.synthesis.dk.dynamic_scalings import CoprimePair, DynamicScalings, proved_level, unit_scalings
 from robustlab.synthesis.dk.mu_floor import mu_floor, why_not_less
 from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, nominal_start
-from robustlab.synthesis.dk.scalings_fit import MuCurve, as_complex, fitted_scalings, mu_curve
+from robustlab.synthesis.dk.scalings_fit import FIRST_POINTS, MuCurve, as_complex, fitted_scalings, mu_curve
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
@@ -160,7 +154,7 @@ def dk(
         raise InputError("synth dk", f"max_order is {max_order!r}", f"at least {n}, the number of states of P")
     with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is found is verified on its own
         compile_kernels()
-        search = _Search(plant, all_blocks, budget, int(max_order), mixed, progress)
+        search = _Search(plant, all_blocks, budget, int(max_order), mixed, progress or (lambda _: None))
         search.start(K0)
         search.alternate(direct)
         if direct:
@@ -181,23 +175,16 @@ def structure_with_performance(
         raise InputError(where, "no uncertainty blocks", "at least one", "use hinf for a plant without uncertainty")
     for block in given:
         if not block.is_symmetric:
-            low, high = block.ends
-            raise InputError(
-                f"{where}: block {block.name!r}",
-                f"a range that is wider on one side ({low:g} .. {high:g})",
-                "a range that is symmetric around its nominal value",
-                "uncertain.centred() moves the nominal value to the middle",
-            )
-    n_w, n_z = plant.model.n_inputs - plant.n_con, plant.model.n_outputs - plant.n_meas
-    q, p = structure_size(given)
+            found = "a range that is wider on one side ({:g} .. {:g})".format(*block.ends)
+            expected, hint = "a range that is symmetric around its nominal value", "uncertain.centred() moves it there"
+            raise InputError(f"{where}: block {block.name!r}", found, expected, hint)
+    n_w, n_z, (q, p) = plant.n_w, plant.n_z, structure_size(given)
     if (q, p) == (n_w, n_z):
         return plant, given
     if q >= n_w or p >= n_z:
-        raise InputError(
-            where,
-            f"blocks of {q} inputs w and {p} outputs z for a plant with {n_w} w and {n_z} z",
-            "blocks that cover all of both, or leave some of both for the performance block",
-        )
+        found = f"blocks of {q} inputs w and {p} outputs z for a plant with {n_w} w and {n_z} z"
+        expected = "blocks that cover all of both, or leave some of both for the performance block"
+        raise InputError(where, found, expected)
     if PERFORMANCE in [b.name for b in given]:
         raise InputError(where, f"a block is called {PERFORMANCE!r}", "another name for it")
     return plant, (*given, FullBlock(PERFORMANCE, n_w - q, n_z - p))
@@ -207,22 +194,16 @@ class _Search:
     """All iterates so far; every stage adds to them."""
 
     def __init__(
-        self,
-        plant: GeneralizedPlant,
-        blocks: tuple[Block, ...],
-        budget: Budget,
-        max_order: int,
-        mixed: bool,
-        progress: Callable[[str], None] | None,
-    ) -> None:
-        self.budget, self.whole = budget, budget.left
-        self.plant, self.max_order, self.progress = plant, max_order, progress
-        some_real = any(b.g_basis() for b in blocks)
-        self.mixed = mixed and some_real
+        self, plant: GeneralizedPlant, blocks: tuple[Block, ...], budget: Budget, max_order: int, mixed: bool,
+        say: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        self.plant, self.budget, self.whole, self.max_order, self.say = plant, budget, budget.left, max_order, say
+        self.mixed = mixed and any(b.g_basis() for b in blocks)
         self.real, self.blocks = blocks, as_complex(blocks)
         self.curve_work = points_work(self.real if self.mixed else self.blocks, CURVE_POINTS)
-        self.problem: RobustProblem = RobustProblem(plant, budget)
-        self.problem.budget = self.search = self._until(SEARCH_END)
+        self.search = self._until(SEARCH_END)
+        self.problem = RobustProblem(plant, self.search)
+        self.max_states = max_order - plant.model.n_states  # that the scalings may have
         self.iterates: list[Iterate] = []
         self.history: list[DKStep] = []
         self.curve: MuCurve | None = None
@@ -232,12 +213,13 @@ class _Search:
 
     def _until(self, end: float) -> Budget:
         """A budget that is over when this share of the whole is spent, and enough for a last curve of mu is left."""
-        needed = LAST_CURVES * self.curve_work
-        end = min(end, max(1 - needed / self.whole, LEAST_SEARCH))
+        end = min(end, max(1 - LAST_CURVES * self.curve_work / self.whole, LEAST_SEARCH))
         left = self.budget.left
         return self.budget.share(max(1 - (1 - end) * self.whole / left, 0.0) if left > 0 else 0.0)
 
-    def _late(self) -> bool:
+    @property
+    def late(self) -> bool:
+        """Whether the budget of this stage is over."""
         return self.problem.budget.over
 
     @property
@@ -245,21 +227,13 @@ class _Search:
         """The iterate of smallest proved level."""
         return min(self.iterates, key=lambda iterate: iterate.level)
 
-    @property
-    def max_states(self) -> int:
-        """States that the scalings may have."""
-        return self.max_order - self.plant.model.n_states
-
-    # --- stages ------------------------------------------------------------------------------------------------------
-
     def start(self, K0: Any) -> None:
         """The controller given; else that of H-infinity synthesis for the plant without scalings, or of its performance
         channels alone (see `nominal_start`) where that one has a clearly smaller mu.
         """
         scalings = unit_scalings(self.blocks)
-        if K0 is None:
-            K = synthesize(self.plant, "hinf", 1.0, self.search.share(START_SHARE)).K
-        else:
+        K = synthesize(self.plant, "hinf", 1.0, self.search.share(START_SHARE)).K if K0 is None else None
+        if K is None:
             K = _controller(K0, self.plant)
             if isinstance(K0, DKSynthesis) and K0.scalings.blocks in (self.blocks, self.real):
                 self.warm = scalings = K0.scalings
@@ -269,15 +243,13 @@ class _Search:
         if found is None:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
-        if K0 is None and self.blocks[-1].name == PERFORMANCE and not self._late():
-            last, part = self.blocks[-1], self.search.share(START_SHARE)
-            K = nominal_start(self.plant, last.rows, last.cols, part)
-            other = None if K is None else self.problem.proved(K, scalings, 1.0)
-            if other is not None:
-                self._prefer(other, found)
-
-    def _prefer(self, other: Iterate, found: Iterate) -> None:
-        """Go on from the other start where its mu is clearly smaller."""
+        last = self.blocks[-1]
+        if K0 is not None or last.name != PERFORMANCE or self.late:
+            return
+        K = nominal_start(self.plant, last.rows, last.cols, self.search.share(START_SHARE))
+        other = None if K is None else self.problem.proved(K, scalings, 1.0)
+        if other is None:
+            return
         before = self._followed(found)
         if self._followed(other).peak < CLEARLY * before.peak:
             self._keep(other, "nominal start")
@@ -291,16 +263,15 @@ class _Search:
             self.problem.budget = self._until(CLASSICAL_END)
         now, stuck = self.iterates[-1], 0
         for _ in range(ITERATIONS):
-            if self._late() or stuck == 2:
+            if self.late or stuck == 2:
                 break
-            self.curve = self._followed(now)
-            before = self.best.level
-            scalings = self._fitted(self.curve, FIT_LOSS, self.problem.budget)
+            curve, before = self._followed(now), self.best.level
+            scalings = self._fitted(curve, FIT_LOSS, self.problem.budget)
             refitted = self.problem.proved(now.K, scalings, now.level)
             if refitted is not None and refitted.level < before:
-                self._keep(refitted, "D-K", self.curve.peak)
+                self._keep(refitted, "D-K", curve.peak)
             self.problem.regularise(refitted or now, ROUGH)
-            found = self.problem.solve(scalings, min(now.level, 1.1 * self.curve.peak))
+            found = self.problem.solve(scalings, min(now.level, 1.1 * curve.peak))
             if found is None:
                 break
             self._keep(found, "D-K")
@@ -309,13 +280,11 @@ class _Search:
         self.problem.budget = self.search
 
     def descend(self) -> None:
-        """Direct minimisation over D in growing order, from D = I (of many blocks: the best constants) and from a
-        fit of low order.
-
-        Where blocks are real, then over D and G from a D of low order; that gets two thirds of the work.
+        """Direct minimisation over D in growing order, from D = I (of many blocks: the best constants) and from a fit
+        of low order; where blocks are real, then over D and G from a D of low order.
         """
         self.problem.regularise(self.best, FINE)
-        starts = [unit_scalings(self.blocks) if self.warm is None else _without_g(self.warm, self.blocks)]
+        starts = [unit_scalings(self.blocks) if self.warm is None else _with_g(self.warm, self.blocks)]
         if self.curve is not None and self.warm is None:
             if len(self.blocks) > FEW_BLOCKS:  # the way from D = I is long then
                 starts = [self._fitted(self.curve, np.inf, self.search)]
@@ -326,34 +295,34 @@ class _Search:
             self.problem.budget = self.search if k else self.search.share(share)
             self._grow(scalings, "direct")
         self.problem.budget = self.search
-        if self.mixed and not self._late():
-            warm = self.warm is not None and self.warm.mixed
-            first = self.warm if warm and self.warm is not None else self._few_states()
+        if self.mixed and not self.late:
+            first = self.warm
+            if first is None or not first.mixed:
+                # A rough D: that of the iterate of lowest order, or a fit to the best loop where that has fewer states.
+                fitted = self._fitted(self._followed(self.best), FIRST_LOSS, self.search)
+                first = min(self._chosen(FIRST_LOSS).scalings, fitted, key=lambda scalings: scalings.n_states)
             self._grow(_with_g(first, self.real), "D-G-K")
-
-    def _few_states(self) -> DynamicScalings:
-        """A rough D: that of the iterate of lowest order, or a fit to the best loop where that has fewer states."""
-        known = self._chosen(FIRST_LOSS).scalings
-        fitted = self._fitted(self._followed(self.best), FIRST_LOSS, self.search)
-        return min(known, fitted, key=lambda scalings: scalings.n_states)
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
         """Minimise, enlarge the scalings, and so on, until that brings nothing."""
-        if self._late():
+        if self.late:
             return
         found = minimised(self.problem, scalings, self.best.level)
-        band = self._band()
+        curve = self.curve or self._followed(self.best)
+        # Sections are placed at frequencies (rad/s) at which mu is of the order of its peak.
+        high = curve.omega[curve.levels >= BAND_LEVEL * curve.peak]
+        band = float(high[0] / BEYOND), float(high[-1] * BEYOND)
         falls, before = 0, np.inf
         while found is not None:
             scalings, level = found
-            if self._late() and level >= self.best.level:
+            if self.late and level >= self.best.level:
                 break
             # What a minimisation reached by the end of its work is not thrown away.
-            iterate = (self.problem.at_level if self._late() else self.problem.solve)(scalings, level)
+            iterate = (self.problem.at_level if self.late else self.problem.solve)(scalings, level)
             if iterate is not None:
                 self._keep(iterate, stage)
             falls = falls + 1 if level > before * (1 - PROGRESS) else 0
-            if falls == FALLS or self._late():
+            if falls == FALLS or self.late:
                 break
             before = level
             larger = grown(self.problem, scalings, level, band, self.max_states)
@@ -368,31 +337,17 @@ class _Search:
             self.curve = mu_curve(iterate.loop, self.blocks, self.problem.budget)
             self.curved = iterate
             if iterate is self.iterates[0]:
-                self.start_mu = self._mu_of_start(self.curve)
+                self.start_mu = self.curve.peak
+                if self.mixed:  # the mu of real blocks where complex mu is largest
+                    top = np.sort(self.curve.omega[np.argsort(-self.curve.levels)[:START_POINTS]])
+                    self.start_mu = mu_curve(iterate.loop, self.real, Budget(0.0), top).peak
         return self.curve
-
-    def _mu_of_start(self, curve: MuCurve) -> float:
-        """The peak; where blocks are real, that of their mu at the frequencies where complex mu is largest."""
-        if not self.mixed:
-            return curve.peak
-        top = np.sort(curve.omega[np.argsort(-curve.levels)[:START_POINTS]])
-        return mu_curve(self.iterates[0].loop, self.real, Budget(0.0), top).peak
-
-    def _band(self) -> tuple[float, float]:
-        """Frequencies in rad/s over which sections are placed: those at which mu is of the order of its peak."""
-        if self.curve is None:
-            self.curve = self._followed(self.best)
-        high = self.curve.omega[self.curve.levels >= BAND_LEVEL * self.curve.peak]
-        return float(high[0] / BEYOND), float(high[-1] * BEYOND)
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
         self.iterates.append(iterate)
-        orders = iterate.scalings.orders
-        self.history.append(DKStep(stage, iterate.level, mu, iterate.K.n_states, orders, self.whole - self.budget.left))
-        if self.progress is not None:
-            self.progress(
-                f"iteration {len(self.history)} ({stage}): mu <= {iterate.level:.4f}, {iterate.K.n_states} states"
-            )
+        orders, work = iterate.scalings.orders, self.whole - self.budget.left
+        self.history.append(DKStep(stage, iterate.level, mu, iterate.K.n_states, orders, work))
+        self.say(f"iteration {len(self.history)} ({stage}): mu <= {iterate.level:.4f}, {iterate.K.n_states} states")
 
     def _chosen(self, order_rel: float) -> Iterate:
         """The iterate of lowest order whose level is at most ``order_rel`` above the smallest."""
@@ -400,43 +355,36 @@ class _Search:
         limit = min(i.level for i in fitting) * (1 + order_rel)
         return min((i for i in fitting if i.level <= limit), key=lambda i: (i.K.n_states, i.level))
 
-    # --- the result --------------------------------------------------------------------------------------------------
-
     def finished(self, order_rel: float) -> DKSynthesis:
         """The iterate of lowest order close to the best, proved once more by intervals where these are tighter."""
-        chosen = self._chosen(order_rel)
-        self.problem.budget = self._until(SOFTENING_END)
-        chosen = self.problem.softened(chosen, self.best.level * (1 + order_rel))
+        self.problem.budget, best = self._until(SOFTENING_END), self.best
+        chosen = self.problem.softened(self._chosen(order_rel), best.level * (1 + order_rel))
         blocks = self.real if self.mixed else self.blocks
         # All that costs work comes before the proof by intervals, which takes whatever is left.
-        norm = proved_level(chosen.loop, chosen.scalings, chosen.level)[1]
-        curve = self._last_curve(chosen, blocks, norm.frequency)
+        curve = self._last_curve(chosen, blocks)
         lower, delta, omega = _lower(curve, blocks, 4 if len(blocks) < MANY_BLOCKS else 1)
-        loop = self.plant.close(chosen.K)
-        cover = AxisCover()
-        accuracy = PROOF_ACCURACY
-        if curve.peak * (1 + accuracy) < chosen.level:
+        loop, cover = self.plant.close(chosen.K), AxisCover()
+        if curve.peak * (1 + PROOF_ACCURACY) < chosen.level:
             peaks = curve.omega[np.argsort(-curve.levels)[:8]]
             cover = cover_axis(
-                continuous(chosen.loop), blocks, curve.peak, first=peaks, budget=self.budget, accuracy=accuracy
+                continuous(chosen.loop), blocks, curve.peak, first=peaks, budget=self.budget, accuracy=PROOF_ACCURACY
             )
         gamma, pieces, doubt = self.problem.certified(chosen, blocks, cover)
         if lower > gamma * (1 + 1e-6):
             raise NoTrustworthyNumber("synth dk", f"lower bound {lower:.9g} of mu above the proved {gamma:.9g}")
-        frequency = omega
-        if loop.is_discrete:
-            frequency = float(2 / loop.dt * np.arctan(omega * loop.dt / 2))
-        smallest = min(gamma, self.best.level)
+        frequency = float(2 / loop.dt * np.arctan(omega * loop.dt / 2)) if loop.is_discrete else omega
+        smallest = min(gamma, best.level)
         floor = mu_floor(self.problem.bare, blocks, smallest, delta, loop.dt)
         start_mu = self.start_mu if np.isfinite(self.start_mu) else self.iterates[0].level
         alone = floor.nominal_level(self.budget.apart(ALONE_SHARE * self.whole))
         why = why_not_less(smallest, start_mu, self.iterates[0].level, floor.bound.value, alone, blocks)
-        status, reason = told(
-            Status.INACCURATE if doubt else Status.CERTIFIED,
-            self._reasons(chosen, bool(pieces), doubt, order_rel),
-            self.budget,
-            "a smaller mu",
-        )
+        how = "constant D, G on intervals that cover the axis" if pieces else "the norm of the scaled loop"
+        parts = [doubt or f"loop of P and K is stable; mu bound proved in ball arithmetic at all frequencies by {how}"]
+        if chosen is not best and chosen.level > best.level:
+            least = f"the smallest level {best.level:.6g} ({best.K.n_states} states)"
+            parts.append(f"lowest order within {order_rel:.1%} of {least}")
+        status = Status.INACCURATE if doubt else Status.CERTIFIED
+        status, reason = told(status, parts, self.budget, "a smaller mu")
         return DKSynthesis(
             K=chosen.K,
             gamma=gamma,
@@ -459,37 +407,22 @@ class _Search:
             why=why,
         )
 
-    def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...], peak: float) -> MuCurve:
-        """The curve of mu, or, where little work is left, around the peak of the scaled loop alone (rad/s)."""
+    def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...]) -> MuCurve:
+        """The curve of mu, or, where little work is left, around the peak of the scaled loop alone."""
+        peak = proved_level(chosen.loop, chosen.scalings, chosen.level)[1].frequency
         around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
         if self.budget.left < 0.6 * LAST_CURVES * self.curve_work or self.budget.over:
             return mu_curve(chosen.loop, blocks, Budget(0.0), around)
         first = np.unique(np.concatenate([default_grid(chosen.loop, FIRST_POINTS, 1.0), around]))
         return mu_curve(chosen.loop, blocks, self.budget.share(0.5), first)
 
-    def _reasons(self, chosen: Iterate, by_intervals: bool, doubt: str, order_rel: float) -> list[str]:
-        how = "constant D, G on intervals that cover the axis" if by_intervals else "the norm of the scaled loop"
-        parts = [doubt or f"loop of P and K is stable; mu bound proved in ball arithmetic at all frequencies by {how}"]
-        best = self.best
-        if chosen is not best and chosen.level > best.level:
-            parts.append(
-                f"lowest order within {order_rel:.1%} of the smallest level {best.level:.6g} ({best.K.n_states} states)"
-            )
-        return parts
 
-
-def _with_g(scalings: DynamicScalings, real: tuple[Block, ...]) -> DynamicScalings:
-    """The same D, with room for G at the real blocks."""
+def _with_g(scalings: DynamicScalings, blocks: tuple[Block, ...]) -> DynamicScalings:
+    """The same D, with room for G at blocks that are real."""
     parts = tuple(
-        BlockScaling(part.factors, part.mixing, part.g or (CoprimePair(),) * block.rows) if block.g_basis() else part
-        for block, part in zip(real, scalings.parts, strict=True)
+        replace(part, g=(part.g or (CoprimePair(),) * block.rows) if block.g_basis() else ())
+        for block, part in zip(blocks, scalings.parts, strict=True)
     )
-    return DynamicScalings(real, parts)
-
-
-def _without_g(scalings: DynamicScalings, blocks: tuple[Block, ...]) -> DynamicScalings:
-    """The same D for complex blocks."""
-    parts = tuple(BlockScaling(part.factors, part.mixing) for part in scalings.parts)
     return DynamicScalings(blocks, parts)
 
 
@@ -507,9 +440,7 @@ def _lower(curve: MuCurve, blocks: tuple[Block, ...], most: int) -> tuple[float,
 def _controller(K0: Any, plant: GeneralizedPlant) -> StateSpaceModel:
     K = K0.K if isinstance(K0, (Synthesis, Controller)) else as_model(K0, "synth dk: K0")
     if K.D.shape != (plant.n_con, plant.n_meas) or K.dt != plant.model.dt:
-        raise InputError(
-            "synth dk: K0",
-            f"{K.n_outputs} x {K.n_inputs} with dt = {K.dt:g} s",
-            f"{plant.n_con} x {plant.n_meas} with dt = {plant.model.dt:g} s",
-        )
+        found = f"{K.n_outputs} x {K.n_inputs} with dt = {K.dt:g} s"
+        expected = f"{plant.n_con} x {plant.n_meas} with dt = {plant.model.dt:g} s"
+        raise InputError("synth dk: K0", found, expected)
     return K

@@ -1,40 +1,16 @@
 r"""Rational scalings D(s), G(s) of a block structure that prove a bound of mu at every frequency at once.
 
-A full block of r x c has one scalar factor d(s), on c outputs and r inputs. A scalar repeated r times has
-``D(s) = diag(d_1 .. d_r) T`` with a constant unit upper triangular T. Every factor is
+.. math:: \| D_z M D_w^{-1} G_M / \beta - G_N \|_\infty \le 1 \quad \Rightarrow \quad \sup_\omega \mu(M) \le \beta
 
-.. math:: d(s) = k \prod_i \frac{s / z_i + 1}{s / p_i + 1}
-    \prod_j \frac{s^2 / \omega_{zj}^2 + 2 \zeta_{zj} s / \omega_{zj} + 1}
-                 {s^2 / \omega_{pj}^2 + 2 \zeta_{pj} s / \omega_{pj} + 1}
-
-with at most one first-order section; all its numbers are positive, so that d and 1/d are stable by construction, and
-their logarithms are free parameters. Real scalars also carry normalised coprime factors of an odd function
-:math:`\hat g = G_N / G_M`, imaginary on the axis, made of two all-pass functions U, V of the same order:
-
-.. math:: G_M = \tfrac12 (U + V), \quad G_N = \tfrac12 (U - V), \qquad
-    U = \prod_i \frac{s - q_i}{s + q_i}, \quad V = \prod_i \frac{s - p_i}{s + p_i}, \qquad |G_M|^2 + |G_N|^2 = 1
-
-(pairs of factors may be complex conjugate). They are stable for all positive numbers, and G vanishes where U = V. With
-them
-
-.. math:: \| D_z M D_w^{-1} G_M / \beta - G_N \|_\infty \le 1 \quad \Rightarrow \quad \sup_\omega \mu(M) \le \beta .
-
-so that beta bounds mu where the loop of K and the plant with these scalings at level beta,
-
-.. math:: \tilde P_\beta: \quad \tilde z = D_z z - G_N \tilde w, \qquad w = D_w^{-1} G_M \tilde w / \beta ,
-
-has a norm of at most one.
-
-References
-----------
-Young, "Robustness with parametric and dynamic uncertainty", PhD thesis (1993), chapter 9; Fan, Tits, Doyle (1991).
+Young, "Robustness with parametric and dynamic uncertainty" (1993), chapter 9; Fan, Tits, Doyle (1991).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain
 
 import numpy as np
 
@@ -44,37 +20,36 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
+Sections = tuple[tuple[float, ...], ...]
+
 
 @dataclass(frozen=True)
 class Factor:
-    """One scalar factor d(s) by its logarithms; 2 numbers a first-order section, 4 a second-order one."""
+    """One scalar factor d(s), stable as its inverse is, by its logarithms, which are free parameters.
+
+    ``k (s/z + 1)/(s/p + 1) prod (s^2/w_z^2 + 2 zeta_z s/w_z + 1)/(s^2/w_p^2 + 2 zeta_p s/w_p + 1)``.
+    """
 
     log_gain: float = 0.0  # `log d(0)`
-    # `(log z, log p)` or `(log w_z, log 2 zeta_z, log w_p, log 2 zeta_p)`, frequencies in rad/s; sections of second
-    # order come first.
-    sections: tuple[tuple[float, ...], ...] = ()
+    # `(log z, log p)` at most once, behind `(log w_z, log 2 zeta_z, log w_p, log 2 zeta_p)`; frequencies in rad/s.
+    sections: Sections = ()
 
     @property
     def order(self) -> int:
         """Number of states."""
-        return sum(len(section) // 2 for section in self.sections)
+        return sum(map(len, self.sections)) // 2
 
     def parameters(self) -> list[float]:
         """All logarithms in a row."""
-        return [self.log_gain, *(value for section in self.sections for value in section)]
+        return [self.log_gain, *chain(*self.sections)]
 
     def with_parameters(self, values: Iterator[float]) -> Factor:
         """The same form with the next numbers of ``values``."""
-        gain = float(next(values))
-        return Factor(gain, tuple(tuple(float(next(values)) for _ in section) for section in self.sections))
+        return Factor(float(next(values)), _taken(self.sections, values))
 
     def with_section(self, log_zero: float, log_pole: float) -> Factor:
         """One order higher: times ``(s/z + 1) / (s/p + 1)``; two sections of first order become one of second."""
         return replace(self, sections=_extended(self.sections, log_zero, log_pole))
-
-    def realisation(self) -> Realisation:
-        """States, input, output and direct term of d(s), sections in series."""
-        return _realised(self)
 
     def log_modulus(self, omega: AnyArray) -> AnyArray:
         """``log |d(j omega)|``, shape (n_omega,)."""
@@ -85,8 +60,13 @@ class Factor:
         return result
 
 
+def _taken(sections: Sections, values: Iterator[float]) -> Sections:
+    return tuple(tuple(float(next(values)) for _ in section) for section in sections)
+
+
 @lru_cache(maxsize=4096)
 def _realised(factor: Factor) -> Realisation:
+    """States, input, output and direct term of d(s), sections in series."""
     n = factor.order
     A, B, C, D = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n)), np.array([[np.exp(factor.log_gain)]])
     at = 0
@@ -129,30 +109,25 @@ def _log_modulus(values: tuple[float, ...], omega: AnyArray) -> AnyArray:
 
 @dataclass(frozen=True)
 class CoprimePair:
-    """G_M and G_N of one real channel."""
+    """G_M and G_N of one real channel: half the sum and the difference of two all-pass functions U and V.
+
+    ``|G_M|^2 + |G_N|^2 = 1``, and G = G_N / G_M is imaginary on the axis; it vanishes where U = V.
+    """
 
     # `(log p, log q)` or `(log w_p, log 2 zeta_p, log w_q, log 2 zeta_q)` of V and U; none: G = 0.
-    sections: tuple[tuple[float, ...], ...] = ()
+    sections: Sections = ()
 
     @property
     def n_states(self) -> int:
         """States of U and V together."""
         return sum(map(len, self.sections))
 
-    def with_parameters(self, values: Iterator[float]) -> CoprimePair:
-        """The same form with the next numbers of ``values``."""
-        return CoprimePair(tuple(tuple(float(next(values)) for _ in section) for section in self.sections))
-
     def with_section(self, log_p: float, log_q: float) -> CoprimePair:
         """One order higher; where p = q it leaves G as it is."""
         return CoprimePair(_extended(self.sections, log_p, log_q))
 
-    def realisation(self) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-        """``(A, B, F, C)`` with ``G_M = 1 + F (sI - A)^-1 B`` and ``G_N = C (sI - A)^-1 B``."""
-        return _coprime(self)
 
-
-def _extended(sections: tuple[tuple[float, ...], ...], one: float, two: float) -> tuple[tuple[float, ...], ...]:
+def _extended(sections: Sections, one: float, two: float) -> Sections:
     """Sections with a pair of first-order numbers more; a pair that is there already is merged with it."""
     last = sections[-1] if sections else ()
     if len(last) != 2:
@@ -170,7 +145,7 @@ class BlockScaling:
 
     # One for a full block, one a channel for a repeated scalar, none for the block whose D is one.
     factors: tuple[Factor, ...]
-    mixing: tuple[float, ...] = ()  # entries of T above the diagonal, row by row
+    mixing: tuple[float, ...] = ()  # of a repeated scalar D = diag(d) T: entries of the unit triangular T, row by row
     g: tuple[CoprimePair, ...] = ()  # for each channel of a real scalar its G
 
     @property
@@ -191,14 +166,6 @@ class BlockScaling:
         """With the G of one channel replaced."""
         return replace(self, g=(*self.g[:k], pair, *self.g[k + 1 :]))
 
-    def triangular(self) -> AnyArray:
-        """T, shape (r, r)."""
-        r = len(self.factors)
-        T = np.eye(r)
-        if self.mixing:
-            T[np.triu_indices(r, 1)] = self.mixing
-        return T
-
 
 @dataclass(frozen=True, eq=False)
 class DynamicScalings:
@@ -215,11 +182,10 @@ class DynamicScalings:
     @property
     def n_states(self) -> int:
         """Number of states that a plant gets when it is scaled."""
-        total = 0
-        for block, part in zip(self.blocks, self.parts, strict=True):
-            sides = block.rows + block.cols if block.d_order == 1 else 2
-            total += part.order * sides + part.g_states
-        return total
+        return sum(
+            part.order * (block.rows + block.cols if block.d_order == 1 else 2) + part.g_states
+            for block, part in zip(self.blocks, self.parts, strict=True)
+        )
 
     @property
     def mixed(self) -> bool:
@@ -230,20 +196,17 @@ class DynamicScalings:
         """All free parameters, shape (n_theta,)."""
         values: list[float] = []
         for part in self.parts:
-            for factor in part.factors:
-                values += factor.parameters()
-            values += part.mixing
-            values += [value for pair in part.g for section in pair.sections for value in section]
+            values += chain(*(factor.parameters() for factor in part.factors), part.mixing)
+            values += chain(*(section for pair in part.g for section in pair.sections))
         return np.array(values)
 
     def with_parameters(self, theta: AnyArray) -> DynamicScalings:
         """The same form with other parameters."""
-        values = iter(theta)
-        parts = []
+        values, parts = iter(theta), list[BlockScaling]()
         for part in self.parts:
             factors = tuple(factor.with_parameters(values) for factor in part.factors)
             mixing = tuple(float(next(values)) for _ in part.mixing)
-            g = tuple(pair.with_parameters(values) for pair in part.g)
+            g = tuple(CoprimePair(_taken(pair.sections, values)) for pair in part.g)
             parts.append(BlockScaling(factors, mixing, g))
         return replace(self, parts=tuple(parts))
 
@@ -255,7 +218,7 @@ class DynamicScalings:
         return [
             {
                 "block": block.name,
-                "factors": [{"log_gain": f.log_gain, "sections": f.sections} for f in part.factors],
+                "factors": [vars(factor) for factor in part.factors],
                 "mixing": part.mixing,
                 "g": [pair.sections for pair in part.g],
             }
@@ -264,87 +227,58 @@ class DynamicScalings:
 
     def on_outputs(self) -> Realisation:
         """``D_z(s)``, shape (p, p)."""
-        pieces = [
-            (factor.realisation(), i)
-            for block, part, (_, z) in self._with_slices()
-            for factor, i in _channels(block, part, z.start, block.cols)
-        ]
-        scaling = self._diagonal(pieces, 1)
-        if not self._mixes:
-            return scaling
-        A, B, C, D = scaling
-        T = self._mixing(1)
+        (A, B, C, D), T = self._diagonal(1, _realised), self._mixing(1)
         return Realisation(A, B @ T, C, D @ T)
 
     def on_inputs(self) -> Realisation:
         """``D_w(s)^{-1}``, shape (q, q)."""
-        pieces = [
-            (_inverse(factor), i)
-            for block, part, (w, _) in self._with_slices()
-            for factor, i in _channels(block, part, w.start, block.rows)
-        ]
-        scaling = self._diagonal(pieces, 0)
-        if not self._mixes:
-            return scaling
-        A, B, C, D = scaling
-        back = np.linalg.inv(self._mixing(0))
+        (A, B, C, D), back = self._diagonal(0, _inverse), np.linalg.inv(self._mixing(0))
         return Realisation(A, B, back @ C, back @ D)
 
     def coprime(self) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
         """``(A, B, F, C)`` with ``G_M = I + F (sI - A)^-1 B`` (q x q) and ``G_N = C (sI - A)^-1 B`` (p x q)."""
         q, p = structure_size(self.blocks)
-        pieces = []
-        for _, part, (w, z) in self._with_slices():
-            pieces += [(g.realisation(), w.start + i, z.start + i) for i, g in enumerate(part.g) if g.sections]
-        n = sum(len(piece[0][0]) for piece in pieces)
+        n, at = sum(part.g_states for part in self.parts), 0
         A, B, F, C = np.zeros((n, n)), np.zeros((n, q)), np.zeros((q, n)), np.zeros((p, n))
-        at = 0
-        for (a, b, f, c), i, j in pieces:
-            m = len(a)
-            A[at : at + m, at : at + m], B[at : at + m, i] = a, b[:, 0]
-            F[i, at : at + m], C[j, at : at + m] = f[0], c[0]
-            at += m
+        for part, (w, z) in zip(self.parts, block_slices(self.blocks), strict=True):
+            for i, pair in enumerate(part.g):
+                here = slice(at, at + pair.n_states)
+                A[here, here], b, F[w.start + i, here], C[z.start + i, here] = _coprime(pair)
+                B[here, w.start + i], at = b[:, 0], here.stop
         return A, B, F, C
 
-    def _with_slices(self) -> list[tuple[Block, BlockScaling, tuple[slice, slice]]]:
-        return list(zip(self.blocks, self.parts, block_slices(self.blocks), strict=True))
-
-    def _diagonal(self, pieces: list[tuple[Realisation, int]], side: int) -> Realisation:
+    def _diagonal(self, side: int, made: Callable[[Factor], Realisation]) -> Realisation:
         """The factors on their channels, and one on those of blocks whose D is one."""
-        size, n = structure_size(self.blocks)[side], sum(len(piece[0][0]) for piece in pieces)
-        A, B, C, D = np.zeros((n, n)), np.zeros((n, size)), np.zeros((size, n)), np.zeros((size, size))
-        for _, part, where in self._with_slices():
+        size, pieces = structure_size(self.blocks)[side], list[tuple[Realisation, int]]()
+        D = np.zeros((size, size))
+        for block, part, where in zip(self.blocks, self.parts, block_slices(self.blocks), strict=True):
+            channels = range(where[side].start, where[side].stop)
             if not part.factors:
-                D[where[side], where[side]] = np.eye(where[side].stop - where[side].start)
-        at = 0
+                D[channels, channels] = 1.0
+                continue
+            # The one factor of a full block comes once for every channel.
+            factors = part.factors * len(channels) if block.d_order == 1 else part.factors
+            pieces += [(made(factor), i) for factor, i in zip(factors, channels, strict=True)]
+        n, at = sum(len(piece[0].A) for piece in pieces), 0
+        A, B, C = np.zeros((n, n)), np.zeros((n, size)), np.zeros((size, n))
         for (a, b, c, d), i in pieces:
             here = slice(at, at + len(a))
             A[here, here], B[here, i], C[i, here], D[i, i] = a, b[:, 0], c[0], d[0, 0]
             at += len(a)
         return Realisation(A, B, C, D)
 
-    @property
-    def _mixes(self) -> bool:
-        return any(part.mixing for part in self.parts)
-
     def _mixing(self, side: int) -> AnyArray:
         T = np.eye(structure_size(self.blocks)[side])
-        for _, part, where in self._with_slices():
+        for part, where in zip(self.parts, block_slices(self.blocks), strict=True):
             if part.mixing:
-                T[where[side], where[side]] = part.triangular()
+                rows, columns = np.triu_indices(len(part.factors), 1)
+                T[rows + where[side].start, columns + where[side].start] = part.mixing
         return T
-
-
-def _channels(block: Block, part: BlockScaling, start: int, size: int) -> list[tuple[Factor, int]]:
-    """Each factor with each of its channels; the one factor of a full block comes once for every channel."""
-    if not part.factors:
-        return []
-    factors = part.factors * size if block.d_order == 1 else part.factors
-    return [(factor, start + i) for i, factor in enumerate(factors)]
 
 
 @lru_cache(maxsize=4096)
 def _coprime(pair: CoprimePair) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+    """``(A, B, F, C)`` with ``G_M = 1 + F (sI - A)^-1 B`` and ``G_N = C (sI - A)^-1 B``."""
     halves = [[section[: len(section) // 2] for section in pair.sections]]
     halves.append([section[len(section) // 2 :] for section in pair.sections])
     (A_v, B_v, C_v), (A_u, B_u, C_u) = (_all_pass(half) for half in halves)
@@ -356,21 +290,13 @@ def _coprime(pair: CoprimePair) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]
 
 def _all_pass(sections: list[tuple[float, ...]]) -> tuple[AnyArray, AnyArray, AnyArray]:
     """States, input, output of the product of ``(s - a)/(s + a)``, ``(s^2 - e s + w^2)/(s^2 + e s + w^2)``; D = 1."""
-    n = sum(map(len, sections))
+    n, at = sum(map(len, sections)), 0
     A, B, C = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
-    at = 0
     for section in sections:
-        m = len(section)
-        if m == 1:
-            w = e = float(np.exp(section[0]))
-            a = np.array([[-w]])
-        else:
-            w = float(np.exp(section[0]))
-            e = w * float(np.exp(section[1]))
-            a = np.array([[0.0, w], [-w, -e]])
-        root = np.sqrt(2 * e)
-        here = slice(at, at + m)
-        A[here, here] = a
+        m, w = len(section), float(np.exp(section[0]))
+        e = w if m == 1 else w * float(np.exp(section[1]))
+        root, here = np.sqrt(2 * e), slice(at, at + m)
+        A[here, here] = [[-w]] if m == 1 else [[0.0, w], [-w, -e]]
         A[at + m - 1, :at] = root * C[0, :at]
         B[at + m - 1], C[0, at + m - 1] = root, -root
         at += m
@@ -385,17 +311,12 @@ def reference_block(blocks: Sequence[Block]) -> int | None:
 
 def unit_scalings(blocks: Sequence[Block]) -> DynamicScalings:
     """D = I, G = 0."""
-    one = reference_block(blocks)
-    parts = []
+    one, parts = reference_block(blocks), list[BlockScaling]()
     for i, block in enumerate(blocks):
         r = block.d_order
-        factors = () if i == one else (Factor(),) * r
         g = (CoprimePair(),) * r if block.g_basis() else ()
-        parts.append(BlockScaling(factors, (0.0,) * (r * (r - 1) // 2), g))
+        parts.append(BlockScaling(() if i == one else (Factor(),) * r, (0.0,) * (r * (r - 1) // 2), g))
     return DynamicScalings(tuple(blocks), tuple(parts))
-
-
-# --- what they prove --------------------------------------------------------------------------------------------------
 
 
 def plant_at_level(p: PlantMatrices, scalings: DynamicScalings, beta: float) -> PlantMatrices:
@@ -449,11 +370,7 @@ def loop_at_level(loop: StateSpaceModel, scalings: DynamicScalings, beta: float 
 def proved_level(
     loop: StateSpaceModel, scalings: DynamicScalings, guess: float = 1.0, rtol: float = 1e-6
 ) -> tuple[float, HinfNorm]:
-    """Smallest beta that these scalings prove for mu of a stable continuous loop at all frequencies; inf where none.
-
-    Without G it is the norm of the scaled loop; with G the level at which that norm is one, sought from ``guess`` on
-    (every larger level is proved as well). The norm that comes with it is that of the scaled loop at one and at beta.
-    """
+    """Smallest beta that these scalings prove for mu of a stable continuous loop at all frequencies; inf where none."""
     norm = hinf_norm(loop_at_level(loop, scalings), rtol)
     if not scalings.mixed:
         return norm.upper, norm

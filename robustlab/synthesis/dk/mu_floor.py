@@ -1,13 +1,7 @@
 r"""What mu no controller can get below, and why a search ended where it did.
 
-The blocks of Delta may be zero but for one, and a real one may be any constant. So for every full block i, and every
-constant value of the real blocks,
-
-.. math:: \beta = \sup_\omega \mu(F_l(P, K)) \ge \min(\beta_0, \| T_{ii}(\delta) \|_\infty),
-    \qquad |\delta| \le 1 / \beta_0
-
-for if beta were smaller than both, that member's gain, its size being at most ``1 / beta``, would be at most beta. The
-norm of one member has Parrott's bound (`robustlab.synthesis.problem.gamma_bounds`), which holds for every controller.
+For every full block i and constant values of the real blocks of size at most 1 / beta_0, the peak of mu is at least
+:math:`\min(\beta_0, \| T_{ii} \|_\infty)` of that member; Parrott's bound of that norm holds for every controller.
 """
 
 from __future__ import annotations
@@ -40,14 +34,8 @@ class MuFloor:
     # The plant with the channels of that block and member alone; None where nothing bounds mu.
     channels: PlantMatrices | None
 
-    def nominal_level(
-        self,
-        budget: Budget,
-    ) -> float:
-        """The smallest level of the Riccati equations for ``channels``: what these alone need, an estimate.
-
-        NaN where that plant is singular, or where the budget was over before.
-        """
+    def nominal_level(self, budget: Budget) -> float:
+        """The smallest level of the Riccati equations for ``channels``: what these alone need, an estimate."""
         if self.channels is None or not self.bound.value > 0:
             return float("nan")
         block = FullBlock("all", self.channels.B1.shape[1], self.channels.C1.shape[0])
@@ -60,14 +48,7 @@ class MuFloor:
 def mu_floor(
     plant: PlantMatrices, blocks: Sequence[Block], gamma: float, delta: Mapping[str, Any], dt: float = 0.0
 ) -> MuFloor:
-    """A lower bound, at most ``gamma``, of the peak of mu under every stabilising controller.
-
-    ``plant``: continuous plant without D22, whose w and z are the channels of the blocks.
-    ``blocks``: the structure; members are those of its real scalars.
-    ``gamma``: size ``1 / gamma`` of the set that members are taken from: the level that a design has reached.
-    ``delta``: where the search for the worst member begins: values by block name (of real blocks), scaled to that size.
-    ``dt``: sample time in s of the discrete plant whose image ``plant`` is.
-    """
+    """A lower bound, at most ``gamma``, of the peak of mu under every stabilising controller."""
     real = np.array([b.interval is not None for b in blocks])
     start = np.array([float(delta.get(b.name, 0.0)) if r else 0.0 for b, r in zip(blocks, real, strict=True)])
     best = _of_member(plant, blocks, np.zeros(len(blocks)), dt)
@@ -127,15 +108,7 @@ def _closed(p: PlantMatrices, delta: Array) -> PlantMatrices | None:
 def why_not_less(
     smallest: float, start_mu: float, first_level: float, floor: float, alone: float, blocks: Sequence[Block]
 ) -> str:
-    """One sentence: what was gained over the first controller, and what ends the way down.
-
-    ``smallest``: the smallest peak of mu that was proved.
-    ``start_mu``: peak of mu, at single frequencies, of the controller that the search began with.
-    ``first_level``: what the scalings that it began with prove for that controller: the norm of its loop where they are
-    one.
-    ``floor``, ``alone``: what no controller gets below, and what H-infinity synthesis of the same channels alone
-    reaches (`MuFloor`).
-    """
+    """One sentence: what was gained over the first controller, and what ends the way down."""
     gained = 1 - smallest / start_mu if start_mu > 0 else 0.0
     come = f"mu of the first controller is {start_mu:.4g}, the smallest proved {smallest:.4g}"
     come += f" ({gained:.1%} less)" if gained > NEAR else ": D-K gains nothing over it"

@@ -1,18 +1,7 @@
 r"""Smallest level beta of a scaled H-infinity problem, and its derivative by the parameters of the scalings.
 
-A controller with a closed loop below one exists where both Riccati equations of the plant scaled at beta have
-stabilising solutions X, Y >= 0 with :math:`\rho(X Y) < 1`. At the smallest beta usually :math:`\rho(X Y) = 1`, which is
-an equation for beta that can be differentiated, eigenvalue by eigenvalue: with :math:`X Y u = \rho u`
-
-.. math:: d\rho = \frac{(Y u)^T dX\, Y u + \rho\, u^T dY u}{u^T Y u}, \qquad
-   A_X^T dX + dX A_X + [I\; F^T]\, dM_X \begin{bmatrix} I \\ F \end{bmatrix} = 0
-
-where M_X is the matrix of the Riccati equation's quadratic form at X held fixed and ``A_X = A + B F``. One Lyapunov
-equation for each of X and Y therefore gives the derivative by *all* parameters.
-
-References
-----------
-Doyle, Glover, Khargonekar, Francis (1989), theorem 3 (X, Y >= 0 and rho(X Y) < gamma^2); Glover, Doyle (1988) for D11.
+The level is where :math:`\rho(X Y) = 1`. One Lyapunov equation for each of X and Y gives the derivative by all
+parameters. Doyle, Glover, Khargonekar, Francis (1989), theorem 3; Glover, Doyle (1988) for D11.
 """
 
 from __future__ import annotations
@@ -66,10 +55,7 @@ class _Pair:
 
 @dataclass(frozen=True, eq=False)
 class Branches:
-    r"""Several eigenvalues of X Y to first order: ``log beta(theta + d) = max_i (values_i + slopes_i^T d)``.
-
-    ``values`` has shape (m,), the largest first; ``slopes`` (m, n_theta). The level has a kink where two meet.
-    """
+    """Several eigenvalues of X Y to first order: ``log beta(theta + d) = max_i (values_i + slopes_i^T d)``."""
 
     values: AnyArray
     slopes: AnyArray
@@ -85,28 +71,13 @@ class Level:
 
 
 class LevelSearch:
-    """Smallest levels of ``plant(theta, beta)`` in the units of one numerical scaling.
+    """Smallest levels of ``plant(theta, beta)`` in the units of one numerical scaling."""
 
-    ``plant``: the scaled plant for parameters theta at a level beta.
-    ``scaling``: numerical scaling of its states and channels, held fixed.
-    ``budget``: every test is counted there, and it is asked between tests. None: no limit.
-    """
+    def __init__(self, plant: Callable[[AnyArray, float], PlantMatrices], scaling: Scaling, budget: Budget) -> None:
+        self._plant, self.scaling, self.budget = plant, scaling, budget
 
-    def __init__(
-        self,
-        plant: Callable[[AnyArray, float], PlantMatrices],
-        scaling: Scaling,
-        budget: Budget | None = None,
-    ) -> None:
-        self._plant, self.scaling = plant, scaling
-        self.budget = Budget() if budget is None else budget
-
-    def smallest(self, theta: AnyArray, start: float, rtol: float | None = None) -> Level | None:
-        """The smallest level near ``start``; None where none is found.
-
-        Above it rho(X Y) < 1. It is bracketed by growing steps, and found by false position (Illinois) on log rho.
-        """
-        rtol = LEVEL_RTOL if rtol is None else rtol
+    def smallest(self, theta: AnyArray, start: float, rtol: float = LEVEL_RTOL) -> Level | None:
+        """The smallest level near ``start``; None where none is found."""
         high = low = None  # (log beta, log rho) with rho < 1; with rho > 1, or rho None where the test fails
         best: tuple[float, _Pair] | None = None
         log_beta, step = float(np.log(max(start, 1e-300))), 1e-4
@@ -139,12 +110,12 @@ class LevelSearch:
         """The largest eigenvalues of X Y, at and little below the level, by theta; None: no smooth level."""
         if not level.smooth:
             return None
-        n, most, step = len(self.scaling.states), MOST, STEP
-        self.budget.spend(dense(n, 2 * most) + 2 * (len(theta) + 1) * (FORM_WORK + n**3 // 100))
+        n, step = len(self.scaling.states), STEP
+        self.budget.spend(dense(n, 2 * MOST) + 2 * (len(theta) + 1) * (FORM_WORK + n**3 // 100))
         forms = self._frozen(theta, level)
         log_beta = float(np.log(level.beta))
         slope = (forms(theta, log_beta + step) - forms(theta, log_beta - step)) / (2 * step)
-        size = level.pair.eigenvalues[:most]
+        size = level.pair.eigenvalues[:MOST]
         below = np.log(size) * size / np.where(slope < 0, -slope, np.nan)
         if not below[0] > -np.inf:
             return None
@@ -170,7 +141,7 @@ class LevelSearch:
                 return None
             # X and Y belong to the states alone, whatever the coordinates of w, z, u, y.
             solved = RiccatiPair(self.scaling.gain, pair.X, pair.Y, pair.coupling)
-            K = TwoRiccatiProblem(self._scaled(theta, beta)).central_controller(solved)
+            K = TwoRiccatiProblem(self._scaled(theta, beta), False, self.budget).central_controller(solved)
             return StateSpaceModel(*self.scaling.controller_to_plant(K))
         except (NoTrustworthyNumber, InputError, np.linalg.LinAlgError):
             return None
@@ -195,13 +166,7 @@ class LevelSearch:
         return _Pair(X, F, Y, L, np.maximum(values, 1e-300), root @ vectors)
 
     def _solution(self, p: PlantMatrices) -> tuple[AnyArray, AnyArray] | None:
-        r"""Stabilising positive semidefinite solution and its gain; None where R or X has the wrong signs.
-
-        X is semidefinite where the plant is stable with the control that is best without disturbances,
-        ``A_0 = A - B_2 R_22^{-1} (B_2^T X + S_2^T)``: with it the equation is ``A_0^T X + X A_0 + P^T P = 0`` for some
-        P. Unlike the signs of X's eigenvalues, which are lost where these span more than 16 decades, that is
-        independent of the units of the states.
-        """
+        """Stabilising positive semidefinite solution and its gain; None where R or X has the wrong signs."""
         A, B, Q, R, S, n_w = _quadratic(p, self.scaling.gain)
         if int((np.linalg.eigvalsh(R) < 0).sum()) != n_w:
             return None

@@ -1,15 +1,4 @@
-r"""A robust-performance problem: its first controller, and controllers solved for given scalings, closed and proved.
-
-For given D, G the smallest level is an H-infinity problem (`LevelSearch`); its central controller is closed with the
-plant as given, and counts by what the same D, G prove for the loop rebuilt (`proved_level`).
-
-The first controller: H-infinity synthesis for all channels of a perturbed plant weighs perturbations in the units they
-happen to have, and its controller may be far from any good one. The nominal problem has the units of the
-specifications; but where nothing in it disturbs the plant, its best controller is little more than a feedforward. A
-small disturbance d on the controls asks for feedback:
-
-.. math:: u = K y + \eta \, \mathrm{diag}(\|T_{u_i w}\|_\infty) \, d
-"""
+"""A robust-performance problem: its first controller, and controllers solved for given scalings, closed and proved."""
 
 from __future__ import annotations
 
@@ -30,7 +19,7 @@ from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, plant_at_level, proved_level
 from robustlab.synthesis.dk.riccati_level import LevelSearch
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
-from robustlab.synthesis.hinf.search import Search, soften
+from robustlab.synthesis.hinf.search import Search, channel_gains, soften, trial_loop
 from robustlab.synthesis.problem.certify import SHARES, certified
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
@@ -54,42 +43,32 @@ BELOW_ONE = 1 - 2e-6  # a level that is claimed to a millionth, so that it is be
 NOMINAL_POINTS = 80  # frequencies for the size of that control
 
 
-def nominal_start(
-    plant: GeneralizedPlant,
-    n_w: int,
-    n_z: int,
-    budget: Budget,
-) -> StateSpaceModel | None:
+def nominal_start(plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget) -> StateSpaceModel | None:
     """H-infinity controller of the last ``n_w`` w and ``n_z`` z with a small disturbance on every control.
 
-    None where no controller was verified, or where the control has nothing to do.
+    The nominal problem has the units of the specifications, but where nothing in it disturbs the plant its best
+    controller is little more than a feedforward. None where no controller was verified, or the control does nothing.
     """
-    m, n_u, n_y, gamma_rel = plant.model, plant.n_con, plant.n_meas, NOMINAL_GAMMA_REL
+    m, n_u, n_y = plant.model, plant.n_con, plant.n_meas
     into = np.arange(m.n_inputs - n_u - n_w, m.n_inputs)
     out = np.arange(m.n_outputs - n_y - n_z, m.n_outputs)
     B, C, D = m.B[:, into], m.C[out], m.D[out][:, into]
     try:
         bare = GeneralizedPlant(StateSpaceModel(m.A, B, C, D, m.dt), n_y, n_u)
-        first = synthesize(bare, "hinf", gamma_rel, budget.share(0.5))
-        # eta times what the control does without the disturbance
-        size = NOMINAL_SHARE * _effort(m.A, B, C[n_z:], D[n_z:], first.K, NOMINAL_POINTS)
+        K = synthesize(bare, "hinf", NOMINAL_GAMMA_REL, budget.share(0.5)).K
+        # From all w to the controls.
+        rows, direct = np.vstack([np.zeros((n_u, len(m.A))), C[n_z:]]), np.eye(n_u, n_w + n_u, n_w)
+        seen = StateSpaceModel(m.A, B, rows, np.vstack([direct, D[n_z:]]), m.dt)
+        loop = lower_lft(seen, StateSpaceModel(K.A, K.B, K.C, K.D, K.dt))
+        gains = np.linalg.norm(frequency_response(loop, default_grid(loop, NOMINAL_POINTS)), axis=2)
+        size = NOMINAL_SHARE * gains.max(axis=0)
         if not (np.isfinite(size).all() and size.any()):
             return None
-        more_B, more_D = B[:, n_w:] * size, D[:, n_w:] * size
-        disturbed = StateSpaceModel(m.A, np.hstack([more_B, B]), C, np.hstack([more_D, D]), m.dt)
-        return synthesize(GeneralizedPlant(disturbed, n_y, n_u), "hinf", gamma_rel, budget).K
+        wide, direct = np.hstack([B[:, n_w:] * size, B]), np.hstack([D[:, n_w:] * size, D])
+        disturbed = GeneralizedPlant(StateSpaceModel(m.A, wide, C, direct, m.dt), n_y, n_u)
+        return synthesize(disturbed, "hinf", NOMINAL_GAMMA_REL, budget).K
     except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow, or nothing was verified
         return None
-
-
-def _effort(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, K: StateSpaceModel, points: int) -> AnyArray:
-    """Largest gain from all w to each control on a grid, shape (n_u,); B, C, D from [w; u] to y."""
-    n_u, n = K.n_outputs, len(A)
-    n_w = B.shape[1] - n_u
-    direct = np.hstack([np.zeros((n_u, n_w)), np.eye(n_u)])
-    bare = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)
-    loop = lower_lft(StateSpaceModel(A, B, np.vstack([np.zeros((n_u, n)), C]), np.vstack([direct, D]), K.dt), bare)
-    return np.linalg.norm(frequency_response(loop, default_grid(loop, points)), axis=2).max(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,19 +95,10 @@ class DKProof(NamedTuple):
 
 
 class RobustProblem:
-    """Plant, structure and regularisation of a robust-performance synthesis.
+    """Plant, structure and regularisation of a robust-performance synthesis."""
 
-    ``plant``: generalised plant as given; its w and z are exactly the channels of the structure.
-    ``budget``: what is done is counted there, and it is asked between steps; each stage of a search may put its own.
-    None: no limit.
-    """
-
-    def __init__(
-        self,
-        plant: GeneralizedPlant,
-        budget: Budget | None = None,
-    ) -> None:
-        self.plant, self.budget = plant, Budget() if budget is None else budget
+    def __init__(self, plant: GeneralizedPlant, budget: Budget) -> None:
+        self.plant, self.budget = plant, budget
         self._continuous = GeneralizedPlant(_mapped(plant.model), plant.n_meas, plant.n_con)
         self.bare = self._continuous.matrices()
         self.matrices = self.bare
@@ -185,12 +155,7 @@ class RobustProblem:
         return best
 
     def softened(self, iterate: Iterate, limit: float) -> Iterate:
-        """The same scalings with the controller of slowest poles whose proved level is at most ``limit``.
-
-        The central controller at the smallest level has poles that run away to infinity; at a level a little higher
-        they are slower by orders of magnitude, and slower once more with penalties on u and noises on y as large as
-        the limit allows.
-        """
+        """The same scalings with the controller of slowest poles whose proved level is at most ``limit``."""
         if not iterate.level:  # a static loop that lets nothing through
             return iterate
         search = self.search(iterate.scalings)
@@ -271,38 +236,25 @@ class RobustProblem:
         return GeneralizedPlant(StateSpaceModel(model.A, model.B, model.C, D), self.plant.n_meas, self.plant.n_con)
 
     def regularise(self, iterate: Iterate, share: float) -> None:
-        r"""Add weak penalties on u and x and noises on y and x where the plant is singular for the Riccati equations.
-
-        Each channel gets about ``share`` of the gain of the present scaled loop, ``eps_u = share beta / ||T_uw||`` and
-        so on: the smallest level rises by the square of it.
-        """
+        """Add weak penalties on u and x and noises on y and x where the plant is singular for the Riccati equations."""
         if self._regular:
             return
         self.budget.spend(dense(iterate.loop.n_states + iterate.scalings.n_states, 4))
-        n, n_w, n_u, n_z, n_y = self.bare.sizes
-        into = self.scale.states * self.scale.rate
+        _, _, n_u, _, n_y = self.bare.sizes
+        out, into = 1 / self.scale.states, self.scale.states * self.scale.rate
         try:
-            wide = self.bare.with_channels(1.0, 1.0, 1 / self.scale.states, into)
-            open_loop = plant_at_level(wide, iterate.scalings, 1.0).model()
+            wide = plant_at_level(self.bare.with_channels(1.0, 1.0, out, into), iterate.scalings, 1.0)
             K = with_direct_term(_mapped(iterate.K), -self._continuous.D22)  # taken out again
-            loop = lower_lft(open_loop, K)
-            response = frequency_response(loop, default_grid(loop, 80))
-        except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
+        except (InputError, NoTrustworthyNumber):
             return
-        size = np.linalg.norm
-        # Rows [z; u; x], columns [w; noise on y; x].
-        u = size(response[:, n_z : n_z + n_u, :n_w], axis=2).max(axis=0)
-        y = size(response[:, :n_z, n_w : n_w + n_y], axis=1).max(axis=0)
-        out = float(size(response[:, n_z + n_u :, :n_w], 2, axis=(1, 2)).max(initial=0.0)) if n else 0.0
-        back = float(size(response[:, :n_z, n_w + n_y :], 2, axis=(1, 2)).max(initial=0.0)) if n else 0.0
+        gains = channel_gains(trial_loop(wide, Realisation.of(K)), self.bare.sizes)
+        if gains is None:
+            return
+        # Each channel gets about this share of the gain of the scaled loop: the smallest level rises by its square.
         level = share * iterate.level
-        state_level = STATE_SHARE * level
-        least = level  # no channel heavier than one in these units
+        u, y, x_out, x_in = (level / np.maximum(g, level) for g in gains)  # none heavier than one in these units
         self.matrices = self.bare.with_channels(
-            level / np.maximum(u, least) / np.sqrt(n_u),
-            level / np.maximum(y, least) / np.sqrt(n_y),
-            state_level / max(out, least) / self.scale.states,
-            state_level / max(back, least) * into,
+            u / np.sqrt(n_u), y / np.sqrt(n_y), STATE_SHARE * x_out * out, STATE_SHARE * x_in * into
         )
 
 

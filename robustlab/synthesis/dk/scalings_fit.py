@@ -1,9 +1,4 @@
-r"""Optimal scalings of a closed loop at single frequencies, and rational ones of low order that come close to them.
-
-The second half of a D-K iteration with K fixed: at each frequency the D, G of the smallest upper bound of mu, on a grid
-that follows mu and D; then factors d(s) whose modulus is close to D there, :math:`\min_d \sum_k w_k^2 \big(\log
-|d(j\omega_k)| - \log d_k\big)^2`, of growing order until the scaled peak is close to that of mu.
-"""
+"""Optimal scalings of a closed loop at single frequencies, and rational ones of low order that come close to them."""
 
 from __future__ import annotations
 
@@ -17,7 +12,6 @@ from robustlab.budget import Budget, dense
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_work, upper_bounds
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.dk.constants import FIRST_POINTS
 from robustlab.synthesis.dk.dynamic_scalings import (
     BlockScaling,
     DynamicScalings,
@@ -27,6 +21,7 @@ from robustlab.synthesis.dk.dynamic_scalings import (
 )
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
+FIRST_POINTS = 40  # frequencies before any is added
 ROUNDS = 3  # rounds of refinement ...
 ADDED = 24  # ... and frequencies added in each; more: fewer peaks missed, more work
 CHUNK = 8  # frequencies between two looks at the budget
@@ -40,9 +35,6 @@ REACH = 2.3  # ... and so far (logarithm) beyond: farther ones cost the synthesi
 FIT_EVALUATIONS = 60  # of one least-squares fit
 
 FIT_WORK = 6000  # of a fit of first order, as measured; it rises with the square of the order
-
-
-# --- optimal scalings at single frequencies ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,18 +61,8 @@ def as_complex(blocks: Sequence[Block]) -> tuple[Block, ...]:
     return tuple(b.as_complex() for b in blocks)
 
 
-def mu_curve(
-    loop: StateSpaceModel,
-    blocks: Sequence[Block],
-    budget: Budget,
-    first: AnyArray | None = None,
-) -> MuCurve:
-    """The curve of a stable continuous loop on frequencies that follow it.
-
-    The rising frequencies ``first`` (those of `default_grid` where left out); then, round by round, the middles of the
-    intervals in which mu is close to its peak or the entries of D change most, the most urgent ones first. Where
-    the budget is over after some of them, it is left at those (the first ones are spread over all).
-    """
+def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, first: AnyArray | None = None) -> MuCurve:
+    """The curve of a stable continuous loop on frequencies that follow it."""
     grid = default_grid(loop, FIRST_POINTS, 1.0) if first is None else first
     # Every so-many-th frequency first, as far as the budget goes.
     stride = max(1, len(grid) // CHUNK)
@@ -113,10 +95,7 @@ def mu_curve(
 
 
 def _until(
-    loop: StateSpaceModel,
-    blocks: Sequence[Block],
-    omega: AnyArray,
-    budget: Budget,
+    loop: StateSpaceModel, blocks: Sequence[Block], omega: AnyArray, budget: Budget
 ) -> tuple[AnyArray, list[UpperBound]]:
     """Responses and bounds at the first of the frequencies, as far as the budget goes, and at some of them always."""
     responses: list[AnyArray] = []
@@ -131,22 +110,10 @@ def _until(
     return np.concatenate(responses), bounds
 
 
-# --- rational scalings fitted to them ---------------------------------------------------------------------------------
-
-
 def fitted_scalings(
-    curve: MuCurve,
-    blocks: Sequence[Block],
-    loss: float,
-    max_states: int,
-    budget: Budget,
+    curve: MuCurve, blocks: Sequence[Block], loss: float, max_states: int, budget: Budget
 ) -> DynamicScalings:
-    """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be.
-
-    All factors start as constants; in each round that one gets one order more which lowers the peak most for the states
-    it costs, or all of them where no single one does: a block that drifts away from all others needs that. At most
-    ``max_states`` states are spent.
-    """
+    """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be."""
     fit = _Fit(curve, blocks, budget)
     scalings = fit.constants()
     score = fit.score(scalings)
@@ -175,16 +142,10 @@ def fitted_scalings(
 class _Fit:
     """Factors of every order fitted to a curve, each of them once."""
 
-    def __init__(
-        self,
-        curve: MuCurve,
-        blocks: Sequence[Block],
-        budget: Budget,
-    ) -> None:
+    def __init__(self, curve: MuCurve, blocks: Sequence[Block], budget: Budget) -> None:
         self.curve, self.blocks, self.budget = curve, blocks, budget
         # A factor may be off by as much (in logarithms) as mu lies below its peak.
-        room = ROOM
-        self.weights = room / (room + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
+        self.weights = ROOM / (ROOM + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
         self.targets, self.mixings = _targets(curve, blocks)
         self.known: dict[tuple[int, int, int], Factor] = {}
 
@@ -243,17 +204,8 @@ def _orders(scalings: DynamicScalings) -> list[int]:
     return [f.order for part in scalings.parts for f in part.factors]
 
 
-def _fit_factor(
-    omega: AnyArray,
-    log_d: AnyArray,
-    weights: AnyArray,
-    before: Factor | None,
-) -> Factor:
-    r"""Factor with ``log |d(j omega)|`` close to the given values, by weighted least squares.
-
-    A constant where ``before`` is None; else of one order more than ``before``, with the better of two starts: the new
-    section in the middle, or where ``before`` is furthest off.
-    """
+def _fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Factor | None) -> Factor:
+    """Factor with ``log |d(j omega)|`` close to the given values, by weighted least squares."""
     from scipy.optimize import least_squares
 
     if before is None:
@@ -289,11 +241,7 @@ def _bounds(factor: Factor, low: float, high: float) -> tuple[AnyArray, AnyArray
 
 
 def _targets(curve: MuCurve, blocks: Sequence[Block]) -> tuple[list[list[AnyArray]], list[tuple[float, ...]]]:
-    """For each block its ``log d(omega)`` a factor, and the constant mixing of a repeated scalar.
-
-    T comes from the real part of D at the highest level, ``Re D = T^T diag T``; what is left of D elsewhere is fitted
-    on its diagonal.
-    """
+    """For each block its ``log d(omega)`` a factor, and the constant mixing of a repeated scalar."""
     one = reference_block(blocks)
     slices = block_slices(blocks)
     D = np.stack([bound.Dw for bound in curve.bounds])

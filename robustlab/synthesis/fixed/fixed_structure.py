@@ -12,16 +12,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.budget import NOT_REPEATABLE, Budget, one_thread
+from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, gain_within
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.fixed.constants import VERIFIED, WORK
 from robustlab.synthesis.fixed.structure_starts import informed_starts
-from robustlab.synthesis.laws.controller_laws import Law, RelabelledLaw, model_of
+from robustlab.synthesis.laws.controller_laws import Law
 from robustlab.synthesis.laws.controller_structures import as_structure
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
@@ -35,6 +34,10 @@ from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
+# Work of a design at effort 1.
+WORK = 60 * MILLION
+# Candidates that are verified, best first; the optimiser's own norm is not a proof. More: slower, seldom better.
+VERIFIED = 4
 # Most scenarios.
 ROUNDS = 12
 # Worst-case gain over the scenarios' gain at which the scenarios count as enough. Smaller: more rounds.
@@ -87,7 +90,28 @@ class LimitValue:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FixedSynthesis(Tabular, Synthesis):
+class ParametricDesign(Tabular, Synthesis):
+    """What designs of a given structure have: limits and parameters with their values."""
+
+    parameters: tuple[ParameterValue, ...]
+    limits: tuple[LimitValue, ...]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters' values by name; a start for another design."""
+        return {p.name: p.value for p in self.parameters}
+
+    def parameter_facts(self) -> Facts:
+        """A row for each limit and each of the first parameters."""
+        rows = [("limit", f"{limit.text}{' (active)' if limit.active else ''}") for limit in self.limits]
+        shown = self.parameters[:40]
+        rows += [(p.name, f"{p.value:.6g} {p.unit}{' (at its bound)' if p.at_bound else ''}".rstrip()) for p in shown]
+        more = len(self.parameters) - len(shown)
+        return [*rows, ("further parameters", str(more))] if more else rows
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FixedSynthesis(ParametricDesign):
     """A controller of a given structure; ``gamma`` bounds the largest norm over all models.
 
     Of an uncertain plant, ``gamma`` is the proved upper bound of the worst-case gain where that proof succeeded.
@@ -123,14 +147,16 @@ class FixedSynthesis(Tabular, Synthesis):
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("peak_frequency",), float),
     }  # fmt: skip
+    saved = (
+        *Synthesis.saved, "objective", "parameters", "gammas", "peak_frequency", "limits", "active", "starts",
+        "scenarios", "norms", "worst_case_gain",
+    )  # fmt: skip
 
     objective: str
-    parameters: tuple[ParameterValue, ...]
     gammas: tuple[float, ...]
     norms: tuple[HinfNorm | H2Norm, ...]
     closed_loops: tuple[StateSpaceModel, ...]
     peak_frequency: float
-    limits: tuple[LimitValue, ...]
     starts: tuple[Start, ...]
     scenarios: tuple[Mapping[str, Any], ...] = ()
     worst: WorstCaseGain | None = None
@@ -138,9 +164,9 @@ class FixedSynthesis(Tabular, Synthesis):
     uncertain: UncertainModel | None = None
 
     @property
-    def values(self) -> dict[str, float]:
-        """The parameters' values by name; a start for another design."""
-        return {p.name: p.value for p in self.parameters}
+    def worst_case_gain(self) -> WorstCaseGain | None:
+        """``worst``."""
+        return self.worst
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -162,31 +188,12 @@ class FixedSynthesis(Tabular, Synthesis):
             rows.insert(2, (label, ", ".join(f"{g:.5g}" for g in self.gammas)))
         stable = sum(s.gamma < float("inf") for s in self.starts)
         rows.append(("starts", f"{len(self.starts)}, of which {stable} stabilised"))
-        rows += [("limit", f"{limit.text}{' (active)' if limit.active else ''}") for limit in self.limits]
-        shown = self.parameters[:40]
-        rows += [(p.name, f"{p.value:.6g} {p.unit}{' (at its bound)' if p.at_bound else ''}".rstrip()) for p in shown]
-        if len(shown) < len(self.parameters):
-            rows.append(("further parameters", str(len(self.parameters) - len(shown))))
-        return rows
+        return [*rows, *self.parameter_facts()]
 
     def table(self) -> Table:
         """A row for each parameter of the controller; a column says its unit."""
         columns = {key: [getattr(p, key) for p in self.parameters] for key in ("value", "low", "high", "unit")}
         return Table(("parameter", [p.name for p in self.parameters]), columns)
-
-    def to_json(self) -> dict[str, Any]:
-        return super().to_json() | {
-            "objective": self.objective,
-            "parameters": [p.to_json() for p in self.parameters],
-            "gammas": list(self.gammas),
-            "peak_frequency": self.peak_frequency,
-            "limits": [limit.to_json() for limit in self.limits],
-            "active": list(self.active),
-            "starts": [s.to_json() for s in self.starts],
-            "scenarios": [dict(s) for s in self.scenarios],
-            "norms": [n.to_json() for n in self.norms],
-            "worst_case_gain": None if self.worst is None else self.worst.to_json(),
-        }
 
 
 @told_as("synth fixed")
@@ -273,28 +280,38 @@ def fixed_structure(
     >>> round(design.gamma**2, 4), round(design.values["K[u2,y3]"], 3)
     (2.4142, -2.414)
     """
-    _check(objective, limits, starts)
+    if objective not in ("hinf", "h2"):
+        raise InputError(WHERE, f"objective is {objective!r}", '"hinf" or "h2"')
+    check_starts(WHERE, starts)
+    for limit in limits:
+        if not isinstance(limit, Limit):
+            raise InputError(f"{WHERE}: limits", f"{limit!r}", "Decay, Damping, Bandwidth, StableController, RollOff")
     budget = design_budget(WHERE, WORK, effort, time_limit)
     plants = _plants(P, n_meas, n_con)
     say = progress or (lambda _: None)
     with one_thread():
         first = plants[0]
-        law = as_structure(structure, common_scaling(plants)[0].rate).law(
-            first.measurements, first.controls, first.model.dt
-        )
-        law = bounded_law(law, bounds or {})
+        law = law_of(first, structure, bounds)
         given = [("given", p) for p in given_starts(law, start)]
-        search = _Search(starts, seed, say)
+
+        def design(problem: DesignProblem, known: Sequence[tuple[str, AnyArray]]) -> FixedSynthesis:
+            return _best_verified(problem, multi_start(problem, known, starts, seed, say))
+
         if first.blocks:
             if objective != "hinf":
-                raise InputError(
-                    WHERE, f"objective {objective!r} of an uncertain plant", '"hinf", or a list of members'
-                )
-            return search.for_worst_member(first, law, limits, given, budget)
+                expected = '"hinf", or a list of members'
+                raise InputError(WHERE, f"objective {objective!r} of an uncertain plant", expected)
+            return _for_worst_member(first, law, limits, given, budget, design, say)
         problem = DesignProblem(plants, law, objective, limits, budget)
         if objective == "h2":
             require_finite_h2(problem)
-        return search.result(problem, [*given, *informed_starts(problem, seed, say)])
+        return design(problem, [*given, *informed_starts(problem, seed, say)])
+
+
+def law_of(plant: GeneralizedPlant, structure: Any, bounds: Mapping[str, tuple[float, float]] | None) -> Law:
+    """The law of a structure in its friendly forms on the plant's signals, with these bounds by name."""
+    law = as_structure(structure, common_scaling([plant])[0].rate)
+    return bounded_law(law.law(plant.measurements, plant.controls, plant.model.dt), bounds or {})
 
 
 def check_starts(where: str, starts: int) -> None:
@@ -303,30 +320,20 @@ def check_starts(where: str, starts: int) -> None:
         raise InputError(where, f"starts is {starts!r}", "a whole number from 0 to 10000")
 
 
-def _check(objective: str, limits: Sequence[Limit], starts: int) -> None:
-    if objective not in ("hinf", "h2"):
-        raise InputError(WHERE, f"objective is {objective!r}", '"hinf" or "h2"')
-    check_starts(WHERE, starts)
-    for limit in limits:
-        if not isinstance(limit, Limit):
-            raise InputError(f"{WHERE}: limits", f"{limit!r}", "Decay, Damping, Bandwidth, StableController, RollOff")
-
-
 def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPlant]:
     given = list(P) if isinstance(P, (list, tuple)) else [P]
     if not given:
         raise InputError(WHERE, "an empty list of plants", "at least one")
     plants = [as_generalized_plant(plant, n_meas, n_con, WHERE) for plant in given]
     first = plants[0]
-    for i, other in enumerate(plants[1:], start=2):
-        if (other.n_meas, other.n_con) != (first.n_meas, first.n_con) or other.model.dt != first.model.dt:
-            found = f"plant {i} has {other.n_meas} measurements, {other.n_con} controls, dt = {other.model.dt:g} s"
+    for i, plant in enumerate(plants, start=1):
+        if (plant.n_meas, plant.n_con) != (first.n_meas, first.n_con) or plant.model.dt != first.model.dt:
+            found = f"plant {i} has {plant.n_meas} measurements, {plant.n_con} controls, dt = {plant.model.dt:g} s"
             expected = f"{first.n_meas}, {first.n_con} and {first.model.dt:g} s as plant 1"
             raise InputError(WHERE, found, expected)
-        if other.blocks or first.blocks:
-            raise InputError(
-                WHERE, "an uncertain model in a list of plants", "its members (evaluate), or the set alone"
-            )
+        if plant.blocks and len(plants) > 1:
+            expected = "its members (evaluate), or the set alone"
+            raise InputError(WHERE, "an uncertain model in a list of plants", expected)
     for i, plant in enumerate(plants, start=1):
         place = WHERE if len(plants) == 1 else f"{WHERE}: plant {i}"
         require_performance(plant, place)
@@ -341,12 +348,9 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
 
 def bounded_law(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
     """The law with these bounds of its parameters, by name."""
-    if not bounds:
-        return law
-    names = [p.name for p in law.parameters]
     parameters = list(law.parameters)
     for name, pair in bounds.items():
-        j = _place(name, names)
+        j = _place(name, law)
         try:
             low, high = (float(x) for x in pair)
         except (TypeError, ValueError):
@@ -354,17 +358,18 @@ def bounded_law(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
         if not low <= high:
             raise InputError(f"{WHERE}: bounds of {name}", f"({low:g}, {high:g})", "low <= high")
         parameters[j] = replace(parameters[j], low=low, high=high, start=float(np.clip(parameters[j].start, low, high)))
-    return RelabelledLaw(law, tuple(parameters))
+    return replace(law, parameters=tuple(parameters))
 
 
 def parameter_values(law: Law, p: AnyArray) -> tuple[ParameterValue, ...]:
     """The parameters of a law with their values."""
     return tuple(
-        ParameterValue(q.name, float(x), q.unit, q.low, q.high) for q, x in zip(law.parameters, p, strict=True)
+        ParameterValue(q.name, x, q.unit, q.low, q.high) for q, x in zip(law.parameters, p.tolist(), strict=True)
     )
 
 
-def _place(name: str, names: list[str]) -> int:
+def _place(name: str, law: Law) -> int:
+    names = [p.name for p in law.parameters]
     if name not in names:
         hint = did_you_mean(name, names)
         raise InputError(f"{WHERE}: parameter {name!r}", "no such parameter", f"one of {', '.join(names[:20])}", hint)
@@ -373,11 +378,8 @@ def _place(name: str, names: list[str]) -> int:
 
 def given_starts(law: Law, start: Any) -> list[AnyArray]:
     """Starts that were given, as parameters; what a start leaves out is the structure's own."""
-    if start is None:
-        return []
     if isinstance(start, Mapping) or not isinstance(start, Iterable):
-        start = [start]
-    names = [p.name for p in law.parameters]
+        start = [] if start is None else [start]
     found: list[AnyArray] = []
     for item in start:
         values = item if isinstance(item, Mapping) else getattr(item, "values", None)
@@ -385,10 +387,10 @@ def given_starts(law: Law, start: Any) -> list[AnyArray]:
             raise InputError(f"{WHERE}: start", f"{type(item).__name__}", "values by parameter name")
         p = np.array([q.start for q in law.parameters], dtype=float)
         for name, value in values.items():
-            q = law.parameters[_place(name, names)]
+            q = law.parameters[j := _place(name, law)]
             if not q.low <= float(value) <= q.high:
                 raise InputError(f"{WHERE}: start of {name}", f"{value}", f"{q.low:g} to {q.high:g}")
-            p[names.index(name)] = float(value)
+            p[j] = float(value)
         found.append(p)
     return found
 
@@ -396,77 +398,62 @@ def given_starts(law: Law, start: Any) -> list[AnyArray]:
 # --- search -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """The search for the parameters of a law, and what makes a verified design of what it finds."""
-
-    starts: int
-    seed: int
-    say: Callable[[str], None]
-
-    def result(self, problem: DesignProblem, given: Sequence[tuple[str, AnyArray]]) -> FixedSynthesis:
-        """The best verified design; ``given`` are pairs of a kind and parameters to start from as well."""
-        found = multi_start(problem, given, self.starts, self.seed, self.say)
-        best_first = [start for start in found[:VERIFIED] if np.isfinite(start.gamma)]
-        kept: list[FixedSynthesis] = []
-        for start in best_first:
-            design = _verified(problem, start)
-            kept += [] if design is None else [design]
-            if design is not None and design.status.trustworthy:
-                break
-        if not kept:
-            raise not_found(problem, found)
-        best = min(kept, key=lambda d: (not d.status.trustworthy, d.gamma))
-        parts = [best.reason, f"{len(found)} starts; a local optimum"]
-        status, reason = told(best.status, parts, problem.budget)
-        return replace(best, starts=tuple(found), status=status, reason=reason)
-
-    def for_worst_member(
-        self,
-        plant: GeneralizedPlant,
-        law: Law,
-        limits: Sequence[Limit],
-        given: Sequence[tuple[str, AnyArray]],
-        budget: Budget,
-    ) -> FixedSynthesis:
-        """Design on scenarios, find the worst Delta of the loop, add it, and repeat; the best by its proved bound."""
-        uncertain = UncertainModel(plant.model, plant.blocks)
-        deltas: list[Mapping[str, Any]] = [{}]
-        members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
-        best: FixedSynthesis | None = None
-        last: list[tuple[str, AnyArray]] = []
-        for number in range(ROUNDS):
-            if best is not None and budget.over:
-                break
-            try:
-                part = budget.share(DESIGN_SHARE)
-                found = self.result(DesignProblem(members, law, "hinf", limits, part), [*last, *given])
-            except NoTrustworthyNumber:
-                if best is None:
-                    raise
-                break
-            last = [("given", np.array([p.value for p in found.parameters]))]
-            loop = UncertainModel(lower_lft(uncertain.M, found.K), uncertain.blocks)
-            worst = gain_within(loop, budget.share(SEARCH_SHARE), tolerance=0.02)
-            found = replace(found, worst=worst, scenarios=tuple(deltas), uncertain=uncertain)
-            gains = f"gain {found.gamma:.5g}, worst member {worst.lower:.5g}"
-            self.say(f"round {number + 1}: {len(members)} scenarios, {gains}")
-            if best is None or _order(found) < _order(best):
-                best = found
-            if worst.lower <= ENOUGH * found.gamma:
-                break
-            member = _member(uncertain, worst)
-            if member is None:
-                break
-            deltas.append(dict(worst.delta))
-            members.append(GeneralizedPlant(member, plant.n_meas, plant.n_con))
-        assert best is not None
-        return _with_worst_gain(best, budget)
+def _best_verified(problem: DesignProblem, found: Sequence[Start]) -> FixedSynthesis:
+    """The best verified design of some starts, best first."""
+    kept: list[FixedSynthesis] = []
+    for start in found[:VERIFIED]:
+        design = _verified(problem, start) if np.isfinite(start.gamma) else None
+        kept += [] if design is None else [design]
+        if design is not None and design.status.trustworthy:
+            break
+    if not kept:
+        raise not_found(problem, found)
+    best = min(kept, key=lambda d: (not d.status.trustworthy, d.gamma))
+    parts = [best.reason, f"{len(found)} starts; a local optimum"]
+    status, reason = told(best.status, parts, problem.budget)
+    return replace(best, starts=tuple(found), status=status, reason=reason)
 
 
-def _order(design: FixedSynthesis) -> tuple[float, float]:
-    worst = design.worst
-    return (np.inf, np.inf) if worst is None else (worst.lower, worst.upper)
+def _for_worst_member(
+    plant: GeneralizedPlant,
+    law: Law,
+    limits: Sequence[Limit],
+    given: Sequence[tuple[str, AnyArray]],
+    budget: Budget,
+    design: Callable[[DesignProblem, Sequence[tuple[str, AnyArray]]], FixedSynthesis],
+    say: Callable[[str], None],
+) -> FixedSynthesis:
+    """Design on scenarios, find the worst Delta of the loop, add it, and repeat; the best by its proved bound."""
+    uncertain = UncertainModel(plant.model, plant.blocks)
+    deltas: list[Mapping[str, Any]] = [{}]
+    members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
+    best: FixedSynthesis | None = None
+    last: list[tuple[str, AnyArray]] = []
+    for number in range(ROUNDS):
+        if best is not None and budget.over:
+            break
+        try:
+            problem = DesignProblem(members, law, "hinf", limits, budget.share(DESIGN_SHARE))
+            found = design(problem, [*last, *given])
+        except NoTrustworthyNumber:
+            if best is None:
+                raise
+            break
+        last = [("given", np.array([p.value for p in found.parameters]))]
+        loop = UncertainModel(lower_lft(uncertain.M, found.K), uncertain.blocks)
+        worst = gain_within(loop, budget.share(SEARCH_SHARE), tolerance=0.02)
+        found = replace(found, worst=worst, scenarios=tuple(deltas), uncertain=uncertain)
+        gains = f"gain {found.gamma:.5g}, worst member {worst.lower:.5g}"
+        say(f"round {number + 1}: {len(members)} scenarios, {gains}")
+        if best is None or best.worst is None or (worst.lower, worst.upper) < (best.worst.lower, best.worst.upper):
+            best = found
+        member = _member(uncertain, worst) if worst.lower > ENOUGH * found.gamma else None
+        if member is None:
+            break
+        deltas.append(dict(worst.delta))
+        members.append(GeneralizedPlant(member, plant.n_meas, plant.n_con))
+    assert best is not None
+    return _with_worst_gain(best, budget)
 
 
 def _member(uncertain: UncertainModel, worst: WorstCaseGain) -> StateSpaceModel | None:
@@ -506,7 +493,7 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
     plants, law, objective = problem.plants, problem.law, problem.objective
     first = plants[0]
     try:
-        K = model_of(law, start.p, first.model.dt, first.measurements, first.controls)
+        K = law.model(start.p, first.model.dt, first.measurements, first.controls)
         loops = tuple(plant.close(K) for plant in plants)
         norms = tuple(hinf_norm(loop) if objective == "hinf" else h2_by_gramians(loop) for loop in loops)
     except (InputError, NoTrustworthyNumber):  # entries overflow, or a loop is not well posed
@@ -518,15 +505,16 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
     proofs = [certified(plant, K, norm) for plant, norm in zip(plants, norms, strict=True)]
     gammas = tuple(proof.gamma for proof in proofs)
     worst = int(np.argmax(gammas))
-    status, reason = _trust(norms, [proof.doubt for proof in proofs if proof.doubt])
-    shown = norms[worst]
+    doubt, shown = next((proof.doubt for proof in proofs if proof.doubt), ""), norms[worst]
+    proved = all(isinstance(norm, HinfNorm) or norm.status is Status.CERTIFIED for norm in norms)
+    many = "loop" if len(norms) == 1 else f"{len(norms)} loops"
     peak = shown.frequency if isinstance(shown, HinfNorm) else np.nan
     return FixedSynthesis(
         K=K,
         gamma=max(gammas),
         closed_loop=loops[worst],
-        status=status,
-        reason=reason,
+        status=Status.INACCURATE if doubt else Status.CERTIFIED if proved else Status.CONVERGED,
+        reason=doubt or f"{many} rebuilt from K: stable, norm proved in ball arithmetic",
         limit=limiting_channels(loops[worst], peak) if np.isfinite(peak) else "",
         plant=plants[worst],
         method="fixed",
@@ -540,15 +528,6 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
         starts=(start,),
         plants=tuple(plants),
     )
-
-
-def _trust(norms: Sequence[HinfNorm | H2Norm], doubts: Sequence[str]) -> tuple[Status, str]:
-    if doubts:
-        return Status.INACCURATE, doubts[0]
-    proved = all(isinstance(norm, HinfNorm) or norm.status is Status.CERTIFIED for norm in norms)
-    loops = "loop" if len(norms) == 1 else f"{len(norms)} loops"
-    text = f"{loops} rebuilt from K: stable, norm proved in ball arithmetic"
-    return (Status.CERTIFIED if proved else Status.CONVERGED), text
 
 
 def require_finite_h2(problem: DesignProblem) -> None:

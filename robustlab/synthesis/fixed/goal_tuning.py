@@ -1,13 +1,7 @@
 r"""Controllers of a given structure for goals and several plants: hard goals met, the others made small.
 
-Every goal is a norm of a weighted closed loop of ``u = K (r - y)`` that is to be at most one. T_i leads from one group
-of signals to another: the references r, disturbances d at the controls and noise n on the measurements; the outputs y,
-the controls u, the total inputs u + d of the plant, and the errors r - y.
-
-With hard goals g and soft goals f the search makes :math:`\max(g, \alpha f)` small, first for alpha = 1, then again and
-again for alpha = 1 / (the f reached), from where it is: the value starts at 1 and falls, so that every step keeps the
-hard goals and lowers the soft ones, until both are 1. Where the hard goals are not met at first, alpha falls until they
-are, at last to 0.
+Every goal is the norm of a weighted loop of ``u = K (r - y)``, met where it is at most one. The search makes
+:math:`\max(g, \alpha f)` of hard goals g and soft goals f small, again and again for alpha = 1 / (the f reached).
 """
 
 from __future__ import annotations
@@ -27,32 +21,30 @@ from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.synthesis.fixed.constants import VERIFIED, WORK
 from robustlab.synthesis.fixed.fixed_structure import (
     KEPT,
+    VERIFIED,
+    WORK,
     LimitValue,
-    ParameterValue,
-    bounded_law,
+    ParametricDesign,
     check_starts,
     given_starts,
+    law_of,
     not_found,
     parameter_values,
     require_finite_h2,
 )
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
-from robustlab.synthesis.laws.controller_laws import Law, model_of
-from robustlab.synthesis.laws.controller_structures import as_structure
-from robustlab.synthesis.nonsmooth.constants import BARRIER_CLOSER
+from robustlab.synthesis.laws.controller_laws import Law
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.parameter_search import central_path, multi_start, polished
+from robustlab.synthesis.nonsmooth.parameter_search import BARRIER_CLOSER, central_path, multi_start, polished
 from robustlab.synthesis.problem.certify import certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
-from robustlab.synthesis.problem.gamma_bounds import pointwise_bound
+from robustlab.synthesis.problem.gamma_bounds import gamma_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
-from robustlab.synthesis.problem.scaling import common_scaling, equilibrated, paths_first
 from robustlab.synthesis.specifications.weight_design import performance_weight
-from robustlab.tables import Table, Tabular
+from robustlab.tables import Table
 
 INPUTS = ("reference", "disturbance", "noise")
 OUTPUTS = ("output", "control", "total", "error")
@@ -66,9 +58,6 @@ GOAL_START = 0.6
 GOAL_SHARES = (0.5, 0.2, 0.05, 0.01, 0.0)
 
 
-# --- goals ------------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, kw_only=True)
 class Goal:
     """What all goals have; ``hard`` ones must be met before the others are made small."""
@@ -79,10 +68,9 @@ class Goal:
     @property
     def text(self) -> str:
         """The goal in words: its numbers by name."""
-        word = type(self).__name__.removesuffix("Goal").lower()
         told = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("hard", "weight")}
         said = [f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in told.items() if v is not None]
-        return f"{word}: {', '.join(said)}"
+        return f"{type(self).__name__.removesuffix('Goal').lower()}: {', '.join(said)}"
 
     def channel(self, loop: GeneralizedPlant) -> GeneralizedPlant:
         """The generalised plant whose norm is at most one where the goal is met."""
@@ -107,6 +95,10 @@ class Goal:
         """Groups of inputs and of outputs, and the weight of what is between them."""
         raise NotImplementedError
 
+    def _positive(self, name: str) -> float:
+        number(f"goal: {name}", getattr(self, name), "a positive number", above=0)
+        return float(getattr(self, name))
+
 
 @dataclass(frozen=True)
 class TrackingGoal(Goal):
@@ -120,8 +112,7 @@ class TrackingGoal(Goal):
     outputs: Sequence[str] | None = None
 
     def _asked(self) -> tuple[str, str, Any]:
-        bandwidth = 2 / _positive("response_time", self.response_time)
-        return "reference", "error", performance_weight(bandwidth, self.error, self.peak)
+        return "reference", "error", performance_weight(2 / self._positive("response_time"), self.error, self.peak)
 
 
 @dataclass(frozen=True)
@@ -136,7 +127,7 @@ class SensitivityGoal(Goal):
     error: float = 1e-2
 
     def _asked(self) -> tuple[str, str, Any]:
-        peak, w_b = _positive("peak", self.peak), self.bandwidth
+        peak, w_b = self._positive("peak"), self.bandwidth
         return *_cut(self.at), 1 / peak if w_b is None else performance_weight(w_b, self.error, peak)
 
 
@@ -152,7 +143,7 @@ class GainGoal(Goal):
     weight: Any = 1.0
 
     def _asked(self) -> tuple[str, str, Any]:
-        share, weight = 1 / _positive("bound", self.bound), self.weight
+        share, weight = 1 / self._positive("bound"), self.weight
         numbers = isinstance(weight, (int, float, list, np.ndarray))
         return self.inputs, self.outputs, share * (np.array(weight) if numbers else as_model(weight, "goal: weight"))
 
@@ -169,7 +160,7 @@ class VarianceGoal(Goal):
     norm: ClassVar[str] = "h2"
 
     def _asked(self) -> tuple[str, str, Any]:
-        return self.inputs, self.outputs, 1 / _positive("bound", self.bound)
+        return self.inputs, self.outputs, 1 / self._positive("bound")
 
 
 @dataclass(frozen=True)
@@ -183,12 +174,7 @@ class MarginGoal(Goal):
     at: str = "output"
 
     def _asked(self) -> tuple[str, str, Any]:
-        return *_cut(self.at), _positive("disk", self.disk)
-
-
-def _positive(name: str, value: Any) -> float:
-    number(f"goal: {name}", value, "a positive number", above=0)
-    return float(value)
+        return *_cut(self.at), self._positive("disk")
 
 
 def _cut(at: str) -> tuple[str, str]:
@@ -222,23 +208,18 @@ def _loop(g: StateSpaceModel) -> GeneralizedPlant:
     return GeneralizedPlant(StateSpaceModel(g.A, g.B @ (u + d), C, D, g.dt, *signals, where="tune"), p, m)
 
 
-# --- the design -------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class GoalValue:
     """A goal, and what the design reaches of it."""
 
-    # text, hard, norm: the goal in words, whether it had to be met, "hinf" or "h2"
     text: str
     hard: bool
-    norm: str
+    norm: str  # "hinf" or "h2"
     # Verified norm of its weighted loop for every plant (H-infinity: upper bound): met where at most 1.
     values: tuple[float, ...]
     # Proved for every controller of any structure: no value is below it; NaN where it was not asked for.
     floor: float
-    # The plants whose loops with K have these norms, for `robustlab.verify`.
-    plants: tuple[GeneralizedPlant, ...]
+    plants: tuple[GeneralizedPlant, ...]  # whose loops with K have these norms, for `robustlab.verify`
 
     @property
     def value(self) -> float:
@@ -251,12 +232,11 @@ class GoalValue:
         return self.value <= 1
 
     def to_json(self) -> dict[str, Any]:
-        told = {name: value for name, value in vars(self).items() if name not in ("plants", "norm")}
-        return told | {"value": self.value, "met": self.met}
+        return {name: getattr(self, name) for name in ("text", "hard", "values", "floor", "value", "met")}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TunedSynthesis(Tabular, Synthesis):
+class TunedSynthesis(ParametricDesign):
     """A controller of given structure for goals, ``u = K (r - y)``.
 
     ``gamma`` is the largest value of the soft goals (of all goals where every one is hard); ``closed_loop`` is the loop
@@ -276,14 +256,9 @@ class TunedSynthesis(Tabular, Synthesis):
 
     quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "missed": float}
 
-    goals: tuple[GoalValue, ...]
-    limits: tuple[LimitValue, ...]
-    parameters: tuple[ParameterValue, ...]
+    saved = (*Synthesis.saved, "goals", "limits", "parameters")
 
-    @property
-    def values(self) -> dict[str, float]:
-        """The parameters' values by name; a start for another design."""
-        return {p.name: p.value for p in self.parameters}
+    goals: tuple[GoalValue, ...]
 
     @property
     def missed(self) -> tuple[GoalValue, ...]:
@@ -302,8 +277,7 @@ class TunedSynthesis(Tabular, Synthesis):
             word = ("hard" if goal.hard else "soft") + ("" if goal.met else ", missed" if goal.hard else ", above 1")
             floor = f"; no controller below {goal.floor:.4g}" if goal.floor > 1 else ""
             rows.append((goal.text, f"{goal.value:.4g} ({word}{floor})"))
-        rows += [("limit", f"{limit.text}{' (active)' if limit.active else ''}") for limit in self.limits]
-        return rows + [(p.name, f"{p.value:.6g} {p.unit}".rstrip()) for p in self.parameters[:40]]
+        return [*rows, *self.parameter_facts()]
 
     def table(self) -> Table:
         """A row for each goal."""
@@ -311,8 +285,7 @@ class TunedSynthesis(Tabular, Synthesis):
         return Table(("goal", [goal.text for goal in self.goals]), columns)
 
     def to_json(self) -> dict[str, Any]:
-        parts = {key: [x.to_json() for x in getattr(self, key)] for key in ("goals", "limits", "parameters")}
-        return super().to_json() | parts | {"missed": [goal.text for goal in self.missed]}
+        return super().to_json() | {"missed": [goal.text for goal in self.missed]}
 
 
 @told_as("synth tune")
@@ -379,35 +352,31 @@ def tune(
     for goal in goals:
         if not isinstance(goal, (Goal, Limit)):
             raise InputError("synth tune: goals", f"{goal!r}", "TrackingGoal, MarginGoal, ..., Damping, Decay, ...")
-    limits = [goal for goal in goals if isinstance(goal, Limit)]
-    if len(limits) == len(goals):
+    wanted, limits = ([goal for goal in goals if isinstance(goal, kind)] for kind in (Goal, Limit))
+    if not wanted:
         raise InputError("synth tune: goals", "none", "at least one goal beside the limits")
     check_starts("synth tune", starts)
     budget = design_budget("synth tune", WORK, effort, time_limit)
     loops = [_loop(g) for g in _plants(G)]
     with one_thread():
-        first = loops[0]
-        law = as_structure(structure, common_scaling([first])[0].rate)
-        law = bounded_law(law.law(first.measurements, first.controls, first.model.dt), bounds or {})
-        task = _Task(loops, [goal for goal in goals if isinstance(goal, Goal)], limits, law, budget)
+        law = law_of(loops[0], structure, bounds)
+        task = _Task(loops, wanted, limits, law, budget)
         given = [("given", p) for p in given_starts(law, start)]
         return task.judged(task.found(given, starts, seed, progress or (lambda _: None)))
 
 
 def _plants(G: Any) -> list[StateSpaceModel]:
-    given = list(G) if isinstance(G, (list, tuple)) else [G]
-    if not given:
+    models = [as_model(g, "synth tune: G") for g in (G if isinstance(G, (list, tuple)) else [G])]
+    if not models:
         raise InputError("synth tune", "an empty list of plants", "at least one")
-    models = [as_model(g, "synth tune: G") for g in given]
     first = models[0]
     if not first.n_inputs or not first.n_outputs:
         found = f"{first.n_outputs} outputs and {first.n_inputs} inputs"
         raise InputError("synth tune: G", found, "at least one of each")
     for i, other in enumerate(models[1:], start=2):
         if (other.input_names, other.output_names, other.dt) != (first.input_names, first.output_names, first.dt):
-            found = f"plant {i} has other signals or another sample time"
             expected = f"those of plant 1: {', '.join(first.input_names + first.output_names)}"
-            raise InputError("synth tune", found, expected)
+            raise InputError("synth tune", f"plant {i} has other signals or another sample time", expected)
     return models
 
 
@@ -423,12 +392,9 @@ class _Task:
 
     def _problem(self, alpha: float, budget: Budget) -> DesignProblem:
         """``max(g, alpha f)`` over all plants, hard goals a little harder; of the hard goals alone for alpha = 0."""
-        plants: list[GeneralizedPlant] = []
-        kinds: list[str] = []
-        for goal in self.goals:
-            if goal.hard or alpha:
-                plants += [_times(goal.channel(loop), HARDER if goal.hard else alpha) for loop in self.loops]
-                kinds += [goal.norm] * len(self.loops)
+        asked = [goal for goal in self.goals if goal.hard or alpha]
+        plants = [_times(g.channel(loop), HARDER if g.hard else alpha) for g in asked for loop in self.loops]
+        kinds = [goal.norm for goal in asked for _ in self.loops]
         return DesignProblem(plants, self.law, kinds, self.limits, budget, limited=self.loops if self.limits else [])
 
     def found(
@@ -464,12 +430,12 @@ class _Task:
             if self.budget.over or soft <= 0:
                 break
             q = improved(1 / soft, p)
-            other = reached(q)
-            if not (other[0] <= 1 and other[1] < soft):
+            hard, lower = reached(q)
+            if not (hard <= 1 and lower < soft):
                 break
-            settled = other[1] > soft * (1 - GOAL_PROGRESS)
-            p, soft = q, other[1]
-            say(f"round {k + 1}: hard goals {other[0]:.5g}, soft goals {soft:.5g}")
+            settled = lower > soft * (1 - GOAL_PROGRESS)
+            p, soft = q, lower
+            say(f"round {k + 1}: hard goals {hard:.5g}, soft goals {soft:.5g}")
             if settled:
                 break
         return p
@@ -477,7 +443,7 @@ class _Task:
     def judged(self, p: AnyArray) -> TunedSynthesis:
         """The design with every goal verified on loops rebuilt from K."""
         first = self.loops[0]
-        K = model_of(self.law, p, first.model.dt, first.measurements, first.controls)
+        K = self.law.model(p, first.model.dt, first.measurements, first.controls)
         whole = [loop.close(K) for loop in self.loops]
         limits = tuple(LimitValue(c.text, max(c.value(loop, K) for loop in whole)) for c in self.limits)
         if any(limit.value > KEPT for limit in limits):
@@ -489,11 +455,14 @@ class _Task:
         if doubts:
             status, parts = Status.INACCURATE, doubts[:1]
         elif missed:
-            parts = ["; ".join(f"hard goal missed: {goal.text} ({goal.value:.4g})" for goal in missed)]
             proved = any(goal.floor > 1 for goal in missed)
             status = Status.INFEASIBLE if proved else Status.INCONCLUSIVE
-            parts += ["no controller of any structure meets it (proved by a bound of gamma)"] * proved
-            parts += ["a local search: no proof that it cannot be met; take more starts"] * (not proved)
+            parts = ["; ".join(f"hard goal missed: {goal.text} ({goal.value:.4g})" for goal in missed)]
+            parts.append(
+                "no controller of any structure meets it (proved by a bound of gamma)"
+                if proved
+                else "a local search: no proof that it cannot be met; take more starts"
+            )
         else:
             status = Status.CONVERGED if any(goal.norm == "h2" for goal in goals) else Status.CERTIFIED
             hard = "every hard goal is met" if any(goal.hard for goal in goals) else "no hard goals"
@@ -505,17 +474,15 @@ class _Task:
         )  # fmt: skip
 
     def _value(self, goal: Goal, K: StateSpaceModel, doubts: list[str]) -> GoalValue:
-        values: list[float] = []
-        plants = [goal.channel(loop) for loop in self.loops]
+        plants, values = tuple(goal.channel(loop) for loop in self.loops), list[float]()
         for plant in plants:
             loop = plant.close(K)
-            norm = hinf_norm(loop) if goal.norm == "hinf" else h2_by_gramians(loop)
-            proof = certified(plant, K, norm)
+            proof = certified(plant, K, hinf_norm(loop) if goal.norm == "hinf" else h2_by_gramians(loop))
             doubts += [f"{goal.text}: {proof.doubt}"] * bool(proof.doubt)
             values.append(proof.gamma)
         asked = goal.hard and goal.norm == "hinf" and max(values) > 1
-        floor = max(_floor(plant) for plant in plants) if asked else float("nan")
-        return GoalValue(goal.text, goal.hard, goal.norm, tuple(values), floor, tuple(plants))
+        floor = max(gamma_bound(plant).value for plant in plants) if asked else float("nan")
+        return GoalValue(goal.text, goal.hard, goal.norm, tuple(values), floor, plants)
 
 
 def _times(plant: GeneralizedPlant, share: float) -> GeneralizedPlant:
@@ -523,10 +490,3 @@ def _times(plant: GeneralizedPlant, share: float) -> GeneralizedPlant:
     m, size = plant.model, np.where(np.arange(plant.model.n_outputs) < plant.n_z, share, 1.0)[:, None]
     model = StateSpaceModel(m.A, m.B, size * m.C, size * m.D, m.dt, m.inputs, m.outputs)
     return GeneralizedPlant(model, plant.n_meas, plant.n_con)
-
-
-def _floor(plant: GeneralizedPlant) -> float:
-    """What no controller of any structure gets below."""
-    matrices = plant.continuous().matrices()
-    bound = pointwise_bound(matrices, (paths_first(matrices), equilibrated(matrices)), plant.model.dt)
-    return bound.value if bound.proved else 0.0

@@ -1,7 +1,6 @@
 """Starts for controllers of a given order: the best static gain, and the full-order design brought to that order.
 
-With B_K = C_K = 0 the norm of the loop does not change with either to first order: a search that begins there stands
-still. Here the static gain is kept and B_K made nonzero, so that the norm is the static one and C_K has a slope.
+With B_K = C_K = 0 a search stands still: here B_K is made nonzero, so that C_K has a slope.
 """
 
 from __future__ import annotations
@@ -37,18 +36,8 @@ POLES = (0.3, 3.0)
 DISCRETE_POLES = (0.2, 0.8)
 
 
-def informed_starts(
-    problem: DesignProblem,
-    seed: int,
-    progress: Callable[[str], None],
-) -> list[tuple[str, AnyArray]]:
-    """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws.
-
-    ``problem``: the search that follows; at most half of what is left of its budget is used here. Its plants have no
-    uncertainty, and the full-order design is that of the first.
-    ``seed``: of that search.
-    ``progress``: called with a line after every start of the static search.
-    """
+def informed_starts(problem: DesignProblem, seed: int, progress: Callable[[str], None]) -> list[tuple[str, AnyArray]]:
+    """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws."""
     law, budget = problem.law, problem.budget
     if not isinstance(law, AffineLaw) or not _is_given_order(law):
         return []
@@ -89,12 +78,7 @@ def _held(law: AffineLaw, theta: AnyArray) -> AnyArray:
     return np.clip(p, [q.low for q in law.parameters], [q.high for q in law.parameters])
 
 
-def _static_gain(
-    problem: DesignProblem,
-    law: AffineLaw,
-    seed: int,
-    progress: Callable[[str], None],
-) -> AnyArray | None:
+def _static_gain(problem: DesignProblem, law: AffineLaw, seed: int, progress: Callable[[str], None]) -> AnyArray | None:
     """The best static gain with the law's free entries of D_K; None where none stabilises all plants."""
     k, plants = law.sizes[0], problem.plants
     static = StaticGain(_free(law)[k:, k:]).law(plants[0].measurements, plants[0].controls, problem.dt)
@@ -108,13 +92,7 @@ def _static_gain(
     return static.packed(best.p) if np.isfinite(best.gamma) else None
 
 
-def _extended(
-    problem: DesignProblem,
-    law: AffineLaw,
-    theta: AnyArray,
-    order: int,
-    seed: int,
-) -> AnyArray:
+def _extended(problem: DesignProblem, law: AffineLaw, theta: AnyArray, order: int, seed: int) -> AnyArray:
     """Packed matrices of a controller of a lower order with further stable states that act on nothing yet."""
     k, n_u, n_y = law.sizes
     more = k - order
@@ -128,12 +106,7 @@ def _extended(
     return full
 
 
-def _reduced(
-    plant: GeneralizedPlant,
-    order: int,
-    objective: str,
-    budget: Budget,
-) -> StateSpaceModel | None:
+def _reduced(plant: GeneralizedPlant, order: int, objective: str, budget: Budget) -> StateSpaceModel | None:
     """The full-order controller for the objective reduced to this order; None where either fails."""
     if budget.over:
         return None

@@ -1,5 +1,1 @@
-"""H2; H2 under an H-infinity bound.
-
-h2_synthesis         h2: two Riccati equations on a regularised plant
-
-"""
+"""H2 synthesis."""

@@ -42,8 +42,6 @@ PROOFS = 3
 # Largest residual of a Riccati solution: those of singular plants lose digits; the rebuilt loop decides.
 RESIDUAL = 1e-3
 
-__all__ = ["H2Synthesis", "cancelled_direct_term", "cancelling_gain", "h2", "synthesize_h2"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class H2Synthesis(Synthesis):
@@ -69,6 +67,9 @@ class H2Synthesis(Synthesis):
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("regularisation", "regularised_norm", "smallest_norm"), float),
     }  # fmt: skip
+    saved = (
+        *Synthesis.saved, "norm", "regularisation", "regularised_norm", "regularised_channels", "smallest_norm",
+    )  # fmt: skip
 
     norm: H2Norm
     regularisation: float
@@ -85,15 +86,6 @@ class H2Synthesis(Synthesis):
             return rows
         text = f"{self.regularisation:.0e} in scaled units; optimal norm with it {self.regularised_norm:.6g}"
         return [*rows[:2], ("regularisation", text), *rows[2:]]
-
-    def to_json(self) -> dict[str, Any]:
-        return super().to_json() | {
-            "norm": self.norm.to_json(),
-            "regularisation": self.regularisation,
-            "regularised_norm": self.regularised_norm,
-            "regularised_channels": list(self.regularised_channels),
-            "smallest_norm": self.smallest_norm,
-        }
 
 
 @told_as("synth h2")
@@ -175,12 +167,12 @@ def synthesize_h2(
     if not 1 <= gamma_rel <= 1e6:
         raise InputError(f"synth {method}", f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
     with one_thread():
-        return _Search(plant, method, budget, progress or (lambda _: None)).result(gamma_rel)
+        return _designed(plant, method, gamma_rel, budget, progress or (lambda _: None))
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A verified controller of one regularisation."""
+    """A controller of one regularisation, judged by the loop rebuilt on the plant as given."""
 
     K: StateSpaceModel
     loop: StateSpaceModel
@@ -192,151 +184,143 @@ class _Trial:
     bare: StateSpaceModel
 
 
-class _Search:
-    """One search; every trial is judged by the loop rebuilt on the plant as given."""
-
-    def __init__(
-        self,
-        plant: GeneralizedPlant,
-        method: str,
-        budget: Budget,
-        say: Callable[[str], None],
-    ) -> None:
-        self.plant, self.method, self.budget, self.say = plant, method, budget, say
-        self.where, self.dt, self.matrices = f"synth {method}", plant.model.dt, plant.matrices()
-        # What the search is for is the rest of K beside the direct term that cancels D11.
-        self.gain = cancelling_gain(self.matrices, self.dt, self.where)
-        self.shifted = _with_gain(self.matrices, self.gain)
-        self.trials: list[_Trial] = []
-
-    def result(self, gamma_rel: float) -> H2Synthesis:
-        for scale in (paths_first, equilibrated, by_magnitude):
-            if scale is by_magnitude and self.trials:
-                break
-            scaling = scale(self.shifted, self.dt > 0)
-            if self.dt:
-                scaling = scaling.in_steps()
-            if not self.trials:
-                _require_stabilisable(self.plant, self.shifted, scaling, self.where)
-            if self._ladder(scaling) or self.budget.over:
-                break
-        best = min(self.trials, key=lambda t: t.norm.value, default=None)
-        if best is None:
-            late = f" ({NOT_REPEATABLE})" if self.budget.struck else ""
-            raise NoTrustworthyNumber(
-                self.where,
-                f"no controller could be verified{late}: none was found, or none left the rebuilt loop stable",
-                hint="look at the plant's scaling and at poles and zeros on the stability boundary",
-            )
-        allowed = [t for t in self.trials if t.norm.value <= gamma_rel * best.norm.value] if best.eps else [best]
-        chosen = max(allowed, key=lambda t: t.eps)
-        others = [t for t in sorted(self.trials, key=lambda t: t.norm.value) if t is not chosen]
-        proofs: list[tuple[_Trial, Certificate]] = []
-        for trial in (chosen, *others)[:PROOFS]:
-            proofs.append((trial, certified(self.plant, trial.K, trial.norm)))
-            if not proofs[-1][1].doubt:
-                break
-        chosen, proof = proofs[0] if proofs[-1][1].doubt else proofs[-1]
-        return self._finished(chosen, *proof, best.norm.value)
-
-    def _ladder(self, scaling: Scaling) -> bool:
-        """Trials from no regularisation (where the plant allows it) or from a large one downwards; True where it
-        settled: the regular problem was solved, or smaller regularisations gained next to nothing.
-        """
-        scaled, regular = scaling.apply(self.shifted), REGULAR
-        size_u, size_y = _least_direct(scaled.D12, 1), _least_direct(scaled.D21, 0)
-        ladder = LADDER if min(size_u, size_y) <= regular and not self.dt else (0.0, *LADDER)
-        best, idle = np.inf, 0
-        for eps in ladder:
-            if self.budget.over:
-                return False
-            # Two equations, and norms of the loop.
-            self.budget.spend(dense(len(scaled.A), 8) + dense(2 * len(scaled.A), 3))
-            u = 0.0 if size_u > max(regular, eps) else eps
-            y = 0.0 if size_y > max(regular, eps) else eps
-            regularised = scaled.with_channels(u, y, eps / 10, eps / 10) if eps else scaled
-            trial = self._trial(scaling, regularised, eps)
-            text = "no verified loop" if trial is None else f"H2 norm {trial.norm.value:.6g}"
-            self.say(f"regularisation {eps:.0e}: {text}")
-            if trial is None or not trial.norm.status.trustworthy:
-                idle += bool(self.trials)
-            else:
-                self.trials.append(trial)
-                if not eps:
-                    return True
-                idle = idle + 1 if trial.norm.value > best * (1 - SETTLED) else 0
-                best = min(best, trial.norm.value)
-            if idle == 2:
-                return best < np.inf
-        return False
-
-    def _trial(self, scaling: Scaling, regularised: PlantMatrices, eps: float) -> _Trial | None:
-        try:
-            bare = _controller(regularised, self.dt, RESIDUAL)
-            K = scaling.controller_to_plant(Realisation.of(bare))
-            K = StateSpaceModel(K.A, K.B, K.C, K.D + self.gain, self.dt)
-        except (NoTrustworthyNumber, InputError):  # InputError: entries overflow when scaled back
-            return None
-        found = self._judged(K, self.plant.D22)
-        return None if found is None else _Trial(*found, eps, scaling, regularised, bare)
-
-    def _judged(self, K: StateSpaceModel, D22: AnyArray) -> tuple[StateSpaceModel, StateSpaceModel, H2Norm, str] | None:
-        """K with D22 taken back in, its loop, that loop's norm and what makes most of it; None where the loop is
-        unstable or its norm not finite.
-        """
-        rebuilt = rebuilt_loop(self.plant, K, D22)
-        if rebuilt is None:
-            return None
-        full, loop = rebuilt
-        if not self.dt:
-            loop = cancelled_direct_term(loop, self.matrices.D11, K.D)
-            if loop is None:
-                return None
-        norm, out, into = h2_by_channels(loop)
-        return (full, loop, norm, _loudest(loop, out, into)) if np.isfinite(norm.value) else None
-
-    def _finished(self, best: _Trial, gamma: float, doubt: str, smallest: float) -> H2Synthesis:
-        parts = [doubt or "loop rebuilt from K is stable; both Gramians give its norm, proved in ball arithmetic"]
-        regularised = best.norm.value
-        channels: tuple[str, ...] = ()
-        if best.eps:
-            parts.append(f"kept finite by penalties and noises of {best.eps:.0e} in scaled units")
-            parts.append(f"the smallest norm found with smaller ones is {smallest:.6g}")
-            regularised = max(_regularised_norm(best, self.dt), best.norm.value)
-            channels = _lacking(self.plant, self.matrices)
-        else:
-            parts.append("the plant is regular: this is the optimum")
-        sound = Status.INACCURATE if doubt else best.norm.status
-        status, reason = told(sound, parts, self.budget, "a smaller norm")
-        return H2Synthesis(
-            K=best.K,
-            gamma=gamma,
-            closed_loop=best.loop,
-            status=status,
-            reason=reason,
-            limit=best.loudest,
-            plant=self.plant,
-            method=self.method,
-            norm=best.norm,
-            regularisation=best.eps,
-            regularised_norm=regularised,
-            regularised_channels=channels,
-            smallest_norm=smallest,
+def _designed(
+    plant: GeneralizedPlant, method: str, gamma_rel: float, budget: Budget, say: Callable[[str], None]
+) -> H2Synthesis:
+    where, dt, matrices = f"synth {method}", plant.model.dt, plant.matrices()
+    # What the search is for is the rest of K beside the direct term that cancels D11.
+    gain = _cancelling_gain(matrices, dt, where)
+    shifted, trials = _with_gain(matrices, gain), list[_Trial]()
+    for scale in (paths_first, equilibrated, by_magnitude):
+        if scale is by_magnitude and trials:
+            break
+        scaling = scale(shifted, dt > 0)
+        scaling = scaling.in_steps() if dt else scaling
+        if not trials:
+            _require_stabilisable(plant, shifted, scaling, where)
+        if _ladder(plant, shifted, gain, scaling, trials, budget, say) or budget.over:
+            break
+    by_norm = sorted(trials, key=lambda t: t.norm.value)
+    if not by_norm:
+        late = f" ({NOT_REPEATABLE})" if budget.struck else ""
+        raise NoTrustworthyNumber(
+            where,
+            f"no controller could be verified{late}: none was found, or none left the rebuilt loop stable",
+            hint="look at the plant's scaling and at poles and zeros on the stability boundary",
         )
+    best = by_norm[0]
+    allowed = [t for t in trials if t.norm.value <= gamma_rel * best.norm.value] if best.eps else [best]
+    chosen = max(allowed, key=lambda t: t.eps)
+    proofs: list[tuple[_Trial, Certificate]] = []
+    for trial in (chosen, *(t for t in by_norm if t is not chosen))[:PROOFS]:
+        proofs.append((trial, certified(plant, trial.K, trial.norm)))
+        if not proofs[-1][1].doubt:
+            break
+    chosen, (gamma, doubt) = proofs[0] if proofs[-1][1].doubt else proofs[-1]
+    parts = [doubt or "loop rebuilt from K is stable; both Gramians give its norm, proved in ball arithmetic"]
+    regularised = chosen.norm.value
+    if chosen.eps:
+        parts.append(f"kept finite by penalties and noises of {chosen.eps:.0e} in scaled units")
+        parts.append(f"the smallest norm found with smaller ones is {best.norm.value:.6g}")
+        scaled = (StateSpaceModel(*Realisation.of(m), dt) for m in (chosen.regularised.model(), chosen.bare))
+        unit = np.sqrt(chosen.scaling.rate) / chosen.scaling.gain
+        regularised = max(h2_by_gramians(lower_lft(*scaled)).value * unit, regularised)
+    else:
+        parts.append("the plant is regular: this is the optimum")
+    status, reason = told(Status.INACCURATE if doubt else chosen.norm.status, parts, budget, "a smaller norm")
+    return H2Synthesis(
+        K=chosen.K,
+        gamma=gamma,
+        closed_loop=chosen.loop,
+        status=status,
+        reason=reason,
+        limit=chosen.loudest,
+        plant=plant,
+        method=method,
+        norm=chosen.norm,
+        regularisation=chosen.eps,
+        regularised_norm=regularised,
+        regularised_channels=_lacking(plant, matrices) if chosen.eps else (),
+        smallest_norm=best.norm.value,
+    )
 
 
-def _least_direct(D: AnyArray, axis: int) -> float:
-    """Smallest singular value over the columns (axis 1) or rows (axis 0) of a direct path; 0 where it is too thin."""
-    if D.shape[1 - axis] < D.shape[axis]:
-        return 0.0
-    return float(np.linalg.svd(D, compute_uv=False).min(initial=np.inf))
+def _ladder(
+    plant: GeneralizedPlant,
+    shifted: PlantMatrices,
+    gain: AnyArray,
+    scaling: Scaling,
+    trials: list[_Trial],
+    budget: Budget,
+    say: Callable[[str], None],
+) -> bool:
+    """Trials from no regularisation (where the plant allows it) or from a large one downwards; True where it settled.
+
+    That is where the regular problem was solved, or smaller regularisations gained next to nothing.
+    """
+    scaled, dt = scaling.apply(shifted), plant.model.dt
+    size_u, size_y = _least_direct(scaled.D12), _least_direct(scaled.D21.T)
+    best, idle = np.inf, 0
+    for eps in LADDER if min(size_u, size_y) <= REGULAR and not dt else (0.0, *LADDER):
+        if budget.over:
+            return False
+        # Two equations, and norms of the loop.
+        budget.spend(dense(len(scaled.A), 8) + dense(2 * len(scaled.A), 3))
+        u, y = (0.0 if size > max(REGULAR, eps) else eps for size in (size_u, size_y))
+        regularised = scaled.with_channels(u, y, eps / 10, eps / 10) if eps else scaled
+        trial = _trial(plant, gain, scaling, regularised, eps)
+        text = "no verified loop" if trial is None else f"H2 norm {trial.norm.value:.6g}"
+        say(f"regularisation {eps:.0e}: {text}")
+        if trial is None or not trial.norm.status.trustworthy:
+            idle += bool(trials)
+        else:
+            trials.append(trial)
+            if not eps:
+                return True
+            idle = idle + 1 if trial.norm.value > best * (1 - SETTLED) else 0
+            best = min(best, trial.norm.value)
+        if idle == 2:
+            return best < np.inf
+    return False
 
 
-def _controller(p: PlantMatrices, dt: float, residual: float) -> StateSpaceModel:
+def _trial(
+    plant: GeneralizedPlant, gain: AnyArray, scaling: Scaling, regularised: PlantMatrices, eps: float
+) -> _Trial | None:
+    """K of this regularisation in its loop; None where that is unstable or its norm not finite."""
+    dt = plant.model.dt
+    try:
+        bare = _controller(regularised, dt)
+        K = scaling.controller_to_plant(Realisation.of(bare))
+        K = StateSpaceModel(K.A, K.B, K.C, K.D + gain, dt)
+    except (NoTrustworthyNumber, InputError):  # InputError: entries overflow when scaled back
+        return None
+    rebuilt = rebuilt_loop(plant, K, plant.D22)
+    if rebuilt is None:
+        return None
+    full, loop = rebuilt
+    if not dt:
+        D11 = plant.model.D[: plant.n_z, : plant.n_w]
+        allowed = CANCELLED * max(np.abs(D11).max(initial=0.0), np.abs(K.D).max(initial=0.0))
+        if np.abs(loop.D).max(initial=0.0) > allowed:  # more than rounding of the cancellation
+            return None
+        loop = loop._in_states(1.0, loop.A, loop.B, loop.C, np.zeros_like(loop.D))
+    norm, out, into = h2_by_channels(loop)
+    if not np.isfinite(norm.value):
+        return None
+    return _Trial(full, loop, norm, _loudest(loop, out, into), eps, scaling, regularised, bare)
+
+
+def _least_direct(D: AnyArray) -> float:
+    """Smallest singular value over the columns of a direct path; 0 where it is too thin."""
+    return float(np.linalg.svd(D, compute_uv=False).min(initial=np.inf)) if len(D) >= D.shape[1] else 0.0
+
+
+def _controller(p: PlantMatrices, dt: float) -> StateSpaceModel:
     """The optimal controller of a regular plant with D22 = 0 (and, in continuous time, D11 = 0)."""
     solve = dare if dt else care
-    control = solve(p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12, tolerance=residual)
-    filtering = solve(p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T, tolerance=residual)
+    control = solve(p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12, tolerance=RESIDUAL)
+    filtering = solve(p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T, tolerance=RESIDUAL)
     F, L = control.gain, filtering.gain.T
     if not dt:  # Doyle, Glover, Khargonekar, Francis 1989, theorem 1
         return StateSpaceModel(p.A + p.B2 @ F + L @ p.C2, -L, F, np.zeros((F.shape[0], L.shape[1])))
@@ -352,10 +336,7 @@ def _controller(p: PlantMatrices, dt: float, residual: float) -> StateSpaceModel
     return StateSpaceModel(p.A + p.B2 @ F - into @ p.C2, into, F - direct @ p.C2, direct)
 
 
-# --- the direct term and the assumptions ---------------------------------------------------------------------------
-
-
-def cancelling_gain(p: PlantMatrices, dt: float, where: str) -> AnyArray:
+def _cancelling_gain(p: PlantMatrices, dt: float, where: str) -> AnyArray:
     """D_K with ``D11 + D12 D_K D21 = 0``, of smallest norm; zero in discrete time, where nothing has to vanish."""
     _, _, n_u, _, n_y = p.sizes
     if dt or not p.D11.any():
@@ -373,25 +354,12 @@ def cancelling_gain(p: PlantMatrices, dt: float, where: str) -> AnyArray:
     return gain
 
 
-def cancelled_direct_term(loop: StateSpaceModel, D11: AnyArray, D_K: AnyArray) -> StateSpaceModel | None:
-    """The loop with D = 0 where D is rounding of the cancellation of D11 by D_K; None where it is more."""
-    allowed = CANCELLED * max(np.abs(D11).max(initial=0.0), np.abs(D_K).max(initial=0.0))
-    if np.abs(loop.D).max(initial=0.0) > allowed:
-        return None
-    return loop._in_states(1.0, loop.A, loop.B, loop.C, np.zeros_like(loop.D))
-
-
 def _with_gain(p: PlantMatrices, gain: AnyArray) -> PlantMatrices:
     """The plant with ``u = gain y + v`` closed around it, v its new control, and D11 cancelled."""
     if not gain.any():
         return p
-    return replace(
-        p,
-        A=p.A + p.B2 @ gain @ p.C2,
-        B1=p.B1 + p.B2 @ gain @ p.D21,
-        C1=p.C1 + p.D12 @ gain @ p.C2,
-        D11=np.zeros_like(p.D11),
-    )
+    A, B1, C1 = p.A + p.B2 @ gain @ p.C2, p.B1 + p.B2 @ gain @ p.D21, p.C1 + p.D12 @ gain @ p.C2
+    return replace(p, A=A, B1=B1, C1=C1, D11=np.zeros_like(p.D11))
 
 
 def _require_stabilisable(plant: GeneralizedPlant, shifted: PlantMatrices, scaling: Scaling, where: str) -> None:
@@ -404,17 +372,6 @@ def _require_stabilisable(plant: GeneralizedPlant, shifted: PlantMatrices, scali
             return  # a pole at z = -1: the Riccati equations and the rebuilt loop will tell
         scaled = replace(scaled, A=np.linalg.solve(plus, scaled.A - np.eye(n)), B2=np.linalg.solve(plus, scaled.B2))
     require_stabilisable(scaled, plant.model.state_names, where, scaling.rate)
-
-
-# --- what the result tells --------------------------------------------------------------------------------------------
-
-
-def _regularised_norm(best: _Trial, dt: float) -> float:
-    """H2 norm of the scaled, regularised loop, in the plant's units."""
-    model = best.regularised.model()
-    scaled = StateSpaceModel(*Realisation.of(model), dt)
-    bare = StateSpaceModel(*Realisation.of(best.bare), dt)
-    return h2_by_gramians(lower_lft(scaled, bare)).value * np.sqrt(best.scaling.rate) / best.scaling.gain
 
 
 def _lacking(plant: GeneralizedPlant, p: PlantMatrices) -> tuple[str, ...]:

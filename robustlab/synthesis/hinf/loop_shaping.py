@@ -1,10 +1,6 @@
-r"""H-infinity loop shaping (Glover, McFarlane): the most robust controller of a plant whose loop was shaped by weights.
+r"""H-infinity loop shaping (Glover, McFarlane): the most robust controller of a plant shaped by weights.
 
-.. math:: G_s = W_2 G W_1, \qquad \gamma_{min} = \sqrt{1 + \lambda_{max}(X Z)}
-
-with the solutions X, Z of the two Riccati equations of G_s's normalised coprime factors. 1/gamma is the radius of the
-ball of coprime-factor perturbations that the loop survives, and with it a distance in the gap and nu-gap metric: K
-stabilises every plant closer to G_s than 1/gamma (`robustlab.nu_gap`).
+:math:`\gamma_{min} = \sqrt{1 + \lambda_{max}(X Z)}` with the two Riccati solutions of the normalised coprime factors.
 """
 
 from __future__ import annotations
@@ -20,7 +16,7 @@ from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts
+from robustlab.shown import AllFields, Facts
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, series
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
@@ -42,7 +38,7 @@ SHAPED_LOSS = 1.001
 
 
 @dataclass(frozen=True, eq=False)
-class ObserverForm:
+class ObserverForm(AllFields):
     r"""The controller of a strictly proper continuous shaped plant as an observer with state feedback.
 
     .. math:: \dot{\hat x} = A \hat x + B u_s + H (C \hat x - y_s), \qquad u_s = F \hat x
@@ -89,6 +85,7 @@ class NcfSynthesis(Synthesis):
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("gamma_min", "factor"), float),
     }  # fmt: skip
+    saved = (*Synthesis.saved, "gamma_min", "factor", "margin", "K_shaped", "shaped_plant", "observer")
 
     gamma_min: float
     factor: float
@@ -105,16 +102,6 @@ class NcfSynthesis(Synthesis):
         verdict = "the loop's shape is kept" if self.margin.lower >= 0.25 else "shape the loop differently"
         best = f"{self.gamma_min:.6g} (margin {1 / self.gamma_min:.4g}): {verdict}"
         return [*rows[:2], ("smallest gamma possible", best), *rows[2:]]
-
-    def to_json(self) -> dict[str, Any]:
-        return super().to_json() | {
-            "gamma_min": self.gamma_min,
-            "factor": self.factor,
-            "margin": self.margin.to_json(),
-            "K_shaped": self.K_shaped.to_json(),
-            "shaped_plant": self.shaped_plant.to_json(),
-            "observer": None if self.observer is None else vars(self.observer),
-        }
 
 
 @told_as("synth ncf")
@@ -200,7 +187,6 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
     if not surely_stable(loop):
         raise NoTrustworthyNumber("synth ncf", "the loop of the plant as given with W1 K W2 is not surely stable")
     shaped_plant = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs)
-    shaped_loop = shaped_plant.close(inner)
     norm = HinfNorm(1 / margin.upper, 1 / margin.lower, margin.frequency, margin.status)
     gamma, doubt = certified(shaped_plant, inner, norm)
     doubt = doubt or certified(plant, K, hinf_norm(loop)).doubt
@@ -213,7 +199,7 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
         closed_loop=loop,
         status=Status.INACCURATE if doubt else Status.CERTIFIED,
         reason=doubt or proved,
-        limit=limiting_channels(_named_channels(shaped_loop, shaped), margin.frequency),
+        limit=limiting_channels(_named_channels(shaped_plant.close(inner), shaped), margin.frequency),
         plant=plant,
         method="ncf",
         gamma_min=gamma_min,

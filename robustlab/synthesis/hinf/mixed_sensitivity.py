@@ -10,8 +10,7 @@ import numpy as np
 from robustlab.errors import InputError, told_as
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
-from robustlab.synthesis.hinf.constants import WORK
-from robustlab.synthesis.hinf.hinf_synthesis import synthesize
+from robustlab.synthesis.hinf.hinf_synthesis import WORK, synthesize
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
@@ -82,11 +81,7 @@ def mixsyn(
 def mixed_sensitivity_plant(
     G: Any, W1: Any = None, W2: Any = None, W3: Any = None
 ) -> tuple[GeneralizedPlant, dict[str, StateSpaceModel]]:
-    r"""Generalised plant from [r; u] to [W1 e; W2 u; W3 G u; e] with ``e = r - G u``, and the weights on all channels.
-
-    Each weight keeps its own states: one realisation of the whole, made from transfer functions, may hide an unstable
-    mode. Arguments and exceptions as for `mixsyn`.
-    """
+    """Plant from [r; u] to [W1 e; W2 u; W3 G u; e] with ``e = r - G u``, and the weights on all channels."""
     g = as_model(G, "mixsyn: G")
     if not g.n_inputs or not g.n_outputs:
         raise InputError("mixsyn: G", f"{g.n_outputs} outputs and {g.n_inputs} inputs", "at least one of each")
@@ -110,27 +105,23 @@ def mixed_sensitivity_plant(
         g.dt,
         states=g.states,
     )
-    through = StateSpaceModel([], [], [], np.eye(n_y), g.dt)
+    ends = [f"e{i}" for i in range(n_y)]
+    through = StateSpaceModel([], [], [], np.eye(n_y), g.dt, ends, ends)
     filters = [
         w.renamed([f"{name} into {i}" for i in range(w.n_inputs)], [f"{name} out {i}" for i in range(w.n_outputs)])
         for name, w in weights.items()
     ]
-    joined = series(
-        signals, append(*filters, through.renamed([f"e{i}" for i in range(n_y)], [f"e{i}" for i in range(n_y)]))
-    )
+    joined = series(signals, append(*filters, through))
     errors = [Taken(f"e {s.name}", s.unit, "r - y", s.name) for s in g.outputs]
+    controls = [Signal(s.name, s.unit) for s in g.inputs]
     references = [Signal(f"r {s.name}", s.unit) for s in g.outputs]
     outputs = [Signal(label) for name, w in weights.items() for label in _labels(name, channels[name], w.n_outputs)]
     states = [f"{name} x{i + 1}" for name, w in weights.items() for i in range(w.n_states)]
     model = StateSpaceModel(
-        joined.A, joined.B, joined.C, joined.D, joined.dt, [*references, *_plain(g.inputs)], [*outputs, *errors],
+        joined.A, joined.B, joined.C, joined.D, joined.dt, [*references, *controls], [*outputs, *errors],
         [*(f"G {s.name}" for s in g.states), *states], where="mixsyn",
     )  # fmt: skip
     return GeneralizedPlant(model, n_y, n_u), weights
-
-
-def _plain(inputs: tuple[Signal, ...]) -> list[Signal]:
-    return [Signal(s.name, s.unit) for s in inputs]
 
 
 def _labels(name: str, channels: list[str], n_outputs: int) -> list[str]:

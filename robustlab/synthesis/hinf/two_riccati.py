@@ -1,9 +1,7 @@
 """The two Riccati equations of H-infinity synthesis with a general D11, for one gamma.
 
-Best read with Glover, Doyle, "State-space formulae for all stabilizing controllers that satisfy an H-infinity norm
-bound and relations to risk sensitivity", Systems & Control Letters 11 (1988) at hand: numbers in parentheses are its
-equations. The controller's states are those of Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 17.1:
-Z of (27) stands in B instead of C.
+Numbers in parentheses are equations of Glover, Doyle, Systems & Control Letters 11 (1988). The controller's states are
+those of Zhou, Doyle, Glover (1996), theorem 17.1: Z of (27) goes into B instead of C.
 """
 
 from __future__ import annotations
@@ -16,7 +14,6 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import care, hamiltonian_riccati
-from robustlab.synthesis.hinf.constants import PROBES
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
 # An exact X = 0 comes out as noise of this size, scaled; it must not count as indefinite. Larger: false passes.
@@ -26,7 +23,9 @@ RESIDUAL = 1e-3
 # Range of gamma that is searched, scaled.
 SMALLEST_GAMMA = 1e-9
 LARGEST_GAMMA = 1e9
-
+# Shares of the smallest gamma found that are tried once more (the first one; with care all of them): the test in
+# floating point is not monotone in gamma. Longer: fewer false ends, more tests.
+PROBES = (0.93, 0.8, 0.6, 0.4, 0.2, 0.07, 0.02)
 # Smallest singular value of D12 or D21, relative to the largest, that is none.
 RANK = 1e-13
 LARGEST = 1e150  # direct term whose square, of many channels, is still a number
@@ -43,22 +42,9 @@ class RiccatiPair:
 
 
 class TwoRiccatiProblem:
-    """A regular plant in the coordinates ``D12 = [0; I]``, ``D21 = [0 I]``, and the gamma test on it.
+    """A regular plant in the coordinates ``D12 = [0; I]``, ``D21 = [0 I]``, and the gamma test on it."""
 
-    ``plant``: the plant, D12 of full column rank and D21 of full row rank.
-    ``careful``: solve each equation in two ways where the quick one fails: slower, for plants on which rounding
-    decides.
-    ``budget``: every pair is counted there; a search for the smallest gamma asks it between pairs. None: no limit.
-
-    Raises NoTrustworthyNumber: D12 has no full column rank or D21 no full row rank, or the square of D11 overflows.
-    """
-
-    def __init__(
-        self,
-        plant: PlantMatrices,
-        careful: bool = False,
-        budget: Budget | None = None,
-    ) -> None:
+    def __init__(self, plant: PlantMatrices, careful: bool, budget: Budget) -> None:
         _, n_w, n_u, n_z, n_y = plant.sizes
         if n_z < n_u or n_w < n_y:
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 cannot have full rank")
@@ -66,7 +52,7 @@ class TwoRiccatiProblem:
         W, s21, Rt = np.linalg.svd(plant.D21)
         if min(s12.min(), s21.min()) <= RANK * max(1.0, s12.max(), s21.max()):
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 is rank deficient")
-        self.careful, self.budget = careful, Budget() if budget is None else budget
+        self.careful, self.budget = careful, budget  # careful: solve in two ways where the quick one fails
         self.u_back = Vt.T / s12  # u = u_back @ u_normalised
         self.y_into = W.T / s21[:, None]  # y_normalised = y_into @ y
         z_turn = np.hstack([U[:, n_u:], U[:, :n_u]])
@@ -83,9 +69,8 @@ class TwoRiccatiProblem:
         parts = (self.D11[: self.a], self.D11[:, : self.b])  # [D1111 D1112] and [D1111; D1121]: no gamma below them
         self.floor = max((float(np.linalg.norm(part, 2)) if part.size else 0.0) for part in parts)
         row, column = np.hstack([self.D11, D12]), np.vstack([self.D11, D21])
-        residual, least = RESIDUAL, SEMIDEFINITE
-        self._control = _Equation(self.A, np.hstack([self.B1, self.B2]), self.C1, row, n_w, residual, least)
-        self._filter = _Equation(self.A.T, np.vstack([self.C1, self.C2]).T, self.B1.T, column.T, n_z, residual, least)
+        self._control = _Equation(self.A, np.hstack([self.B1, self.B2]), self.C1, row, n_w)
+        self._filter = _Equation(self.A.T, np.vstack([self.C1, self.C2]).T, self.B1.T, column.T, n_z)
 
     def solve(self, gamma: float) -> RiccatiPair | None:
         """The pair at this gamma, or None where the test fails (gamma too small, or lost to rounding)."""
@@ -105,14 +90,8 @@ class TwoRiccatiProblem:
             return None
         return RiccatiPair(gamma, X, Y, float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2)
 
-    def smallest_gamma(self, start: float, rtol: float = 1e-4, probes: tuple[float, ...] | None = None) -> float | None:
-        """Smallest gamma that passes the test; None where none up to the largest one tried does.
-
-        Brackets from ``start`` by growing steps and closes the bracket: by a secant in log gamma where the coupling
-        fails, which is a smooth function, and by bisection where a solution ceases to exist. Then it probes below the
-        result, because the test in floating point is not monotone in gamma. Where the budget is over between tests the
-        smallest gamma so far is returned.
-        """
+    def smallest_gamma(self, start: float, rtol: float, probes: tuple[float, ...]) -> float | None:
+        """Smallest gamma that passes the test; None where none up to the largest one tried does."""
         high, low = max(start, self.floor * 1.01 + 1e-12), self.floor
         while (at_high := self.solve(high)) is None:
             low, high = high, 4 * high
@@ -122,7 +101,7 @@ class TwoRiccatiProblem:
             high = self._closed(low, at_high, rtol)
             if high < SMALLEST_GAMMA:
                 return high
-            for share in PROBES if probes is None else probes:
+            for share in probes:
                 if self.budget.over:
                     return high
                 at_high = self.solve(high * share)
@@ -192,52 +171,34 @@ class TwoRiccatiProblem:
 
 
 class _Equation:
-    """``A' X + X A + C'C - (X B + C'D) R^-1 (B' X + D'C) = 0`` with ``R = D'D - gamma^2 diag(I, 0)``.
+    """``A' X + X A + C'C - (X B + C'D) R^-1 (B' X + D'C) = 0`` with ``R = D'D - gamma^2 diag(I, 0)``."""
 
-    With (7) for R it is (9), the control equation; of the transposed plant, with (8), it is (10).
-    """
-
-    def __init__(
-        self,
-        A: AnyArray,
-        B: AnyArray,
-        C: AnyArray,
-        D: AnyArray,
-        n_disturbances: int,
-        residual: float,
-        semidefinite: float,
-    ) -> None:
-        self.residual, self.semidefinite = residual, semidefinite
+    def __init__(self, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, n_disturbances: int) -> None:
         self.A, self.B, self.Q, self.S, self.R = A, B, C.T @ C, C.T @ D, D.T @ D
-        self.disturbance = np.zeros(D.shape[1])
-        self.disturbance[:n_disturbances] = 1.0
-
-    def _weight(self, gamma: float) -> AnyArray:
-        return self.R - gamma**2 * np.diag(self.disturbance)
+        self.disturbances = np.diag((np.arange(D.shape[1]) < n_disturbances).astype(float))
 
     def solution(self, gamma: float, careful: bool) -> AnyArray | None:
         """Stabilising positive semidefinite solution, or None."""
-        R = self._weight(gamma)
+        R, n = self.R - gamma**2 * self.disturbances, self.A.shape[0]
         try:
             solved = np.linalg.solve(R, np.vstack([self.B, self.S]).T)
         except np.linalg.LinAlgError:
             return None
-        n = self.A.shape[0]
         by_B, by_S = solved[:, :n], solved[:, n:]
         G, Q = self.B @ by_B, self.Q - self.S @ by_S
-        X = hamiltonian_riccati(self.A - self.B @ by_S, 0.5 * (G + G.T), 0.5 * (Q + Q.T), tolerance=self.residual)
+        X = hamiltonian_riccati(self.A - self.B @ by_S, 0.5 * (G + G.T), 0.5 * (Q + Q.T), tolerance=RESIDUAL)
         if X is None and careful:
             try:
-                X = care(self.A, self.B, self.Q, R, self.S, tolerance=self.residual).X
+                X = care(self.A, self.B, self.Q, R, self.S, tolerance=RESIDUAL).X
             except NoTrustworthyNumber:
                 return None
         if X is None:
             return None
         values, vectors = np.linalg.eigh(X)
-        if n and values[0] < -self.semidefinite * max(1.0, values[-1]):
+        if n and values[0] < -SEMIDEFINITE * max(1.0, values[-1]):
             return None
         return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
     def gain(self, gamma: float, X: AnyArray) -> AnyArray:
         """``-R^-1 (B' X + S')``: F of (11), and the transposed L of (12)."""
-        return -np.linalg.solve(self._weight(gamma), self.B.T @ X + self.S.T)
+        return -np.linalg.solve(self.R - gamma**2 * self.disturbances, self.B.T @ X + self.S.T)

@@ -15,16 +15,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Mask
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal
-from robustlab.synthesis.laws.controller_laws import (
-    AffineBuilder,
-    DiagonalLaw,
-    FilteredLaw,
-    Law,
-    Parameter,
-    RelabelledLaw,
-    SeriesLaw,
-    sum_law,
-)
+from robustlab.synthesis.laws.controller_laws import AffineBuilder, DiagonalLaw, FilteredLaw, Law, Parameter, SeriesLaw
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.problem.scaling import common_scaling
 
@@ -58,7 +49,6 @@ class StaticGain(Structure):
     mask: Any = None  # which entries of K are free, shape (n_con, n_meas); the others are zero. All where left out.
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         free = _mask(self.mask, len(controls), len(measurements))
         builder = AffineBuilder(0, len(controls), len(measurements))
         for i, j in np.argwhere(free):
@@ -87,7 +77,6 @@ class FixedOrder(Structure):
     form: str = "tridiagonal"  # `"tridiagonal"` (any A_K with simple poles has this form; few parameters) or `"full"`
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         k, n_u, n_y = self.order, len(controls), len(measurements)
         if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or not 0 <= k <= 500:
             raise InputError(f"{WHERE}: order", f"{k!r}", "a whole number from 0 to 500")
@@ -163,7 +152,6 @@ class MultichannelPID(Structure):
     start: Any = None
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         if self.layout == "pid":
             return self._pid(measurements, controls, dt)
         if self.layout not in ("ipd", "two-layer"):
@@ -204,17 +192,14 @@ class MultichannelPID(Structure):
 
     def _filtered(self, builder: AffineBuilder, first: int, derivative: AnyArray, dt: float) -> Law:
         if self.tau is None:
-            raise InputError(
-                f"{WHERE}: tau",
-                "missing",
-                "the derivative filter's time constant in s, or (low, high) for one to be found",
-            )
+            expected = "the derivative filter's time constant in s, or (low, high) for one to be found"
+            raise InputError(f"{WHERE}: tau", "missing", expected)
         pair = (self.tau, self.tau) if np.ndim(self.tau) == 0 else tuple(self.tau)
         low, high = (float(x) for x in pair)
         if not 0 < low <= high < np.inf:
             raise InputError(f"{WHERE}: tau", f"{self.tau}", "a positive time in s, or a pair (low, high) of them")
-        tau = Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
-        return FilteredLaw(builder.law(), tau, first, dt, derivative)
+        law, tau = builder.law(), Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
+        return FilteredLaw((*law.parameters, tau), law.sizes, law, first, dt, derivative)
 
     def _groups(self, n_u: int, n_y: int) -> list[tuple[str, list[tuple[int, int]]]]:
         """Every free gain's index text and the entries of the gain matrix that it fills."""
@@ -269,18 +254,15 @@ class MultichannelPID(Structure):
             for name, places in groups:
                 entries = [(row + i, column + j, sign) for i, j in places]
                 builder.parameter(self._gain(matrix, name, _unit(out, signal, power), *places[0]), *entries)
-        if two:
-            self._torque_loops(builder, n, k, torque, measurements[3 * n], controls[0])
+        if two:  # one kp, ki, kd for the loops of all axes
+            m, u = measurements[3 * n], controls[0]
+            for name, entries, unit in (
+                ("kp", [(2 * n + j, torque + j, -1.0) for j in range(n)], _unit(u, m, "/s")),
+                ("kd", [(k + j, torque + j, -1.0) for j in range(n)], _unit(u, m)),
+                ("ki", [(2 * n + j, n + j, 1.0) for j in range(n)], _unit(u, m, "/s2")),
+            ):
+                builder.parameter(self._gain(name, "", unit, 0, 0), *entries)
         return builder.law()
-
-    def _torque_loops(self, builder: AffineBuilder, n: int, k: int, torque: int, m: Signal, u: Signal) -> None:
-        """One kp, ki, kd for the loops of all axes."""
-        for name, entries, unit in (
-            ("kp", [(2 * n + j, torque + j, -1.0) for j in range(n)], _unit(u, m, "/s")),
-            ("kd", [(k + j, torque + j, -1.0) for j in range(n)], _unit(u, m)),
-            ("ki", [(2 * n + j, n + j, 1.0) for j in range(n)], _unit(u, m, "/s2")),
-        ):
-            builder.parameter(self._gain(name, "", unit, 0, 0), *entries)
 
 
 def PID(terms: str = "PID", tau: Any = None, limit: float = np.inf, start: Any = None) -> MultichannelPID:
@@ -298,7 +280,6 @@ class FixedPoles(Structure):
     strictly_proper: bool = False  # True for no direct term
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         poles = np.asarray(self.poles, dtype=complex).ravel()
         if not len(poles) or not np.isfinite(poles).all():
             raise InputError(f"{WHERE}: poles", f"{list(poles)}", "at least one finite pole")
@@ -344,24 +325,21 @@ class Decentralised(Structure):
     parts: Sequence[Part | Structure]
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
-        laws: list[Law] = []
-        rows: list[tuple[int, ...]] = []
-        columns: list[tuple[int, ...]] = []
         plain = all(isinstance(part, Structure) for part in self.parts)
         if not self.parts or (plain and not len(self.parts) == len(measurements) == len(controls)):
             found = f"{len(self.parts)} parts for {len(measurements)} measurements and {len(controls)} controls"
             raise InputError(f"{WHERE}: decentralised", found, "one for each channel, or Part(structure, names, names)")
+        laws, rows, columns = list[Law](), list[list[int]](), list[list[int]]()
         for i, part in enumerate(self.parts):
             if isinstance(part, Structure):
                 part = Part(part, [measurements[i].name], [controls[i].name])
-            y = tuple(signal_positions(part.measurements, [s.name for s in measurements], f"{WHERE}: measurement"))
-            u = tuple(signal_positions(part.controls, [s.name for s in controls], f"{WHERE}: control"))
+            y = signal_positions(part.measurements, [s.name for s in measurements], f"{WHERE}: measurement")
+            u = signal_positions(part.controls, [s.name for s in controls], f"{WHERE}: control")
             law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
             laws.append(_prefixed(law, f"{i + 1}."))
             rows.append(u)
             columns.append(y)
-        return DiagonalLaw(tuple(laws), tuple(rows), tuple(columns), len(controls), len(measurements))
+        return DiagonalLaw.of(laws, rows, columns, len(controls), len(measurements))
 
 
 @dataclass(frozen=True, eq=False)
@@ -372,9 +350,12 @@ class Sum(Structure):
     second: Structure
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
-        one, two = (s.law(measurements, controls, dt) for s in (self.first, self.second))
-        return sum_law(_prefixed(one, "1."), _prefixed(two, "2."))
+        laws = [
+            _prefixed(structure.law(measurements, controls, dt), f"{i}.")
+            for i, structure in ((1, self.first), (2, self.second))
+        ]
+        u, y = range(len(controls)), range(len(measurements))
+        return DiagonalLaw.of(laws, (u, u), (y, y), len(u), len(y))
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,25 +368,20 @@ class Series(Structure):
     signals: Sequence[Any]  # names, or (name, unit) pairs, of the signals between them
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """See `Structure`."""
         between = tuple(Signal(s) if isinstance(s, str) else Signal(*s) for s in self.signals)
         if not between:
             raise InputError(f"{WHERE}: series", "no signal between the two", "at least one name")
         one, two = self.first.law(measurements, between, dt), self.second.law(between, controls, dt)
-        return SeriesLaw(_prefixed(one, "1."), _prefixed(two, "2."))
+        return SeriesLaw.of(_prefixed(one, "1."), _prefixed(two, "2."))
 
 
 def _prefixed(law: Law, prefix: str) -> Law:
     """The law with a prefix to the names of its parameters, so that they stay unique."""
-    return RelabelledLaw(law, tuple(replace(p, name=prefix + p.name) for p in law.parameters))
+    return replace(law, parameters=tuple(replace(p, name=prefix + p.name) for p in law.parameters))
 
 
 def as_structure(structure: Any, rate: float) -> Structure:
-    """A structure from its friendly forms: ``"static"``, ``"pid"``, an order, a mask, or a list (decentralised).
-
-    The derivative filters of ``"pid"`` and ``"pd"`` get a time constant between 0.01 and 10 times ``1 / rate``, the
-    plant's own time.
-    """
+    """A structure from its friendly forms: ``"static"``, ``"pid"``, an order, a mask, or a list (decentralised)."""
     if isinstance(structure, Structure):
         return structure
     if isinstance(structure, str):
@@ -430,29 +406,20 @@ GAINS = ("full", "diagonal", "scalar")
 
 
 def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
-    """A structure for the channels of a plant, as `robustlab.fixed_structure` takes it.
-
-    ``text``: ``static``; ``p``, ``i``, ``pi``, ``pd``, ``pid`` (one per channel); ``order:N``; ``poles:-1,-20``
-    (rad/s); ``ipd`` and ``two-layer``, the thesis' laws, with ``:full``, ``:diagonal`` or ``:scalar`` gains;
-    ``decentralised:WORD``, the same structure for every channel by itself.
-    ``plant``: its channels, and its time scale for the filters of derivatives.
-    Raises InputError: an unknown word, a number that is none.
-
-    Examples
-    --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> plant = GeneralizedPlant(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), 1, 1)
-    >>> structure_in_words("order:2", plant)
-    2
-    """
+    """A structure for the channels of a plant, as `robustlab.fixed_structure` takes it."""
     where = f"structure {text!r}"
     word, _, rest = text.strip().lower().partition(":")
     if word not in WORDS:
         raise InputError(where, "unknown", f"one of {', '.join(WORDS)}", did_you_mean(word, WORDS))
     if word == "order":
-        return _order(where, rest)
+        if not rest.isdigit() or int(rest) > 1000:
+            raise InputError(where, f"{rest!r}", "a whole number from 0 to 1000: order:3")
+        return int(rest)
     if word == "poles":
-        return FixedPoles(_poles(where, rest))
+        try:
+            return FixedPoles([complex(part.strip()) for part in rest.split(",")])
+        except ValueError:
+            raise InputError(where, f"{rest!r}", "numbers: poles:-1,-20 or poles:-1+2j,-1-2j") from None
     if word in ("ipd", "two-layer"):
         gains = rest or "full"
         if gains not in GAINS:
@@ -465,16 +432,3 @@ def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
     if rest:
         raise InputError(where, f"{rest!r} after {word}", "nothing")
     return word
-
-
-def _order(where: str, text: str) -> int:
-    if not text.isdigit() or int(text) > 1000:
-        raise InputError(where, f"{text!r}", "a whole number from 0 to 1000: order:3")
-    return int(text)
-
-
-def _poles(where: str, text: str) -> list[complex]:
-    try:
-        return [complex(part.strip()) for part in text.split(",")]
-    except ValueError:
-        raise InputError(where, f"{text!r}", "numbers: poles:-1,-20 or poles:-1+2j,-1-2j") from None

@@ -1,12 +1,7 @@
-r"""Two descent methods for functions that are smooth almost everywhere, such as norms of loops.
+"""Two descent methods for functions that are smooth almost everywhere, such as norms of loops.
 
-BFGS with a weak Wolfe line search comes first. At the optimum of a norm several peaks have the same height and it
-creeps; what ends a descent is sequential linear programming, in which every peak near the top is a function of its own
-and all of them are made small together,
-
-.. math:: \min_{d, t}\ t \quad\text{such that}\quad f_i + g_i^T d \le t, \quad |d_j| \le r s_j,
-
-with the step judged by the true value.
+BFGS with a weak Wolfe line search; where several peaks have the same height it creeps, and sequential linear programs,
+in which every peak near the top is a function of its own, end the descent.
 """
 
 from __future__ import annotations
@@ -58,17 +53,7 @@ def bfgs(
     inverse: AnyArray | None = None,
     late: Callable[[], bool] = lambda: False,
 ) -> Descent | None:
-    """Descent from x; None where the function has no finite value there.
-
-    The weak Wolfe conditions are met by bisection and expansion, without a gradient at points of too high a value. The
-    inverse Hessian starts anew where a direction fails; the descent ends where the steepest one fails too, after
-    some steps that gain less than ``rtol``, below ``stop_below``, or when ``late``. An earlier descent goes on
-    with its ``inverse``.
-
-    References
-    ----------
-    Lewis, Overton, "Nonsmooth optimization via quasi-Newton methods" (2013), algorithms 2.1 and 2.6.
-    """
+    """Descent from x; None where the function has no finite value there."""
     value, gradient = function(x, np.inf)
     if gradient is None or not np.isfinite(value) or not np.isfinite(gradient).all():
         return None
@@ -143,10 +128,7 @@ def _line_search(
 
 @dataclass(frozen=True)
 class Piece:
-    """A function that is active: its value and its gradient with respect to the parameters.
-
-    A ``limit`` must stay below zero instead of being made small.
-    """
+    """A function that is active: its value and its gradient with respect to the parameters."""
 
     value: float
     gradient: AnyArray
@@ -163,16 +145,7 @@ def sequential_linear(
     max_steps: int = 60,
     late: Callable[[], bool] = lambda: False,
 ) -> tuple[AnyArray, float]:
-    """The best point found from x within the bounds, and its value, by linear programs over all active pieces.
-
-    ``value_of``: the function; infinite where it has no value.
-    ``pieces_of``: ``(x, value, radius)`` to all pieces that may be active within a step of that radius.
-    ``low``, ``high``: bounds of the parameters.
-
-    References
-    ----------
-    Apkarian, Noll, "Nonsmooth H-infinity synthesis" (2006): every active frequency in one tangent program.
-    """
+    """The best point found from x within the bounds, and its value, by linear programs over all active pieces."""
     value, radius = value_of(x), RADIUS
     for _ in range(max_steps):
         if late() or radius < SMALLEST_RADIUS or not np.isfinite(value):

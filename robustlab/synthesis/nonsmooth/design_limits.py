@@ -1,11 +1,12 @@
-r"""Limits that a design must keep: poles of the loop, poles and gain of the controller.
+"""Limits that a design must keep: poles of the loop, poles and gain of the controller.
 
 Each is a function c that must be negative, without unit: ``c = -1`` is far inside, ``c = 0`` the limit.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.laws.controller_laws import unpacked
 from robustlab.synthesis.nonsmooth.loop_family import LoopFamily
-from robustlab.synthesis.nonsmooth.objectives import bilinear, crossings, resolvent_point
+from robustlab.synthesis.nonsmooth.objectives import bilinear, crossings, extreme_pole, resolvent_point
 from robustlab.synthesis.problem.partition import Realisation
 from robustlab.synthesis.problem.scaling import Scaling
 
@@ -22,32 +23,25 @@ from robustlab.synthesis.problem.scaling import Scaling
 LimitAt = tuple[float, AnyArray]
 
 
-def _positive(what: str, value: float, most: float = np.inf) -> None:
-    if not 0 < value <= most or not np.isfinite(value):
-        raise InputError(
-            f"fixed structure: {what}", f"{value}", f"a positive number{f' up to {most:g}' if most < np.inf else ''}"
-        )
-
-
-def _continuous_poles(poles: AnyArray, dt: float) -> AnyArray:
-    """Poles in rad/s: ``log(z)/dt`` of those of a sampled loop."""
-    if not dt:
-        return poles
-    with np.errstate(divide="ignore"):
-        return np.log(np.where(poles == 0, 1e-300, poles).astype(complex)) / dt
-
-
 @dataclass(frozen=True)
 class Limit:
-    """What all limits have; poles s below are in rad/s, of a sampled loop ``log(z)/dt``."""
+    """What all limits have; poles s are in rad/s, of a sampled loop ``log(z)/dt``."""
 
     # Whether it is about the controller alone, so that it has one value whatever the number of plants.
-    of_controller = False
+    of_controller: ClassVar[bool] = False
+    words: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value, most = getattr(self, field.name), 1.0 if field.name == "ratio" else np.inf
+            if not 0 < value <= most or not np.isfinite(value):
+                expected = f"a positive number{f' up to {most:g}' if most < np.inf else ''}"
+                raise InputError(f"fixed structure: {type(self).__name__}: {field.name}", f"{value}", expected)
 
     @property
     def text(self) -> str:
         """The limit in words."""
-        raise NotImplementedError
+        return self.words.format(**vars(self))
 
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
         """The c of a finished design; negative or zero where the limit is kept."""
@@ -58,32 +52,35 @@ class Limit:
         raise NotImplementedError
 
 
+def _continuous_poles(poles: AnyArray, dt: float) -> AnyArray:
+    """Poles in rad/s: ``log(z)/dt`` of those of a sampled loop."""
+    return np.log(np.where(poles == 0, 1e-300, poles).astype(complex)) / dt if dt else poles
+
+
 @dataclass(frozen=True)
 class _PoleLimit(Limit):
     """A limit of every pole of the loop."""
 
-    def measure(self, s: AnyArray) -> AnyArray:
-        """The c of poles s in rad/s."""
+    def measure(self, s: AnyArray, size: AnyArray) -> tuple[AnyArray, AnyArray | float]:
+        """The c of poles s of these moduli, and the w with ``dc = Re(w ds)``."""
         raise NotImplementedError
 
-    def slope(self, s: complex) -> complex:
-        """The w with ``dc = Re(w ds)``."""
-        raise NotImplementedError
+    def _at(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
+        c, w = self.measure(s, np.maximum(np.abs(s), 1e-300))
+        return c, w * np.ones(len(s), complex)
 
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
-        """See `Limit`."""
         poles = plant_loop.poles()
-        return float(self.measure(_continuous_poles(poles, plant_loop.dt)).max()) if len(poles) else -1.0
+        return float(self._at(_continuous_poles(poles, plant_loop.dt))[0].max()) if len(poles) else -1.0
 
     def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
-        """See `Limit`."""
         unit = 1.0 if dt else scaling.rate
-        found = family.pole(theta, lambda poles: self.measure(_continuous_poles(unit * poles, dt)))
+        found = family.pole(theta, lambda poles: self._at(_continuous_poles(unit * poles, dt))[0])
         if found is None:
             return np.inf, np.zeros_like(theta)
-        s = complex(_continuous_poles(np.array([unit * found.value]), dt)[0])
-        by_pole = self.slope(s) * (1 / (found.value * dt) if dt and found.value else unit)
-        return float(self.measure(np.array([s]))[0]), np.real(by_pole * found.G)
+        c, w = self._at(_continuous_poles(np.array([unit * found.value]), dt))
+        by_pole = w[0] * (1 / (found.value * dt) if dt and found.value else unit)
+        return float(c[0]), np.real(by_pole * found.G)
 
 
 @dataclass(frozen=True)
@@ -91,22 +88,10 @@ class Decay(_PoleLimit):
     """Every mode of the loop decays at least as ``exp(-rate t)``; rate in 1/s."""
 
     rate: float
+    words = "decay rate >= {rate:g} 1/s"
 
-    def __post_init__(self) -> None:
-        _positive("decay rate", self.rate)
-
-    @property
-    def text(self) -> str:
-        """See `Limit`."""
-        return f"decay rate >= {self.rate:g} 1/s"
-
-    def measure(self, s: AnyArray) -> AnyArray:
-        """See `_PoleLimit`."""
-        return np.real(s) / self.rate + 1
-
-    def slope(self, s: complex) -> complex:
-        """See `_PoleLimit`."""
-        return 1 / self.rate + 0j
+    def measure(self, s: AnyArray, size: AnyArray) -> tuple[AnyArray, AnyArray | float]:
+        return np.real(s) / self.rate + 1, 1 / self.rate
 
 
 @dataclass(frozen=True)
@@ -114,23 +99,10 @@ class Damping(_PoleLimit):
     """Every mode of the loop has at least this damping ratio (0 to 1)."""
 
     ratio: float
+    words = "damping >= {ratio:g}"
 
-    def __post_init__(self) -> None:
-        _positive("damping", self.ratio, 1.0)
-
-    @property
-    def text(self) -> str:
-        """See `Limit`."""
-        return f"damping >= {self.ratio:g}"
-
-    def measure(self, s: AnyArray) -> AnyArray:
-        """See `_PoleLimit`."""
-        return self.ratio + np.real(s) / np.maximum(np.abs(s), 1e-300)
-
-    def slope(self, s: complex) -> complex:
-        """See `_PoleLimit`."""
-        size = max(abs(s), 1e-300)
-        return 1 / size - s.real * np.conj(s) / size**3
+    def measure(self, s: AnyArray, size: AnyArray) -> tuple[AnyArray, AnyArray | float]:
+        return self.ratio + np.real(s) / size, 1 / size - np.real(s) * np.conj(s) / size**3
 
 
 @dataclass(frozen=True)
@@ -138,22 +110,10 @@ class Bandwidth(_PoleLimit):
     """No pole of the loop has a modulus above this frequency in rad/s."""
 
     frequency: float
+    words = "poles within {frequency:g} rad/s"
 
-    def __post_init__(self) -> None:
-        _positive("bandwidth", self.frequency)
-
-    @property
-    def text(self) -> str:
-        """See `Limit`."""
-        return f"poles within {self.frequency:g} rad/s"
-
-    def measure(self, s: AnyArray) -> AnyArray:
-        """See `_PoleLimit`."""
-        return np.abs(s) / self.frequency - 1
-
-    def slope(self, s: complex) -> complex:
-        """See `_PoleLimit`."""
-        return np.conj(s) / (max(abs(s), 1e-300) * self.frequency)
+    def measure(self, s: AnyArray, size: AnyArray) -> tuple[AnyArray, AnyArray | float]:
+        return np.abs(s) / self.frequency - 1, np.conj(s) / (size * self.frequency)
 
 
 @dataclass(frozen=True)
@@ -161,33 +121,19 @@ class StableController(Limit):
     """The controller itself is stable (integrators are not)."""
 
     of_controller = True
-
-    @property
-    def text(self) -> str:
-        """See `Limit`."""
-        return "controller stable"
+    words = "controller stable"
 
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
-        """See `Limit`."""
         return K.spectral_abscissa() if K.n_states else -1.0
 
     def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
-        """See `Limit`."""
-        from scipy.linalg import eig
-
-        k = family.order
-        G = np.zeros_like(theta)
+        k, G = family.order, np.zeros_like(theta)
         if not k:
             return -1.0, G
         if not np.isfinite(theta).all():
             return np.inf, G
-        values, left, right = (np.asarray(x) for x in eig(theta[:k, :k], left=True, check_finite=False))
-        worst = int(np.argmax(np.abs(values) if dt else np.real(values)))
-        u, v = left[:, worst], right[:, worst]
-        product = np.vdot(u, v)
-        by = np.outer(u.conj(), v) / (product if abs(product) > 1e-14 else 1e-14)
-        at = values[worst]
-        size = max(abs(at), 1e-300)
+        at, u, v = extreme_pole(theta[:k, :k], np.abs if dt else np.real)
+        size, by = max(abs(at), 1e-300), np.outer(u, v)
         G[:k, :k] = np.real(by * np.conj(at) / size) if dt else np.real(by)
         return float(size - 1 if dt else at.real), G
 
@@ -197,44 +143,31 @@ class RollOff(Limit):
     """The controller's gain is at most ``gain`` at and above ``frequency`` (rad/s), in the plant's units."""
 
     of_controller = True
+    words = "controller gain <= {gain:g} from {frequency:g} rad/s on"
     frequency: float
     gain: float
 
-    def __post_init__(self) -> None:
-        _positive("roll-off frequency", self.frequency)
-        _positive("roll-off gain", self.gain)
-
-    @property
-    def text(self) -> str:
-        """See `Limit`."""
-        return f"controller gain <= {self.gain:g} from {self.frequency:g} rad/s on"
-
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
-        """See `Limit`; the peak between all frequencies at which the gain crosses the largest value met."""
-        return self._peak(Realisation.of(K), self.frequency, bool(K.dt), K.dt)[0] / self.gain - 1
+        return self._peak(Realisation.of(K), self.frequency, K.dt)[0] / self.gain - 1
 
-    def _peak(self, K: Realisation, frequency: float, discrete: bool, dt: float) -> tuple[float, float]:
+    def _peak(self, K: Realisation, frequency: float, dt: float) -> tuple[float, float]:
         """Largest gain from this frequency on, and where (frequencies of the continuous or `bilinear` controller)."""
         if not len(K.A):
             return float(np.linalg.norm(K.D, 2)), np.inf
-        mapped = bilinear(K) if discrete else K
+        mapped = bilinear(K) if dt else K
         if mapped is None or not all(np.isfinite(m).all() for m in mapped):
             return np.inf, np.nan
-        low = np.tan(min(frequency * dt / 2, np.pi / 2 - 1e-9)) if discrete else frequency
-        eye = np.eye(len(K.A))
-
-        def sigma(omega: AnyArray) -> AnyArray:
-            gain = mapped.C @ np.linalg.solve(1j * omega[:, None, None] * eye - mapped.A, mapped.B + 0j) + mapped.D
-            return np.linalg.svd(gain, compute_uv=False)[:, 0]
-
-        own = np.abs(np.linalg.eigvals(mapped.A))
+        low = np.tan(min(frequency * dt / 2, np.pi / 2 - 1e-9)) if dt else frequency
+        eye, own = np.eye(len(K.A)), np.abs(np.linalg.eigvals(mapped.A))
         omega = np.unique(np.concatenate([[low], own[own > low], np.geomspace(low, 1e3 * max(low, own.max()), 40)]))
         best, at = float(np.linalg.norm(mapped.D, 2)), np.inf
         for _ in range(20):
-            values = sigma(omega)
+            gain = mapped.C @ np.linalg.solve(1j * omega[:, None, None] * eye - mapped.A, mapped.B + 0j) + mapped.D
+            values = np.linalg.svd(gain, compute_uv=False)[:, 0]
             k = int(values.argmax())
             if not values[k] > best * (1 + 1e-9):
                 break
+            # Between all frequencies at which the gain crosses the largest value met.
             best, at = float(values[k]), float(omega[k])
             cross = crossings(mapped, best * (1 + 1e-9))
             cross = np.unique(np.append(cross[cross > low], low))
@@ -242,12 +175,11 @@ class RollOff(Limit):
         return best, at
 
     def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
-        """See `Limit`."""
         # In the plant's own signals, but in the scaled plant's time.
-        k, rate = family.order, scaling.rate
-        back = np.concatenate([np.ones(k), scaling.u])[:, None] * np.concatenate([np.ones(k), scaling.y])[None, :]
+        k, ones = family.order, np.ones(family.order)
+        back = np.append(ones, scaling.u)[:, None] * np.append(ones, scaling.y)
         K = Realisation(*unpacked(theta * back, k))
-        value, omega = self._peak(K, self.frequency if dt else self.frequency / rate, bool(dt), dt)
+        value, omega = self._peak(K, self.frequency if dt else self.frequency / scaling.rate, dt)
         G = np.zeros_like(theta)
         if not np.isfinite(value):
             return np.inf, G

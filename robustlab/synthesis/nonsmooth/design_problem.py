@@ -27,17 +27,21 @@ class _Coordinate:
     parameter: Parameter
     size: float
     logarithmic: bool
-    inside: float
+
+    def _range(self) -> tuple[float, float, float]:
+        """Of two bounds, in logarithms where it is searched in these: the lower one, half the range, the unit of v."""
+        low, high = self.parameter.low, self.parameter.high
+        if self.logarithmic:
+            low, high = np.log(low), np.log(high)
+        half = 0.5 * (high - low)
+        return low, half, 1.0 if self.logarithmic else min(self.size / half, 1.0)
 
     def value(self, v: float) -> tuple[float, float]:
         """The parameter and its derivative."""
         q = self.parameter
         if np.isfinite(q.low) and np.isfinite(q.high):
-            low, high = (np.log(q.low), np.log(q.high)) if self.logarithmic else (q.low, q.high)
-            half = 0.5 * (high - low)
-            t = v * min(self.size / half, 1.0) if not self.logarithmic else v
-            scale = min(self.size / half, 1.0) if not self.logarithmic else 1.0
-            p, slope = low + half * (1 + np.sin(t)), half * np.cos(t) * scale
+            low, half, scale = self._range()
+            p, slope = low + half * (1 + np.sin(v * scale)), half * np.cos(v * scale) * scale
             return (float(np.exp(p)), float(np.exp(p) * slope)) if self.logarithmic else (float(p), float(slope))
         if np.isfinite(q.low) or np.isfinite(q.high):
             root = np.sqrt(1 + v * v)
@@ -49,27 +53,17 @@ class _Coordinate:
         """The search variable of a parameter value."""
         q = self.parameter
         if np.isfinite(q.low) and np.isfinite(q.high):
-            low, high = (np.log(q.low), np.log(q.high)) if self.logarithmic else (q.low, q.high)
-            share = ((np.log(p) if self.logarithmic else p) - low) / (high - low)
-            t = float(np.arcsin(2 * np.clip(share, self.inside, 1 - self.inside) - 1))
-            return t if self.logarithmic else t / min(self.size / (0.5 * (high - low)), 1.0)
+            low, half, scale = self._range()
+            share = ((np.log(p) if self.logarithmic else p) - low) / (2 * half)
+            return float(np.arcsin(2 * np.clip(share, INSIDE, 1 - INSIDE) - 1)) / scale
         if np.isfinite(q.low) or np.isfinite(q.high):
-            away = max((p - q.low) if np.isfinite(q.low) else (q.high - p), self.inside * self.size) / self.size
+            away = max((p - q.low) if np.isfinite(q.low) else (q.high - p), INSIDE * self.size) / self.size
             return float(np.sqrt((1 + away) ** 2 - 1))
         return p / self.size
 
 
 class DesignProblem:
-    """The closed loops of all plants as functions of the search variables v of a law.
-
-    ``plants``: generalised plants with the same measurements, controls and sample time.
-    ``law``: the controller.
-    ``objective``: ``"hinf"`` or ``"h2"``: the largest norm over the plants; or one of them for each plant.
-    ``limits``: what the design must keep, strictly.
-    ``budget``: every evaluation is counted there. None: no limit.
-    ``limited``: plants whose loops the limits are about, where those of ``plants`` have poles of weights; these where
-    left out.
-    """
+    """The closed loops of all plants as functions of the search variables v of a law."""
 
     def __init__(
         self,
@@ -139,7 +133,7 @@ class DesignProblem:
         for j in self.free:
             q = everything[j]
             logarithmic = bool(np.isfinite(q.high) and q.low > 0 and q.high > 10 * q.low)
-            self.coordinates.append(_Coordinate(q, float(q.size or sizes[j]), logarithmic, INSIDE))
+            self.coordinates.append(_Coordinate(q, float(q.size or sizes[j]), logarithmic))
         self.start = np.array([c.variable(float(start[j])) for c, j in zip(self.coordinates, self.free, strict=True)])
         self.centre = self.start + np.array([everything[j].centre for j in self.free])
 

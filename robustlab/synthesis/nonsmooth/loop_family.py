@@ -1,13 +1,6 @@
-r"""Closed loops of one plant with every controller of a packed form, and derivatives with respect to the controller.
+"""Closed loops of one plant with every packed controller Theta = [A_K, B_K; C_K, D_K], and their derivatives by Theta.
 
-A controller of n_K states is packed as :math:`\Theta = [A_K, B_K; C_K, D_K]`; with the plant extended by n_K
-integrators the loop is affine in it,
-
-.. math::
-    \dot x = (A + B \Theta C) x + (B_1 + B \Theta D_{21}) w, \qquad z = (C_1 + D_{12} \Theta C) x + (D_{11} + D_{12}
-    \Theta D_{21}) w,
-
-and a direct term D22 of the plant is first taken into :math:`\Theta (I - D_{22} \Theta)^{-1}`.
+With the plant extended by integrators the loop is affine in Theta, or in Theta (I - D22 Theta)^-1.
 """
 
 from __future__ import annotations
@@ -18,16 +11,19 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.linear_analysis.matrix_equations import lapack
-from robustlab.synthesis.nonsmooth.objectives import PeakFinder, bilinear, bilinear_pullback, entropy, resolvent_point
+from robustlab.synthesis.nonsmooth.objectives import (
+    BLUR,
+    PeakFinder,
+    bilinear,
+    bilinear_pullback,
+    entropy,
+    extreme_pole,
+    resolvent_point,
+)
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
 # An I - D22 Theta with a larger condition number is no loop to look at.
 ILL_POSED = 1e10
-# Poles whose distance is below this share of the largest one get their derivatives from a perturbed A.
-DEFECTIVE = 1e-14
-# Poles closer to the boundary than this share of the norm of A cannot be told from it.
-BLUR = 1e-13
 
 
 @dataclass(frozen=True)
@@ -52,31 +48,15 @@ class _Member:
 
 
 class LoopFamily:
-    """The closed loops ``F_l(P, K)`` of one plant for all controllers K of ``order`` states.
+    """The closed loops ``F_l(P, K)`` of one plant for all controllers K of ``order`` states."""
 
-    ``plant``: matrices of the plant without D22.
-    ``D22``: its direct term from u to y.
-    ``order``: states of the controller.
-    ``discrete``: True for a sampled plant.
-    """
-
-    def __init__(
-        self,
-        plant: PlantMatrices,
-        D22: AnyArray,
-        order: int,
-        discrete: bool,
-    ) -> None:
+    def __init__(self, plant: PlantMatrices, D22: AnyArray, order: int, discrete: bool) -> None:
         n, n_w, n_u, n_z, n_y = plant.sizes
-        k = order
-        zeros = np.zeros
-        self.discrete, self.order, self.n_plant = discrete, order, n
+        k, zeros = order, np.zeros
+        self.discrete, self.order = discrete, order
         self.A = np.block([[plant.A, zeros((n, k))], [zeros((k, n + k))]])
-        self.B1, self.C1, self.D11 = (
-            np.vstack([plant.B1, zeros((k, n_w))]),
-            np.hstack([plant.C1, zeros((n_z, k))]),
-            plant.D11,
-        )
+        self.B1, self.C1 = np.vstack([plant.B1, zeros((k, n_w))]), np.hstack([plant.C1, zeros((n_z, k))])
+        self.D11 = plant.D11
         self.B = np.block([[zeros((n, k)), plant.B2], [np.eye(k), zeros((k, n_u))]])
         self.C = np.block([[zeros((k, n)), np.eye(k)], [plant.C2, zeros((n_y, k))]])
         self.D12 = np.hstack([zeros((n_z, k)), plant.D12])
@@ -125,19 +105,11 @@ class LoopFamily:
 
     def pole(self, theta: AnyArray, measure: Any) -> Pole | None:
         """The pole with the largest ``measure(poles)`` and its derivative; None where there is none."""
-        from scipy.linalg import eig
-
         member = self._member(theta) if len(self.A) else None
-        if member is None or not np.isfinite(A := member.loop.A).all():
+        if member is None or not np.isfinite(member.loop.A).all():
             return None
-        values, left, right = (np.asarray(x) for x in eig(A, left=True, check_finite=False))
-        k = int(np.argmax(measure(values)))
-        u, v = left[:, k], right[:, k]
-        product = np.vdot(u, v)
-        if abs(product) < DEFECTIVE:
-            product = DEFECTIVE
-        G = np.outer(u.conj() @ self.B, self.C @ v) / product
-        return Pole(complex(values[k]), member.by_theta(G))
+        value, u, v = extreme_pole(member.loop.A, measure)
+        return Pole(value, member.by_theta(np.outer(u @ self.B, self.C @ v)))
 
     def abscissa(self, theta: AnyArray) -> tuple[float, AnyArray | None]:
         """Spectral abscissa (discrete: largest modulus minus one) and its gradient with respect to Theta."""
@@ -154,10 +126,7 @@ class LoopFamily:
     # --- norms -------------------------------------------------------------------------------------------------------
 
     def norm(self, theta: AnyArray, give_up_above: float = np.inf) -> tuple[float, AnyArray | None]:
-        """H-infinity norm and its gradient; ``(inf, None)`` for a loop that is not stable.
-
-        Above ``give_up_above`` the value may be a lower bound and the gradient is None.
-        """
+        """H-infinity norm and its gradient; ``(inf, None)`` for a loop that is not stable."""
         member = self._member(theta)
         continuous = None if member is None else self._continuous(member)
         if member is None or continuous is None:
@@ -165,10 +134,8 @@ class LoopFamily:
         value, omega = self._finder.largest(continuous, give_up_above)
         if value >= give_up_above or not np.isfinite(value):
             return value, None
-        found = self._gradients(member, omega, 0.0)
-        if found is None or not np.isfinite(found[0][0]):
-            return np.inf, None
-        return max(value, found[0][0]), found[0][1]
+        found = self._gradients(member, np.array([omega]), 0.0)
+        return (max(value, found[0][0]), found[0][1]) if found else (np.inf, None)
 
     def active(self, theta: AnyArray, value: float, share: float, band: float) -> list[tuple[float, AnyArray]]:
         """Singular values near the norm ``value``, each with its gradient: all peaks above ``(1 - share) value``."""
@@ -176,69 +143,35 @@ class LoopFamily:
         continuous = None if member is None else self._continuous(member)
         if member is None or continuous is None:
             return []
-        omegas = np.array(self._finder.peaks(continuous, value, share, band), dtype=float)
-        dynamic = np.isfinite(omegas) | self.discrete if len(self.A) else np.zeros(len(omegas), dtype=bool)
-        found = self._stacked_gradients(member, omegas[dynamic], (1 - share) * value)
-        if not dynamic.all():
-            found += self._gradients(member, np.inf, (1 - share) * value) or []
-        return found
+        return self._gradients(
+            member, np.array(self._finder.peaks(continuous, value, share, band)), (1 - share) * value
+        )
 
-    def _stacked_gradients(self, member: _Member, omegas: AnyArray, least: float) -> list[tuple[float, AnyArray]]:
-        """What `_gradients` gives, for many frequencies at once."""
-        if not len(omegas):
-            return []
+    def _gradients(self, member: _Member, omegas: AnyArray, least: float) -> list[tuple[float, AnyArray]]:
+        """Singular values above ``least`` near the largest of each frequency, with their gradients."""
         a, b, c, d = member.loop
-        m = b.shape[1]
-        points = np.array([resolvent_point(omega, self.discrete) for omega in omegas])
-        try:
-            x = np.linalg.solve(points[:, None, None] * np.eye(len(a)) - a, np.hstack([b, self.B])[None] + 0j)
-        except np.linalg.LinAlgError:
-            return []
-        gain = c @ x[:, :, :m] + d
-        if not np.isfinite(gain).all():
-            return []
-        left, s, right = np.linalg.svd(gain, full_matrices=False)
-        rows, columns = self.D12 + c @ x[:, :, m:], self.D21 + self.C @ x[:, :, :m]
-        found: list[tuple[float, AnyArray]] = []
-        for i, k in np.argwhere((s > least) & (s > 0.5 * s[:, :1])):
-            row, column = left[i, :, k].conj() @ rows[i], columns[i] @ right[i, k].conj()
-            found.append((float(s[i, k]), np.real(member.by_theta(np.outer(row, column)))))
-        return found
-
-    def _gradients(self, member: _Member, omega: float, least: float) -> list[tuple[float, AnyArray]] | None:
-        """Singular values at one frequency above ``least`` (at least the largest one) with their gradients."""
-        a, b, c, d = member.loop
-        direct = not np.isfinite(omega) and not self.discrete
-        if direct or not len(a):
-            left, s, right = np.linalg.svd(d, full_matrices=False)
-            lu = piv = None
-        else:
-            lu, piv, info = lapack().zgetrf(resolvent_point(omega, self.discrete) * np.eye(len(a)) - a)
-            gain = c @ lapack().zgetrs(lu, piv, b)[0] + d
-            if info or not np.isfinite(gain).all():
-                return None
+        m, found = b.shape[1], list[tuple[float, AnyArray]]()
+        dynamic = (np.isfinite(omegas) | self.discrete) & bool(len(a))
+        parts = [(d[None], self.D12[None], self.D21[None])] if not dynamic.all() else []
+        if dynamic.any():
+            points = np.array([resolvent_point(omega, self.discrete) for omega in omegas[dynamic]])
+            try:
+                x = np.linalg.solve(points[:, None, None] * np.eye(len(a)) - a, np.hstack([b, self.B])[None] + 0j)
+            except np.linalg.LinAlgError:
+                return []
+            by_w = x[:, :, :m]
+            parts.insert(0, (c @ by_w + d, self.D12 + c @ x[:, :, m:], self.D21 + self.C @ by_w))
+        for gain, rows, columns in parts:
+            if not np.isfinite(gain).all():
+                return []
             left, s, right = np.linalg.svd(gain, full_matrices=False)
-        found: list[tuple[float, AnyArray]] = []
-        for k in range(len(s)):
-            if k and s[k] <= max(least, 0.5 * s[0]):
-                break
-            u, v = left[:, k], right[k].conj()
-            row, column = u.conj() @ self.D12, self.D21 @ v
-            if lu is not None:
-                row = row + lapack().zgetrs(lu, piv, c.T @ u, trans=2)[0].conj() @ self.B
-                column = column + self.C @ lapack().zgetrs(lu, piv, b @ v)[0]
-            found.append((float(s[k]), np.real(member.by_theta(np.outer(row, column)))))
-            if least == 0.0:
-                break
+            for i, k in np.argwhere((s > least) & (s > 0.5 * s[:, :1])):
+                row, column = left[i, :, k].conj() @ rows[i], columns[i] @ right[i, k].conj()
+                found.append((float(s[i, k]), np.real(member.by_theta(np.outer(row, column)))))
         return found
 
     def h2_norm(self, theta: AnyArray) -> tuple[float, AnyArray | None]:
-        r"""H2 norm and its gradient; ``(inf, None)`` for a loop that is not stable.
-
-        With the Gramians P and Q, :math:`d\,\|T\|_2^2 = 2\,\mathrm{tr}[Q (dA\,P + dB\,B^T) + dC\,P C^T]`; discrete,
-        :math:`2\,\mathrm{tr}[Q (dA\,P A^T + dB\,B^T) + dC\,P C^T + dD\,D^T]`. The direct term of a
-        continuous loop is left out: it must be zero.
-        """
+        """H2 norm and its gradient; ``(inf, None)`` for a loop that is not stable."""
         from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
         member = self._member(theta)

@@ -1,18 +1,12 @@
-r"""What a search makes small: the H-infinity norm of a loop, and its entropy as a smooth barrier of that norm.
+"""What a search makes small: the H-infinity norm of a loop, and its entropy as a smooth barrier of that norm.
 
-The norm is quick, warm-started, and free of the under-estimates that an optimiser walks into; it is no proof: finished
-designs are verified with `robustlab.norms.hinf_norm`. The entropy at a level gamma,
-
-.. math::
-    \varphi(T, \gamma) = -\frac{1}{2\pi} \int_{-\infty}^{\infty} \ln\det\left(I - \gamma^{-2} T(j\omega)^* T(j\omega)
-    \right) \frac{2 s_0}{s_0^2 + \omega^2}\,d\omega,
-
-is finite exactly where the norm of T is below gamma, and its slope grows without bound towards the norm. Frequencies
-here are those of a continuous loop; a discrete loop is mapped by the bilinear rule first (`bilinear`).
+The norm is quick and warm-started; it is no proof. The entropy at a level is finite exactly where the norm is below it.
+Frequencies are those of a continuous loop; a discrete loop is mapped by the bilinear rule first.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +29,8 @@ ENTROPY_RESIDUAL = 1e-7
 
 # Real parts of poles above this share of the norm of A cannot be told from zero.
 BLUR = 1e-13
+# Eigenvectors whose product is below this share get their derivatives from a perturbed A.
+DEFECTIVE = 1e-14
 
 
 def bilinear(loop: Realisation) -> Realisation | None:
@@ -67,32 +63,35 @@ def resolvent_point(omega: float, discrete: bool) -> complex:
     return -1.0 + 0j if np.isinf(omega) else (1 + 1j * omega) / (1 - 1j * omega)
 
 
+def extreme_pole(A: AnyArray, measure: Callable[[AnyArray], AnyArray]) -> tuple[complex, AnyArray, AnyArray]:
+    """The pole with the largest ``measure(poles)``, and u, v with ``d pole = u^T dA v``."""
+    from scipy.linalg import eig
+
+    values, left, right = (np.asarray(x) for x in eig(A, left=True, check_finite=False))
+    k = int(np.argmax(measure(values)))
+    u, v = left[:, k].conj(), right[:, k]
+    product = u @ v
+    return complex(values[k]), u / (product if abs(product) >= DEFECTIVE else DEFECTIVE), v
+
+
 class PeakFinder:
-    """Finds the peaks of one loop after the other; the frequencies of the last ones are tried first.
+    """Finds the peaks of one loop after the other; the frequencies of the last ones are tried first."""
 
-    ``largest`` gives the norm; ``peaks`` all frequencies near the norm, for methods that need every active one.
-    """
-
-    def __init__(
-        self,
-    ) -> None:
+    def __init__(self) -> None:
         self._warm: list[float] = []
 
     def largest(self, loop: Realisation, give_up_above: float = np.inf) -> tuple[float, float]:
-        """``(norm, frequency)``; infinite for a loop that is not stable.
-
-        Above ``give_up_above`` the first value met is returned: a line search asks no more.
-        """
+        """``(norm, frequency)``; infinite for a loop that is not stable."""
         n = loop.A.shape[0]
         direct = float(np.linalg.norm(loop.D, 2)) if loop.D.any() else 0.0
         if not n or not loop.B.size or not loop.C.size:
             return direct, 0.0
         if not all(np.isfinite(m).all() for m in loop):
             return np.inf, np.nan
-        modal = _Modal(loop, PEAK_REFINEMENTS)
+        modal = ModalLoop(loop)
         if not modal.stable:
             return np.inf, np.nan
-        omega = self._frequencies(modal, PEAK_GRID)
+        omega = modal.frequencies(PEAK_GRID, self._warm)
         sigma = modal.sigma(omega)
         if not np.isfinite(sigma).all():
             return np.inf, np.nan
@@ -110,11 +109,11 @@ class PeakFinder:
             self._warm = [at, *self._warm[:3]]
         return value, at
 
-    def _above(self, loop: Realisation, modal: _Modal, value: float, at: float) -> tuple[float, float]:
+    def _above(self, loop: Realisation, modal: ModalLoop, value: float, at: float) -> tuple[float, float]:
         """Raise the value until the Hamiltonian shows no crossing above it."""
         for _ in range(PEAK_LEVELS):
             level = value * (1 + PEAK_LEVEL)
-            crossing = crossings(loop, level, NEAR_AXIS)
+            crossing = crossings(loop, level)
             if not len(crossing):
                 break
             points = np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:]), [0.5 * crossing[0]]])
@@ -133,11 +132,11 @@ class PeakFinder:
         """Frequencies of all local maxima above ``(1 - share) * value``, and of grid points above ``(1 - band)``."""
         if not loop.A.shape[0]:
             return [0.0]
-        modal = _Modal(loop, PEAK_REFINEMENTS)
+        modal = ModalLoop(loop)
         direct = [np.inf] if loop.D.any() and np.linalg.norm(loop.D, 2) > (1 - share) * value else []
         if not modal.stable:
             return direct
-        omega = np.unique(np.concatenate([self._frequencies(modal, 2 * PEAK_GRID), self._warm]))
+        omega = modal.frequencies(2 * PEAK_GRID, self._warm)
         sigma = modal.sigma(omega, (1 - share) * value)
         sigma = np.where(sigma > (1 - share) * value, sigma, 0.0)
         left, right = np.append(-1.0, sigma[:-1]), np.append(sigma[1:], -1.0)
@@ -147,22 +146,13 @@ class PeakFinder:
             found.append(modal.refined(float(omega[k]), float(low), float(high)))
         return [*dict.fromkeys(found), *direct]
 
-    def _frequencies(self, modal: _Modal, grid: int) -> AnyArray:
-        poles = modal.poles[modal.poles.imag >= 0]
-        size = np.abs(poles)
-        resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
-        wide = np.geomspace(size.min() / 10, size.max() * 10, grid)
-        omega = np.concatenate([[0.0], size, poles.imag, resonance, wide, self._warm])
-        return np.unique(omega)
 
-
-class _Modal:
+class ModalLoop:
     """A loop in modal coordinates: the gain at many frequencies costs little; good for searching, not for the value."""
 
-    def __init__(self, loop: Realisation, refinements: int) -> None:
-        a, b, c, d = loop
+    def __init__(self, loop: Realisation) -> None:
+        a, b, c, self.d = loop
         n = a.shape[0]
-        self.loop, self.d, self.refinements = loop, d, refinements
         real, imag, _, right, info = lapack().dgeev(a, compute_vl=0)
         self.poles = real + 1j * imag
         self.stable = info == 0 and bool(real.max() < -BLUR * np.abs(a).max())
@@ -178,6 +168,14 @@ class _Modal:
         except np.linalg.LinAlgError:
             self.b = np.linalg.solve(vectors + 1e-12 * np.eye(n), b.astype(complex))
         self.c = c @ vectors
+
+    def frequencies(self, grid: int = PEAK_GRID, more: Sequence[float] = ()) -> AnyArray:
+        """Zero, the poles' frequencies and resonances, and a coarse grid around them."""
+        poles = self.poles[self.poles.imag >= 0]
+        size = np.abs(poles)
+        resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
+        wide = np.geomspace(size.min() / 10, size.max() * 10, grid)
+        return np.unique(np.concatenate([[0.0], size, poles.imag, resonance, wide, more]))
 
     def response(self, omega: AnyArray) -> AnyArray:
         """Gain matrices at finite frequencies, shape (n_omega, n_z, n_w)."""
@@ -214,7 +212,7 @@ class _Modal:
         at, g_at = (high, self.slope(high)[1]) if g > 0 else (low, self.slope(low)[1])
         if g_at * g > 0:
             return omega
-        for _ in range(self.refinements):
+        for _ in range(PEAK_REFINEMENTS):
             step = omega - g * (omega - at) / (g - g_at)
             inside = low + 0.02 * (high - low) <= step <= high - 0.02 * (high - low)
             new = step if inside else 0.5 * (low + high)
@@ -226,7 +224,7 @@ class _Modal:
         return omega
 
 
-def crossings(loop: Realisation, level: float, near_axis: float = NEAR_AXIS) -> AnyArray:
+def crossings(loop: Realisation, level: float) -> AnyArray:
     """Frequencies >= 0 at which a singular value of the loop may have this level, in order."""
     a, b, c, d = loop
     root = np.sqrt(level)
@@ -249,7 +247,7 @@ def crossings(loop: Realisation, level: float, near_axis: float = NEAR_AXIS) -> 
     if info:
         return np.zeros(0)
     size = np.hypot(real, imag)
-    near = (imag >= 0) & (np.abs(real) <= near_axis * size + 1e-12 * size.max())
+    near = (imag >= 0) & (np.abs(real) <= NEAR_AXIS * size + 1e-12 * size.max())
     return np.unique(imag[near])
 
 
@@ -277,31 +275,8 @@ class Entropy:
     by_loop: Realisation
 
 
-def entropy(
-    loop: Realisation,
-    gamma: float,
-    s0: float = 1.0,
-) -> Entropy | None:
-    r"""The entropy with its derivatives; None where the loop is not stable or its norm not below gamma.
-
-    With the stabilising solution of
-
-    .. math:: A^T X + X A + C^T C + F^T R F = 0, \qquad R = \gamma^2 I - D^T D, \quad F = R^{-1} (B^T X + D^T C)
-
-    the factor :math:`R^{1/2} (I - F (sI - A)^{-1} B)` is outer, and Poisson's integral gives
-
-    .. math:: \varphi = -\ln\det(R/\gamma^2) + 2 \ln\det(s_0 I - A) - 2 \ln\det(s_0 I - A - B F),
-
-    whose derivatives these are.
-
-    ``loop``: a continuous loop.
-    ``gamma``: the level.
-    ``s0``: where the factor is evaluated, in rad/s: frequencies about it weigh most.
-
-    References
-    ----------
-    Mustafa, Glover, *Minimum entropy H-infinity control* (1990).
-    """
+def entropy(loop: Realisation, gamma: float) -> Entropy | None:
+    """The entropy with its derivatives; None where the loop is not stable or its norm not below gamma."""
     a, b, c, d = loop
     n, m = b.shape
     r = gamma**2 * np.eye(m) - d.T @ d
@@ -316,15 +291,16 @@ def entropy(
         by_gamma = -2 * gamma * float(np.trace(r_inv)) + 2 * m / gamma
         by_loop = Realisation(nothing((0, 0)), nothing((0, m)), nothing((len(c), 0)), 2 * d @ r_inv)
         return Entropy(value, by_gamma, by_loop)
-    x = _stabilising(loop, r_inv, ENTROPY_RESIDUAL)
+    # Mustafa, Glover, *Minimum entropy H-infinity control* (1990): with A^T X + X A + C^T C + F^T R F = 0 the factor
+    # R^(1/2) (I - F (sI - A)^-1 B) is outer, and Poisson's integral gives the entropy from its value at s = 1.
+    x = _stabilising(loop, r_inv)
     if x is None:
         return None
     f = r_inv @ (b.T @ x + d.T @ c)
-    a_f = a + b @ f
-    w, w_f = np.linalg.inv(s0 * np.eye(n) - a), np.linalg.inv(s0 * np.eye(n) - a_f)
-    _, log_a = np.linalg.slogdet(s0 * np.eye(n) - a)
-    _, log_f = np.linalg.slogdet(s0 * np.eye(n) - a_f)
-    value = -float(np.linalg.slogdet(r)[1]) + 2 * m * np.log(gamma) + 2 * float(log_a - log_f)
+    a_f, eye = a + b @ f, np.eye(n)
+    w, w_f = np.linalg.inv(eye - a), np.linalg.inv(eye - a_f)
+    logs = [float(np.linalg.slogdet(m)[1]) for m in (r, eye - a, eye - a_f)]
+    value = -logs[0] + 2 * m * np.log(gamma) + 2 * (logs[1] - logs[2])
     v = w_f @ b @ r_inv
     s = v @ b.T
     y = _lyapunov(a_f, s + s.T)
@@ -339,12 +315,12 @@ def entropy(
     return Entropy(value, by_gamma, Realisation(by_a, by_b, by_c, by_d))
 
 
-def _stabilising(loop: Realisation, r_inv: AnyArray, tolerance: float) -> AnyArray | None:
+def _stabilising(loop: Realisation, r_inv: AnyArray) -> AnyArray | None:
     """X from the stable invariant subspace of the Hamiltonian; None where there is none or A is not stable."""
     a, b, c, d = loop
     n = len(a)
-    a1 = a + b @ (r_inv @ (d.T @ c)) if d.any() else a
-    low = c.T @ (c + d @ (r_inv @ (d.T @ c))) if d.any() else c.T @ c
+    by_d = r_inv @ (d.T @ c)
+    a1, low = a + b @ by_d, c.T @ (c + d @ by_d)
     hamiltonian = np.block([[a1, b @ r_inv @ b.T], [-low, -a1.T]])
     if not np.isfinite(hamiltonian).all():
         return None
@@ -363,7 +339,7 @@ def _stabilising(loop: Realisation, r_inv: AnyArray, tolerance: float) -> AnyArr
         return None
     terms = x @ a1, x @ hamiltonian[:n, n:] @ x
     residual = np.abs(terms[0] + terms[0].T + low + terms[1]).max()
-    return x if residual <= tolerance * max(np.abs(t).max() for t in (*terms, low)) else None
+    return x if residual <= ENTROPY_RESIDUAL * max(np.abs(t).max() for t in (*terms, low)) else None
 
 
 def _lyapunov(a: AnyArray, q: AnyArray) -> AnyArray | None:

@@ -1,12 +1,4 @@
-"""Search for the parameters of a controller law: stabilise, follow the central path, descend on the norm, polish.
-
-Many starts take a few steps down the norm, the better ones more, and the best go on along the end of the central path
-and down the norm again. With limits every start takes the whole path: at the edge of what is feasible a descent stops.
-Every start goes through the same steps, and the budget of the problem counts evaluations, so that the same seed gives
-the same answer.
-
-From a controller that is known, `descend` takes one start alone: a last improvement for other methods.
-"""
+"""Search for the parameters of a controller law: stabilise, follow the central path, descend on the norm, polish."""
 
 from __future__ import annotations
 
@@ -20,8 +12,7 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.laws.controller_laws import AffineBuilder, AffineLaw, Parameter, model_of
-from robustlab.synthesis.nonsmooth.constants import BARRIER_CLOSER, BARRIER_KNOWN
+from robustlab.synthesis.laws.controller_laws import AffineBuilder, AffineLaw, Parameter
 from robustlab.synthesis.nonsmooth.descent_methods import Descent, Function, bfgs, sequential_linear
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -43,6 +34,9 @@ POLISH_STEPS = 40
 SAME = 1e-4
 # Weights of the barrier: the first finds the middle of the feasible set, the last ends within about a percent.
 BARRIER = (3.0, 1.0, 0.3)
+# Those for a start that has come down the norm already, and for a controller that is known to be good.
+BARRIER_CLOSER = (0.1, 0.03)
+BARRIER_KNOWN = (0.3, 0.1, 0.03)
 BARRIER_STEPS = 60
 BARRIER_RTOL = 1e-5
 # Level over the norm at which the path begins.
@@ -78,10 +72,7 @@ def multi_start(
     seed: int,
     progress: Callable[[str], None],
 ) -> list[Start]:
-    """All starts, the best ones polished; best first. Those that were never stable come last.
-
-    ``given`` are pairs of a kind and parameters; they, and the structure's own start, also take the whole central path.
-    """
+    """All starts, the best ones polished; best first."""
     field: list[_Runner] = []
     total = len(given) + 1 + starts
     for i in range(total):
@@ -99,9 +90,9 @@ def multi_start(
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
         progress(f"start {i + 1} of {total}: norm {field[-1].start.gamma:.6g}, {text}")
     for steps, keep in ROUNDS:
-        field = _distinct_first(field, SAME)
+        field = _distinct_first(field)
         field = [_further(problem, r, steps) if i < keep else r for i, r in enumerate(field)]
-    found = [r.start for r in _distinct_first(field, SAME)]
+    found = [r.start for r in _distinct_first(field)]
     followed = [_followed(problem, s) if i < FOLLOWED else s for i, s in enumerate(found)]
     return _best_polished(problem, sorted(followed, key=lambda s: s.gamma), progress)
 
@@ -154,12 +145,12 @@ def _further(problem: DesignProblem, runner: _Runner, steps: int) -> _Runner:
     return _Runner(start, found.x, found.value, found.inverse, found.steps < steps)
 
 
-def _distinct_first(field: list[_Runner], same: float) -> list[_Runner]:
+def _distinct_first(field: list[_Runner]) -> list[_Runner]:
     """By norm, but those that ended where a better one has ended come last."""
     first: list[_Runner] = []
     again: list[_Runner] = []
     for runner in sorted(field, key=lambda r: r.value):
-        known = any(abs(r.value - runner.value) <= same * runner.value for r in first if np.isfinite(runner.value))
+        known = any(abs(r.value - runner.value) <= SAME * runner.value for r in first if np.isfinite(runner.value))
         (again if known else first).append(runner)
     return first + again
 
@@ -179,10 +170,9 @@ def _followed(problem: DesignProblem, start: Start) -> Start:
 
 def _best_polished(problem: DesignProblem, found: list[Start], progress: Callable[[str], None]) -> list[Start]:
     done: list[Start] = []
-    same = SAME
     ends: list[float] = []  # norms of the starts that were polished, before it: one of each optimum is enough
     for start in found:
-        new = np.isfinite(start.gamma) and all(abs(end - start.gamma) > same * start.gamma for end in ends)
+        new = np.isfinite(start.gamma) and all(abs(end - start.gamma) > SAME * start.gamma for end in ends)
         if len(ends) == POLISHED or not new or start.gamma == 0 or problem.late():
             done.append(start)
             continue
@@ -200,21 +190,11 @@ def _bfgs(problem: DesignProblem, function: Function, v: AnyArray, **steps: Any)
 
 
 def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
-    """Variables from v on that stabilise all loops and keep the limits, or the best found, and what is violated.
-
-    The second is negative for a feasible design; else the spectral abscissa (in scaled time) or the violated limit.
-    """
-
-    def loops(x: AnyArray, _: float) -> tuple[float, AnyArray | None]:
-        return problem.instability(x)
-
-    def limits(x: AnyArray, _: float) -> tuple[float, AnyArray | None]:
-        return problem.violation(x)
-
-    v, value = _below_zero(problem, loops, v)
+    """Variables from v on that stabilise all loops and keep the limits, or the best found, and what is violated."""
+    v, value = _below_zero(problem, lambda x, _: problem.instability(x), v)
     if value >= STABLE or not problem.limits:
         return v, value
-    return _below_zero(problem, limits, v)
+    return _below_zero(problem, lambda x, _: problem.violation(x), v)
 
 
 def _below_zero(problem: DesignProblem, function: Function, v: AnyArray) -> tuple[AnyArray, float]:
@@ -230,7 +210,7 @@ def _below_zero(problem: DesignProblem, function: Function, v: AnyArray) -> tupl
 
 
 def central_path(
-    problem: DesignProblem, v: AnyArray, weights: Sequence[float] | None = None
+    problem: DesignProblem, v: AnyArray, weights: Sequence[float] = BARRIER
 ) -> tuple[AnyArray, list[float]]:
     """Minimisers of ``ln gamma + mu * barrier`` for falling mu, from feasible variables; norms on the way."""
     best, at = problem.norm(v)[0], v
@@ -238,12 +218,10 @@ def central_path(
     if not np.isfinite(best) or best <= 0:
         return v, values
     z = np.append(v, np.log(HEADROOM * best))
-    for mu in BARRIER if weights is None else weights:
-
-        def function(x: AnyArray, _: float, mu: float = mu) -> tuple[float, AnyArray | None]:
-            return problem.barrier(x, mu)
-
-        found = _bfgs(problem, function, z, max_steps=BARRIER_STEPS, rtol=BARRIER_RTOL)
+    for mu in weights:
+        found = _bfgs(
+            problem, lambda x, _, mu=mu: problem.barrier(x, mu), z, max_steps=BARRIER_STEPS, rtol=BARRIER_RTOL
+        )
         if found is None or problem.late():
             break
         z = found.x
@@ -288,22 +266,8 @@ def polished(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
 # --- from a controller that is known ----------------------------------------------------------------------------------
 
 
-def descend(
-    plant: GeneralizedPlant,
-    K0: StateSpaceModel,
-    budget: Budget,
-) -> StateSpaceModel:
-    """A controller of the order of K0 with a norm that is at most K0's, by descent from K0.
-
-    K0 is written in modal coordinates (or keeps its own where the modes almost coincide) and all its entries move. Of
-    very many (`MANY`) only its inputs, outputs and direct term do.
-
-    ``plant``: the generalised plant.
-    ``K0``: a stabilising controller, ``u = K y`` with positive feedback.
-    ``budget``: evaluations are counted there; once it is over the descent ends.
-    Returns: K0 itself where nothing better was found or K0 does not stabilise. Nothing here is verified: the caller
-    does.
-    """
+def descend(plant: GeneralizedPlant, K0: StateSpaceModel, budget: Budget) -> StateSpaceModel:
+    """A controller of the order of K0 with a norm that is at most K0's, by descent from K0."""
     if (K0.n_inputs, K0.n_outputs) != (plant.n_meas, plant.n_con):
         found = f"K0 has {K0.n_inputs} inputs and {K0.n_outputs} outputs"
         raise InputError("descend", found, f"{plant.n_meas} and {plant.n_con}")
@@ -317,30 +281,25 @@ def descend(
     q, after = polished(problem, problem.parameters(v)[0])
     if not after < before:
         return K0
-    return model_of(law, q, K0.dt, K0.inputs, K0.outputs)
+    return law.model(q, K0.dt, K0.inputs, K0.outputs)
 
 
-def law_around(
-    K: StateSpaceModel,
-) -> tuple[AffineLaw, AnyArray]:
+def law_around(K: StateSpaceModel) -> tuple[AffineLaw, AnyArray]:
     """A law that contains K, in coordinates with few parameters, and its parameters for K."""
-    A, B, C = _modal(K, MODES_WELL_APART)
+    A, B, C = _modal(K)
     k, n_u, n_y = K.n_states, K.n_outputs, K.n_inputs
-    builder = AffineBuilder(k, n_u, n_y)
-    values: list[float] = []
-    theta = np.block([[A, B], [C, K.D]])
-    moves = (theta != 0) | (np.arange(k + n_u)[:, None] >= k) | (np.arange(k + n_y)[None, :] >= k)
-    near = np.abs(np.subtract.outer(np.arange(k), np.arange(k))) <= 1
-    moves[:k, :k] |= near
+    builder, theta = AffineBuilder(k, n_u, n_y), np.block([[A, B], [C, K.D]])
+    row, column = np.indices(theta.shape)
+    moves = (theta != 0) | (row >= k) | (column >= k) | (np.abs(row - column) <= 1)
     if moves.sum() > MANY:
         builder.base[:k, :k], moves[:k, :k] = A, False
-    for i, j in np.argwhere(moves):
-        builder.parameter(Parameter(f"Theta[{i + 1},{j + 1}]"), (int(i), int(j), 1.0))
-        values.append(float(theta[i, j]))
-    return builder.law(), np.array(values)
+    places = np.argwhere(moves)
+    for i, j in places.tolist():
+        builder.parameter(Parameter(f"Theta[{i + 1},{j + 1}]"), (i, j, 1.0))
+    return builder.law(), theta[tuple(places.T)]
 
 
-def _modal(K: StateSpaceModel, well_apart: float) -> tuple[AnyArray, AnyArray, AnyArray]:
+def _modal(K: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray]:
     """A, B, C with A in real modal form, or as given where the modes are not well apart."""
     if not K.n_states:
         return K.A, K.B, K.C
@@ -352,7 +311,7 @@ def _modal(K: StateSpaceModel, well_apart: float) -> tuple[AnyArray, AnyArray, A
         elif value.imag == 0:
             columns.append(vector.real)
     T = np.column_stack(columns)
-    if np.linalg.cond(T) > well_apart:
+    if np.linalg.cond(T) > MODES_WELL_APART:
         return K.A, K.B, K.C
     inverse = np.linalg.inv(T)
     A, B, C = inverse @ K.A @ T, inverse @ K.B, K.C @ T

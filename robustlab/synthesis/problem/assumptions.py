@@ -26,15 +26,7 @@ ZERO, NEAR = 1e-9, 1e-5
 
 
 def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, rate: float = 1.0) -> None:
-    r"""Popov-Belevitch-Hautus test of all unstable and marginal modes.
-
-    .. math:: \mathrm{rank}\,[A - \lambda I,\ B_2] = n, \qquad \mathrm{rank}\,[A - \lambda I;\ C_2] = n
-
-    ``p``: scaled plant; its time unit is ``1/rate`` s.
-    ``states``: names of its states, for the message.
-    Raises NoTrustworthyNumber: a mode fails; the message says which, whether the controls cannot move it or the
-    measurements do not see it, and the state that takes part in it most.
-    """
+    """Popov-Belevitch-Hautus test of all unstable and marginal modes."""
     if not p.A.size:
         return
     refuse_overflow(where, p.A, p.B2, p.C2)
@@ -86,21 +78,7 @@ def _text(pole: complex) -> str:
 
 
 def broken_assumptions(p: PlantMatrices, plant: GeneralizedPlant, rate: float = 1.0) -> tuple[str, ...]:
-    r"""Assumptions of the Riccati method that the plant does not meet, each with what it means physically.
-
-    .. math:: \mathrm{rank}\,D_{12} = n_u, \quad \mathrm{rank}\,D_{21} = n_y, \quad
-        \mathrm{rank} \begin{bmatrix} A - j\omega I & B_2 \\ C_1 & D_{12} \end{bmatrix} = n + n_u, \quad
-        \mathrm{rank} \begin{bmatrix} A - j\omega I & B_1 \\ C_2 & D_{21} \end{bmatrix} = n + n_y
-
-    None of them is fatal: the search adds small penalties and noises where one is broken.
-
-    ``p``: scaled plant; its time unit is ``1/rate`` s.
-    ``plant``: the plant as given, for the names.
-
-    References
-    ----------
-    Zhou, Doyle, Glover 1996, section 17.1, assumptions (ii) to (iv).
-    """
+    """Assumptions of the Riccati method that the plant does not meet, each with what it means physically."""
     controls, measurements = ([s.name for s in group] for group in (plant.controls, plant.measurements))
     found = [
         f"{name} has no direct penalty: no performance output limits how fast it may act (D12 lacks column rank)"

@@ -1,7 +1,6 @@
 """The certificate of every design: P and K as stored make a loop with the norm found, proved in ball arithmetic.
 
-The rebuilt loop, a realisation in floating point, carries the rounding of its products; where K has large entries it
-may be that of another loop. The checker (`robustlab.verification`) closes P and K itself and uses nothing of it.
+The rebuilt loop carries rounding: the checker (`robustlab.verification`) closes P and K itself and uses nothing of it.
 """
 
 from __future__ import annotations
@@ -46,11 +45,7 @@ def certified(
     level: float | None = None,
     effort: int = EFFORT,
 ) -> Certificate:
-    """The certificate of the norm of the loop of P and K; where that loop has a larger norm, this is shown.
-
-    ``norm``: that of the loop rebuilt in floating point.
-    ``level``: what is to be proved, at least the norm; left out: the norm, or a little more.
-    """
+    """The certificate of the norm of the loop of P and K; where that loop has a larger norm, this is shown."""
     shown = norm.value if isinstance(norm, H2Norm) else norm.upper if level is None else level
     if not np.isfinite(shown):
         return Certificate(shown, norm.reason)

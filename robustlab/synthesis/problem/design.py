@@ -43,6 +43,7 @@ class Design(Shown):
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {"gamma": float}
+    saved: ClassVar[tuple[str, ...]] = ("status", "gamma", "reason", "K")  # attributes that `to_json` gives
 
     K: Any
     gamma: float
@@ -56,6 +57,15 @@ class Design(Shown):
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (verified upper bound)"
 
+    def to_json(self) -> dict[str, Any]:
+        return {name: _told(getattr(self, name)) for name in self.saved}
+
+
+def _told(value: Any) -> Any:
+    if isinstance(value, (tuple, list)):
+        return [_told(item) for item in value]
+    return value.to_json() if hasattr(value, "to_json") else value
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Synthesis(Design):
@@ -63,13 +73,7 @@ class Synthesis(Design):
 
     Attributes
     ----------
-    K
-        The controller, ``u = K y`` with positive feedback into the plant's lower LFT; its inputs say what they take.
-    gamma
-        Verified upper bound of what the method makes small (its docstring says what).
-    closed_loop
-        The lower LFT of plant and K, from w to z.
-    status, reason
+    K, gamma, closed_loop, status, reason
         As in `Design`.
     limit
         What limits the performance: the channels that make the peak.
@@ -82,6 +86,10 @@ class Synthesis(Design):
     quantities: ClassVar[Mapping[str, Any]] = {
         "order": "1", "stable": bool, "gamma": float, "fastest_controller_pole": float, "closed_loop_abscissa": float,
     }  # fmt: skip
+    saved = (
+        "method", "status", "gamma", "order", "law", "fastest_controller_pole", "closed_loop_abscissa", "limit",
+        "reason", "K", "closed_loop",
+    )  # fmt: skip
 
     K: StateSpaceModel
     closed_loop: StateSpaceModel
@@ -104,6 +112,11 @@ class Synthesis(Design):
         return self.K.n_states
 
     @property
+    def law(self) -> str:
+        """How K closes the loop, ``u = K (r - y)`` for example."""
+        return law(self.K.inputs)
+
+    @property
     def stable(self) -> bool:
         """Whether the closed loop is stable."""
         return self.closed_loop.spectral_abscissa() < 0
@@ -122,9 +135,7 @@ class Synthesis(Design):
     def _parts(self) -> tuple[StateSpaceModel, StateSpaceModel]:
         """The loop of K, and what of the plant lies outside: states that u does not reach or that do not reach y."""
         p, n_w, n_z = self.plant.model, self.plant.n_w, self.plant.n_z
-        if p.dt != self.K.dt and (
-            self.K.n_states or self.K.dt
-        ):  # a sampled loop: the plant as given is none of its parts
+        if p.dt != self.K.dt and (self.K.n_states or self.K.dt):  # sampled: the plant as given is none of its parts
             return self.closed_loop, StateSpaceModel([], [], [], np.zeros((0, 0)), self.K.dt)
         B, C = p.B[:, n_w:], p.C[n_z:]
         inside = np.flatnonzero(_reached(p.A, B) & _reached(p.A.T, C.T))
@@ -142,28 +153,13 @@ class Synthesis(Design):
             ("gamma", self._gamma_text()),
             ("status", self.status.value),
             ("controller", f"{self.K.n_states} states, {self.K.n_inputs} inputs, {self.K.n_outputs} outputs"),
-            ("loop", law(self.K.inputs)),
+            ("loop", self.law),
             ("fastest controller pole", f"{self.fastest_controller_pole:.4g} {unit}"),
             ("closed loop, rightmost pole", f"{self.closed_loop_abscissa:.4g} {margin}"),
             ("weights and filters, rightmost pole", f"{outside:.4g} {margin}" if np.isfinite(outside) else ""),
             ("what limits it", self.limit),
             ("how", self.reason),
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "method": self.method,
-            "status": self.status,
-            "gamma": self.gamma,
-            "order": self.K.n_states,
-            "law": law(self.K.inputs),
-            "fastest_controller_pole": self.fastest_controller_pole,
-            "closed_loop_abscissa": self.closed_loop_abscissa,
-            "limit": self.limit,
-            "reason": self.reason,
-            "K": self.K.to_json(),
-            "closed_loop": self.closed_loop.to_json(),
-        }
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -196,6 +192,10 @@ class HinfSynthesis(Synthesis):
         **dict.fromkeys(("smallest_gamma", "peak_frequency", "scalings_disagree", "gamma_lower"), float),
         **dict.fromkeys(("estimated_optimum", "regularisation_cost"), float),
     }  # fmt: skip
+    saved = (
+        *Synthesis.saved, "smallest_gamma", "peak_frequency", "scalings_disagree", "norm", "gamma_lower", "lower_bound",
+        "estimated_optimum", "regularisation_cost", "assumptions",
+    )  # fmt: skip
 
     peak_frequency: float
     smallest_gamma: float
@@ -229,19 +229,6 @@ class HinfSynthesis(Synthesis):
         optimum = self.estimated_optimum
         return max(self.smallest_gamma / optimum - 1, 0.0) if optimum > 0 else float("nan")
 
-    def to_json(self) -> dict[str, Any]:
-        return super().to_json() | {
-            "smallest_gamma": self.smallest_gamma,
-            "peak_frequency": self.peak_frequency,
-            "scalings_disagree": self.scalings_disagree,
-            "norm": self.norm.to_json(),
-            "gamma_lower": self.gamma_lower,
-            "lower_bound": self.lower_bound.to_json(),
-            "estimated_optimum": self.estimated_optimum,
-            "regularisation_cost": self.regularisation_cost,
-            "assumptions": list(self.assumptions),
-        }
-
 
 def _reached(A: AnyArray, B: AnyArray) -> AnyArray:
     """Return which states the inputs reach through entries that are not zero, shape (n,) of bool."""
@@ -259,12 +246,7 @@ def design_budget(where: str, work: float, effort: float, time_limit: float | No
 
 
 def told(status: Status, parts: Sequence[str], budget: Budget, smaller: str = "a smaller gamma") -> tuple[Status, str]:
-    """Status and reason of a design, with what ended its search where that was the budget and not the method.
-
-    ``status``: what was proved about the controller; TIMEOUT in its place where it can be trusted but the clock struck.
-    ``parts``: what else there is to say.
-    ``smaller``: what a longer search might find.
-    """
+    """Status and reason of a design, with what ended its search where that was the budget and not the method."""
     reason, ended = "; ".join(parts), ""
     if budget.struck:
         status, ended = (Status.TIMEOUT if status.trustworthy else status), NOT_REPEATABLE

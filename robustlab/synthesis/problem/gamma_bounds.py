@@ -1,15 +1,6 @@
-r"""What no controller can get below: lower bounds of the closed-loop norm that hold for every stabilising controller.
+"""What no controller can get below: Parrott's bound at points of the closed right half plane.
 
-For a stabilising K the closed loop ``T = P11 + P12 Q P21`` with ``Q = K (I - P22 K)^{-1}`` is analytic in the right
-half plane, so by the maximum principle its norm is at least ``sigma_max(T(s))`` for every s there. At a single s the
-matrix Q(s) may be whatever it likes; what it cannot reach is left:
-
-.. math::
-    \|T\|_\infty \ge \max\left(\sigma_{max}(U_\perp^* P_{11}(s)),\ \sigma_{max}(P_{11}(s) V_\perp)\right),
-    \qquad U_\perp^* P_{12}(s) = 0, \quad P_{21}(s) V_\perp = 0
-
-(Parrott's bound). On the axis this is what no controller, causal or not, can do better; at a zero in the right half
-plane it is the price of that zero.
+The closed loop T = P11 + P12 Q P21 is analytic there, so its norm is at least what P12 and P21 cannot reach of P11(s).
 """
 
 from __future__ import annotations
@@ -22,8 +13,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.linear_analysis.magnitude import LARGEST
-from robustlab.synthesis.problem.partition import PlantMatrices
-from robustlab.synthesis.problem.scaling import Scaling
+from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
+from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
 # Points of the right half plane: radii and angles of a polar grid. More: a little higher bounds.
 RADII = 48
@@ -53,18 +44,14 @@ class GammaBound:
         return vars(self).copy()
 
 
-def pointwise_bound(
-    p: PlantMatrices,
-    scalings: Sequence[Scaling],
-    dt: float = 0.0,
-) -> GammaBound:
-    """The largest of Parrott's bounds over points of the closed right half plane, refined around the best ones.
+def gamma_bound(plant: GeneralizedPlant) -> GammaBound:
+    """What no stabilising controller of this plant gets below."""
+    p = plant.continuous().matrices()
+    return pointwise_bound(p, (paths_first(p), equilibrated(p)), plant.model.dt)
 
-    ``p``: continuous plant without D22.
-    ``scalings``: scalings of it. Points are searched on the first; a bound counts only as far as all of them give it,
-    because they round differently.
-    ``dt``: sample time in s of the discrete plant whose bilinear image p is; points are told in its z plane.
-    """
+
+def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0.0) -> GammaBound:
+    """The largest of Parrott's bounds over points of the closed right half plane, refined around the best ones."""
     first = scalings[0]
     scaled = first.apply(p)
     points = _points(scaled)
@@ -107,9 +94,7 @@ def point_in_words(s: complex, dt: float = 0.0) -> str:
     return f"s = {text} rad/s: no stable loop can do better at this point of the right half plane"
 
 
-def _points(
-    p: PlantMatrices,
-) -> AnyArray:
+def _points(p: PlantMatrices) -> AnyArray:
     """Points of the closed right half plane: polar grid, mirror images and neighbours of the poles."""
     poles = np.linalg.eigvals(p.A) if p.A.size else np.zeros(0)
     size = np.abs(poles)[np.abs(poles) > AT_ZERO]
@@ -148,10 +133,7 @@ def _unstable_zeros(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> list[
 
 
 def _cost_of_zero(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, n_w: int, zero: complex) -> float:
-    """``|v P11|`` at the zero of P12 next to this one, less what rounding makes of both; 0 where P12 is none there.
-
-    With ``v P12 = 0`` to rounding, the true zero lies within ``(|v P12| + e) / |v P12' u|``.
-    """
+    """``|v P11|`` at the zero of P12 next to this one, less what rounding makes of both; 0 where P12 is none there."""
     (P,), (error,) = _responses(A, B, C, D, np.array([zero]))
     if not (np.isfinite(P).all() and np.isfinite(error).all()):
         return 0.0

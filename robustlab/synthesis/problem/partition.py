@@ -1,8 +1,4 @@
-r"""Generalised plants: which inputs are disturbances and controls, which outputs are performance and measurements.
-
-.. math::
-    \dot x = A x + B_1 w + B_2 u, \quad z = C_1 x + D_{11} w + D_{12} u, \quad y = C_2 x + D_{21} w + D_{22} u
-"""
+"""Generalised plants: which inputs are disturbances and controls, which outputs are performance and measurements."""
 
 from __future__ import annotations
 
@@ -89,11 +85,7 @@ class PlantMatrices:
 
 @dataclass(frozen=True, eq=False)
 class GeneralizedPlant(Shown):
-    """A model whose last ``n_con`` inputs are the controls u and whose last ``n_meas`` outputs are the measurements y.
-
-    ``blocks`` are the perturbation blocks of the first inputs and outputs, where the plant was made from an uncertain
-    model.
-    """
+    """A model: its last ``n_con`` inputs are the controls u, its last ``n_meas`` outputs the measurements y."""
 
     model: StateSpaceModel
     n_meas: int
@@ -120,10 +112,7 @@ class GeneralizedPlant(Shown):
 
     @property
     def measurements(self) -> tuple[Signal, ...]:
-        """The measured outputs y, each with what it tells of the signal: itself where nothing else is said.
-
-        A controller with these inputs carries the sign of its feedback with it (`robustlab.signals.Taken`).
-        """
+        """The measured outputs y, each with what it tells of the signal: itself where nothing else is said."""
         return tuple(s if isinstance(s, Taken) else Taken(*s) for s in self.model.outputs[self.n_z :])
 
     @property
@@ -167,10 +156,7 @@ class GeneralizedPlant(Shown):
 
 
 def as_generalized_plant(P: Any, n_meas: int | None, n_con: int | None, where: str) -> GeneralizedPlant:
-    """P as a generalised plant; the two numbers may be left out where P is one already.
-
-    Of an uncertain model all perturbation channels are kept as disturbances and performance outputs.
-    """
+    """P as a generalised plant; the two numbers may be left out where P is one already."""
     if isinstance(P, GeneralizedPlant):
         if n_meas not in (None, P.n_meas) or n_con not in (None, P.n_con):
             raise InputError(where, f"n_meas={n_meas}, n_con={n_con}", f"{P.n_meas} and {P.n_con}, or leave them out")

@@ -1,11 +1,4 @@
-r"""What a closed loop is worth: its H-infinity norm, its H2 norm, or its robust performance, each with its proof.
-
-For robust performance with scalings D of the perturbation,
-
-.. math:: \sup_\omega \mu(F_l(P, K)) \le \| D_z F_l(P, K) D_w^{-1} \|_\infty
-
-holds at every frequency; without scalings the mu analysis finds its own on intervals that cover the axis.
-"""
+"""What a closed loop is worth: its H-infinity norm, its H2 norm, or its robust performance, each with its proof."""
 
 from __future__ import annotations
 
@@ -173,11 +166,7 @@ def plant_with_scalings(plant: GeneralizedPlant, scalings: Scalings, where: str 
 
 
 def given_scalings(scalings: Any, dt: float, where: str) -> Scalings:
-    """The pair ``(D_z, D_w^-1)`` for a plant with this sample time.
-
-    A pair of models, or anything with ``on_outputs()`` and ``on_inputs()`` that give the matrices of the two: those are
-    continuous, and meant for the bilinear image of a discrete plant.
-    """
+    """The pair ``(D_z, D_w^-1)`` for a plant with this sample time."""
     if hasattr(scalings, "on_outputs") and hasattr(scalings, "on_inputs"):
         if getattr(scalings, "mixed", False):
             raise InputError(where, "scalings with G for real blocks", "D scalings alone, or none", "leave them out")

@@ -1,10 +1,4 @@
-r"""A controller for the plant as given, from one for its bare matrices: direct term, states, names, the rebuilt loop.
-
-Synthesis leaves D22 out and gives the controller for the whole plant as :math:`K (I + D_{22} K)^{-1}`. Without a
-penalty on the control the optimum often makes :math:`I + D_{22} D_K` singular: sensitivity at infinite frequency wants
-to be zero. That controller is improper (of a discrete plant only the bilinear image is: K has a pole at z = -1); with
-a direct term a little beside it, it is proper and its loop almost the same.
-"""
+"""A controller for the plant as given, from one for its bare matrices: direct term, states, names, the rebuilt loop."""
 
 from __future__ import annotations
 
@@ -48,15 +42,7 @@ def with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
 
 
 def well_posed_neighbours(K: Realisation, D22: AnyArray) -> list[Realisation]:
-    r"""K itself where ``I + D22 D_K`` is far from singular; else controllers with the smallest change of ``D_K``.
-
-    With :math:`I + D_{22} D_K = U \Sigma V^T` the small singular values are raised to each of `DISTANCES`:
-
-    .. math:: \Delta D_K = D_{22}^+ \, U \max(\delta - \Sigma, 0) V^T
-
-    ``K``: controller for the plant without D22.
-    ``D22``: the direct term, shape (n_y, n_u).
-    """
+    """K itself where ``I + D22 D_K`` is far from singular; else controllers with the smallest change of ``D_K``."""
     with np.errstate(all="ignore"):
         back = np.eye(len(D22)) + D22 @ K.D
     if not np.isfinite(back).all():  # K overflows
@@ -95,11 +81,7 @@ def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
 
 
 def moderate_states(model: StateSpaceModel) -> StateSpaceModel:
-    """A model in the states that keep its digits.
-
-    These are balanced ones, unless slow modes are small differences of large entries there and are not in coordinates
-    of the modes.
-    """
+    """A model in the states that keep its digits."""
     balanced = balanced_states(model)
     hidden = _cancellation(balanced.A)
     modes = separated_modes(model) if hidden > HIDDEN else None
@@ -115,11 +97,7 @@ def _cancellation(A: Array) -> float:
 
 
 def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
-    """The same response in coordinates of the modes, each entry rounded once; None where these are no basis.
-
-    Where a fast mode fills all of A with large entries, the slow ones are small differences of these: a loop that is
-    built of them is another loop. In these coordinates every entry has the size of its own mode.
-    """
+    """The same response in coordinates of the modes, each entry rounded once; None where these are no basis."""
     if model.n_states < 2:
         return None
     m = balanced_states(model)
@@ -142,9 +120,7 @@ def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
 def rebuilt_loop(
     plant: GeneralizedPlant, K: StateSpaceModel, D22: Array
 ) -> tuple[StateSpaceModel, StateSpaceModel] | None:
-    """K with D22 taken back in and named, and the loop that it closes; None where that is not well posed or not
-    stable.
-    """
+    """K with D22 taken back in and named, and the loop that it closes; None where that is not well posed or stable."""
     try:
         full = with_direct_term(K, D22)
         named = named_controller(full, plant.measurements, plant.controls, plant.model.dt)

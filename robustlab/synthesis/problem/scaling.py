@@ -1,8 +1,4 @@
-"""Scaling of a generalised plant by powers of two: time unit, states, controls, measurements, w and z.
-
-None of it changes the problem; it decides whether the tolerances of Riccati solvers mean something. All of it is
-undone exactly in the controller.
-"""
+"""Scaling of a generalised plant by powers of two, undone exactly in the controller."""
 
 from __future__ import annotations
 
@@ -26,8 +22,6 @@ FASTER, LIMIT = 40, 1000
 class Scaling:
     """Factors of a scaling; ``x = states * x_scaled``, ``u = u * u_scaled``, ``y_scaled = y * y``, time unit
     ``1/rate``.
-
-    A closed-loop gain gamma of the plant is ``gamma * w * z`` after scaling.
     """
 
     rate: float
@@ -125,11 +119,7 @@ def _start(p: PlantMatrices, discrete: bool) -> Scaling:
 
 
 def by_magnitude(p: PlantMatrices, discrete: bool = False) -> Scaling:
-    """B2 and C2 to order one, then what z and w weigh; by exponents, for plants whose squares overflow or vanish.
-
-    The unit of time is that of A, or of the loops that u and y can close where these are faster by far; a discrete
-    plant keeps its steps.
-    """
+    """B2 and C2 to order one, then what z and w weigh; by exponents, for plants whose squares overflow or vanish."""
     t = balancing_exponents(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]))
     rows, k = -t[:, None], -_to_one((p.A, -t[:, None] + t))
     if discrete:
@@ -190,10 +180,7 @@ def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
 
 
 def paths_first(p: PlantMatrices, discrete: bool = False, slower: float = 1.0) -> Scaling:
-    """Three fixed passes: direct paths D12, D21 (C1, B1 where they vanish) to size one, then states, then u and y.
-
-    ``slower``, a power of two, makes the unit of time longer than that of A, which fast filters may dominate.
-    """
+    """Three fixed passes: direct paths D12, D21 (C1, B1 where they vanish) to size one, then states, then u and y."""
     s = _start(p, discrete)
     s = replace(s, rate=s.rate / slower)
     q = s.apply(p)

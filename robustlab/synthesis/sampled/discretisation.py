@@ -8,10 +8,6 @@ r"""From continuous to discrete time by formula; a controller with its plant is 
 ``impulse``           T times the samples of the impulse response (no direct term)
 ``matched``           poles and zeros by :math:`z = e^{s T}`, zeros at infinity to z = -1, equal gain at zero frequency
 ====================  ==================================================================================================
-
-References
-----------
-Franklin, Powell, Workman, *Digital Control of Dynamic Systems* (1998), chapter 6.
 """
 
 from __future__ import annotations
@@ -56,13 +52,15 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
         hint = did_you_mean(str(method), METHODS)
         raise InputError("discretise", f"method {method!r}", f"one of {', '.join(METHODS)}", hint)
     if (prewarp is None) == (method == "tustin-prewarp"):
-        raise InputError(
-            "discretise", f"method {method!r} with prewarp={prewarp}", "prewarp with 'tustin-prewarp' alone"
-        )
+        found = f"method {method!r} with prewarp={prewarp}"
+        raise InputError("discretise", found, "prewarp with 'tustin-prewarp' alone")
+    if prewarp is not None and not 0 < prewarp < np.pi / dt:
+        expected = f"between 0 and the Nyquist frequency {np.pi / dt:g}"
+        raise InputError("discretise", f"prewarp is {prewarp:g} rad/s", expected)
     if method == "matched":
         found = _matched(m, dt)
     elif method in ("tustin", "tustin-prewarp"):
-        found = _tustin(m, dt, prewarp)
+        found = bilinear_to_discrete(m, 2 * float(np.tan(prewarp * dt / 2)) / prewarp if prewarp else dt)
     else:
         found = _sampled(m, dt, method)
     return StateSpaceModel(
@@ -94,16 +92,6 @@ def _sampled(m: StateSpaceModel, dt: float, method: str) -> StateSpaceModel:
             found = f"e^(A dt) overflows on its way: rates up to {rate:.3g} 1/s in dt = {dt:g} s"
         raise NoTrustworthyNumber(f"discretise ({method})", found)
     return StateSpaceModel(a, b, c, d)
-
-
-def _tustin(m: StateSpaceModel, dt: float, prewarp: float | None) -> StateSpaceModel:
-    if prewarp is None:
-        return bilinear_to_discrete(m, dt)
-    if not 0 < prewarp < np.pi / dt:
-        raise InputError(
-            "discretise", f"prewarp is {prewarp:g} rad/s", f"between 0 and the Nyquist frequency {np.pi / dt:g}"
-        )
-    return bilinear_to_discrete(m, 2 * float(np.tan(prewarp * dt / 2)) / prewarp)
 
 
 # --- back to continuous time, and to another sample time --------------------------------------------------------------
@@ -249,7 +237,8 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
     poles, zeros = m.poles(), transmission_zeros(m, complete=True)
     # On the positive real axis, right of all poles: finite and real.
     s = 1.7 * max(float(np.abs(np.concatenate([poles, zeros])).max()), 1e-6 / dt)
-    gain = _value(m, s) * np.prod(s - poles) / np.prod(s - zeros)
+    value = (m.D + m.C @ np.linalg.solve(s * np.eye(m.n_states) - m.A, m.B))[0, 0]
+    gain = value * np.prod(s - poles) / np.prod(s - zeros)
     omega = np.abs(np.concatenate([poles, zeros])) * 1.3 + 1e-3 * s
     product = gain * np.prod(1j * omega[:, None] - zeros, axis=1) / np.prod(1j * omega[:, None] - poles, axis=1)
     truth = frequency_response(m, omega)[:, 0, 0]
@@ -270,53 +259,25 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
     return _from_roots(z_zeros, z_poles, k)
 
 
-def _value(m: StateSpaceModel, s: float) -> float:
-    return float((m.D + m.C @ np.linalg.solve(s * np.eye(m.n_states) - m.A, m.B))[0, 0])
-
-
 def _from_roots(zeros: AnyArray, poles: AnyArray, gain: float) -> StateSpaceModel:
-    """Real sections of first and second order in series; the gain is shared among them."""
-    model = StateSpaceModel([], [], [], [[gain]])
-    zero_sections, pole_sections = _sections(zeros), _sections(poles)
-    # Equal numbers of poles and zeros; a pair of either may meet two single ones of the other.
-    numerator, denominator = _paired(zero_sections, pole_sections)
-    for num, den in zip(numerator, denominator, strict=True):
-        model = series(model, _section(num, den))
+    """As many zeros as poles: real sections of first and second order in series."""
+    from scipy.signal import zpk2sos
+
+    model = StateSpaceModel([], [], [], [[1.0]])
+    for section in zpk2sos(_conjugate(zeros), _conjugate(poles), gain):
+        n = 2 if section[[2, 5]].any() else 1
+        direct, num, den = section[0], section[1 : n + 1], section[4 : n + 4]
+        a = np.eye(n, k=1)
+        a[:, 0] = -den
+        model = series(model, StateSpaceModel(a, (num - direct * den)[:, None], np.eye(1, n), [[direct]]))
     return StateSpaceModel(model.A, model.B, model.C, model.D)
 
 
-def _sections(roots: AnyArray) -> list[AnyArray]:
-    """Monic real polynomials: of second order for complex pairs, of first for real roots (largest first)."""
-    height, size = np.imag(roots), np.abs(roots)
-    real = np.sort(np.real(roots)[np.abs(height) <= 1e-12 * size])[::-1]
-    upper = roots[height > 1e-12 * size]
-    pairs = [np.array([1.0, -2 * r.real, abs(r) ** 2]) for r in upper[np.argsort(-np.abs(upper))]]
-    return [*pairs, *[np.array([1.0, -r]) for r in real]]
-
-
-def _paired(first: list[AnyArray], second: list[AnyArray]) -> tuple[list[AnyArray], list[AnyArray]]:
-    """Both lists with sections of equal orders, by multiplying single ones together where needed."""
-
-    def split(sections: list[AnyArray], pairs: int) -> list[AnyArray]:
-        twos = [s for s in sections if len(s) == 3]
-        ones = [s for s in sections if len(s) == 2]
-        while len(twos) < pairs:
-            twos.append(np.convolve(ones.pop(0), ones.pop(0)))
-        return [*twos, *ones]
-
-    pairs = max(sum(len(s) == 3 for s in sections) for sections in (first, second))
-    return split(first, pairs), split(second, pairs)
-
-
-def _section(num: AnyArray, den: AnyArray) -> StateSpaceModel:
-    """``num / den`` of equal degree 1 or 2, both monic, in observer form."""
-    n = len(den) - 1
-    a = np.zeros((n, n))
-    a[:, 0] = -den[1:]
-    a[: n - 1, 1:] = np.eye(n - 1)
-    c = np.zeros((1, n))
-    c[0, 0] = 1.0
-    return StateSpaceModel(a, (num[1:] - den[1:])[:, None], c, [[1.0]])
+def _conjugate(roots: AnyArray) -> AnyArray:
+    """Roots of a real polynomial as exact conjugate pairs and real ones."""
+    off = np.imag(roots) / np.maximum(np.abs(roots), 1e-300)
+    upper = roots[off > 1e-12]
+    return np.concatenate([upper, np.conj(upper), np.real(roots[np.abs(off) <= 1e-12])])
 
 
 # --- pathological sampling --------------------------------------------------------------------------------------------
@@ -343,14 +304,7 @@ class MergedModes:
 
 
 def merged_modes(model: StateSpaceModel, dt: float) -> tuple[MergedModes, ...]:
-    r"""Pairs of different modes with :math:`e^{\lambda_i T} = e^{\lambda_j T}` up to 1e-6.
-
-    Such a pair costs a single input (output) the controllability (observability) that the continuous model has.
-
-    References
-    ----------
-    Kalman, Ho, Narendra (1963); Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), theorem 3.2.1.
-    """
+    r"""Pairs of different modes with :math:`e^{\lambda_i T} = e^{\lambda_j T}` up to 1e-6."""
     poles, found = model.poles(), list[MergedModes]()
     sampling = 2 * np.pi / dt
     for i, one in enumerate(poles):

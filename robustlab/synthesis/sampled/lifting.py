@@ -1,20 +1,7 @@
 r"""A continuous plant behind a sampler and a hold, as a discrete one over whole sample periods (lifting).
 
-Each period is cut into intervals. On an interval of length h the disturbance is w = its mean over the interval + a
-rest w0 of mean zero, and z likewise; energies are kept: the lifted channels are the means times :math:`\sqrt h`, and
-what the rest can do is bounded. Nothing is approximated: the energy of z for a w that is constant on intervals is
-
-.. math:: \int_0^h |z|^2 dt = |M v|^2 + v^T V v, \qquad v = (x, w, u)
-
-with M the mean of :math:`\bar C e^{\bar A t}` times :math:`\sqrt h` and V its variance, both built up by doubling h.
-
-A disturbance that reaches the sampler directly (D21) is taken as constant over whole periods: samples of one that may
-change at any time have no bound.
-
-References
-----------
-Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), chapters 8, 10, 13; Bamieh, Pearson (1992); Keller,
-Anderson (1992) for the fast-sample, fast-hold approximation that this makes exact.
+On each interval of a period w is its mean plus a rest of mean zero, and z likewise; what the rest can do is bounded.
+Chen, Francis (1995), chapters 8, 10, 13; Bamieh, Pearson (1992).
 """
 
 from __future__ import annotations
@@ -34,15 +21,7 @@ DOUBLINGS = 12  # at least so many: the error of the start falls by 4 in each
 
 
 class HeldControls:
-    """Controls that act a delay after their sample: which one when, and those of the past that the states remember.
-
-    Attributes
-    ----------
-    whole, part
-        The delay as whole sample periods and the rest in s.
-    n_past
-        Number of past samples whose controls are states, the latest first.
-    """
+    """Controls that act a delay after their sample: which one when, and those of the past that the states remember."""
 
     def __init__(self, delay: float, dt: float, n_con: int) -> None:
         self.n_con, self.whole = n_con, int(np.floor(delay / dt + 1e-12))
@@ -110,13 +89,7 @@ class LiftedPlant:
 
 
 def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.0) -> LiftedPlant:
-    """The plant with its controls held from ``k dt + delay`` on, over whole periods.
-
-    ``plant``: continuous generalised plant.
-    ``dt``: sample time in s.
-    ``n_intervals``: number of intervals in a period; one more where a fractional delay ends between two.
-    ``delay``: time in s from the sample to the change of the control, of any number of periods.
-    """
+    """The plant with its controls held from ``k dt + delay`` on, over whole periods."""
     m = plant.model
     n, n_u, n_y = m.n_states, plant.n_con, plant.n_meas
     n_w, n_z = m.n_inputs - n_u, m.n_outputs - n_y
@@ -236,15 +209,7 @@ class _Interval:
 
 
 def mean_and_variance(A: AnyArray, C: AnyArray, h: float) -> tuple[AnyArray, AnyArray, AnyArray]:
-    r"""``e^(A h)``, the mean of ``C e^(A t)`` over [0, h] times :math:`\sqrt h`, and its variance times h.
-
-    .. math:: M = \frac{1}{\sqrt h} \int_0^h C e^{A t} dt, \qquad V = \int_0^h e^{A^T t} C^T C e^{A t} dt - M^T M
-
-    By doubling, so that neither a stiff A overflows nor V loses its digits to the difference:
-
-    .. math:: M(2h) = \frac{M + M F}{\sqrt 2}, \quad V(2h) = V + F^T V F + \tfrac12 (M - M F)^T (M - M F), \quad
-       F = e^{A h}
-    """
+    r"""``e^(A h)``, the mean of ``C e^(A t)`` over [0, h] times :math:`\sqrt h`, and its variance times h."""
     from scipy.linalg import expm
 
     n = len(A)

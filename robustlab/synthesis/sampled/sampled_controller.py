@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.budget import MILLION, Budget, one_thread
+from robustlab.budget import MILLION, Budget, dense, one_thread
 from robustlab.closing import wired
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.linear_analysis.frequency import frequency_response
@@ -34,7 +33,6 @@ from robustlab.synthesis.sampled.lifting import lift
 from robustlab.synthesis.sampled.sampled_norm import (
     SampledDataNorm,
     check_sampling,
-    norm_work,
     sampled_loop_norm,
     with_antialiasing,
 )
@@ -96,6 +94,10 @@ class SampledController(Synthesis):
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, "dt": "s", "delay": "s", "antialiasing": "rad/s", "loss": float, "allowed_loss": float,
     }  # fmt: skip
+    saved = (
+        *Synthesis.saved, "dt", "chosen", "loss", "allowed_loss", "delay", "antialiasing", "continuous_norm", "norm",
+        "trials", "pathological", "original",
+    )  # fmt: skip
 
     original: StateSpaceModel
     continuous_norm: HinfNorm
@@ -139,21 +141,6 @@ class SampledController(Synthesis):
         tried = [f"{t.method}: {_loss_text(t)}" for t in self.trials]
         notes = [("note", str(merged)) for merged in self.pathological]
         return [*head, *rows, ("loss by method", ", ".join(tried)), *notes]
-
-    def to_json(self) -> dict[str, Any]:
-        return super().to_json() | {
-            "dt": self.dt,
-            "chosen": self.chosen,
-            "loss": self.loss,
-            "allowed_loss": self.allowed_loss,
-            "delay": self.delay,
-            "antialiasing": self.antialiasing,
-            "continuous_norm": self.continuous_norm.to_json(),
-            "norm": self.norm.to_json(),
-            "trials": [trial.to_json() for trial in self.trials],
-            "pathological": [merged.to_json() for merged in self.pathological],
-            "original": self.original.to_json(),
-        }
 
 
 @overload
@@ -294,65 +281,36 @@ def discretise(
     ('certified', True, 0.05)
     """
     found: Any = plant if plant is not None else model if isinstance(model, Synthesis) else None
-    if found is not None:
-        asked = SampledLoop(loss, delay, antialiasing, prewarp, scalings)
-        return sampled_controller(model, found, dt, method or "auto", asked, time_limit, effort, progress)
-    loop = {"loss": loss != 0.1, "delay": delay != 0, "antialiasing": antialiasing is not None}
-    loop |= {"scalings": scalings is not None, "method": method in ("auto", "direct")}
-    if given := next((name for name, is_given in loop.items() if is_given), None):
-        raise InputError(f"discretise: {given}", "no plant to judge the loop with", "plant= beside it")
-    return by_formula(model, dt, "tustin" if method is None else method, prewarp)
-
-
-@dataclass(frozen=True)
-class SampledLoop:
-    """What a digital controller is judged by; see `discretise`."""
-
-    loss: float = 0.1
-    delay: float = 0.0
-    antialiasing: float | None = None
-    prewarp: float | None = None
-    scalings: Any = None
-
-
-def sampled_controller(
-    controller: Any,
-    plant: Any,
-    dt: float,
-    method: SampledMethod,
-    asked: SampledLoop,
-    time_limit: float | None,
-    effort: float,
-    progress: Callable[[str], None] | None,
-) -> SampledController:
-    """`discretise` of a controller with the plant it was designed for; see there."""
-    full = as_model(getattr(controller, "K", controller), WHERE)
-    plant = as_generalized_plant(
-        plant.plant if isinstance(plant, Synthesis) else plant, full.n_inputs, full.n_outputs, f"{WHERE}: plant"
+    if found is None:
+        loop = {"loss": loss != 0.1, "delay": delay != 0, "antialiasing": antialiasing is not None}
+        loop |= {"scalings": scalings is not None, "method": method in ("auto", "direct")}
+        if given := next((name for name, is_given in loop.items() if is_given), None):
+            raise InputError(f"discretise: {given}", "no plant to judge the loop with", "plant= beside it")
+        return by_formula(model, dt, "tustin" if method is None else method, prewarp)
+    full = as_model(getattr(model, "K", model), WHERE)
+    p = as_generalized_plant(
+        found.plant if isinstance(found, Synthesis) else found, full.n_inputs, full.n_outputs, f"{WHERE}: plant"
     )
-    loss, delay, antialiasing, prewarp, scalings = vars(asked).values()
-    check_sampling(plant, dt, delay, WHERE)
+    check_sampling(p, full, dt, delay, WHERE)
     if full.is_discrete:
         raise InputError(WHERE, f"the controller has dt = {full.dt:g} s already", "a continuous controller")
-    if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
-        raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
-    full = wired(full, plant.measurements, plant.controls, WHERE)
-    plant = with_default_performance(plant, WHERE)
+    full = wired(full, p.measurements, p.controls, WHERE)
+    p = with_default_performance(p, WHERE)
     known = ("auto", "direct", *METHODS)
-    if method not in known:
+    if method not in (None, *known):
         raise InputError(WHERE, f"method {method!r}", f"one of {', '.join(known)}", did_you_mean(str(method), known))
     if not 0 <= loss < np.inf:
         raise InputError(WHERE, f"loss {loss}", "a loss >= 0")
     budget = design_budget(WHERE, CONTROLLER_WORK, effort, time_limit)
-    judged = plant if scalings is None else plant_with_scalings(plant, given_scalings(scalings, 0.0, WHERE), WHERE)
-    filtered = with_antialiasing(judged, antialiasing, WHERE)
+    judged = p if scalings is None else plant_with_scalings(p, given_scalings(scalings, 0.0, WHERE), WHERE)
     with one_thread():
         continuous = hinf_norm(judged.close(full))
         if not np.isfinite(continuous.upper):
             raise NoTrustworthyNumber(WHERE, f"the continuous loop is not stable ({continuous.reason})")
-        search = _Trials(filtered, full, float(dt), delay, continuous, budget, progress)
-        search.run(method, loss, prewarp)
-    return _finished(search, plant, full, loss, antialiasing)
+        filtered = with_antialiasing(judged, antialiasing, WHERE)
+        search = _Trials(filtered, full, float(dt), delay, continuous, budget, progress or (lambda _: None))
+        search.run(method or "auto", loss, prewarp)
+    return _finished(search, p, full, loss, antialiasing)
 
 
 def _loss(value: float, reference: HinfNorm) -> float:
@@ -369,70 +327,52 @@ class _Trials:
     """The digital controllers tried so far, each with the norm of its loop."""
 
     def __init__(
-        self,
-        plant: GeneralizedPlant,
-        K: StateSpaceModel,
-        dt: float,
-        delay: float,
-        continuous: HinfNorm,
-        budget: Budget,
-        progress: Callable[[str], None] | None,
-    ) -> None:
+        self, plant: GeneralizedPlant, K: StateSpaceModel, dt: float, delay: float, continuous: HinfNorm,
+        budget: Budget, say: Callable[[str], None],
+    ) -> None:  # fmt: skip
         self.plant, self.K, self.dt, self.delay, self.continuous = plant, K, dt, delay, continuous
-        self.budget = budget
-        self.progress = progress or (lambda _: None)
-        self.merged = merged_modes(plant.model, dt)
+        self.budget, self.say, self.merged = budget, say, merged_modes(plant.model, dt)
         self.trials: list[SampledTrial] = []
         self.best: tuple[str, StateSpaceModel, SampledDataNorm] | None = None
 
     def run(self, method: str, loss: float, prewarp: float | None) -> None:
-        """Try what ``method`` asks for."""
-        for name in self._formulas(method):
+        """Try what ``method`` asks for: of "auto" the formulas, and the direct design where they lose more."""
+        names = [] if method == "direct" else [method]
+        if method == "auto":
+            below = 0 < self.continuous.frequency < 0.9 * np.pi / self.dt
+            names = ["tustin", *["tustin-prewarp"] * below, "zoh", "foh"]
+            names += ["matched"] * ((self.K.n_inputs, self.K.n_outputs) == (1, 1))
+        for name in names:
             if self.budget.over:
                 return
-            self._formula(name, prewarp)
+            corner = None if name != "tustin-prewarp" else self.continuous.frequency if prewarp is None else prewarp
+            try:
+                self._judge(name, by_formula(self.K, self.dt, name, corner))
+            except NoTrustworthyNumber as error:
+                self._none(name, error.line)
         enough = self.best is not None and _loss(self.best[2].upper, self.continuous) <= loss
         if (method == "direct" or (method == "auto" and not enough)) and not self.budget.over:
             self._direct()
 
-    def _formulas(self, method: str) -> list[str]:
-        if method != "auto":
-            return [method] if method != "direct" else []
-        names = ["tustin", "zoh", "foh"]
-        if 0 < self.continuous.frequency < 0.9 * np.pi / self.dt:
-            names.insert(1, "tustin-prewarp")
-        return [*names, "matched"] if (self.K.n_inputs, self.K.n_outputs) == (1, 1) else names
-
-    def _formula(self, name: str, prewarp: float | None) -> None:
-        if name == "tustin-prewarp" and prewarp is None:
-            prewarp = self.continuous.frequency
-        try:
-            made = by_formula(self.K, self.dt, name, prewarp if name == "tustin-prewarp" else None)
-        except NoTrustworthyNumber as error:
-            self._none(name, error.line)
-            return
-        self._judge(name, made)
-
     def _direct(self) -> None:
         """H-infinity synthesis on the lifted plant."""
-        channels = max(self.plant.model.n_inputs - self.plant.n_con, self.plant.model.n_outputs - self.plant.n_meas)
-        n_intervals = int(np.clip(MOST_DESIGN // max(channels, 1), 1, DESIGN_INTERVALS))
+        channels = max(self.plant.n_w, self.plant.n_z, 1)
+        n_intervals = int(np.clip(MOST_DESIGN // channels, 1, DESIGN_INTERVALS))
         lifted = lift(self.plant, self.dt, n_intervals, self.delay).generalized_plant()
         try:
-            design = synthesize(lifted, "hinf", DESIGN_GAMMA_REL, self.budget)
+            K = synthesize(lifted, "hinf", DESIGN_GAMMA_REL, self.budget).K
         except NoTrustworthyNumber as error:
             named = [str(merged) for merged in self.merged if not merged.stable]
             self._none("direct", "; ".join([error.line, *named]))
             return
-        K = design.K
         self._judge("direct", StateSpaceModel(K.A, K.B, K.C, K.D, self.dt, self.K.inputs, self.K.outputs))
 
     def _none(self, name: str, reason: str) -> None:
         self.trials.append(SampledTrial(name, -1, np.inf, np.inf, np.inf, Status.FAILED, reason))
-        self.progress(f"{name}: {reason}")
+        self.say(f"{name}: {reason}")
 
     def _judge(self, name: str, K: StateSpaceModel) -> None:
-        self.budget.spend(norm_work(self.plant, K))
+        self.budget.spend(dense(self.plant.model.n_states + K.n_states, 200))  # as measured
         # One that is larger than the best is not looked at more closely, unless that one is in doubt.
         sure = self.best is not None and self.best[2].status.trustworthy
         enough = self.best[2].upper if self.best is not None and sure else np.inf
@@ -444,7 +384,7 @@ class _Trials:
         loss = _loss(norm.upper, self.continuous)
         trial = SampledTrial(name, K.n_states, norm.lower, norm.upper, loss, norm.status, norm.reason)
         self.trials.append(trial)
-        self.progress(f"{name}: sampled-data norm {norm.upper:.6g}, loss {_loss_text(trial)}")
+        self.say(f"{name}: sampled-data norm {norm.upper:.6g}, loss {_loss_text(trial)}")
         key = (not norm.status.trustworthy, norm.upper)
         if np.isfinite(norm.upper) and (self.best is None or key < (not sure, self.best[2].upper)):
             self.best = name, K, norm
@@ -491,26 +431,22 @@ def _finished(
 
 def _limiting_channels(norm: SampledDataNorm, plant: GeneralizedPlant) -> str:
     """The disturbance and the mean performance with the largest share in the singular vectors of the peak."""
-    m = plant.model
-    if not norm.loop.n_inputs or not norm.loop.n_outputs or not np.isfinite(norm.frequency):
+    m, loop = plant.model, norm.loop
+    if not loop.n_inputs or not loop.n_outputs or not np.isfinite(norm.frequency):
         return ""
-    left, _, right = np.linalg.svd(frequency_response(norm.loop, [norm.frequency])[0])
-    n_z = m.n_outputs - plant.n_meas
-    out, rest = _shares(norm.loop.output_names, left[:, 0], m.output_names[:n_z])
-    into, _ = _shares(norm.loop.input_names, right[0], m.input_names[: m.n_inputs - plant.n_con])
-    texts = [max(shares, key=lambda name: shares[name]) for shares in (out, into)]
+    left, _, right = np.linalg.svd(frequency_response(loop, [norm.frequency])[0])
+    texts, rest = list[str](), 0.0
+    for lifted, vector, names in (
+        (loop.input_names, right[0], m.input_names[: plant.n_w]),
+        (loop.output_names, left[:, 0], m.output_names[: plant.n_z]),
+    ):
+        shares = dict.fromkeys(names, 0.0)
+        for name, weight in zip(lifted, np.abs(vector) ** 2, strict=True):
+            channel = name if name in shares else name.rpartition("[")[0]
+            if channel in shares:
+                shares[channel] += float(weight)
+        largest = max(shares, key=lambda name: shares[name])
+        texts.append(f"{largest} ({shares[largest]:.0%}")
+        rest = 1 - sum(shares.values())
     between = f"; {rest:.0%} of it varies between samples" if rest >= 0.01 else ""
-    return f"{texts[0]} ({out[texts[0]]:.0%} of the peak) driven by {texts[1]} ({into[texts[1]]:.0%}){between}"
-
-
-def _shares(lifted: tuple[str, ...], vector: NDArray[Any], names: tuple[str, ...]) -> tuple[dict[str, float], float]:
-    """Share of each channel over all intervals, and what belongs to none (the variation within intervals)."""
-    shares = dict.fromkeys(names, 0.0)
-    rest = 0.0
-    for name, weight in zip(lifted, np.abs(vector) ** 2, strict=True):
-        channel = name if name in shares else name.rpartition("[")[0]
-        if channel in shares:
-            shares[channel] += float(weight)
-        else:
-            rest += float(weight)
-    return shares, rest
+    return f"{texts[1]} of the peak) driven by {texts[0]}){between}"

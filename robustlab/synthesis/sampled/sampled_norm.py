@@ -1,18 +1,7 @@
 r"""The H-infinity norm of a loop of continuous plant, sampler, digital controller and hold, between the samples too.
 
-.. math:: \|T\| = \sup_{w \ne 0} \frac{\|z\|_{L_2}}{\|w\|_{L_2}}
-
-for every w of finite energy, not sinusoids alone: the loop is periodic, and answers a sinusoid with many. Disturbances
-that reach the sampler directly, as references and sensor noise do in most generalised plants, are those that change at
-the samples only: of others a sample has no bound. A filter before the sampler makes room for all.
-
-With Q the mean over each of N intervals of a period (of w, of z), and Q' = I - Q the rest,
-
-.. math:: \|T Q\| \le \|T\| \le \left\| \begin{bmatrix} \|Q T Q\| & \|Q T Q'\| \\ \|Q' T Q\| & \|Q' T Q'\|
-   \end{bmatrix} \right\|
-
-The left side and the first column are H-infinity norms of discrete loops, exactly; the second column is bounded by
-Gramians. Both sides meet like 1 / N^2.
+With Q the mean over each interval of a period and Q' = I - Q, :math:`\|T Q\|` bounds the norm from below, and the norm
+of the 2 x 2 matrix of the gains of Q T Q, Q T Q', Q' T Q, Q' T Q' from above.
 """
 
 from __future__ import annotations
@@ -22,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robustlab.budget import dense, one_thread
+from robustlab.budget import one_thread
 from robustlab.closing import wired
 from robustlab.errors import InputError, told_as
 from robustlab.norms import HinfNorm, PeakGain, hinf_norm
@@ -148,39 +137,27 @@ def sampled_data_norm(
     ('certified', True)
     """
     where = "sampled_data_norm"
-    p, k = plant_and_controller(plant, K, n_meas, n_con, delay, where, performance=True)
+    k = as_model(getattr(K, "K", K), f"{where}: K")
+    p = as_generalized_plant(plant, n_meas or k.n_inputs, n_con or k.n_outputs, where)
+    require_performance(p, where)
+    check_sampling(p, k, k.dt, delay, where)
     if not 0 < rtol < 1:
         raise InputError(where, f"rtol is {rtol}", "between 0 and 1")
+    k = wired(k, p.measurements, p.controls, where)
     with one_thread():
         return sampled_loop_norm(with_antialiasing(p, antialiasing, where), k, delay, rtol)
 
 
-def plant_and_controller(
-    plant: Any, K: Any, n_meas: int | None, n_con: int | None, delay: float, where: str, *, performance: bool = False
-) -> tuple[GeneralizedPlant, StateSpaceModel]:
-    """Plant and digital controller, the latter without names, checked: they fit, and the sample time is one.
-
-    With ``performance`` the plant must have w and z beside the controls and measurements; a bare plant hears of that
-    first.
-    """
-    k = as_model(getattr(K, "K", K), f"{where}: K")
-    p = as_generalized_plant(plant, n_meas or k.n_inputs, n_con or k.n_outputs, where)
-    if performance:
-        require_performance(p, where)
-    check_sampling(p, k.dt, delay, where)
-    if (k.n_outputs, k.n_inputs) != (p.n_con, p.n_meas):
-        raise InputError(where, f"K is {k.n_outputs} x {k.n_inputs}", f"{p.n_con} x {p.n_meas}")
-    return p, _plain(wired(k, p.measurements, p.controls, where))
-
-
-def check_sampling(plant: GeneralizedPlant, dt: float, delay: float, where: str) -> None:
-    """A continuous plant, a positive sample time, a delay that is none or positive."""
+def check_sampling(plant: GeneralizedPlant, K: StateSpaceModel, dt: float, delay: float, where: str) -> None:
+    """A continuous plant, a positive sample time, a delay that is none or positive, a controller that fits."""
     if plant.model.dt:
         raise InputError(where, f"the plant has dt = {plant.model.dt:g} s", "a continuous plant (dt = 0)")
     if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
         raise InputError(where, f"the sample time is {dt!r}", "a positive time in s", "discretise the controller first")
     if not 0 <= delay <= LONGEST_DELAY * dt:
         raise InputError(where, f"delay is {delay}", f"a time in s, not negative, of at most {LONGEST_DELAY} samples")
+    if (K.n_outputs, K.n_inputs) != (plant.n_con, plant.n_meas):
+        raise InputError(where, f"K is {K.n_outputs} x {K.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
 
 
 def with_antialiasing(plant: GeneralizedPlant, corner: float | None, where: str) -> GeneralizedPlant:
@@ -202,32 +179,19 @@ def with_antialiasing(plant: GeneralizedPlant, corner: float | None, where: str)
     return GeneralizedPlant(behind.renamed(m.inputs, m.outputs), plant.n_meas, plant.n_con, plant.blocks)
 
 
-def norm_work(plant: GeneralizedPlant, K: StateSpaceModel) -> int:
-    """Work of `sampled_loop_norm`, as measured: brackets for two or three numbers of intervals."""
-    return dense(plant.model.n_states + K.n_states, 200)
-
-
 def sampled_loop_norm(
-    plant: GeneralizedPlant,
-    K: StateSpaceModel,
-    delay: float,
-    rtol: float,
-    enough: float = np.inf,
+    plant: GeneralizedPlant, K: StateSpaceModel, delay: float, rtol: float, enough: float = np.inf
 ) -> SampledDataNorm:
-    """`sampled_data_norm` for arguments that were checked; more and more intervals until the bracket is closed.
-
-    Or until ``lower`` exceeds ``enough``: then nobody asks how much.
-    """
-    m = plant.model
-    n_w, n_z = m.n_inputs - plant.n_con, m.n_outputs - plant.n_meas
+    """More and more intervals until the bracket is closed, or ``lower`` exceeds ``enough``."""
+    K = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)
     history: list[tuple[int, float, float]] = []
     best: SampledDataNorm | None = None
     lifted: LiftedPlant | None = None
     for n_intervals in INTERVALS:
-        if best is not None and n_intervals * max(n_w, n_z) > MOST_LIFTED:
+        if best is not None and n_intervals * max(plant.n_w, plant.n_z) > MOST_LIFTED:
             break
         lifted = lift(plant, K.dt, n_intervals, delay)
-        found = _bracket(lifted, lower_lft(lifted.model, _plain(K)), min(1e-4, 0.1 * rtol))
+        found = _bracket(lifted, lower_lft(lifted.model, K), min(1e-4, 0.1 * rtol))
         history.append((lifted.n_intervals, found.lower, found.upper))
         lower, upper = max(h[1] for h in history), min(h[2] for h in history)
         settled = len(history) > 1 and history[-1][1] <= history[-2][1] * (1 + rtol / 3)
@@ -235,9 +199,7 @@ def sampled_loop_norm(
         if np.isfinite(upper) and status is Status.CERTIFIED and upper > lower * (1 + rtol):
             status = Status.CONVERGED if settled else Status.INACCURATE
             reason = f"the proved bracket is {100 * (upper / lower - 1):.2g} % wide" if lower else "the bracket is open"
-        best = SampledDataNorm(
-            lower, upper, found.frequency, status, lifted.n_intervals, tuple(history), found.loop, found.held, reason
-        )
+        best = replace(found, lower=lower, upper=upper, status=status, history=tuple(history), reason=reason)
         if not np.isfinite(upper) or upper <= lower * (1 + rtol) or upper == 0 or lower > enough:
             break
     assert best is not None
@@ -248,37 +210,31 @@ def sampled_loop_norm(
 def _confirmed(norm: SampledDataNorm, lifted: LiftedPlant, K: StateSpaceModel) -> SampledDataNorm:
     """The norm, unless that of the lifted plant and K as they are is not proved to be within the bracket."""
     plant = lifted.generalized_plant()
-    m, n_z = plant.model, plant.model.n_outputs - plant.n_meas
+    m, n_z = plant.model, plant.n_z
     # An orthogonal turn of the performance outputs: no more of them than states and inputs.
     rows = triangular_root(np.hstack([m.C[:n_z], m.D[:n_z]]))
     narrow = StateSpaceModel(
         m.A, m.B, np.vstack([rows[:, : m.n_states], m.C[n_z:]]), np.vstack([rows[:, m.n_states :], m.D[n_z:]]), m.dt
     )
     found = HinfNorm(norm.lower, norm.upper, norm.frequency, norm.status)
-    proof = certified(GeneralizedPlant(narrow, plant.n_meas, plant.n_con), _plain(K), found, norm.upper)
+    proof = certified(GeneralizedPlant(narrow, plant.n_meas, plant.n_con), K, found, norm.upper)
     return replace(norm, upper=proof.gamma, status=Status.INACCURATE, reason=proof.doubt) if proof.doubt else norm
-
-
-def _plain(K: StateSpaceModel) -> StateSpaceModel:
-    return StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)
 
 
 def _bracket(lifted: LiftedPlant, loop: StateSpaceModel, rtol: float) -> SampledDataNorm:
     """The bracket of one number of intervals."""
-    n = lifted.n_w
+    n, n_mean = lifted.n_w, lifted.n_means
     w, kick = slice(0, n), slice(n, n + lifted.n_kick)
-    mean, rest = slice(0, lifted.n_means), slice(lifted.n_means, lifted.n_means + lifted.n_rests)
-    whole = _part(loop, slice(0, lifted.n_means + lifted.n_rests), w)
-    lower = hinf_norm(_narrow(whole), rtol)
-    upper, doubtful = lower.upper, [norm for norm in (lower,) if norm.status is not Status.CERTIFIED]
+    mean, rest = slice(0, n_mean), slice(n_mean, n_mean + lifted.n_rests)
+    whole = _part(loop, slice(0, rest.stop), w)
+    lower = _norm(whole, rtol)
+    upper, looked_at = lower.upper, [lower]
     if np.isfinite(upper) and len(lifted.held) < n:  # where all of w is held, nothing is left to bound
-        a = hinf_norm(_narrow(_part(loop, mean, w)), rtol)
-        b, c, d = (
-            hinf_norm(_narrow(_part(loop, i, j)), 1e-2).upper for i, j in ((mean, kick), (rest, w), (rest, kick))
-        )
-        gains = np.array([[a.upper, b + lifted.rest.mean], [c, d + lifted.rest.variance]])
+        looked_at.append(_norm(_part(loop, mean, w), rtol))
+        b, c, d = (_norm(_part(loop, i, j), 1e-2).upper for i, j in ((mean, kick), (rest, w), (rest, kick)))
+        gains = np.array([[looked_at[1].upper, b + lifted.rest.mean], [c, d + lifted.rest.variance]])
         upper = max(float(np.linalg.norm(gains, 2)), upper)
-        doubtful += [norm for norm in (a,) if norm.status is not Status.CERTIFIED]
+    doubtful = [norm for norm in looked_at if norm.status is not Status.CERTIFIED]
     status = Status.INACCURATE if doubtful else Status.CERTIFIED
     reason = doubtful[0].reason if doubtful else lower.reason
     held = tuple(loop.input_names[i] for i in range(n - len(lifted.held), n))
@@ -294,9 +250,9 @@ def _part(loop: StateSpaceModel, rows: slice, columns: slice) -> StateSpaceModel
     )  # fmt: skip
 
 
-def _narrow(loop: StateSpaceModel) -> StateSpaceModel:
-    """The same norm with no more outputs than states and inputs: an orthogonal turn of the outputs."""
-    if loop.n_outputs <= loop.n_states + loop.n_inputs:
-        return loop
-    r = triangular_root(np.hstack([loop.C, loop.D]))
-    return StateSpaceModel(loop.A, loop.B, r[:, : loop.n_states], r[:, loop.n_states :], loop.dt)
+def _norm(loop: StateSpaceModel, rtol: float) -> HinfNorm:
+    """With no more outputs than states and inputs: an orthogonal turn of the outputs keeps the norm."""
+    if loop.n_outputs > loop.n_states + loop.n_inputs:
+        r = triangular_root(np.hstack([loop.C, loop.D]))
+        loop = StateSpaceModel(loop.A, loop.B, r[:, : loop.n_states], r[:, loop.n_states :], loop.dt)
+    return hinf_norm(loop, rtol)

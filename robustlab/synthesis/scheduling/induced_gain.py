@@ -15,25 +15,26 @@ from robustlab.norms import PeakGain, hinf_norm
 from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, number
-from robustlab.synthesis.problem.semidefinite import Inequalities, equal_rows, symmetric_basis
-from robustlab.synthesis.scheduling.constants import BALANCINGS, NEAR, WORK
+from robustlab.synthesis.scheduling.inequalities import equal_rows, least
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
 from robustlab.verification import Claim, Outcome, check
 
+# Work at effort 1, in the units of `robustlab.budget`.
+WORK = 4e8
+# Rounds in which states are balanced by what the LMIs gave in the last.
+BALANCINGS = 8
+# A loop this close (relative) to the LMIs' optimum ends the search over back-offs.
+NEAR = 0.02
 # Back-offs from the optimum of the LMIs at which the largest margin is looked for. Smaller: tighter bounds, more
 # of which rounding leaves unproved.
 GAIN_BACKOFFS = (1e-4, 1e-3, 1e-2, 0.1)
 # Smallest scaled gain that is told from zero.
 SMALLEST = 1e-5
-# Steps of the solver, at most.
-STEPS = 200
 # Bisections for the smallest gamma that a Lyapunov matrix still proves.
 GAIN_BISECTIONS = 5
 # Inequalities of one problem, at most: beyond it they outlast any patience.
 INEQUALITIES = 4000
-
-__all__ = ["LPVGain", "gain_from", "lpv_gain"]
 
 Lyapunov = Literal["constant", "varying"]
 
@@ -115,11 +116,7 @@ class LPVGain(PeakGain, Traced):
 
     def evidence(self) -> Facts:
         """What it holds for, and how it was proved."""
-        return [
-            ("holds", self.scope),
-            ("Lyapunov function", self.lyapunov),
-            ("how", self.reason),
-        ]
+        return [("holds", self.scope), ("Lyapunov function", self.lyapunov), ("how", self.reason)]
 
     def to_json(self) -> dict[str, Any]:
         return {**super().to_json(), "scope": self.scope}
@@ -134,12 +131,7 @@ def lpv_gain(
     time_limit: float | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> LPVGain:
-    r"""`robustlab.peak_gain` of an LPV model, by a Lyapunov function :math:`x^T P(\rho) x`.
-
-    The inequality of `robustlab.synthesis.scheduling.lyapunov_inequality` is imposed on the Bernstein coefficients of
-    every cell: it holds between the grid points because it is a convex combination of them there. A family that is not
-    multi-linear is allowed for by the model's ``deviation``. ``progress`` gets one short line after every stage.
-    """
+    r"""`robustlab.peak_gain` of an LPV model, by a Lyapunov function :math:`x^T P(\rho) x`."""
     if not isinstance(model, LPVModel):
         raise InputError("lpv_gain", f"a {type(model).__name__}", "an LPVModel", "rl.lpv_model makes one")
     if not model.inputs or not model.outputs:
@@ -159,11 +151,7 @@ def lpv_gain(
 
 
 def gain_from(
-    model: LPVModel,
-    lyapunov: Lyapunov | None,
-    budget: Budget,
-    say: Callable[[str], None],
-    guess: Array | None = None,
+    model: LPVModel, lyapunov: Lyapunov | None, budget: Budget, say: Callable[[str], None], guess: Array | None = None
 ) -> LPVGain:
     """`lpv_gain` on a budget; ``guess`` is a constant P to try first, and in whose states the LMIs are posed."""
     bounded = any(np.isfinite(p.rate) for p in model.parameters)
@@ -187,14 +175,16 @@ def gain_from(
     if guess is not None:
         scaled = posed.scaled(0.5 * (guess + guess.T))
         basis = _basis(scaled, basis)
-        best = _level_of(posed, np.array(np.broadcast_to(scaled, (*posed.shape, *scaled.shape))), lower)
+        P = np.array(np.broadcast_to(scaled, (*posed.shape, *scaled.shape)))
+        level = _smallest(posed, P, max(lower * posed.gain, SMALLEST))
+        best = None if level is None else (level, P)
     # Only where that is far from the frozen norms is the solver worth its time.
     if best is None or best[0] > (1 + NEAR) * lower * posed.gain:
         solved, text = _solved(posed, basis, lower, budget, say)
         if solved is not None and (best is None or solved[0] < best[0]):
             best, how = solved, text
         elif best is None:
-            status = Status.INFEASIBLE if "PrimalInfeasible" in text else Status.INCONCLUSIVE
+            status = Status.INFEASIBLE if "says infeasible" in text else Status.INCONCLUSIVE
             return told(np.inf, nothing, Status.TIMEOUT if budget.struck else status, f"no bound was proved: {text}")
     gamma, P = best
     status = Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED
@@ -225,16 +215,6 @@ def _basis(P: Array, before: Array) -> Array:
         return np.linalg.inv(np.linalg.cholesky(P)).T
     except np.linalg.LinAlgError:
         return before
-
-
-def _level_of(
-    posed: Inequality,
-    P: Array,
-    lower: float,
-) -> tuple[float, Array] | None:
-    """The smallest level (scaled) that P proves, with it; None where none is found."""
-    level = _smallest(posed, P, max(lower * posed.gain, SMALLEST))
-    return None if level is None else (level, P)
 
 
 def _smallest(posed: Inequality, P: Array, low: float) -> float | None:
@@ -274,16 +254,9 @@ def holds(claim: Claim) -> bool:
 
 
 def _solved(
-    posed: Inequality,
-    basis: Array,
-    lower: float,
-    budget: Budget,
-    say: Callable[[str], None],
+    posed: Inequality, basis: Array, lower: float, budget: Budget, say: Callable[[str], None]
 ) -> tuple[tuple[float, Array] | None, str]:
-    """Smallest proved level and its P by the LMIs, or None and why.
-
-    They are posed again in the states in which the last P is the identity, until the optimum stands.
-    """
+    """Smallest proved level and its P by the LMIs, or None and why."""
     best, last, text = None, np.inf, ""
     for _ in range(BALANCINGS):
         turned = posed.turned(basis)
@@ -316,51 +289,30 @@ def _solved(
 
 
 def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[float | None, Array | None, str]:
-    """Smallest level (None), or P of the largest margin at a level, from the solver; unchecked.
+    """Smallest level (None), or P of the largest margin at a level, from the solver; unchecked."""
+    import cvxpy as cp
 
-    Unknowns: the triangles of P, then gamma, a margin, and a bound of P's size, with which the model's deviation
-    counts. The margin is that of the inequalities in rows of one size, as it counts in the check.
-    """
-    n, at = posed.n, {w: k for k, w in enumerate(np.ndindex(*posed.shape))}
-    basis = symmetric_basis(n)
-    diagonal = np.einsum("bii->b", basis) > 0
-    m, count = len(basis), len(at)
-    gamma, margin, size = (m * count + k for k in range(3))
+    n, vertices = posed.n, list(np.ndindex(*posed.shape))
+    P = {w: cp.Variable((n, n), symmetric=True) for w in vertices}
+    # A bound of P's size, with which the model's deviation counts.
+    gamma, margin, size = (cp.Variable(nonneg=True) for _ in range(3))
     robust = any(c.deviation.any() for c in posed.coefficients)
-    one, conditions = np.ones((1, 1, 1)), Inequalities(size + 1)
-    conditions.add({margin: -one}, one[0])
-    conditions.add({margin: one}, 0 * one[0])
-    conditions.add({size: one}, 0 * one[0])
-    for k in range(count):
-        conditions.add({k * m: basis}, np.zeros((n, n)))
-        if robust or level is not None:
-            conditions.add({k * m: -basis, size: np.eye(n)[None]}, np.zeros((n, n)))
+    conditions = [margin <= 1, *(X >> 0 for X in P.values())]
+    if robust or level is not None:
+        conditions += [size * np.eye(n) - X >> 0 for X in P.values()]
     for c in posed.coefficients:
-        parts, out, direct = posed.parts(c, basis)
-        whole, wide = n + sum(direct.shape), n + direct.shape[1]
-        fixed, levels = np.zeros((whole, whole)), np.diag(np.append(np.zeros(n), np.ones(whole - n)))
-        fixed[wide:, :wide] = np.hstack([out, direct])
-        fixed = fixed + fixed.T
         a, b, o, d = _norms(c.deviation, n)
-        unit = equal_rows(fixed + sum(part[diagonal].sum(axis=0) for part in parts.values()) - levels)
-        columns = {at[w] * m: -part for w, part in parts.items()}
-        if robust:
-            columns[size] = -(2 * a + b) * np.eye(whole)[None]
-        if level is None:
-            columns[gamma] = levels[None]
-        columns = {column: unit[:, None] * part * unit for column, part in columns.items()}
-        fixed = (level or 0.0) * levels - fixed - (o + d) * np.eye(whole)
-        conditions.add({**columns, margin: -np.eye(whole)[None]}, unit[:, None] * fixed * unit)
-    cost = np.zeros(size + 1)
-    if level is None:
-        cost[gamma] = 1.0
-    else:
-        cost[margin], cost[size] = -1.0, 1e-6
-    answer = conditions.least(cost, budget, STEPS)
-    if answer.x is None:
-        return None, None, f"the LMI solver says {answer.text}"
-    P = np.einsum("kb,bij->kij", answer.x[: m * count].reshape(count, m), basis)
-    return (float(answer.x[gamma]) if level is None else level), P.reshape(*posed.shape, n, n), answer.text
+        slack = (2 * a + b) * size + o + d if robust else 0.0
+        # The margin is that of the inequality in rows of one size, as it counts in the check.
+        unit = equal_rows(posed.sizes(c))
+        held, eye = posed.matrix(c, P, gamma if level is None else level), np.eye(len(unit))
+        scaled = np.diag(unit) @ (held + slack * eye) @ np.diag(unit)
+        conditions.append(-scaled - (0.0 if level is None else margin) * eye >> 0)
+    failed = least(gamma if level is None else 1e-6 * size - margin, conditions, budget)
+    if failed:
+        return None, None, failed
+    found = np.array([P[w].value for w in vertices]).reshape(*posed.shape, n, n)
+    return float(gamma.value) if level is None else level, found, ""
 
 
 def _norms(deviation: Array, n: int) -> tuple[float, float, float, float]:

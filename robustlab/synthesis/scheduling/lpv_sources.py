@@ -1,12 +1,4 @@
-r"""LPV models of uncertain sets, with a proved error between the points, and of functions, with a sampled one.
-
-An uncertain model with real parameters is :math:`M_0 + B \Delta (I - D \Delta)^{-1} C`. Along the entry
-:math:`\delta_i` its second derivative is :math:`2 B V E_i W D E_i W C` with :math:`W = (I - D \Delta)^{-1}`,
-:math:`V = (I - \Delta D)^{-1}`, and multi-linear interpolation over steps :math:`h_i` errs by at most
-:math:`\sum_i h_i^2 / 8 \max |\partial^2 M / \partial \delta_i^2|`, entry by entry. Over a cell :math:`|W|` and
-:math:`|V|` are bounded by Neumann series of absolute values. Where no parameter meets itself through D, affine and
-multi-affine sets among them, that bound is zero.
-"""
+"""LPV models of uncertain sets, with a proved error between the points, and of functions, with a sampled one."""
 
 from __future__ import annotations
 

@@ -1,26 +1,12 @@
-r"""The dissipation inequality of an LPV model over whole cells: its coefficients, as a solver takes them.
+"""The dissipation inequality of an LPV model over whole cells: its Bernstein coefficients, as a solver takes them.
 
-:math:`V = x^T P(\rho) x` proves an induced gain below :math:`\gamma` where :math:`P \succ 0` and
-
-.. math:: L = \begin{bmatrix} A^T P + P A + \sum_i \dot\rho_i\, \partial P / \partial \rho_i & P B & C^T \\
-    \cdot & -\gamma I & D^T \\ \cdot & \cdot & -\gamma I \end{bmatrix} \prec 0
-    \qquad \text{for all } \rho \text{ and } |\dot\rho_i| \le \nu_i
-
-(Wu, Yang, Packard, Becker 1996). With model and P multi-linear in a cell, L is a polynomial of degree 2 in each
-parameter along which P varies and of degree 1 in the others. In Bernstein form,
-
-.. math:: L(\rho) = \sum_c \beta_c(\rho) L_c, \qquad \beta_c \ge 0, \quad \sum_c \beta_c = 1,
-
-it is a convex combination of its coefficients, each the mean of :math:`L(M_v, P_w)` over the pairs of vertices with
-:math:`v + w = c`. Where all of them are negative definite, so is L everywhere in the cell. It is affine in the rates,
-whose ends suffice. It is affine in the model's deviation from its interpolation too: where few entries deviate, each
-coefficient is asked for with both signs of each; where many do, a bound entry by entry is allowed for. What the solver
-finds is proved in ball arithmetic for the model as it was given (`robustlab.verification.parameters`).
+Wu, Yang, Packard, Becker 1996. Where all coefficients are negative definite, so is the inequality in the whole cell.
+What the solver finds is proved in ball arithmetic (`robustlab.verification.parameters`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -32,12 +18,11 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated
+from robustlab.synthesis.scheduling.inequalities import bounded_real
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 
 # Entries of the deviation in a cell up to which every choice of signs is asked for: exact, but 2^n inequalities.
 SIGNED_ENTRIES = 3
-
-__all__ = ["Coefficient", "Inequality"]
 
 Index = tuple[int, ...]
 
@@ -53,12 +38,7 @@ class Coefficient:
 
 
 class Inequality:
-    """The coefficients of one model, scaled by powers of two.
-
-    ``varying``: whether P varies along the parameters whose rates are bounded, multi-linear on the model's own grid;
-    else P is one matrix, and the rates do not matter.
-    ``size``: a gain, if one is known: in the scaled units it is about one. A solver's tolerances are absolute.
-    """
+    """The coefficients of one model, scaled by powers of two."""
 
     def __init__(self, model: LPVModel, varying: bool, size: float = 0.0) -> None:
         self.varies = tuple(varying and np.isfinite(p.rate) for p in model.parameters)
@@ -77,7 +57,7 @@ class Inequality:
         rows = np.append(1 / (scaling.states * scaling.rate), np.full(len(middle) - n, scaling.z))
         cols = np.append(scaling.states, np.full(middle.shape[1] - n, scaling.w))
         factor = rows[:, None] * cols
-        self.model = model.with_matrices(model.matrices * factor, model.deviation * factor)
+        self.model = model.changed(matrices=model.matrices * factor, deviation=model.deviation * factor)
         self.scaling: Scaling = scaling
         self.given = model
         self.rates = tuple(p.rate / scaling.rate for p in model.parameters)
@@ -103,14 +83,12 @@ class Inequality:
         made, n, back = copy(self), self.n, np.linalg.inv(T)
         left, right = np.eye(self.model.matrices.shape[-2]), np.eye(self.model.matrices.shape[-1])
         left[:n, :n], right[:n, :n] = back, T
-        made.model = self.model.with_matrices(left @ self.model.matrices @ right)
+        made.model = self.model.changed(matrices=left @ self.model.matrices @ right)
         made.coefficients = [
             replace(c, shift=left @ c.shift @ right, deviation=np.abs(left) @ c.deviation @ np.abs(right))
             for c in self.coefficients
         ]
         return made
-
-    # --- coefficients ------------------------------------------------------------------------------------------------
 
     @cached_property
     def coefficients(self) -> list[Coefficient]:
@@ -171,23 +149,23 @@ class Inequality:
                     total[at] = total.get(at, 0.0) + part
         return tuple((part, at) for at, part in total.items() if part)
 
-    # --- evaluated ---------------------------------------------------------------------------------------------------
+    def matrix(self, c: Coefficient, P: Mapping[Index, Any], gamma: Any) -> Any:
+        """``L_c`` for a solver, P at its vertices and gamma unknown."""
+        import cvxpy as cp
+
+        n, share, matrices = self.n, 1.0 / len(c.pairs), self.model.matrices
+        top = sum(share * (P[w] @ (matrices[v] + c.shift)[:n]) for v, w in c.pairs)
+        drift = top[:, :n] + top[:, :n].T + sum(factor * P[w] for factor, w in c.slopes)
+        return bounded_real(cp.hstack([drift, top[:, n:]]), *self._outputs(c), gamma)
+
+    def sizes(self, c: Coefficient) -> Array:
+        """The same for ``P = I`` at every vertex without slopes and ``gamma = 1``."""
+        n, mean = self.n, np.mean([self.model.matrices[v] for v, _ in c.pairs], axis=0) + c.shift
+        a, b, (out, direct) = mean[:n, :n], mean[:n, n:], self._outputs(c)
+        slope = sum(factor for factor, _ in c.slopes) * np.eye(n)
+        q, m = direct.shape
+        return np.block([[a + a.T + slope, b, out.T], [b.T, -np.eye(m), direct.T], [out, direct, -np.eye(q)]])
 
     def _outputs(self, c: Coefficient) -> tuple[Array, Array]:
         mean = np.mean([self.model.matrices[v][self.n :] for v, _ in c.pairs], axis=0) + c.shift[self.n :]
         return mean[:, : self.n], mean[:, self.n :]
-
-    def parts(self, c: Coefficient, basis: Array) -> tuple[dict[Index, Array], Array, Array]:
-        """For a solver: vertex of P -> what each matrix of a basis there adds to L, shape (m, N, N); C and D."""
-        n, share = self.n, 1.0 / len(c.pairs)
-        out, direct = self._outputs(c)
-        n_w, whole = direct.shape[1], n + sum(direct.shape)
-        found: dict[Index, Array] = {}
-        for v, w in c.pairs:
-            part = found.setdefault(w, np.zeros((len(basis), whole, whole)))
-            made = share * (basis @ (self.model.matrices[v] + c.shift)[:n])
-            part[:, :n, : n + n_w] += made
-            part[:, : n + n_w, :n] += np.swapaxes(made, 1, 2)
-        for factor, w in c.slopes:
-            found.setdefault(w, np.zeros((len(basis), whole, whole)))[:, :n, :n] += factor * basis
-        return found, out, direct

@@ -1,19 +1,9 @@
-r"""Linear parameter-varying (LPV) models: state-space models at the points of a grid, multi-linear between them.
-
-.. math:: \dot x = A(\rho) x + B(\rho) u, \qquad y = C(\rho) x + D(\rho) u, \qquad
-    M = \begin{bmatrix} A & B \\ C & D \end{bmatrix} = \sum_v \alpha_v(\rho)\, M_v + E(\rho), \quad
-    |E(\rho)| \le \bar E
-
-:math:`\alpha_v \ge 0` are the products of the linear weights along each parameter; in a cell of the grid M is a convex
-combination of the cell's vertices, but for E. Two points for each parameter make a polytopic model;
-there every affine dependence is exact. :math:`\bar E` bounds, entry by entry, what a family that is not multi-linear
-does between the points.
-"""
+"""Linear parameter-varying (LPV) models: state-space models at the points of a grid, multi-linear between them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,11 +13,10 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, did_you_mean
 from robustlab.operators import Behaviour
 from robustlab.provenance import Traced
+from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number, short, with_units
-from robustlab.signals import Signal, real_array
+from robustlab.signals import Signal, law, real_array
 from robustlab.statespace import StateSpaceModel, as_model
-
-__all__ = ["EXACT", "KNOWN", "PROVED", "SAMPLED", "LPVModel", "SchedulingParameter"]
 
 EXACT, PROVED, SAMPLED = "exact", "proved", "sampled"
 # How the deviation between the points of the grid is known.
@@ -36,10 +25,7 @@ KNOWN = (EXACT, PROVED, SAMPLED)
 
 @dataclass(frozen=True)
 class SchedulingParameter:
-    """A measured parameter: values at which the model is given, from one end of its range to the other.
-
-    ``rate`` bounds ``|d rho/dt|`` in its unit per second; infinite where it may jump, 0 where it is constant.
-    """
+    """A measured parameter: values at which the model is given, from one end of its range to the other."""
 
     name: str
     points: tuple[float, ...]
@@ -127,15 +113,12 @@ class LPVModel(Behaviour, Shown, Traced):
         deviation: ArrayLike | None = None,
         known: str = EXACT,
     ) -> None:
-        rates = {} if rates is None else rates
-        units = {} if units is None else units
+        rates, units = rates or {}, units or {}
         for word, given in (("points", points), ("rates", rates), ("units", units)):
             if not isinstance(given, Mapping):
                 raise InputError(f"LPVModel: {word}", f"{given!r}", "parameter -> value, such as {'a': ...}")
         for name in (*rates, *units):
-            if name not in points:
-                hint = did_you_mean(name, tuple(points))
-                raise InputError("LPVModel", f"no parameter {name!r}", f"one of {', '.join(points)}", hint)
+            _require_name("LPVModel", name, tuple(points))
         found = tuple(
             SchedulingParameter(n, tuple(np.atleast_1d(p)), rates.get(n, np.inf), units.get(n, ""))
             for n, p in points.items()
@@ -149,20 +132,12 @@ class LPVModel(Behaviour, Shown, Traced):
         first = flat[0]
         for k, other in enumerate(flat):
             _check_alike(k, first, other)
-        whole = np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in flat]).reshape(*grid, *_size(first))
-        self._set(found, whole, first.n_states, first.inputs, first.outputs, first.states, deviation, known)
+        whole = np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in flat])
+        matrices = whole.reshape(*grid, *whole.shape[1:])
+        self._set(found, matrices, first.n_states, first.inputs, first.outputs, first.states, deviation, known)
 
-    def _set(
-        self,
-        parameters: tuple[SchedulingParameter, ...],
-        matrices: Array,
-        n_states: int,
-        inputs: tuple[Signal, ...],
-        outputs: tuple[Signal, ...],
-        states: tuple[Signal, ...],
-        deviation: ArrayLike | None,
-        known: str,
-    ) -> None:
+    def _set(self, *fields: Any) -> None:
+        parameters, matrices, n_states, inputs, outputs, states, deviation, known = fields
         if not isinstance(known, str) or known not in KNOWN:
             hint = did_you_mean(str(known), KNOWN)
             raise InputError("LPVModel: known", f"{known!r}", f"one of {', '.join(KNOWN)}", hint)
@@ -176,14 +151,14 @@ class LPVModel(Behaviour, Shown, Traced):
         matrices, given = np.array(matrices), np.array(given)
         for array in (matrices, given):
             array.setflags(write=False)
-        fields = (parameters, matrices, n_states, inputs, outputs, states, given, known)
+        fields = (tuple(parameters), matrices, n_states, tuple(inputs), tuple(outputs), tuple(states), given, known)
         for name, value in zip(type(self).__dataclass_fields__, fields, strict=True):
             object.__setattr__(self, name, value)
 
     @classmethod
     def of(
         cls,
-        parameters: tuple[SchedulingParameter, ...],
+        parameters: Sequence[SchedulingParameter],
         matrices: Array,
         n_states: int,
         inputs: Sequence[Signal],
@@ -194,17 +169,12 @@ class LPVModel(Behaviour, Shown, Traced):
     ) -> LPVModel:
         """From the stacked matrices ``[A B; C D]``, shape (n_1, ..., n_k, n_x + n_y, n_x + n_u), of sizes that fit."""
         made = object.__new__(cls)
-        made._set(parameters, matrices, n_states, tuple(inputs), tuple(outputs), tuple(states), deviation, known)
+        made._set(parameters, matrices, n_states, inputs, outputs, states, deviation, known)
         return made
 
-    def with_matrices(self, matrices: Array, deviation: ArrayLike | None = None) -> LPVModel:
-        """Other matrices of the same sizes at the same points."""
-        return LPVModel.of(
-            self.parameters, matrices, self.n_states, self.inputs, self.outputs, self.states,
-            self.deviation if deviation is None else deviation, self.known,
-        )  # fmt: skip
-
-    # --- sizes and parts ---------------------------------------------------------------------------------------------
+    def changed(self, **fields: Any) -> LPVModel:
+        """The same but for these fields, of sizes that fit."""
+        return LPVModel.of(**({name: getattr(self, name) for name in type(self).__dataclass_fields__} | fields))
 
     @property
     def grid(self) -> tuple[int, ...]:
@@ -232,16 +202,8 @@ class LPVModel(Behaviour, Shown, Traced):
         """Index of the lowest vertex of each cell."""
         return iter(np.ndindex(*(n - 1 for n in self.grid)))
 
-    # --- evaluation --------------------------------------------------------------------------------------------------
-
     def at(self, rho: Mapping[str, float] | Sequence[float] | None = None, **values: float) -> StateSpaceModel:
-        """The model at one value of every parameter: a mapping, a sequence in their order, or by name.
-
-        Raises
-        ------
-        InputError
-            A parameter that is missing or unknown, a value outside its range.
-        """
+        """The model at one value of every parameter: a mapping, a sequence in their order, or by name."""
         return self.model_of(self.matrix_at(self.place(rho, **values)))
 
     def place(self, rho: Mapping[str, float] | Sequence[float] | None = None, **values: float) -> Array:
@@ -253,9 +215,7 @@ class LPVModel(Behaviour, Shown, Traced):
             rho = dict(zip(self.names, array.tolist(), strict=True))
         given = {**(rho or {}), **values}
         for name in given:
-            if name not in self.names:
-                hint = did_you_mean(name, self.names)
-                raise InputError("LPVModel.at", f"no parameter {name!r}", f"one of {', '.join(self.names)}", hint)
+            _require_name("LPVModel.at", name, self.names)
         for p in self.parameters:
             if p.name not in given:
                 raise InputError("LPVModel.at", f"{p.name} is missing", f"a value of each of {', '.join(self.names)}")
@@ -276,8 +236,8 @@ class LPVModel(Behaviour, Shown, Traced):
         return found
 
     def refined(self, pieces: int | Mapping[str, int] = 2) -> LPVModel:
-        """The same model with every cell cut into ``pieces`` along each parameter, or those named: a finer grid
-        for Lyapunov functions and controllers.
+        """The same model with every cell cut into ``pieces`` along each parameter, or those named: a finer grid for
+        Lyapunov functions and controllers.
         """
         cuts = dict.fromkeys(self.names, pieces) if isinstance(pieces, int) else dict(pieces)
         matrices, deviation, parameters = self.matrices, self.deviation, []
@@ -286,35 +246,22 @@ class LPVModel(Behaviour, Shown, Traced):
             if not count >= 1:
                 raise InputError("LPVModel.refined", f"{count} pieces of {p.name}", "at least 1")
             ends, cells = np.array(p.points), len(p.points) - 1
-            parent, share = (
-                np.append(np.repeat(range(cells), count), cells - 1),
-                np.arange(count * cells + 1) % count / count,
-            )
+            parent = np.append(np.repeat(range(cells), count), cells - 1)
+            share = np.arange(count * cells + 1) % count / count
             share[-1] = 1.0
             points = np.where(share == 1, ends[parent + 1], ends[parent] + share * (ends[parent + 1] - ends[parent]))
             share = share.reshape(-1, *([1] * (matrices.ndim - axis - 1)))
             before, after = np.take(matrices, parent, axis), np.take(matrices, parent + 1, axis)
             matrices = np.where(share == 1, after, before + share * (after - before))
             deviation = np.take(deviation, parent[:-1], axis)
-            parameters.append(SchedulingParameter(p.name, tuple(points), p.rate, p.unit))
-        return LPVModel.of(
-            tuple(parameters), matrices, self.n_states, self.inputs, self.outputs, self.states, deviation, self.known
-        )
+            parameters.append(replace(p, points=tuple(points)))
+        return self.changed(parameters=parameters, matrices=matrices, deviation=deviation)
 
     def with_rates(self, **rates: float) -> LPVModel:
         """The same model with other bounds of the rates of the named parameters."""
         for name in rates:
-            if name not in self.names:
-                hint = did_you_mean(name, self.names)
-                raise InputError("with_rates", f"no parameter {name!r}", f"one of {', '.join(self.names)}", hint)
-        changed = tuple(
-            SchedulingParameter(p.name, p.points, rates.get(p.name, p.rate), p.unit) for p in self.parameters
-        )
-        return LPVModel.of(
-            changed, self.matrices, self.n_states, self.inputs, self.outputs, self.states, self.deviation, self.known
-        )
-
-    # --- words -------------------------------------------------------------------------------------------------------
+            _require_name("with_rates", name, self.names)
+        return self.changed(parameters=[replace(p, rate=rates.get(p.name, p.rate)) for p in self.parameters])
 
     @property
     def between(self) -> str:
@@ -346,14 +293,13 @@ class LPVModel(Behaviour, Shown, Traced):
 
     def to_json(self) -> dict[str, object]:
         sides = {side: [list(s) for s in getattr(self, side)] for side in ("inputs", "outputs", "states")}
-        told = [vars(p).copy() for p in self.parameters]
-        return {
-            "parameters": told,
-            "matrices": self.matrices,
-            **sides,
-            "deviation": self.deviation,
-            "known": self.known,
-        }
+        parameters = {"parameters": [vars(p) for p in self.parameters], "matrices": self.matrices}
+        return parameters | sides | {"deviation": self.deviation, "known": self.known}
+
+
+def _require_name(where: str, name: str, known: tuple[str, ...]) -> None:
+    if name not in known:
+        raise InputError(where, f"no parameter {name!r}", f"one of {', '.join(known)}", did_you_mean(name, known))
 
 
 def _flat(models: Any, depth: int) -> list[StateSpaceModel]:
@@ -365,16 +311,12 @@ def _flat(models: Any, depth: int) -> list[StateSpaceModel]:
     return [as_model(models, "LPVModel: models")]
 
 
-def _size(m: StateSpaceModel) -> tuple[int, int]:
-    return m.n_states + m.n_outputs, m.n_states + m.n_inputs
-
-
 def _check_alike(k: int, first: StateSpaceModel, other: StateSpaceModel) -> None:
     """Sizes, names and units of the first; continuous."""
     where = f"LPVModel: model {k}"
     if other.is_discrete:
         raise InputError(where, f"discrete, dt = {other.dt:g} s", "a continuous model")
-    if (other.n_states, *_size(other)) != (first.n_states, *_size(first)):
+    if (other.n_states, *other.D.shape) != (first.n_states, *first.D.shape):
         found = f"{other.n_states} states, {other.n_inputs} inputs, {other.n_outputs} outputs"
         raise InputError(where, found, f"{first.n_states}, {first.n_inputs} and {first.n_outputs} as model 0")
     for side in ("states", "inputs", "outputs"):
@@ -383,3 +325,40 @@ def _check_alike(k: int, first: StateSpaceModel, other: StateSpaceModel) -> None
             one, two = next((a, b) for a, b in zip(mine, theirs, strict=True) if a != b)
             hint = "the coordinates must be the same at all points" if side == "states" else None
             raise InputError(where, f"{side}: {' '.join(two).strip()!r}", f"{' '.join(one).strip()!r}", hint)
+
+
+@dataclass(frozen=True, eq=False)
+class LPVController(Shown, Traced):
+    """A controller ``u = K(rho) y`` with positive feedback, scheduled by measured parameters.
+
+    Attributes
+    ----------
+    K
+        The controllers at the points of the grid, interpolated between them.
+    gamma
+        Induced gain that `lpv_gain` proved of the loop it was designed on; None where none was.
+    status
+        How much ``gamma`` can be trusted.
+    method
+        What made it.
+    """
+
+    K: LPVModel
+    gamma: float | None = None
+    status: Status = Status.INCONCLUSIVE
+    method: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.K, LPVModel):
+            raise InputError("LPVController: K", type(self.K).__name__, "an LPVModel")
+
+    def at(self, rho: Any = None, **values: float) -> StateSpaceModel:
+        """The controller at one value of every parameter; see `LPVModel.at`."""
+        return self.K.at(rho, **values)
+
+    def facts(self) -> Facts:
+        said = [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", law(self.K.inputs))]
+        return [*said, *self.K.facts()]
+
+    def to_json(self) -> dict[str, object]:
+        return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method}

@@ -1,18 +1,14 @@
-r"""`hinf` of an LPV model: H-infinity controllers scheduled by measured parameters, their loops verified by `lpv_gain`.
+"""`hinf` of an LPV model: controllers scheduled by measured parameters, their loops verified by `lpv_gain`.
 
-At the points of the grid the projection LMIs are solved with shared R and S
-(`robustlab.synthesis.hinf.lmi_synthesis`); at each point a controller is reconstructed for the closed loop's
-Lyapunov matrix X, and between the points the controllers are interpolated. With shared R and S, and with B2, C2, D12,
-D21 that do not depend on the parameters, X proves the interpolated loop in every cell (Apkarian, Gahinet, Becker 1995).
-
-Whatever the LMIs say, a controller is returned with what `lpv_gain` proves of the loop that is rebuilt from plant and
-controller; where rates are bounded, with a Lyapunov matrix that varies.
+The projection LMIs with shared R and S, a controller for each grid point, interpolated between them (Apkarian, Gahinet,
+Becker 1995). Whatever the LMIs say, what is returned is proved of the loop rebuilt from plant and controller.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,16 +19,13 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.shown import Facts, number
 from robustlab.signals import Taken
 from robustlab.statespace import Signal
-from robustlab.synthesis.hinf.lmi_synthesis import projection, reconstructed, shared
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.design import Design
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
-from robustlab.synthesis.scheduling.constants import BALANCINGS, NEAR, WORK
-from robustlab.synthesis.scheduling.induced_gain import LPVGain, gain_from, model_numbers
-from robustlab.synthesis.scheduling.lpv_loop import closed_loop, plant_matrices
-from robustlab.synthesis.scheduling.parameter_varying import LPVModel
-from robustlab.synthesis.scheduling.scheduled_controller import LPVController
+from robustlab.synthesis.scheduling.induced_gain import BALANCINGS, NEAR, WORK, LPVGain, gain_from, model_numbers
+from robustlab.synthesis.scheduling.inequalities import projection, reconstructed, shared
+from robustlab.synthesis.scheduling.parameter_varying import EXACT, KNOWN, PROVED, LPVController, LPVModel
 from robustlab.verification import Claim
 
 # Back-offs of a synthesis. Larger: better conditioned controllers, worse gamma.
@@ -44,8 +37,6 @@ COUPLINGS = (1.5, 1.05)
 # small, and how many times its gamma they may cost at the first start, and at the second.
 ADDED = tuple(10.0 ** (-0.5 * k) for k in range(17))
 COSTS = (30.0, 3.0)
-
-__all__ = ["LPVSynthesis", "scheduled_hinf"]
 
 # Rounds over the states of a controller, at most, until their units stand.
 SWEEPS = 30
@@ -76,6 +67,7 @@ class LPVSynthesis(Design):
     """
 
     quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("gamma", "lmi_gamma"), float)
+    saved = ("status", "gamma", "lmi_gamma", "reason", "K", "gain")
 
     K: LPVModel
     plant: LPVModel
@@ -89,10 +81,7 @@ class LPVSynthesis(Design):
         return LPVController(self.K, self.gamma, self.status, "lpv-hinf")
 
     def claims(self) -> list[Claim]:
-        """That plant and controller, as they are stored, make a loop with that gain.
-
-        Nothing where B2, C2, D12 or D21 depend on a parameter: that loop is not multi-linear between the points.
-        """
+        """That plant and controller, as they are stored, make a loop with that gain."""
         plant, K, n = self.plant, self.K, self.plant.n_states
         z, w = len(plant.outputs) - len(K.inputs), len(plant.inputs) - len(K.outputs)
         M, E = (X.reshape(-1, *X.shape[-2:]) for X in (plant.matrices, plant.deviation))
@@ -116,12 +105,6 @@ class LPVSynthesis(Design):
             ("controller", "; ".join(p.words for p in self.K.parameters) + f"; {self.K.n_states} states"),
             ("how", self.reason),
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "status": self.status, "gamma": self.gamma, "lmi_gamma": self.lmi_gamma,
-            "reason": self.reason, "K": self.K.to_json(), "gain": self.gain.to_json(),
-        }  # fmt: skip
 
 
 def scheduled_hinf(
@@ -200,7 +183,7 @@ class _Task:
         for widest in (True, False):
             for coupling in (*COUPLINGS, 1 + 0.2 * backoff):
                 _, outer, _ = projection(problem.plants, level, coupling, self.budget, widest=widest)
-                X = None if outer is None else shared(outer.R, outer.S)
+                X = None if outer is None else shared(*outer)
                 made = None if X is None else self._controller(problem, X, level * (1 + 0.5 * backoff))
                 if made is None or X is None:
                     continue
@@ -213,12 +196,7 @@ class _Task:
         return best
 
     def _conditioned(self) -> tuple[_Conditioned | None, str]:
-        """The plants in states in which R and S of the last optimum are equal and diagonal, until it stands.
-
-        Without it the optimum that a solver in double precision finds may be many times too large, or there is none: R
-        and S of a stiff or singular problem range over ten decades. The first states are those of the Riccati equations
-        of one frozen plant.
-        """
+        """The plants in states in which R and S of the last optimum are equal and diagonal, until it stands."""
         middle = self.matrices[len(self.matrices) // 2]
         found: _Conditioned | None = None
         text = "the frozen plant in the middle has no controller"
@@ -234,11 +212,7 @@ class _Task:
         return found, text
 
     def _frozen_states(self, p: PlantMatrices) -> list[tuple[Array, float]]:
-        """States in which ``X^-1`` and ``Y^-1`` of a frozen plant are equal and diagonal, and its smallest gamma.
-
-        Of the plant with small channels added, as X and Y of its own may be singular, and at a gamma some times its
-        own: nearer to it the states that w does not move or z does not show are measured too differently.
-        """
+        """States in which ``X^-1`` and ``Y^-1`` of a frozen plant are equal and diagonal, and its smallest gamma."""
         found: list[tuple[float, TwoRiccatiProblem]] = []
         for size in ADDED:
             try:
@@ -263,9 +237,9 @@ class _Task:
         found, waited = None, 0
         for _ in range(BALANCINGS):
             plants = [_turned(scaling.apply(p), turn) for p in self.matrices]
-            gamma, outer, outcome = projection(plants, None, 1.0, self.budget)
+            gamma, outer, text = projection(plants, None, 1.0, self.budget)
             if gamma is None or outer is None:
-                return found, False, outcome.text
+                return found, False, text
             self.say(f"states balanced by R and S: optimum {gamma / scaling.gain:.6g}")
             best = np.inf if found is None else found.gamma
             if gamma < best:
@@ -273,11 +247,11 @@ class _Task:
             # The first rounds may go up: R and S of a bad start say little.
             waited = 0 if gamma < best * (1 - 0.5 * NEAR) else waited + 1
             if waited == 2 or abs(gamma / best - 1) < 0.5 * NEAR:
-                return found, abs(gamma / best - 1) < NEAR, outcome.text
+                return found, abs(gamma / best - 1) < NEAR, text
             # Above the optimum R and S are moderate; where the solver has none there, those at the optimum serve.
             _, softer, _ = projection(plants, 1.05 * gamma + 1e-9, 1.5, self.budget)
             outer = outer if softer is None else softer
-            turn = turn @ _balancing(outer.R, outer.S)
+            turn = turn @ _balancing(*outer)
         return found, True, "the optimum still falls"
 
     def _controller(self, problem: _Conditioned, X: Array, level: float) -> tuple[LPVModel, Array] | None:
@@ -317,15 +291,7 @@ class _Task:
 
 
 def _state_units(K: Array, n: int) -> Array:
-    """Units of the n states in which their rows and columns are alike in size, all points (k, n + n_u, n + n_y) as one.
-
-    Those that come with X and the scaled plant may be out of all proportion. The same units at all points leave what is
-    interpolated between them as it is, and powers of two leave every digit.
-
-    References
-    ----------
-    Osborne, "On pre-conditioning of matrices" (1960).
-    """
+    """Units of the n states in which their rows and columns are alike in size, all points as one (Osborne 1960)."""
     size, units = np.abs(K).sum(axis=0), np.ones(n)
     size[range(n), range(n)] = 0.0
     for _ in range(SWEEPS):
@@ -354,3 +320,73 @@ def _balancing(R: Array, S: Array) -> Array:
     root = vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1]))
     squares, turn = np.linalg.eigh(root.T @ S @ root)
     return root @ turn / np.maximum(squares, 1e-14 * squares[-1]) ** 0.25
+
+
+def plant_matrices(plant: LPVModel, n_meas: int, n_con: int, where: str) -> list[PlantMatrices]:
+    """The generalised plants at the points of the grid."""
+    n, (n_z, n_w) = plant.n_states, _performance(plant, n_meas, n_con, where)
+    m = plant.matrices.reshape(-1, *plant.matrices.shape[-2:])
+    if m[:, n + n_z :, n + n_w :].any() or plant.deviation[..., n + n_z :, n + n_w :].any():
+        hint = "put a fast lag between controls and measurements"
+        raise InputError(where, "a direct term from the controls to the measurements (D22)", "D22 = 0", hint)
+    rows = slice(None, n), slice(n, n + n_z), slice(n + n_z, None)
+    cols = slice(None, n), slice(n, n + n_w), slice(n + n_w, None)
+    order = ((0, 0), (0, 1), (0, 2), (1, 0), (2, 0), (1, 1), (1, 2), (2, 1))
+    return [PlantMatrices(*(np.array(one[rows[i], cols[j]]) for i, j in order)) for one in m]
+
+
+def _performance(plant: LPVModel, n_meas: int, n_con: int, where: str) -> tuple[int, int]:
+    n_z, n_w = len(plant.outputs) - n_meas, len(plant.inputs) - n_con
+    for word, count, left in (("n_meas", n_meas, n_z), ("n_con", n_con, n_w)):
+        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1 or left < 1:
+            found = f"{word} = {count!r} of a plant with {len(plant.inputs)} inputs and {len(plant.outputs)} outputs"
+            raise InputError(where, found, "at least one, and at least one w and z beside them")
+    return n_z, n_w
+
+
+def closed_loop(plant: LPVModel, law: LPVModel, where: str) -> LPVModel:
+    """The loop from w to z of ``u = K(rho) y``, law and plant on one grid, with the error between the points proved."""
+    # M = P + U K V with multi-linear P, U, K, V: where U or V vary, interpolation errs by at most a quarter of the sum
+    # over the parameters of |dU| |dK| |V| + |dU| |K| |dV| + |U| |dK| |dV|, with the largest changes over the cell.
+    n_meas, n_con = len(law.inputs), len(law.outputs)
+    n_z, n_w = _performance(plant, n_meas, n_con, where)
+    n, n_k = plant.n_states, law.n_states
+
+    def parts(m: Array) -> tuple[Array, Array, Array]:
+        """P, U and V of stacked plants (or of bounds of their entries), states (x, x_k)."""
+        lead = m.shape[:-2]
+        P = np.zeros((*lead, n + n_k + n_z, n + n_k + n_w))
+        U, V = np.zeros((*lead, n + n_k + n_z, n_k + n_con)), np.zeros((*lead, n_k + n_meas, n + n_k + n_w))
+        for at, own in ((slice(0, n), slice(0, n)), (slice(n + n_k, None), slice(n, n + n_z))):
+            P[..., at, :n], P[..., at, n + n_k :] = m[..., own, :n], m[..., own, n : n + n_w]
+            U[..., at, n_k:] = m[..., own, n + n_w :]
+        V[..., n_k:, :n], V[..., n_k:, n + n_k :] = m[..., n + n_z :, :n], m[..., n + n_z :, n : n + n_w]
+        return P, U, V
+
+    P, U, V = parts(plant.matrices)
+    U[..., n : n + n_k, :n_k] = V[..., :n_k, n : n + n_k] = np.eye(n_k)
+    states = [*plant.states, *(Signal(f"k{i + 1}") for i in range(n_k))]
+    # The plant's own deviation and the products' curvature.
+    e_P, e_U, e_V = parts(plant.deviation)
+    deviation = np.zeros((*plant.deviation.shape[:-2], *P.shape[-2:]))
+    for cell in plant.cells():
+        (u, d_u), (k, d_k), (v, d_v) = (_largest(m, cell) for m in (U, law.matrices, V))
+        bend = sum(0.25 * (du @ dk @ v + du @ k @ dv + u @ dk @ dv) for du, dk, dv in zip(d_u, d_k, d_v, strict=True))
+        eu, ev = e_U[cell], e_V[cell]
+        deviation[cell] = e_P[cell] + bend + eu @ k @ (v + ev) + u @ k @ ev
+    known = plant.known
+    if deviation.any():
+        deviation *= 1 + 1e-12
+        known = max(known, PROVED, key=KNOWN.index)
+    return LPVModel.of(
+        plant.parameters, P + U @ law.matrices @ V, n + n_k, plant.inputs[:n_w], plant.outputs[:n_z], states,
+        deviation, known if deviation.any() else EXACT,
+    )  # fmt: skip
+
+
+def _largest(m: Array, cell: tuple[int, ...]) -> tuple[Array, list[Array]]:
+    """Largest absolute entries over the vertices of a cell, and of the changes along each parameter."""
+    k = len(cell)
+    corner = m[tuple(slice(i, i + 2) for i in cell)]
+    changes = [np.abs(np.diff(corner, axis=axis)).reshape(-1, *m.shape[-2:]).max(axis=0) for axis in range(k)]
+    return np.max([np.abs(corner[at]) for at in product((0, 1), repeat=k)], axis=0), changes

@@ -1,6 +1,4 @@
-"""What a designer looks at in a loop: S, T, K S and S G with the bounds that weights put on them, and the curves of a
-finished design over frequency.
-"""
+"""What a designer looks at in a loop: S, T, K S, S G with their bounds, and the curves of a finished design."""
 
 from __future__ import annotations
 
@@ -69,12 +67,7 @@ class LoopFunctions(Shown):
         return self.singular_values(name, omega)[:, 0]
 
     def bound(self, name: str, omega: ArrayLike) -> AnyArray | None:
-        r"""What the weight and gamma prove for the largest singular value, shape (n_omega,); None without a weight.
-
-        .. math:: \bar\sigma(S) \le \gamma / \underline\sigma(W_1)
-
-        A weight with fewer outputs than inputs bounds some directions only and gives infinity.
-        """
+        """What the weight and gamma prove for the largest singular value, shape (n_omega,); None without a weight."""
         self.model(name)
         weight = self.weights.get(FUNCTIONS[name])
         if weight is None:
@@ -202,11 +195,7 @@ class LoopCurves:
 
 
 def frequencies(model: StateSpaceModel, points: int = POINTS, around: float | None = None) -> Array:
-    """Frequencies in rad/s for a picture of a loop, (points,): a decade beyond its poles, and beyond ``around``.
-
-    Poles more than three decades above the middle one (those of a controller that hurries for nothing) do not stretch
-    the picture; a discrete model's ends at its Nyquist frequency.
-    """
+    """Frequencies in rad/s for a picture of a loop, (points,): a decade beyond its poles, and beyond ``around``."""
     poles = model.poles()
     if model.is_discrete:
         poles = np.log(poles[np.abs(poles) > 1e-12].astype(complex)) / model.dt
@@ -224,16 +213,7 @@ def frequencies(model: StateSpaceModel, points: int = POINTS, around: float | No
 
 
 def loop_curves(design: Synthesis) -> LoopCurves:
-    """Singular values of the weighted closed loop and gains of the controller, for figures.
-
-    Examples
-    --------
-    >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
-    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    >>> curves = loop_curves(hinf(P, 1, 1))
-    >>> bool((curves.closed_loop[:, 0] <= curves.peak[1] * (1 + 1e-9)).all())
-    True
-    """
+    """Singular values of the weighted closed loop and gains of the controller, for figures."""
     omega = frequencies(design.closed_loop, around=getattr(design, "peak_frequency", None))
     sigma = np.linalg.svd(frequency_response(design.closed_loop, omega), compute_uv=False).astype(np.float64)
     at = float(getattr(design, "peak_frequency", np.nan))

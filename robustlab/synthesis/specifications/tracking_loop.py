@@ -63,11 +63,7 @@ class ClosedLoop(Shown):
 
 
 def with_law(system: Any, controller: Any, sign: Sign | None = None) -> tuple[Any, str]:
-    """A controller each of whose inputs knows what it takes of a model, and the loop in words.
-
-    One that says nothing takes ``r - y`` or ``y``, as ``sign`` says, or the stability of the loop.
-    Raises InputError: see `robustlab.closing.closing`; sizes that do not fit.
-    """
+    """A controller each of whose inputs knows what it takes of a model, and the loop in words."""
     base = system if isinstance(system, UncertainModel) else as_model(system)
     K = as_model(controller, "controller")
     names = [s.name for s in base.outputs]
@@ -96,12 +92,7 @@ def with_law(system: Any, controller: Any, sign: Sign | None = None) -> tuple[An
 
 
 def tracking_loop(system: Any, controller: Any) -> Any:
-    """The loop of a controller with references around a model or an uncertain model, as an uncertain model.
-
-    ``u = K (r - y)`` for a controller that takes the error; ``u = K (y - r)`` for one that takes y;
-    one with inputs for references gets these. Inputs: a reference for each output. Outputs: the outputs y and the
-    control signals u.
-    """
+    """The loop of a controller with references around a model or an uncertain model, as an uncertain model."""
     base = system if isinstance(system, UncertainModel) else UncertainModel(as_model(system), [])
     K, _ = with_law(base, controller)
     takes: list[Any] = list(K.inputs)

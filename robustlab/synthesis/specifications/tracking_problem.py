@@ -1,19 +1,11 @@
 r"""Tracking problems: a plant, what its outputs are to do, and what disturbs it, as one weighted generalised plant.
 
-.. math::
-    e = \frac{r - y_c}{\bar r}, \qquad y = G\,(u + d), \qquad
-    z = \begin{bmatrix} W_1 e \\ W_2 u \\ W_3 y_c / \bar r \end{bmatrix}, \qquad
-    v = \begin{bmatrix} r \\ y_m + n \end{bmatrix}, \qquad u = K v
+.. math:: e = \frac{r - y_c}{\bar r}, \quad y = G\,(u + d), \quad
+    z = \begin{bmatrix} W_1 e \\ W_2 u \\ W_3 y_c / \bar r \end{bmatrix}, \quad
+    v = \begin{bmatrix} r \\ y_m + n \end{bmatrix}, \quad u = K v
 
-driven by :math:`r = \bar r F \tilde r`, :math:`d = \bar d \tilde d`, :math:`n = \bar n \tilde n` with :math:`F = 1 /
-(s / \omega_r + 1)`: references are fast only where they are small, as those of a machine of limited speed. The
-controller sees reference and measurements by themselves (two degrees of freedom), so that every law with these signals,
-a cascade of PIDs as well, is judged by the same number: the gain from :math:`(\tilde r, \tilde d, \tilde n)` to z is
-at most one where every requirement holds.
-
-References
-----------
-Skogestad, Postlethwaite 2005, section 9.3 (signal-based H-infinity control); Březina 2010, eq. 10.15.
+with :math:`r = \bar r F \tilde r`, :math:`F = 1 / (s / \omega_r + 1)`. The gain to z is at most one where every
+requirement holds. Skogestad, Postlethwaite 2005, section 9.3; Březina 2010, eq. 10.15.
 """
 
 from __future__ import annotations
@@ -126,19 +118,11 @@ class TrackingProblem(Shown):
         )  # fmt: skip
 
     def close(self, K: Any) -> UncertainModel:
-        """The weighted loop under ``u = K v`` as an uncertain model from (r, d, n) to z.
-
-        Raises InputError: K has other numbers of inputs and outputs, or another sample time; NoTrustworthyNumber: the
-        loop is not well posed.
-        """
+        """The weighted loop under ``u = K v`` as an uncertain model from (r, d, n) to z."""
         return UncertainModel(lower_lft(self.uncertain.M, self._checked(K)), self.uncertain.blocks)
 
     def gains(self, K: Any, omega: ArrayLike) -> dict[str, Array]:
-        r"""Largest singular values of S, K S and T of the nominal loop at ``omega`` in rad/s, each (n_omega,).
-
-        From references of full size at every frequency to the relative error, the control in its unit, and the relative
-        output.
-        """
+        """Largest singular values of S, K S and T of the nominal loop at ``omega`` in rad/s, each (n_omega,)."""
         closed = lower_lft(self.signals.nominal, self._checked(K))
         n_r = len(self.controlled)
         response = frequency_response(closed, omega)[:, :, :n_r]

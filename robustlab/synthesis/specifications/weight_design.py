@@ -1,13 +1,4 @@
-r"""Weights of a mixed-sensitivity problem from specifications.
-
-.. math:: \|W_1 S\|_\infty \le 1, \quad \|W_2 K S\|_\infty \le 1, \quad \|W_3 T\|_\infty \le 1
-
-All are proper, stable and minimum phase.
-
-References
-----------
-Skogestad, Postlethwaite, *Multivariable Feedback Control* (2005), sections 2.8.2, 2.8.3, 5.
-"""
+"""Weights of a mixed-sensitivity problem from specifications: proper, stable and minimum phase."""
 
 from __future__ import annotations
 

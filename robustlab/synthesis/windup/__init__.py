@@ -1,4 +1,1 @@
-"""Controllers whose actuators saturate.
-
-back_calculation    of a digital controller: modes made to decay while its outputs saturate
-"""
+"""Controllers whose actuators saturate."""

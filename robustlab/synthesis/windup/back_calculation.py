@@ -1,13 +1,7 @@
-r"""Anti-windup of a digital controller by back-calculation.
+r"""Anti-windup of a digital controller by back-calculation: :math:`x_{k+1} = (A - L C) x_k + (B - L D) u_k + L v_k`.
 
-Where the actuator takes less than the controller asks for, the states are told the difference:
-
-.. math:: y_k = C x_k + D u_k, \quad v_k = \mathrm{sat}(y_k), \qquad
-    x_{k+1} = A x_k + B u_k + L (v_k - y_k) = (A - L C) x_k + (B - L D) u_k + L v_k
-
-so that with A - L C stable the states stay bounded however long the outputs saturate, since v is bounded. Within the
-limits nothing changes. Where only some of several outputs saturate, only their columns of L act, and A - L C says
-nothing about the states: that case is not proved.
+With A - L C stable the states stay bounded however long all outputs v = sat(y) saturate; where only some of several
+outputs saturate nothing is proved.
 """
 
 from __future__ import annotations
@@ -27,29 +21,7 @@ MIRROR = 1.5
 
 
 def back_calculation(model: StateSpaceModel, limits: Any, time: float) -> Array:
-    r"""Gain L of back-calculation, shape (n, p): with all outputs saturated every mode decays within ``time``.
-
-    Eigenvalues of A that are slower than :math:`e^{-dt/T}` are mirrored at :math:`e^{-1.5 dt/T}` by the gain that is
-    the least in the sense of :math:`\sum |v - y|^2`, each output counted in halves of its range; all others stay where
-    they are. A controller without slow modes has L = 0.
-
-    ``model``: discrete controller with n states, m inputs and p outputs.
-    ``limits``: ``(low, high)`` of each output, (p, 2).
-    ``time``: T in s, at least one sample time; inf moves only what is not stable.
-    Returns: L in states per unit of the output, (n, p).
-    Raises InputError: a time below the sample time; a slow mode that does not show in the outputs.
-
-    References
-    ----------
-    Åström, Wittenmark 1997, section 9.4; the mirroring gain: Anderson, Moore 1979, section 4.4.
-
-    Examples
-    --------
-    >>> integrator = StateSpaceModel([[1.0]], [[0.01]], [[1.0]], [[0.5]], 0.01)
-    >>> L = back_calculation(integrator, [(-1.0, 1.0)], 0.1)
-    >>> bool(abs(1.0 - L[0, 0]) <= np.exp(-0.01 / 0.1))
-    True
-    """
+    """Gain L of back-calculation, shape (n, p): with all outputs saturated every mode decays within ``time``."""
     if not time >= model.dt:
         raise InputError("anti-windup", f"a time of {time:g} s", f"at least one sample time, {model.dt:g} s")
     scale = np.array([0.5 * (high - low) for low, high in limits])
@@ -68,11 +40,7 @@ def back_calculation(model: StateSpaceModel, limits: Any, time: float) -> Array:
 
 
 def _mirroring_gain(A: Array, C: Array, slowest: float, mirror: float) -> Array | None:
-    """L for outputs scaled to one; None where no mode is slow.
-
-    The dual of the feedback of least energy: with F = A' / mirror on the slow modes, whose eigenvalues all lie outside
-    the unit circle, the Riccati equation without a state weight is a Stein equation in its inverse.
-    """
+    """L for outputs scaled to one; None where no mode is slow."""
     from scipy.linalg import schur
 
     if not A.size:

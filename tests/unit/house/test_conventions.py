@@ -12,7 +12,7 @@ from robustlab.closing import closing, fed_back, wired
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.signals import law
 from robustlab.storage.controller_export import c_source
-from robustlab.synthesis.specifications.tracking_loop import tracking_loop, with_law
+from robustlab.synthesis import tracking_loop, with_law
 
 PLANT = rl.StateSpaceModel(
     [[0.0, 1.0], [-1.0, -0.2]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], inputs=[("u", "V")], outputs=[("q", "m")]

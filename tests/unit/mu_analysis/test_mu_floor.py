@@ -6,8 +6,7 @@ import pytest
 import robustlab as rl
 from robustlab import ComplexScalar, FullBlock, RealScalar, frequency_response
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis import GeneralizedPlant
-from robustlab.synthesis.dk.mu_floor import mu_floor
+from robustlab.synthesis import GeneralizedPlant, mu_floor
 
 
 def servo(spread: float = 0.5) -> GeneralizedPlant:

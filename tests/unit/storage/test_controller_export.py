@@ -14,7 +14,7 @@ import robustlab as rl
 from robustlab import discretise
 from robustlab.errors import InputError
 from robustlab.storage.controller_export import c_source
-from robustlab.synthesis.windup.back_calculation import back_calculation
+from robustlab.synthesis import back_calculation
 
 CC = shutil.which("cc")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-O2", "-ffp-contract=off"]

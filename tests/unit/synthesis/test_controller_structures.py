@@ -11,7 +11,6 @@ from robustlab.dynamics.control.controllers import LayeredController, TorqueGain
 from robustlab.errors import InputError
 from robustlab.statespace import Signal
 from robustlab.synthesis import PID, Decentralised, FixedOrder, FixedPoles, MultichannelPID, Part, Series, StaticGain
-from robustlab.synthesis.laws.controller_laws import model_of
 
 OMEGA = np.array([0.1, 0.7, 3.0])
 
@@ -67,14 +66,14 @@ def test_a_pid_is_its_transfer_function():
     ]
     s = 1j * OMEGA
     expected = 2.0 + 3.0 / s + 0.5 * s / (0.1 * s + 1)
-    K = model_of(law, np.array([2.0, 3.0, 0.5, 0.1]), 0.0)
+    K = law.model(np.array([2.0, 3.0, 0.5, 0.1]), 0.0)
     np.testing.assert_allclose(frequency_response(K, OMEGA)[:, 0, 0], expected, rtol=1e-12)
 
 
 def test_a_discrete_pid_is_its_difference_equation():
     """Forward Euler for the integral, backward Euler for the filtered derivative."""
     dt, tau = 0.1, 0.3
-    K = model_of(law_of(PID(tau=(0.01, 1.0)), 1, 1, dt), np.array([2.0, 3.0, 0.5, tau]), dt)
+    K = law_of(PID(tau=(0.01, 1.0)), 1, 1, dt).model(np.array([2.0, 3.0, 0.5, tau]), dt)
     z = np.exp(1j * OMEGA * dt)
     expected = 2.0 + 3.0 * dt / (z - 1) + 0.5 * (z - 1) / ((tau + dt) * z - tau)
     np.testing.assert_allclose(frequency_response(K, OMEGA)[:, 0, 0], expected, rtol=1e-12)
@@ -83,7 +82,7 @@ def test_a_discrete_pid_is_its_difference_equation():
 def test_fixed_poles_are_the_controllers_poles():
     law = law_of(FixedPoles([-1.0, -2 + 1j, -2 - 1j]), 1, 1)
     p = np.array([5.0, 2.0, 3.0, 0.25])
-    K = model_of(law, p, 0.0)
+    K = law.model(p, 0.0)
     assert sorted(K.poles(), key=lambda x: (x.real, x.imag)) == pytest.approx([-2 - 1j, -2 + 1j, -1])
     s = 1j * OMEGA
     # The 2 x 2 block of a pair acts on (1, 0): residues a (s + 2) - b over ((s + 2)^2 + 1).
@@ -99,7 +98,7 @@ def test_the_two_layers_are_the_thesis_controller():
     start = {**gains, "kp": low.kp, "kd": low.kd, "ki": low.ki}
     model = made.state_space()
     law = MultichannelPID("two-layer", start=start).law(model.inputs, model.outputs, 0.0)
-    K = model_of(law, np.array([q.start for q in law.parameters]), 0.0)
+    K = law.model(np.array([q.start for q in law.parameters]), 0.0)
     for ours, theirs in ((K.A, model.A), (K.B, model.B), (K.C, model.C), (K.D, model.D)):
         np.testing.assert_array_equal(ours, theirs)
     units = {q.name: q.unit for q in law.parameters}
@@ -112,7 +111,7 @@ def test_decentralised_parts_take_named_channels():
     parts = [Part(StaticGain(), ["y3"], ["u1"]), Part(FixedPoles([-1.0]), ["y1", "y2"], ["u2"])]
     law = law_of(Decentralised(parts), 3, 2)
     p = np.arange(1.0, len(law.parameters) + 1)
-    K = frequency_response(model_of(law, p, 0.0), [0.5])[0]
+    K = frequency_response(law.model(p, 0.0), [0.5])[0]
     assert (np.abs(K) > 0).tolist() == [[False, False, True], [True, True, False]]
     assert [q.name for q in law.parameters][:2] == ["1.K[u1,y3]", "2.R1[u2,y1]"]
 

@@ -8,8 +8,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
 import robustlab as rl
-from robustlab.synthesis.sampled.discretisation import merged_modes
-from robustlab.synthesis.sampled.lifting import mean_and_variance
+from robustlab.synthesis import mean_and_variance, merged_modes
 
 LAG = rl.StateSpaceModel([[-2.0]], [[1.0]], [[2.0]], [[0.0]], inputs=[("u", "V")], outputs=[("y", "m")])
 TWO_BY_TWO = rl.StateSpaceModel([[-1.0, 2.0], [0.0, -3.0]], np.eye(2), np.eye(2), [[1.0, 0.0], [0.0, 0.5]])

@@ -7,13 +7,17 @@ import pytest
 
 import robustlab as rl
 from robustlab import control_weight
-from robustlab.synthesis import GeneralizedPlant
-from robustlab.synthesis.dk.dk_iteration import structure_with_performance
-from robustlab.synthesis.dk.dynamic_scalings import BlockScaling, Factor, unit_scalings
-from robustlab.synthesis.dk.robust_problem import RobustProblem
-from robustlab.synthesis.dk.scalings_fit import as_complex
-from robustlab.synthesis.specifications.tracking_problem import tracking_problem
-from robustlab.synthesis.specifications.weight_design import error_weight
+from robustlab.budget import Budget
+from robustlab.synthesis import (
+    BlockScaling,
+    Factor,
+    GeneralizedPlant,
+    RobustProblem,
+    error_weight,
+    structure_with_performance,
+    tracking_problem,
+    unit_scalings,
+)
 from robustlab.uncertainty.blocks import Block
 
 
@@ -49,11 +53,11 @@ def test_a_level_found_over_ten_decades_of_poles_is_proved() -> None:
         "J": (22.6, ((-0.1, 2.9, -8.3, 4.6), (-6.7, -9.4))),
     }
     plant, blocks = actuator()
-    scalings = unit_scalings(as_complex(blocks))
+    scalings = unit_scalings([block.as_complex() for block in blocks])
     for i, block in enumerate(blocks):
         if block.name in sections:
             scalings = scalings.with_part(i, BlockScaling((Factor(*sections[block.name]),)))
-    problem = RobustProblem(plant)
+    problem = RobustProblem(plant, Budget())
     level = problem.search(scalings).smallest(scalings.parameters(), 1.5, 1e-5)
     found = problem.solve(scalings, 1.5)
     assert level is not None

@@ -15,8 +15,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import PID, Bandwidth, Damping, Decay, FixedOrder, RollOff, StableController
-from robustlab.synthesis.nonsmooth.parameter_search import descend
+from robustlab.synthesis import PID, Bandwidth, Damping, Decay, FixedOrder, RollOff, StableController, descend
 
 GAIN = "K[u2,y3]"
 

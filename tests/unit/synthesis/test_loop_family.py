@@ -7,8 +7,7 @@ import pytest
 
 from robustlab.norms import h2_norm, hinf_norm
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.nonsmooth.loop_family import LoopFamily
-from robustlab.synthesis.problem.partition import PlantMatrices
+from robustlab.synthesis import LoopFamily, PlantMatrices
 
 
 def family_and_theta(order, discrete, seed=1):

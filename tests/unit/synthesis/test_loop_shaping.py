@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from robustlab import loop_functions, ncf, nu_gap
+from robustlab import hinf, loop_functions, ncf, nu_gap
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, feedback, lower_lft, series
-from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.uncertainty.distances.coprime import four_block
 
 # 200 / ((10 s + 1) (0.05 s + 1)^2) as a chain, and (s + 2) / s.

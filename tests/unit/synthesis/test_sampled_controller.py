@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.result import Status, plain
-from robustlab.synthesis.sampled.lifting import lift
+from robustlab.synthesis import lift
 
 LOW = rl.StateSpaceModel(
     [[-1.0]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]],

@@ -15,8 +15,7 @@ from robustlab import frequency_response
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import lower_lft
-from robustlab.synthesis import LPVController
-from robustlab.synthesis.scheduling.lpv_loop import closed_loop
+from robustlab.synthesis import LPVController, closed_loop
 
 
 def lag(a: float) -> rl.StateSpaceModel:

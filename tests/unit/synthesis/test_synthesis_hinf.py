@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robustlab import Controller
+from robustlab import Controller, hinf
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis import Synthesis
-from robustlab.synthesis.hinf.hinf_synthesis import hinf
 
 
 def output_feedback_problem(a: float) -> StateSpaceModel:

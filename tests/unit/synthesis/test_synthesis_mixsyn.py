@@ -10,7 +10,7 @@ from robustlab import complementary_weight, control_weight, frequency_response, 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, feedback, series
-from robustlab.synthesis.hinf.mixed_sensitivity import mixed_sensitivity_plant
+from robustlab.synthesis import mixed_sensitivity_plant
 
 OMEGA = np.geomspace(1e-4, 1e5, 200)
 

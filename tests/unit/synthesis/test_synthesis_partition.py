@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab import RealScalar, UncertainModel, frequency_response, generalized_plant
+from robustlab import RealScalar, UncertainModel, frequency_response, generalized_plant, hinf
 from robustlab.errors import InputError
 from robustlab.norms import hinf_norm
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.hinf.hinf_synthesis import hinf
 
 
 def uncertain_model() -> UncertainModel:

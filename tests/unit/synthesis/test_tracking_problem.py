@@ -10,8 +10,7 @@ from robustlab import complementary_weight, control_weight, frequency_response
 from robustlab.dynamics.control.controlled_plant import actuator_cascade
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.specifications.tracking_problem import tracking_problem
-from robustlab.synthesis.specifications.weight_design import error_weight
+from robustlab.synthesis import error_weight, tracking_problem
 
 OMEGA = np.geomspace(1e-2, 1e3, 60)
 SIZES = {"reference": {"q": 2.0, "v": 0.5}, "disturbance": {"f": 3.0}, "noise": {"q_ref": 0.1, "v": 0.2}}
