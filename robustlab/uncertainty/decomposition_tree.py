@@ -51,10 +51,7 @@ Terms = dict[Monomial, dict[tuple[int, int], Fraction]]
 
 @dataclass(frozen=True)
 class ConstantLft:
-    """A constant matrix with Delta channels: ``z = d11 w + d12 u``, ``y = d21 w + d22 u``, ``w = Delta z``.
-
-    ``names`` says for every channel which parameter's entry stands on the diagonal of Delta.
-    """
+    """A constant matrix with Delta channels: ``z = d11 w + d12 u``, ``y = d21 w + d22 u``, ``w = Delta z``."""
 
     names: tuple[str, ...]
     d11: Array
@@ -95,11 +92,7 @@ class Plan:
 
 
 def plans(matrix: Sequence[Sequence[Laurent]], weight: Callable[[str], int], shape: tuple[int, int]) -> list[Plan]:
-    """Ways to decompose a matrix, the smallest first.
-
-    ``weight``: repetitions that one use of a variable costs (1 for a parameter, more for a denominator).
-    ``shape``: rows and columns of the matrix (either may be 0).
-    """
+    """Ways to decompose a matrix, the smallest first."""
     terms: Terms = {}
     for i, row in enumerate(matrix):
         for j, entry in enumerate(row):
@@ -278,18 +271,7 @@ class MatrixPolynomial:
 
 
 def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float) -> ConstantLft:
-    """The smallest LFT ``w = diag(t_k I) z`` of a polynomial that a few orders of the variables give.
-
-    ``scale``: natural magnitude of each entry, an outer product ``rows cols^T`` of positive numbers, (m, n).
-    ``tolerance``: what is below this share of the natural magnitude is rounding, where ranks are taken.
-
-    Examples
-    --------
-    >>> product = MatrixPolynomial(("a", "b"), {(0, 0): np.ones((1, 1)), (1, 1): np.array([[0.5]])})
-    >>> lft = polynomial_lft(product, np.ones((1, 1)), 1e-12)
-    >>> sorted(lft.names)
-    ['a', 'b']
-    """
+    """The smallest LFT ``w = diag(t_k I) z`` of a polynomial that a few orders of the variables give."""
     rows, cols = scale[:, 0], scale[0] / scale[0, 0]
     plain = {e: part / scale for e, part in polynomial.terms.items()}
     count = len(polynomial.names)
@@ -367,11 +349,8 @@ def _at(terms: Mapping[Exponents, Array], exponents: Exponents, shape: tuple[int
 
 
 def rank_factors(matrix: Array, tolerance: float) -> tuple[Array, Array]:
-    """``matrix = left @ right`` with as few columns of left as its entries above the tolerance ask for.
-
-    By elimination with full pivoting, which leaves zeros of rows and columns exact, where an SVD would not. The parts
-    of a pivot are of one size.
-    """
+    """``matrix = left @ right`` with as few columns of left as its entries above the tolerance ask for."""
+    # Elimination with full pivoting leaves zeros of rows and columns exact, where an SVD would not.
     rest = matrix.copy()
     columns, rows = [np.zeros((len(matrix), 0))], [np.zeros((0, matrix.shape[1]))]
     while np.abs(rest).max(initial=0.0) > tolerance:

@@ -194,14 +194,9 @@ def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResi
 
 
 def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
-    r"""A small set around the element-wise one: a full block for each of A, B, C, D that differ, named by it.
-
-    With E the differences of one matrix and :math:`|\delta_{ij}| \le 1` for each entry by itself,
-    :math:`\|E \circ \delta\| \le \| |E| \| = s` (Horn, Johnson 2013, theorem 8.1.18), so that
-    :math:`E \circ \delta = s \Delta` with :math:`\|\Delta\| \le 1` on the rows and columns in which the models differ.
-    What is proved for this set holds for ``elementwise(..., "elements")``. It costs four scalings, not dozens; members
-    come in that no entries can make, complex and dynamic ones among them.
-    """
+    """A small set around the element-wise one: a full block for each of A, B, C, D that differ, named by it."""
+    # |E o delta| <= | |E| | for |delta_ij| <= 1 (Horn, Johnson 2013, theorem 8.1.18). It costs four scalings, not
+    # dozens; members come in that no entries can make, complex and dynamic ones among them.
     first, second = as_model(nominal, "elementwise: nominal"), as_model(perturbed, "elementwise: perturbed")
     check_pair(first, second)
     d, parts = _difference(first, second, 0.0), []
@@ -220,11 +215,7 @@ def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
 
 @dataclass(frozen=True)
 class _Difference:
-    """E = perturbed - nominal, shape (n_x + n_y, n_x + n_u), and what is needed to factor it.
-
-    ``scale`` is the natural magnitude of each entry, an outer product of powers of two; ``allowance`` what a
-    factorisation may miss.
-    """
+    """E = perturbed - nominal, shape (n_x + n_y, n_x + n_u), and what is needed to factor it."""
 
     E: Array
     scale: Array
@@ -265,10 +256,7 @@ def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance:
 
 
 def natural_magnitude(size: Array) -> Array:
-    """Powers of two ``r_i c_j`` for which ``size / (r c^T)`` has rows and columns with a largest entry near one.
-
-    This takes the units of signals and states out: a rank does not change when a state is counted in mm instead of m.
-    """
+    """Powers of two ``r_i c_j`` for which ``size / (r c^T)`` has rows and columns with a largest entry near one."""
     with np.errstate(divide="ignore"):
         level = np.log2(size)
     row, col = np.zeros(size.shape[0]), np.zeros(size.shape[1])
@@ -356,12 +344,11 @@ STRUCTURES = tuple(_FACTORS)
 
 
 def _rank_factors(e: Array, allowance: Array, scale: Array, stages: Sequence[Stage]) -> tuple[Array, Array]:
-    """``left (m, r), right (r, n)`` with ``|left @ right - e| <= allowance`` and r as small as complete pivoting finds.
-
-    Gaussian elimination with complete pivoting, the pivot chosen relative to ``scale``. It reveals the rank like a
-    singular value decomposition, but its error in an entry is rounding of what met in that entry, and zeros of rows and
-    columns stay zeros. A full rank needs no factors (identity), nor does a difference that is all below the allowance.
+    """``left (m, r), right (r, n)`` with ``|left @ right - e| <= allowance`` and r as small as complete pivoting
+    finds.
     """
+    # Complete pivoting relative to the scale reveals the rank like a singular value decomposition, but its error in an
+    # entry is rounding of what met in that entry, and zeros of rows and columns stay zeros.
     residual, lefts, rights = e.copy(), [], []
     used_rows, used_cols = e.any(axis=1), e.any(axis=0)
     full = min(used_rows.sum(), used_cols.sum())

@@ -180,10 +180,7 @@ def _is_acyclic(matrix: Array) -> bool:
 def weighted(
     m: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, Any], side: str, read: Callable[[Any, str], Part]
 ) -> Part:
-    """M and blocks with a stable weight in the channels of each named block; see `UncertainModel.weighted`.
-
-    ``read(weight, where)`` makes M and blocks of what was given as a weight, once it is known to be wanted.
-    """
+    """M and blocks with a stable weight in the channels of each named block; see `UncertainModel.weighted`."""
     if side not in ("z", "w"):
         raise InputError("weighted", f"side {side!r}", "'z' (before Delta) or 'w' (after it)")
     names = tuple(b.name for b in given)

@@ -163,10 +163,8 @@ def _factors(a: Laurent) -> int:
 
 
 def _content(b: Laurent) -> tuple[tuple[Monomial, Fraction], Laurent]:
-    """A common factor of all terms (monomial, coefficient) and what is left, whose first coefficient is one.
-
-    Only variables whose exponents have one sign in all terms are taken out: 1/(1 + 1/m) is not 1/m times something.
-    """
+    """A common factor of all terms (monomial, coefficient) and what is left, whose first coefficient is one."""
+    # Only variables whose exponents have one sign in all terms: 1/(1 + 1/m) is not 1/m times something.
     common: list[tuple[str, int]] = []
     for name in sorted(b.variables):
         exponents = [dict(m).get(name, 0) for m in b.terms]
@@ -209,13 +207,7 @@ def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
 
 
 def parsed(entry: Any, algebra: Algebra, where: str) -> Laurent:
-    """One matrix entry, a number or a text, in normal form.
-
-    Examples
-    --------
-    >>> str(parsed("c*(1 + 2*k)/m**2", Algebra(("c", "k", "m")), "A[0,0]"))
-    'c*k*m**-2*2 + c*m**-2'
-    """
+    """One matrix entry, a number or a text, in normal form."""
     one = algebra.variable
     try:
         return walk(

@@ -108,13 +108,7 @@ def parametric(
 
 
 def as_range(name: str, given: Any) -> ParameterRange | float:
-    """A parameter's range from what users write; a plain number, or a range without width, is an exact value.
-
-    Examples
-    --------
-    >>> as_range("tau", (1.0, 0.75, 1.5))
-    ParameterRange(nominal=1.0, radius=0.5, unit='', below=0.25)
-    """
+    """A parameter's range from what users write; a plain number, or a range without width, is an exact value."""
     where = f"parameter {name!r}"
     if isinstance(given, ParameterRange):
         if not (np.isfinite(given.nominal) and np.isfinite(given.radius) and given.radius >= 0):
@@ -411,10 +405,8 @@ def _free(prefix: str, names: Sequence[str], taken: Sequence[str]) -> list[Signa
 def _first_exact(
     candidates: Sequence[UncertainModel], table: Table, ranges: Mapping[str, ParameterRange], exact: Mapping[str, float]
 ) -> UncertainModel:
-    """The first candidate that gives the texts back, computed in floats at random values and at vertices.
-
-    A reduction mixes entries of different units: where small ones drown, the LFT as it was decomposed is taken.
-    """
+    """The first candidate that gives the texts back, computed in floats at random values and at vertices."""
+    # A reduction mixes entries of different units: where small ones drown, the LFT as it was decomposed is taken.
     samples = _samples(table, ranges, exact)
     misses: list[float] = []
     for model in candidates:

@@ -47,20 +47,7 @@ NOTHING = 1e-14
 def realise_delta(
     blocks: Sequence[Block], delta: Mapping[str, Any], omega: float, dt: float = 0.0
 ) -> dict[str, float | StateSpaceModel]:
-    r"""A stable system for each block of a complex Delta, of the same H-infinity norm, equal to it at ``omega``.
-
-    Notes
-    -----
-    With a critical Delta of `robust_stability` the loop of these systems has a pole at :math:`j \omega_0`
-    (`UncertainModel.evaluate`), so the loss of stability can be replayed in the time domain.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import ComplexScalar
-    >>> made = realise_delta([ComplexScalar("d")], {"d": 0.5j}, omega=2.0)["d"]
-    >>> made.poles(), frequency_response(made, [2.0]).round(12)
-    (array([-2.+0.j]), array([[[0.+0.5j]]]))
-    """
+    """A stable system for each block of a complex Delta, of the same H-infinity norm, equal to it at ``omega``."""
     where = "realise_delta"
     if not np.isfinite(dt) or dt < 0:
         raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
@@ -136,11 +123,7 @@ def _matrix(value: ComplexArray, omega: float) -> StateSpaceModel:
 
 
 def _orthogonal_and_phases(columns: ComplexArray) -> tuple[Array, Array, Array]:
-    r"""``columns = left diag(e^{j theta}) right`` for orthonormal columns (n, r): left (n, m), right (m, r).
-
-    Left has orthonormal real columns and right is real with orthonormal columns; ``m <= min(n, 2 r)``, because the real
-    and imaginary parts of the columns span no more.
-    """
+    """``columns = left diag(e^{j theta}) right`` for orthonormal columns (n, r): left (n, m), right (m, r)."""
     basis, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
     basis = basis[:, s > 1e-13]
     small = basis.T @ columns

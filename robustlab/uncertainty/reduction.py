@@ -116,17 +116,7 @@ def reduce_blocks(
     names: Collection[str] | None = None,
     keep: bool = False,
 ) -> tuple[StateSpaceModel, tuple[Block, ...]]:
-    """M and blocks with each scalar block repeated as rarely as its own channels allow.
-
-    Every reduced block is checked against the unreduced one at random deltas of the unit disc; where they differ by
-    more than 1e-10, that block stays as it was. A scalar block without any effect vanishes, and its name with it.
-
-    ``M``: model whose first q inputs and p outputs are the channels of the blocks.
-    ``tolerance``: singular values below ``tolerance`` times the largest count as zero.
-    ``names``: reduce these blocks only.
-    ``keep``: a block without any effect stays, once and without any channel that reaches it, so that its name stays
-    known.
-    """
+    """M and blocks with each scalar block repeated as rarely as its own channels allow."""
     if not 0 < tolerance < 1:
         raise InputError("reduce", f"tolerance {tolerance}", "a number between 0 and 1")
     for block in blocks:

@@ -47,19 +47,12 @@ class _AxisProblem:
         self.proved: list[tuple[Box, Piece]] = []
 
     def work(self, count: int) -> int:
-        """A D-G bound and an interval of each region, and the eigenvalues of a few members.
-
-        As measured: bounds that only have to stay below a level, or to show that they cannot, take a quarter.
-        """
+        """A D-G bound and an interval of each region, and the eigenvalues of a few members."""
         each = dense(self.model.n_states) // 2 + extend_work(self.model)
         return points_work(self.blocks, count) // 4 + count * each
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
-        """One frequency of each region: proved with an interval around it, or missed.
-
-        A region has to be cut where a few were missed in a row, or what is open lies close around those. Until then
-        what each half would have to prove is proved once for both.
-        """
+        """One frequency of each region: proved with an interval around it, or missed."""
         models = [box_model(self.model, self.blocks, r.box) for r in regions]
         places = [self._frequency(r) for r in regions]
         sound = {k: m for k, m in enumerate(models) if m is not None}

@@ -71,11 +71,7 @@ class CriticalResponse(AllFields, Shown):
 
 
 def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points: int = 40) -> CriticalResponse:
-    """Simulate the model from the mode that the critical Delta brings to the stability boundary.
-
-    A complex Delta is a number at one frequency; it is replayed as a stable system of the same gain that takes that
-    value there (`realise_delta`).
-    """
+    """Simulate the model from the mode that the critical Delta brings to the stability boundary."""
     if not margin.delta or margin.frequency is None:
         raise InputError("replay", "a margin without a critical Delta", "one that was attained")
     if set(margin.delta) - {b.name for b in uncertain.blocks}:
@@ -141,17 +137,7 @@ def _free(model: StateSpaceModel, x0: Array, t: Array) -> Array:
 
 
 def block_sensitivities(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Array:
-    """Derivative of ``1 / mu(M)`` by the relative size of each block, shape (n_blocks,); none is positive.
-
-    Their sum is minus the margin. Assumes that Delta is a strict local minimum with a simple null direction.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import RealScalar
-    >>> M = np.array([[1.0, 3.0], [1.0, 3.0]], dtype=complex)
-    >>> block_sensitivities(M, [RealScalar("a"), RealScalar("b")], np.eye(2) / 4 + 0j).round(9).tolist()
-    [-0.0625, -0.1875]
-    """
+    """Derivative of ``1 / mu(M)`` by the relative size of each block, shape (n_blocks,); none is positive."""
     layout = delta_layout(blocks)
     M, delta = np.asarray(M, dtype=complex), np.asarray(delta, dtype=complex)
     u, _, vh = np.linalg.svd(np.eye(len(M)) - M @ delta)

@@ -40,10 +40,7 @@ __all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
 
 @dataclass(frozen=True)
 class Piece(Shown):
-    """``mu <= beta`` is proved for all ``low <= omega <= high`` (rad/s) by the constant scalings ``bound``.
-
-    ``members`` are the indices of the blocks that it is about; None for all of them.
-    """
+    """``mu <= beta`` is proved for all ``low <= omega <= high`` (rad/s) by the constant scalings ``bound``."""
 
     low: float
     high: float
@@ -58,19 +55,7 @@ class Piece(Shown):
 
 @dataclass
 class AxisCover:
-    """What is proved of the axis [0, inf], and what is still open.
-
-    Attributes
-    ----------
-    pieces
-        Proved intervals; they may overlap.
-    open
-        Uncovered intervals.
-    beta
-        Largest beta of the pieces.
-    points
-        Number of frequencies at which D, G were computed.
-    """
+    """What is proved of the axis [0, inf], and what is still open."""
 
     pieces: list[Piece] = field(default_factory=list)
     open: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, float("inf"))])
@@ -108,10 +93,7 @@ class AxisCover:
         budget: Budget,
         level: float | None = None,
     ) -> bool:
-        """Extend the bound found at each frequency to an interval and add it; False where the budget ended that.
-
-        ``beta`` is what the pieces prove of this model; ``level`` what that means for the cover, where it differs.
-        """
+        """Extend the bound found at each frequency to an interval and add it; False where the budget ended that."""
         self.points += len(omega)
         for w, bound in zip(omega, bounds, strict=True):
             if budget.over:  # of 70 blocks an interval takes seconds
@@ -240,10 +222,7 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
 def _segments_proved(
     model: StateSpaceModel, bound: UpperBound, beta: float, ends: Array, middles: Array
 ) -> tuple[int, bool]:
-    """How many segments, each behind its end, have the right sign one after the other; and whether the last end has.
-
-    There is one end more than there are segments. A few are tested at a time: where modes are light, few are proved.
-    """
+    """How many segments, each behind its end, have the right sign one after the other; and whether the last end has."""
     proved, count = 0, 2
     while proved < len(middles):
         some = slice(proved, min(proved + count, len(middles)))
@@ -268,10 +247,8 @@ def _edge(model: StateSpaceModel, bound: UpperBound, beta: float, *, bad: float,
 def _between_failures(
     model: StateSpaceModel, bound: UpperBound, beta: float, low: float, high: float, omega: float
 ) -> tuple[float, float]:
-    """The interval again, or the part around ``omega`` in which every probe has the right sign.
-
-    Eigenvalues of H can be wrong in the first digits where D, G are extreme: probes catch what they miss.
-    """
+    """The interval again, or the part around ``omega`` in which every probe has the right sign."""
+    # Eigenvalues of H can be wrong in the first digits where D, G are extreme: probes catch what they miss.
     top = high if np.isfinite(high) else 1e3 * max(low, _speed(model))
     bottom = low if low > 0 else 1e-6 * top
     probes = np.unique(np.concatenate([np.linspace(low, top, PROBES), np.geomspace(bottom, top, PROBES)]))

@@ -41,10 +41,7 @@ def loop_axis_claims(
 def joined_scalings(
     model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Any], at: Callable[[float], float]
 ) -> Numbers | None:
-    """Pieces of a proof as intervals in rad/s with scalings of all blocks; None where they cannot be joined.
-
-    ``at``: what a frequency of the pieces is in rad/s.
-    """
+    """Pieces of a proof as intervals in rad/s with scalings of all blocks; None where they cannot be joined."""
     whole = _of_the_whole(model, blocks, pieces)
     return None if whole is None else interval_scalings(whole, at)
 
@@ -73,12 +70,9 @@ class _Joined:
 
 
 def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Piece]) -> list[Any] | None:
-    r"""Pieces of parts that act on each other in a cycle, as pieces of all blocks.
-
-    Parts of which one acts on the other, and not back, have a triangular M. With D of each part times
-    :math:`2^{-64 k}`, k its depth, what it does to those behind it counts for nothing; a block in no cycle has the
-    identity.
-    """
+    """Pieces of parts that act on each other in a cycle, as pieces of all blocks."""
+    # Parts of which one acts on the other, and not back, have a triangular M. With D of each part times 2^(-64 k), k
+    # its depth, what it does to those behind it counts for nothing; a block in no cycle has the identity.
     whole = tuple(range(len(blocks)))
     if all(p.members is None or p.members == whole for p in pieces):
         return list(pieces)

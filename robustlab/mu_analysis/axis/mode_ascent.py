@@ -109,10 +109,7 @@ def ascended(
     size: float,
     aim: complex,
 ) -> Ascent | None:
-    """Where quasi-Newton steps end, in a box of this size, that follow the pole next to the imaginary aim.
-
-    It is told by its frequency. They begin at the entries ``start`` (n_blocks,). None where these are ill-posed.
-    """
+    """Where quasi-Newton steps end, in a box of this size, that follow the pole next to the imaginary aim."""
     from scipy.optimize import minimize
 
     first = mode_next_to(model, blocks, start, aim)
@@ -198,11 +195,7 @@ class _Search:
         return self.best
 
     def _ascents_within(self, size: float, thorough: bool, rng: np.random.Generator) -> int:
-        """How many ascents were made inside a box until one led to a smaller member, or to the end of the turn.
-
-        At first from members that damp a mode least (thorough: from the nominal modes as well), then and in later turns
-        from where modes have come to.
-        """
+        """How many ascents were made inside a box until one led to a smaller member, or to the end of the turn."""
         ascents, starts = 0, []
         if size != self.box:
             self.box, self.led = size, {}
@@ -245,10 +238,7 @@ class _Search:
         return least + [others[k] for k in rng.permutation(len(others))[:ASCENT_MODES]]
 
     def _thrown(self, rng: np.random.Generator) -> Iterator[tuple[int, Array]]:
-        """Where modes have come to in this box, with a few parameters thrown anew; less damped ones more often.
-
-        Each is told when it is asked for: what the one before has led to counts.
-        """
+        """Where modes have come to in this box, with a few parameters thrown anew; less damped ones more often."""
         for _ in range(2 * ASCENT_MODES):
             order = sorted(self.led, key=lambda mode: self.led[mode][0])
             if not order:

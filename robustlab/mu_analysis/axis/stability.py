@@ -90,57 +90,7 @@ def robust_stability(
     expected: float | None = None,
     effort: float = 1.0,
 ) -> Margin:
-    r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis.
-
-    ``lower`` is proved: intervals on which constant D, G satisfy the D-G inequality cover [0, inf]; where the D-G bound
-    itself is too far from ``upper``, the same is proved box by box of the real parameters (branch and bound).
-    ``upper`` is attained: the model perturbed by ``delta`` has a pole on the stability boundary. A discrete model is
-    mapped by ``s = (z - 1) / (z + 1)``, under which the unit circle becomes the axis and mu does not change.
-
-    A range that is wider on one side grows in proportion on both: at margin k a parameter lies in
-    ``[nominal - k below, nominal + k radius]``.
-
-    The proof is carried out in floating-point arithmetic with a slack of 5e-6 in mu: the signs of the inequality are
-    tested at and between all candidates that the Hamiltonian's eigenvalues give. It is not interval arithmetic.
-
-    Parameters
-    ----------
-    uncertain
-        Uncertain model, continuous or discrete.
-    omega
-        Frequencies in rad/s for ``mu_lower`` and ``mu_upper``, the curves of a figure; none where left out.
-    accuracy
-        Relative distance to which ``lower`` approaches the best margin that D, G scalings can prove, where these come
-        within ``tolerance`` of ``upper``.
-    time_limit
-        Time in s after which the proof is given up, or branch and bound stops where it is; the search for ``delta`` and
-        the curves come on top. Where it strikes, the status is TIMEOUT: the answer cannot be repeated. None: no limit.
-    seed
-        Seed of the search for the critical Delta.
-    tolerance
-        Relative gap between the bounds that branch and bound aims at; inf: no branch and bound.
-    expected
-        Size at which the margin is expected: the proof alone is made, nothing is sought that attains it (``upper`` is
-        inf, ``delta`` empty).
-    effort
-        Work that the proof may take, as a multiple of the usual (about a minute). It is counted, not timed, so that the
-        answer is the same on a busy machine.
-
-    Returns
-    -------
-    Margin
-        Both bounds, the critical Delta with its frequency in rad/s, and the intervals or regions that prove ``lower``.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        The nominal model is unstable.
-
-    References
-    ----------
-    Doyle (1982); Sideris, "Elimination of frequency search from robustness tests" (1992); Ly, Safonov, Chiang (1998);
-    Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
-    """
+    r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis."""
     compile_kernels()
     budget = search_budget("robust_stability", WORK, effort, time_limit)
     with one_thread():
@@ -251,10 +201,7 @@ def _sharpened(
     worst: Destabilising,
     seed: int,
 ) -> Destabilising:
-    """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around.
-
-    Down to a small part of the distance of the nearest pole: in a narrow peak mu changes as fast as that.
-    """
+    """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around."""
     omega = worst.pole.imag
     if not np.isfinite(worst.pole) or omega <= 0 or all(b.interval for b in blocks):
         return worst

@@ -157,13 +157,7 @@ def worst_case_gain(
     seed: int = 0,
     effort: float = 1.0,
 ) -> WorstCaseGain:
-    """`robustlab.peak_gain` of an uncertain model.
-
-    The gain stays below gamma exactly where a performance block of size ``1 / gamma`` between outputs and inputs cannot
-    make the loop singular (skewed mu). ``upper`` is proved like the stability margin: constant D, G on intervals that
-    cover [0, inf], and box by box of the real parameters where these leave a gap. ``lower`` is the norm of a member,
-    evaluated anew.
-    """
+    """`robustlab.peak_gain` of an uncertain model."""
     compile_kernels()
     budget = search_budget("worst_case_gain", WORK, effort, time_limit)
     with one_thread():
@@ -462,11 +456,7 @@ def skewed_cover(
     budget: Budget,
     accuracy: float,
 ) -> tuple[AxisCover, float]:
-    """Cover [0, inf] at a level as close above the skewed D-G peak as ``accuracy`` says; inf where D, G never hold.
-
-    The size of the blocks of the inputs ``varying`` is one over the level, that of the others one. The level is raised
-    as that of `cover_axis` is.
-    """
+    """Cover [0, inf] at a level as close above the skewed D-G peak as ``accuracy`` says; inf where D, G never hold."""
     cover, scale, idle = AxisCover(), typical_speed(model), 0
     level, step = lower * (1 + accuracy), accuracy
     pending = list(first)

@@ -105,13 +105,7 @@ class DelayDiskMargins(DiskMargins):
 def delay_classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None, highest_order: int = 16
 ) -> ClassicalMargins:
-    """Of a loop with exact delays: `robustlab.classical_margins`.
-
-    CERTIFIED: no crossing is missing. A loop whose gain falls to zero has phase crossings without end; those are listed
-    up to the one that bounds the gain margin. Where none is found up to a factor of 1000 the upper end reads 1000, and
-    factors below 1e-6 are not looked for. INACCURATE: at a frequency it is not decided whether a function only touches
-    zero; it counts as a crossing.
-    """
+    """Of a loop with exact delays: `robustlab.classical_margins`."""
     loop = _closed(plant, K, at, sign, "delay_classical_margins")
     stable = _stability(delay_stability(loop.S, highest_order), highest_order, "delay_classical_margins")
     channels = {}

@@ -77,10 +77,7 @@ def covering_set(model: DelayedModel, order: int, blocks: Sequence[Block] = (), 
 def proof_below(
     model: DelayedModel, order: int, blocks: Sequence[Block] = (), level: float = 1.0, effort: float = 1.0
 ) -> DelayProof | None:
-    """Prove mu < 1 of the set of this order, with blocks of sizes up to one over ``level`` at the model's channels.
-
-    None where that was not shown. Nothing is said of the nominal model.
-    """
+    """Prove mu < 1 of the set of this order, with blocks of sizes up to one over ``level`` at the model's channels."""
     compile_kernels()
     closed = covering_set(model, order, blocks, level)
     budget = search_budget("delayed model", SHARE_OF_WORK * WORK, effort, None)
@@ -181,11 +178,9 @@ def _orders(g: DelayedModel, least: int, highest: int) -> list[int]:
 
 
 def _undelayed_pole(g: DelayedModel) -> complex | None:
-    """Return a pole on or right of the axis of a part of the model whose loops hold no delay; None if there is none.
-
-    Such a part is a strongly connected component of the graph of states and delays; its eigenvalues are poles of the
-    model whatever the delays are.
-    """
+    """Return a pole on or right of the axis of a part of the model whose loops hold no delay; None if there is none."""
+    # A strongly connected component of the graph of states and delays: its eigenvalues are poles whatever the delays
+    # are.
     from scipy.sparse.csgraph import connected_components
 
     h, n, k = g.H, g.H.n_states, len(g.delays)

@@ -359,10 +359,8 @@ def _many_loops(M: StateSpaceModel, names: Sequence[str], skew: float, budget: B
 
 
 def _crossing(uncertain: UncertainModel, delta: Mapping[str, complex], frequency: float) -> float:
-    """Where this Delta makes the loop singular: an end of the axis if it does so there, else ``frequency``.
-
-    A loop that is about to become ill-posed has a pole that runs off to infinity, and eigenvalues show another one.
-    """
+    """Where this Delta makes the loop singular: an end of the axis if it does so there, else ``frequency``."""
+    # A loop that is about to become ill-posed has a pole that runs off to infinity, and eigenvalues show another one.
     M = uncertain.delta_channels
     matrix = delta_matrix(uncertain.blocks, delta).astype(complex)
     ends = np.array([0.0, np.pi / M.dt if M.is_discrete else np.inf])
@@ -445,19 +443,8 @@ def factor_model(delta: StateSpaceModel, skew: float) -> StateSpaceModel | None:
 
 
 def gain_and_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, float]:
-    r"""Gain margin interval and phase margin in rad of the disk of size ``alpha``.
-
-    .. math:: \gamma_{min} = \frac{2 - \alpha (1 - \sigma)}{2 + \alpha (1 + \sigma)}, \qquad
-       \gamma_{max} = \frac{2 + \alpha (1 - \sigma)}{2 - \alpha (1 + \sigma)}, \qquad
-       \cos \phi = \frac{4 - \alpha^2 (1 + \sigma^2)}{4 + \alpha^2 (1 - \sigma^2)}
-
-    An end whose denominator is not positive is infinite; phi is pi where the disk holds the whole unit circle.
-
-    Examples
-    --------
-    >>> [round(x, 4) for x in gain_and_phase(0.4581)]
-    [0.6273, 1.5942, 0.4503]
-    """
+    """Gain margin interval and phase margin in rad of the disk of size ``alpha``."""
+    # Seiler, Packard, Gahinet (2020): f at delta = -+alpha, and |delta| of the factor e^(j phi).
     if not np.isfinite(alpha):
         return -np.inf, np.inf, np.pi
     low, high = 2 + alpha * (1 + skew), 2 - alpha * (1 + skew)

@@ -89,10 +89,7 @@ class LoopFraction:
         return Point((ne * de + x * no * do) / size, (no * de - ne * do) / size, x) if size else None
 
     def at_infinity(self) -> Fraction:
-        """The real limit at infinite frequency (z = -1); D is the larger polynomial, or as large.
-
-        Raises NoTrustworthyNumber: there is none.
-        """
+        """The real limit at infinite frequency (z = -1); D is the larger polynomial, or as large."""
         if self.N.degree() > (degree := self.D.degree()):
             raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at the end of the axis")
         return Fraction(int(self.N[degree]), int(self.D[degree]))
@@ -141,15 +138,7 @@ class LoopFraction:
 def loop_fractions(
     P: StateSpaceModel, K: StateSpaceModel, sign: int, places: Iterable[int]
 ) -> tuple[bool, list[LoopFraction]]:
-    """Whether the loop ``y = P u``, ``u = sign K y`` is stable, and what each loop is with the others closed.
-
-    ``places``: which of the inputs and then the outputs of P loops are opened at. L is that of negative feedback.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        More states than are solved exactly; a loop that cannot be opened because the others are not well posed then.
-    """
+    """Whether the loop ``y = P u``, ``u = sign K y`` is stable, and what each loop is with the others closed."""
     n, k, m, p = P.n_states, K.n_states, P.n_inputs, P.n_outputs
     if n + k > MOST_STATES:
         found = f"a loop of {n + k} states"

@@ -195,11 +195,7 @@ def peak_response(M: StateSpaceModel, norm: HinfNorm) -> tuple[float, NDArray[np
 
 
 def replayed_pole(closed: UncertainModel, delta: Mapping[str, Any], frequency: float) -> tuple[complex | None, bool]:
-    """The pole next to the stability boundary at ``frequency`` of the loop with Delta realised as stable systems.
-
-    And whether it lies there up to rounding: to 1e-6 of the frequency, or to 1e-9 of the fastest pole (eigenvalues are
-    no more accurate than that where they are repeated). An ill-posed loop has no such pole: None, and True.
-    """
+    """The pole next to the stability boundary at ``frequency`` of the loop with Delta realised as stable systems."""
     if not np.isfinite(frequency) or not closed.M.n_states:
         return None, True
     made = realise_delta(closed.blocks, delta, frequency, closed.dt)

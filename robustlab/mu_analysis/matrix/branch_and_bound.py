@@ -40,10 +40,7 @@ NARROW = 1e-7  # relative width below which a box is not cut again: rounding dec
 
 @dataclass(frozen=True)
 class Improved:
-    """A better lower bound met on the way: its level, and the Delta that attains it.
-
-    ``values`` are the entries of the real blocks (complex ones are 0); for a constant matrix the whole Delta (q, p).
-    """
+    """A better lower bound met on the way: its level, and the Delta that attains it."""
 
     level: float
     values: NDArray[Any]
@@ -51,11 +48,7 @@ class Improved:
 
 @dataclass
 class Region(Shown):
-    """A box, its open frequencies (for a constant matrix one place, zero), and where its parent could not be proved.
-
-    ``missed`` are the frequencies at which it was not proved itself, with the level and each block's weight there.
-    ``proof`` is the box of a constant matrix with the bound below one that was found in it.
-    """
+    """A box, its open frequencies (for a constant matrix one place, zero), and where its parent could not be proved."""
 
     box: Box
     open: list[tuple[float, float]]
@@ -96,10 +89,7 @@ class Problem(Protocol):
         ...
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
-        """Take what can be proved off each region's open frequencies.
-
-        Returns the weight of each block for a region that has to be cut, None for others.
-        """
+        """Take what can be proved off each region's open frequencies."""
         ...
 
     def attack(self, region: Region, level: float) -> Improved | None:
@@ -114,14 +104,9 @@ def tighten(
     tolerance: float,
     budget: Budget,
 ) -> Proof:
-    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows.
-
-    That level is tried at once. Where a larger ``lower`` is met on the way, or the work will not do, what is left is
-    cut back to the smaller set of a larger level: what was proved holds there, too, and nothing begins anew.
-
-    ``lower``, ``upper``: level attained, and level proved already (inf: none).
-    ``budget``: where it is over, the search stops.
-    """
+    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows."""
+    # That level is tried at once. Where a larger lower bound is met, or the work will not do, what is left is cut back
+    # to the smaller set of a larger level: what was proved holds there, too, and nothing begins anew.
     proof, last = Proof(lower, upper), 0.0
     while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and not budget.over:
         if budget.left <= last:  # the next level costs more than the one before
@@ -221,10 +206,7 @@ class _Descent:
         return False
 
     def _too_little(self, there: float, begun_with: float, left: float) -> bool:
-        """Whether what there is will not do for the volume left, by what was done with the rest of it.
-
-        The more was done, the more that is believed; nothing at first. Some is kept for the smaller set.
-        """
+        """Whether what there is will not do for the volume left, by what was done with the rest of it."""
         if begun_with == np.inf:
             return False
         done = (1 - max(there, 0.0) / begun_with) / (1 - KEPT) if begun_with > 0 else 1.0

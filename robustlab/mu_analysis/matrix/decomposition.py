@@ -113,10 +113,7 @@ def _compiled_osborne() -> Callable[[Array, Array, int, float], None]:
 
     @nb.njit(cache=True, error_model="numpy")
     def osborne(log: Array, e: Array, sweeps: int, tol: float) -> None:
-        """Exponents e (zeros at first) such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about one norm.
-
-        The norms come as logarithms to base 2 (-inf on the diagonal): their squares span more decades than floats do.
-        """
+        """Exponents e such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about one norm."""
         n = len(log)
         for _ in range(sweeps):
             largest = 0.0

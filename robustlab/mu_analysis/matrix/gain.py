@@ -63,10 +63,7 @@ def gain_at(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Ga
 
 
 def ascend(M: ComplexArray, blocks: Sequence[Block], start: ComplexArray, box: Box) -> Gain | None:
-    """A large gain with every block inside the box, from a Delta (q, p): each step aligns all blocks with l and r.
-
-    A step that does not raise the gain is shortened; the set is convex, so that what lies between stays inside.
-    """
+    """A large gain with every block inside the box, from a Delta (q, p): each step aligns all blocks with l and r."""
     best = gain_at(M, blocks, start)
     for _ in range(ASCENTS if best is not None else 0):
         assert best is not None

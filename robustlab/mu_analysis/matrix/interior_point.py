@@ -51,16 +51,7 @@ def primal_dual(
     max_steps: int = 150,
     sure: bool = True,
 ) -> tuple[Array, Mask]:
-    """Parameters x (k, size) of the best D, G found for each matrix of the stack M (k, p, q), and where that is all.
-
-    ``M``: balanced matrices.
-    ``tol``: stop where the estimated distance of t to its optimum falls below ``tol * t``.
-    ``target``: stop where this beta is reached (a point well inside is wanted, not the optimum), or is shown out of
-    reach.
-    ``sure``: out of reach, or at the optimum, is what a dual shows; else what estimates tell, in a third of the steps.
-    Returns: ``settled`` (k,) is False where the method came to the end of its digits before ``tol``: the x is valid,
-    another method may find a better one.
-    """
+    """Parameters x (k, size) of the best D, G found for each matrix of the stack M (k, p, q), and where that is all."""
     from robustlab.mu_analysis.matrix import primal_dual_kernels as kernels
 
     scale, goal = _scale_and_goal(M, target)

@@ -62,12 +62,7 @@ SHRINKING, LEAST_SHRINK, NEWTON_STEPS = 40, 1e-6, 12
 
 
 def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40) -> Found:
-    """``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``.
-
-    ``M``: complex matrix (p, q).
-    ``seed``: seed of the starting directions; the same seed gives the same Delta.
-    ``restarts``, ``steps``: how many paths are followed, and the effort along each.
-    """
+    """``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``."""
     return lower_bounds(np.asarray(M)[None], blocks, seed, restarts, steps)[0]
 
 
@@ -79,10 +74,7 @@ def lower_bounds(
     steps: int = 40,
     upper: Sequence[UpperBound] = (),
 ) -> list[Found]:
-    """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time.
-
-    Where an upper bound is given for each, no more is looked for once it is attained to `ATTAINED`.
-    """
+    """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time."""
     best: list[Found] = [(0.0, None)] * len(stack)
     jobs: dict[tuple[int, ...], list[tuple[int, Component, float]]] = {}
     split = [components(m, blocks) for m in stack]
@@ -117,11 +109,7 @@ def lower_bounds(
 
 
 def _at_the_bound(parts: list[Component], blocks: Sequence[Block], upper: list[UpperBound]) -> list[ComplexArray]:
-    """The Deltas that the largest singular vectors of the scaled matrices point to, led to singularity; complex blocks.
-
-    Where that singular value is a single one at the minimum over D, its vectors are as long in every block, and Delta
-    attains the upper bound.
-    """
+    """The Deltas that the largest singular vectors of the scaled matrices point to, led to singularity."""
     if not parts or any(block.interval is not None for block in blocks):
         return []
     layout, M = delta_layout(blocks), np.stack([part.matrix for part in parts])
@@ -160,11 +148,7 @@ def _verified(
 
 
 def _of_the_structure(M: ComplexArray, blocks: Sequence[Block], candidate: ComplexArray) -> list[ComplexArray]:
-    """The candidate without what the structure has no room for.
-
-    Candidates know real and complex numbers and complex matrices. Where a kind of block is none of these, the candidate
-    is only near: then Deltas that are led back to singularity inside the structure, each smaller than the last.
-    """
+    """The candidate without what the structure has no room for."""
     delta = project(blocks, candidate)
     if np.abs(delta - candidate).max() <= OUTSIDE * np.abs(candidate).max():
         return [delta]
@@ -200,11 +184,9 @@ def _led_back(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> 
 
 
 def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> bool:
-    r"""Whether a Delta of the structure within ``nearby`` of this one makes ``I - M Delta`` singular to first order.
-
-    A small singular value alone does not say so: that of ``I - M Delta`` for a nilpotent M falls like
-    ``1 / ||Delta||``, and no Delta at all makes it zero.
-    """
+    """Whether a Delta of the structure within ``nearby`` of this one makes ``I - M Delta`` singular to first order."""
+    # A small singular value alone does not say so: that of I - M Delta for a nilpotent M falls like 1 / |Delta|, and no
+    # Delta at all makes it zero.
     loop = np.eye(len(M)) - M @ delta
     # Rows and columns may carry any scaling; with the largest entries at one, singular values keep their digits.
     scale_rows, scale_cols = np.ones(len(loop)), np.ones(len(loop))
@@ -231,13 +213,10 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
 def _within_reach(
     M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array
 ) -> bool:
-    """Whether a loop that is singular to rounding is so for a Delta within ``nearby``, or for M with other last bits.
-
-    With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
-    jumps. Where an eigenvalue of M is nearly defective, it hardly moves at all. Both have to be told from rounding by
-    exact arithmetic: the residual counts as none where it is less than what every entry of M may change by in its last
-    place.
-    """
+    """Whether a loop that is singular to rounding is so for a Delta nearby, or for M with other last bits."""
+    # With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
+    # jumps. Where an eigenvalue of M is nearly defective, it hardly moves at all. Both have to be told from rounding by
+    # exact arithmetic: none is what every entry of M may change by in its last place.
     if not layout.real.all():
         return True
     gains = layout.gains((np.conj(y) @ M)[None], x[None])[0]
@@ -342,10 +321,8 @@ def _residuals(M: ComplexArray, delta: ComplexArray) -> Array:
 
 
 def _scattered(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int, count: int) -> tuple[ComplexArray, Array]:
-    """Singular Deltas (k, count, q, p) next to random points of the box of the best norm (k,) so far, and their norms.
-
-    With few real parameters valleys are narrow, and steps to the corners jump over them.
-    """
+    """Singular Deltas (k, count, q, p) next to random points of the box of the best norm so far, and their norms."""
+    # With few real parameters valleys are narrow, and steps to the corners jump over them.
     rng = np.random.default_rng([seed, 3])
     k = len(M)
     radius = np.where(np.isfinite(norm), norm, 3.0)

@@ -39,25 +39,7 @@ def relative(X: ComplexArray, Y: ComplexArray) -> ComplexArray:
 
 
 class ScalingSpace:
-    """Real parameters of all D and G of a block structure.
-
-    A full block has one number in D; a scalar repeated r times a Hermitian r x r block, in G too where it is real.
-
-    Attributes
-    ----------
-    size
-        Number of real parameters.
-    rows, cols, coefficients, first
-        Entries of E, sorted by parameter: position, factor, and where each parameter's entries begin.
-    in_w
-        1 for the entries of D_w (they carry the factor beta^2), else 0.
-    identity
-        Parameters of D = I, G = 0, shape (size,).
-    block_of
-        Index of the block that a parameter belongs to, shape (size,).
-    scales_with_m
-        Whether a parameter belongs to G, which carries the unit of M, shape (size,).
-    """
+    """Real parameters of all D and G of a block structure."""
 
     def __init__(self, blocks: Sequence[Block]) -> None:
         self.blocks = tuple(blocks)

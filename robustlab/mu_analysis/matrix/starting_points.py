@@ -97,10 +97,7 @@ def _onto_w(layout: DeltaLayout, factors: ComplexArray, a: ComplexArray, w: Comp
 def gain_ascent(
     M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, radius: Array
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Directions x and y (k, p) of the smallest singular value of ``I - M Delta`` after ascent from Delta (k, q, p).
-
-    Only real blocks move, inside [-radius, radius] (k,).
-    """
+    """Directions x and y (k, p) of the smallest singular value of ``I - M Delta`` after ascent from Delta (k, q, p)."""
     for _ in range(SWEEPS):
         for i in np.flatnonzero(layout.real):
             w, z = np.flatnonzero(layout.of_w == i), np.flatnonzero(layout.of_z == i)
@@ -127,11 +124,7 @@ def _towards_pole(g: ComplexArray) -> Array:
 
 
 def vertex_search(M: Array, signs: Array, rounds: int = 40) -> list[tuple[float, Array]]:
-    """``(size, signs)`` of vertices with ``det(I - size M diag(signs)) = 0`` for real M (n, n); signs (k, n) start.
-
-    The determinant at one size is driven down by the flip of one or two signs that lowers it most; where a flip makes
-    it negative, a smaller singular vertex has been passed, and the size shrinks to it.
-    """
+    """``(size, signs)`` of vertices with ``det(I - size M diag(signs)) = 0`` for real M (n, n); signs (k, n) start."""
     n = len(M)
     if n <= EXHAUSTIVE:
         bits = (np.arange(2 ** (n - 1))[:, None] >> np.arange(n)) & 1

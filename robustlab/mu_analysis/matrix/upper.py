@@ -21,10 +21,7 @@ RATIOS = (2.0**-10, 2.0**-20, 2.0**-40, 2.0**-80)
 
 @dataclass(frozen=True)
 class UpperBound(Shown):
-    r"""``mu(M) <= beta``, proved by :math:`M^* D_z M + j (G M - M^* G^*) - \beta^2 D_w \preceq 0`.
-
-    ``D_w`` is (q, q), ``D_z`` (p, p) (the same matrix where all blocks are square), ``G`` (q, p).
-    """
+    r"""``mu(M) <= beta``, proved by :math:`M^* D_z M + j (G M - M^* G^*) - \beta^2 D_w \preceq 0`."""
 
     beta: float
     Dw: ComplexArray
@@ -116,11 +113,9 @@ def _single(m: ComplexArray, block: Block) -> UpperBound:
 
 
 def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], parts: list[UpperBound]) -> UpperBound:
-    """D and G of the whole matrix from those of its components, certified once more on M itself.
-
-    Couplings run from a lower to a higher depth only: with D of a depth much smaller than that of the depth before it
-    they cost nothing.
-    """
+    """D and G of the whole matrix from those of its components, certified once more on M itself."""
+    # Couplings run from a lower to a higher depth only: with a D much smaller than that of the depth before they cost
+    # nothing.
     floor = max((b.beta for b in parts), default=0.0)
     best: UpperBound | None = None
     for ratio in RATIOS if max((c.depth for c in found), default=0) else (1.0,):
@@ -162,12 +157,9 @@ def points_work(blocks: Sequence[Block], count: int) -> int:
 
 
 def points_below(M: ComplexArray, blocks: Sequence[Block], target: float, *, thorough: bool = True) -> list[UpperBound]:
-    """For each matrix of the stack D, G well inside those that prove ``target``, or the best ones where none does.
-
-    Unlike `upper_bounds` it stops early, and does not split: the scalings shall stay good at neighbouring frequencies.
-    Not thorough: what estimates tell is out of reach is believed, and a matrix at which the solver ends early gets no
-    second one, a hundred times as slow.
-    """
+    """For each matrix of the stack D, G well inside those that prove ``target``, or the best ones where none does."""
+    # Unlike upper_bounds it stops early, and does not split: the scalings shall stay good at neighbouring frequencies.
+    # Not thorough: what estimates tell is out of reach is believed.
     exponents = np.stack([balancing_exponents(m, blocks) for m in M])
     w, z = (np.exp2(np.stack(e)) for e in zip(*(expand(blocks, e) for e in exponents), strict=True))
     balanced = M * z[:, :, None] / w[:, None, :]

@@ -345,16 +345,7 @@ class FullBlock(Block):
 
 
 def as_blocks(given: Any) -> tuple[Block, ...]:
-    """Blocks as given, or from rows in the notation of MATLAB's ``mussv``.
-
-    ``[-r, 0]`` is one real scalar repeated r times, ``[r, 0]`` a complex one, ``[r, c]`` a full block of r rows and c
-    columns; ``[-1, 1]`` and ``[1, 1]`` are a real and a complex scalar. Such blocks are called ``delta1, delta2, ...``.
-
-    Examples
-    --------
-    >>> as_blocks([[-2, 0], [1, 3]])
-    (RealScalar(name='delta1', repeats=2, parameter=None), FullBlock(name='delta2', rows=1, cols=3))
-    """
+    """Blocks as given, or from rows in the notation of MATLAB's ``mussv``."""
     if isinstance(given, Block):
         given = [given]
     if isinstance(given, np.ndarray):
@@ -405,11 +396,7 @@ def block_slices(blocks: Sequence[Block]) -> list[tuple[slice, slice]]:
 
 
 def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> NDArray[Any]:
-    """The block-diagonal Delta, shape (q, p), from one normalised value per block name; blocks left out are zero.
-
-    Scalar blocks take a number, full blocks a matrix (rows, cols). The result is real where every value is real. A
-    negative delta of a range that is not symmetric is multiplied with its ratio (see `RealScalar`).
-    """
+    """The block-diagonal Delta, shape (q, p), from one normalised value per block name; blocks left out are zero."""
     known = tuple(b.name for b in blocks)
     for name in values:
         if name not in known:

@@ -287,10 +287,7 @@ class _Factors(NamedTuple):
 
 
 def _corners(n: int, x: Array, square: Array) -> _Factors:
-    """Roots of N and D with which log N / D comes near the bound in least squares: where the search begins.
-
-    Factors are ``x^2 + 2 a r x + r^2`` with a > -1, which are resonances for a near -1, and one ``x + r`` for odd n.
-    """
+    """Roots of N and D with which log N / D comes near the bound in least squares: where the search begins."""
     from scipy.optimize import least_squares
 
     wanted, pairs, odd = np.log(square), n // 2, n % 2
@@ -334,11 +331,7 @@ def _factor_roots(r: Array, a: Array, pairs: int) -> Any:
 
 
 class _Basis(NamedTuple):
-    """Polynomials of degree n in x, divided by a given one of size 1 or so at every point, in orthonormal columns.
-
-    ``values @ c`` is the quotient at the points, ``to_sums @ c`` its coefficients in 1 and q / (x + q), with the
-    factor ``prod(x + q)`` taken out.
-    """
+    """Polynomials of degree n in x, divided by a given one of size 1 or so at every point, in orthonormal columns."""
 
     values: Array
     to_sums: Array
@@ -358,11 +351,8 @@ def _basis(x: Array, roots: Any) -> _Basis:
 
 
 def _programme(x: Array, square: Array, level: float, near: _Factors) -> _Factors | None:
-    """N and D between the bound and gamma times the bound, or None where there are none.
-
-    The margin t of both inequalities, relative to the terms that they compare, is maximised: 0 or more is feasible.
-    Where N or D turns out negative between the points, the place is added.
-    """
+    """N and D between the bound and gamma times the bound, or None where there are none."""
+    # The margin of both inequalities, relative to the terms that they compare, is maximised: 0 or more is feasible.
     extra = np.zeros(0)
     for _ in range(WEIGHT_ROUNDS):
         points = np.concatenate([x, extra])

@@ -59,17 +59,7 @@ def parametric_cover(
     tolerance: float = 1e-9,
     directions: int | None = None,
 ) -> ParametricCover:
-    """The cover of models that have the same states.
-
-    ``models``: at least two, checked by `model_set`.
-    ``nominal``: nominal model of the form ``elements``, the middle where left out. The hull is then asymmetric about
-    it, and symmetric in an entry where it lies at an end or outside.
-    ``tolerance``: what an entry may be off, relative to the largest of its matrix (or to what its row and column make
-    natural, where that is less): differences below it count as none, and as many directions are kept as it asks for.
-    ``directions``: number of directions of ``pca``, instead of what the tolerance asks for.
-    Raises InputError: a tolerance outside [0, 1), a number of directions that is not positive, a nominal model for
-    another form.
-    """
+    """The cover of models that have the same states."""
     number("cover: tolerance", tolerance, "a number in [0, 1)", at_least=0, below=1)
     if directions is not None:
         whole("cover: directions", directions, 1)

@@ -147,17 +147,7 @@ def unstructured_cover(
     tolerance: float = 0.1,
     points: int = GRID_POINTS,
 ) -> UnstructuredCover:
-    """The cover of models with the same signals; their states may differ.
-
-    ``models``: at least two, checked by `model_set`.
-    ``nominal``: where left out, that of the models (and of their middle, where they have the same states) whose radius
-    is least.
-    ``order``, ``tolerance``: largest order of the weight, and the excess over the bound at which a lower one is good
-    enough.
-    ``points``: points of the frequency grid of the fit, besides those at resonances.
-    Raises InputError: a model that is not square, for all forms but ``additive``. NoTrustworthyNumber: for no nominal
-    model all errors are stable; the model, and the pole that stays, are named.
-    """
+    """The cover of models with the same signals; their states may differ."""
     if form != "additive" and models[0].n_inputs != models[0].n_outputs:
         found = f"models of {models[0].n_outputs} outputs and {models[0].n_inputs} inputs"
         raise InputError(f"cover: form {form}", found, "as many inputs as outputs, or form additive")

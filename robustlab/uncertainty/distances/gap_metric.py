@@ -148,10 +148,7 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
 
 
 def _winding(one: CoprimeFactors, two: CoprimeFactors) -> tuple[int | None, bool]:
-    """Zeros minus poles of det(G2* G1) in the right half plane, and whether every one has a sure side.
-
-    None where it vanishes at infinity. The poles are those of G1 (left) and of G2* (right), by construction.
-    """
+    """Zeros minus poles of det(G2* G1) in the right half plane, and whether every one has a sure side."""
     g1, g2 = one.right, two.right
     # G2*(s) = G2(-s)^T has the matrices (-A^T, C^T, -B^T, D^T).
     A = np.block([[g1.A, np.zeros((g1.n_states, g2.n_states))], [g2.C.T @ g1.C, -g2.A.T]])
