@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-r"""Compiled parts of the primal-dual method of `robustlab.mu_analysis.matrix.interior_point`, one matrix at a time.
+r"""Compiled parts of the primal-dual method of `robustlab.mu_analysis.matrix.upper`, one matrix at a time.
 
 Importing this module imports numba. The matrices have order 2 to 100: too small for calls of LAPACK to pay, so the
 loops are written out, the innermost ones over contiguous memory. No result of theirs is trusted: whatever x comes out,

@@ -44,10 +44,9 @@ class ScalingSpace:
     def __init__(self, blocks: Sequence[Block]) -> None:
         self.blocks = tuple(blocks)
         self.q, self.p = structure_size(blocks)
-        self.slices = block_slices(blocks)
         parameters: list[list[tuple[int, int, complex, int]]] = []
         identity: list[float] = []
-        for block, (w, z) in zip(self.blocks, self.slices, strict=True):
+        for block, (w, z) in zip(self.blocks, block_slices(blocks), strict=True):
             for on_w, on_z in block.d_basis():
                 parameters.append(
                     [(w.start + i, w.start + j, c, 1) for i, j, c in on_w]
@@ -74,8 +73,6 @@ class ScalingSpace:
         self._ordered = self.coefficients[order]
         self.identity = np.array(identity)
         # The first entry of every parameter stands in the rows of w.
-        starts = np.array([w.start for w, _ in self.slices], dtype=int)
-        self.block_of = np.searchsorted(starts, self.rows[self.first], side="right") - 1
         self.scales_with_m = (self.cols[self.first] >= self.q) & (self.rows[self.first] < self.q)
 
     def matrices(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:

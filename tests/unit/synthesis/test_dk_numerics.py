@@ -14,7 +14,7 @@ from robustlab.synthesis.dk.robust_problem import RobustProblem
 from robustlab.synthesis.dk.scalings_fit import as_complex
 from robustlab.synthesis.specifications.tracking_problem import tracking_problem
 from robustlab.synthesis.specifications.weight_design import error_weight
-from robustlab.uncertainty.blocks import Block
+from robustlab.uncertainty import Block
 
 
 def actuator() -> tuple[GeneralizedPlant, tuple[Block, ...]]:
