@@ -1,12 +1,6 @@
-r"""Interconnections of uncertain models: every one of LFTs is an LFT, in the same named blocks.
+"""Star product and concatenation of uncertain models, their inverses, centred ranges, and reduction with its evidence.
 
-Operands are uncertain models, state-space models (or what has ``to_model``), matrices and numbers; products, sums,
-feedback and inverses are operators and methods of `UncertainModel`. A block name that occurs in several operands is one
-and the same uncertainty.
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), sections 10.1-10.3; Redheffer (1960) for the star product.
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), sections 10.1-10.3.
 """
 
 from __future__ import annotations

@@ -1,31 +1,15 @@
-r"""Low-order LFTs of matrices of polynomials: structured tree decomposition.
+"""Low-order LFTs of matrices of polynomials: structured tree decomposition.
 
-One step takes a variable out of every term that contains it, and shares what is left:
-
-.. math:: M = M_0 + v \, L R = \begin{bmatrix} I & v L \end{bmatrix} \begin{bmatrix} M_0 \\ R \end{bmatrix}
-          \quad (\text{rows}) \qquad M = \begin{bmatrix} M_0 & L \end{bmatrix}
-          \begin{bmatrix} I \\ v R \end{bmatrix} \quad (\text{columns})
-
-with constant L (rows) or constant R (columns) of the smallest inner size r, found exactly; v then stands r times. The
-stacked matrix goes through the same step until it is constant, so that equal sub-expressions of different entries are
-realised once. Which variable comes first decides how many repetitions come out; several orders are tried.
-
-Of Laurent polynomials with exact coefficients ranks are exact. Of polynomials with numeric coefficients they are those
-of numbers with rounding:
-
-.. math:: N(t) = \sum_\alpha t^\alpha N_\alpha, \qquad
-          N = N_0 + t_k \, L \, Q(t) = \begin{bmatrix} I & t_k L \end{bmatrix} \begin{bmatrix} N_0 \\ Q \end{bmatrix}
-          \quad \text{or} \quad
-          N = N_0 + t_k \, Q(t) \, R = \begin{bmatrix} N_0 & Q \end{bmatrix} \begin{bmatrix} I \\ t_k R \end{bmatrix}
-
-with a constant L or R of the smallest rank r, by which :math:`t_k` is repeated r times. Where N is affine, r is the
-rank of :math:`N_k` and no LFT of N has fewer.
-
-References
-----------
-Cockburn, Morton, "Linear fractional representations of uncertain systems", Automatica 33 (1997); Varga, Looye,
-"Symbolic and numerical software tools for LFT-based low order uncertainty modeling" (1999).
+Cockburn, Morton, Automatica 33 (1997); Varga, Looye, "Symbolic and numerical software tools for LFT-based low order
+uncertainty modeling" (1999).
 """
+
+# One step takes a variable out of every term that contains it, and shares what is left: M = M0 + v L R = [I, v L]
+# [M0; R] with a constant L (rows), or [M0, L] [I; v R] with a constant R (columns), of the smallest inner size r; v
+# then stands r times. The stacked matrix goes through the same step until it is constant, so that equal sub-
+# expressions of different entries are realised once. Which variable comes first decides how many repetitions come
+# out; several orders are tried. Of Laurent polynomials with exact coefficients ranks are exact, of polynomials with
+# numeric ones they are those of numbers with rounding. Where M is affine in v, no LFT has fewer repetitions.
 
 from __future__ import annotations
 

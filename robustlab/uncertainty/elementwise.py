@@ -1,18 +1,8 @@
-r"""Uncertain models from two models: a nominal one and a maximally perturbed one.
+"""Uncertain models from two models: a nominal one and a maximally perturbed one (Březina 2010, 10.5-10.15)."""
 
-.. math:: \begin{bmatrix} A & B \\ C & D \end{bmatrix}(\Delta) =
-          \begin{bmatrix} A & B \\ C & D \end{bmatrix}_{nominal} + L \, \Delta \, R, \qquad
-          L R = E = \begin{bmatrix} A_D & B_D \\ C_D & D_D \end{bmatrix} = perturbed - nominal
-
-At ``Delta = I`` this is the perturbed model, at 0 the nominal one, at ``-I`` the mirror ``2 nominal - perturbed``.
-Delta acts on constant matrices: there is no direct way from w to z, and every Delta is well posed.
-
-References
-----------
-Březina 2010, equations 10.5-10.15. The printed form (10.13) scales whole columns: ``M12 = I``, ``M21 = A_D`` with a
-diagonal Delta. It is kept as structure ``"columns"``; what the text says in words, each entry by itself, is
-``"elements"``.
-"""
+# [A B; C D](Delta) = nominal + L Delta R with L R = perturbed - nominal. Delta acts on constant matrices: there is no
+# direct way from w to z, and every Delta is well posed. The printed form (10.13) scales whole columns: it is
+# structure "columns"; what the text says in words, each entry by itself, is "elements".
 
 from __future__ import annotations
 

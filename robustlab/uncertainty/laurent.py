@@ -1,10 +1,8 @@
-r"""Rational expressions of named parameters in an exact normal form: Laurent polynomials, safely read from text.
+"""Rational expressions of named parameters in an exact normal form: Laurent polynomials, safely read from text."""
 
-.. math:: \sum_m c_m \prod_i v_i^{e_{m i}}, \qquad e_{m i} \in \mathbb{Z}
-
-with exact rational coefficients (a float counts as the shortest decimal number that is written like it, so that 0.1 is
-1/10). A variable is a parameter, or a denominator of several terms, which occurs with negative exponents only.
-"""
+# Coefficients are exact rational numbers (a float counts as the shortest decimal number that is written like it, so
+# that 0.1 is 1/10). A variable is a parameter, or a denominator of several terms, which occurs with negative
+# exponents only.
 
 from __future__ import annotations
 

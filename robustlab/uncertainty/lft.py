@@ -1,10 +1,6 @@
 r"""Uncertain models as upper linear fractional transformations of a structured Delta.
 
 .. math:: F_u(M, \Delta) = M_{22} + M_{21} \Delta (I - M_{11} \Delta)^{-1} M_{12}
-
-References
-----------
-Březina 2010, sections 4.4-4.5; Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 10.1.
 """
 
 from __future__ import annotations

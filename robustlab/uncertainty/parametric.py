@@ -1,10 +1,4 @@
-r"""Uncertain models from matrices that are rational functions of named parameters.
-
-References
-----------
-Cockburn, Morton, "Linear fractional representations of uncertain systems", Automatica 33 (1997); Březina 2010,
-section 4.4.
-"""
+"""Uncertain models from matrices that are rational functions of named parameters (Březina 2010, section 4.4)."""
 
 from __future__ import annotations
 

@@ -1,21 +1,8 @@
-r"""A complex Delta, found at one frequency, as stable systems that take this value there and are never larger.
+"""A complex Delta, found at one frequency, as stable systems that take this value there and are never larger."""
 
-A complex number is met by an all-pass with real coefficients,
-
-.. math:: \delta(s) = \pm |\delta_0| \frac{a - s}{a + s}, \quad a > 0, \qquad \delta(j \omega_0) = \delta_0,
-
-and a complex matrix by its singular value decomposition. A unitary matrix is
-
-.. math:: U = O_1 \operatorname{diag}(e^{j \theta_1}, \dots, e^{j \theta_m}) \, O_2
-
-with real orthogonal :math:`O_1, O_2`, where :math:`O_1` diagonalises the real and the imaginary part of
-:math:`U U^T`: only phases have to be realised. The singular values are those of :math:`\Delta_0` at every frequency,
-hence so is the H-infinity norm, whatever the rank.
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 9.1 (rank one, by all-pass factors of the entries).
-"""
+# A complex number is met by an all-pass +-|d| (a - s)/(a + s). A unitary matrix is O1 diag(e^(j theta)) O2 with real
+# orthogonal O1, O2, where O1 diagonalises the real and the imaginary part of U U^T: only phases have to be realised.
+# The singular values are those of Delta at every frequency, hence so is the H-infinity norm, whatever the rank.
 
 from __future__ import annotations
 

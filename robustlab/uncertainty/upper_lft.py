@@ -1,7 +1,4 @@
-r"""A constant Delta closed into a model: the upper linear fractional transformation, and whether it is well posed.
-
-.. math:: F_u(M, \Delta) = M_{22} + M_{21} \Delta (I - M_{11} \Delta)^{-1} M_{12}
-"""
+"""A constant Delta closed into a model: the upper linear fractional transformation, and whether it is well posed."""
 
 from __future__ import annotations
 

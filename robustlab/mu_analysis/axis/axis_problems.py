@@ -1,8 +1,7 @@
-"""What branch and bound cuts over the whole frequency axis: regions of parameters and frequency.
+"""What branch and bound cuts over the whole frequency axis: regions of parameters and frequency."""
 
-A region is proved where intervals with constant D, G cover the frequencies that are open in it; what its ancestors have
-proved there holds in it, too.
-"""
+# A region is proved where intervals with constant D, G cover the frequencies that are open in it; what its ancestors
+# have proved there holds in it, too.
 
 from __future__ import annotations
 

@@ -1,16 +1,10 @@
-r"""The critical Delta: what it means on the machine (a replay in time), and which blocks the margin hangs on.
+"""The critical Delta: what it means on the machine (a replay in time), and which blocks the margin hangs on."""
 
-Let block i be ``s_i`` times as large. At the smallest singular Delta, the parts
-:math:`c_i = y^* M_i \Delta_i x / y^* x` of the linearised loop add up to one, and a multiplier phi makes every
-:math:`\mathrm{Re}(\varphi c_i)` of a block at its bound positive and that of a block inside it zero. By the envelope
-theorem
+# Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that crosses
+# give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j: only the real part of the pole counts.
 
-.. math:: \frac{\partial \log m}{\partial \log s_i}
-    = - \frac{\mathrm{Re}(\varphi c_i)}{\sum_j \mathrm{Re}(\varphi c_j)} .
-
-On the frequency axis the critical frequency moves along; there :math:`c_i` is the part of the pole's derivative, and
-``phi = 1``: only the real part of the pole counts.
-"""
+# Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that crosses
+# give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j: only the real part of the pole counts.
 
 from __future__ import annotations
 

@@ -1,13 +1,14 @@
-r"""Upper bounds that hold on whole frequency intervals: constant D, G, extended by the eigenvalues of a Hamiltonian
-matrix.
+"""Upper bounds that hold on whole frequency intervals: constant D, G, extended by the eigenvalues of a Hamiltonian."""
 
-.. math:: \Phi(\omega) = M^* D_z M + j (G M - M^* G^*) - \beta^2 D_w, \qquad M = C (j \omega I - A)^{-1} B + D
+# Phi(omega) = M^* D_z M + j (G M - M^* G^*) - beta^2 D_w is singular where j omega is an eigenvalue of H. Rounding
+# moves eigenvalues off the axis, so *every* imaginary part counts as a possible change of sign, and the sign is
+# tested between and at these candidates, outwards from a frequency at which Phi < 0 is known. A version that asked
+# "is this eigenvalue imaginary?" with a tolerance certified wrong intervals.
 
-:math:`\Phi(\omega)` is singular where :math:`j \omega` is an eigenvalue of H. Rounding moves eigenvalues off the
-axis, so *every* imaginary part counts as a possible change of sign, and the sign is tested between and at these
-candidates, outwards from a frequency at which :math:`\Phi < 0` is known. A version that asked "is this eigenvalue
-imaginary?" with a tolerance certified wrong intervals.
-"""
+# Phi(omega) = M^* D_z M + j (G M - M^* G^*) - beta^2 D_w is singular where j omega is an eigenvalue of H. Rounding
+# moves eigenvalues off the axis, so *every* imaginary part counts as a possible change of sign, and the sign is
+# tested between and at these candidates, outwards from a frequency at which Phi < 0 is known. A version that asked
+# "is this eigenvalue imaginary?" with a tolerance certified wrong intervals.
 
 from __future__ import annotations
 

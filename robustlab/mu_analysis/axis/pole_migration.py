@@ -1,14 +1,10 @@
-r"""Destabilising perturbations of a state-space model: the smallest Delta that brings a pole to the stability boundary.
+"""Destabilising perturbations: the smallest Delta that brings a pole of a state-space model to the axis."""
 
-Real mu lives at isolated frequencies, so a frequency grid finds nothing. Instead one pole of
-
-.. math:: A_\Delta = A + B \Delta (I - D \Delta)^{-1} C
-
-is led to the axis in small steps, each the linearised move of least ``max |delta_i|``, and then along the axis to a
-smaller Delta. A real pole that meets another and crosses at zero is found by the static problem
-``det(I - M(0) Delta) = 0``, a loop that becomes ill-posed by ``det(I - D Delta) = 0``. What counts in the end is that
-the model at Delta, or at a part of it, has a pole on or beyond the axis.
-"""
+# Real mu lives at isolated frequencies, so a frequency grid finds nothing. Instead one pole of A + B Delta (I - D
+# Delta)^-1 C is led to the axis in small steps, each the linearised move of least max |delta_i|, and then along the
+# axis to a smaller Delta. A real pole that meets another and crosses at zero is found by the static problem det(I -
+# M(0) Delta) = 0, a loop that becomes ill-posed by det(I - D Delta) = 0. What counts in the end is that the model at
+# Delta, or at a part of it, has a pole on or beyond the axis.
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ from robustlab.mu_analysis.constants import COARSE, FREQUENCIES, MEMBERS, WORK
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
 from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gain
-from robustlab.mu_analysis.matrix.skew import divided, skew_upper
+from robustlab.mu_analysis.matrix.skew import divided, gain_curves, skew_upper
 from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, points_work
 from robustlab.norms import QUIET, PeakGain, gain_rounding, hinf_norm
 from robustlab.result import Status
@@ -544,10 +544,6 @@ def _curves(
     gain = np.linalg.norm(nominal, 2, axis=(1, 2)) if nominal.size else np.zeros(len(grid))
     if model is None or not len(grid):
         return gain, gain.copy(), gain.copy()
-    rng, box = np.random.default_rng(seed), root_box(blocks)
     response = frequency_response(uncertain.M, grid)
-    varying = performance_inputs(blocks)
-    found = [largest_gain(M, blocks, box, rng, 4) for M in response]
-    low = np.array([0.0 if g is None else g.value for g in found])
-    high = np.array([skew_upper(M, blocks, varying, 1e-3)[0] for M in response])
+    low, high, _ = gain_curves(response, blocks, np.random.default_rng(seed), 4, 1e-3)
     return gain, low, np.maximum(high, low)

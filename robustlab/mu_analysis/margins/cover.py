@@ -1,13 +1,6 @@
-r"""From a set of models the smallest uncertainty of a chosen form, and how conservative it is.
+"""From a set of models the smallest uncertainty of a chosen form, and how conservative it is."""
 
-.. math:: \text{conservatism} = \frac{\sup_{\Delta} \|F_u(M, \Delta)\|_\infty}{\max_i \|G_i\|_\infty} \ge 1
-
-the worst gain of the cover over that of the models themselves, both in the same loop.
-
-References
-----------
-Březina 2010, sections 4.2, 10.2; Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 9.1.
-"""
+# Conservatism: the worst gain of the cover over that of the models themselves, both in the same loop, 1 at least.
 
 from __future__ import annotations
 

@@ -1,21 +1,9 @@
-r"""Margins of loops with exact delays, of one channel or several: classical ones with all crossings, and disk margins.
+"""Margins of loops with exact delays: classical ones with all crossings, and disk margins."""
 
-With the sensitivity of the loop that is opened, the others closed, :math:`S = 1 / (1 + L)`,
-
-.. math:: |L| = 1 \iff \Re S = \tfrac12, \qquad L < 0 \iff \Im S = 0,\; S \notin [0, 1],
-
-and S has no pole on the axis. Frequencies are cut into intervals until each is decided by the bounds of `delay_axis`:
-the function has no zero there, or its derivative has one sign and its ends tell. Beyond the last one L is too small to
-count. So no crossing is overlooked between points.
-
-The disk margin of all channels is one over the peak of mu of :math:`S + \frac{\sigma-1}{2} I`, of one channel one over
-its largest gain: attained by the exact response, and proved of a set that holds the delays (`delay_margins`).
-
-References
-----------
-Skogestad, Postlethwaite, *Multivariable Feedback Control*, section 2.4; Seiler, Packard, Gahinet, "An introduction to
-disk margins", IEEE Control Systems Magazine 40 (2020).
-"""
+# With S = 1 / (1 + L) of the loop that is opened, the others closed: |L| = 1 where Re S = 1/2, L < 0 where Im S = 0
+# and S is not in [0, 1]; S has no pole on the axis. Frequencies are cut into intervals until each is decided by the
+# bounds of delay_axis: no zero there, or a derivative of one sign. Beyond the last one L is too small to count. So no
+# crossing is overlooked between points.
 
 from __future__ import annotations
 

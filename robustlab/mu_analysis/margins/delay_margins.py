@@ -1,17 +1,10 @@
-r"""Stability and gain of models with exact delays, proved of a set that holds them.
+"""Stability and gain of models with exact delays, proved of a set that holds them."""
 
-In each set a delay is :math:`e^{-s \tau} = R(s) + W(s) \Delta(s)`, :math:`|\Delta| \le 1` in the right half plane:
-Padé's approximation with a weight that is proved to cover what it misses (`robustlab.delays.pade`), or, of order 0,
-R = 0, W = 1. Where :math:`\mu < 1` on the axis, the end of it included, no root crosses the axis while the block grows
-from 0 to :math:`\Delta`, and none comes from infinity: the model has as many roots right of the axis as the set's
-nominal one. So the nominal one tells whether the model is stable; and with one more block, one over a level in size,
-its gain is below that level.
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorems 11.8 and 11.9; Michiels, Niculescu, *Stability,
-Control, and Computation for Time-Delay Systems* (2014).
-"""
+# In each set a delay is e^(-s tau) = R(s) + W(s) Delta(s), |Delta| <= 1 in the right half plane: Padé's approximation
+# with a weight that is proved to cover what it misses, or, of order 0, R = 0, W = 1. Where mu < 1 on the axis, its
+# end included, no root crosses while the block grows from 0 to Delta, and none comes from infinity: the model has as
+# many roots right of the axis as the set's nominal one. With one more block, one over a level in size, its gain is
+# below that level. Zhou, Doyle, Glover (1996), theorems 11.8, 11.9.
 
 from __future__ import annotations
 

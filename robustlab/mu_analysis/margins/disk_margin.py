@@ -1,18 +1,11 @@
-r"""Disk margins: how much gain and phase may change in every loop at once before the closed loop is unstable.
+"""Disk margins: how much gain and phase may change in every loop at once before the closed loop is unstable.
 
-Each loop is multiplied by a complex factor of the disk
-
-.. math:: f = \frac{1 + \frac{1 - \sigma}{2} \delta}{1 - \frac{1 + \sigma}{2} \delta}
-   = 1 + \frac{\delta}{1 - \frac{1 + \sigma}{2} \delta}, \qquad |\delta| < \alpha
-
-with the skew :math:`\sigma`: 0 for as much increase as decrease of gain, 1 for S, -1 for T based margins. The largest
-:math:`\alpha` is :math:`1 / \|S + (\sigma - 1)/2\|_\infty` for one loop, and one over the peak of mu with one complex
-scalar per loop for several.
-
-References
-----------
 Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020), equations 9-17.
 """
+
+# Each loop is multiplied by f = (1 + (1 - sigma)/2 delta) / (1 - (1 + sigma)/2 delta), |delta| < alpha. The largest
+# alpha is one over the H-infinity norm of S + (sigma - 1)/2 for one loop, and one over the peak of mu with one
+# complex scalar per loop for several.
 
 from __future__ import annotations
 

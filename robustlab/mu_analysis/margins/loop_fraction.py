@@ -1,14 +1,9 @@
-r"""Loops as fractions of polynomials with whole coefficients, and where on the axis they have gain 1 or are real.
+"""Loops as fractions of polynomials with whole coefficients, and where on the axis they have gain 1 or are real."""
 
-.. math:: L = \frac{N}{D}, \qquad D = \det(\text{loop opened}), \quad N + D = \det(\text{loop closed}),
-
-of one matrix that holds A, B, C, D of plant and controller as they were given. With :math:`N(j\omega) = N_e(x) + j
-\omega N_o(x)`, :math:`x = \omega^2`,
-
-.. math:: |L| = 1: \; N_e^2 + x N_o^2 - D_e^2 - x D_o^2 = 0, \qquad L \text{ real}: \; N_o D_e - N_e D_o = 0
-
-Their positive roots are the crossings, all of them. Nothing is rounded before the roots are.
-"""
+# L = N / D, D = det(loop opened), N + D = det(loop closed), of one matrix that holds A, B, C, D of plant and
+# controller as given. With N(j omega) = N_e(x) + j omega N_o(x), x = omega^2: |L| = 1 where N_e^2 + x N_o^2 - D_e^2 -
+# x D_o^2 = 0, L real where N_o D_e - N_e D_o = 0. Their positive roots are the crossings, all of them; nothing is
+# rounded before.
 
 from __future__ import annotations
 

@@ -1,16 +1,12 @@
-r"""Branch and bound over the real parameters: of one matrix here, over the frequency axis in `axis.axis_problems`.
+"""Branch and bound over the real parameters: of one matrix here, over the frequency axis in `axis.axis_problems`.
 
-About a fifth of the distance between the bounds of purely real mu is conservatism of the D-G scalings. It goes where
-the set is cut into boxes: in each box the real parameters have a smaller range around their own centre. A region is a
-box together with the frequencies that are still open there; what is proved for a box holds for its halves, so they
-inherit the open frequencies only. Where nothing is singular in any region, by continuity from the nominal model no
-Delta of the set destabilises.
-
-References
-----------
-Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997); Roos, Biannic, "A detailed comparative
-analysis of mu lower bound algorithms" (2015) for what the lower bound is tested against.
+Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
 """
+
+# About a fifth of the distance between the bounds of purely real mu is conservatism of the D-G scalings. It goes
+# where the set is cut into boxes. A region is a box together with the frequencies that are still open there; what is
+# proved for a box holds for its halves, so they inherit the open frequencies only. Where nothing is singular in any
+# region, by continuity from the nominal model no Delta of the set destabilises.
 
 from __future__ import annotations
 

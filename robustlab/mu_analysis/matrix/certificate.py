@@ -1,18 +1,10 @@
-r"""Proofs of mu bounds, evaluated from the returned evidence alone.
+"""Proofs of mu bounds, evaluated from the returned evidence alone.
 
-Upper: any D > 0 and G of the structure prove ``mu(M) <= beta`` where
-
-.. math:: N(\beta) = \beta^2 D_w - M^* D_z M - j (G M - M^* G^*) \succeq 0 .
-
-In floating point a bound of all rounding errors is allowed for; ball arithmetic (python-flint) encloses every one.
-
-Lower: any Delta of the structure with ``det(I - M Delta) = 0`` proves ``mu(M) >= 1 / ||Delta||``.
-
-References
-----------
 Fan, Tits, Doyle (1991); Rump, "Verification of positive definiteness", BIT 46 (2006).
-Johansson, "Arb: efficient arbitrary-precision midpoint-radius interval arithmetic", IEEE Trans. Computers 66 (2017).
 """
+
+# Upper: any D > 0 and G of the structure prove mu(M) <= beta where beta^2 D_w - M^* D_z M - j (G M - M^* G^*) >= 0; a
+# bound of all rounding errors is allowed for. Lower: any Delta of the structure with det(I - M Delta) = 0.
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""What is done to M before any solver sees it: strongly connected components, and balancing by powers of two.
+"""What is done to M before any solver sees it: strongly connected components, and balancing by powers of two."""
 
-Without balancing AB13MD calls 32 196 a bound where mu is 1.914 (entries over 12 decades); on reducible matrices it is
-20 to 40 times slower. mu of a block-triangular M is the largest mu of its diagonal components.
-"""
+# Without balancing AB13MD calls 32 196 a bound where mu is 1.914 (entries over 12 decades); on reducible matrices it
+# is 20 to 40 times slower. mu of a block-triangular M is the largest mu of its diagonal components.
 
 from __future__ import annotations
 

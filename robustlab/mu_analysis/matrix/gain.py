@@ -1,11 +1,7 @@
-r"""The gain of a matrix closed by Delta, how it changes with Delta, and the ascent to a large one.
+"""The gain of a matrix closed by Delta, how it changes with Delta, and the ascent to a large one."""
 
-.. math:: F = M_{22} + M_{21} \Delta (I - M_{11} \Delta)^{-1} M_{12}, \qquad
-          \partial \sigma_{max}(F) = \Re\, l \, \partial\Delta \, r, \quad
-          l = u^* M_{21} (I - \Delta M_{11})^{-1}, \quad r = (I - M_{11}\Delta)^{-1} M_{12} v
-
-The channels of the performance are the last block of M.
-"""
+# F = M22 + M21 Delta (I - M11 Delta)^-1 M12, d sigma_max(F) = Re l dDelta r with l = u^* M21 (I - Delta M11)^-1 and r
+# = (I - M11 Delta)^-1 M12 v. The channels of the performance are the last block of M.
 
 from __future__ import annotations
 

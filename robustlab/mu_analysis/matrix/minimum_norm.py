@@ -1,10 +1,9 @@
-r"""Sequential minimum-norm steps towards a singular ``I - M Delta``, for many matrices and starts at once.
+"""Sequential minimum-norm steps towards a singular ``I - M Delta``, for many matrices and starts at once."""
 
-With x, y the right and left null directions of ``I - M Delta``, singularity is linear to first order,
-``y^* M Delta x = y^* x``; the Delta of smallest norm that fulfils it is known in closed form. Repeating this converges
-fast where all blocks but one end at the bound, and may cycle where more of them lie inside: there the steps are damped,
-and the last ones only restore singularity near the Delta reached.
-"""
+# With x, y the right and left null directions of I - M Delta, singularity is linear to first order, y^* M Delta x =
+# y^* x; the Delta of smallest norm that fulfils it is known in closed form. Repeating this converges fast where all
+# blocks but one end at the bound, and may cycle where more of them lie inside: there the steps are damped, and the
+# last ones only restore singularity near the Delta reached.
 
 from __future__ import annotations
 

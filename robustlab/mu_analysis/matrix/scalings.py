@@ -1,11 +1,7 @@
-r"""The scalings D and G that commute with a block structure, as a linear function of real parameters.
+"""The scalings D and G that commute with a block structure, as a linear function of real parameters."""
 
-With ``U = [I, M^*]`` the matrix of the D-G inequality is linear in one sparse Hermitian matrix E of order q + p,
-
-.. math:: \beta^2 D_w - M^* D_z M - j (G M - M^* G^*) = U E(x) U^*
-
-so that gradients and Hessians of its barrier need products of single entries of ``U^* P U`` only.
-"""
+# With U = [I, M^*] the matrix of the D-G inequality is U E(x) U^* with one sparse Hermitian E of order q + p, so that
+# gradients and Hessians of its barrier need products of single entries of U^* P U only.
 
 from __future__ import annotations
 

@@ -1,24 +1,13 @@
-r"""Stable minimum-phase weights that lie above a bound, as close as their order allows.
+"""Stable minimum-phase weights that lie above a bound, as close as their order allows.
 
-Among all weights of order n the one is found whose largest ratio to the bound is least,
-
-.. math:: \min \gamma \quad \text{with} \quad b(\omega) \le |w(j\omega)| \le \gamma\, b(\omega)
-
-With :math:`|w|^2 = N(x) / D(x)`, :math:`x = \omega^2`, this is for each fixed :math:`\gamma` a linear programme in the
-coefficients of N and D,
-
-.. math:: N - b^2 D \ge 0, \qquad \gamma^2 b^2 D - N \ge 0, \qquad D > 0
-
-so that bisection on :math:`\gamma` finds the best there is, as far as floating point solves the programme: on bounds
-with several sharp resonances it may stop short of it. The weight follows by spectral factorisation. N and D are
-written in orthonormal combinations of :math:`q / (x + q)`, relative to the last feasible N and D, which keeps the
-programme well scaled over many decades.
-
-References
-----------
-Boyd, Vandenberghe, *Convex Optimization* (2004), section 4.2.5 (quasi-convex problems); Balas, Chiang, Packard,
-Safonov, *Robust Control Toolbox* (2005), the log-Chebyshev magnitude design; Březina 2010, section 4.2.
+Boyd, Vandenberghe, *Convex Optimization* (2004), section 4.2.5 (quasi-convex problems).
 """
+
+# min gamma with b <= |w| <= gamma b. With |w|^2 = N(x) / D(x), x = omega^2, this is for each fixed gamma a linear
+# programme in the coefficients of N and D (N - b^2 D >= 0, gamma^2 b^2 D - N >= 0, D > 0), so that bisection on gamma
+# finds the best there is, as far as floating point solves the programme. The weight follows by spectral
+# factorisation. N and D are written in orthonormal combinations of q / (x + q), relative to the last feasible N and
+# D, which keeps the programme well scaled over many decades.
 
 from __future__ import annotations
 

@@ -1,18 +1,8 @@
-r"""The smallest set of real parameters, of a chosen form, that holds every model of a set.
+"""The smallest set of real parameters, of a chosen form, that holds every model of a set."""
 
-.. math:: S_i = S_0 + \sum_j \delta_{ij} E_j, \qquad |\delta_{ij}| \le 1, \qquad
-          S = \begin{bmatrix} A & B \\ C & D \end{bmatrix}
-
-``elements``
-    Interval hull: each entry that differs is a parameter of its own, from its smallest to its largest value.
-``pca``
-    The cloud of the :math:`S_i` has few directions: the E_j are its principal components, each as long as the cloud
-    reaches along it, and S_0 is the middle of that box.
-
-References
-----------
-Jolliffe, *Principal Component Analysis* (2002); Březina 2010, section 10.2 for the element-wise form.
-"""
+# S_i = S_0 + sum_j delta_ij E_j, |delta_ij| <= 1, S = [A B; C D]. "elements": the interval hull, each entry that
+# differs is a parameter. "pca": the E_j are the principal components of the cloud, each as long as it reaches along
+# it, and S_0 is the middle of that box.
 
 from __future__ import annotations
 

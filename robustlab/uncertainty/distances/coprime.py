@@ -1,12 +1,6 @@
-r"""Normalised coprime factors of a model, and the stability margin that belongs to them.
+"""Normalised coprime factors of a model, and the stability margin that belongs to them.
 
-.. math:: P = N M^{-1} = \tilde M^{-1} \tilde N, \qquad N^* N + M^* M = I, \qquad
-   \tilde N \tilde N^* + \tilde M \tilde M^* = I
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 13.37 and section 16.1; Vinnicombe, *Uncertainty and
-Feedback* (2001), chapters 2, 3.
+Zhou, Doyle, Glover (1996), theorem 13.37 and section 16.1; Vinnicombe, *Uncertainty and Feedback* (2001).
 """
 
 from __future__ import annotations
