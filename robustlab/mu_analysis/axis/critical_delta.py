@@ -19,14 +19,13 @@ from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
 from robustlab.mu_analysis.matrix.certificate import delta_norm
 from robustlab.mu_analysis.matrix.delta_layout import delta_layout
-from robustlab.mu_analysis.matrix.minimum_norm import dual_minimum
 from robustlab.shown import AllFields, Facts, Shown, number
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
-__all__ = ["CriticalResponse", "block_sensitivities", "pole_block_sensitivities", "replay"]
+__all__ = ["CriticalResponse", "pole_block_sensitivities", "replay"]
 
 
 INSIDE = 0.95  # share of the critical Delta that is shown as just inside the margin
@@ -130,23 +129,6 @@ def _free(model: StateSpaceModel, x0: Array, t: Array) -> Array:
     return states @ model.C.T
 
 
-def block_sensitivities(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Array:
-    """Derivative of ``1 / mu(M)`` by the relative size of each block, shape (n_blocks,); none is positive."""
-    layout = delta_layout(blocks)
-    M, delta = np.asarray(M, dtype=complex), np.asarray(delta, dtype=complex)
-    u, _, vh = np.linalg.svd(np.eye(len(M)) - M @ delta)
-    x, y = np.conj(vh[-1:]), u[None, :, -1]
-    row = (np.conj(y) @ M) / _simple(complex((np.conj(y) * x).sum()), "block_sensitivities")
-    gains = layout.gains(row, x)
-    re, im = gains.real[:, layout.real], gains.imag[:, layout.real]
-    total = np.abs(gains[:, ~layout.real]).sum(axis=1)
-    alpha = dual_minimum(re, im, total)[0] if layout.real.any() else np.zeros(1)
-    parts = layout.contributions(delta[None], row, x)[0]
-    if not layout.real.any():
-        return _shared(np.abs(parts), delta_norm(blocks, delta))
-    return _shared((parts * (1 - 1j * alpha)).real, delta_norm(blocks, delta))
-
-
 def pole_block_sensitivities(
     model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, pole: complex
 ) -> Array:
@@ -158,22 +140,12 @@ def pole_block_sensitivities(
     v = right[:, np.abs(values - pole).argmin()]
     values, left = np.linalg.eig(a.T)
     u = left[:, np.abs(values - pole).argmin()]
-    inner = _simple(complex(u @ v), "pole_block_sensitivities")
+    inner = complex(u @ v)
+    if abs(inner) < 1e-10:
+        raise NoTrustworthyNumber("pole_block_sensitivities", "a pole that is not simple", "a simple pole")
     loop = np.eye(model.n_outputs) - model.D @ delta
     back = np.eye(model.n_inputs) - delta @ model.D
     x = np.linalg.solve(loop, model.C @ v)
     row = np.linalg.solve(back.T, u @ model.B) / inner
-    return _shared(layout.contributions(delta[None], row[None], x[None])[0].real, delta_norm(blocks, delta))
-
-
-def _simple(inner: complex, where: str) -> complex:
-    if abs(inner) < 1e-10:
-        raise NoTrustworthyNumber(
-            where, "left and right null directions are orthogonal", "a simple pole or null direction"
-        )
-    return inner
-
-
-def _shared(parts: Array, margin: float) -> Array:
-    """The margin's derivatives from the parts that count."""
-    return -margin * parts / parts.sum()
+    parts = layout.contributions(delta[None], row[None], x[None])[0].real
+    return -delta_norm(blocks, delta) * parts / parts.sum()

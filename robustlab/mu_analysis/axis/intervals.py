@@ -22,8 +22,9 @@ from robustlab.arrays import Array, Mask
 from robustlab.budget import Budget
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import balancing_factors
-from robustlab.mu_analysis.axis.axis_model import model_frequency, typical_speed
+from robustlab.mu_analysis.axis.axis_model import coupled_blocks, model_frequency, typical_speed
 from robustlab.mu_analysis.constants import FREQUENCIES
+from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.shown import Facts, Shown, in_words, number
@@ -36,7 +37,7 @@ CREEPING = 0.97  # share of what is open that a round may leave open before the 
 HOPELESS = 64.0  # accuracy at which creeping ends the cover: no scaling could prove anything there
 PROBES = 12  # frequencies at which a sign is tested to find an end, or what the eigenvalues have missed
 
-__all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
+__all__ = ["AxisCover", "Piece", "cover_axis", "cover_parts", "extend", "extend_work"]
 
 
 @dataclass(frozen=True)
@@ -77,13 +78,6 @@ class AxisCover:
             if piece.high < high:
                 rest.append((piece.high, high))
         self.open = rest
-
-    def join(self, other: AxisCover, members: tuple[int, ...]) -> None:
-        """Take over what another cover of the same axis, for the blocks ``members``, has proved and left open."""
-        self.pieces.extend(replace(piece, members=members) for piece in other.pieces)
-        self.open.extend(other.open)
-        self.beta = max(self.beta, other.beta)
-        self.points += other.points
 
     def grow(
         self,
@@ -174,6 +168,22 @@ def cover_axis(
             accuracy *= 2
             beta *= 1 + accuracy
     return cover
+
+
+def cover_parts(
+    model: StateSpaceModel, blocks: Sequence[Block], beta: float, *, first: Array, budget: Budget, accuracy: float
+) -> AxisCover:
+    """`cover_axis` of each strongly connected part of M11 on its own; mu of the whole is the largest of theirs."""
+    whole = AxisCover(open=[])
+    for members in coupled_blocks(model, blocks):
+        w, z = entries(blocks, members)
+        part = StateSpaceModel(model.A, model.B[:, w], model.C[z], model.D[z[:, None], w])
+        some = [blocks[i] for i in members]
+        cover = cover_axis(part, some, beta, first=first, budget=budget, accuracy=accuracy)
+        whole.pieces += [replace(piece, members=tuple(int(i) for i in members)) for piece in cover.pieces]
+        whole.open += cover.open
+        whole.beta, whole.points = max(whole.beta, cover.beta), whole.points + cover.points
+    return whole
 
 
 def _size(model: StateSpaceModel, omega: Array) -> float:

@@ -13,6 +13,7 @@ from robustlab.linear_analysis.structural import strong_components
 from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.decomposition import entries
+from robustlab.mu_analysis.matrix.upper import UpperBound
 from robustlab.norms.numbers import Numbers, block_rows, loop_numbers
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.uncertainty.blocks import Block, block_slices
@@ -55,20 +56,6 @@ def interval_scalings(pieces: Sequence[Any], at: Callable[[float], float]) -> Nu
     return {**ends, **stacks}
 
 
-class _Bound:
-    """Scalings put together from those of parts."""
-
-    def __init__(self, Dw: NDArray[Any], Dz: NDArray[Any], G: NDArray[Any]) -> None:
-        self.Dw, self.Dz, self.G = Dw, Dz, G
-
-
-class _Joined:
-    """An interval with scalings of all blocks."""
-
-    def __init__(self, low: float, high: float, bound: _Bound) -> None:
-        self.low, self.high, self.bound = low, high, bound
-
-
 def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Piece]) -> list[Any] | None:
     """Pieces of parts that act on each other in a cycle, as pieces of all blocks."""
     # Parts of which one acts on the other, and not back, have a triangular M. With D of each part times 2^(-64 k), k
@@ -98,7 +85,7 @@ def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Seque
             scale = 2.0 ** (-APART * depth[members[0]]) / 2.0 ** np.round(np.log2(np.abs(piece.bound.Dw).max()))
             Dw[w[:, None], w], Dz[z[:, None], z] = scale * piece.bound.Dw, scale * piece.bound.Dz
             G[w[:, None], z] = scale * piece.bound.G
-        result.append(_Joined(float(low), float(high), _Bound(Dw, Dz, G)))
+        result.append(Piece(float(low), float(high), np.inf, UpperBound(np.inf, Dw, Dz, G)))
     return result
 
 

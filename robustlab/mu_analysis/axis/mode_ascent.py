@@ -101,6 +101,11 @@ def is_stable_member(model: StateSpaceModel, blocks: Sequence[Block], values: Ar
     return bool((_member_poles(model, blocks, values).real < 0).all())
 
 
+def member_work(model: StateSpaceModel, members: int) -> int:
+    """The work of so many members, as measured: eigenvalues with the vectors of one of them."""
+    return members * dense(model.n_states) // 4
+
+
 def ascended(
     model: StateSpaceModel,
     blocks: Sequence[Block],
@@ -313,5 +318,4 @@ class _Search:
         return _member_poles(self.model, self.blocks, values)
 
     def _count(self, members: int = 1) -> None:
-        """The work of so many members, as measured: eigenvalues with the vectors of one of them."""
-        self.budget.spend(members * dense(self.model.n_states) // 4)
+        self.budget.spend(member_work(self.model, members))

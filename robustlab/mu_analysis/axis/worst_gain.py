@@ -23,14 +23,14 @@ from robustlab.mu_analysis.axis.axis_model import (
     seed_frequencies,
     typical_speed,
 )
-from robustlab.mu_analysis.axis.axis_problems import GainProblem
+from robustlab.mu_analysis.axis.axis_problems import GainProblem, Proved
 from robustlab.mu_analysis.axis.intervals import CREEPING, AxisCover, Piece
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin
 from robustlab.mu_analysis.axis.pole_migration import Destabilising, smallest_destabilising
 from robustlab.mu_analysis.axis.stability import robust_stability
 from robustlab.mu_analysis.constants import COARSE, FREQUENCIES, MEMBERS, WORK
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
-from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
+from robustlab.mu_analysis.matrix.branch_and_bound import Region
 from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gain
 from robustlab.mu_analysis.matrix.skew import divided, gain_curves, skew_upper
 from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, points_work
@@ -179,9 +179,9 @@ def gain_within(
     n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
     nominal = hinf_norm(uncertain.nominal)
     if not n_u or not n_y:
-        return _result(uncertain, nominal.value, _Known(0.0, 0.0), budget, (), grid)
+        return _result(uncertain, nominal.value, _Known(0.0), budget, (), grid)
     if not uncertain.blocks:
-        known = _Known(nominal.lower, nominal.upper, {}, nominal.frequency)
+        known = _Known(nominal.upper, lower=nominal.lower, frequency=nominal.frequency)
         notes = ("no uncertainty: the gain is the nominal one", *([nominal.reason] if nominal.reason else []))
         found = _result(uncertain, nominal.value, known, budget, notes, grid)
         return found if nominal.status is Status.CERTIFIED else replace(found, status=nominal.status)
@@ -204,7 +204,7 @@ def _with_blocks(
     unstable = _unstable_member(channels, uncertain.blocks, seeds, seed)
     if unstable is not None:
         at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
-        known = _Known(np.inf, np.inf, delta_values(uncertain.blocks, unstable.delta), at)
+        known = _Known(lower=np.inf, delta=delta_values(uncertain.blocks, unstable.delta), frequency=at)
         return _result(uncertain, nominal, known, budget, ("a member of the set is unstable",), grid)
     known = _largest_member(uncertain, model, blocks, seeds, seed)
     _prove(known, model, blocks, seeds, tolerance, budget, uncertain)
@@ -213,7 +213,7 @@ def _with_blocks(
     if not error <= QUIET * known.lower:
         # Four times: the member is rounded, mapped to continuous time, scaled, and its response is solved for.
         known.lower = max(known.lower - 4.0 * error, 0.0) if np.isfinite(error) else 0.0
-    return _result(uncertain, nominal, known, budget, known.notes, grid, model, blocks, seed)
+    return _result(uncertain, nominal, known, budget, (), grid, model, blocks, seed)
 
 
 @told_as("robust_performance")
@@ -265,17 +265,12 @@ def with_performance(uncertain: UncertainModel) -> UncertainModel:
 
 
 @dataclass
-class _Known:
-    """Bounds of the worst gain so far, the member that attains the lower one, and what proves the upper one."""
+class _Known(Proved):
+    """The member of largest gain known, and what is proved (``level``)."""
 
-    lower: float
-    upper: float
+    lower: float = 0.0
     delta: Mapping[str, Any] = field(default_factory=dict)
     frequency: float | None = None
-    cover: AxisCover = field(default_factory=lambda: AxisCover(open=[]))
-    proof: tuple[Piece, ...] | tuple[Region, ...] = ()
-    boxes: tuple[tuple[Box, Piece], ...] = ()
-    notes: tuple[str, ...] = ()
 
 
 def _unstable_member(
@@ -304,7 +299,7 @@ def _largest_member(
         for w, M in zip(omega, frequency_response(model, omega), strict=True)
         if (gain := largest_gain(M, blocks, box, rng, 4)) is not None
     ]
-    best = _Known(0.0, float("inf"))
+    best = _Known()
     for gain, w in sorted(met, key=lambda pair: -pair[0].value)[:MEMBERS]:
         found = _followed(uncertain, model, blocks, gain, w, box)
         if found.lower > best.lower:
@@ -316,7 +311,7 @@ def _followed(
     uncertain: UncertainModel, model: StateSpaceModel, blocks: Sequence[Block], gain: Gain, omega: float, box: Box
 ) -> _Known:
     """In turn the peak frequency of a member and the ascent at that frequency, as long as the gain rises."""
-    best = _Known(0.0, float("inf"))
+    best = _Known()
     for _ in range(20):
         reached = _member_gain(uncertain, model, blocks, gain, omega)
         if reached.lower <= best.lower * (1 + 1e-9):
@@ -341,13 +336,13 @@ def _member_gain(
     if all(b.interval for b in uncertain.blocks):
         clipped = {name: float(np.clip(value, -1.0, 1.0)) for name, value in values.items()}
         norm = hinf_norm(uncertain.evaluate(clipped))
-        return _Known(norm.lower, float("inf"), clipped, norm.frequency)
+        return _Known(lower=norm.lower, delta=clipped, frequency=norm.frequency)
     at = around(model, omega)
     gains = [gain_at(M, blocks, gain.delta) for M in frequency_response(model, at)]
     k = int(np.argmax([0.0 if g is None else g.value for g in gains]))
     chosen = gains[k]
     frequency = model_frequency(uncertain, float(at[k]))
-    return _Known(0.0 if chosen is None else chosen.value, float("inf"), values, frequency)
+    return _Known(lower=0.0 if chosen is None else chosen.value, delta=values, frequency=frequency)
 
 
 def _rounding(known: _Known, uncertain: UncertainModel) -> float:
@@ -401,29 +396,26 @@ def _prove(
     first = np.unique(np.concatenate([[0.0, np.inf, peak], seeds]))
     centred, varying = _about_the_centre(model, blocks), performance_inputs(blocks)
     if centred is None:
-        known.cover, known.upper = AxisCover(), float("inf")
+        known.cover = AxisCover()
     else:
-        known.cover, known.upper = skewed_cover(
-            centred, blocks, known.lower, varying, first=first, budget=budget, accuracy=COARSE
-        )
-    if centred is not None and known.upper <= known.lower * (1 + 2 * COARSE):
-        cover, level = skewed_cover(centred, blocks, known.lower, varying, first=first, budget=budget, accuracy=1e-4)
-        if level < known.upper:
-            known.cover, known.upper = cover, level
+
+        def covered(accuracy: float) -> tuple[AxisCover, float]:
+            return skewed_cover(centred, blocks, known.lower, varying, first=first, budget=budget, accuracy=accuracy)
+
+        known.cover, known.level = covered(COARSE)
+        if known.level <= known.lower * (1 + 2 * COARSE):
+            cover, level = covered(1e-4)
+            if level < known.level:
+                known.cover, known.level = cover, level
     known.proof = tuple(known.cover.pieces)
-    if any(b.interval for b in blocks) and 0 < known.lower * (1 + tolerance) < known.upper:
-        problem = GainProblem(model, blocks, peak)
-        proof = tighten(problem, known.lower, known.upper, tolerance, budget)
-        if proof.values is not None:
-            _take_member(known, uncertain, blocks, proof.values)
-        if proof.upper < known.upper:
-            known.upper, known.proof, known.boxes = proof.upper, tuple(proof.leaves), tuple(problem.proved)
-            known.cover.open.clear()
-            known.notes = (by_regions(len(proof.leaves)),)
-    if known.upper < known.lower * (1 - 1e-5):
-        text = f"a member has the gain {known.lower:.9g} above the proved bound {known.upper:.9g}: digits were lost"
+    if any(b.interval for b in blocks) and 0 < known.lower * (1 + tolerance) < known.level:
+        values = known.cut(GainProblem(model, blocks, peak), known.lower, tolerance, budget)
+        if values is not None:
+            _take_member(known, uncertain, blocks, values)
+    if known.level < known.lower * (1 - 1e-5):
+        text = f"a member has the gain {known.lower:.9g} above the proved bound {known.level:.9g}: digits were lost"
         raise NoTrustworthyNumber("worst_case_gain", text)
-    known.upper = max(known.upper, known.lower)
+    known.level = max(known.level, known.lower)
 
 
 def _take_member(known: _Known, uncertain: UncertainModel, blocks: Sequence[Block], values: Array) -> None:
@@ -507,32 +499,20 @@ def _result(
     blocks: Sequence[Block] = (),
     seed: int = 0,
 ) -> WorstCaseGain:
-    proved = np.isfinite(known.upper) or not np.isfinite(known.lower)
-    if budget.remark:
-        notes = (*notes, budget.remark)
-    if not proved:
-        notes = (*notes, "no upper bound: the set was not proved stable")
-    notes = (*notes, *uncertain.impossible(known.delta), *uncertain.remarks)
+    proved = np.isfinite(known.level) or not np.isfinite(known.lower)
     nominal_gain, low, high = _curves(uncertain, grid, model, blocks, seed)
-    intervals, open_intervals = known.cover.reported(uncertain, known.upper)
+    unproved = "" if proved else "no upper bound: the set was not proved stable"
     return WorstCaseGain(
         lower=known.lower,
-        upper=known.upper,
+        upper=known.level,
         frequency=known.frequency,
-        delta=known.delta,
         status=Status.TIMEOUT if budget.struck else Status.CERTIFIED if proved else Status.INCONCLUSIVE,
-        physical=uncertain.physical(known.delta) if known.delta else {},
         nominal=nominal,
         omega=grid,
         nominal_gain=nominal_gain,
         gain_lower=low,
         gain_upper=high,
-        intervals=intervals,
-        open=open_intervals,
-        proof=known.proof,
-        notes=notes,
-        system=uncertain,
-        boxes=known.boxes,
+        **known.fields(uncertain, known.delta, budget, notes, unproved),
     )
 
 

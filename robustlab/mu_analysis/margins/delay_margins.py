@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -20,11 +20,10 @@ from robustlab.budget import one_thread, search_budget
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.axis.axis_model import continuous, coupled_blocks, seed_frequencies
-from robustlab.mu_analysis.axis.intervals import Piece, cover_axis
+from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
+from robustlab.mu_analysis.axis.intervals import Piece, cover_parts
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.mu_analysis.constants import WORK
-from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.norms import PeakGain
 from robustlab.norms.hinfinity import unstable_norm
@@ -74,21 +73,13 @@ def proof_below(
     compile_kernels()
     closed = covering_set(model, order, blocks, level)
     budget = search_budget("delayed model", SHARE_OF_WORK * WORK, effort, None)
-    pieces: list[Piece] = []
     try:
         with one_thread():
             M = continuous(closed.delta_channels)
-            for members in coupled_blocks(M, closed.blocks):
-                w, z = entries(closed.blocks, members)
-                part = StateSpaceModel(M.A, M.B[:, w], M.C[z], M.D[z[:, None], w])
-                some = [closed.blocks[i] for i in members]
-                cover = cover_axis(part, some, BELOW, first=seed_frequencies(M), budget=budget, accuracy=ACCURACY)
-                if cover.open or cover.beta >= 1.0:
-                    return None
-                pieces += [replace(piece, members=tuple(int(i) for i in members)) for piece in cover.pieces]
+            cover = cover_parts(M, closed.blocks, BELOW, first=seed_frequencies(M), budget=budget, accuracy=ACCURACY)
     except NoTrustworthyNumber:  # a pole of the nominal model on the axis
         return None
-    return DelayProof(order, tuple(pieces))
+    return None if cover.open or cover.beta >= 1.0 else DelayProof(order, tuple(cover.pieces))
 
 
 @dataclass(frozen=True, eq=False)

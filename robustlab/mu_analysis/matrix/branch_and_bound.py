@@ -88,7 +88,7 @@ class Problem(Protocol):
         """Take what can be proved off each region's open frequencies."""
         ...
 
-    def attack(self, region: Region, level: float) -> Improved | None:
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
         """The worst Delta found cheaply from the region's centre, where it lies above the level attained."""
         ...
 
@@ -113,11 +113,6 @@ def tighten(
             break
         last = before - budget.left
     return proof
-
-
-def by_regions(count: int) -> str:
-    """What a result says of a proof by so many regions."""
-    return f"proved by branch and bound; regions of parameters and frequency: {count}"
 
 
 class _Descent:
@@ -168,7 +163,7 @@ class _Descent:
             if weight is None:
                 self.regions.append(region)
                 continue
-            self._take(self.problem.attack(region, self.proof.lower))
+            self._take(self.problem.attack(region, self.proof.lower, self.budget))
             index = _where_to_cut(region.box, weight, self.real, self.root.box, NARROW)
             if index is None:
                 self.regions.append(region)
@@ -305,6 +300,6 @@ class MatrixProblem:
         if singularity(self.M, whole) <= SINGULAR and (self._found is None or 1 / size > self._found.level):
             self._found = Improved(1 / size, whole)
 
-    def attack(self, region: Region, level: float) -> Improved | None:
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
         """The worst Delta that the search of open regions has met."""
         return self._found

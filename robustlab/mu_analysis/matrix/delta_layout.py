@@ -77,12 +77,6 @@ class DeltaLayout:
         entries = row[:, self.entry_w] * delta[:, self.entry_w, self.entry_z] * x[:, self.entry_z]
         return self._sum(entries, self.entry_block)
 
-    def scaled(self, delta: ComplexArray, factors: ComplexArray) -> ComplexArray:
-        """Delta (k, q, p) with block i multiplied by factor i (k, n_blocks)."""
-        result = np.zeros_like(delta)
-        result[:, self.entry_w, self.entry_z] = delta[:, self.entry_w, self.entry_z] * factors[:, self.entry_block]
-        return result
-
     def _sum(self, entries: ComplexArray, block: Indices) -> ComplexArray:
         """Sums over the columns of each block; the columns are ordered by block."""
         if len(block) == self.n:
