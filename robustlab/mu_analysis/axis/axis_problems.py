@@ -30,6 +30,7 @@ from robustlab.uncertainty.lft import UncertainModel
 INSIDE = 0.98  # level aimed at in a region; smaller: wider intervals, more cuts
 PROVED = 0.9999  # a level below this proves the point
 MISSES = 3  # frequencies in a row that cannot be proved cut a region; more: less is proved twice, more in vain
+LOOK = 200  # work of a step of an ascent beside its eigenvalues, as measured
 NEAR_MISS = 0.01  # log width around a missed frequency in which no other is tried before the cut
 
 __all__ = ["GainProblem", "MarginProblem", "Proved"]
@@ -138,7 +139,8 @@ class MarginProblem(_AxisProblem):
         values, blocks, aim = region.box.centre, self.blocks, 1j * (region.hot or 0.0)
         if is_stable_member(self.model, blocks, values):
             found = ascended(self.model, blocks, values, ASCENT_REACH / level, aim)
-            budget.spend(member_work(self.model, 1 if found is None else found.looks))
+            looks = 1 if found is None else found.looks
+            budget.spend(looks * LOOK + member_work(self.model, looks))
             if found is None or found.pole.real <= 0:
                 return None
             values = found.values

@@ -38,16 +38,14 @@ from robustlab.mu_analysis.margins.disk_margin import (
     DiskMargins,
     Place,
     channel_names,
-    factor_model,
-    gain_and_phase,
+    with_factors,
 )
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.upper import upper_bounds
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.algebra import beside, stacked
 from robustlab.uncertainty.blocks import ComplexScalar, delta_values
-from robustlab.uncertainty.realised_delta import realise_delta
 
 __all__ = ["DelayDiskMargins", "delay_classical_margins", "delay_disk_margins"]
 
@@ -326,7 +324,7 @@ def _at_once(
     delta = delta_values(blocks, found.delta[0]) if found.delta[0] is not None else {}
     status = Status.CERTIFIED if upper <= value * (1.0 + tolerance) else Status.INACCURATE
     bounds = 1.0 / upper, 1.0 / value if value else np.inf
-    return _margin(bounds, frequency, status, blocks, delta, skew), proof
+    return with_factors(bounds, frequency, status, blocks, delta, skew), proof
 
 
 def _of_gain(seen: DelayedModel, gain: DelayGain, name: str, skew: float) -> DiskMargin:
@@ -335,34 +333,4 @@ def _of_gain(seen: DelayedModel, gain: DelayGain, name: str, skew: float) -> Dis
     delta = {}
     if gain.lower:
         delta[name] = 1.0 / complex(frequency_response(seen, [gain.frequency])[0, 0, 0])
-    return _margin((lower, upper), gain.frequency, gain.status, [ComplexScalar(name)], delta, skew)
-
-
-def _margin(
-    bounds: tuple[float, float],
-    frequency: float,
-    status: Status,
-    blocks: Sequence[ComplexScalar],
-    delta: Mapping[str, complex],
-    skew: float,
-) -> DiskMargin:
-    """A margin with the factors that its critical values are."""
-    low, high, phase = gain_and_phase(bounds[0], skew)
-    half = 0.5 * (1.0 + skew)
-    factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}
-    perturbation, notes = _perturbation(blocks, delta, frequency, skew)
-    return DiskMargin(*bounds, frequency, status, (low, high), phase, skew, delta, notes, factor, perturbation, None)
-
-
-def _perturbation(
-    blocks: Sequence[ComplexScalar], delta: Any, frequency: float, skew: float
-) -> tuple[dict[str, StateSpaceModel], tuple[str, ...]]:
-    """Models of the critical factors, where real systems take these values."""
-    if not delta or not np.isfinite(frequency):
-        return {}, ("the margin is that at infinite frequency, where the loop has no gain",)
-    try:
-        made = realise_delta(blocks, delta, frequency, 0.0)
-    except InputError:
-        return {}, ("the critical deltas are complex at an end of the axis: no real system takes them there",)
-    models = {name: factor_model(as_model(made[name]), skew) for name in delta}
-    return {name: model for name, model in models.items() if model is not None}, ()
+    return with_factors((lower, upper), gain.frequency, gain.status, [ComplexScalar(name)], delta, skew)

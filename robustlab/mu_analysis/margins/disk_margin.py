@@ -31,7 +31,7 @@ from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Bracket, Status
 from robustlab.shown import Facts, Part, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_matrix, delta_values
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
@@ -56,6 +56,7 @@ __all__ = [
     "gain_and_phase",
     "in_decibels",
     "in_degrees",
+    "with_factors",
 ]
 
 Place = Literal["input", "output", "both"]
@@ -390,17 +391,41 @@ def _result(
     skew: float,
     remarks: Sequence[str] = (),
 ) -> DiskMargin:
-    low, high, phase = gain_and_phase(bounds[0], skew)
-    factor = {name: _factor(d, skew) for name, d in delta.items()}
-    perturbation, pole, notes = {}, None, list(remarks)
+    pole = None
     if frequency is not None:
         loop = frequency_response(uncertain.delta_channels, [frequency])[0]
         seen = singularity(loop, delta_matrix(uncertain.blocks, delta).astype(complex)) <= DISK_SINGULAR
         try:
             pole, on_axis = replayed_pole(uncertain, delta, frequency)
-            made = realise_delta(uncertain.blocks, delta, frequency, uncertain.dt)
-        except InputError:
+        except InputError:  # no real system takes these values there
             on_axis = True
+        if status is Status.CERTIFIED and not (seen and on_axis):
+            status = Status.INACCURATE
+    return with_factors(
+        bounds, frequency, status, uncertain.blocks, delta, skew, uncertain.dt, remarks, pole, uncertain
+    )
+
+
+def with_factors(
+    bounds: tuple[float, float],
+    frequency: float | None,
+    status: Status,
+    blocks: Sequence[Block],
+    delta: Mapping[str, complex],
+    skew: float,
+    dt: float = 0.0,
+    remarks: Sequence[str] = (),
+    pole: complex | None = None,
+    system: UncertainModel | None = None,
+) -> DiskMargin:
+    """A margin with the factors that its critical values are, and models of them where real systems take these."""
+    half = 0.5 * (1.0 + skew)
+    factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}
+    perturbation, notes = {}, list(remarks)
+    if delta and frequency is not None:
+        try:
+            made = realise_delta(blocks, delta, frequency, dt)
+        except InputError:
             notes.append(
                 f"the critical deltas are complex at {frequency:.3g} rad/s, where systems with real coefficients are "
                 "real: no such system takes them there"
@@ -411,17 +436,21 @@ def _result(
             if len(perturbation) < len(models):
                 perturbation = {}
                 notes.append("a critical factor is infinite: no model of it is given")
-        if status is Status.CERTIFIED and not (seen and on_axis):
-            status = Status.INACCURATE
+    low, high, phase = gain_and_phase(bounds[0], skew)
     return DiskMargin(
-        bounds[0], bounds[1], frequency, status, (low, high), phase, skew, dict(delta), tuple(notes), factor,
-        perturbation, pole, uncertain,
-    )  # fmt: skip
-
-
-def _factor(delta: complex, skew: float) -> complex:
-    below = 1 - (1 + skew) / 2 * delta
-    return (1 + (1 - skew) / 2 * delta) / below if abs(below) > 1e-12 else complex(np.inf)
+        *bounds,
+        frequency,
+        status,
+        (low, high),
+        phase,
+        skew,
+        dict(delta),
+        tuple(notes),
+        factor,
+        perturbation,
+        pole,
+        system,
+    )
 
 
 def factor_model(delta: StateSpaceModel, skew: float) -> StateSpaceModel | None:

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -16,7 +15,7 @@ from robustlab.checks import number, whole
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
-from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, model_of, system_matrices
+from robustlab.uncertainty.covering.unstructured_cover import model_of, system_matrices
 from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -27,19 +26,7 @@ PARAMETRIC_FORMS: tuple[ParametricForm, ...] = get_args(ParametricForm)
 ROUNDING = 1e-13
 
 
-@dataclass(frozen=True, eq=False)
-class ParametricCover:
-    """A set of real parameters around a set of models."""
-
-    model: UncertainModel  # the uncertain model
-    # For each model the normalised value of every block: the proof that it is a member.
-    deltas: tuple[dict[str, float], ...]
-    # For each model the largest relative difference between the member at its delta and the model itself, an entry
-    # against its matrix's largest.
-    misses: tuple[float, ...]
-    # Reach of the cloud along each direction of `pca`, longest first, in magnitudes of the entries
-    # (see `tolerance`), also of those that were left out; empty for `elements`.
-    spread: tuple[float, ...]
+Made = tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]  # the set, deltas of the models, spread
 
 
 def parametric_cover(
@@ -48,26 +35,21 @@ def parametric_cover(
     nominal: StateSpaceModel | None = None,
     tolerance: float = 1e-9,
     directions: int | None = None,
-) -> ParametricCover:
-    """The cover of models that have the same states."""
+) -> Made:
+    """The cover of models that have the same states, the values that make each of them, and the reach of the cloud."""
     number("cover: tolerance", tolerance, "a number in [0, 1)", at_least=0, below=1)
     if directions is not None:
         whole("cover: directions", directions, 1)
     if form == "elements":
         if directions is not None:
             raise InputError("cover: directions", f"{directions} with form elements", "form pca")
-        made, deltas, spread = _hull(models, nominal, tolerance)
-    else:
-        if nominal is not None:
-            raise InputError("cover: nominal", f"a nominal model for form {form}", "none: it is the middle of the box")
-        made, deltas, spread = _directions(models, tolerance, directions)
-    misses = tuple(matrices_miss(made.evaluate(d), m) for d, m in zip(deltas, models, strict=True))
-    return ParametricCover(made, deltas, misses, spread)
+        return _hull(models, nominal, tolerance)
+    if nominal is not None:
+        raise InputError("cover: nominal", f"a nominal model for form {form}", "none: it is the middle of the box")
+    return _directions(models, tolerance, directions)
 
 
-def _hull(
-    models: tuple[StateSpaceModel, ...], nominal: StateSpaceModel | None, tolerance: float
-) -> tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]:
+def _hull(models: tuple[StateSpaceModel, ...], nominal: StateSpaceModel | None, tolerance: float) -> Made:
     stack = system_matrices(models)
     low, high = stack.min(axis=0), stack.max(axis=0)
     allowance = max(tolerance, ROUNDING) * _magnitude(stack, models[0].n_states)
@@ -87,7 +69,7 @@ def _hull(
     made = elementwise(centre, model_of(middle + above, first), "elements")
     at = _entries(middle + above - middle, first.n_states)
     blocks = [
-        RealScalar(b.name, b.rows, _range(float(middle[i, j]), float(above[i, j]), float(below[i, j])))
+        RealScalar(b.name, b.rows, ParameterRange(float(middle[i, j]), float(above[i, j]), "", float(below[i, j])))
         for b, (i, j) in zip(made.blocks, at, strict=True)
     ]
     whole = UncertainModel(made.M, blocks, made.operating_point)
@@ -114,19 +96,13 @@ def _magnitude(stack: Array, n: int) -> Array:
     return magnitude
 
 
-def _range(middle: float, above: float, below: float) -> ParameterRange:
-    return ParameterRange(middle, above, "", below)
-
-
 def _entries(e: Array, n: int) -> list[tuple[int, int]]:
     """Non-zero entries in the order of the blocks of `elementwise`: those of A, of B, of C, of D."""
     parts = ((0, 0, e[:n, :n]), (0, n, e[:n, n:]), (n, 0, e[n:, :n]), (n, n, e[n:, n:]))
     return [(int(i) + row, int(j) + col) for row, col, part in parts for i, j in np.argwhere(part)]
 
 
-def _directions(
-    models: tuple[StateSpaceModel, ...], tolerance: float, directions: int | None
-) -> tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]:
+def _directions(models: tuple[StateSpaceModel, ...], tolerance: float, directions: int | None) -> Made:
     stack = system_matrices(models)
     scale = _magnitude(stack, models[0].n_states)
     middle = stack.mean(axis=0)
