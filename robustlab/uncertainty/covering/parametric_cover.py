@@ -16,7 +16,7 @@ from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.covering.unstructured_cover import model_of, system_matrices
-from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_magnitude
+from robustlab.uncertainty.elementwise import elementwise, natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 
 ParametricForm = Literal["elements", "pca"]
@@ -125,7 +125,7 @@ def _directions(models: tuple[StateSpaceModel, ...], tolerance: float, direction
         name: model_of(start + scale * (half[j] * kept[j]).reshape(scale.shape), models[0])
         for j, name in enumerate(names)
     }
-    made = by_cause(nominal, ends) if ends else UncertainModel(nominal, [])
+    made = elementwise(nominal, ends) if ends else UncertainModel(nominal, [])
     share = np.clip((along - centre) / half, -1.0, 1.0)
     deltas = tuple({name: float(share[i, j]) for j, name in enumerate(names)} for i in range(len(models)))
     spread = (*half.tolist(), *(r for r in reach[count:].tolist() if r > ROUNDING))
