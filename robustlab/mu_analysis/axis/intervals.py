@@ -26,6 +26,7 @@ from robustlab.mu_analysis.axis.axis_model import coupled_blocks, model_frequenc
 from robustlab.mu_analysis.constants import FREQUENCIES
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
+from robustlab.mu_analysis.matrix.skew import divided, skew_upper
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.shown import Facts, Shown, in_words, number
 from robustlab.statespace import StateSpaceModel
@@ -35,6 +36,8 @@ from robustlab.uncertainty.lft import UncertainModel
 SLACK = 1e-5  # the Hamiltonian is that of a beta smaller by this: a blurred double root costs far less
 CREEPING = 0.97  # share of what is open that a round may leave open before the level is raised
 HOPELESS = 64.0  # accuracy at which creeping ends the cover: no scaling could prove anything there
+IDLE = 8  # rounds in which points stay above a level that is not raised
+SKEWED = 4  # bounds of mu that one skewed bound costs: counts work only
 PROBES = 12  # frequencies at which a sign is tested to find an end, or what the eigenvalues have missed
 
 __all__ = ["AxisCover", "Piece", "cover_axis", "cover_parts", "extend", "extend_work"]
@@ -142,31 +145,52 @@ class AxisCover:
 def cover_axis(
     model: StateSpaceModel,
     blocks: Sequence[Block],
-    beta: float,
+    level: float,
     *,
     first: Array,
     budget: Budget,
     accuracy: float,
+    varying: Mask | None = None,
 ) -> AxisCover:
-    """Prove an upper bound of mu on [0, inf] for a stable continuous model, as close above its D-G peak as
-    ``accuracy`` says.
-    """
-    cover, scale = AxisCover(), typical_speed(model)
-    beta = beta * (1 + accuracy)
+    """Prove a level on [0, inf] of a stable continuous model, as close above its D-G peak as ``accuracy`` says."""
+    # The level is mu; where inputs vary it is skewed mu: the size of their blocks is one over it, of the others one.
+    cover, scale, step, idle = AxisCover(), typical_speed(model), accuracy, 0
+    level *= 1 + accuracy
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
-    while cover.open and not budget.over and accuracy < HOPELESS:
+    while cover.open and not budget.over and step < HOPELESS:
         fresh, before = not pending, cover.open_share(scale)
         omega = cover.take_points(pending, scale, FREQUENCIES)
-        target = beta / (1 + accuracy / 2)
-        bounds = points_below(frequency_response(model, omega), blocks, target)
+        response = frequency_response(model, omega)
+        least = 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290))  # what zero is small against
         budget.spend(points_work(blocks, len(omega)))
-        # A bound below its target may be any: it was stopped there, and says nothing of the level.
-        missed = [b.beta for b in bounds if target < b.beta < np.inf]
-        beta = max(beta, max(missed, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
-        cover.grow(model, omega, bounds, beta, budget)
+        if varying is None:
+            target = level / (1 + step / 2)
+            bounds = points_below(response, blocks, target)
+            # A bound below its target may be any: it was stopped there, and says nothing of the level.
+            missed = [b.beta for b in bounds if target < b.beta < np.inf]
+            level = max(level, max(missed, default=0.0) * (1 + step), least)
+            grown = cover.grow(model, omega, bounds, level, budget)
+        else:
+            level, target = max(level, least), 1 / (1 + accuracy / 2)
+            bounds = points_below(divided(response, varying, level), blocks, target)
+            over = [k for k, b in enumerate(bounds) if not b.beta < 1 / (1 + accuracy / 4)]
+            if over:
+                raised = max(skew_upper(response[k], blocks, varying)[0] for k in over) * (1 + accuracy)
+                if not np.isfinite(raised) or (raised <= level and idle == IDLE):
+                    break  # the other blocks alone come too near to it
+                idle = idle + 1 if raised <= level else 0
+                level = max(level, raised)
+                again = points_below(divided(response[over], varying, level), blocks, target)
+                budget.spend((SKEWED + 1) * points_work(blocks, len(over)))
+                for k, bound in zip(over, again, strict=True):
+                    bounds[k] = bound
+            B, D = divided(model.B, varying, level), divided(model.D, varying, level)
+            grown = cover.grow(StateSpaceModel(model.A, B, model.C, D), omega, bounds, 1.0, budget, level)
+        if not grown:
+            break
         if fresh and cover.open_share(scale) > CREEPING * before:
-            accuracy *= 2
-            beta *= 1 + accuracy
+            step *= 2
+            level *= 1 + step
     return cover
 
 
@@ -184,11 +208,6 @@ def cover_parts(
         whole.open += cover.open
         whole.beta, whole.points = max(whole.beta, cover.beta), whole.points + cover.points
     return whole
-
-
-def _size(model: StateSpaceModel, omega: Array) -> float:
-    """Largest gain at these frequencies: what a mu of zero is small against."""
-    return float(np.linalg.norm(frequency_response(model, omega), axis=(1, 2)).max(initial=1e-290))
 
 
 def extend_work(model: StateSpaceModel) -> int:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array, Mask
+from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
@@ -21,36 +21,29 @@ from robustlab.mu_analysis.axis.axis_model import (
     frequencies,
     model_frequency,
     seed_frequencies,
-    typical_speed,
 )
 from robustlab.mu_analysis.axis.axis_problems import GainProblem, Proved
-from robustlab.mu_analysis.axis.intervals import CREEPING, AxisCover, Piece
-from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis
+from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin, delta_rows
 from robustlab.mu_analysis.axis.pole_migration import Destabilising, smallest_destabilising
 from robustlab.mu_analysis.axis.stability import robust_stability
-from robustlab.mu_analysis.constants import COARSE, FREQUENCIES, MEMBERS, WORK
+from robustlab.mu_analysis.constants import COARSE, MEMBERS, WORK
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region
 from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gain
-from robustlab.mu_analysis.matrix.skew import divided, gain_curves, skew_upper
-from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, points_work
+from robustlab.mu_analysis.matrix.skew import gain_curves
+from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.norms import QUIET, PeakGain, gain_rounding, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, in_words, member, number
+from robustlab.shown import Facts, Part, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
 BLURRED = 1e-3  # share of the gain beyond which the bound of rounding leaves out what a zero nearly cancels
-SKEWED = 4  # bounds of mu that one skewed bound costs: counts work only
 
 __all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gain"]
-
-
-# Rounds in which points stay above a level that is not raised.
-IDLE = 8
-SHOWN_BLOCKS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,17 +114,7 @@ class WorstCaseGain(Tabular, PeakGain):
         ]
 
     def details(self) -> list[Part]:
-        rows = [
-            (
-                name,
-                in_words(value) if getattr(value, "ndim", 0) else f"{value:+.6g}",
-                number(*self.physical[name], digits=6) if name in self.physical else "",
-            )
-            for name, value in list(self.delta.items())[:SHOWN_BLOCKS]
-        ]
-        hidden = len(self.delta) - len(rows)
-        more = [(f"... and {hidden} more blocks", "", "")] if hidden else []
-        return [Part("worst Delta found:", ("block", "delta", "parameter"), [*rows, *more])]
+        return [Part("worst Delta found:", ("block", "delta", "parameter"), delta_rows(self.delta, self.physical))]
 
     def proved(self) -> Part:
         """The frequency intervals with the bound of the gain that is proved in each; inf: none is."""
@@ -393,20 +376,18 @@ def _prove(
 ) -> None:
     """Cover the axis with D, G; then cut the set into boxes where they leave more than the tolerance."""
     peak = _mapped(uncertain, known.frequency or 0.0)
-    first = np.unique(np.concatenate([[0.0, np.inf, peak], seeds]))
-    centred, varying = _about_the_centre(model, blocks), performance_inputs(blocks)
-    if centred is None:
-        known.cover = AxisCover()
-    else:
-
-        def covered(accuracy: float) -> tuple[AxisCover, float]:
-            return skewed_cover(centred, blocks, known.lower, varying, first=first, budget=budget, accuracy=accuracy)
-
-        known.cover, known.level = covered(COARSE)
-        if known.level <= known.lower * (1 + 2 * COARSE):
-            cover, level = covered(1e-4)
-            if level < known.level:
-                known.cover, known.level = cover, level
+    first, centred = np.append(seeds, peak), _about_the_centre(model, blocks)
+    known.cover = AxisCover()
+    if centred is not None:
+        varying = np.arange(model.n_inputs) >= model.n_inputs - blocks[-1].rows  # the performance is the last block
+        for accuracy in (COARSE, 1e-4):
+            cover = cover_axis(
+                centred, blocks, known.lower, first=first, budget=budget, accuracy=accuracy, varying=varying
+            )
+            if accuracy == COARSE or (not cover.open and cover.beta < known.level):
+                known.cover, known.level = cover, np.inf if cover.open else cover.beta
+            if known.level > known.lower * (1 + 2 * COARSE):
+                break
     known.proof = tuple(known.cover.pieces)
     if any(b.interval for b in blocks) and 0 < known.lower * (1 + tolerance) < known.level:
         values = known.cut(GainProblem(model, blocks, peak), known.lower, tolerance, budget)
@@ -436,53 +417,6 @@ def _about_the_centre(model: StateSpaceModel, blocks: Sequence[Block]) -> StateS
         return model
     shifted = box_model(model, blocks, Box(box.centre, np.append(box.half[:-1], 1.0)))
     return None if shifted is None or not shifted.is_stable() else shifted
-
-
-def skewed_cover(
-    model: StateSpaceModel,
-    blocks: Sequence[Block],
-    lower: float,
-    varying: Mask,
-    *,
-    first: Array,
-    budget: Budget,
-    accuracy: float,
-) -> tuple[AxisCover, float]:
-    """Cover [0, inf] at a level as close above the skewed D-G peak as ``accuracy`` says; inf where D, G never hold."""
-    cover, scale, idle = AxisCover(), typical_speed(model), 0
-    level, step = lower * (1 + accuracy), accuracy
-    pending = list(first)
-    while cover.open and not budget.over:
-        fresh, before = not pending, cover.open_share(scale)
-        omega = cover.take_points(pending, scale, FREQUENCIES)
-        response = frequency_response(model, omega)
-        level = max(level, 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290)))
-        bounds = points_below(divided(response, varying, level), blocks, 1 / (1 + accuracy / 2))
-        budget.spend(points_work(blocks, len(omega)))
-        over = [k for k, b in enumerate(bounds) if not b.beta < 1 / (1 + accuracy / 4)]
-        if over:
-            raised = max(skew_upper(response[k], blocks, varying)[0] for k in over) * (1 + accuracy)
-            if not np.isfinite(raised) or (raised <= level and idle == IDLE):
-                return cover, float("inf")  # the other blocks alone come too near to it
-            idle = idle + 1 if raised <= level else 0
-            level = max(level, raised)
-            again = points_below(divided(response[over], varying, level), blocks, 1 / (1 + accuracy / 2))
-            budget.spend((SKEWED + 1) * points_work(blocks, len(over)))
-            for k, bound in zip(over, again, strict=True):
-                bounds[k] = bound
-        closed = StateSpaceModel(model.A, divided(model.B, varying, level), model.C, divided(model.D, varying, level))
-        if not cover.grow(closed, omega, bounds, 1.0, budget, level):
-            return cover, float("inf")
-        if fresh and cover.open_share(scale) > CREEPING * before:
-            step *= 2
-            level *= 1 + step
-    return cover, float("inf") if cover.open else level
-
-
-def performance_inputs(blocks: Sequence[Block]) -> Mask:
-    """Which inputs of M belong to the performance, the last block."""
-    n_inputs = sum(b.rows for b in blocks)
-    return np.arange(n_inputs) >= n_inputs - blocks[-1].rows
 
 
 # --- the answer ------------------------------------------------------------------------------------------------------
