@@ -1,17 +1,21 @@
 """Uncertain models: sets ``F_u(M, Delta)`` over structured perturbations Delta.
 
-blocks/         the kinds of uncertainty behind one contract; Delta from their values and back
-lft             UncertainModel: members, frequency responses, operators
-algebra         star product, concatenation, centred ranges, reduction with its evidence
-elementwise     real parameters from a nominal and a perturbed model (Březina 2010)
-parametric      real parameters in rational expressions: laurent, decomposition_tree
-unstructured    one full block between two weights, in six places of the loop
-realised_delta  a complex Delta as a stable system
-frequency_responses
-                uncertain frequency-response data: sets of responses at given frequencies
-covering/       sets that hold given models: weights above a bound, hulls, directions
-distances/      coprime factors, their margin, nu-gap
-
-Beneath them: upper_lft (a constant Delta closed in), reduction (Kalman reduction), interconnection (operands and
-wires, weights of unmodelled dynamics).
+Names are loaded on first use: ``import robustlab.uncertainty`` costs nothing.
 """
+
+from importlib import import_module
+from typing import Any
+
+_NAMES = {
+    "as_blocks": "blocks", "Block": "blocks", "block_slices": "blocks", "delta_matrix": "blocks",
+    "delta_values": "blocks", "structure_size": "blocks",
+    "STRUCTURES": "elementwise", "elementwise_cover": "elementwise", "endpoint_residual": "elementwise",
+    "FORMS": "unstructured", "reduction": "algebra",
+    "MatrixPolynomial": "decomposition_tree", "polynomial_lft": "decomposition_tree",
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name in _NAMES:
+        return getattr(import_module(f"robustlab.uncertainty.{_NAMES[name]}"), name)
+    raise AttributeError(f"module 'robustlab.uncertainty' has no attribute {name!r}")

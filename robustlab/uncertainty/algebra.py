@@ -1,12 +1,6 @@
-r"""Interconnections of uncertain models: every one of LFTs is an LFT, in the same named blocks.
+"""Star product and concatenation of uncertain models, their inverses, centred ranges, and reduction with its evidence.
 
-Operands are uncertain models, state-space models (or what has ``to_model``), matrices and numbers; products, sums,
-feedback and inverses are operators and methods of `UncertainModel`. A block name that occurs in several operands is one
-and the same uncertainty.
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), sections 10.1-10.3; Redheffer (1960) for the star product.
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), sections 10.1-10.3.
 """
 
 from __future__ import annotations
@@ -99,15 +93,7 @@ def upper(M: Any, K: Any) -> UncertainModel:
 
 
 def inverse(system: Any) -> UncertainModel:
-    """The set of the inverses of a square set; inputs and outputs change places.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import RealScalar
-    >>> gain = UncertainModel(StateSpaceModel([], [], [], [[0.0, 0.5], [1.0, 1.0]]), [RealScalar("k")])
-    >>> round(float(inverse(gain).evaluate({"k": 1.0}).D[0, 0]), 12)
-    0.666666666667
-    """
+    """The set of the inverses of a square set; inputs and outputs change places."""
     g = as_uncertain(system, "inverse")
     n_u, n_y = len(g.inputs), len(g.outputs)
     if n_u != n_y:
@@ -214,13 +200,8 @@ def _check_inside(where: str, inner: UncertainModel, outer: UncertainModel) -> N
 
 
 def centred(uncertain: UncertainModel, level: float = 1.0) -> UncertainModel:
-    r"""`UncertainModel.centred`, which see.
-
-    A range that is wider on one side fills :math:`[-\rho m, m]` in Delta at level m; an affine change of Delta, which
-    is an LFT, gives it an interval around zero:
-
-    .. math:: \Delta = C + R \, \Delta', \qquad c = \tfrac{m}{2} (1 - \rho), \quad r = \tfrac{m}{2} (1 + \rho)
-    """
+    """`UncertainModel.centred`, which see."""
+    # [-rho m, m] becomes c + r [-1, 1] by Delta = C + R Delta', c = m (1 - rho) / 2, r = m (1 + rho) / 2: an LFT.
     if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0 < level < np.inf:
         raise InputError("centred", f"level {level!r}", "a positive finite number")
     q, p = uncertain.delta_shape

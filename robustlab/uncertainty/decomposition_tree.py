@@ -1,31 +1,15 @@
-r"""Low-order LFTs of matrices of polynomials: structured tree decomposition.
+"""Low-order LFTs of matrices of polynomials: structured tree decomposition.
 
-One step takes a variable out of every term that contains it, and shares what is left:
-
-.. math:: M = M_0 + v \, L R = \begin{bmatrix} I & v L \end{bmatrix} \begin{bmatrix} M_0 \\ R \end{bmatrix}
-          \quad (\text{rows}) \qquad M = \begin{bmatrix} M_0 & L \end{bmatrix}
-          \begin{bmatrix} I \\ v R \end{bmatrix} \quad (\text{columns})
-
-with constant L (rows) or constant R (columns) of the smallest inner size r, found exactly; v then stands r times. The
-stacked matrix goes through the same step until it is constant, so that equal sub-expressions of different entries are
-realised once. Which variable comes first decides how many repetitions come out; several orders are tried.
-
-Of Laurent polynomials with exact coefficients ranks are exact. Of polynomials with numeric coefficients they are those
-of numbers with rounding:
-
-.. math:: N(t) = \sum_\alpha t^\alpha N_\alpha, \qquad
-          N = N_0 + t_k \, L \, Q(t) = \begin{bmatrix} I & t_k L \end{bmatrix} \begin{bmatrix} N_0 \\ Q \end{bmatrix}
-          \quad \text{or} \quad
-          N = N_0 + t_k \, Q(t) \, R = \begin{bmatrix} N_0 & Q \end{bmatrix} \begin{bmatrix} I \\ t_k R \end{bmatrix}
-
-with a constant L or R of the smallest rank r, by which :math:`t_k` is repeated r times. Where N is affine, r is the
-rank of :math:`N_k` and no LFT of N has fewer.
-
-References
-----------
-Cockburn, Morton, "Linear fractional representations of uncertain systems", Automatica 33 (1997); Varga, Looye,
-"Symbolic and numerical software tools for LFT-based low order uncertainty modeling" (1999).
+Cockburn, Morton, Automatica 33 (1997); Varga, Looye, "Symbolic and numerical software tools for LFT-based low order
+uncertainty modeling" (1999).
 """
+
+# One step takes a variable out of every term that contains it, and shares what is left: M = M0 + v L R = [I, v L]
+# [M0; R] with a constant L (rows), or [M0, L] [I; v R] with a constant R (columns), of the smallest inner size r; v
+# then stands r times. The stacked matrix goes through the same step until it is constant, so that equal sub-
+# expressions of different entries are realised once. Which variable comes first decides how many repetitions come
+# out; several orders are tried. Of Laurent polynomials with exact coefficients ranks are exact, of polynomials with
+# numeric ones they are those of numbers with rounding. Where M is affine in v, no LFT has fewer repetitions.
 
 from __future__ import annotations
 
@@ -51,10 +35,7 @@ Terms = dict[Monomial, dict[tuple[int, int], Fraction]]
 
 @dataclass(frozen=True)
 class ConstantLft:
-    """A constant matrix with Delta channels: ``z = d11 w + d12 u``, ``y = d21 w + d22 u``, ``w = Delta z``.
-
-    ``names`` says for every channel which parameter's entry stands on the diagonal of Delta.
-    """
+    """A constant matrix with Delta channels: ``z = d11 w + d12 u``, ``y = d21 w + d22 u``, ``w = Delta z``."""
 
     names: tuple[str, ...]
     d11: Array
@@ -95,11 +76,7 @@ class Plan:
 
 
 def plans(matrix: Sequence[Sequence[Laurent]], weight: Callable[[str], int], shape: tuple[int, int]) -> list[Plan]:
-    """Ways to decompose a matrix, the smallest first.
-
-    ``weight``: repetitions that one use of a variable costs (1 for a parameter, more for a denominator).
-    ``shape``: rows and columns of the matrix (either may be 0).
-    """
+    """Ways to decompose a matrix, the smallest first."""
     terms: Terms = {}
     for i, row in enumerate(matrix):
         for j, entry in enumerate(row):
@@ -278,18 +255,7 @@ class MatrixPolynomial:
 
 
 def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float) -> ConstantLft:
-    """The smallest LFT ``w = diag(t_k I) z`` of a polynomial that a few orders of the variables give.
-
-    ``scale``: natural magnitude of each entry, an outer product ``rows cols^T`` of positive numbers, (m, n).
-    ``tolerance``: what is below this share of the natural magnitude is rounding, where ranks are taken.
-
-    Examples
-    --------
-    >>> product = MatrixPolynomial(("a", "b"), {(0, 0): np.ones((1, 1)), (1, 1): np.array([[0.5]])})
-    >>> lft = polynomial_lft(product, np.ones((1, 1)), 1e-12)
-    >>> sorted(lft.names)
-    ['a', 'b']
-    """
+    """The smallest LFT ``w = diag(t_k I) z`` of a polynomial that a few orders of the variables give."""
     rows, cols = scale[:, 0], scale[0] / scale[0, 0]
     plain = {e: part / scale for e, part in polynomial.terms.items()}
     count = len(polynomial.names)
@@ -367,11 +333,8 @@ def _at(terms: Mapping[Exponents, Array], exponents: Exponents, shape: tuple[int
 
 
 def rank_factors(matrix: Array, tolerance: float) -> tuple[Array, Array]:
-    """``matrix = left @ right`` with as few columns of left as its entries above the tolerance ask for.
-
-    By elimination with full pivoting, which leaves zeros of rows and columns exact, where an SVD would not. The parts
-    of a pivot are of one size.
-    """
+    """``matrix = left @ right`` with as few columns of left as its entries above the tolerance ask for."""
+    # Elimination with full pivoting leaves zeros of rows and columns exact, where an SVD would not.
     rest = matrix.copy()
     columns, rows = [np.zeros((len(matrix), 0))], [np.zeros((0, matrix.shape[1]))]
     while np.abs(rest).max(initial=0.0) > tolerance:

@@ -1,24 +1,15 @@
-r"""Uncertain models from two models: a nominal one and a maximally perturbed one.
+"""Uncertain models from two models: a nominal one and a maximally perturbed one (Březina 2010, 10.5-10.15)."""
 
-.. math:: \begin{bmatrix} A & B \\ C & D \end{bmatrix}(\Delta) =
-          \begin{bmatrix} A & B \\ C & D \end{bmatrix}_{nominal} + L \, \Delta \, R, \qquad
-          L R = E = \begin{bmatrix} A_D & B_D \\ C_D & D_D \end{bmatrix} = perturbed - nominal
-
-At ``Delta = I`` this is the perturbed model, at 0 the nominal one, at ``-I`` the mirror ``2 nominal - perturbed``.
-Delta acts on constant matrices: there is no direct way from w to z, and every Delta is well posed.
-
-References
-----------
-Březina 2010, equations 10.5-10.15. The printed form (10.13) scales whole columns: ``M12 = I``, ``M21 = A_D`` with a
-diagonal Delta. It is kept as structure ``"columns"``; what the text says in words, each entry by itself, is
-``"elements"``.
-"""
+# [A B; C D](Delta) = nominal + L Delta R with L R = perturbed - nominal. Delta acts on constant matrices: there is no
+# direct way from w to z, and every Delta is well posed. The printed form (10.13) scales whole columns: it is
+# structure "columns"; what the text says in words, each entry by itself, is "elements".
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -107,25 +98,28 @@ def elementwise(
     >>> [(b.name, b.repeats) for b in both.blocks], both.evaluate({"mass": 1.0, "motor": 1.0}).B.round(12).tolist()
     ([('mass', 1), ('motor', 1)], [[1.1]])
     """
-    if isinstance(perturbed, Mapping):
-        if structure != "elements":
-            raise InputError("elementwise: structure", f"{structure!r} with causes", "none: a cause is one parameter")
-        return by_cause(nominal, perturbed, tolerance)
-    first, second = as_model(nominal, "elementwise: nominal"), as_model(perturbed, "elementwise: perturbed")
+    causes = perturbed if isinstance(perturbed, Mapping) else {"perturbed": perturbed}
+    first = as_model(nominal, "elementwise: nominal")
+    if causes is perturbed and structure != "elements":
+        raise InputError("elementwise: structure", f"{structure!r} with causes", "none: a cause is one parameter")
+    if not causes:
+        raise InputError("elementwise", "no cause", "at least one: {name: perturbed model}")
     if structure not in STRUCTURES:
-        raise InputError(
-            "elementwise",
-            f"structure {structure!r}",
-            f"one of {', '.join(STRUCTURES)}",
-            did_you_mean(structure, STRUCTURES),
-        )
+        expected, hint = f"one of {', '.join(STRUCTURES)}", did_you_mean(structure, STRUCTURES)
+        raise InputError("elementwise", f"structure {structure!r}", expected, hint)
     if tolerance is not None and not 0 <= tolerance < 1:
         raise InputError("elementwise", f"tolerance {tolerance}", "a number in [0, 1)")
-    check_pair(first, second)
-    difference = _difference(first, second, tolerance or 0.0)
-    for remark in pair_remarks(first, second):
-        warnings.warn(f"elementwise: {remark}", stacklevel=3)  # the caller of elementwise
-    parts = _FACTORS[structure](difference)
+    parts: list[_Part] = []
+    for name, model in causes.items():
+        second = as_model(model, f"elementwise: {name}")
+        check_pair(first, second)
+        difference = _difference(first, second, tolerance or 0.0)
+        if causes is perturbed:
+            parts += [part._replace(name=name) for part in _single(difference)]
+            continue
+        for remark in pair_remarks(first, second):
+            warnings.warn(f"elementwise: {remark}", stacklevel=3)  # the caller of elementwise
+        parts = _FACTORS[structure](difference)
     return _assemble(first, parts)
 
 
@@ -144,21 +138,6 @@ def pair_remarks(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> list[s
     if largest >= HUGE:
         remarks.append(f"an entry of {largest:.3g}: results keep no digits of entries of order one beside it")
     return remarks
-
-
-def by_cause(nominal: Any, perturbed: Mapping[str, Any], tolerance: float | None = None) -> UncertainModel:
-    """`elementwise` of one perturbed model for each physical cause; see there."""
-    first = as_model(nominal, "elementwise: nominal")
-    if not isinstance(perturbed, Mapping) or not perturbed:
-        raise InputError("elementwise", "no cause", "at least one: {name: perturbed model}")
-    if tolerance is not None and not 0 <= tolerance < 1:
-        raise InputError("elementwise", f"tolerance {tolerance}", "a number in [0, 1)")
-    parts: list[_Part] = []
-    for name, model in perturbed.items():
-        second = as_model(model, f"elementwise: {name}")
-        check_pair(first, second)
-        parts += [part._replace(name=name) for part in _single(_difference(first, second, tolerance or 0.0))]
-    return _assemble(first, parts)
 
 
 @dataclass(frozen=True)
@@ -194,14 +173,9 @@ def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResi
 
 
 def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
-    r"""A small set around the element-wise one: a full block for each of A, B, C, D that differ, named by it.
-
-    With E the differences of one matrix and :math:`|\delta_{ij}| \le 1` for each entry by itself,
-    :math:`\|E \circ \delta\| \le \| |E| \| = s` (Horn, Johnson 2013, theorem 8.1.18), so that
-    :math:`E \circ \delta = s \Delta` with :math:`\|\Delta\| \le 1` on the rows and columns in which the models differ.
-    What is proved for this set holds for ``elementwise(..., "elements")``. It costs four scalings, not dozens; members
-    come in that no entries can make, complex and dynamic ones among them.
-    """
+    """A small set around the element-wise one: a full block for each of A, B, C, D that differ, named by it."""
+    # |E o delta| <= | |E| | for |delta_ij| <= 1 (Horn, Johnson 2013, theorem 8.1.18). It costs four scalings, not
+    # dozens; members come in that no entries can make, complex and dynamic ones among them.
     first, second = as_model(nominal, "elementwise: nominal"), as_model(perturbed, "elementwise: perturbed")
     check_pair(first, second)
     d, parts = _difference(first, second, 0.0), []
@@ -220,11 +194,7 @@ def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
 
 @dataclass(frozen=True)
 class _Difference:
-    """E = perturbed - nominal, shape (n_x + n_y, n_x + n_u), and what is needed to factor it.
-
-    ``scale`` is the natural magnitude of each entry, an outer product of powers of two; ``allowance`` what a
-    factorisation may miss.
-    """
+    """E = perturbed - nominal, shape (n_x + n_y, n_x + n_u), and what is needed to factor it."""
 
     E: Array
     scale: Array
@@ -265,10 +235,7 @@ def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance:
 
 
 def natural_magnitude(size: Array) -> Array:
-    """Powers of two ``r_i c_j`` for which ``size / (r c^T)`` has rows and columns with a largest entry near one.
-
-    This takes the units of signals and states out: a rank does not change when a state is counted in mm instead of m.
-    """
+    """Powers of two ``r_i c_j`` for which ``size / (r c^T)`` has rows and columns with a largest entry near one."""
     with np.errstate(divide="ignore"):
         level = np.log2(size)
     row, col = np.zeros(size.shape[0]), np.zeros(size.shape[1])
@@ -284,40 +251,27 @@ def natural_magnitude(size: Array) -> Array:
 # --- one way to factor for each structure ----------------------------------------------------------------------------
 
 
-def _elements(d: _Difference) -> list[_Part]:
-    rows, cols = d.E.shape
-    found = [(m, i, j) for m in "ABCD" for i, j in _nonzeros(d, m)]
-    names = _unique(
-        [f"{m}[{d.row_names[i]},{d.col_names[j]}]" for m, i, j in found], [f"{m}[{i},{j}]" for m, i, j in found]
-    )
-    return [
-        _Part(name, d.E[i, j] * _unit(rows, i)[:, None], _unit(cols, j)[None])
-        for name, (_, i, j) in zip(names, found, strict=True)
-    ]
-
-
-def _columns(d: _Difference) -> list[_Part]:
-    found = [(m, j) for m in "ABCD" for j in sorted({j for _, j in _nonzeros(d, m)})]
-    names = _unique([f"{m}[:,{d.col_names[j]}]" for m, j in found], [f"{m}[:,{j}]" for m, j in found])
-    parts = []
-    for name, (m, j) in zip(names, found, strict=True):
-        left = np.zeros((d.E.shape[0], 1))
-        rows, _ = d.part(m)
-        left[rows, 0] = d.E[rows, j]
-        parts.append(_Part(name, left, _unit(d.E.shape[1], j)[None]))
-    return parts
-
-
-def _rows(d: _Difference) -> list[_Part]:
-    found = [(m, i) for m in "ABCD" for i in sorted({i for i, _ in _nonzeros(d, m)})]
-    names = _unique([f"{m}[{d.row_names[i]},:]" for m, i in found], [f"{m}[{i},:]" for m, i in found])
-    parts = []
-    for name, (m, i) in zip(names, found, strict=True):
-        right = np.zeros((1, d.E.shape[1]))
-        _, cols = d.part(m)
-        right[0, cols] = d.E[i, cols]
-        parts.append(_Part(name, _unit(d.E.shape[0], i)[:, None], right))
-    return parts
+def _rank_one(d: _Difference, way: str) -> list[_Part]:
+    """A part for each entry, column or row that differs, of A, B, C, D one after the other."""
+    found: list[tuple[str, str, Array, Array]] = []
+    rows, cols = np.eye(d.E.shape[0]), np.eye(d.E.shape[1])
+    for m in "ABCD":
+        own = np.zeros(d.E.shape)
+        own[d.part(m)] = d.E[d.part(m)]
+        if way == "columns":
+            for j in np.flatnonzero(own.any(axis=0)):
+                found.append((f"{m}[:,{d.col_names[j]}]", f"{m}[:,{j}]", own[:, [j]], cols[[j]]))
+        elif way == "rows":
+            for i in np.flatnonzero(own.any(axis=1)):
+                found.append((f"{m}[{d.row_names[i]},:]", f"{m}[{i},:]", rows[:, [i]], own[[i]]))
+        else:
+            for i, j in np.argwhere(own):
+                name = f"{m}[{d.row_names[i]},{d.col_names[j]}]"
+                found.append((name, f"{m}[{i},{j}]", own[i, j] * rows[:, [i]], cols[[j]]))
+    # Names by signal where they are short (room is left for the channel's prefix and number) and unambiguous.
+    names = [name for name, *_ in found]
+    clear = len(set(names)) == len(names) and all(len(name) <= MAX_NAME - 20 for name in names)
+    return [_Part(name if clear else numbered, left, right) for name, numbered, left, right in found]
 
 
 def _matrices(d: _Difference) -> list[_Part]:
@@ -346,9 +300,9 @@ def _single(d: _Difference) -> list[_Part]:
 
 
 _FACTORS: dict[str, Callable[[_Difference], list[_Part]]] = {
-    "elements": _elements,
-    "columns": _columns,
-    "rows": _rows,
+    "elements": partial(_rank_one, way="elements"),
+    "columns": partial(_rank_one, way="columns"),
+    "rows": partial(_rank_one, way="rows"),
     "matrices": _matrices,
     "single": _single,
 }
@@ -356,12 +310,11 @@ STRUCTURES = tuple(_FACTORS)
 
 
 def _rank_factors(e: Array, allowance: Array, scale: Array, stages: Sequence[Stage]) -> tuple[Array, Array]:
-    """``left (m, r), right (r, n)`` with ``|left @ right - e| <= allowance`` and r as small as complete pivoting finds.
-
-    Gaussian elimination with complete pivoting, the pivot chosen relative to ``scale``. It reveals the rank like a
-    singular value decomposition, but its error in an entry is rounding of what met in that entry, and zeros of rows and
-    columns stay zeros. A full rank needs no factors (identity), nor does a difference that is all below the allowance.
+    """``left (m, r), right (r, n)`` with ``|left @ right - e| <= allowance`` and r as small as complete pivoting
+    finds.
     """
+    # Complete pivoting relative to the scale reveals the rank like a singular value decomposition, but its error in an
+    # entry is rounding of what met in that entry, and zeros of rows and columns stay zeros.
     residual, lefts, rights = e.copy(), [], []
     used_rows, used_cols = e.any(axis=1), e.any(axis=0)
     full = min(used_rows.sum(), used_cols.sum())
@@ -381,25 +334,6 @@ def _rank_factors(e: Array, allowance: Array, scale: Array, stages: Sequence[Sta
     if used_cols.sum() <= used_rows.sum():
         return e[:, used_cols], np.eye(e.shape[1])[used_cols]
     return np.eye(e.shape[0])[:, used_rows], e[used_rows]
-
-
-def _nonzeros(d: _Difference, matrix: str) -> list[tuple[int, int]]:
-    rows, cols = d.part(matrix)
-    offset = np.array([rows.start or 0, cols.start or 0])
-    return [(int(i), int(j)) for i, j in np.argwhere(d.E[rows, cols]) + offset]
-
-
-def _unit(size: int, index: int) -> Array:
-    vector = np.zeros(size)
-    vector[index] = 1.0
-    return vector
-
-
-def _unique(names: list[str], numbered: list[str]) -> list[str]:
-    """Names by signal where they are short and unambiguous, names by number otherwise."""
-    # Room is left for the channel's prefix and number.
-    clear = len(set(names)) == len(names) and all(len(name) <= MAX_NAME - 20 for name in names)
-    return names if clear else numbered
 
 
 # --- the uncertain model ---------------------------------------------------------------------------------------------

@@ -1,14 +1,4 @@
-r"""Uncertain frequency-response data: a set of responses at given frequencies, and nothing between them.
-
-.. math:: F_u(M_k, \Delta) = M_{k,22} + M_{k,21} \Delta (I - M_{k,11} \Delta)^{-1} M_{k,12}, \qquad k = 1, \dots, N
-
-for the responses :math:`M_k` at the frequencies :math:`\omega_k`: a measured response with what is not known of it, or
-any model at frequencies.
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 10.1.
-"""
+"""Uncertain frequency-response data: a set of responses at given frequencies, and nothing between them."""
 
 from __future__ import annotations
 

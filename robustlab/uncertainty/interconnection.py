@@ -1,19 +1,13 @@
-r"""Models with Delta channels in one interconnection: all operands side by side, then wires.
+"""Models with Delta channels in one interconnection: all operands side by side, then wires.
 
-Every interconnection of LFTs is an LFT in the same named blocks. A block name that occurs in several operands is one
-and the same uncertainty: its channels become one repeated block, which is then reduced. Signals keep their names; where
-two would be called the same, the later ones get ``_2``, ``_3``, ...
-
-Dynamic (unmodelled) uncertainty takes its weights here. A `FullBlock` or `ComplexScalar` stands for every stable linear
-time-invariant :math:`\Delta(s)` of gain at most one. A stable weight says how large the uncertainty is at each
-frequency; it goes into M, so that Delta stays normalised:
-
-.. math:: w = \Delta \, W z \quad (\text{side } z), \qquad w = W \Delta \, z \quad (\text{side } w)
-
-References
-----------
-Březina 2010, section 4.2; Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 9.1.
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 9.1.
 """
+
+# Every interconnection of LFTs is an LFT in the same named blocks. A block name that occurs in several operands is
+# one and the same uncertainty: its channels become one repeated block, which is then reduced. Signals keep their
+# names; where two would be called the same, the later ones get _2, _3, ... A stable weight says how large a dynamic
+# uncertainty is at each frequency; it goes into M, so that Delta stays normalised: w = Delta W z (side z), w = W
+# Delta z (side w).
 
 from __future__ import annotations
 
@@ -180,10 +174,7 @@ def _is_acyclic(matrix: Array) -> bool:
 def weighted(
     m: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, Any], side: str, read: Callable[[Any, str], Part]
 ) -> Part:
-    """M and blocks with a stable weight in the channels of each named block; see `UncertainModel.weighted`.
-
-    ``read(weight, where)`` makes M and blocks of what was given as a weight, once it is known to be wanted.
-    """
+    """M and blocks with a stable weight in the channels of each named block; see `UncertainModel.weighted`."""
     if side not in ("z", "w"):
         raise InputError("weighted", f"side {side!r}", "'z' (before Delta) or 'w' (after it)")
     names = tuple(b.name for b in given)

@@ -1,10 +1,8 @@
-r"""Rational expressions of named parameters in an exact normal form: Laurent polynomials, safely read from text.
+"""Rational expressions of named parameters in an exact normal form: Laurent polynomials, safely read from text."""
 
-.. math:: \sum_m c_m \prod_i v_i^{e_{m i}}, \qquad e_{m i} \in \mathbb{Z}
-
-with exact rational coefficients (a float counts as the shortest decimal number that is written like it, so that 0.1 is
-1/10). A variable is a parameter, or a denominator of several terms, which occurs with negative exponents only.
-"""
+# Coefficients are exact rational numbers (a float counts as the shortest decimal number that is written like it, so
+# that 0.1 is 1/10). A variable is a parameter, or a denominator of several terms, which occurs with negative
+# exponents only.
 
 from __future__ import annotations
 
@@ -29,60 +27,9 @@ MAX_TERMS = 1000
 LARGEST = 1e300
 MAX_BITS = 8000
 MAX_WORK = 2_000_000  # pairs of terms that are multiplied in all; a text of a page could ask for billions
-
-
-@dataclass(frozen=True)
-class Laurent:
-    """A sum of terms: monomial (sorted pairs of variable and exponent, none of them zero) -> coefficient, not zero."""
-
-    terms: Mapping[Monomial, Fraction]
-
-    def __add__(self, other: Laurent) -> Laurent:
-        total = dict(self.terms)
-        for monomial, c in other.terms.items():
-            total[monomial] = total.get(monomial, Fraction(0)) + c
-        return Laurent({m: c for m, c in total.items() if c})
-
-    def __neg__(self) -> Laurent:
-        return Laurent({m: -c for m, c in self.terms.items()})
-
-    def __sub__(self, other: Laurent) -> Laurent:
-        return self + (-other)
-
-    def __mul__(self, other: Laurent) -> Laurent:
-        if len(self.terms) * len(other.terms) > 100 * MAX_TERMS:
-            raise InputError("expression", "too many terms when multiplied out", f"at most {MAX_TERMS}")
-        total: dict[Monomial, Fraction] = {}
-        for m1, c1 in self.terms.items():
-            for m2, c2 in other.terms.items():
-                m = times(m1, m2)
-                total[m] = total.get(m, Fraction(0)) + c1 * c2
-        if len(total) > MAX_TERMS:
-            raise InputError("expression", f"{len(total)} terms when multiplied out", f"at most {MAX_TERMS}")
-        if any(c.numerator.bit_length() + c.denominator.bit_length() > MAX_BITS for c in total.values()):
-            raise InputError("expression", "a coefficient of thousands of digits", "numbers of a usual size")
-        return Laurent({m: c for m, c in total.items() if c})
-
-    @property
-    def variables(self) -> set[str]:
-        """All variables that occur."""
-        return {name for m in self.terms for name, _ in m}
-
-    def __str__(self) -> str:
-        return " + ".join(_term_text(m, c) for m, c in sorted(self.terms.items())) or "0"
-
-
-def times(first: Monomial, second: Monomial) -> Monomial:
-    """Product of two monomials."""
-    exponents = dict(first)
-    for name, e in second:
-        exponents[name] = exponents.get(name, 0) + e
-    return tuple(sorted((name, e) for name, e in exponents.items() if e))
-
-
-def constant(value: Fraction | int) -> Laurent:
-    """A number as an expression."""
-    return Laurent({(): Fraction(value)} if value else {})
+OPERATORS: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+}  # fmt: skip
 
 
 @dataclass
@@ -96,87 +43,139 @@ class Algebra:
     denominators: dict[str, Laurent] = field(default_factory=dict)
     work: int = 0  # pairs of terms multiplied so far
 
+    def constant(self, value: Fraction | int) -> Laurent:
+        return Laurent({(): Fraction(value)} if value else {}, self)
+
     def variable(self, name: str) -> Laurent:
         """A parameter as an expression."""
-        if name in self.exact:
-            return constant(self.exact[name])
-        return Laurent({((name, 1),): Fraction(1)})
+        return self.constant(self.exact[name]) if name in self.exact else Laurent({((name, 1),): Fraction(1)}, self)
 
-    def multiply(self, a: Laurent, b: Laurent) -> Laurent:
-        """``a * b``, counted."""
-        self._count(len(a.terms) * len(b.terms))
-        return a * b
-
-    def _count(self, pairs: int) -> None:
+    def count(self, pairs: int) -> None:
         self.work += pairs
         if self.work > MAX_WORK:
             raise InputError("expression", f"more than {MAX_WORK} products of terms in all", "shorter expressions")
 
-    def divide(self, a: Laurent, b: Laurent) -> Laurent:
-        """``a / b``; monomials and common factors of b are taken out, the rest becomes a denominator of its own."""
+    def read(self, entry: Any, where: str) -> Laurent:
+        """One matrix entry, a number or a text, in normal form."""
+        try:
+            return walk(entry, self.constant, self.variable, self.parameters, where)
+        except InputError as error:
+            if error.where == "expression":
+                raise InputError(where, f"{_short(entry)}: {error.found}", error.expected, error.hint) from None
+            raise
+
+
+@dataclass(frozen=True)
+class Laurent:
+    """A sum of terms: monomial (sorted pairs of variable and exponent, none of them zero) -> coefficient, not zero."""
+
+    terms: Mapping[Monomial, Fraction]
+    algebra: Algebra = field(repr=False, compare=False)
+
+    def __add__(self, other: Laurent) -> Laurent:
+        total = dict(self.terms)
+        for monomial, c in other.terms.items():
+            total[monomial] = total.get(monomial, Fraction(0)) + c
+        return Laurent({m: c for m, c in total.items() if c}, self.algebra)
+
+    def __neg__(self) -> Laurent:
+        return Laurent({m: -c for m, c in self.terms.items()}, self.algebra)
+
+    def __sub__(self, other: Laurent) -> Laurent:
+        return self + (-other)
+
+    def __mul__(self, other: Laurent) -> Laurent:
+        pairs = len(self.terms) * len(other.terms)
+        self.algebra.count(pairs)
+        if pairs > 100 * MAX_TERMS:
+            raise InputError("expression", "too many terms when multiplied out", f"at most {MAX_TERMS}")
+        total: dict[Monomial, Fraction] = {}
+        for m1, c1 in self.terms.items():
+            for m2, c2 in other.terms.items():
+                m = times(m1, m2)
+                total[m] = total.get(m, Fraction(0)) + c1 * c2
+        if len(total) > MAX_TERMS:
+            raise InputError("expression", f"{len(total)} terms when multiplied out", f"at most {MAX_TERMS}")
+        if any(c.numerator.bit_length() + c.denominator.bit_length() > MAX_BITS for c in total.values()):
+            raise InputError("expression", "a coefficient of thousands of digits", "numbers of a usual size")
+        return Laurent({m: c for m, c in total.items() if c}, self.algebra)
+
+    def __truediv__(self, b: Laurent) -> Laurent:
+        """Monomials and common factors of b are taken out, the rest becomes a denominator of its own."""
         if not b.terms:
             raise InputError("expression", "a division by zero")
-        self._count(len(a.terms) * (len(a.terms) + len(b.terms)))
-        factor, rest = _content(b)
-        quotient = a * Laurent({tuple((n, -e) for n, e in factor[0]): 1 / factor[1]})
+        self.algebra.count(len(self.terms) * (len(self.terms) + len(b.terms)))
+        common, lead, rest = _content(b)
+        quotient = self._times(tuple((n, -e) for n, e in common), 1 / lead)
         if len(rest.terms) == 1:
             return quotient
         exact = _exact_quotient(quotient, rest)
         if exact is not None:
             return exact
-        quotient, rest = self._into_denominator(quotient, rest)
+        quotient, rest = _into_denominator(quotient, rest)
         name = f"({rest})"
-        self.denominators[name] = rest
-        return quotient * Laurent({((name, -1),): Fraction(1)})
+        self.algebra.denominators[name] = rest
+        return quotient._times(((name, -1),), Fraction(1))
 
-    def _into_denominator(self, a: Laurent, b: Laurent) -> tuple[Laurent, Laurent]:
-        """``a / b`` with common factors of a moved into b where that leaves fewer: 1/(1/x + 1/y) for xy/(x + y)."""
-        common, _ = _content(a) if a.terms else (((), Fraction(1)), a)
-        down = tuple((name, -e) for name, e in common[0] if e > 0 and name in self.nonzero and name in b.variables)
-        turned = Laurent({times(m, down): c for m, c in b.terms.items()})
-        moved = len(a.terms) * sum(-e for _, e in down)
-        if not down or _factors(turned) >= _factors(b) + moved:
-            return a, b
-        lead = turned.terms[min(turned.terms)]
-        return (
-            Laurent({times(m, down): c / lead for m, c in a.terms.items()}),
-            Laurent({m: c / lead for m, c in turned.terms.items()}),
-        )
-
-    def power(self, a: Laurent, exponent: int) -> Laurent:
-        """``a ** exponent`` for a whole exponent."""
+    def __pow__(self, exponent: int) -> Laurent:
         if abs(exponent) > MAX_EXPONENT:
             raise InputError("expression", f"exponent {exponent}", f"at most {MAX_EXPONENT}")
-        result = constant(1)
+        one = self.algebra.constant(1)
+        if exponent < 0 and len(self.terms) > 1:  # 1/(a+b)^2 is (1/(a+b))^2: one denominator for every power
+            return (one / self) ** -exponent
+        result = one
         for _ in range(abs(exponent)):
-            result = self.multiply(result, a)
-        if exponent >= 0:
-            return result
-        if len(a.terms) > 1:  # 1/(a+b)^2 is (1/(a+b))^2: one denominator for every power
-            return self.power(self.divide(constant(1), a), -exponent)
-        return self.divide(constant(1), result)
+            result = result * self
+        return result if exponent >= 0 else one / result
+
+    def _times(self, monomial: Monomial, c: Fraction) -> Laurent:
+        return Laurent({times(m, monomial): c * own for m, own in self.terms.items()}, self.algebra)
+
+    @property
+    def variables(self) -> set[str]:
+        """All variables that occur."""
+        return {name for m in self.terms for name, _ in m}
+
+    @property
+    def factors(self) -> int:
+        """Number of factors in all terms."""
+        return sum(abs(e) for m in self.terms for _, e in m)
+
+    def __str__(self) -> str:
+        return " + ".join(_term_text(m, c) for m, c in sorted(self.terms.items())) or "0"
 
 
-def _factors(a: Laurent) -> int:
-    """Number of factors in all terms."""
-    return sum(abs(e) for m in a.terms for _, e in m)
+def times(first: Monomial, second: Monomial) -> Monomial:
+    """Product of two monomials."""
+    exponents = dict(first)
+    for name, e in second:
+        exponents[name] = exponents.get(name, 0) + e
+    return tuple(sorted((name, e) for name, e in exponents.items() if e))
 
 
-def _content(b: Laurent) -> tuple[tuple[Monomial, Fraction], Laurent]:
-    """A common factor of all terms (monomial, coefficient) and what is left, whose first coefficient is one.
-
-    Only variables whose exponents have one sign in all terms are taken out: 1/(1 + 1/m) is not 1/m times something.
-    """
+def _content(b: Laurent) -> tuple[Monomial, Fraction, Laurent]:
+    """A common factor of all terms, the first coefficient, and what is left, whose first coefficient is one."""
+    # Only variables whose exponents have one sign in all terms: 1/(1 + 1/m) is not 1/m times something.
     common: list[tuple[str, int]] = []
     for name in sorted(b.variables):
         exponents = [dict(m).get(name, 0) for m in b.terms]
         e = min(exponents) if min(exponents) > 0 else max(exponents) if max(exponents) < 0 else 0
         if e:
             common.append((name, e))
-    inverse = tuple((name, -e) for name, e in common)
     lead = b.terms[min(b.terms)]
-    rest = Laurent({times(m, inverse): c / lead for m, c in b.terms.items()})
-    return (tuple(common), lead), rest
+    return tuple(common), lead, b._times(tuple((name, -e) for name, e in common), 1 / lead)
+
+
+def _into_denominator(a: Laurent, b: Laurent) -> tuple[Laurent, Laurent]:
+    """``a / b`` with common factors of a moved into b where that leaves fewer: 1/(1/x + 1/y) for xy/(x + y)."""
+    common = _content(a)[0] if a.terms else ()
+    nonzero = a.algebra.nonzero
+    down = tuple((name, -e) for name, e in common if e > 0 and name in nonzero and name in b.variables)
+    turned = b._times(down, Fraction(1))
+    if not down or turned.factors >= b.factors + len(a.terms) * sum(-e for _, e in down):
+        return a, b
+    lead = turned.terms[min(turned.terms)]
+    return a._times(down, 1 / lead), turned._times((), 1 / lead)
 
 
 def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
@@ -192,7 +191,7 @@ def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
 
     lead = max(b.terms, key=key)
     down = tuple((n, -e) for n, e in lead)
-    rest, quotient = a, constant(0)
+    rest, quotient = a, a.algebra.constant(0)
     for _ in range(MAX_TERMS):
         if not rest.terms:
             return quotient
@@ -200,56 +199,24 @@ def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
         step = times(top, down)
         if any(e < shift[n] for n, e in step):
             return None
-        part = Laurent({step: rest.terms[top] / b.terms[lead]})
-        quotient, rest = quotient + part, rest - part * b
+        share = rest.terms[top] / b.terms[lead]
+        quotient, rest = quotient + Laurent({step: share}, a.algebra), rest - b._times(step, share)
     return None
 
 
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
-def parsed(entry: Any, algebra: Algebra, where: str) -> Laurent:
-    """One matrix entry, a number or a text, in normal form.
-
-    Examples
-    --------
-    >>> str(parsed("c*(1 + 2*k)/m**2", Algebra(("c", "k", "m")), "A[0,0]"))
-    'c*k*m**-2*2 + c*m**-2'
-    """
-    one = algebra.variable
-    try:
-        return walk(
-            entry,
-            _Arithmetic(constant, one, algebra.multiply, algebra.divide, algebra.power),
-            algebra.parameters,
-            where,
-        )
-    except InputError as error:
-        if error.where == "expression":
-            raise InputError(where, f"{_short(entry)}: {error.found}", error.expected, error.hint) from None
-        raise
-
-
-@dataclass(frozen=True)
-class _Arithmetic:
-    """What the walk through an expression needs of its numbers."""
-
-    constant: Callable[[Fraction], Any]
-    variable: Callable[[str], Any]
-    multiply: Callable[[Any, Any], Any]
-    divide: Callable[[Any, Any], Any]
-    power: Callable[[Any, int], Any]
-
-
-def number_arithmetic(values: Mapping[str, float]) -> _Arithmetic:
-    """Arithmetic of plain floats at given parameter values: a second way through the same text."""
-    return _Arithmetic(float, values.__getitem__, operator.mul, operator.truediv, lambda a, n: a**n)
-
-
-def walk(entry: Any, arithmetic: _Arithmetic, names: Iterable[str], where: str) -> Any:
-    """The value of an entry in some arithmetic; nothing is ever executed."""
+def walk(
+    entry: Any,
+    constant: Callable[[Fraction], Any],
+    variable: Callable[[str], Any],
+    names: Iterable[str],
+    where: str,
+) -> Any:
+    """The value of an entry in the arithmetic of these constants and variables; nothing is ever executed."""
     if isinstance(entry, (int, float, np.integer, np.floating)) and not isinstance(entry, bool):
-        return arithmetic.constant(_exact(entry, where))
+        return constant(_exact(entry, where))
     if not isinstance(entry, str):
         raise InputError(where, f"{_short(entry)}", "a real number, or a text such as '-k/m'")
     if len(entry) > MAX_TEXT:
@@ -262,71 +229,47 @@ def walk(entry: Any, arithmetic: _Arithmetic, names: Iterable[str], where: str) 
             reason = "a number too long" if "integer string conversion" in error.msg else error.msg
         raise InputError(where, f"{_short(entry)} cannot be read ({reason})", "an expression such as '-k/m'") from None
     known = {unicodedata.normalize("NFKC", name): name for name in names}  # as Python reads identifiers
-    return _Walk(arithmetic, known, entry, where).value(tree.body, 0)
+    said = _short(entry)
 
-
-@dataclass(frozen=True)
-class _Walk:
-    arithmetic: _Arithmetic
-    known: Mapping[str, str]
-    text: str
-    where: str
-
-    def value(self, node: ast.expr, depth: int) -> Any:
+    def value(node: ast.expr, depth: int) -> Any:
         if depth > MAX_DEPTH:
-            raise InputError(self.where, f"{_short(self.text)} is nested too deeply", f"at most {MAX_DEPTH} levels")
+            raise InputError(where, f"{said} is nested too deeply", f"at most {MAX_DEPTH} levels")
         if isinstance(node, ast.Constant) and type(node.value) in (int, float):
-            return self.arithmetic.constant(_exact(node.value, self.where))
+            return constant(_exact(node.value, where))
         if isinstance(node, ast.Name):
-            return self._variable(node.id)
+            if node.id not in known:
+                given = tuple(known.values())
+                expected = f"one of {', '.join(given) or 'none'}"
+                raise InputError(where, f"{said}: no parameter {node.id!r}", expected, did_you_mean(node.id, given))
+            return variable(known[node.id])
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
-            value = self.value(node.operand, depth + 1)
-            return -value if isinstance(node.op, ast.USub) else value
+            inner = value(node.operand, depth + 1)
+            return -inner if isinstance(node.op, ast.USub) else inner
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
+            return value(node.left, depth + 1) ** _exponent(node.right, where, said)
         if isinstance(node, ast.BinOp):
-            return self._operation(node, depth)
+            if type(node.op) not in OPERATORS:
+                hint = "a power is written x**2" if isinstance(node.op, ast.BitXor) else None
+                raise InputError(where, f"{said}: an operator that is none", "+ - * / **", hint)
+            return OPERATORS[type(node.op)](value(node.left, depth + 1), value(node.right, depth + 1))
         word = f"{node.func.id}(...)" if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) else "that"
-        found = f"{_short(self.text)}: {word} is no rational function"
-        raise InputError(
-            self.where, found, "numbers, parameters, + - * / **", "give sin(x), sqrt(x), ... a parameter of its own"
-        )
+        hint = "give sin(x), sqrt(x), ... a parameter of its own"
+        raise InputError(where, f"{said}: {word} is no rational function", "numbers, parameters, + - * / **", hint)
 
-    def _variable(self, name: str) -> Any:
-        if name not in self.known:
-            names = tuple(self.known.values())
-            raise InputError(
-                self.where,
-                f"{_short(self.text)}: no parameter {name!r}",
-                f"one of {', '.join(names) or 'none'}",
-                did_you_mean(name, names),
-            )
-        return self.arithmetic.variable(self.known[name])
+    return value(tree.body, 0)
 
-    def _operation(self, node: ast.BinOp, depth: int) -> Any:
-        if isinstance(node.op, ast.Pow):
-            return self.arithmetic.power(self.value(node.left, depth + 1), self._exponent(node.right))
-        if not isinstance(node.op, (ast.Add, ast.Sub, ast.Mult, ast.Div)):
-            hint = "a power is written x**2" if isinstance(node.op, ast.BitXor) else None
-            raise InputError(self.where, f"{_short(self.text)}: an operator that is none", "+ - * / **", hint)
-        left, right = self.value(node.left, depth + 1), self.value(node.right, depth + 1)
-        if isinstance(node.op, ast.Add):
-            return left + right
-        if isinstance(node.op, ast.Sub):
-            return left - right
-        return (self.arithmetic.multiply if isinstance(node.op, ast.Mult) else self.arithmetic.divide)(left, right)
 
-    def _exponent(self, node: ast.expr) -> int:
-        sign = 1
-        while isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
-            sign = -sign if isinstance(node.op, ast.USub) else sign
-            node = node.operand
-        value = node.value if isinstance(node, ast.Constant) else None
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or value % 1 != 0:
-            raise InputError(
-                self.where, f"{_short(self.text)}: an exponent that is no whole number", "x**2, x**-1, ..."
-            )
-        if value > MAX_EXPONENT:
-            raise InputError(self.where, f"{_short(self.text)}: an exponent above {MAX_EXPONENT}", "a smaller one")
-        return sign * int(value)
+def _exponent(node: ast.expr, where: str, said: str) -> int:
+    sign = 1
+    while isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
+        sign = -sign if isinstance(node.op, ast.USub) else sign
+        node = node.operand
+    value = node.value if isinstance(node, ast.Constant) else None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or value % 1 != 0:
+        raise InputError(where, f"{said}: an exponent that is no whole number", "x**2, x**-1, ...")
+    if value > MAX_EXPONENT:
+        raise InputError(where, f"{said}: an exponent above {MAX_EXPONENT}", "a smaller one")
+    return sign * int(value)
 
 
 def _exact(value: Any, where: str) -> Fraction:

@@ -1,10 +1,6 @@
 r"""Uncertain models as upper linear fractional transformations of a structured Delta.
 
 .. math:: F_u(M, \Delta) = M_{22} + M_{21} \Delta (I - M_{11} \Delta)^{-1} M_{12}
-
-References
-----------
-Březina 2010, sections 4.4-4.5; Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 10.1.
 """
 
 from __future__ import annotations
@@ -465,13 +461,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
 
 
 def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:
-    """An uncertain model as it is; a model, a matrix or a number as one without blocks.
-
-    Examples
-    --------
-    >>> as_uncertain([[2.0, 0.0]])
-    UncertainModel(0 states, Delta 0 x 0: no uncertainty)
-    """
+    """An uncertain model as it is; a model, a matrix or a number as one without blocks."""
     if isinstance(system, UncertainModel):
         return system
     if is_constant(system):
@@ -488,19 +478,7 @@ def _part(system: Any, where: str) -> Part:
 
 
 def product(second: Any, first: Any) -> UncertainModel:
-    """``second @ first``: the transfer matrix :math:`G_2(s) G_1(s)`; what leaves ``first`` enters ``second``.
-
-    A number multiplies every channel. The result has the inputs of ``first`` and the outputs of ``second``; the
-    signals of a matrix or a number are not named, and the other side's are kept where sizes allow it.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import RealScalar
-    >>> gain = UncertainModel(StateSpaceModel([], [], [], [[0.0, 0.1], [1.0, 1.0]]), [RealScalar("k")])
-    >>> twice = product(2.0, gain)
-    >>> twice.evaluate({"k": 1.0}).D
-    array([[2.2]])
-    """
+    """``second @ first``: the transfer matrix :math:`G_2(s) G_1(s)`; what leaves ``first`` enters ``second``."""
     if is_number(second):
         second = float(second) * np.eye(len(as_uncertain(first, "product").outputs))
     elif is_number(first):
@@ -521,11 +499,7 @@ def product(second: Any, first: Any) -> UncertainModel:
 
 
 def parallel(first: Any, second: Any, sign: int = 1) -> UncertainModel:
-    """``first + sign * second`` for two sets of one size.
-
-    A number stands for a 1 x 1 gain: for more channels it could mean the identity or every entry, so a matrix is asked
-    for.
-    """
+    """``first + sign * second`` for two sets of one size."""
     if sign not in (1, -1):
         raise InputError("parallel", f"sign {sign!r}", "1 or -1")
     a, b = as_uncertain(first, "parallel"), as_uncertain(second, "parallel")
@@ -545,11 +519,7 @@ def parallel(first: Any, second: Any, sign: int = 1) -> UncertainModel:
 
 
 def feedback(forward: Any, back: Any = 1.0, sign: int | None = None) -> UncertainModel:
-    r"""From r to y for ``y = G e``, ``e = r + sign H y``: :math:`(I - sign\, G H)^{-1} G`, with the signals of G.
-
-    Without a sign a controller that comes from a design is closed as it says of itself, anything else with negative
-    feedback. Signals that H shares with G by name are the ones it takes and drives.
-    """
+    r"""From r to y for ``y = G e``, ``e = r + sign H y``: :math:`(I - sign\, G H)^{-1} G`, with the signals of G."""
     g = as_uncertain(forward, "feedback")
     n_u, n_y = len(g.inputs), len(g.outputs)
     if is_number(back):

@@ -1,13 +1,7 @@
-r"""Interconnection by the names of signals: an output feeds every input that has its name.
+"""Interconnection by the names of signals: an output feeds every input that has its name."""
 
-The parts stand side by side, a static matrix of ones wires them, and the loop is closed as every interconnection of
-LFTs is (`robustlab.uncertainty.interconnection`):
-
-.. math:: u = K y + E v, \qquad o = F y
-
-with y all outputs and u all inputs of the parts, v the inputs and o the outputs that were asked for. A summing junction
-is a part like any other, a static gain of ones and minus ones.
-"""
+# u = K y + E v, o = F y with y all outputs and u all inputs of the parts, v the inputs and o the outputs that were
+# asked for; a summing junction is a part like any other, a static gain of ones and minus ones.
 
 from __future__ import annotations
 

@@ -1,17 +1,11 @@
-r"""Uncertain models from matrices that are rational functions of named parameters.
-
-References
-----------
-Cockburn, Morton, "Linear fractional representations of uncertain systems", Automatica 33 (1997); Březina 2010,
-section 4.4.
-"""
+"""Uncertain models from matrices that are rational functions of named parameters (Březina 2010, section 4.4)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from itertools import product as vertices_of
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +15,7 @@ from robustlab.statespace import SignalLike, StateSpaceModel
 from robustlab.uncertainty.algebra import reduction
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.decomposition_tree import ConstantLft, assemble, plans
-from robustlab.uncertainty.laurent import Algebra, Laurent, number_arithmetic, parsed, walk
+from robustlab.uncertainty.laurent import Algebra, Laurent, walk
 from robustlab.uncertainty.lft import UncertainModel
 
 # Boxes and vertices in which a zero of a denominator is looked for: fewer refuse more ranges that are good.
@@ -97,7 +91,7 @@ def parametric(
     )  # fmt: skip
     table, shapes = _entries(A, B, C, D)
     try:
-        expressions = [[parsed(entry, algebra, where) for where, entry in row] for row in table]
+        expressions = [[algebra.read(entry, where) for where, entry in row] for row in table]
         _check_size(expressions, algebra)
         _check_denominators(expressions, algebra, ranges)
         candidates = _candidates(expressions, algebra, ranges, shapes, (dt, inputs, outputs, states))
@@ -108,13 +102,7 @@ def parametric(
 
 
 def as_range(name: str, given: Any) -> ParameterRange | float:
-    """A parameter's range from what users write; a plain number, or a range without width, is an exact value.
-
-    Examples
-    --------
-    >>> as_range("tau", (1.0, 0.75, 1.5))
-    ParameterRange(nominal=1.0, radius=0.5, unit='', below=0.25)
-    """
+    """A parameter's range from what users write; a plain number, or a range without width, is an exact value."""
     where = f"parameter {name!r}"
     if isinstance(given, ParameterRange):
         if not (np.isfinite(given.nominal) and np.isfinite(given.radius) and given.radius >= 0):
@@ -289,40 +277,25 @@ def _parameters_in(expression: Laurent, algebra: Algebra) -> set[str]:
 
 def _interval(expression: Laurent, box: Mapping[str, tuple[float, float]], algebra: Algebra) -> tuple[float, float]:
     """Bounds of an expression over a box; (-inf, inf) where one of its own denominators may vanish there."""
-    low = high = 0.0
-    powers: dict[tuple[str, int], tuple[float, float]] = {}
+    from flint import arb
+
+    def ball(name: str) -> arb:
+        low, high = box[name] if name in box else _interval(algebra.denominators[name], box, algebra)
+        return arb(low) if low == high else arb(low).union(arb(high))
+
+    balls = {name: ball(name) for name in expression.variables}
+    total = arb(0)
     for monomial, c in expression.terms.items():
-        a = b = float(c)
+        term = arb(c.numerator) / c.denominator
         for name, e in monomial:
-            if (name, e) not in powers:
-                base = box[name] if name in box else _interval(algebra.denominators[name], box, algebra)
-                powers[name, e] = _interval_power(base, e)
-            p, q = powers[name, e]
-            corners = (a * p, a * q, b * p, b * q)
-            a, b = min(corners), max(corners)
-        low, high = low + a, high + b
+            for _ in range(abs(e)):  # the power of a ball that holds zero is NaN
+                term = term * balls[name] if e > 0 else term / balls[name]
+        total += term
+    low, high = float(total.lower()), float(total.upper())
     return (low, high) if np.isfinite([low, high]).all() else (-np.inf, np.inf)
 
 
-def _interval_power(base: tuple[float, float], e: int) -> tuple[float, float]:
-    low, high = base
-    if e < 0:
-        if low <= 0 <= high:
-            return -np.inf, np.inf
-        return _interval_power((1.0 / high, 1.0 / low), -e)
-    if e % 2 == 0 and low < 0 < high:
-        return 0.0, max(low**e, high**e)
-    return min(low**e, high**e), max(low**e, high**e)
-
-
 # --- the LFT ---------------------------------------------------------------------------------------------------------
-
-
-class _Signals(NamedTuple):
-    dt: float
-    inputs: Iterable[SignalLike] | None
-    outputs: Iterable[SignalLike] | None
-    states: Iterable[SignalLike] | None
 
 
 def _candidates(
@@ -339,7 +312,7 @@ def _candidates(
     for plan in plans(expressions, gains.weight, (n + n_y, n + n_u))[:DECOMPOSITIONS]:
         used = {(s.variable, s.inverted) for s in plan.steps}
         lft = assemble(plan, {key: gains.of(*key) for key in used})
-        model = _as_model(lft, ranges, shapes, _Signals(*signals))
+        model = _as_model(lft, ranges, shapes, signals)
         found += [reduction(model).model, model]
         if found[0].delta_shape[0] == len(found[0].blocks):
             break
@@ -377,7 +350,7 @@ class _Gains:
 
 
 def _as_model(
-    lft: ConstantLft, ranges: Mapping[str, ParameterRange], shapes: tuple[int, int, int], signals: _Signals
+    lft: ConstantLft, ranges: Mapping[str, ParameterRange], shapes: tuple[int, int, int], signals: tuple[Any, ...]
 ) -> UncertainModel:
     """Channels grouped by parameter, in the order of the given ranges."""
     n = shapes[0]
@@ -411,10 +384,8 @@ def _free(prefix: str, names: Sequence[str], taken: Sequence[str]) -> list[Signa
 def _first_exact(
     candidates: Sequence[UncertainModel], table: Table, ranges: Mapping[str, ParameterRange], exact: Mapping[str, float]
 ) -> UncertainModel:
-    """The first candidate that gives the texts back, computed in floats at random values and at vertices.
-
-    A reduction mixes entries of different units: where small ones drown, the LFT as it was decomposed is taken.
-    """
+    """The first candidate that gives the texts back, computed in floats at random values and at vertices."""
+    # A reduction mixes entries of different units: where small ones drown, the LFT as it was decomposed is taken.
     samples = _samples(table, ranges, exact)
     misses: list[float] = []
     for model in candidates:
@@ -435,9 +406,8 @@ def _samples(
     for delta in deltas:
         by_name = dict(zip(ranges, delta.tolist(), strict=True))
         values = {**exact, **{name: ranges[name].value(d) for name, d in by_name.items()}}
-        arithmetic = number_arithmetic(values)
         try:
-            rows = [[walk(entry, arithmetic, tuple(values), where) for where, entry in row] for row in table]
+            rows = [[walk(entry, float, values.__getitem__, values, where) for where, entry in row] for row in table]
         except ZeroDivisionError:  # a factor that cancels, as in a/a at a = 0
             continue
         result.append((by_name, np.array(rows, dtype=float).reshape(len(table), len(table[0]) if table else 0)))

@@ -1,21 +1,8 @@
-r"""A complex Delta, found at one frequency, as stable systems that take this value there and are never larger.
+"""A complex Delta, found at one frequency, as stable systems that take this value there and are never larger."""
 
-A complex number is met by an all-pass with real coefficients,
-
-.. math:: \delta(s) = \pm |\delta_0| \frac{a - s}{a + s}, \quad a > 0, \qquad \delta(j \omega_0) = \delta_0,
-
-and a complex matrix by its singular value decomposition. A unitary matrix is
-
-.. math:: U = O_1 \operatorname{diag}(e^{j \theta_1}, \dots, e^{j \theta_m}) \, O_2
-
-with real orthogonal :math:`O_1, O_2`, where :math:`O_1` diagonalises the real and the imaginary part of
-:math:`U U^T`: only phases have to be realised. The singular values are those of :math:`\Delta_0` at every frequency,
-hence so is the H-infinity norm, whatever the rank.
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 9.1 (rank one, by all-pass factors of the entries).
-"""
+# A complex number is met by an all-pass +-|d| (a - s)/(a + s). A unitary matrix is O1 diag(e^(j theta)) O2 with real
+# orthogonal O1, O2, where O1 diagonalises the real and the imaginary part of U U^T: only phases have to be realised.
+# The singular values are those of Delta at every frequency, hence so is the H-infinity norm, whatever the rank.
 
 from __future__ import annotations
 
@@ -47,20 +34,7 @@ NOTHING = 1e-14
 def realise_delta(
     blocks: Sequence[Block], delta: Mapping[str, Any], omega: float, dt: float = 0.0
 ) -> dict[str, float | StateSpaceModel]:
-    r"""A stable system for each block of a complex Delta, of the same H-infinity norm, equal to it at ``omega``.
-
-    Notes
-    -----
-    With a critical Delta of `robust_stability` the loop of these systems has a pole at :math:`j \omega_0`
-    (`UncertainModel.evaluate`), so the loss of stability can be replayed in the time domain.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import ComplexScalar
-    >>> made = realise_delta([ComplexScalar("d")], {"d": 0.5j}, omega=2.0)["d"]
-    >>> made.poles(), frequency_response(made, [2.0]).round(12)
-    (array([-2.+0.j]), array([[[0.+0.5j]]]))
-    """
+    """A stable system for each block of a complex Delta, of the same H-infinity norm, equal to it at ``omega``."""
     where = "realise_delta"
     if not np.isfinite(dt) or dt < 0:
         raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
@@ -136,11 +110,7 @@ def _matrix(value: ComplexArray, omega: float) -> StateSpaceModel:
 
 
 def _orthogonal_and_phases(columns: ComplexArray) -> tuple[Array, Array, Array]:
-    r"""``columns = left diag(e^{j theta}) right`` for orthonormal columns (n, r): left (n, m), right (m, r).
-
-    Left has orthonormal real columns and right is real with orthonormal columns; ``m <= min(n, 2 r)``, because the real
-    and imaginary parts of the columns span no more.
-    """
+    """``columns = left diag(e^{j theta}) right`` for orthonormal columns (n, r): left (n, m), right (m, r)."""
     basis, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
     basis = basis[:, s > 1e-13]
     small = basis.T @ columns

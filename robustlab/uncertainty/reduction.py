@@ -1,21 +1,14 @@
-r"""Kalman reduction of LFTs in n variables: repetitions that cannot be reached or do not show are removed.
+"""Kalman reduction of LFTs in n variables: repetitions that cannot be reached or do not show are removed.
 
-All scalar blocks together are seen from outside (states, full blocks, inputs, outputs) as
-
-.. math:: F(\Delta) = D + C \, \Delta \, (I - A \Delta)^{-1} B, \qquad
-          \Delta = \mathrm{diag}(\delta_1 I_{r_1}, \dots, \delta_k I_{r_k})
-
-the same form as a transfer function in ``1/s``. The smallest subspaces :math:`V_i` with :math:`B_i \subset V_i` and
-:math:`A_{ij} V_j \subset V_i` hold all that can be reached; by duality, what they miss in the transposed system does
-not show. Both parts go without changing F, for any Delta, real, complex or dynamic. The reduction of each block alone
-(k = 1) misses a channel that only another unreachable channel feeds; it comes first, as it leaves the other blocks as
-they are.
-
-References
-----------
-Beck, Doyle, "A necessary and sufficient minimality condition for uncertain systems", IEEE TAC 44 (1999); D'Andrea,
-Khatri, "Kalman decomposition of linear fractional transformation representations" (1997).
+Beck, Doyle, IEEE TAC 44 (1999); D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation
+representations" (1997).
 """
+
+# All scalar blocks together are seen from outside as F(Delta) = D + C Delta (I - A Delta)^-1 B, the form of a
+# transfer function in 1/s. The smallest subspaces V_i with B_i in V_i and A_ij V_j in V_i hold all that can be
+# reached; by duality, what they miss in the transposed system does not show. Both parts go without changing F, for
+# any Delta. The reduction of each block alone misses a channel that only another unreachable channel feeds; it comes
+# first, as it leaves the other blocks as they are.
 
 from __future__ import annotations
 
@@ -116,17 +109,7 @@ def reduce_blocks(
     names: Collection[str] | None = None,
     keep: bool = False,
 ) -> tuple[StateSpaceModel, tuple[Block, ...]]:
-    """M and blocks with each scalar block repeated as rarely as its own channels allow.
-
-    Every reduced block is checked against the unreduced one at random deltas of the unit disc; where they differ by
-    more than 1e-10, that block stays as it was. A scalar block without any effect vanishes, and its name with it.
-
-    ``M``: model whose first q inputs and p outputs are the channels of the blocks.
-    ``tolerance``: singular values below ``tolerance`` times the largest count as zero.
-    ``names``: reduce these blocks only.
-    ``keep``: a block without any effect stays, once and without any channel that reaches it, so that its name stays
-    known.
-    """
+    """M and blocks with each scalar block repeated as rarely as its own channels allow."""
     if not 0 < tolerance < 1:
         raise InputError("reduce", f"tolerance {tolerance}", "a number between 0 and 1")
     for block in blocks:

@@ -1,7 +1,4 @@
-r"""A constant Delta closed into a model: the upper linear fractional transformation, and whether it is well posed.
-
-.. math:: F_u(M, \Delta) = M_{22} + M_{21} \Delta (I - M_{11} \Delta)^{-1} M_{12}
-"""
+"""A constant Delta closed into a model: the upper linear fractional transformation, and whether it is well posed."""
 
 from __future__ import annotations
 
@@ -24,11 +21,7 @@ LARGEST_EXPONENT = 200.0
 
 
 def is_singular(product: ArrayLike) -> bool:
-    """Whether ``I - product`` is singular, or so near to it that nothing can be trusted; product has shape (n, n).
-
-    Its determinant is that of its strongly connected parts: entries on no cycle do not count, however large they are.
-    Nor must the units of the channels decide: each part is balanced first (a similarity by powers of two).
-    """
+    """Whether ``I - product`` is singular, or so near to it that nothing can be trusted; product has shape (n, n)."""
     matrix = np.asarray(product)
     if not matrix.any():
         return False
@@ -85,13 +78,7 @@ def closed_response(m: AnyArray, d: AnyArray) -> AnyArray:
 
 
 def balancing_scale(matrix: ArrayLike) -> NDArray[np.float64]:
-    r"""Diagonal t of powers of two for which :math:`T^{-1} M T` has rows and columns of like size; shape (n,).
-
-    Examples
-    --------
-    >>> balancing_scale([[1.0, 1024.0], [1.0 / 1024.0, 1.0]]).tolist()
-    [1024.0, 1.0]
-    """
+    """Diagonal t of powers of two for which :math:`T^{-1} M T` has rows and columns of like size; shape (n,)."""
     with np.errstate(divide="ignore"):
         level = np.log2(np.abs(np.asarray(matrix)))
     np.fill_diagonal(level, -np.inf)

@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab import FullBlock, RealScalar
-from robustlab.uncertainty.blocks import as_blocks, structure_size
+from robustlab.uncertainty import as_blocks, structure_size
 
 
 def hermitian_variable(cp, n):

@@ -13,7 +13,7 @@ from robustlab import FullBlock, RealScalar
 from robustlab.budget import listening
 from robustlab.mu_analysis.matrix.certificate import delta_norm, proves
 from robustlab.mu_analysis.matrix.minimum_norm import smallest_step
-from robustlab.uncertainty.blocks import as_blocks, block_slices, structure_size
+from robustlab.uncertainty import as_blocks, block_slices, structure_size
 
 ROWS = st.sampled_from([[-1, 0], [1, 0], [-2, 0], [2, 0], [1, 2], [2, 1], [2, 2]])
 

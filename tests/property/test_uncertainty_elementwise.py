@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from robustlab import elementwise
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.elementwise import STRUCTURES, endpoint_residual
+from robustlab.uncertainty import STRUCTURES, endpoint_residual
 
 SETTINGS = settings(max_examples=50)
 

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from robustlab import ComplexScalar, FullBlock, RealScalar, UncertainModel, elementwise, frequency_response
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import delta_matrix, delta_values
+from robustlab.uncertainty import delta_matrix, delta_values
 from robustlab.uncertainty.upper_lft import upper_lft
 
 SETTINGS = settings(max_examples=40)

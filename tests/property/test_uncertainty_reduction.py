@@ -11,8 +11,7 @@ from robustlab import FullBlock, RealScalar, UncertainModel, elementwise
 from robustlab.errors import InputError
 from robustlab.result import plain
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.algebra import reduction
-from robustlab.uncertainty.elementwise import STRUCTURES
+from robustlab.uncertainty import STRUCTURES, reduction
 
 SETTINGS = settings(max_examples=12)
 seeds = st.integers(0, 100_000)

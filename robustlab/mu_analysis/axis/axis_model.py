@@ -71,12 +71,9 @@ def continuous(model: StateSpaceModel) -> StateSpaceModel:
 
 
 def _even(model: StateSpaceModel) -> StateSpaceModel:
-    """The stable model in states that are reached and seen alike, those that matter most first.
-
-    These are the same whatever states the model came in, and no farther from normal than its transfer function is: in
-    others the eigenvalues of a Hamiltonian matrix may be wrong in the fourth digit. Directions that are hidden are left
-    where they are; so is a model whose slowest pole would lose digits.
-    """
+    """The stable model in states that are reached and seen alike, those that matter most first."""
+    # These are the same whatever states the model came in, and no farther from normal than its transfer function is:
+    # in others the eigenvalues of a Hamiltonian matrix may be wrong in the fourth digit.
     from scipy.linalg import solve_continuous_lyapunov
 
     A, B, C = model.A, model.B, model.C

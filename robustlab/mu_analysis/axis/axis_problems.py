@@ -1,65 +1,89 @@
-"""What branch and bound cuts over the whole frequency axis: regions of parameters and frequency.
+"""What branch and bound cuts over the whole frequency axis: regions of parameters and frequency."""
 
-A region is proved where intervals with constant D, G cover the frequencies that are open in it; what its ancestors have
-proved there holds in it, too.
-"""
+# A region is proved where intervals with constant D, G cover the frequencies that are open in it; what its ancestors
+# have proved there holds in it, too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget, dense
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import typical_speed
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, extend_work
-from robustlab.mu_analysis.axis.mode_ascent import ascended, is_stable_member, shrunk
+from robustlab.mu_analysis.axis.mode_ascent import ascended, is_stable_member, member_work, shrunk
 from robustlab.mu_analysis.constants import ASCENT_REACH
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, gauge, root_box
-from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights
+from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights, tighten
 from robustlab.mu_analysis.matrix.gain import ascend_corners
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
+from robustlab.uncertainty.lft import UncertainModel
 
 INSIDE = 0.98  # level aimed at in a region; smaller: wider intervals, more cuts
 PROVED = 0.9999  # a level below this proves the point
 MISSES = 3  # frequencies in a row that cannot be proved cut a region; more: less is proved twice, more in vain
+LOOK = 200  # work of a step of an ascent beside its eigenvalues, as measured
 NEAR_MISS = 0.01  # log width around a missed frequency in which no other is tried before the cut
 
-__all__ = ["GainProblem", "MarginProblem"]
+__all__ = ["GainProblem", "MarginProblem", "Proved"]
+
+
+@dataclass
+class Proved:
+    """The smallest level (mu, or a gain) proved over the axis so far, and what proves it."""
+
+    level: float = np.inf
+    cover: AxisCover = field(default_factory=lambda: AxisCover(open=[]))
+    proof: tuple[Piece, ...] | tuple[Region, ...] = ()
+    boxes: tuple[tuple[Box, Piece], ...] = ()
+
+    def cut(self, problem: _AxisProblem, attained: float, tolerance: float, budget: Budget) -> NDArray[Any] | None:
+        """Close the gap that D, G leave by boxes of the real parameters; the entries of a worse Delta met there."""
+        found = tighten(problem, attained, self.level, tolerance, budget)
+        if found.upper < self.level:
+            self.level, self.proof, self.boxes = found.upper, tuple(found.leaves), tuple(problem.proved)
+            self.cover.open.clear()
+        return found.values
+
+    def fields(
+        self, uncertain: UncertainModel, delta: Mapping[str, Any], budget: Budget, notes: Sequence[str], last: str = ""
+    ) -> dict[str, Any]:
+        """What every result over the axis tells of its proof and of its Delta; notes that say nothing are left out."""
+        intervals, left_open = self.cover.reported(uncertain, self.level)
+        if self.proof and isinstance(self.proof[0], Region):
+            notes = [*notes, f"proved by branch and bound; regions of parameters and frequency: {len(self.proof)}"]
+        every = [*notes, budget.remark, last, *uncertain.impossible(delta), *uncertain.remarks]
+        return {
+            "delta": delta, "physical": uncertain.physical(delta) if delta else {}, "intervals": intervals,
+            "open": left_open, "proof": self.proof, "boxes": self.boxes, "system": uncertain,
+            "notes": tuple(note for note in every if note),
+        }  # fmt: skip
 
 
 class _AxisProblem:
     """Regions of a stable continuous model's Delta channels over [0, inf]."""
 
-    def __init__(
-        self,
-        model: StateSpaceModel,
-        blocks: Sequence[Block],
-        hot: float | None,
-    ) -> None:
+    def __init__(self, model: StateSpaceModel, blocks: Sequence[Block], hot: float | None) -> None:
         self.model, self.blocks, self.hot = model, tuple(blocks), hot
         self.scale = typical_speed(model)
         # Each box with an interval that was proved in it: what the proof of all of them rests on.
         self.proved: list[tuple[Box, Piece]] = []
 
     def work(self, count: int) -> int:
-        """A D-G bound and an interval of each region, and the eigenvalues of a few members.
-
-        As measured: bounds that only have to stay below a level, or to show that they cannot, take a quarter.
-        """
+        """A D-G bound and an interval of each region, and the eigenvalues of a few members."""
         each = dense(self.model.n_states) // 2 + extend_work(self.model)
         return points_work(self.blocks, count) // 4 + count * each
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
-        """One frequency of each region: proved with an interval around it, or missed.
-
-        A region has to be cut where a few were missed in a row, or what is open lies close around those. Until then
-        what each half would have to prove is proved once for both.
-        """
+        """One frequency of each region: proved with an interval around it, or missed."""
         models = [box_model(self.model, self.blocks, r.box) for r in regions]
         places = [self._frequency(r) for r in regions]
         sound = {k: m for k, m in enumerate(models) if m is not None}
@@ -110,15 +134,17 @@ class MarginProblem(_AxisProblem):
         """All Delta of size ``1 / level`` on the whole axis."""
         return Region(root_box(self.blocks, 1 / level), [(0.0, float("inf"))], self.hot)
 
-    def attack(self, region: Region, level: float) -> Improved | None:
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
         """From the centre along the mode next to where the region was missed, inside a box below the size known."""
         values, blocks, aim = region.box.centre, self.blocks, 1j * (region.hot or 0.0)
         if is_stable_member(self.model, blocks, values):
             found = ascended(self.model, blocks, values, ASCENT_REACH / level, aim)
+            looks = 1 if found is None else found.looks
+            budget.spend(looks * LOOK + member_work(self.model, looks))
             if found is None or found.pole.real <= 0:
                 return None
             values = found.values
-        values = shrunk(self.model, blocks, values, Budget())
+        values = shrunk(self.model, blocks, values, budget)
         size = gauge(blocks, values)
         return Improved(1 / size, values) if size > 0 else None
 
@@ -133,7 +159,7 @@ class GainProblem(_AxisProblem):
         half[-1] = 1 / level
         return Region(Box(whole.centre, half), [(0.0, float("inf"))], self.hot)
 
-    def attack(self, region: Region, level: float) -> Improved | None:
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
         """From the centre to the corner that raises the gain at the frequency in question, as long as that helps."""
         M = frequency_response(self.model, np.array([region.hot if region.hot is not None else self.scale]))[0]
         met = ascend_corners(M, self.blocks, region.box, region.box.centre)

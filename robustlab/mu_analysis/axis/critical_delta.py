@@ -1,16 +1,10 @@
-r"""The critical Delta: what it means on the machine (a replay in time), and which blocks the margin hangs on.
+"""The critical Delta: what it means on the machine (a replay in time), and which blocks the margin hangs on."""
 
-Let block i be ``s_i`` times as large. At the smallest singular Delta, the parts
-:math:`c_i = y^* M_i \Delta_i x / y^* x` of the linearised loop add up to one, and a multiplier phi makes every
-:math:`\mathrm{Re}(\varphi c_i)` of a block at its bound positive and that of a block inside it zero. By the envelope
-theorem
+# Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that crosses
+# give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j: only the real part of the pole counts.
 
-.. math:: \frac{\partial \log m}{\partial \log s_i}
-    = - \frac{\mathrm{Re}(\varphi c_i)}{\sum_j \mathrm{Re}(\varphi c_j)} .
-
-On the frequency axis the critical frequency moves along; there :math:`c_i` is the part of the pole's derivative, and
-``phi = 1``: only the real part of the pole counts.
-"""
+# Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that crosses
+# give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j: only the real part of the pole counts.
 
 from __future__ import annotations
 
@@ -25,14 +19,13 @@ from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
 from robustlab.mu_analysis.matrix.certificate import delta_norm
 from robustlab.mu_analysis.matrix.delta_layout import delta_layout
-from robustlab.mu_analysis.matrix.minimum_norm import dual_minimum
 from robustlab.shown import AllFields, Facts, Shown, number
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
-__all__ = ["CriticalResponse", "block_sensitivities", "pole_block_sensitivities", "replay"]
+__all__ = ["CriticalResponse", "pole_block_sensitivities", "replay"]
 
 
 INSIDE = 0.95  # share of the critical Delta that is shown as just inside the margin
@@ -71,11 +64,7 @@ class CriticalResponse(AllFields, Shown):
 
 
 def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points: int = 40) -> CriticalResponse:
-    """Simulate the model from the mode that the critical Delta brings to the stability boundary.
-
-    A complex Delta is a number at one frequency; it is replayed as a stable system of the same gain that takes that
-    value there (`realise_delta`).
-    """
+    """Simulate the model from the mode that the critical Delta brings to the stability boundary."""
     if not margin.delta or margin.frequency is None:
         raise InputError("replay", "a margin without a critical Delta", "one that was attained")
     if set(margin.delta) - {b.name for b in uncertain.blocks}:
@@ -140,33 +129,6 @@ def _free(model: StateSpaceModel, x0: Array, t: Array) -> Array:
     return states @ model.C.T
 
 
-def block_sensitivities(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Array:
-    """Derivative of ``1 / mu(M)`` by the relative size of each block, shape (n_blocks,); none is positive.
-
-    Their sum is minus the margin. Assumes that Delta is a strict local minimum with a simple null direction.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import RealScalar
-    >>> M = np.array([[1.0, 3.0], [1.0, 3.0]], dtype=complex)
-    >>> block_sensitivities(M, [RealScalar("a"), RealScalar("b")], np.eye(2) / 4 + 0j).round(9).tolist()
-    [-0.0625, -0.1875]
-    """
-    layout = delta_layout(blocks)
-    M, delta = np.asarray(M, dtype=complex), np.asarray(delta, dtype=complex)
-    u, _, vh = np.linalg.svd(np.eye(len(M)) - M @ delta)
-    x, y = np.conj(vh[-1:]), u[None, :, -1]
-    row = (np.conj(y) @ M) / _simple(complex((np.conj(y) * x).sum()), "block_sensitivities")
-    gains = layout.gains(row, x)
-    re, im = gains.real[:, layout.real], gains.imag[:, layout.real]
-    total = np.abs(gains[:, ~layout.real]).sum(axis=1)
-    alpha = dual_minimum(re, im, total)[0] if layout.real.any() else np.zeros(1)
-    parts = layout.contributions(delta[None], row, x)[0]
-    if not layout.real.any():
-        return _shared(np.abs(parts), delta_norm(blocks, delta))
-    return _shared((parts * (1 - 1j * alpha)).real, delta_norm(blocks, delta))
-
-
 def pole_block_sensitivities(
     model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, pole: complex
 ) -> Array:
@@ -178,22 +140,12 @@ def pole_block_sensitivities(
     v = right[:, np.abs(values - pole).argmin()]
     values, left = np.linalg.eig(a.T)
     u = left[:, np.abs(values - pole).argmin()]
-    inner = _simple(complex(u @ v), "pole_block_sensitivities")
+    inner = complex(u @ v)
+    if abs(inner) < 1e-10:
+        raise NoTrustworthyNumber("pole_block_sensitivities", "a pole that is not simple", "a simple pole")
     loop = np.eye(model.n_outputs) - model.D @ delta
     back = np.eye(model.n_inputs) - delta @ model.D
     x = np.linalg.solve(loop, model.C @ v)
     row = np.linalg.solve(back.T, u @ model.B) / inner
-    return _shared(layout.contributions(delta[None], row[None], x[None])[0].real, delta_norm(blocks, delta))
-
-
-def _simple(inner: complex, where: str) -> complex:
-    if abs(inner) < 1e-10:
-        raise NoTrustworthyNumber(
-            where, "left and right null directions are orthogonal", "a simple pole or null direction"
-        )
-    return inner
-
-
-def _shared(parts: Array, margin: float) -> Array:
-    """The margin's derivatives from the parts that count."""
-    return -margin * parts / parts.sum()
+    parts = layout.contributions(delta[None], row[None], x[None])[0].real
+    return -delta_norm(blocks, delta) * parts / parts.sum()

@@ -1,13 +1,14 @@
-r"""Upper bounds that hold on whole frequency intervals: constant D, G, extended by the eigenvalues of a Hamiltonian
-matrix.
+"""Upper bounds that hold on whole frequency intervals: constant D, G, extended by the eigenvalues of a Hamiltonian."""
 
-.. math:: \Phi(\omega) = M^* D_z M + j (G M - M^* G^*) - \beta^2 D_w, \qquad M = C (j \omega I - A)^{-1} B + D
+# Phi(omega) = M^* D_z M + j (G M - M^* G^*) - beta^2 D_w is singular where j omega is an eigenvalue of H. Rounding
+# moves eigenvalues off the axis, so *every* imaginary part counts as a possible change of sign, and the sign is
+# tested between and at these candidates, outwards from a frequency at which Phi < 0 is known. A version that asked
+# "is this eigenvalue imaginary?" with a tolerance certified wrong intervals.
 
-:math:`\Phi(\omega)` is singular where :math:`j \omega` is an eigenvalue of H. Rounding moves eigenvalues off the
-axis, so *every* imaginary part counts as a possible change of sign, and the sign is tested between and at these
-candidates, outwards from a frequency at which :math:`\Phi < 0` is known. A version that asked "is this eigenvalue
-imaginary?" with a tolerance certified wrong intervals.
-"""
+# Phi(omega) = M^* D_z M + j (G M - M^* G^*) - beta^2 D_w is singular where j omega is an eigenvalue of H. Rounding
+# moves eigenvalues off the axis, so *every* imaginary part counts as a possible change of sign, and the sign is
+# tested between and at these candidates, outwards from a frequency at which Phi < 0 is known. A version that asked
+# "is this eigenvalue imaginary?" with a tolerance certified wrong intervals.
 
 from __future__ import annotations
 
@@ -21,9 +22,11 @@ from robustlab.arrays import Array, Mask
 from robustlab.budget import Budget
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import balancing_factors
-from robustlab.mu_analysis.axis.axis_model import model_frequency, typical_speed
+from robustlab.mu_analysis.axis.axis_model import coupled_blocks, model_frequency, typical_speed
 from robustlab.mu_analysis.constants import FREQUENCIES
+from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
+from robustlab.mu_analysis.matrix.skew import divided, skew_upper
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.shown import Facts, Shown, in_words, number
 from robustlab.statespace import StateSpaceModel
@@ -33,17 +36,16 @@ from robustlab.uncertainty.lft import UncertainModel
 SLACK = 1e-5  # the Hamiltonian is that of a beta smaller by this: a blurred double root costs far less
 CREEPING = 0.97  # share of what is open that a round may leave open before the level is raised
 HOPELESS = 64.0  # accuracy at which creeping ends the cover: no scaling could prove anything there
+IDLE = 8  # rounds in which points stay above a level that is not raised
+SKEWED = 4  # bounds of mu that one skewed bound costs: counts work only
 PROBES = 12  # frequencies at which a sign is tested to find an end, or what the eigenvalues have missed
 
-__all__ = ["AxisCover", "Piece", "cover_axis", "extend", "extend_work"]
+__all__ = ["AxisCover", "Piece", "cover_axis", "cover_parts", "extend", "extend_work"]
 
 
 @dataclass(frozen=True)
 class Piece(Shown):
-    """``mu <= beta`` is proved for all ``low <= omega <= high`` (rad/s) by the constant scalings ``bound``.
-
-    ``members`` are the indices of the blocks that it is about; None for all of them.
-    """
+    """``mu <= beta`` is proved for all ``low <= omega <= high`` (rad/s) by the constant scalings ``bound``."""
 
     low: float
     high: float
@@ -58,19 +60,7 @@ class Piece(Shown):
 
 @dataclass
 class AxisCover:
-    """What is proved of the axis [0, inf], and what is still open.
-
-    Attributes
-    ----------
-    pieces
-        Proved intervals; they may overlap.
-    open
-        Uncovered intervals.
-    beta
-        Largest beta of the pieces.
-    points
-        Number of frequencies at which D, G were computed.
-    """
+    """What is proved of the axis [0, inf], and what is still open."""
 
     pieces: list[Piece] = field(default_factory=list)
     open: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, float("inf"))])
@@ -92,13 +82,6 @@ class AxisCover:
                 rest.append((piece.high, high))
         self.open = rest
 
-    def join(self, other: AxisCover, members: tuple[int, ...]) -> None:
-        """Take over what another cover of the same axis, for the blocks ``members``, has proved and left open."""
-        self.pieces.extend(replace(piece, members=members) for piece in other.pieces)
-        self.open.extend(other.open)
-        self.beta = max(self.beta, other.beta)
-        self.points += other.points
-
     def grow(
         self,
         model: StateSpaceModel,
@@ -108,10 +91,7 @@ class AxisCover:
         budget: Budget,
         level: float | None = None,
     ) -> bool:
-        """Extend the bound found at each frequency to an interval and add it; False where the budget ended that.
-
-        ``beta`` is what the pieces prove of this model; ``level`` what that means for the cover, where it differs.
-        """
+        """Extend the bound found at each frequency to an interval and add it; False where the budget ended that."""
         self.points += len(omega)
         for w, bound in zip(omega, bounds, strict=True):
             if budget.over:  # of 70 blocks an interval takes seconds
@@ -165,37 +145,69 @@ class AxisCover:
 def cover_axis(
     model: StateSpaceModel,
     blocks: Sequence[Block],
-    beta: float,
+    level: float,
     *,
     first: Array,
     budget: Budget,
     accuracy: float,
+    varying: Mask | None = None,
 ) -> AxisCover:
-    """Prove an upper bound of mu on [0, inf] for a stable continuous model, as close above its D-G peak as
-    ``accuracy`` says.
-    """
-    cover, scale = AxisCover(), typical_speed(model)
-    beta = beta * (1 + accuracy)
+    """Prove a level on [0, inf] of a stable continuous model, as close above its D-G peak as ``accuracy`` says."""
+    # The level is mu; where inputs vary it is skewed mu: the size of their blocks is one over it, of the others one.
+    cover, scale, step, idle = AxisCover(), typical_speed(model), accuracy, 0
+    level *= 1 + accuracy
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
-    while cover.open and not budget.over and accuracy < HOPELESS:
+    while cover.open and not budget.over and step < HOPELESS:
         fresh, before = not pending, cover.open_share(scale)
         omega = cover.take_points(pending, scale, FREQUENCIES)
-        target = beta / (1 + accuracy / 2)
-        bounds = points_below(frequency_response(model, omega), blocks, target)
+        response = frequency_response(model, omega)
+        least = 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290))  # what zero is small against
         budget.spend(points_work(blocks, len(omega)))
-        # A bound below its target may be any: it was stopped there, and says nothing of the level.
-        missed = [b.beta for b in bounds if target < b.beta < np.inf]
-        beta = max(beta, max(missed, default=0.0) * (1 + accuracy), 1e-9 * _size(model, omega))
-        cover.grow(model, omega, bounds, beta, budget)
+        if varying is None:
+            target = level / (1 + step / 2)
+            bounds = points_below(response, blocks, target)
+            # A bound below its target may be any: it was stopped there, and says nothing of the level.
+            missed = [b.beta for b in bounds if target < b.beta < np.inf]
+            level = max(level, max(missed, default=0.0) * (1 + step), least)
+            grown = cover.grow(model, omega, bounds, level, budget)
+        else:
+            level, target = max(level, least), 1 / (1 + accuracy / 2)
+            bounds = points_below(divided(response, varying, level), blocks, target)
+            over = [k for k, b in enumerate(bounds) if not b.beta < 1 / (1 + accuracy / 4)]
+            if over:
+                raised = max(skew_upper(response[k], blocks, varying)[0] for k in over) * (1 + accuracy)
+                if not np.isfinite(raised) or (raised <= level and idle == IDLE):
+                    break  # the other blocks alone come too near to it
+                idle = idle + 1 if raised <= level else 0
+                level = max(level, raised)
+                again = points_below(divided(response[over], varying, level), blocks, target)
+                budget.spend((SKEWED + 1) * points_work(blocks, len(over)))
+                for k, bound in zip(over, again, strict=True):
+                    bounds[k] = bound
+            B, D = divided(model.B, varying, level), divided(model.D, varying, level)
+            grown = cover.grow(StateSpaceModel(model.A, B, model.C, D), omega, bounds, 1.0, budget, level)
+        if not grown:
+            break
         if fresh and cover.open_share(scale) > CREEPING * before:
-            accuracy *= 2
-            beta *= 1 + accuracy
+            step *= 2
+            level *= 1 + step
     return cover
 
 
-def _size(model: StateSpaceModel, omega: Array) -> float:
-    """Largest gain at these frequencies: what a mu of zero is small against."""
-    return float(np.linalg.norm(frequency_response(model, omega), axis=(1, 2)).max(initial=1e-290))
+def cover_parts(
+    model: StateSpaceModel, blocks: Sequence[Block], beta: float, *, first: Array, budget: Budget, accuracy: float
+) -> AxisCover:
+    """`cover_axis` of each strongly connected part of M11 on its own; mu of the whole is the largest of theirs."""
+    whole = AxisCover(open=[])
+    for members in coupled_blocks(model, blocks):
+        w, z = entries(blocks, members)
+        part = StateSpaceModel(model.A, model.B[:, w], model.C[z], model.D[z[:, None], w])
+        some = [blocks[i] for i in members]
+        cover = cover_axis(part, some, beta, first=first, budget=budget, accuracy=accuracy)
+        whole.pieces += [replace(piece, members=tuple(int(i) for i in members)) for piece in cover.pieces]
+        whole.open += cover.open
+        whole.beta, whole.points = max(whole.beta, cover.beta), whole.points + cover.points
+    return whole
 
 
 def extend_work(model: StateSpaceModel) -> int:
@@ -240,10 +252,7 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
 def _segments_proved(
     model: StateSpaceModel, bound: UpperBound, beta: float, ends: Array, middles: Array
 ) -> tuple[int, bool]:
-    """How many segments, each behind its end, have the right sign one after the other; and whether the last end has.
-
-    There is one end more than there are segments. A few are tested at a time: where modes are light, few are proved.
-    """
+    """How many segments, each behind its end, have the right sign one after the other; and whether the last end has."""
     proved, count = 0, 2
     while proved < len(middles):
         some = slice(proved, min(proved + count, len(middles)))
@@ -268,10 +277,8 @@ def _edge(model: StateSpaceModel, bound: UpperBound, beta: float, *, bad: float,
 def _between_failures(
     model: StateSpaceModel, bound: UpperBound, beta: float, low: float, high: float, omega: float
 ) -> tuple[float, float]:
-    """The interval again, or the part around ``omega`` in which every probe has the right sign.
-
-    Eigenvalues of H can be wrong in the first digits where D, G are extreme: probes catch what they miss.
-    """
+    """The interval again, or the part around ``omega`` in which every probe has the right sign."""
+    # Eigenvalues of H can be wrong in the first digits where D, G are extreme: probes catch what they miss.
     top = high if np.isfinite(high) else 1e3 * max(low, _speed(model))
     bottom = low if low > 0 else 1e-6 * top
     probes = np.unique(np.concatenate([np.linspace(low, top, PROBES), np.geomspace(bottom, top, PROBES)]))

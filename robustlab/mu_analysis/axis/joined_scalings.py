@@ -13,6 +13,7 @@ from robustlab.linear_analysis.structural import strong_components
 from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.decomposition import entries
+from robustlab.mu_analysis.matrix.upper import UpperBound
 from robustlab.norms.numbers import Numbers, block_rows, loop_numbers
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.uncertainty.blocks import Block, block_slices
@@ -41,10 +42,7 @@ def loop_axis_claims(
 def joined_scalings(
     model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Any], at: Callable[[float], float]
 ) -> Numbers | None:
-    """Pieces of a proof as intervals in rad/s with scalings of all blocks; None where they cannot be joined.
-
-    ``at``: what a frequency of the pieces is in rad/s.
-    """
+    """Pieces of a proof as intervals in rad/s with scalings of all blocks; None where they cannot be joined."""
     whole = _of_the_whole(model, blocks, pieces)
     return None if whole is None else interval_scalings(whole, at)
 
@@ -58,27 +56,10 @@ def interval_scalings(pieces: Sequence[Any], at: Callable[[float], float]) -> Nu
     return {**ends, **stacks}
 
 
-class _Bound:
-    """Scalings put together from those of parts."""
-
-    def __init__(self, Dw: NDArray[Any], Dz: NDArray[Any], G: NDArray[Any]) -> None:
-        self.Dw, self.Dz, self.G = Dw, Dz, G
-
-
-class _Joined:
-    """An interval with scalings of all blocks."""
-
-    def __init__(self, low: float, high: float, bound: _Bound) -> None:
-        self.low, self.high, self.bound = low, high, bound
-
-
 def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Piece]) -> list[Any] | None:
-    r"""Pieces of parts that act on each other in a cycle, as pieces of all blocks.
-
-    Parts of which one acts on the other, and not back, have a triangular M. With D of each part times
-    :math:`2^{-64 k}`, k its depth, what it does to those behind it counts for nothing; a block in no cycle has the
-    identity.
-    """
+    """Pieces of parts that act on each other in a cycle, as pieces of all blocks."""
+    # Parts of which one acts on the other, and not back, have a triangular M. With D of each part times 2^(-64 k), k
+    # its depth, what it does to those behind it counts for nothing; a block in no cycle has the identity.
     whole = tuple(range(len(blocks)))
     if all(p.members is None or p.members == whole for p in pieces):
         return list(pieces)
@@ -104,7 +85,7 @@ def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Seque
             scale = 2.0 ** (-APART * depth[members[0]]) / 2.0 ** np.round(np.log2(np.abs(piece.bound.Dw).max()))
             Dw[w[:, None], w], Dz[z[:, None], z] = scale * piece.bound.Dw, scale * piece.bound.Dz
             G[w[:, None], z] = scale * piece.bound.G
-        result.append(_Joined(float(low), float(high), _Bound(Dw, Dz, G)))
+        result.append(Piece(float(low), float(high), np.inf, UpperBound(np.inf, Dw, Dz, G)))
     return result
 
 

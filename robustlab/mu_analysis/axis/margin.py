@@ -13,7 +13,7 @@ from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.box import Box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region
 from robustlab.result import Bracket
-from robustlab.shown import Facts, Part, bracket, listed, member, number
+from robustlab.shown import SHOWN_BLOCKS, Facts, Part, bracket, listed, member, number
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -25,7 +25,6 @@ __all__ = [
     "delta_rows",
 ]
 
-SHOWN_BLOCKS = 40  # rows of a table
 PERFORMANCE = "performance"  # the block that robust_performance adds; no range of the user's
 
 

@@ -1,21 +1,20 @@
-r"""Smaller destabilising members, by driving one mode after the other to the axis inside a box of real parameters.
+"""Smaller destabilising members, by driving one mode after the other to the axis inside a box of real parameters."""
 
-.. math:: \max_{|\delta_i| \le s} \; \mathrm{Re} \, \lambda_k (A + B \Delta (I - D \Delta)^{-1} C)
+# max Re lambda_k(A + B Delta (I - D Delta)^-1 C) over |delta_i| <= s, by quasi-Newton steps with the exact
+# derivative. Where modes are lightly damped, two that meet inside the box may exchange their damping there, and paths
+# from the nominal poles, as in pole_migration, pass by: on chains of 24 masses these missed by 16 and 278 %, this by
+# 5 (benchmarks/results/mu_axis.txt). What comes of one mode is a local maximum among many, so the search goes on from
+# the best of each: a few parameters are thrown anew and the ascent is made again, more often for modes that are less
+# damped by now (iterated local search, Lourenço, Martin, Stützle 2003). A mode is told by its frequency, for the one
+# of largest real part is nearly always the slowest. Branch and bound asks for the same from the centres of regions.
 
-Where modes are lightly damped, two of them that meet somewhere inside the box may exchange their damping there, and
-nothing at its centre tells so: paths from the nominal poles, as in `pole_migration`, pass by. Here modes are led by
-quasi-Newton steps with the exact derivative; the box is slightly smaller than the smallest member known. What comes of
-one mode is a local maximum among many, so the search goes on from the best of each mode: a few parameters are thrown
-anew and the ascent is made again, more often for modes that are less damped by now (iterated local search; from points
-without such a past a member that destabilises is met far less often). The mode is told by its frequency, for the one of
-largest real part is nearly always the slowest, whatever the others do. What is found is made smaller as far as that
-mode leads, and ends on the axis exactly. Branch and bound asks for the same from the centres of the regions that it
-cannot prove.
-
-References
-----------
-Lourenço, Martin, Stützle, "Iterated local search", Handbook of Metaheuristics (2003).
-"""
+# max Re lambda_k(A + B Delta (I - D Delta)^-1 C) over |delta_i| <= s, by quasi-Newton steps with the exact
+# derivative. Where modes are lightly damped, two that meet inside the box may exchange their damping there, and paths
+# from the nominal poles, as in pole_migration, pass by: on chains of 24 masses these missed by 16 and 278 %, this by
+# 5 (benchmarks/results/mu_axis.txt). What comes of one mode is a local maximum among many, so the search goes on from
+# the best of each: a few parameters are thrown anew and the ascent is made again, more often for modes that are less
+# damped by now (iterated local search, Lourenço, Martin, Stützle 2003). A mode is told by its frequency, for the one
+# of largest real part is nearly always the slowest. Branch and bound asks for the same from the centres of regions.
 
 from __future__ import annotations
 
@@ -102,6 +101,11 @@ def is_stable_member(model: StateSpaceModel, blocks: Sequence[Block], values: Ar
     return bool((_member_poles(model, blocks, values).real < 0).all())
 
 
+def member_work(model: StateSpaceModel, members: int) -> int:
+    """The work of so many members, as measured: eigenvalues with the vectors of one of them."""
+    return members * dense(model.n_states) // 4
+
+
 def ascended(
     model: StateSpaceModel,
     blocks: Sequence[Block],
@@ -109,10 +113,7 @@ def ascended(
     size: float,
     aim: complex,
 ) -> Ascent | None:
-    """Where quasi-Newton steps end, in a box of this size, that follow the pole next to the imaginary aim.
-
-    It is told by its frequency. They begin at the entries ``start`` (n_blocks,). None where these are ill-posed.
-    """
+    """Where quasi-Newton steps end, in a box of this size, that follow the pole next to the imaginary aim."""
     from scipy.optimize import minimize
 
     first = mode_next_to(model, blocks, start, aim)
@@ -198,11 +199,7 @@ class _Search:
         return self.best
 
     def _ascents_within(self, size: float, thorough: bool, rng: np.random.Generator) -> int:
-        """How many ascents were made inside a box until one led to a smaller member, or to the end of the turn.
-
-        At first from members that damp a mode least (thorough: from the nominal modes as well), then and in later turns
-        from where modes have come to.
-        """
+        """How many ascents were made inside a box until one led to a smaller member, or to the end of the turn."""
         ascents, starts = 0, []
         if size != self.box:
             self.box, self.led = size, {}
@@ -245,10 +242,7 @@ class _Search:
         return least + [others[k] for k in rng.permutation(len(others))[:ASCENT_MODES]]
 
     def _thrown(self, rng: np.random.Generator) -> Iterator[tuple[int, Array]]:
-        """Where modes have come to in this box, with a few parameters thrown anew; less damped ones more often.
-
-        Each is told when it is asked for: what the one before has led to counts.
-        """
+        """Where modes have come to in this box, with a few parameters thrown anew; less damped ones more often."""
         for _ in range(2 * ASCENT_MODES):
             order = sorted(self.led, key=lambda mode: self.led[mode][0])
             if not order:
@@ -324,5 +318,4 @@ class _Search:
         return _member_poles(self.model, self.blocks, values)
 
     def _count(self, members: int = 1) -> None:
-        """The work of so many members, as measured: eigenvalues with the vectors of one of them."""
-        self.budget.spend(members * dense(self.model.n_states) // 4)
+        self.budget.spend(member_work(self.model, members))

@@ -1,14 +1,10 @@
-r"""Destabilising perturbations of a state-space model: the smallest Delta that brings a pole to the stability boundary.
+"""Destabilising perturbations: the smallest Delta that brings a pole of a state-space model to the axis."""
 
-Real mu lives at isolated frequencies, so a frequency grid finds nothing. Instead one pole of
-
-.. math:: A_\Delta = A + B \Delta (I - D \Delta)^{-1} C
-
-is led to the axis in small steps, each the linearised move of least ``max |delta_i|``, and then along the axis to a
-smaller Delta. A real pole that meets another and crosses at zero is found by the static problem
-``det(I - M(0) Delta) = 0``, a loop that becomes ill-posed by ``det(I - D Delta) = 0``. What counts in the end is that
-the model at Delta, or at a part of it, has a pole on or beyond the axis.
-"""
+# Real mu lives at isolated frequencies, so a frequency grid finds nothing. Instead one pole of A + B Delta (I - D
+# Delta)^-1 C is led to the axis in small steps, each the linearised move of least max |delta_i|, and then along the
+# axis to a smaller Delta. A real pole that meets another and crosses at zero is found by the static problem det(I -
+# M(0) Delta) = 0, a loop that becomes ill-posed by det(I - D Delta) = 0. What counts in the end is that the model at
+# Delta, or at a part of it, has a pole on or beyond the axis.
 
 from __future__ import annotations
 
@@ -79,10 +75,7 @@ def smallest_destabilising(
 def _matrix_candidates(
     model: StateSpaceModel, blocks: Sequence[Block], omega: Array, seed: int
 ) -> tuple[list[ComplexArray], ComplexArray | None]:
-    """Deltas that solve the matrix problem at zero frequency and, where blocks are complex, at the grid's peaks.
-
-    The second is the one of D itself: it makes the loop ill-posed.
-    """
+    """Deltas that solve the matrix problem at zero frequency and, where blocks are complex, at the grid's peaks."""
     # At zero frequency M is real: its real Delta moves a real pole into the origin.
     ends = np.concatenate([frequency_response(model, np.array([0.0])), model.D.astype(complex)[None]])
     static, (_, ill_posed) = lower_bounds(ends, blocks, seed)
@@ -138,10 +131,7 @@ def _rightmost(model: StateSpaceModel, delta: ComplexArray) -> ComplexArray:
 def first_crossing(
     model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, best: float = np.inf
 ) -> Destabilising | None:
-    """The smallest multiple of Delta found, up to a little more than itself, at which the model is not stable.
-
-    None where there is none, or none smaller than ``best``.
-    """
+    """The smallest multiple of Delta found, up to a little more than itself, at which the model is not stable."""
     delta = project(blocks, delta)
     if not np.isfinite(delta).all() or not delta.any():
         return None
@@ -180,12 +170,7 @@ def _bisected(model: StateSpaceModel, delta: ComplexArray, stable: float, unstab
 def _on_the_axis(
     model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, pole: complex
 ) -> list[Destabilising]:
-    r"""Crossings at multiples of Delta, by ``det(I - M(j omega) Delta) = 0``, from the frequency of a pole.
-
-    Eigenvalues are accurate to rounding of the largest one only: beside fast poles a slow one seems to cross long
-    before it does. At a crossing, ``M(j omega) Delta`` has an eigenvalue that is real; dividing by it ends there.
-    Newton steps in omega make it so.
-    """
+    """Crossings at multiples of Delta, by ``det(I - M(j omega) Delta) = 0``, from the frequency of a pole."""
     if not np.isfinite(pole):
         return []
     # A pole of a real model that is small beside the others may be real, whatever its eigenvalue says.
@@ -256,11 +241,7 @@ def _loop_eigenvalue(model: StateSpaceModel, delta: ComplexArray, omega: float) 
 def _migrated(
     model: StateSpaceModel, blocks: Sequence[Block], given: list[ComplexArray], seed: int, random_starts: int
 ) -> list[ComplexArray]:
-    """Deltas, the smallest first, that have a pole close to the axis: those given, and the ends of paths.
-
-    Paths start from every nominal pole, from those given, from random points; and again from random points of about
-    the size that was found.
-    """
+    """Deltas, the smallest first, that have a pole close to the axis: those given, and the ends of paths."""
     layout = delta_layout(blocks)
     rng = np.random.default_rng(seed)
     nominal = model.poles()
@@ -376,11 +357,9 @@ def _migrate(
 
 
 def descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray) -> ComplexArray:
-    """Deltas with a pole on the axis, moved to smaller ones along the axis as far as the norm falls.
-
-    Part of the way to the Delta of least norm of the linearised problem, then back to the axis by size: where several
-    blocks end inside their range, whole steps only jump around the minimum.
-    """
+    """Deltas with a pole on the axis, moved to smaller ones along the axis as far as the norm falls."""
+    # Where several blocks end inside their range, whole steps only jump around the minimum: part of the way to the
+    # Delta of least norm of the linearised problem, then back to the axis by size.
     if not len(deltas):
         return deltas
     deltas, norm = deltas.copy(), layout.sizes(deltas).max(axis=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -16,14 +16,13 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import (
     check_nominal,
     continuous,
-    coupled_blocks,
     frequencies,
     model_frequency,
     seed_frequencies,
 )
-from robustlab.mu_analysis.axis.axis_problems import MarginProblem
+from robustlab.mu_analysis.axis.axis_problems import MarginProblem, Proved
 from robustlab.mu_analysis.axis.critical_delta import pole_block_sensitivities
-from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis
+from robustlab.mu_analysis.axis.intervals import AxisCover, cover_axis, cover_parts
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.mode_ascent import smaller_destabilising
 from robustlab.mu_analysis.axis.pole_migration import (
@@ -32,10 +31,8 @@ from robustlab.mu_analysis.axis.pole_migration import (
     smallest_destabilising,
 )
 from robustlab.mu_analysis.constants import COARSE, SINGULAR, WORK
-from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, lowest, root_box
-from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
+from robustlab.mu_analysis.matrix.box import block_entries, box_model, centre_matrix, gauge, lowest, root_box
 from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
-from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
 from robustlab.result import Status
@@ -61,17 +58,13 @@ FINEST_SIDE = 1e-5
 
 
 @dataclass
-class _Found:
-    """What is known so far: level of the smallest destabilising Delta, level proved, and what proves it."""
+class _Found(Proved):
+    """The smallest destabilising Delta known, and what is proved."""
 
-    model: StateSpaceModel
-    blocks: Sequence[Block]
-    worst: Destabilising | None
-    level: float
-    cover: AxisCover
-    proof: tuple[Piece, ...] | tuple[Region, ...] = ()
+    model: StateSpaceModel = field(kw_only=True)
+    blocks: Sequence[Block] = field(kw_only=True)
+    worst: Destabilising | None = None
     expected: float | None = None
-    boxes: tuple[tuple[Box, Piece], ...] = ()
 
     @property
     def attained(self) -> float:
@@ -90,57 +83,7 @@ def robust_stability(
     expected: float | None = None,
     effort: float = 1.0,
 ) -> Margin:
-    r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis.
-
-    ``lower`` is proved: intervals on which constant D, G satisfy the D-G inequality cover [0, inf]; where the D-G bound
-    itself is too far from ``upper``, the same is proved box by box of the real parameters (branch and bound).
-    ``upper`` is attained: the model perturbed by ``delta`` has a pole on the stability boundary. A discrete model is
-    mapped by ``s = (z - 1) / (z + 1)``, under which the unit circle becomes the axis and mu does not change.
-
-    A range that is wider on one side grows in proportion on both: at margin k a parameter lies in
-    ``[nominal - k below, nominal + k radius]``.
-
-    The proof is carried out in floating-point arithmetic with a slack of 5e-6 in mu: the signs of the inequality are
-    tested at and between all candidates that the Hamiltonian's eigenvalues give. It is not interval arithmetic.
-
-    Parameters
-    ----------
-    uncertain
-        Uncertain model, continuous or discrete.
-    omega
-        Frequencies in rad/s for ``mu_lower`` and ``mu_upper``, the curves of a figure; none where left out.
-    accuracy
-        Relative distance to which ``lower`` approaches the best margin that D, G scalings can prove, where these come
-        within ``tolerance`` of ``upper``.
-    time_limit
-        Time in s after which the proof is given up, or branch and bound stops where it is; the search for ``delta`` and
-        the curves come on top. Where it strikes, the status is TIMEOUT: the answer cannot be repeated. None: no limit.
-    seed
-        Seed of the search for the critical Delta.
-    tolerance
-        Relative gap between the bounds that branch and bound aims at; inf: no branch and bound.
-    expected
-        Size at which the margin is expected: the proof alone is made, nothing is sought that attains it (``upper`` is
-        inf, ``delta`` empty).
-    effort
-        Work that the proof may take, as a multiple of the usual (about a minute). It is counted, not timed, so that the
-        answer is the same on a busy machine.
-
-    Returns
-    -------
-    Margin
-        Both bounds, the critical Delta with its frequency in rad/s, and the intervals or regions that prove ``lower``.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        The nominal model is unstable.
-
-    References
-    ----------
-    Doyle (1982); Sideris, "Elimination of frequency search from robustness tests" (1992); Ly, Safonov, Chiang (1998);
-    Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
-    """
+    r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis."""
     compile_kernels()
     budget = search_budget("robust_stability", WORK, effort, time_limit)
     with one_thread():
@@ -165,16 +108,17 @@ def margin_within(
         raise InputError("robust_stability", f"expected is {expected}", "a positive finite size")
     grid = frequencies(omega, "robust_stability")
     blocks = uncertain.blocks
+    model = continuous(uncertain.delta_channels)
     if not blocks:
         zero = np.zeros(len(grid))
-        nothing = _Found(continuous(uncertain.delta_channels), blocks, None, 0.0, AxisCover(open=[]))
-        return _margin(uncertain, nothing, budget, grid, zero, zero.copy(), ("no uncertainty: mu = 0",))
-    found = _bounds(continuous(uncertain.delta_channels), blocks, accuracy, tolerance, budget, seed, expected)
+        nothing = _Found(0.0, model=model, blocks=blocks)
+        return _margin(uncertain, nothing, budget, grid, zero, zero.copy(), "no uncertainty: mu = 0")
+    found = _bounds(model, blocks, accuracy, tolerance, budget, seed, expected)
     response = frequency_response(uncertain.delta_channels, grid)
     mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
     mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
-    notes = () if len(grid) == 0 or (lowest(blocks) == -1).all() else (_SYMMETRIC_CURVES,)
-    return _margin(uncertain, found, budget, grid, mu_lower, mu_upper, notes)
+    note = "" if len(grid) == 0 or (lowest(blocks) == -1).all() else _SYMMETRIC_CURVES
+    return _margin(uncertain, found, budget, grid, mu_lower, mu_upper, note)
 
 
 _SYMMETRIC_CURVES = (
@@ -199,7 +143,7 @@ def _bounds(
     worst = worst and _as_seen(model, worst)
     if worst and symmetric:  # the search below measures entries of Delta, not their share of each side of a range
         worst = _sharpened(model, blocks, worst, seed)
-    found = _Found(model, blocks, worst, 0.0, AxisCover(), expected=expected)
+    found = _Found(0.0, AxisCover(), model=model, blocks=blocks, worst=worst, expected=expected)
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
     cover = _cover_symmetric if symmetric else _cover_asymmetric
     cover(found, first, budget, max(accuracy, COARSE))
@@ -216,8 +160,12 @@ def _bounds(
         _branch_and_bound(found, tolerance, first)
         if first.struck:
             budget.strike()
-    if _apart(found, tolerance) and not budget.over:
-        _led_to_the_axis(found, budget, seed)
+    if _apart(found, tolerance) and not budget.over and found.worst is not None and all(b.interval for b in blocks):
+        # The gap may be that of the search: only modes that meet inside the box tell of a smaller Delta.
+        better = smaller_destabilising(
+            model, blocks, found.worst, budget.share(ASCENT_SHARE), seed, proved=1 / found.level
+        )
+        found.worst = _as_seen(model, better)
     if _apart(found, tolerance):
         _branch_and_bound(found, tolerance, budget)
     return found
@@ -226,14 +174,6 @@ def _bounds(
 def _apart(found: _Found, tolerance: float) -> bool:
     """Whether a Delta is known and what is proved of all is farther from it than asked for."""
     return 0 < found.attained * (1 + tolerance) < found.level
-
-
-def _led_to_the_axis(found: _Found, budget: Budget, seed: int) -> None:
-    """A smaller Delta where the gap may be that of the search: only modes that meet inside the box tell of it."""
-    if found.worst is not None and all(b.interval for b in found.blocks):
-        part, proved = budget.share(ASCENT_SHARE), 1 / found.level
-        better = smaller_destabilising(found.model, found.blocks, found.worst, part, seed, proved)
-        found.worst = _as_seen(found.model, better)
 
 
 def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
@@ -251,10 +191,7 @@ def _sharpened(
     worst: Destabilising,
     seed: int,
 ) -> Destabilising:
-    """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around.
-
-    Down to a small part of the distance of the nearest pole: in a narrow peak mu changes as fast as that.
-    """
+    """With complex blocks mu changes smoothly over frequency: the smallest Delta at frequencies ever closer around."""
     omega = worst.pole.imag
     if not np.isfinite(worst.pole) or omega <= 0 or all(b.interval for b in blocks):
         return worst
@@ -273,17 +210,8 @@ def _sharpened(
 
 
 def _cover_symmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
-    """Cover the axis for each strongly connected part of M11 on its own; mu of the whole is the largest of theirs."""
-    whole = AxisCover(open=[])
-    for members in coupled_blocks(found.model, found.blocks):
-        w, z = entries(found.blocks, members)
-        m = found.model
-        part = StateSpaceModel(m.A, m.B[:, w], m.C[z], m.D[z[:, None], w])
-        some = [found.blocks[i] for i in members]
-        cover = cover_axis(part, some, found.attained, first=first, budget=budget, accuracy=accuracy)
-        whole.join(cover, tuple(int(i) for i in members))
-    found.cover, found.level = whole, float("inf") if whole.open else whole.beta
-    found.proof = tuple(whole.pieces)
+    cover = cover_parts(found.model, found.blocks, found.attained, first=first, budget=budget, accuracy=accuracy)
+    found.cover, found.level, found.proof = cover, np.inf if cover.open else cover.beta, tuple(cover.pieces)
 
 
 def _cover_asymmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
@@ -364,30 +292,18 @@ def _smallest_asymmetric(
 
 
 def _branch_and_bound(found: _Found, tolerance: float, budget: Budget) -> None:
-    """Close the gap that D, G leave, by boxes of the real parameters."""
     assert found.worst is not None
     hot = abs(found.worst.pole.imag) if np.isfinite(found.worst.pole) else None
-    problem = MarginProblem(found.model, found.blocks, hot)
-    proof = tighten(problem, found.attained, found.level, tolerance, budget)
-    if proof.values is not None:
-        delta = centre_matrix(found.blocks, proof.values).astype(complex)
-        crossing = first_crossing(found.model, found.blocks, delta)
-        better = found.worst if crossing is None else crossing
+    values = found.cut(MarginProblem(found.model, found.blocks, hot), found.attained, tolerance, budget)
+    if values is not None:
+        delta = centre_matrix(found.blocks, values).astype(complex)
+        better = first_crossing(found.model, found.blocks, delta) or found.worst
         if gauge(found.blocks, block_entries(found.blocks, better.delta)) < 1 / found.attained:
             found.worst = better
-    if proof.upper < found.level:
-        found.level, found.proof, found.boxes = proof.upper, tuple(proof.leaves), tuple(problem.proved)
-        found.cover.open.clear()
 
 
 def _margin(
-    uncertain: UncertainModel,
-    found: _Found,
-    budget: Budget,
-    grid: Array,
-    mu_lower: Array,
-    mu_upper: Array,
-    notes: tuple[str, ...],
+    uncertain: UncertainModel, found: _Found, budget: Budget, grid: Array, mu_lower: Array, mu_upper: Array, note: str
 ) -> Margin:
     worst, cover = found.worst, found.cover
     delta = delta_values(uncertain.blocks, worst.delta) if worst else {}
@@ -397,36 +313,27 @@ def _margin(
     if upper < lower * (1 - 1e-5):
         text = f"a Delta of size {upper:.9g} destabilises inside the proved margin {lower:.9g}: digits were lost"
         raise NoTrustworthyNumber("robust_stability", text)
-    lower = min(lower, upper)
-    if cover.open:
-        notes = (*notes, f"{len(cover.open)} frequency intervals not proved: mu_upper holds on the grid only")
-    elif found.proof and isinstance(found.proof[0], Region):
-        notes = (*notes, by_regions(len(found.proof)))
-    if budget.remark:
-        notes = (*notes, budget.remark)
-    notes = (*notes, *uncertain.impossible(delta), *uncertain.remarks)
+    left = f"{len(cover.open)} frequency intervals not proved: mu_upper holds on the grid only" if cover.open else ""
     for array in (grid, mu_lower, mu_upper):
         array.setflags(write=False)
-    intervals, open_intervals = cover.reported(uncertain, found.level)
-    shares = _shares(found.model, uncertain.blocks, worst) if worst else {}
+    frequency, pole = None, None
+    if worst is not None:
+        pole, frequency = worst.pole, model_frequency(uncertain, abs(worst.pole.imag))
+        if not np.isfinite(pole):
+            frequency = model_frequency(uncertain, np.inf)
+        if uncertain.M.is_discrete:
+            pole = (1 + pole) / (1 - pole) if np.isfinite(pole) else -1.0 + 0j
     return Margin(
-        lower=lower,
+        lower=min(lower, upper),
         upper=upper,
-        frequency=_frequency(uncertain, worst),
-        delta=delta,
+        frequency=frequency,
         status=Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE if cover.open else Status.CERTIFIED,
-        physical=uncertain.physical(delta) if delta else {},
-        pole=_pole(uncertain, worst),
+        pole=pole,
         omega=grid,
         mu_lower=mu_lower,
         mu_upper=mu_upper,
-        intervals=intervals,
-        open=open_intervals,
-        shares=shares,
-        proof=found.proof,
-        notes=notes,
-        system=uncertain,
-        boxes=found.boxes,
+        shares=_shares(found.model, uncertain.blocks, worst) if worst else {},
+        **found.fields(uncertain, delta, budget, [note, left]),
     )
 
 
@@ -443,15 +350,3 @@ def _shares(model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilisin
     if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9:
         return {}
     return {b.name: float(share) for b, share in zip(blocks, shares, strict=True)}
-
-
-def _pole(uncertain: UncertainModel, worst: Destabilising | None) -> complex | None:
-    if worst is None or not uncertain.M.is_discrete:
-        return worst.pole if worst else None
-    return (1 + worst.pole) / (1 - worst.pole) if np.isfinite(worst.pole) else -1.0 + 0j
-
-
-def _frequency(uncertain: UncertainModel, worst: Destabilising | None) -> float | None:
-    if worst is None:
-        return None
-    return model_frequency(uncertain, abs(worst.pole.imag) if np.isfinite(worst.pole) else float("inf"))

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array, Mask
+from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
@@ -21,36 +21,29 @@ from robustlab.mu_analysis.axis.axis_model import (
     frequencies,
     model_frequency,
     seed_frequencies,
-    typical_speed,
 )
-from robustlab.mu_analysis.axis.axis_problems import GainProblem
-from robustlab.mu_analysis.axis.intervals import CREEPING, AxisCover, Piece
-from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin
+from robustlab.mu_analysis.axis.axis_problems import GainProblem, Proved
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis
+from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin, delta_rows
 from robustlab.mu_analysis.axis.pole_migration import Destabilising, smallest_destabilising
 from robustlab.mu_analysis.axis.stability import robust_stability
-from robustlab.mu_analysis.constants import COARSE, FREQUENCIES, MEMBERS, WORK
+from robustlab.mu_analysis.constants import COARSE, MEMBERS, WORK
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
-from robustlab.mu_analysis.matrix.branch_and_bound import Region, by_regions, tighten
+from robustlab.mu_analysis.matrix.branch_and_bound import Region
 from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gain
-from robustlab.mu_analysis.matrix.skew import divided, skew_upper
-from robustlab.mu_analysis.matrix.upper import compile_kernels, points_below, points_work
+from robustlab.mu_analysis.matrix.skew import gain_curves
+from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.norms import QUIET, PeakGain, gain_rounding, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, in_words, member, number
+from robustlab.shown import Facts, Part, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
 BLURRED = 1e-3  # share of the gain beyond which the bound of rounding leaves out what a zero nearly cancels
-SKEWED = 4  # bounds of mu that one skewed bound costs: counts work only
 
 __all__ = ["WorstCaseGain", "gain_within", "robust_performance", "worst_case_gain"]
-
-
-# Rounds in which points stay above a level that is not raised.
-IDLE = 8
-SHOWN_BLOCKS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,17 +114,7 @@ class WorstCaseGain(Tabular, PeakGain):
         ]
 
     def details(self) -> list[Part]:
-        rows = [
-            (
-                name,
-                in_words(value) if getattr(value, "ndim", 0) else f"{value:+.6g}",
-                number(*self.physical[name], digits=6) if name in self.physical else "",
-            )
-            for name, value in list(self.delta.items())[:SHOWN_BLOCKS]
-        ]
-        hidden = len(self.delta) - len(rows)
-        more = [(f"... and {hidden} more blocks", "", "")] if hidden else []
-        return [Part("worst Delta found:", ("block", "delta", "parameter"), [*rows, *more])]
+        return [Part("worst Delta found:", ("block", "delta", "parameter"), delta_rows(self.delta, self.physical))]
 
     def proved(self) -> Part:
         """The frequency intervals with the bound of the gain that is proved in each; inf: none is."""
@@ -157,13 +140,7 @@ def worst_case_gain(
     seed: int = 0,
     effort: float = 1.0,
 ) -> WorstCaseGain:
-    """`robustlab.peak_gain` of an uncertain model.
-
-    The gain stays below gamma exactly where a performance block of size ``1 / gamma`` between outputs and inputs cannot
-    make the loop singular (skewed mu). ``upper`` is proved like the stability margin: constant D, G on intervals that
-    cover [0, inf], and box by box of the real parameters where these leave a gap. ``lower`` is the norm of a member,
-    evaluated anew.
-    """
+    """`robustlab.peak_gain` of an uncertain model."""
     compile_kernels()
     budget = search_budget("worst_case_gain", WORK, effort, time_limit)
     with one_thread():
@@ -185,9 +162,9 @@ def gain_within(
     n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
     nominal = hinf_norm(uncertain.nominal)
     if not n_u or not n_y:
-        return _result(uncertain, nominal.value, _Known(0.0, 0.0), budget, (), grid)
+        return _result(uncertain, nominal.value, _Known(0.0), budget, (), grid)
     if not uncertain.blocks:
-        known = _Known(nominal.lower, nominal.upper, {}, nominal.frequency)
+        known = _Known(nominal.upper, lower=nominal.lower, frequency=nominal.frequency)
         notes = ("no uncertainty: the gain is the nominal one", *([nominal.reason] if nominal.reason else []))
         found = _result(uncertain, nominal.value, known, budget, notes, grid)
         return found if nominal.status is Status.CERTIFIED else replace(found, status=nominal.status)
@@ -210,7 +187,7 @@ def _with_blocks(
     unstable = _unstable_member(channels, uncertain.blocks, seeds, seed)
     if unstable is not None:
         at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
-        known = _Known(np.inf, np.inf, delta_values(uncertain.blocks, unstable.delta), at)
+        known = _Known(lower=np.inf, delta=delta_values(uncertain.blocks, unstable.delta), frequency=at)
         return _result(uncertain, nominal, known, budget, ("a member of the set is unstable",), grid)
     known = _largest_member(uncertain, model, blocks, seeds, seed)
     _prove(known, model, blocks, seeds, tolerance, budget, uncertain)
@@ -219,7 +196,7 @@ def _with_blocks(
     if not error <= QUIET * known.lower:
         # Four times: the member is rounded, mapped to continuous time, scaled, and its response is solved for.
         known.lower = max(known.lower - 4.0 * error, 0.0) if np.isfinite(error) else 0.0
-    return _result(uncertain, nominal, known, budget, known.notes, grid, model, blocks, seed)
+    return _result(uncertain, nominal, known, budget, (), grid, model, blocks, seed)
 
 
 @told_as("robust_performance")
@@ -271,17 +248,12 @@ def with_performance(uncertain: UncertainModel) -> UncertainModel:
 
 
 @dataclass
-class _Known:
-    """Bounds of the worst gain so far, the member that attains the lower one, and what proves the upper one."""
+class _Known(Proved):
+    """The member of largest gain known, and what is proved (``level``)."""
 
-    lower: float
-    upper: float
+    lower: float = 0.0
     delta: Mapping[str, Any] = field(default_factory=dict)
     frequency: float | None = None
-    cover: AxisCover = field(default_factory=lambda: AxisCover(open=[]))
-    proof: tuple[Piece, ...] | tuple[Region, ...] = ()
-    boxes: tuple[tuple[Box, Piece], ...] = ()
-    notes: tuple[str, ...] = ()
 
 
 def _unstable_member(
@@ -310,7 +282,7 @@ def _largest_member(
         for w, M in zip(omega, frequency_response(model, omega), strict=True)
         if (gain := largest_gain(M, blocks, box, rng, 4)) is not None
     ]
-    best = _Known(0.0, float("inf"))
+    best = _Known()
     for gain, w in sorted(met, key=lambda pair: -pair[0].value)[:MEMBERS]:
         found = _followed(uncertain, model, blocks, gain, w, box)
         if found.lower > best.lower:
@@ -322,7 +294,7 @@ def _followed(
     uncertain: UncertainModel, model: StateSpaceModel, blocks: Sequence[Block], gain: Gain, omega: float, box: Box
 ) -> _Known:
     """In turn the peak frequency of a member and the ascent at that frequency, as long as the gain rises."""
-    best = _Known(0.0, float("inf"))
+    best = _Known()
     for _ in range(20):
         reached = _member_gain(uncertain, model, blocks, gain, omega)
         if reached.lower <= best.lower * (1 + 1e-9):
@@ -347,13 +319,13 @@ def _member_gain(
     if all(b.interval for b in uncertain.blocks):
         clipped = {name: float(np.clip(value, -1.0, 1.0)) for name, value in values.items()}
         norm = hinf_norm(uncertain.evaluate(clipped))
-        return _Known(norm.lower, float("inf"), clipped, norm.frequency)
+        return _Known(lower=norm.lower, delta=clipped, frequency=norm.frequency)
     at = around(model, omega)
     gains = [gain_at(M, blocks, gain.delta) for M in frequency_response(model, at)]
     k = int(np.argmax([0.0 if g is None else g.value for g in gains]))
     chosen = gains[k]
     frequency = model_frequency(uncertain, float(at[k]))
-    return _Known(0.0 if chosen is None else chosen.value, float("inf"), values, frequency)
+    return _Known(lower=0.0 if chosen is None else chosen.value, delta=values, frequency=frequency)
 
 
 def _rounding(known: _Known, uncertain: UncertainModel) -> float:
@@ -404,32 +376,27 @@ def _prove(
 ) -> None:
     """Cover the axis with D, G; then cut the set into boxes where they leave more than the tolerance."""
     peak = _mapped(uncertain, known.frequency or 0.0)
-    first = np.unique(np.concatenate([[0.0, np.inf, peak], seeds]))
-    centred, varying = _about_the_centre(model, blocks), performance_inputs(blocks)
-    if centred is None:
-        known.cover, known.upper = AxisCover(), float("inf")
-    else:
-        known.cover, known.upper = skewed_cover(
-            centred, blocks, known.lower, varying, first=first, budget=budget, accuracy=COARSE
-        )
-    if centred is not None and known.upper <= known.lower * (1 + 2 * COARSE):
-        cover, level = skewed_cover(centred, blocks, known.lower, varying, first=first, budget=budget, accuracy=1e-4)
-        if level < known.upper:
-            known.cover, known.upper = cover, level
+    first, centred = np.append(seeds, peak), _about_the_centre(model, blocks)
+    known.cover = AxisCover()
+    if centred is not None:
+        varying = np.arange(model.n_inputs) >= model.n_inputs - blocks[-1].rows  # the performance is the last block
+        for accuracy in (COARSE, 1e-4):
+            cover = cover_axis(
+                centred, blocks, known.lower, first=first, budget=budget, accuracy=accuracy, varying=varying
+            )
+            if accuracy == COARSE or (not cover.open and cover.beta < known.level):
+                known.cover, known.level = cover, np.inf if cover.open else cover.beta
+            if known.level > known.lower * (1 + 2 * COARSE):
+                break
     known.proof = tuple(known.cover.pieces)
-    if any(b.interval for b in blocks) and 0 < known.lower * (1 + tolerance) < known.upper:
-        problem = GainProblem(model, blocks, peak)
-        proof = tighten(problem, known.lower, known.upper, tolerance, budget)
-        if proof.values is not None:
-            _take_member(known, uncertain, blocks, proof.values)
-        if proof.upper < known.upper:
-            known.upper, known.proof, known.boxes = proof.upper, tuple(proof.leaves), tuple(problem.proved)
-            known.cover.open.clear()
-            known.notes = (by_regions(len(proof.leaves)),)
-    if known.upper < known.lower * (1 - 1e-5):
-        text = f"a member has the gain {known.lower:.9g} above the proved bound {known.upper:.9g}: digits were lost"
+    if any(b.interval for b in blocks) and 0 < known.lower * (1 + tolerance) < known.level:
+        values = known.cut(GainProblem(model, blocks, peak), known.lower, tolerance, budget)
+        if values is not None:
+            _take_member(known, uncertain, blocks, values)
+    if known.level < known.lower * (1 - 1e-5):
+        text = f"a member has the gain {known.lower:.9g} above the proved bound {known.level:.9g}: digits were lost"
         raise NoTrustworthyNumber("worst_case_gain", text)
-    known.upper = max(known.upper, known.lower)
+    known.level = max(known.level, known.lower)
 
 
 def _take_member(known: _Known, uncertain: UncertainModel, blocks: Sequence[Block], values: Array) -> None:
@@ -452,57 +419,6 @@ def _about_the_centre(model: StateSpaceModel, blocks: Sequence[Block]) -> StateS
     return None if shifted is None or not shifted.is_stable() else shifted
 
 
-def skewed_cover(
-    model: StateSpaceModel,
-    blocks: Sequence[Block],
-    lower: float,
-    varying: Mask,
-    *,
-    first: Array,
-    budget: Budget,
-    accuracy: float,
-) -> tuple[AxisCover, float]:
-    """Cover [0, inf] at a level as close above the skewed D-G peak as ``accuracy`` says; inf where D, G never hold.
-
-    The size of the blocks of the inputs ``varying`` is one over the level, that of the others one. The level is raised
-    as that of `cover_axis` is.
-    """
-    cover, scale, idle = AxisCover(), typical_speed(model), 0
-    level, step = lower * (1 + accuracy), accuracy
-    pending = list(first)
-    while cover.open and not budget.over:
-        fresh, before = not pending, cover.open_share(scale)
-        omega = cover.take_points(pending, scale, FREQUENCIES)
-        response = frequency_response(model, omega)
-        level = max(level, 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290)))
-        bounds = points_below(divided(response, varying, level), blocks, 1 / (1 + accuracy / 2))
-        budget.spend(points_work(blocks, len(omega)))
-        over = [k for k, b in enumerate(bounds) if not b.beta < 1 / (1 + accuracy / 4)]
-        if over:
-            raised = max(skew_upper(response[k], blocks, varying)[0] for k in over) * (1 + accuracy)
-            if not np.isfinite(raised) or (raised <= level and idle == IDLE):
-                return cover, float("inf")  # the other blocks alone come too near to it
-            idle = idle + 1 if raised <= level else 0
-            level = max(level, raised)
-            again = points_below(divided(response[over], varying, level), blocks, 1 / (1 + accuracy / 2))
-            budget.spend((SKEWED + 1) * points_work(blocks, len(over)))
-            for k, bound in zip(over, again, strict=True):
-                bounds[k] = bound
-        closed = StateSpaceModel(model.A, divided(model.B, varying, level), model.C, divided(model.D, varying, level))
-        if not cover.grow(closed, omega, bounds, 1.0, budget, level):
-            return cover, float("inf")
-        if fresh and cover.open_share(scale) > CREEPING * before:
-            step *= 2
-            level *= 1 + step
-    return cover, float("inf") if cover.open else level
-
-
-def performance_inputs(blocks: Sequence[Block]) -> Mask:
-    """Which inputs of M belong to the performance, the last block."""
-    n_inputs = sum(b.rows for b in blocks)
-    return np.arange(n_inputs) >= n_inputs - blocks[-1].rows
-
-
 # --- the answer ------------------------------------------------------------------------------------------------------
 
 
@@ -517,32 +433,20 @@ def _result(
     blocks: Sequence[Block] = (),
     seed: int = 0,
 ) -> WorstCaseGain:
-    proved = np.isfinite(known.upper) or not np.isfinite(known.lower)
-    if budget.remark:
-        notes = (*notes, budget.remark)
-    if not proved:
-        notes = (*notes, "no upper bound: the set was not proved stable")
-    notes = (*notes, *uncertain.impossible(known.delta), *uncertain.remarks)
+    proved = np.isfinite(known.level) or not np.isfinite(known.lower)
     nominal_gain, low, high = _curves(uncertain, grid, model, blocks, seed)
-    intervals, open_intervals = known.cover.reported(uncertain, known.upper)
+    unproved = "" if proved else "no upper bound: the set was not proved stable"
     return WorstCaseGain(
         lower=known.lower,
-        upper=known.upper,
+        upper=known.level,
         frequency=known.frequency,
-        delta=known.delta,
         status=Status.TIMEOUT if budget.struck else Status.CERTIFIED if proved else Status.INCONCLUSIVE,
-        physical=uncertain.physical(known.delta) if known.delta else {},
         nominal=nominal,
         omega=grid,
         nominal_gain=nominal_gain,
         gain_lower=low,
         gain_upper=high,
-        intervals=intervals,
-        open=open_intervals,
-        proof=known.proof,
-        notes=notes,
-        system=uncertain,
-        boxes=known.boxes,
+        **known.fields(uncertain, known.delta, budget, notes, unproved),
     )
 
 
@@ -554,10 +458,6 @@ def _curves(
     gain = np.linalg.norm(nominal, 2, axis=(1, 2)) if nominal.size else np.zeros(len(grid))
     if model is None or not len(grid):
         return gain, gain.copy(), gain.copy()
-    rng, box = np.random.default_rng(seed), root_box(blocks)
     response = frequency_response(uncertain.M, grid)
-    varying = performance_inputs(blocks)
-    found = [largest_gain(M, blocks, box, rng, 4) for M in response]
-    low = np.array([0.0 if g is None else g.value for g in found])
-    high = np.array([skew_upper(M, blocks, varying, 1e-3)[0] for M in response])
+    low, high, _ = gain_curves(response, blocks, np.random.default_rng(seed), 4, 1e-3)
     return gain, low, np.maximum(high, low)

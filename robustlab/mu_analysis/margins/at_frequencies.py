@@ -1,19 +1,7 @@
-r"""Robustness at given frequencies, and nothing between them: stability margin, worst-case gain and disk margins.
+"""Robustness at given frequencies, and nothing between them: stability margin, worst-case gain and disk margins.
 
-.. math:: k(\omega) = 1 / \mu(M_{11}(j\omega)), \qquad \sup_\Delta \bar\sigma(F_u(M(j\omega), \Delta)), \qquad
-   \alpha(\omega) = 1 / \mu\left( S(j\omega) + \tfrac{\sigma - 1}{2} I \right)
-
-This is all that frequency-response data can say. It takes a stable nominal system for granted, for no data at points
-show that. Where the response is known to vary by at most V per rad/s, the D, G scalings of both ends of a gap are
-carried into it: with :math:`D = T^* T`, :math:`\|E\| \le e` and :math:`t = \|T_z\| \|T^{-1}\|` the level of
-:math:`M + E` is at most
-
-.. math:: \beta'^2 = \beta^2 + 2 \|T_z M T^{-1}\| t e + t^2 e^2 + 2 \|T^{-*} G\| \|T^{-1}\| e .
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), chapter 11; Seiler, Packard, Gahinet, "An introduction to
-disk margins", IEEE Control Systems Magazine 40 (2020).
+A stable nominal system is taken for granted: responses at points do not show it. Zhou, Doyle, Glover, *Robust and
+Optimal Control* (1996), chapter 11; Seiler, Packard, Gahinet, "An introduction to disk margins" (2020).
 """
 
 from __future__ import annotations
@@ -41,9 +29,8 @@ from robustlab.mu_analysis.margins.disk_margin import (
     gain_and_phase,
 )
 from robustlab.mu_analysis.matrix.bounds import MuBounds, mu
-from robustlab.mu_analysis.matrix.box import lowest, root_box
-from robustlab.mu_analysis.matrix.gain import largest_gain
-from robustlab.mu_analysis.matrix.skew import skew_upper
+from robustlab.mu_analysis.matrix.box import lowest
+from robustlab.mu_analysis.matrix.skew import gain_curves
 from robustlab.norms import PeakGain
 from robustlab.result import Status
 from robustlab.shown import Facts, Part, bracket, member, number
@@ -64,8 +51,24 @@ __all__ = [
 ASSUMED = "the nominal system is stable: taken for granted, responses at points do not show it"
 
 
+class _Curves(Tabular):
+    """Base of margins with both bounds at each frequency."""
+
+    omega: Array
+    lower_at: Array
+    upper_at: Array
+
+    def details(self) -> list[Part]:
+        rows = zip(self.omega, self.lower_at, self.upper_at, strict=True)
+        return [Part("", ("rad/s", "at least", "at most"), [tuple(f"{value:.6g}" for value in row) for row in rows])]
+
+    def table(self) -> Table:
+        """Both bounds over frequency."""
+        return Table(("omega", self.omega), {"lower": self.lower_at, "upper": self.upper_at}, {"omega": "rad/s"})
+
+
 @dataclass(frozen=True, eq=False)
-class MarginAt(Tabular, StabilityMargin):
+class MarginAt(_Curves, StabilityMargin):
     """Robust stability margin at given frequencies; its bounds are those where it is smallest.
 
     Attributes
@@ -115,13 +118,6 @@ class MarginAt(Tabular, StabilityMargin):
             ("assumed", self.assumed),
         ]
 
-    def details(self) -> list[Part]:
-        return [_points(self.omega, self.lower_at, self.upper_at)]
-
-    def table(self) -> Table:
-        """Both bounds over frequency."""
-        return Table(("omega", self.omega), {"lower": self.lower_at, "upper": self.upper_at}, {"omega": "rad/s"})
-
     def to_json(self) -> dict[str, Any]:
         return {"type": "MarginAt", **vars(self)}
 
@@ -158,7 +154,6 @@ class GainAt(Tabular, PeakGain):
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s"}
 
     def evidence(self) -> Facts:
-        """The nominal gain, the Delta, and where the bounds hold."""
         return [
             ("nominal there", number(self.nominal)),
             ("Delta", member(self.delta, {})),
@@ -180,17 +175,11 @@ class GainAt(Tabular, PeakGain):
 
 
 @dataclass(frozen=True, eq=False)
-class DiskMarginAt(Tabular, DiskBounds):
+class DiskMarginAt(_Curves, DiskBounds):
     """Disk margin of some channels at given frequencies; its bounds are those where it is smallest.
 
-    Attributes
-    ----------
-    omega
-        Frequencies in rad/s, (N,).
-    lower_at, upper_at
-        Bounds of the margin at each of them, (N,).
-    delta_at
-        At each of them the critical values by the name of the loop.
+    ``omega`` in rad/s, ``lower_at``, ``upper_at`` (N,), and ``delta_at``: the bounds at each frequency, and the
+    critical values by the name of the loop.
     """
 
     omega: Array
@@ -198,25 +187,10 @@ class DiskMarginAt(Tabular, DiskBounds):
     upper_at: Array
     delta_at: tuple[Mapping[str, Any], ...]
 
-    def table(self) -> Table:
-        """Both bounds over frequency."""
-        return Table(("omega", self.omega), {"lower": self.lower_at, "upper": self.upper_at}, {"omega": "rad/s"})
-
-    def details(self) -> list[Part]:
-        return [_points(self.omega, self.lower_at, self.upper_at)]
-
 
 @dataclass(frozen=True, eq=False)
 class DiskMarginsAt(DiskMargins):
-    """Disk margins at given frequencies, with the attributes of `DiskMargins`; all margins are `DiskMarginAt`.
-
-    Attributes
-    ----------
-    omega
-        Frequencies in rad/s, (N,).
-    assumed
-        What the answer takes for granted.
-    """
+    """Disk margins at given frequencies ``omega``, with the attributes of `DiskMargins`; all are `DiskMarginAt`."""
 
     omega: Array = field(default_factory=lambda: np.zeros(0))
     assumed: str = ASSUMED
@@ -236,8 +210,8 @@ def robust_stability_at(
     """Of a model or of data at frequencies: `robustlab.robust_stability`."""
     data = _data(system, frequency, "robust_stability_at")
     if not data.blocks:
-        found = "no uncertainty"
-        raise InputError("robust_stability_at", found, "blocks", "frequency_data(..., radius=...) makes one")
+        hint = "frequency_data(..., radius=...) makes one"
+        raise InputError("robust_stability_at", "no uncertainty", "blocks", hint)
     if variation is not None:
         checks.number("robust_stability_at: variation", variation, "a number of 0 or more, in 1/(rad/s)", at_least=0)
     return _margin_at(data.omega, data.delta_channels, data.blocks, variation, seed)
@@ -252,11 +226,7 @@ def worst_case_gain_at(system: Any, frequency: ArrayLike | None = None, *, seed:
     if not n_u or not n_y:
         raise InputError("worst_case_gain_at", f"{n_u} inputs and {n_y} outputs", "at least one of each")
     blocks = (*data.blocks, FullBlock(PERFORMANCE, n_u, n_y))
-    varying = np.arange(data.M.shape[2]) >= data.delta_shape[0]
-    rng, box = np.random.default_rng(seed), root_box(blocks)
-    found = [largest_gain(M, blocks, box, rng) for M in data.M]
-    upper = np.array([skew_upper(M, blocks, varying)[0] for M in data.M])
-    lower = np.array([0.0 if g is None else g.value for g in found])
+    lower, upper, found = gain_curves(data.M, blocks, np.random.default_rng(seed), 12, 1e-4)
     if (lower > upper * (1 + 1e-8)).any():
         k = int(np.argmax(lower - upper))
         text = f"a gain of {lower[k]:.9g} above the proved {upper[k]:.9g} at {data.omega[k]:g} rad/s: digits were lost"
@@ -360,6 +330,8 @@ def _margin_at(omega: Array, M: ComplexArray, blocks: Sequence[Any], variation: 
 
 def _between(omega: Array, M: ComplexArray, found: MuBounds, variation: float) -> Array:
     """Margin that is proved in each gap: both ends are carried to its middle."""
+    # Of D = T^* T, |E| <= e, t = |T_z| |T^-1|: the level of M + E is at most the root of
+    # beta^2 + 2 |T_z M T^-1| t e + t^2 e^2 + 2 |T^-* G| |T^-1| e.
     reach = 0.5 * variation * np.diff(omega)
     carried = [[_carried(M[k + i], found, k + i, float(e)) for i in (0, 1)] for k, e in enumerate(reach)]
     return np.array([1.0 / max(pair) if max(pair) > 0 else np.inf for pair in carried])
@@ -378,11 +350,6 @@ def _carried(M: ComplexArray, found: MuBounds, k: int, e: float) -> float:
     turned = float(np.linalg.norm(inverse.conj().T @ found.G[k], 2)) * size * e
     level = float(found.upper[k]) ** 2 + 2.0 * through * t + t * t + 2.0 * turned
     return float(np.sqrt(level)) * (1.0 + 1e-9)
-
-
-def _points(omega: Array, lower: Array, upper: Array) -> Part:
-    rows = [tuple(f"{value:.6g}" for value in row) for row in zip(omega, lower, upper, strict=True)]
-    return Part("", ("rad/s", "at least", "at most"), rows)
 
 
 def _scope(omega: Array, between: Array | None) -> str:

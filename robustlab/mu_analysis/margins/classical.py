@@ -1,16 +1,10 @@
-r"""Classical margins of single loops: every crossing of the unit circle and of the negative real axis.
+"""Classical margins of single loops: every crossing of the unit circle and of the negative real axis.
 
-A loop is a fraction of polynomials, so its crossings are the roots of two others (`LoopFraction`). They are computed in
-whole numbers from the matrices of plant and controller as given, and so is whether the closed loop is stable: none is
-looked for on a grid, and none is lost by the way a model is scaled.
-
-One loop and one change at a time is what these margins speak of; `robustlab.mu_analysis.margins.disk_margin` speaks of
-gain and phase together, in all loops at once.
-
-References
-----------
 Skogestad, Postlethwaite, *Multivariable Feedback Control*, section 2.4.
 """
+
+# A loop is a fraction of polynomials, so its crossings are the roots of two others, computed in whole numbers from
+# the matrices as given: none is looked for on a grid, and none is lost by the way a model is scaled.
 
 from __future__ import annotations
 

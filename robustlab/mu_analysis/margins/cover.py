@@ -1,13 +1,6 @@
-r"""From a set of models the smallest uncertainty of a chosen form, and how conservative it is.
+"""From a set of models the smallest uncertainty of a chosen form, and how conservative it is."""
 
-.. math:: \text{conservatism} = \frac{\sup_{\Delta} \|F_u(M, \Delta)\|_\infty}{\max_i \|G_i\|_\infty} \ge 1
-
-the worst gain of the cover over that of the models themselves, both in the same loop.
-
-References
-----------
-Březina 2010, sections 4.2, 10.2; Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 9.1.
-"""
+# Conservatism: the worst gain of the cover over that of the models themselves, both in the same loop, 1 at least.
 
 from __future__ import annotations
 
@@ -28,7 +21,7 @@ from robustlab.shown import Facts, Part, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.covering.overbound import Overbound
 from robustlab.uncertainty.covering.parametric_cover import PARAMETRIC_FORMS, parametric_cover
-from robustlab.uncertainty.covering.unstructured_cover import model_set, unstructured_cover
+from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, model_set, unstructured_cover
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import FORMS
 from robustlab.uncertainty.unstructured import Form as UnstructuredForm
@@ -167,22 +160,23 @@ class Cover(Shown):
             found |= {"conservatism": c.ratio, "conservatism_at_least": c.least, "set_gain": c.set_gain}
         return found
 
-    def headline(self) -> str:
-        start = {0: "the middle", None: "the model that was given"}.get(self.nominal, f"model {self.nominal}")
-        models = f"{self.form} cover of {len(self.sizes)} models around {start}"
-        return f"{models}: {len(self.model.blocks)} blocks"
-
-    def facts(self) -> Facts:
-        c, fit = self.conservatism, self.fit
+    def _words(self) -> str:
         start = {0: "the middle of the models", None: "the model that was given"}.get(
             self.nominal, f"model {self.nominal}"
         )
+        return f"{self.form} cover of {len(self.sizes)} models around {start}"
+
+    def headline(self) -> str:
+        return f"{self._words()}: {len(self.model.blocks)} blocks"
+
+    def facts(self) -> Facts:
+        c, fit = self.conservatism, self.fit
         gain = "" if c is None else f"none, {c.reason}" if c.status is Status.FAILED else (
             f"{number(c.cover_lower, '', 6)} .. {number(c.cover_upper, '', 6)}, of the set {number(c.set_gain, '', 6)}"
             f" (model {c.set_model}): ratio at most {number(c.ratio)} ({c.status}), attained {number(c.least)}"
         )  # fmt: skip
         return [
-            ("form", f"{self.form} cover of {len(self.sizes)} models around {start}"),
+            ("form", self._words()),
             ("set", repr(self.model)),
             (
                 "weight",
@@ -280,7 +274,10 @@ def cover(
         raise InputError("cover", f"form {form!r}", f"one of {', '.join(COVER_FORMS)}", did_you_mean(form, COVER_FORMS))
     parametric = form in PARAMETRIC_FORMS
     found = model_set(models, parametric, "cover")
-    start = None if nominal is None else _nominal(nominal, found[0], parametric)
+    start = None
+    if nominal is not None:
+        start = as_model(nominal, "cover: nominal")
+        model_set([found[0], start], parametric, "cover: nominal")
     say = progress or (lambda _: None)
     say(f"cover: {form} around {len(found)} models")
     if parametric:
@@ -292,14 +289,7 @@ def cover(
     if not gain:
         return made
     say("cover: worst gain of the cover")
-    compared = _conservatism(made.model, found, loop, time_limit, effort)
-    return dataclasses.replace(made, conservatism=compared)
-
-
-def _nominal(given: Any, first: StateSpaceModel, same_states: bool) -> StateSpaceModel:
-    model = as_model(given, "cover: nominal")
-    model_set([first, model], same_states, "cover: nominal")
-    return model
+    return dataclasses.replace(made, conservatism=_conservatism(made.model, found, loop, time_limit, effort))
 
 
 def _parametric(
@@ -310,26 +300,24 @@ def _parametric(
     directions: int | None,
 ) -> Cover:
     assert form in PARAMETRIC_FORMS
-    made = parametric_cover(models, form, nominal, tolerance, directions)
-    sizes = tuple(max((abs(v) for v in d.values()), default=0.0) for d in made.deltas)
-    worst = max(made.misses)
-    inside = max(sizes) <= 1.0
-    status = Status.CERTIFIED if inside and worst <= max(2.0 * tolerance, EXACT) else Status.INACCURATE
-    reason = "" if status.trustworthy else f"model {int(np.argmax(made.misses)) + 1} is missed by {worst:.2g}"
-    number = 0 if nominal is None else None
-    return Cover(
-        made.model, form, status, made.deltas, sizes, made.misses, number, 0.0, made.spread, None, None, reason, models
-    )
+    model, deltas, spread = parametric_cover(models, form, nominal, tolerance, directions)
+    misses = tuple(matrices_miss(model.evaluate(d), m) for d, m in zip(deltas, models, strict=True))
+    sizes = tuple(max((abs(v) for v in d.values()), default=0.0) for d in deltas)
+    met = max(sizes) <= 1.0 and max(misses) <= max(2.0 * tolerance, EXACT)
+    reason = "" if met else f"model {int(np.argmax(misses)) + 1} is missed by {max(misses):.2g}"
+    status, number = Status.CERTIFIED if met else Status.INACCURATE, 0 if nominal is None else None
+    return Cover(model, form, status, deltas, sizes, misses, number, 0.0, spread, None, None, reason, models)
 
 
 def _unstructured(
     models: tuple[StateSpaceModel, ...], form: str, nominal: StateSpaceModel | None, order: int, excess: float
 ) -> Cover:
     made = unstructured_cover(models, cast(UnstructuredForm, form), nominal, order, excess)
-    inside = max(made.sizes) <= 1.0 + 1e-9
-    status = Status.CERTIFIED if made.proved and inside else Status.CONVERGED
-    reason = "" if made.proved else f"deltas evaluated at {len(made.fit.omega)} frequencies, not proved between them"
-    if not inside or not made.fit.status.trustworthy:
+    status, reason = Status.CERTIFIED, ""
+    if not made.proved:
+        status = Status.CONVERGED
+        reason = f"deltas evaluated at {len(made.fit.omega)} frequencies, not proved between them"
+    if max(made.sizes) > 1.0 + 1e-9 or not made.fit.status.trustworthy:
         status = Status.INACCURATE
         reason = f"the weight is {100 * made.fit.excess:.3g} % above the bound: a higher order comes nearer"
     name = made.model.blocks[0].name
@@ -347,40 +335,33 @@ def _conservatism(
     effort: float,
 ) -> Conservatism:
     """How much larger the worst gain of a cover is than the largest one of the models it stands for."""
-    around = _closing(loop)
-    gains = []
-    for i, model in enumerate(models, 1):
-        norm = hinf_norm(around(UncertainModel(model, [])).nominal)
-        if not np.isfinite(norm.upper):
-            where = f"model {i} has no finite gain ({norm.reason})"
-            hint = "" if loop else "; close a loop around the models first"
-            return Conservatism(np.nan, np.nan, np.inf, i, np.nan, np.nan, Status.FAILED, where + hint)
-        gains.append(norm.lower)
-    largest = float(max(gains))
-    number = int(np.argmax(gains)) + 1
-    if largest == 0:
-        return Conservatism(np.nan, np.nan, 0.0, number, np.nan, np.nan, Status.FAILED, "all models have no gain")
-    try:
-        worst = worst_case_gain(around(uncertain), tolerance=0.01, time_limit=time_limit, effort=effort)
-    except NoTrustworthyNumber as error:
-        return Conservatism(np.nan, np.nan, largest, number, np.nan, np.nan, Status.FAILED, str(error.found))
-    said = "; ".join(text for text in worst.notes if text in (NOT_REPEATABLE, USED_UP))
-    return Conservatism(
-        worst.upper / largest, worst.lower / largest, largest, number, worst.lower, worst.upper, worst.status, said
-    )
-
-
-def _closing(loop: Loop | None) -> Loop:
-    """What is made of a model, checked."""
-    if loop is None:
-        return lambda g: g
-    if not is_function(loop):
+    if loop is not None and not is_function(loop):
         raise InputError("cover: loop", f"{loop!r}", "a function of a model")
 
-    def made(g: UncertainModel) -> UncertainModel:
-        found = loop(g)
+    def around(g: UncertainModel) -> UncertainModel:
+        found = g if loop is None else loop(g)
         if not isinstance(found, UncertainModel):
             raise InputError("cover: loop", f"it makes a {type(found).__name__} of a model", "an uncertain model")
         return found
 
-    return made
+    def none(set_gain: float, number: int, reason: str) -> Conservatism:
+        return Conservatism(np.nan, np.nan, set_gain, number, np.nan, np.nan, Status.FAILED, reason)
+
+    gains = []
+    for i, model in enumerate(models, 1):
+        norm = hinf_norm(around(UncertainModel(model, [])).nominal)
+        if not np.isfinite(norm.upper):
+            hint = "" if loop else "; close a loop around the models first"
+            return none(np.inf, i, f"model {i} has no finite gain ({norm.reason}){hint}")
+        gains.append(norm.lower)
+    largest, number = float(max(gains)), int(np.argmax(gains)) + 1
+    if largest == 0:
+        return none(0.0, number, "all models have no gain")
+    try:
+        worst = worst_case_gain(around(uncertain), tolerance=0.01, time_limit=time_limit, effort=effort)
+    except NoTrustworthyNumber as error:
+        return none(largest, number, str(error.found))
+    said = "; ".join(text for text in worst.notes if text in (NOT_REPEATABLE, USED_UP))
+    return Conservatism(
+        worst.upper / largest, worst.lower / largest, largest, number, worst.lower, worst.upper, worst.status, said
+    )

@@ -1,27 +1,11 @@
-r"""How far the response of a model with exact delays can be from what it is at a point of the axis.
+"""How far the response of a model with exact delays can be from what it is at a point of the axis."""
 
-With the states x and what leaves the delays w as unknowns the response is
-
-.. math:: G(s) = D_{22} + \begin{bmatrix} C_2 & D_{21} \end{bmatrix} F(s)^{-1} \begin{bmatrix} B_2 \\ D_{12}
-   \end{bmatrix}, \qquad F(s) = \begin{bmatrix} sI - A & -B_1 \\ -C_1 & \mathrm{diag}(e^{s \tau_i}) - D_{11}
-   \end{bmatrix}
-
-and :math:`|F(j\omega) - F(jc)| \le h N` entry by entry for :math:`|\omega - c| \le h`, with :math:`N =
-\mathrm{diag}(I, \tau_i)`: only the diagonal moves. With :math:`m = \|T F(jc)^{-1} N T^{-1}\|` for any diagonal T,
-:math:`l = \|C F(jc)^{-1} N T^{-1}\|`, :math:`r = \|T F(jc)^{-1} B\|`, and :math:`h m < 1`, Neumann's series gives
-
-.. math:: \|G(j\omega) - G(jc)\| \le \frac{h l r}{1 - h m}, \qquad \|G''\| \le \frac{l r}{(1 - hm)^2} \left( \frac{2
-   m}{1 - hm} + \tau_{\max} \right) .
-
-Beyond the bandwidth :math:`\|(j\omega I - A)^{-1}\| \le 1 / (\omega - \|A\|)` bounds every entry of what is left, and
-a nonnegative matrix of spectral radius below one the echoes. All of this is
-evaluated in floating point; it is not interval arithmetic.
-
-References
-----------
-Horn, Johnson, *Matrix Analysis* (2013), section 5.8; Michiels, Niculescu, *Stability, Control, and Computation for
-Time-Delay Systems* (2014), chapter 1.
-"""
+# With the states and what leaves the delays as unknowns G(s) = D + C F(s)^-1 B, and |F(j w) - F(j c)| <= h N entry by
+# entry for |w - c| <= h, N = diag(I, tau): only the diagonal moves. With m = |T F(jc)^-1 N T^-1| for any diagonal T,
+# l = |C F(jc)^-1 N T^-1|, r = |T F(jc)^-1 B| and h m < 1, Neumann's series gives |G(jw) - G(jc)| <= h l r / (1 - h m)
+# and |G''| <= l r / (1 - h m)^2 (2 m / (1 - h m) + tau_max). Beyond the bandwidth |(jwI - A)^-1| <= 1 / (w - |A|)
+# bounds every entry of what is left, and a nonnegative matrix of spectral radius below one the echoes. Horn, Johnson,
+# *Matrix Analysis* (2013), section 5.8; Michiels, Niculescu (2014), chapter 1.
 
 from __future__ import annotations
 

@@ -1,21 +1,9 @@
-r"""Margins of loops with exact delays, of one channel or several: classical ones with all crossings, and disk margins.
+"""Margins of loops with exact delays: classical ones with all crossings, and disk margins."""
 
-With the sensitivity of the loop that is opened, the others closed, :math:`S = 1 / (1 + L)`,
-
-.. math:: |L| = 1 \iff \Re S = \tfrac12, \qquad L < 0 \iff \Im S = 0,\; S \notin [0, 1],
-
-and S has no pole on the axis. Frequencies are cut into intervals until each is decided by the bounds of `delay_axis`:
-the function has no zero there, or its derivative has one sign and its ends tell. Beyond the last one L is too small to
-count. So no crossing is overlooked between points.
-
-The disk margin of all channels is one over the peak of mu of :math:`S + \frac{\sigma-1}{2} I`, of one channel one over
-its largest gain: attained by the exact response, and proved of a set that holds the delays (`delay_margins`).
-
-References
-----------
-Skogestad, Postlethwaite, *Multivariable Feedback Control*, section 2.4; Seiler, Packard, Gahinet, "An introduction to
-disk margins", IEEE Control Systems Magazine 40 (2020).
-"""
+# With S = 1 / (1 + L) of the loop that is opened, the others closed: |L| = 1 where Re S = 1/2, L < 0 where Im S = 0
+# and S is not in [0, 1]; S has no pole on the axis. Frequencies are cut into intervals until each is decided by the
+# bounds of delay_axis: no zero there, or a derivative of one sign. Beyond the last one L is too small to count. So no
+# crossing is overlooked between points.
 
 from __future__ import annotations
 
@@ -50,16 +38,14 @@ from robustlab.mu_analysis.margins.disk_margin import (
     DiskMargins,
     Place,
     channel_names,
-    factor_model,
-    gain_and_phase,
+    with_factors,
 )
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.upper import upper_bounds
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.algebra import beside, stacked
 from robustlab.uncertainty.blocks import ComplexScalar, delta_values
-from robustlab.uncertainty.realised_delta import realise_delta
 
 __all__ = ["DelayDiskMargins", "delay_classical_margins", "delay_disk_margins"]
 
@@ -105,13 +91,7 @@ class DelayDiskMargins(DiskMargins):
 def delay_classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None, highest_order: int = 16
 ) -> ClassicalMargins:
-    """Of a loop with exact delays: `robustlab.classical_margins`.
-
-    CERTIFIED: no crossing is missing. A loop whose gain falls to zero has phase crossings without end; those are listed
-    up to the one that bounds the gain margin. Where none is found up to a factor of 1000 the upper end reads 1000, and
-    factors below 1e-6 are not looked for. INACCURATE: at a frequency it is not decided whether a function only touches
-    zero; it counts as a crossing.
-    """
+    """Of a loop with exact delays: `robustlab.classical_margins`."""
     loop = _closed(plant, K, at, sign, "delay_classical_margins")
     stable = _stability(delay_stability(loop.S, highest_order), highest_order, "delay_classical_margins")
     channels = {}
@@ -344,7 +324,7 @@ def _at_once(
     delta = delta_values(blocks, found.delta[0]) if found.delta[0] is not None else {}
     status = Status.CERTIFIED if upper <= value * (1.0 + tolerance) else Status.INACCURATE
     bounds = 1.0 / upper, 1.0 / value if value else np.inf
-    return _margin(bounds, frequency, status, blocks, delta, skew), proof
+    return with_factors(bounds, frequency, status, blocks, delta, skew), proof
 
 
 def _of_gain(seen: DelayedModel, gain: DelayGain, name: str, skew: float) -> DiskMargin:
@@ -353,34 +333,4 @@ def _of_gain(seen: DelayedModel, gain: DelayGain, name: str, skew: float) -> Dis
     delta = {}
     if gain.lower:
         delta[name] = 1.0 / complex(frequency_response(seen, [gain.frequency])[0, 0, 0])
-    return _margin((lower, upper), gain.frequency, gain.status, [ComplexScalar(name)], delta, skew)
-
-
-def _margin(
-    bounds: tuple[float, float],
-    frequency: float,
-    status: Status,
-    blocks: Sequence[ComplexScalar],
-    delta: Mapping[str, complex],
-    skew: float,
-) -> DiskMargin:
-    """A margin with the factors that its critical values are."""
-    low, high, phase = gain_and_phase(bounds[0], skew)
-    half = 0.5 * (1.0 + skew)
-    factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}
-    perturbation, notes = _perturbation(blocks, delta, frequency, skew)
-    return DiskMargin(*bounds, frequency, status, (low, high), phase, skew, delta, notes, factor, perturbation, None)
-
-
-def _perturbation(
-    blocks: Sequence[ComplexScalar], delta: Any, frequency: float, skew: float
-) -> tuple[dict[str, StateSpaceModel], tuple[str, ...]]:
-    """Models of the critical factors, where real systems take these values."""
-    if not delta or not np.isfinite(frequency):
-        return {}, ("the margin is that at infinite frequency, where the loop has no gain",)
-    try:
-        made = realise_delta(blocks, delta, frequency, 0.0)
-    except InputError:
-        return {}, ("the critical deltas are complex at an end of the axis: no real system takes them there",)
-    models = {name: factor_model(as_model(made[name]), skew) for name in delta}
-    return {name: model for name, model in models.items() if model is not None}, ()
+    return with_factors((lower, upper), gain.frequency, gain.status, [ComplexScalar(name)], delta, skew)

@@ -1,22 +1,15 @@
-r"""Stability and gain of models with exact delays, proved of a set that holds them.
+"""Stability and gain of models with exact delays, proved of a set that holds them."""
 
-In each set a delay is :math:`e^{-s \tau} = R(s) + W(s) \Delta(s)`, :math:`|\Delta| \le 1` in the right half plane:
-Padé's approximation with a weight that is proved to cover what it misses (`robustlab.delays.pade`), or, of order 0,
-R = 0, W = 1. Where :math:`\mu < 1` on the axis, the end of it included, no root crosses the axis while the block grows
-from 0 to :math:`\Delta`, and none comes from infinity: the model has as many roots right of the axis as the set's
-nominal one. So the nominal one tells whether the model is stable; and with one more block, one over a level in size,
-its gain is below that level.
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorems 11.8 and 11.9; Michiels, Niculescu, *Stability,
-Control, and Computation for Time-Delay Systems* (2014).
-"""
+# In each set a delay is e^(-s tau) = R(s) + W(s) Delta(s), |Delta| <= 1 in the right half plane: Padé's approximation
+# with a weight that is proved to cover what it misses, or, of order 0, R = 0, W = 1. Where mu < 1 on the axis, its
+# end included, no root crosses while the block grows from 0 to Delta, and none comes from infinity: the model has as
+# many roots right of the axis as the set's nominal one. With one more block, one over a level in size, its gain is
+# below that level. Zhou, Doyle, Glover (1996), theorems 11.8, 11.9.
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -27,11 +20,10 @@ from robustlab.budget import one_thread, search_budget
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.axis.axis_model import continuous, coupled_blocks, seed_frequencies
-from robustlab.mu_analysis.axis.intervals import Piece, cover_axis
+from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
+from robustlab.mu_analysis.axis.intervals import Piece, cover_parts
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.mu_analysis.constants import WORK
-from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.norms import PeakGain
 from robustlab.norms.hinfinity import unstable_norm
@@ -77,28 +69,17 @@ def covering_set(model: DelayedModel, order: int, blocks: Sequence[Block] = (), 
 def proof_below(
     model: DelayedModel, order: int, blocks: Sequence[Block] = (), level: float = 1.0, effort: float = 1.0
 ) -> DelayProof | None:
-    """Prove mu < 1 of the set of this order, with blocks of sizes up to one over ``level`` at the model's channels.
-
-    None where that was not shown. Nothing is said of the nominal model.
-    """
+    """Prove mu < 1 of the set of this order, with blocks of sizes up to one over ``level`` at the model's channels."""
     compile_kernels()
     closed = covering_set(model, order, blocks, level)
     budget = search_budget("delayed model", SHARE_OF_WORK * WORK, effort, None)
-    pieces: list[Piece] = []
     try:
         with one_thread():
             M = continuous(closed.delta_channels)
-            for members in coupled_blocks(M, closed.blocks):
-                w, z = entries(closed.blocks, members)
-                part = StateSpaceModel(M.A, M.B[:, w], M.C[z], M.D[z[:, None], w])
-                some = [closed.blocks[i] for i in members]
-                cover = cover_axis(part, some, BELOW, first=seed_frequencies(M), budget=budget, accuracy=ACCURACY)
-                if cover.open or cover.beta >= 1.0:
-                    return None
-                pieces += [replace(piece, members=tuple(int(i) for i in members)) for piece in cover.pieces]
+            cover = cover_parts(M, closed.blocks, BELOW, first=seed_frequencies(M), budget=budget, accuracy=ACCURACY)
     except NoTrustworthyNumber:  # a pole of the nominal model on the axis
         return None
-    return DelayProof(order, tuple(pieces))
+    return None if cover.open or cover.beta >= 1.0 else DelayProof(order, tuple(cover.pieces))
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,11 +162,9 @@ def _orders(g: DelayedModel, least: int, highest: int) -> list[int]:
 
 
 def _undelayed_pole(g: DelayedModel) -> complex | None:
-    """Return a pole on or right of the axis of a part of the model whose loops hold no delay; None if there is none.
-
-    Such a part is a strongly connected component of the graph of states and delays; its eigenvalues are poles of the
-    model whatever the delays are.
-    """
+    """Return a pole on or right of the axis of a part of the model whose loops hold no delay; None if there is none."""
+    # A strongly connected component of the graph of states and delays: its eigenvalues are poles whatever the delays
+    # are.
     from scipy.sparse.csgraph import connected_components
 
     h, n, k = g.H, g.H.n_states, len(g.delays)

@@ -1,18 +1,11 @@
-r"""Disk margins: how much gain and phase may change in every loop at once before the closed loop is unstable.
+"""Disk margins: how much gain and phase may change in every loop at once before the closed loop is unstable.
 
-Each loop is multiplied by a complex factor of the disk
-
-.. math:: f = \frac{1 + \frac{1 - \sigma}{2} \delta}{1 - \frac{1 + \sigma}{2} \delta}
-   = 1 + \frac{\delta}{1 - \frac{1 + \sigma}{2} \delta}, \qquad |\delta| < \alpha
-
-with the skew :math:`\sigma`: 0 for as much increase as decrease of gain, 1 for S, -1 for T based margins. The largest
-:math:`\alpha` is :math:`1 / \|S + (\sigma - 1)/2\|_\infty` for one loop, and one over the peak of mu with one complex
-scalar per loop for several.
-
-References
-----------
 Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020), equations 9-17.
 """
+
+# Each loop is multiplied by f = (1 + (1 - sigma)/2 delta) / (1 - (1 + sigma)/2 delta), |delta| < alpha. The largest
+# alpha is one over the H-infinity norm of S + (sigma - 1)/2 for one loop, and one over the peak of mu with one
+# complex scalar per loop for several.
 
 from __future__ import annotations
 
@@ -38,7 +31,7 @@ from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Bracket, Status
 from robustlab.shown import Facts, Part, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_matrix, delta_values
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
@@ -63,6 +56,7 @@ __all__ = [
     "gain_and_phase",
     "in_decibels",
     "in_degrees",
+    "with_factors",
 ]
 
 Place = Literal["input", "output", "both"]
@@ -359,10 +353,8 @@ def _many_loops(M: StateSpaceModel, names: Sequence[str], skew: float, budget: B
 
 
 def _crossing(uncertain: UncertainModel, delta: Mapping[str, complex], frequency: float) -> float:
-    """Where this Delta makes the loop singular: an end of the axis if it does so there, else ``frequency``.
-
-    A loop that is about to become ill-posed has a pole that runs off to infinity, and eigenvalues show another one.
-    """
+    """Where this Delta makes the loop singular: an end of the axis if it does so there, else ``frequency``."""
+    # A loop that is about to become ill-posed has a pole that runs off to infinity, and eigenvalues show another one.
     M = uncertain.delta_channels
     matrix = delta_matrix(uncertain.blocks, delta).astype(complex)
     ends = np.array([0.0, np.pi / M.dt if M.is_discrete else np.inf])
@@ -399,17 +391,41 @@ def _result(
     skew: float,
     remarks: Sequence[str] = (),
 ) -> DiskMargin:
-    low, high, phase = gain_and_phase(bounds[0], skew)
-    factor = {name: _factor(d, skew) for name, d in delta.items()}
-    perturbation, pole, notes = {}, None, list(remarks)
+    pole = None
     if frequency is not None:
         loop = frequency_response(uncertain.delta_channels, [frequency])[0]
         seen = singularity(loop, delta_matrix(uncertain.blocks, delta).astype(complex)) <= DISK_SINGULAR
         try:
             pole, on_axis = replayed_pole(uncertain, delta, frequency)
-            made = realise_delta(uncertain.blocks, delta, frequency, uncertain.dt)
-        except InputError:
+        except InputError:  # no real system takes these values there
             on_axis = True
+        if status is Status.CERTIFIED and not (seen and on_axis):
+            status = Status.INACCURATE
+    return with_factors(
+        bounds, frequency, status, uncertain.blocks, delta, skew, uncertain.dt, remarks, pole, uncertain
+    )
+
+
+def with_factors(
+    bounds: tuple[float, float],
+    frequency: float | None,
+    status: Status,
+    blocks: Sequence[Block],
+    delta: Mapping[str, complex],
+    skew: float,
+    dt: float = 0.0,
+    remarks: Sequence[str] = (),
+    pole: complex | None = None,
+    system: UncertainModel | None = None,
+) -> DiskMargin:
+    """A margin with the factors that its critical values are, and models of them where real systems take these."""
+    half = 0.5 * (1.0 + skew)
+    factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}
+    perturbation, notes = {}, list(remarks)
+    if delta and frequency is not None:
+        try:
+            made = realise_delta(blocks, delta, frequency, dt)
+        except InputError:
             notes.append(
                 f"the critical deltas are complex at {frequency:.3g} rad/s, where systems with real coefficients are "
                 "real: no such system takes them there"
@@ -420,17 +436,21 @@ def _result(
             if len(perturbation) < len(models):
                 perturbation = {}
                 notes.append("a critical factor is infinite: no model of it is given")
-        if status is Status.CERTIFIED and not (seen and on_axis):
-            status = Status.INACCURATE
+    low, high, phase = gain_and_phase(bounds[0], skew)
     return DiskMargin(
-        bounds[0], bounds[1], frequency, status, (low, high), phase, skew, dict(delta), tuple(notes), factor,
-        perturbation, pole, uncertain,
-    )  # fmt: skip
-
-
-def _factor(delta: complex, skew: float) -> complex:
-    below = 1 - (1 + skew) / 2 * delta
-    return (1 + (1 - skew) / 2 * delta) / below if abs(below) > 1e-12 else complex(np.inf)
+        *bounds,
+        frequency,
+        status,
+        (low, high),
+        phase,
+        skew,
+        dict(delta),
+        tuple(notes),
+        factor,
+        perturbation,
+        pole,
+        system,
+    )
 
 
 def factor_model(delta: StateSpaceModel, skew: float) -> StateSpaceModel | None:
@@ -445,19 +465,8 @@ def factor_model(delta: StateSpaceModel, skew: float) -> StateSpaceModel | None:
 
 
 def gain_and_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, float]:
-    r"""Gain margin interval and phase margin in rad of the disk of size ``alpha``.
-
-    .. math:: \gamma_{min} = \frac{2 - \alpha (1 - \sigma)}{2 + \alpha (1 + \sigma)}, \qquad
-       \gamma_{max} = \frac{2 + \alpha (1 - \sigma)}{2 - \alpha (1 + \sigma)}, \qquad
-       \cos \phi = \frac{4 - \alpha^2 (1 + \sigma^2)}{4 + \alpha^2 (1 - \sigma^2)}
-
-    An end whose denominator is not positive is infinite; phi is pi where the disk holds the whole unit circle.
-
-    Examples
-    --------
-    >>> [round(x, 4) for x in gain_and_phase(0.4581)]
-    [0.6273, 1.5942, 0.4503]
-    """
+    """Gain margin interval and phase margin in rad of the disk of size ``alpha``."""
+    # Seiler, Packard, Gahinet (2020): f at delta = -+alpha, and |delta| of the factor e^(j phi).
     if not np.isfinite(alpha):
         return -np.inf, np.inf, np.pi
     low, high = 2 + alpha * (1 + skew), 2 - alpha * (1 + skew)

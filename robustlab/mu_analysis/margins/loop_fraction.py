@@ -1,14 +1,9 @@
-r"""Loops as fractions of polynomials with whole coefficients, and where on the axis they have gain 1 or are real.
+"""Loops as fractions of polynomials with whole coefficients, and where on the axis they have gain 1 or are real."""
 
-.. math:: L = \frac{N}{D}, \qquad D = \det(\text{loop opened}), \quad N + D = \det(\text{loop closed}),
-
-of one matrix that holds A, B, C, D of plant and controller as they were given. With :math:`N(j\omega) = N_e(x) + j
-\omega N_o(x)`, :math:`x = \omega^2`,
-
-.. math:: |L| = 1: \; N_e^2 + x N_o^2 - D_e^2 - x D_o^2 = 0, \qquad L \text{ real}: \; N_o D_e - N_e D_o = 0
-
-Their positive roots are the crossings, all of them. Nothing is rounded before the roots are.
-"""
+# L = N / D, D = det(loop opened), N + D = det(loop closed), of one matrix that holds A, B, C, D of plant and
+# controller as given. With N(j omega) = N_e(x) + j omega N_o(x), x = omega^2: |L| = 1 where N_e^2 + x N_o^2 - D_e^2 -
+# x D_o^2 = 0, L real where N_o D_e - N_e D_o = 0. Their positive roots are the crossings, all of them; nothing is
+# rounded before.
 
 from __future__ import annotations
 
@@ -89,10 +84,7 @@ class LoopFraction:
         return Point((ne * de + x * no * do) / size, (no * de - ne * do) / size, x) if size else None
 
     def at_infinity(self) -> Fraction:
-        """The real limit at infinite frequency (z = -1); D is the larger polynomial, or as large.
-
-        Raises NoTrustworthyNumber: there is none.
-        """
+        """The real limit at infinite frequency (z = -1); D is the larger polynomial, or as large."""
         if self.N.degree() > (degree := self.D.degree()):
             raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at the end of the axis")
         return Fraction(int(self.N[degree]), int(self.D[degree]))
@@ -141,15 +133,7 @@ class LoopFraction:
 def loop_fractions(
     P: StateSpaceModel, K: StateSpaceModel, sign: int, places: Iterable[int]
 ) -> tuple[bool, list[LoopFraction]]:
-    """Whether the loop ``y = P u``, ``u = sign K y`` is stable, and what each loop is with the others closed.
-
-    ``places``: which of the inputs and then the outputs of P loops are opened at. L is that of negative feedback.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        More states than are solved exactly; a loop that cannot be opened because the others are not well posed then.
-    """
+    """Whether the loop ``y = P u``, ``u = sign K y`` is stable, and what each loop is with the others closed."""
     n, k, m, p = P.n_states, K.n_states, P.n_inputs, P.n_outputs
     if n + k > MOST_STATES:
         found = f"a loop of {n + k} states"

@@ -1,25 +1,7 @@
-r"""Small-gain test: robust stability against one full block, by the H-infinity norm of what the block sees.
+"""Small-gain test: robust stability against one full block, by the H-infinity norm of what the block sees.
 
-.. math:: \text{stable for all stable } \|\Delta\|_\infty \le 1 \iff \|M_{11}\|_\infty < 1, \qquad
-   M_{11} = W_2 T W_1
-
-with, for negative feedback ``u = -K y`` around a member of `robustlab.uncertainty.unstructured`,
-
-================================  ================================
-form                              T up to sign
-================================  ================================
-``additive``                      :math:`K (I + G K)^{-1}`
-``input-multiplicative``          :math:`K (I + G K)^{-1} G`
-``output-multiplicative``         :math:`G K (I + G K)^{-1}`
-``inverse-additive``              :math:`(I + G K)^{-1} G`
-``inverse-input-multiplicative``  :math:`(I + K G)^{-1}`
-``inverse-output-multiplicative`` :math:`(I + G K)^{-1}`
-================================  ================================
-
-References
-----------
-Březina 2010, eqs 4.6, 4.7 and section 4.2.4, whose input forms mix the loops at the input and at the output of the
-plant; the table above is the right one. Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 9.1.
+Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 9.1. (Březina 2010, section 4.2.4, mixes the loops at
+the input and at the output of the plant in the input forms.)
 """
 
 from __future__ import annotations
@@ -195,11 +177,7 @@ def peak_response(M: StateSpaceModel, norm: HinfNorm) -> tuple[float, NDArray[np
 
 
 def replayed_pole(closed: UncertainModel, delta: Mapping[str, Any], frequency: float) -> tuple[complex | None, bool]:
-    """The pole next to the stability boundary at ``frequency`` of the loop with Delta realised as stable systems.
-
-    And whether it lies there up to rounding: to 1e-6 of the frequency, or to 1e-9 of the fastest pole (eigenvalues are
-    no more accurate than that where they are repeated). An ill-posed loop has no such pole: None, and True.
-    """
+    """The pole next to the stability boundary at ``frequency`` of the loop with Delta realised as stable systems."""
     if not np.isfinite(frequency) or not closed.M.n_states:
         return None, True
     made = realise_delta(closed.blocks, delta, frequency, closed.dt)

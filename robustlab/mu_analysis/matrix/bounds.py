@@ -306,10 +306,7 @@ def _refuse_asymmetric(blocks: Sequence[Block]) -> None:
 
 
 def _scale(stack: ComplexArray) -> NDArray[np.float64]:
-    """The power of two that makes the largest entry of each matrix about one, shape (k,); 1 for a zero matrix.
-
-    It is exact, and keeps the squares of the entries inside the range of floating point.
-    """
+    """The power of two that makes the largest entry of each matrix about one, shape (k,); 1 for a zero matrix."""
     largest = np.abs(stack).max(axis=(1, 2), initial=0.0)
     return np.exp2(-np.clip(np.rint(np.log2(np.where(largest > 0, largest, 1.0))), -1000, 1000))
 

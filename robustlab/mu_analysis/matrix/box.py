@@ -1,12 +1,7 @@
-r"""Boxes of perturbations: each real delta in an interval, each complex block in a ball, as one normalised model.
+"""Boxes of perturbations: each real delta in an interval, each complex block in a ball, as one normalised model."""
 
-With centre c (real blocks) and half width h of each block, ``Delta = C + H Delta'``, ``|Delta'| <= 1``, and
-
-.. math:: M' = (I - M C)^{-1} M H
-
-sees the normalised ``Delta'``. For a state-space model the same holds with ``z = C_z x + D w``, ``w = C z + H w'``.
-Asymmetric ranges and branch and bound are boxes whose centre is not the nominal point.
-"""
+# With centre c and half width h of each block Delta = C + H Delta', |Delta'| <= 1, and M' = (I - M C)^-1 M H sees
+# Delta'. Asymmetric ranges and branch and bound are boxes whose centre is not the nominal point.
 
 from __future__ import annotations
 

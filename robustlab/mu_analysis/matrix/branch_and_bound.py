@@ -1,16 +1,12 @@
-r"""Branch and bound over the real parameters: of one matrix here, over the frequency axis in `axis.axis_problems`.
+"""Branch and bound over the real parameters: of one matrix here, over the frequency axis in `axis.axis_problems`.
 
-About a fifth of the distance between the bounds of purely real mu is conservatism of the D-G scalings. It goes where
-the set is cut into boxes: in each box the real parameters have a smaller range around their own centre. A region is a
-box together with the frequencies that are still open there; what is proved for a box holds for its halves, so they
-inherit the open frequencies only. Where nothing is singular in any region, by continuity from the nominal model no
-Delta of the set destabilises.
-
-References
-----------
-Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997); Roos, Biannic, "A detailed comparative
-analysis of mu lower bound algorithms" (2015) for what the lower bound is tested against.
+Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
 """
+
+# About a fifth of the distance between the bounds of purely real mu is conservatism of the D-G scalings. It goes
+# where the set is cut into boxes. A region is a box together with the frequencies that are still open there; what is
+# proved for a box holds for its halves, so they inherit the open frequencies only. Where nothing is singular in any
+# region, by continuity from the nominal model no Delta of the set destabilises.
 
 from __future__ import annotations
 
@@ -40,10 +36,7 @@ NARROW = 1e-7  # relative width below which a box is not cut again: rounding dec
 
 @dataclass(frozen=True)
 class Improved:
-    """A better lower bound met on the way: its level, and the Delta that attains it.
-
-    ``values`` are the entries of the real blocks (complex ones are 0); for a constant matrix the whole Delta (q, p).
-    """
+    """A better lower bound met on the way: its level, and the Delta that attains it."""
 
     level: float
     values: NDArray[Any]
@@ -51,11 +44,7 @@ class Improved:
 
 @dataclass
 class Region(Shown):
-    """A box, its open frequencies (for a constant matrix one place, zero), and where its parent could not be proved.
-
-    ``missed`` are the frequencies at which it was not proved itself, with the level and each block's weight there.
-    ``proof`` is the box of a constant matrix with the bound below one that was found in it.
-    """
+    """A box, its open frequencies (for a constant matrix one place, zero), and where its parent could not be proved."""
 
     box: Box
     open: list[tuple[float, float]]
@@ -96,13 +85,10 @@ class Problem(Protocol):
         ...
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
-        """Take what can be proved off each region's open frequencies.
-
-        Returns the weight of each block for a region that has to be cut, None for others.
-        """
+        """Take what can be proved off each region's open frequencies."""
         ...
 
-    def attack(self, region: Region, level: float) -> Improved | None:
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
         """The worst Delta found cheaply from the region's centre, where it lies above the level attained."""
         ...
 
@@ -114,14 +100,9 @@ def tighten(
     tolerance: float,
     budget: Budget,
 ) -> Proof:
-    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows.
-
-    That level is tried at once. Where a larger ``lower`` is met on the way, or the work will not do, what is left is
-    cut back to the smaller set of a larger level: what was proved holds there, too, and nothing begins anew.
-
-    ``lower``, ``upper``: level attained, and level proved already (inf: none).
-    ``budget``: where it is over, the search stops.
-    """
+    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows."""
+    # That level is tried at once. Where a larger lower bound is met, or the work will not do, what is left is cut back
+    # to the smaller set of a larger level: what was proved holds there, too, and nothing begins anew.
     proof, last = Proof(lower, upper), 0.0
     while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and not budget.over:
         if budget.left <= last:  # the next level costs more than the one before
@@ -132,11 +113,6 @@ def tighten(
             break
         last = before - budget.left
     return proof
-
-
-def by_regions(count: int) -> str:
-    """What a result says of a proof by so many regions."""
-    return f"proved by branch and bound; regions of parameters and frequency: {count}"
 
 
 class _Descent:
@@ -187,7 +163,7 @@ class _Descent:
             if weight is None:
                 self.regions.append(region)
                 continue
-            self._take(self.problem.attack(region, self.proof.lower))
+            self._take(self.problem.attack(region, self.proof.lower, self.budget))
             index = _where_to_cut(region.box, weight, self.real, self.root.box, NARROW)
             if index is None:
                 self.regions.append(region)
@@ -221,10 +197,7 @@ class _Descent:
         return False
 
     def _too_little(self, there: float, begun_with: float, left: float) -> bool:
-        """Whether what there is will not do for the volume left, by what was done with the rest of it.
-
-        The more was done, the more that is believed; nothing at first. Some is kept for the smaller set.
-        """
+        """Whether what there is will not do for the volume left, by what was done with the rest of it."""
         if begun_with == np.inf:
             return False
         done = (1 - max(there, 0.0) / begun_with) / (1 - KEPT) if begun_with > 0 else 1.0
@@ -327,6 +300,6 @@ class MatrixProblem:
         if singularity(self.M, whole) <= SINGULAR and (self._found is None or 1 / size > self._found.level):
             self._found = Improved(1 / size, whole)
 
-    def attack(self, region: Region, level: float) -> Improved | None:
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
         """The worst Delta that the search of open regions has met."""
         return self._found

@@ -1,18 +1,10 @@
-r"""Proofs of mu bounds, evaluated from the returned evidence alone.
+"""Proofs of mu bounds, evaluated from the returned evidence alone.
 
-Upper: any D > 0 and G of the structure prove ``mu(M) <= beta`` where
-
-.. math:: N(\beta) = \beta^2 D_w - M^* D_z M - j (G M - M^* G^*) \succeq 0 .
-
-In floating point a bound of all rounding errors is allowed for; ball arithmetic (python-flint) encloses every one.
-
-Lower: any Delta of the structure with ``det(I - M Delta) = 0`` proves ``mu(M) >= 1 / ||Delta||``.
-
-References
-----------
 Fan, Tits, Doyle (1991); Rump, "Verification of positive definiteness", BIT 46 (2006).
-Johansson, "Arb: efficient arbitrary-precision midpoint-radius interval arithmetic", IEEE Trans. Computers 66 (2017).
 """
+
+# Upper: any D > 0 and G of the structure prove mu(M) <= beta where beta^2 D_w - M^* D_z M - j (G M - M^* G^*) >= 0; a
+# bound of all rounding errors is allowed for. Lower: any Delta of the structure with det(I - M Delta) = 0.
 
 from __future__ import annotations
 
@@ -38,11 +30,9 @@ def level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) 
 
 
 def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray, beta: float) -> bool:
-    """Whether D > 0 and N(beta) >= 0 hold with all rounding errors of this evaluation allowed for.
-
-    The matrices are scaled by powers of two (exact); the rounding error of N is bounded entry by entry, and a Cholesky
-    factorisation of N minus that bound has to succeed.
-    """
+    """Whether D > 0 and N(beta) >= 0 hold with all rounding errors of this evaluation allowed for."""
+    # Scaling by powers of two is exact; the rounding error of N is bounded entry by entry, and a Cholesky
+    # factorisation of N minus that bound has to succeed.
     inequality = _Inequality(*(part[None] for part in (M, Dw, Dz, G)))
     return bool(inequality.proves(np.array([beta]) / inequality.unit)[0])
 
@@ -75,10 +65,7 @@ def certified_levels(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: Com
 
 
 class _Inequality:
-    """``N(beta) = beta^2 D_w - supply`` of a stack, with the bounds of its rounding errors.
-
-    D has a diagonal of order one, M is of order one in ``unit``, a power of two; beta is in this unit too.
-    """
+    """``N(beta) = beta^2 D_w - supply`` of a stack, with the bounds of its rounding errors."""
 
     def __init__(self, M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> None:
         with np.errstate(over="ignore", invalid="ignore"):

@@ -1,8 +1,7 @@
-"""What is done to M before any solver sees it: strongly connected components, and balancing by powers of two.
+"""What is done to M before any solver sees it: strongly connected components, and balancing by powers of two."""
 
-Without balancing AB13MD calls 32 196 a bound where mu is 1.914 (entries over 12 decades); on reducible matrices it is
-20 to 40 times slower. mu of a block-triangular M is the largest mu of its diagonal components.
-"""
+# Without balancing AB13MD calls 32 196 a bound where mu is 1.914 (entries over 12 decades); on reducible matrices it
+# is 20 to 40 times slower. mu of a block-triangular M is the largest mu of its diagonal components.
 
 from __future__ import annotations
 
@@ -113,10 +112,7 @@ def _compiled_osborne() -> Callable[[Array, Array, int, float], None]:
 
     @nb.njit(cache=True, error_model="numpy")
     def osborne(log: Array, e: Array, sweeps: int, tol: float) -> None:
-        """Exponents e (zeros at first) such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about one norm.
-
-        The norms come as logarithms to base 2 (-inf on the diagonal): their squares span more decades than floats do.
-        """
+        """Exponents e such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about one norm."""
         n = len(log)
         for _ in range(sweeps):
             largest = 0.0

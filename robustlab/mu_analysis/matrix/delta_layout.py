@@ -40,10 +40,7 @@ class DeltaLayout:
         return not self.full.any()
 
     def gains(self, row: ComplexArray, x: ComplexArray) -> ComplexArray:
-        """Factors a (k, n_blocks) in ``row Delta x = sum a_i delta_i``; ``|row_i| |x_i|`` for a full block.
-
-        row is (k, q), x (k, p).
-        """
+        """Factors a (k, n_blocks) in ``row Delta x = sum a_i delta_i``; ``|row_i| |x_i|`` for a full block."""
         if self.diagonal:
             return self._sum(row * x, self.of_w)
         scalar_w, scalar_z = ~self.full[self.of_w], ~self.full[self.of_z]
@@ -80,12 +77,6 @@ class DeltaLayout:
         entries = row[:, self.entry_w] * delta[:, self.entry_w, self.entry_z] * x[:, self.entry_z]
         return self._sum(entries, self.entry_block)
 
-    def scaled(self, delta: ComplexArray, factors: ComplexArray) -> ComplexArray:
-        """Delta (k, q, p) with block i multiplied by factor i (k, n_blocks)."""
-        result = np.zeros_like(delta)
-        result[:, self.entry_w, self.entry_z] = delta[:, self.entry_w, self.entry_z] * factors[:, self.entry_block]
-        return result
-
     def _sum(self, entries: ComplexArray, block: Indices) -> ComplexArray:
         """Sums over the columns of each block; the columns are ordered by block."""
         if len(block) == self.n:
@@ -98,15 +89,7 @@ class DeltaLayout:
 
 
 def delta_layout(blocks: Sequence[Block]) -> DeltaLayout:
-    """Index arrays of these blocks (at least one).
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import FullBlock, RealScalar
-    >>> layout = delta_layout([RealScalar("k", 2), FullBlock("f", 1, 2)])
-    >>> layout.q, layout.p, layout.full.tolist(), layout.entry_z.tolist()
-    (3, 4, [False, True], [0, 1, 2, 3])
-    """
+    """Index arrays of these blocks (at least one)."""
     q, p = structure_size(blocks)
     entry_w, entry_z, entry_block = [], [], []
     for i, (block, (w, z)) in enumerate(zip(blocks, block_slices(blocks), strict=True)):

@@ -1,11 +1,7 @@
-r"""The gain of a matrix closed by Delta, how it changes with Delta, and the ascent to a large one.
+"""The gain of a matrix closed by Delta, how it changes with Delta, and the ascent to a large one."""
 
-.. math:: F = M_{22} + M_{21} \Delta (I - M_{11} \Delta)^{-1} M_{12}, \qquad
-          \partial \sigma_{max}(F) = \Re\, l \, \partial\Delta \, r, \quad
-          l = u^* M_{21} (I - \Delta M_{11})^{-1}, \quad r = (I - M_{11}\Delta)^{-1} M_{12} v
-
-The channels of the performance are the last block of M.
-"""
+# F = M22 + M21 Delta (I - M11 Delta)^-1 M12, d sigma_max(F) = Re l dDelta r with l = u^* M21 (I - Delta M11)^-1 and r
+# = (I - M11 Delta)^-1 M12 v. The channels of the performance are the last block of M.
 
 from __future__ import annotations
 
@@ -63,10 +59,7 @@ def gain_at(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Ga
 
 
 def ascend(M: ComplexArray, blocks: Sequence[Block], start: ComplexArray, box: Box) -> Gain | None:
-    """A large gain with every block inside the box, from a Delta (q, p): each step aligns all blocks with l and r.
-
-    A step that does not raise the gain is shortened; the set is convex, so that what lies between stays inside.
-    """
+    """A large gain with every block inside the box, from a Delta (q, p): each step aligns all blocks with l and r."""
     best = gain_at(M, blocks, start)
     for _ in range(ASCENTS if best is not None else 0):
         assert best is not None

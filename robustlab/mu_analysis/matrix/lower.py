@@ -1,19 +1,7 @@
-r"""Lower bounds of mu: the smallest Delta found that makes ``I - M Delta`` singular.
+"""Lower bounds of mu: the smallest Delta found that makes ``I - M Delta`` singular, verified by singular values.
 
-Several methods give Deltas; each is projected to the structure and verified by singular values, and the smallest that
-passes is the bound:
-
-* complex structures: power iteration, its end points sharpened by minimum-norm steps;
-* any structure: minimum-norm steps from many directions, and from the box points that gain ascent reaches inside the
-  best ball found so far;
-* real M with real blocks: a search over vertices (all of them where they are few).
-
-All starts of all matrices of a stack go through the same stacked linear algebra.
-
-References
-----------
-Packard, Fan, Doyle, "A power method for the structured singular value" (1988). Young, Doyle, "Computation of mu with
-real and complex uncertainties" (1990). Seiler, Packard, Balas, Automatica 46 (2010).
+Minimum-norm steps from many directions: of complex structures from power iterations, of others also from the box points
+that gain ascent reaches. All starts of all matrices of a stack go through the same stacked linear algebra.
 """
 
 from __future__ import annotations
@@ -36,7 +24,7 @@ from robustlab.mu_analysis.matrix.minimum_norm import (
     sharpened,
     smallest_step,
 )
-from robustlab.mu_analysis.matrix.starting_points import gain_ascent, power_directions, vertex_rays, vertex_search
+from robustlab.mu_analysis.matrix.starting_points import gain_ascent, power_directions
 from robustlab.mu_analysis.matrix.upper import UpperBound
 from robustlab.uncertainty.blocks import Block, structure_size
 
@@ -62,12 +50,7 @@ SHRINKING, LEAST_SHRINK, NEWTON_STEPS = 40, 1e-6, 12
 
 
 def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40) -> Found:
-    """``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``.
-
-    ``M``: complex matrix (p, q).
-    ``seed``: seed of the starting directions; the same seed gives the same Delta.
-    ``restarts``, ``steps``: how many paths are followed, and the effort along each.
-    """
+    """``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``."""
     return lower_bounds(np.asarray(M)[None], blocks, seed, restarts, steps)[0]
 
 
@@ -79,10 +62,7 @@ def lower_bounds(
     steps: int = 40,
     upper: Sequence[UpperBound] = (),
 ) -> list[Found]:
-    """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time.
-
-    Where an upper bound is given for each, no more is looked for once it is attained to `ATTAINED`.
-    """
+    """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time."""
     best: list[Found] = [(0.0, None)] * len(stack)
     jobs: dict[tuple[int, ...], list[tuple[int, Component, float]]] = {}
     split = [components(m, blocks) for m in stack]
@@ -117,11 +97,7 @@ def lower_bounds(
 
 
 def _at_the_bound(parts: list[Component], blocks: Sequence[Block], upper: list[UpperBound]) -> list[ComplexArray]:
-    """The Deltas that the largest singular vectors of the scaled matrices point to, led to singularity; complex blocks.
-
-    Where that singular value is a single one at the minimum over D, its vectors are as long in every block, and Delta
-    attains the upper bound.
-    """
+    """The Deltas that the largest singular vectors of the scaled matrices point to, led to singularity."""
     if not parts or any(block.interval is not None for block in blocks):
         return []
     layout, M = delta_layout(blocks), np.stack([part.matrix for part in parts])
@@ -160,11 +136,7 @@ def _verified(
 
 
 def _of_the_structure(M: ComplexArray, blocks: Sequence[Block], candidate: ComplexArray) -> list[ComplexArray]:
-    """The candidate without what the structure has no room for.
-
-    Candidates know real and complex numbers and complex matrices. Where a kind of block is none of these, the candidate
-    is only near: then Deltas that are led back to singularity inside the structure, each smaller than the last.
-    """
+    """The candidate without what the structure has no room for."""
     delta = project(blocks, candidate)
     if np.abs(delta - candidate).max() <= OUTSIDE * np.abs(candidate).max():
         return [delta]
@@ -200,11 +172,9 @@ def _led_back(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> 
 
 
 def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> bool:
-    r"""Whether a Delta of the structure within ``nearby`` of this one makes ``I - M Delta`` singular to first order.
-
-    A small singular value alone does not say so: that of ``I - M Delta`` for a nilpotent M falls like
-    ``1 / ||Delta||``, and no Delta at all makes it zero.
-    """
+    """Whether a Delta of the structure within ``nearby`` of this one makes ``I - M Delta`` singular to first order."""
+    # A small singular value alone does not say so: that of I - M Delta for a nilpotent M falls like 1 / |Delta|, and no
+    # Delta at all makes it zero.
     loop = np.eye(len(M)) - M @ delta
     # Rows and columns may carry any scaling; with the largest entries at one, singular values keep their digits.
     scale_rows, scale_cols = np.ones(len(loop)), np.ones(len(loop))
@@ -231,13 +201,10 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
 def _within_reach(
     M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array
 ) -> bool:
-    """Whether a loop that is singular to rounding is so for a Delta within ``nearby``, or for M with other last bits.
-
-    With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
-    jumps. Where an eigenvalue of M is nearly defective, it hardly moves at all. Both have to be told from rounding by
-    exact arithmetic: the residual counts as none where it is less than what every entry of M may change by in its last
-    place.
-    """
+    """Whether a loop that is singular to rounding is so for a Delta nearby, or for M with other last bits."""
+    # With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
+    # jumps. Where an eigenvalue of M is nearly defective, it hardly moves at all. Both have to be told from rounding by
+    # exact arithmetic: none is what every entry of M may change by in its last place.
     if not layout.real.all():
         return True
     gains = layout.gains((np.conj(y) @ M)[None], x[None])[0]
@@ -254,24 +221,11 @@ def _within_reach(
 
 def _exact_residual(M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array) -> complex:
     """``y^* (I - M Delta) x`` of the very numbers given, rounded once; for a diagonal Delta."""
-    exact = [
-        [(Fraction(float(v.real)), Fraction(float(v.imag))) for v in row] for row in (*M, x, y, np.diagonal(delta))
-    ]
-    rows, x_exact, y_exact, d = exact[:-3], exact[-3], exact[-2], exact[-1]
-    moved = [_product(a, b) for a, b in zip(d, x_exact, strict=True)]
-    total = (Fraction(0), Fraction(0))
-    for row, own, (y_re, y_im) in zip(rows, x_exact, y_exact, strict=True):
-        loop = own
-        for entry, part in zip(row, moved, strict=True):
-            re, im = _product(entry, part)
-            loop = (loop[0] - re, loop[1] - im)
-        re, im = _product((y_re, -y_im), loop)
-        total = (total[0] + re, total[1] + im)
-    return complex(float(total[0]), float(total[1]))
-
-
-def _product(a: tuple[Fraction, Fraction], b: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:
-    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
+    exact = np.frompyfunc(Fraction, 1, 1)
+    m, d, x_, y_ = ((exact(v.real), exact(v.imag)) for v in (M, np.diagonal(delta), x, np.conj(y)))
+    moved = d[0] * x_[0] - d[1] * x_[1], d[0] * x_[1] + d[1] * x_[0]
+    re, im = x_[0] - m[0] @ moved[0] + m[1] @ moved[1], x_[1] - m[0] @ moved[1] - m[1] @ moved[0]
+    return complex(float(y_[0] @ re - y_[1] @ im), float(y_[0] @ im + y_[1] @ re))
 
 
 def _power_of_two(size: Array) -> Array:
@@ -309,12 +263,7 @@ def _candidates(
         best = np.array([j for k in range(len(M)) for j in _first(np.flatnonzero(of == k), sizes, count)], dtype=int)
         lower = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
         sharp, of = np.concatenate([sharp, lower]), np.concatenate([of, of[best]])
-    found = [list(sharp[of == k]) for k in range(len(M))]
-    if layout.real.all():
-        for k in range(len(M)):
-            if not M[k].imag.any():
-                found[k].extend(_vertices(M[k].real, layout, found[k], seed, restarts))
-    return found
+    return [list(sharp[of == k]) for k in range(len(M))]
 
 
 def _chosen(norm: Array, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -342,10 +291,8 @@ def _residuals(M: ComplexArray, delta: ComplexArray) -> Array:
 
 
 def _scattered(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int, count: int) -> tuple[ComplexArray, Array]:
-    """Singular Deltas (k, count, q, p) next to random points of the box of the best norm (k,) so far, and their norms.
-
-    With few real parameters valleys are narrow, and steps to the corners jump over them.
-    """
+    """Singular Deltas (k, count, q, p) next to random points of the box of the best norm so far, and their norms."""
+    # With few real parameters valleys are narrow, and steps to the corners jump over them.
     rng = np.random.default_rng([seed, 3])
     k = len(M)
     radius = np.where(np.isfinite(norm), norm, 3.0)
@@ -410,20 +357,6 @@ def _ascended(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int, coun
     start = layout.deltas(values, ones[:, : layout.q], ones[:, : layout.p])
     x, y = gain_ascent(_repeated(M, count), layout, start, radius.ravel())
     return x.reshape(k, count, -1), y.reshape(k, count, -1)
-
-
-def _vertices(M: Array, layout: DeltaLayout, known: list[ComplexArray], seed: int, count: int) -> list[ComplexArray]:
-    """Vertices that a search over signs finds for real M; blocks that are repeated follow rays only."""
-    rng = np.random.default_rng([seed, 2])
-    signs = rng.choice([-1.0, 1.0], (2 * count, layout.n))
-    signs[0] = 1.0
-    for row, delta in zip(signs[1:], known, strict=False):
-        row[:] = np.where(np.diagonal(delta).real[np.searchsorted(layout.of_w, np.arange(layout.n))] < 0, -1.0, 1.0)
-    if layout.n == layout.q:
-        found = vertex_search(M, signs)
-    else:
-        found = vertex_rays(M, signs[:, layout.of_w])
-    return [(size * np.diag(s)).astype(complex) for size, s in found[:3]]
 
 
 def _repeated(M: ComplexArray, count: int) -> ComplexArray:

@@ -1,10 +1,9 @@
-r"""Sequential minimum-norm steps towards a singular ``I - M Delta``, for many matrices and starts at once.
+"""Sequential minimum-norm steps towards a singular ``I - M Delta``, for many matrices and starts at once."""
 
-With x, y the right and left null directions of ``I - M Delta``, singularity is linear to first order,
-``y^* M Delta x = y^* x``; the Delta of smallest norm that fulfils it is known in closed form. Repeating this converges
-fast where all blocks but one end at the bound, and may cycle where more of them lie inside: there the steps are damped,
-and the last ones only restore singularity near the Delta reached.
-"""
+# With x, y the right and left null directions of I - M Delta, singularity is linear to first order, y^* M Delta x =
+# y^* x; the Delta of smallest norm that fulfils it is known in closed form. Repeating this converges fast where all
+# blocks but one end at the bound, and may cycle where more of them lie inside: there the steps are damped, and the
+# last ones only restore singularity near the Delta reached.
 
 from __future__ import annotations
 
@@ -28,14 +27,7 @@ FRACTIONS = 0.5 ** np.arange(7)
 def minimum_norm_paths(
     M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, steps: int, per_matrix: int
 ) -> tuple[ComplexArray, Array]:
-    """The smallest Delta (k, q, p), singular to about 1e-7, on each of k paths, and its norm (inf where none).
-
-    ``M``: matrices (k, p, q), each of order one.
-    ``x``, ``y``: starting directions (k, p).
-    ``steps``: steps of each path, the restoring ones included.
-    ``per_matrix``: how many neighbouring paths belong to one matrix: they differ in damping, and not from matrix to
-    matrix.
-    """
+    """The smallest Delta (k, q, p), singular to about 1e-7, on each of k paths, and its norm (inf where none)."""
     k = len(M)
     best, best_norm = np.zeros((k, layout.q, layout.p), dtype=complex), np.full(k, np.inf)
     delta: ComplexArray | None = None
@@ -90,11 +82,9 @@ def sharpened(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, steps: 
 
 
 def descended(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, rounds: int) -> ComplexArray:
-    """Deltas (k, q, p), singular to rounding, moved to smaller ones along the singular set; M is (k, p, q).
-
-    The step of smallest norm is a direction of descent: part of the way towards it, then back to singularity, as far as
-    the norm falls. Where several real blocks end inside their range whole steps only jump around the minimum.
-    """
+    """Deltas (k, q, p), singular to rounding, moved to smaller ones along the singular set; M is (k, p, q)."""
+    # The step of smallest norm is a direction of descent: part of the way towards it, then back to singularity, as far
+    # as the norm falls.
     delta = delta.copy()
     norm = layout.sizes(delta).max(axis=1)
     going = np.arange(len(delta))
@@ -154,10 +144,7 @@ def null_directions(
 
 
 def restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
-    r"""Delta moved as little as can be so that ``row Delta x = 1``.
-
-    What moves: the size of Delta, the phases of its complex blocks, and its real blocks inside their range.
-    """
+    """Delta moved as little as can be so that ``row Delta x = 1``."""
     parts = layout.contributions(delta, row, x)
     sizes = layout.sizes(delta)
     norm = np.maximum(sizes.max(axis=1, keepdims=True), 1e-300)
@@ -201,12 +188,9 @@ def _limited(delta: ComplexArray) -> ComplexArray:
 
 
 def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
-    r"""The d (k, n) of smallest maximum modulus with ``sum a_i d_i = 1``, d_i real where ``real``.
-
-    The dual is a convex function of one number alpha,
-    ``f = sum_R |Re a_i + alpha Im a_i| + sqrt(1 + alpha^2) sum_C |a_i|``, whose minimum is ``1 / max |d_i|``: either
-    at a kink, where that one real d_i is inside its range, or at a smooth point between two.
-    """
+    """The d (k, n) of smallest maximum modulus with ``sum a_i d_i = 1``, d_i real where ``real``."""
+    # The dual is a convex function of one number alpha, sum_R |Re a_i + alpha Im a_i| + sqrt(1 + alpha^2) sum_C |a_i|,
+    # whose minimum is 1 / max |d_i|: at a kink, where that one real d_i is inside its range, or between two.
     if not real.any():
         size = np.abs(a)
         return np.conj(a) / np.maximum(size * size.sum(axis=1, keepdims=True), 1e-300)

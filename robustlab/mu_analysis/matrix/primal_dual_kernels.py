@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-r"""Compiled parts of the primal-dual method of `robustlab.mu_analysis.matrix.interior_point`, one matrix at a time.
+r"""Compiled parts of the primal-dual method of `robustlab.mu_analysis.matrix.upper`, one matrix at a time.
 
 Importing this module imports numba. The matrices have order 2 to 100: too small for calls of LAPACK to pay, so the
 loops are written out, the innermost ones over contiguous memory. No result of theirs is trusted: whatever x comes out,
@@ -291,10 +291,7 @@ def shift(V, x, a, y):
 
 @nb.njit(**INSIDE)
 def newton_factor(H, V, short):
-    """Cholesky factor of H in diagonal scaling, in place; directions without curvature stay put.
-
-    The curvature of ``short`` times the weighted |x|^2 / 2 is added before.
-    """
+    """Cholesky factor of H in diagonal scaling, in place; directions without curvature stay put."""
     n, largest = len(H), 0.0
     for i in range(n):
         H[i, i] += short * V[SHORT, i]
@@ -402,10 +399,7 @@ def allowance(W, V, M, c, entries, orders):
 
 @nb.njit(**PART)
 def newton_system(W, J, H, V, M, c, entries, orders, nu):
-    """The factorised system in dx, bordered by dt and the multiplier of the fixed trace; no terms of second order yet.
-
-    Returns the diagonal element of t, NaN where the system cannot be solved.
-    """
+    """The factorised system in dx, bordered by dt and the multiplier of the fixed trace."""
     sandwich(W, P, J, AT_P, M)
     sandwich(W, Z, J, AT_Z, M)
     curvature(W, J, H, c, entries)
@@ -429,10 +423,7 @@ def newton_system(W, J, H, V, M, c, entries, orders, nu):
 
 @nb.njit(**PART)
 def direction(W, J, H, V, M, c, entries, orders, nu, tt, bent):
-    """Newton direction to the point of the central path with ``F Z = nu I``, and its change of t.
-
-    ``tt`` is the diagonal element of t, infinite where t is to stay. Terms of second order: ``bent``, SECOND, BENT.
-    """
+    """Newton direction to the point of the central path with ``F Z = nu I``, and its change of t."""
     for i in range(V.shape[1]):
         V[STEP, i] = nu * V[DOWN, i] + V[BENT, i]
     newton_solve(H, V, STEP, STEP)
@@ -483,10 +474,7 @@ def tangent(W, J, V, M, c, entries, down):
 
 @nb.njit(**INSIDE)
 def beyond(W, down, gap, orders):
-    """Whether Z and Y show a t smaller by ``down`` out of reach.
-
-    There ``<Z, F> + <Y, S>`` is ``<eta I - Y - down Z, S>`` for every x, with eta the gap over the trace of S.
-    """
+    """Whether Z and Y show a t smaller by ``down`` out of reach."""
     q, low = W.shape[2], 0
     combine(W, A, 1.0, Z, 0.0, Z)
     lower_large(W, A, down, Z, orders)
@@ -526,10 +514,7 @@ def follow(W, J, V, M, c, entries, orders, t, gap):
 
 @nb.njit(cache=True, **ENTRY)
 def descend(W, J, H, V, M, c, entries, orders, t, tol, goal, max_steps, sure):
-    """Leave the best x down the central path from x, t in V; whether its t is the optimum within ``tol``.
-
-    Or its goal was reached, or shown out of reach: by estimates, which lie now and then, or if ``sure`` by a dual.
-    """
+    """Leave the best x down the central path from x, t in V; whether its t is the optimum within ``tol``."""
     best_t, last, left, gap = np.inf, np.inf, np.inf, 0.0
     dt = ap = ad = 0.0
     steps, careful, centred, settled = 0, False, False, False

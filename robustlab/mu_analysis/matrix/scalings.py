@@ -1,11 +1,7 @@
-r"""The scalings D and G that commute with a block structure, as a linear function of real parameters.
+"""The scalings D and G that commute with a block structure, as a linear function of real parameters."""
 
-With ``U = [I, M^*]`` the matrix of the D-G inequality is linear in one sparse Hermitian matrix E of order q + p,
-
-.. math:: \beta^2 D_w - M^* D_z M - j (G M - M^* G^*) = U E(x) U^*
-
-so that gradients and Hessians of its barrier need products of single entries of ``U^* P U`` only.
-"""
+# With U = [I, M^*] the matrix of the D-G inequality is U E(x) U^* with one sparse Hermitian E of order q + p, so that
+# gradients and Hessians of its barrier need products of single entries of U^* P U only.
 
 from __future__ import annotations
 
@@ -39,33 +35,14 @@ def relative(X: ComplexArray, Y: ComplexArray) -> ComplexArray:
 
 
 class ScalingSpace:
-    """Real parameters of all D and G of a block structure.
-
-    A full block has one number in D; a scalar repeated r times a Hermitian r x r block, in G too where it is real.
-
-    Attributes
-    ----------
-    size
-        Number of real parameters.
-    rows, cols, coefficients, first
-        Entries of E, sorted by parameter: position, factor, and where each parameter's entries begin.
-    in_w
-        1 for the entries of D_w (they carry the factor beta^2), else 0.
-    identity
-        Parameters of D = I, G = 0, shape (size,).
-    block_of
-        Index of the block that a parameter belongs to, shape (size,).
-    scales_with_m
-        Whether a parameter belongs to G, which carries the unit of M, shape (size,).
-    """
+    """Real parameters of all D and G of a block structure."""
 
     def __init__(self, blocks: Sequence[Block]) -> None:
         self.blocks = tuple(blocks)
         self.q, self.p = structure_size(blocks)
-        self.slices = block_slices(blocks)
         parameters: list[list[tuple[int, int, complex, int]]] = []
         identity: list[float] = []
-        for block, (w, z) in zip(self.blocks, self.slices, strict=True):
+        for block, (w, z) in zip(self.blocks, block_slices(blocks), strict=True):
             for on_w, on_z in block.d_basis():
                 parameters.append(
                     [(w.start + i, w.start + j, c, 1) for i, j, c in on_w]
@@ -92,8 +69,6 @@ class ScalingSpace:
         self._ordered = self.coefficients[order]
         self.identity = np.array(identity)
         # The first entry of every parameter stands in the rows of w.
-        starts = np.array([w.start for w, _ in self.slices], dtype=int)
-        self.block_of = np.searchsorted(starts, self.rows[self.first], side="right") - 1
         self.scales_with_m = (self.cols[self.first] >= self.q) & (self.rows[self.first] < self.q)
 
     def matrices(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:

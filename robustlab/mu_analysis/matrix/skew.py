@@ -1,16 +1,11 @@
-r"""Skewed mu: some blocks stay at size one, and the smallest size of the others is sought.
+"""Skewed mu: some blocks stay at size one, and the smallest size of the others is sought.
 
-.. math:: \nu(M) = 1 / \min \{ \|\Delta_v\| : \|\Delta_f\| \le 1, \; \det(I - M \, diag(\Delta_f, \Delta_v)) = 0 \}
-
-With ``S = diag(1, nu)`` on the inputs of M, ``nu`` is an upper bound where the D-G inequality of ``M S^-1`` holds at
-level one. For given D, G the smallest such level is known in closed form (a Schur complement), so that minimising the
-D-G level of ``M S^-1`` and lowering ``nu`` to it in turn converges from above.
-
-References
-----------
-Fan, Tits, "A measure of worst-case H-infinity performance and of largest acceptable uncertainty" (1992); Ferreres,
-"A Practical Approach to Robustness Analysis with Aeronautical Applications" (1999), chapter 1.
+Fan, Tits (1992); Ferreres, "A Practical Approach to Robustness Analysis with Aeronautical Applications" (1999).
 """
+
+# nu is an upper bound where the D-G inequality of M S^-1, S = diag(1, nu) on the inputs, holds at level one. For
+# given D, G the smallest such level is known in closed form (a Schur complement): minimising the D-G level of M S^-1
+# and lowering nu to it in turn converges from above.
 
 from __future__ import annotations
 
@@ -19,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, ComplexArray, Mask
+from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.mu_analysis.matrix.box import root_box
 from robustlab.mu_analysis.matrix.certificate import delta_norm, proves
 from robustlab.mu_analysis.matrix.decomposition import entries
-from robustlab.mu_analysis.matrix.gain import largest_gain
+from robustlab.mu_analysis.matrix.gain import Gain, largest_gain
 from robustlab.mu_analysis.matrix.lower import lower_bound
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, upper_bounds
@@ -109,6 +104,16 @@ def skew_upper(M: ComplexArray, blocks: Sequence[Block], varying: Mask, tol: flo
         best, proof = certain, UpperBound(1.0, rest.Dw, rest.Dz, rest.G)
         level = certain
     return best, proof
+
+
+def gain_curves(
+    M: ComplexArray, blocks: Sequence[Block], rng: np.random.Generator, starts: int, tol: float
+) -> tuple[Array, Array, list[Gain | None]]:
+    """Of each matrix the largest gain found, the level proved of its last block, and what attains the first."""
+    last, box = np.arange(M.shape[2]) >= M.shape[2] - blocks[-1].rows, root_box(blocks)
+    found = [largest_gain(m, blocks, box, rng, starts) for m in M]
+    upper = np.array([skew_upper(m, blocks, last, tol)[0] for m in M])
+    return np.array([0.0 if g is None else g.value for g in found]), upper, found
 
 
 def skew_lower(

@@ -205,11 +205,7 @@ class Block(ABC):
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """For one real number times the identity: the ends (low, high) of what stands in Delta; None for other sets.
-
-        Algorithms over boxes of parameters take such a block as one axis. Its values fill [-1, 1]: a value v >= 0
-        stands as ``high v`` in Delta, a negative one as ``-low v``.
-        """
+        """For one real number times the identity: the ends (low, high) of what stands in Delta; None for other sets."""
         return None
 
     @property

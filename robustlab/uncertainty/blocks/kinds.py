@@ -26,52 +26,41 @@ class ScalarBlock(Block):
 
     @property
     def rows(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Rows of the block (entries of w)."""
         return self.repeats
 
     @property
     def cols(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Columns of the block (entries of z)."""
         return self.repeats
 
     @property
     def value_shape(self) -> tuple[int, int]:
-        """One number."""
         return (1, 1)
 
     def norm(self, part: NDArray[Any]) -> float:
-        """Size of the number."""
         return float(abs(part[0, 0]))
 
     def matrix_of(self, value: NDArray[Any]) -> NDArray[Any]:
-        """The number times the identity."""
         if value.size != 1:
             raise InputError(f"delta {self.name!r}", f"shape {value.shape}", "one number")
         return self.entry_of(complex(value.reshape(()))) * np.eye(self.repeats)
 
     def entry_of(self, number: complex) -> complex:
-        """What stands in Delta for a value."""
         return number
 
     def members(self, coordinates: Array) -> NDArray[Any]:
-        """Numbers beyond one in size are drawn back to one."""
         return super().members(coordinates) * np.eye(self.repeats)
 
     @property
     def d_order(self) -> int:
-        """D is any Hermitian matrix."""
         return self.repeats
 
     def d_basis(self) -> list[tuple[Pattern, Pattern]]:
-        """All Hermitian matrices, the same on both sides."""
         return [(pattern, pattern) for pattern in hermitian_basis(self.repeats)]
 
     def resized(self, rows: int, cols: int) -> Self:
-        """The same number, repeated more or fewer times."""
         return dataclasses.replace(self, repeats=rows) if rows == cols else super().resized(rows, cols)  # type: ignore[type-var]
 
     def merged(self, others: Sequence[Any], where: str) -> Block:
-        """The same number everywhere: repeated."""
         size = self.repeats + sum(b.repeats for b in others)
         return self.resized(size, size)
 
@@ -118,29 +107,23 @@ class ComplexScalar(ScalarBlock):
 
     @property
     def is_ball(self) -> bool:
-        """One number is every matrix of its size."""
         return self.repeats == 1
 
     def project(self, part: NDArray[Any]) -> NDArray[Any]:
-        """The mean of the diagonal."""
         return np.trace(part) / len(part) * np.eye(len(part))
 
     def value_of(self, part: NDArray[Any]) -> complex:
-        """The number."""
         return complex(part[0, 0])
 
     def aligned(self, left: ComplexArray, right: ComplexArray, size: float = 1.0) -> NDArray[Any] | None:
-        """The phase that turns the gain to the real axis."""
         gain = (left * right).sum()
         return size * np.conj(gain) / abs(gain) * np.eye(self.repeats) if gain != 0 else None
 
     def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
-        """Any phase."""
         return np.exp(2j * np.pi * rng.random()) * np.eye(self.repeats)
 
     @classmethod
     def from_row(cls, name: str, rows: int, cols: int, parameter: ParameterRange | None, origin: str) -> ComplexScalar:
-        """The block of one row of a file."""
         return cls(name, rows, origin=origin)
 
 
@@ -160,9 +143,6 @@ class RealScalar(ScalarBlock):
         and every value of the parameter enters M by one and the same affine law.
     origin
         Where the block comes from, in words; blocks that differ in nothing else are equal.
-    covers
-        Of a block that stands for a delay: its length and its spread in s, and the orders of the approximation and of
-        the weight; None of others.
 
     Raises
     ------
@@ -194,12 +174,10 @@ class RealScalar(ScalarBlock):
 
     @property
     def interval(self) -> tuple[float, float]:
-        """From minus the ratio to one."""
         return (-self.ratio, 1.0)
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether the range is as wide below nominal as above."""
         return self.ratio == 1
 
     def entry(self, delta: float) -> float:
@@ -211,49 +189,39 @@ class RealScalar(ScalarBlock):
         return entry if entry >= 0 else entry / self.ratio
 
     def project(self, part: NDArray[Any]) -> NDArray[Any]:
-        """The mean of the diagonal, without its imaginary part."""
         return (np.trace(part) / len(part)).real * np.eye(len(part))
 
     def entry_of(self, number: complex) -> complex:
-        """The number that stands in Delta for a normalised delta."""
         if number.imag != 0:
             raise InputError(f"delta {self.name!r}", f"{number}", "a real number")
         return complex(self.entry(number.real))
 
     def value_of(self, part: NDArray[Any]) -> float:
-        """The normalised delta."""
         return self.delta(float(part[0, 0].real))
 
     def draw(self, rng: np.random.Generator, boundary: bool = False) -> float:
-        """Uniform over the range; at its boundary too, which is a matter of vertices."""
         return self.in_range(float(rng.uniform(-1.0, 1.0)))
 
     def in_range(self, place: float) -> float:
-        """The normalised delta at a place of the range whose ends are at -1 and 1, and its middle at 0."""
         if self.ratio == 1:
             return place
         delta = self.delta(0.5 * ((1.0 - self.ratio) + (1.0 + self.ratio) * place))
         return min(max(delta, -1.0), 1.0)  # rounding next to an end must not leave the range
 
     def members(self, coordinates: Array) -> NDArray[Any]:
-        """The coordinate is the normalised delta."""
         entries = np.where(coordinates < 0, coordinates * self.ratio, coordinates)
         return entries[:, :, None] * np.eye(self.rows)
 
     def aligned(self, left: ComplexArray, right: ComplexArray, size: float = 1.0) -> NDArray[Any]:
-        """The sign of the real part of the gain."""
         return size * np.sign((left * right).sum().real) * np.eye(self.repeats)
 
     def g_basis(self) -> list[Pattern]:
-        """G is any Hermitian matrix."""
         return hermitian_basis(self.repeats)
 
     def as_complex(self) -> ComplexScalar:
-        """A complex number instead of the real one."""
         return ComplexScalar(self.name, self.repeats)
 
     def merged(self, others: Sequence[RealScalar], where: str) -> Block:
-        """The same number everywhere, if it has one range."""
         for other in others:
             if other.parameter != self.parameter:
                 found = f"stands for {self.parameter} in one operand and for {other.parameter} in another"
@@ -261,7 +229,6 @@ class RealScalar(ScalarBlock):
         return super().merged(others, where)
 
     def centred(self, level: float) -> tuple[float, float, Block]:
-        """The range, ``level`` times as wide on each side, around its own middle."""
         middle, half = 0.5 * level * (1.0 - self.ratio), 0.5 * level * (1.0 + self.ratio)
         span = self.parameter
         if span is not None:
@@ -270,7 +237,6 @@ class RealScalar(ScalarBlock):
 
     @classmethod
     def from_row(cls, name: str, rows: int, cols: int, parameter: ParameterRange | None, origin: str) -> RealScalar:
-        """The block of one row of a file."""
         return cls(name, rows, parameter, origin=origin)
 
 
@@ -312,49 +278,33 @@ class FullBlock(Block):
 
     @property
     def is_ball(self) -> bool:
-        """By definition."""
         return True
 
     def project(self, part: NDArray[Any]) -> NDArray[Any]:
-        """Any matrix is a multiple of a member."""
         return part
 
     def aligned(self, left: ComplexArray, right: ComplexArray, size: float = 1.0) -> NDArray[Any] | None:
-        """The matrix of rank one along both."""
         norm = np.linalg.norm(left) * np.linalg.norm(right)
         return size * np.outer(np.conj(left), np.conj(right)) / norm if norm > 0 else None
 
     def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
-        """A matrix of rank one."""
         return rank_one(vector(self.rows), vector(self.cols))
 
     def resized(self, rows: int, cols: int) -> Self:
-        """A full block of any size."""
         return replace(self, rows=rows, cols=cols)
 
     def merged(self, others: Sequence[FullBlock], where: str) -> Block:
-        """One number everywhere: repeated. A repeated matrix has no kind."""
         if all(b.value_shape == (1, 1) for b in (self, *others)):
             return ComplexScalar(self.name, 1 + len(others))
         return super().merged(others, where)
 
     @classmethod
     def from_row(cls, name: str, rows: int, cols: int, parameter: ParameterRange | None, origin: str) -> FullBlock:
-        """The block of one row of a file."""
         return cls(name, rows, cols, origin=origin)
 
 
 def as_blocks(given: Any) -> tuple[Block, ...]:
-    """Blocks as given, or from rows in the notation of MATLAB's ``mussv``.
-
-    ``[-r, 0]`` is one real scalar repeated r times, ``[r, 0]`` a complex one, ``[r, c]`` a full block of r rows and c
-    columns; ``[-1, 1]`` and ``[1, 1]`` are a real and a complex scalar. Such blocks are called ``delta1, delta2, ...``.
-
-    Examples
-    --------
-    >>> as_blocks([[-2, 0], [1, 3]])
-    (RealScalar(name='delta1', repeats=2, parameter=None), FullBlock(name='delta2', rows=1, cols=3))
-    """
+    """Blocks as given, or from rows in the notation of MATLAB's ``mussv``."""
     if isinstance(given, Block):
         given = [given]
     if isinstance(given, np.ndarray):
@@ -405,11 +355,7 @@ def block_slices(blocks: Sequence[Block]) -> list[tuple[slice, slice]]:
 
 
 def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> NDArray[Any]:
-    """The block-diagonal Delta, shape (q, p), from one normalised value per block name; blocks left out are zero.
-
-    Scalar blocks take a number, full blocks a matrix (rows, cols). The result is real where every value is real. A
-    negative delta of a range that is not symmetric is multiplied with its ratio (see `RealScalar`).
-    """
+    """The block-diagonal Delta, shape (q, p), from one normalised value per block name; blocks left out are zero."""
     known = tuple(b.name for b in blocks)
     for name in values:
         if name not in known:

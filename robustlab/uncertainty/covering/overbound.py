@@ -1,24 +1,13 @@
-r"""Stable minimum-phase weights that lie above a bound, as close as their order allows.
+"""Stable minimum-phase weights that lie above a bound, as close as their order allows.
 
-Among all weights of order n the one is found whose largest ratio to the bound is least,
-
-.. math:: \min \gamma \quad \text{with} \quad b(\omega) \le |w(j\omega)| \le \gamma\, b(\omega)
-
-With :math:`|w|^2 = N(x) / D(x)`, :math:`x = \omega^2`, this is for each fixed :math:`\gamma` a linear programme in the
-coefficients of N and D,
-
-.. math:: N - b^2 D \ge 0, \qquad \gamma^2 b^2 D - N \ge 0, \qquad D > 0
-
-so that bisection on :math:`\gamma` finds the best there is, as far as floating point solves the programme: on bounds
-with several sharp resonances it may stop short of it. The weight follows by spectral factorisation. N and D are
-written in orthonormal combinations of :math:`q / (x + q)`, relative to the last feasible N and D, which keeps the
-programme well scaled over many decades.
-
-References
-----------
-Boyd, Vandenberghe, *Convex Optimization* (2004), section 4.2.5 (quasi-convex problems); Balas, Chiang, Packard,
-Safonov, *Robust Control Toolbox* (2005), the log-Chebyshev magnitude design; Březina 2010, section 4.2.
+Boyd, Vandenberghe, *Convex Optimization* (2004), section 4.2.5 (quasi-convex problems).
 """
+
+# min gamma with b <= |w| <= gamma b. With |w|^2 = N(x) / D(x), x = omega^2, this is for each fixed gamma a linear
+# programme in the coefficients of N and D (N - b^2 D >= 0, gamma^2 b^2 D - N >= 0, D > 0), so that bisection on gamma
+# finds the best there is, as far as floating point solves the programme. The weight follows by spectral
+# factorisation. N and D are written in orthonormal combinations of q / (x + q), relative to the last feasible N and
+# D, which keeps the programme well scaled over many decades.
 
 from __future__ import annotations
 
@@ -287,10 +276,7 @@ class _Factors(NamedTuple):
 
 
 def _corners(n: int, x: Array, square: Array) -> _Factors:
-    """Roots of N and D with which log N / D comes near the bound in least squares: where the search begins.
-
-    Factors are ``x^2 + 2 a r x + r^2`` with a > -1, which are resonances for a near -1, and one ``x + r`` for odd n.
-    """
+    """Roots of N and D with which log N / D comes near the bound in least squares: where the search begins."""
     from scipy.optimize import least_squares
 
     wanted, pairs, odd = np.log(square), n // 2, n % 2
@@ -334,11 +320,7 @@ def _factor_roots(r: Array, a: Array, pairs: int) -> Any:
 
 
 class _Basis(NamedTuple):
-    """Polynomials of degree n in x, divided by a given one of size 1 or so at every point, in orthonormal columns.
-
-    ``values @ c`` is the quotient at the points, ``to_sums @ c`` its coefficients in 1 and q / (x + q), with the
-    factor ``prod(x + q)`` taken out.
-    """
+    """Polynomials of degree n in x, divided by a given one of size 1 or so at every point, in orthonormal columns."""
 
     values: Array
     to_sums: Array
@@ -358,11 +340,8 @@ def _basis(x: Array, roots: Any) -> _Basis:
 
 
 def _programme(x: Array, square: Array, level: float, near: _Factors) -> _Factors | None:
-    """N and D between the bound and gamma times the bound, or None where there are none.
-
-    The margin t of both inequalities, relative to the terms that they compare, is maximised: 0 or more is feasible.
-    Where N or D turns out negative between the points, the place is added.
-    """
+    """N and D between the bound and gamma times the bound, or None where there are none."""
+    # The margin of both inequalities, relative to the terms that they compare, is maximised: 0 or more is feasible.
     extra = np.zeros(0)
     for _ in range(WEIGHT_ROUNDS):
         points = np.concatenate([x, extra])

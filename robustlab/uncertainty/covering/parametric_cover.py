@@ -1,22 +1,11 @@
-r"""The smallest set of real parameters, of a chosen form, that holds every model of a set.
+"""The smallest set of real parameters, of a chosen form, that holds every model of a set."""
 
-.. math:: S_i = S_0 + \sum_j \delta_{ij} E_j, \qquad |\delta_{ij}| \le 1, \qquad
-          S = \begin{bmatrix} A & B \\ C & D \end{bmatrix}
-
-``elements``
-    Interval hull: each entry that differs is a parameter of its own, from its smallest to its largest value.
-``pca``
-    The cloud of the :math:`S_i` has few directions: the E_j are its principal components, each as long as the cloud
-    reaches along it, and S_0 is the middle of that box.
-
-References
-----------
-Jolliffe, *Principal Component Analysis* (2002); Březina 2010, section 10.2 for the element-wise form.
-"""
+# S_i = S_0 + sum_j delta_ij E_j, |delta_ij| <= 1, S = [A B; C D]. "elements": the interval hull, each entry that
+# differs is a parameter. "pca": the E_j are the principal components of the cloud, each as long as it reaches along
+# it, and S_0 is the middle of that box.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -26,8 +15,8 @@ from robustlab.checks import number, whole
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
-from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, model_of, system_matrices
-from robustlab.uncertainty.elementwise import by_cause, elementwise, natural_magnitude
+from robustlab.uncertainty.covering.unstructured_cover import model_of, system_matrices
+from robustlab.uncertainty.elementwise import elementwise, natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 
 ParametricForm = Literal["elements", "pca"]
@@ -37,19 +26,7 @@ PARAMETRIC_FORMS: tuple[ParametricForm, ...] = get_args(ParametricForm)
 ROUNDING = 1e-13
 
 
-@dataclass(frozen=True, eq=False)
-class ParametricCover:
-    """A set of real parameters around a set of models."""
-
-    model: UncertainModel  # the uncertain model
-    # For each model the normalised value of every block: the proof that it is a member.
-    deltas: tuple[dict[str, float], ...]
-    # For each model the largest relative difference between the member at its delta and the model itself, an entry
-    # against its matrix's largest.
-    misses: tuple[float, ...]
-    # Reach of the cloud along each direction of `pca`, longest first, in magnitudes of the entries
-    # (see `tolerance`), also of those that were left out; empty for `elements`.
-    spread: tuple[float, ...]
+Made = tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]  # the set, deltas of the models, spread
 
 
 def parametric_cover(
@@ -58,36 +35,21 @@ def parametric_cover(
     nominal: StateSpaceModel | None = None,
     tolerance: float = 1e-9,
     directions: int | None = None,
-) -> ParametricCover:
-    """The cover of models that have the same states.
-
-    ``models``: at least two, checked by `model_set`.
-    ``nominal``: nominal model of the form ``elements``, the middle where left out. The hull is then asymmetric about
-    it, and symmetric in an entry where it lies at an end or outside.
-    ``tolerance``: what an entry may be off, relative to the largest of its matrix (or to what its row and column make
-    natural, where that is less): differences below it count as none, and as many directions are kept as it asks for.
-    ``directions``: number of directions of ``pca``, instead of what the tolerance asks for.
-    Raises InputError: a tolerance outside [0, 1), a number of directions that is not positive, a nominal model for
-    another form.
-    """
+) -> Made:
+    """The cover of models that have the same states, the values that make each of them, and the reach of the cloud."""
     number("cover: tolerance", tolerance, "a number in [0, 1)", at_least=0, below=1)
     if directions is not None:
         whole("cover: directions", directions, 1)
     if form == "elements":
         if directions is not None:
             raise InputError("cover: directions", f"{directions} with form elements", "form pca")
-        made, deltas, spread = _hull(models, nominal, tolerance)
-    else:
-        if nominal is not None:
-            raise InputError("cover: nominal", f"a nominal model for form {form}", "none: it is the middle of the box")
-        made, deltas, spread = _directions(models, tolerance, directions)
-    misses = tuple(matrices_miss(made.evaluate(d), m) for d, m in zip(deltas, models, strict=True))
-    return ParametricCover(made, deltas, misses, spread)
+        return _hull(models, nominal, tolerance)
+    if nominal is not None:
+        raise InputError("cover: nominal", f"a nominal model for form {form}", "none: it is the middle of the box")
+    return _directions(models, tolerance, directions)
 
 
-def _hull(
-    models: tuple[StateSpaceModel, ...], nominal: StateSpaceModel | None, tolerance: float
-) -> tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]:
+def _hull(models: tuple[StateSpaceModel, ...], nominal: StateSpaceModel | None, tolerance: float) -> Made:
     stack = system_matrices(models)
     low, high = stack.min(axis=0), stack.max(axis=0)
     allowance = max(tolerance, ROUNDING) * _magnitude(stack, models[0].n_states)
@@ -107,7 +69,7 @@ def _hull(
     made = elementwise(centre, model_of(middle + above, first), "elements")
     at = _entries(middle + above - middle, first.n_states)
     blocks = [
-        RealScalar(b.name, b.rows, _range(float(middle[i, j]), float(above[i, j]), float(below[i, j])))
+        RealScalar(b.name, b.rows, ParameterRange(float(middle[i, j]), float(above[i, j]), "", float(below[i, j])))
         for b, (i, j) in zip(made.blocks, at, strict=True)
     ]
     whole = UncertainModel(made.M, blocks, made.operating_point)
@@ -134,19 +96,13 @@ def _magnitude(stack: Array, n: int) -> Array:
     return magnitude
 
 
-def _range(middle: float, above: float, below: float) -> ParameterRange:
-    return ParameterRange(middle, above, "", below)
-
-
 def _entries(e: Array, n: int) -> list[tuple[int, int]]:
     """Non-zero entries in the order of the blocks of `elementwise`: those of A, of B, of C, of D."""
     parts = ((0, 0, e[:n, :n]), (0, n, e[:n, n:]), (n, 0, e[n:, :n]), (n, n, e[n:, n:]))
     return [(int(i) + row, int(j) + col) for row, col, part in parts for i, j in np.argwhere(part)]
 
 
-def _directions(
-    models: tuple[StateSpaceModel, ...], tolerance: float, directions: int | None
-) -> tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]:
+def _directions(models: tuple[StateSpaceModel, ...], tolerance: float, directions: int | None) -> Made:
     stack = system_matrices(models)
     scale = _magnitude(stack, models[0].n_states)
     middle = stack.mean(axis=0)
@@ -169,7 +125,7 @@ def _directions(
         name: model_of(start + scale * (half[j] * kept[j]).reshape(scale.shape), models[0])
         for j, name in enumerate(names)
     }
-    made = by_cause(nominal, ends) if ends else UncertainModel(nominal, [])
+    made = elementwise(nominal, ends) if ends else UncertainModel(nominal, [])
     share = np.clip((along - centre) / half, -1.0, 1.0)
     deltas = tuple({name: float(share[i, j]) for j, name in enumerate(names)} for i in range(len(models)))
     spread = (*half.tolist(), *(r for r in reach[count:].tolist() if r > ROUNDING))

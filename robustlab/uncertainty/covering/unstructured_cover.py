@@ -1,36 +1,8 @@
-r"""The smallest unstructured set, of a chosen form, that holds every model of a set.
+"""The smallest unstructured set, of a chosen form, that holds every model of a set (Zhou, Doyle, Glover 1996, 9.1)."""
 
-With a nominal model G and the error :math:`E_i` by which the form (`robustlab.uncertainty.unstructured`) makes model i
-of it,
-
-.. math:: |w(j\omega)| \ge \max_i \bar\sigma(E_i(j\omega)), \qquad \Delta_i = E_i / w
-
-================================  =================================================
-form                              :math:`E_i`
-================================  =================================================
-``additive``                      :math:`G_i - G`
-``input-multiplicative``          :math:`G^{-1} G_i - I`
-``output-multiplicative``         :math:`G_i G^{-1} - I`
-``inverse-additive``              :math:`G_i^{-1} - G^{-1}`
-``inverse-input-multiplicative``  :math:`G_i^{-1} G - I`
-``inverse-output-multiplicative`` :math:`G G_i^{-1} - I`
-================================  =================================================
-
-Model i is a member where :math:`\Delta_i` is stable and nowhere larger than one. The errors have poles only where the
-models or their inverses have; whether such a pole stays or cancels is told by the Laurent series of :math:`E_i` there.
-
-A set of models of the same machine: operating points, units, seeds, or fits to several records.
-
-The models are compared entry by entry of
-
-.. math:: S_i = \begin{bmatrix} A_i & B_i \\ C_i & D_i \end{bmatrix}
-
-which only means something where all have the same states; covers by frequency response ask for the same signals only.
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 9.1; Březina 2010, sections 4.2.1, 4.2.3.
-"""
+# With a nominal model G and the error E_i by which the form makes model i of it, |w| >= max sigma(E_i), Delta_i = E_i
+# / w. Model i is a member where Delta_i is stable and nowhere larger than one. The errors have poles only where the
+# models or their inverses have; whether such a pole stays or cancels is told by the Laurent series of E_i there.
 
 from __future__ import annotations
 
@@ -147,17 +119,7 @@ def unstructured_cover(
     tolerance: float = 0.1,
     points: int = GRID_POINTS,
 ) -> UnstructuredCover:
-    """The cover of models with the same signals; their states may differ.
-
-    ``models``: at least two, checked by `model_set`.
-    ``nominal``: where left out, that of the models (and of their middle, where they have the same states) whose radius
-    is least.
-    ``order``, ``tolerance``: largest order of the weight, and the excess over the bound at which a lower one is good
-    enough.
-    ``points``: points of the frequency grid of the fit, besides those at resonances.
-    Raises InputError: a model that is not square, for all forms but ``additive``. NoTrustworthyNumber: for no nominal
-    model all errors are stable; the model, and the pole that stays, are named.
-    """
+    """The cover of models with the same signals; their states may differ."""
     if form != "additive" and models[0].n_inputs != models[0].n_outputs:
         found = f"models of {models[0].n_outputs} outputs and {models[0].n_inputs} inputs"
         raise InputError(f"cover: form {form}", found, "as many inputs as outputs, or form additive")

@@ -1,12 +1,6 @@
-r"""Normalised coprime factors of a model, and the stability margin that belongs to them.
+"""Normalised coprime factors of a model, and the stability margin that belongs to them.
 
-.. math:: P = N M^{-1} = \tilde M^{-1} \tilde N, \qquad N^* N + M^* M = I, \qquad
-   \tilde N \tilde N^* + \tilde M \tilde M^* = I
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), theorem 13.37 and section 16.1; Vinnicombe, *Uncertainty and
-Feedback* (2001), chapters 2, 3.
+Zhou, Doyle, Glover (1996), theorem 13.37 and section 16.1; Vinnicombe, *Uncertainty and Feedback* (2001).
 """
 
 from __future__ import annotations
@@ -42,16 +36,7 @@ class CoprimeFactors:
 
 
 def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
-    r"""Normalised coprime factors from two Riccati equations.
-
-    .. math:: A^T X + X A + C^T C - (X B + C^T D) R^{-1} (B^T X + D^T C) = 0, \qquad R = I + D^T D
-
-    and its dual for Z.
-
-    ``model``: continuous model, stable or not, that is stabilisable and detectable.
-    Raises NoTrustworthyNumber: an unstable or marginal mode is hidden from the inputs or the outputs, or digits were
-    lost.
-    """
+    """Normalised coprime factors from two Riccati equations."""
     equations = coprime_riccati(model)
     m, rate, control, filtering = equations.model, equations.rate, equations.control, equations.filtering
     p, q = m.D.shape
@@ -234,10 +219,7 @@ class MappedModels:
 
 
 def continuous_models(*models: StateSpaceModel) -> MappedModels:
-    """Continuous models as they are, discrete ones through ``s = (2/dt) (z - 1)/(z + 1)``, all mapped alike.
-
-    Where one has a pole at z = -1, or very close to it, -z takes the place of z.
-    """
+    """Continuous models as they are, discrete ones through ``s = (2/dt) (z - 1)/(z + 1)``, all mapped alike."""
     times = {m.dt for m in models if m.n_states or m.dt}
     if len(times) > 1:
         raise InputError("gap", f"sample times {sorted(times)} s (0: continuous)", "one common sample time")

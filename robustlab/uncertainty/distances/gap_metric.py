@@ -1,17 +1,7 @@
-r"""The distance between two models that counts for feedback: the nu-gap.
+"""The distance between two models that counts for feedback: the nu-gap (Vinnicombe, IEEE TAC 38, 1993)."""
 
-It lies between 0 and 1, and a controller that is good for one model is good for the other where it is small,
-however different the open loops look: :math:`1/(s - 0.001)` and :math:`1/(s + 0.001)` are 0.002 apart. With the
-normalised graph symbols :math:`G = [N; M]`, :math:`\tilde G = [\tilde M, -\tilde N]`
-
-.. math:: \delta_\nu(P_1, P_2) = \| \tilde G_2 G_1 \|_\infty \; \text{ where } \det(G_2^* G_1) \ne 0 \text{ on the axis
-   and winds zero times around the origin, else } 1
-
-References
-----------
-Vinnicombe, "Frequency domain uncertainty and the graph topology", IEEE TAC 38 (1993); Zhou, Doyle,
-Glover (1996), section 17.2.
-"""
+# With G = [N; M], G~ = [M~, -N~]: |G~2 G1|_inf where det(G2* G1) is not 0 on the axis and winds zero times around the
+# origin, else 1.
 
 from __future__ import annotations
 
@@ -148,10 +138,7 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
 
 
 def _winding(one: CoprimeFactors, two: CoprimeFactors) -> tuple[int | None, bool]:
-    """Zeros minus poles of det(G2* G1) in the right half plane, and whether every one has a sure side.
-
-    None where it vanishes at infinity. The poles are those of G1 (left) and of G2* (right), by construction.
-    """
+    """Zeros minus poles of det(G2* G1) in the right half plane, and whether every one has a sure side."""
     g1, g2 = one.right, two.right
     # G2*(s) = G2(-s)^T has the matrices (-A^T, C^T, -B^T, D^T).
     A = np.block([[g1.A, np.zeros((g1.n_states, g2.n_states))], [g2.C.T @ g1.C, -g2.A.T]])

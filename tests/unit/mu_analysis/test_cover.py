@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
+from robustlab.uncertainty import FORMS
 from robustlab.uncertainty.covering.unstructured_cover import _lifted
-from robustlab.uncertainty.unstructured import FORMS
 
 
 def lag(gain, time, dt=0.0):

@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
-from robustlab.mu_analysis.matrix.certificate import delta_norm, project
-from robustlab.mu_analysis.matrix.lower import lower_bound
-from robustlab.mu_analysis.matrix.starting_points import vertex_search
-from robustlab.uncertainty.blocks import as_blocks, structure_size
+from robustlab.uncertainty import as_blocks, delta_matrix, delta_values, structure_size
 
 STRUCTURES = {
     "real": [[-1, 0]] * 5,
@@ -34,10 +30,11 @@ def test_delta_is_of_the_structure_and_singular(rows):
     blocks = as_blocks(rows)
     for seed in range(4):
         M = random_matrix(seed, rows)
-        value, delta = lower_bound(M, blocks)
-        assert delta is not None
-        assert np.array_equal(delta, project(blocks, delta))
-        assert value * delta_norm(blocks, delta) == pytest.approx(1.0, rel=1e-12)
+        bounds = rl.mu(M, blocks)
+        delta, values = bounds.delta, delta_values(blocks, bounds.delta)
+        assert np.array_equal(delta, delta_matrix(blocks, values))
+        size = max(np.linalg.norm(np.atleast_2d(value), 2) for value in values.values())
+        assert bounds.lower * size == pytest.approx(1.0, rel=1e-12)
         assert np.linalg.svd(np.eye(len(M)) - M @ delta, compute_uv=False)[-1] <= 1e-11 * (1 + np.abs(M @ delta).max())
 
 
@@ -49,10 +46,7 @@ def test_real_matrix_with_real_scalars_ends_at_the_best_vertex(n):
     for signs in itertools.product([1.0, -1.0], repeat=n):
         values = np.linalg.eigvals(M.real * np.array(signs))
         best = max(best, np.max(values.real[np.abs(values.imag) < 1e-12 * np.abs(values)], initial=0.0))
-    assert lower_bound(M, as_blocks([[-1, 0]] * n))[0] == pytest.approx(best, rel=1e-9)
-    rng = np.random.default_rng(0)
-    found = vertex_search(M.real, rng.choice([-1.0, 1.0], (20, n)))
-    assert 1 / found[0][0] == pytest.approx(best, rel=1e-9)
+    assert rl.mu(M, [[-1, 0]] * n).lower == pytest.approx(best, rel=1e-9)
 
 
 def test_two_real_scalars_have_a_closed_form():
@@ -67,7 +61,7 @@ def test_two_real_scalars_have_a_closed_form():
         roots = np.roots(np.imag(np.convolve(top, np.conj(bottom))))
         real = roots.real[np.abs(roots.imag) < 1e-12]
         norms = [max(abs(a), abs((1 - M[0, 0] * a) / (M[1, 1] - d * a))) for a in real]
-        value, _ = lower_bound(M, as_blocks([[-1, 0]] * 2))
+        value = rl.mu(M, [[-1, 0]] * 2).lower
         if norms and min(norms) < 20:
             met += 1
             assert value == pytest.approx(1 / min(norms), rel=1e-9)
@@ -94,16 +88,15 @@ def damped_chain() -> rl.StateSpaceModel:
 def test_a_destabilising_delta_has_a_pole_on_the_axis_and_no_vertex_is_smaller(D):
     model = damped_chain()
     model = rl.StateSpaceModel(model.A, model.B, model.C, D * np.eye(3)[::-1])
-    blocks = as_blocks([[-1, 0]] * 3)
-    found = smallest_destabilising(model, blocks, np.array([]))
-    assert found is not None
+    margin = rl.robust_stability(rl.UncertainModel(model, [[-1, 0]] * 3), tolerance=np.inf)
+    found = np.diag([margin.delta[f"delta{i}"] for i in (1, 2, 3)])
 
     def abscissa(delta):
         return np.linalg.eigvals(
             model.A + model.B @ delta @ np.linalg.solve(np.eye(3) - model.D @ delta, model.C)
         ).real.max()
 
-    assert abs(abscissa(found.delta.real)) < 1e-9
+    assert abs(abscissa(found)) < 1e-9
     rng = np.random.default_rng(0)
     points = [np.array(s) for s in itertools.product([-1.0, 1.0], repeat=3)] + list(rng.uniform(-1, 1, (500, 3)))
-    assert max(abscissa(np.diag(p) * found.norm * 0.999) for p in points) < 0
+    assert max(abscissa(np.diag(p) * margin.upper * 0.999) for p in points) < 0

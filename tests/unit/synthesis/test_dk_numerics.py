@@ -18,7 +18,7 @@ from robustlab.synthesis import (
     tracking_problem,
     unit_scalings,
 )
-from robustlab.uncertainty.blocks import Block
+from robustlab.uncertainty import Block
 
 
 def actuator() -> tuple[GeneralizedPlant, tuple[Block, ...]]:

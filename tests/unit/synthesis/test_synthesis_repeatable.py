@@ -55,13 +55,12 @@ def test_designs_whose_work_is_used_up_are_the_same_under_load() -> None:
         + PLANT
         + """
 from dk import oscillator
-from robustlab.uncertainty.blocks import RealScalar
 loose = rl.hinf(P, 2, 2, effort=5e-4)
 designs = {
     "hinf": loose,
     "h2": rl.h2(P, 2, 2, effort=5e-5),
     "mixsyn": rl.mixsyn(P.select(P.input_names[:1], P.output_names[:1]), 2.0, 0.1, effort=2e-4),
-    "dk": rl.dk(oscillator(), [RealScalar("k")], 1, 1, effort=0.0025),
+    "dk": rl.dk(oscillator(), [rl.RealScalar("k")], 1, 1, effort=0.0025),
     "fixed": rl.fixed_structure(P, 1, n_meas=2, n_con=2, starts=4, effort=0.005),
     "reduce": rl.reduce_controller(loose, loss=0.05, effort=0.002),
 }

@@ -8,7 +8,7 @@ import pytest
 import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.elementwise import elementwise_cover
+from robustlab.uncertainty import elementwise_cover
 
 
 def pair():

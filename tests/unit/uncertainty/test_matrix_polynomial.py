@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robustlab.uncertainty.decomposition_tree import MatrixPolynomial, polynomial_lft
+from robustlab.uncertainty import MatrixPolynomial, polynomial_lft
 
 
 def closed(lft, values: dict[str, float]) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.uncertainty.blocks import Block
+from robustlab.uncertainty import Block
 
 
 @dataclass(frozen=True)

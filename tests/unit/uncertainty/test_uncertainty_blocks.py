@@ -8,7 +8,7 @@ import pytest
 from robustlab import ComplexScalar, FullBlock, ParameterRange, RealScalar, UncertainModel
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import as_blocks, block_slices, delta_matrix, delta_values, structure_size
+from robustlab.uncertainty import as_blocks, block_slices, delta_matrix, delta_values, structure_size
 
 
 def test_mussv_rows():

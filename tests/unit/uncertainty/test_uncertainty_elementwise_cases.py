@@ -12,7 +12,7 @@ from robustlab import elementwise, frequency_response, generalized_plant
 from robustlab.cli import main
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.elementwise import STRUCTURES, by_cause, endpoint_residual
+from robustlab.uncertainty import STRUCTURES, endpoint_residual
 
 A = np.array([[-6.0, 7200.0], [-84.0, -3300.0]])
 B, C, D = np.array([[0.0], [1600.0]]), np.eye(2), np.zeros((2, 1))
@@ -141,9 +141,7 @@ def test_generalised_plant_is_m_sorted():
     assert plant.input_names[:q] == model.M.input_names[:q]
     # D-bar, the block that is missing in print, is there: the nominal direct term and the channels of D_D.
     np.testing.assert_array_equal(plant.D[q:, q:], d[[1, 2, 0]][:, [0, 1]])
-    from robustlab.uncertainty.upper_lft import upper_lft
-
-    reached = upper_lft(plant, np.eye(q))
+    reached = rl.UncertainModel(plant, model.blocks).evaluate({b.name: 1.0 for b in model.blocks})
     wanted = frequency_response(second.select(["load", "u"], ["i", "p", "omega"]), [0.5, 30.0])
     np.testing.assert_allclose(frequency_response(reached, [0.5, 30.0]), wanted, rtol=1e-9)
 
@@ -154,15 +152,15 @@ def test_one_block_for_each_cause():
     low, high = (rng.standard_normal((5, r)) @ rng.standard_normal((r, 5)) for r in (1, 2))
     wholes = (base, base + low, base + high)
     nominal, one, two = (StateSpaceModel(x[:3, :3], x[:3, 3:], x[3:, :3], x[3:, 3:]) for x in wholes)
-    both = by_cause(nominal, {"mass": one, "pose": two, "nothing": nominal})
+    both = rl.elementwise(nominal, {"mass": one, "pose": two, "nothing": nominal})
     assert [(b.name, b.repeats) for b in both.blocks] == [("mass", 1), ("pose", 2)]
     member = both.evaluate({"mass": 0.5, "pose": -1.0})
     found = np.block([[member.A, member.B], [member.C, member.D]])
     np.testing.assert_allclose(found, base + 0.5 * low - high, atol=1e-13)
     with pytest.raises(InputError, match="no cause"):
-        by_cause(nominal, {})
+        rl.elementwise(nominal, {})
     with pytest.raises(InputError, match="perturbed A is"):
-        by_cause(nominal, {"mass": StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])})
+        rl.elementwise(nominal, {"mass": StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])})
 
 
 @pytest.mark.parametrize(

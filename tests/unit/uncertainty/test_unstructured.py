@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab import unstructured
-from robustlab.uncertainty.unstructured import FORMS
+from robustlab.uncertainty import FORMS
 
 
 def model(n: int, p: int, m: int, seed: int, dt: float = 0.0, shift: float = 0.5) -> rl.StateSpaceModel:
