@@ -378,7 +378,7 @@ def cancelled_direct_term(loop: StateSpaceModel, D11: AnyArray, D_K: AnyArray) -
     allowed = CANCELLED * max(np.abs(D11).max(initial=0.0), np.abs(D_K).max(initial=0.0))
     if np.abs(loop.D).max(initial=0.0) > allowed:
         return None
-    return loop._in_states(1.0, loop.A, loop.B, loop.C, np.zeros_like(loop.D))
+    return loop._in_states(loop.A, loop.B, loop.C, np.zeros_like(loop.D))
 
 
 def _with_gain(p: PlantMatrices, gain: AnyArray) -> PlantMatrices:
