@@ -48,8 +48,12 @@ def invariant_zeros(A: Array, B: Array, C: Array, D: Array) -> tuple[ComplexArra
     """The finite invariant zeros by rising modulus, and the normal rank (AB08ND, Emami-Naeini and Van Dooren)."""
     from scipy.linalg import eigvals
 
-    n, (p, m) = len(A), D.shape
-    count, rank, *_, a, b = _called("ab08nd", n, m, p, A, B, C, D, equil="S")
+    if not len(A):
+        return np.zeros(0, dtype=complex), int(np.linalg.matrix_rank(D)) if D.size else 0
+    # A row or column of zeros where there is none: AB08ND wants one of each, and the zeros are the same.
+    into, out = int(not D.shape[1]), int(not len(D))
+    B, C, D = np.pad(B, ((0, 0), (0, into))), np.pad(C, ((0, out), (0, 0))), np.pad(D, ((0, out), (0, into)))
+    count, rank, *_, a, b = _called("ab08nd", len(A), *D.shape[::-1], A, B, C, D, equil="S")
     found = np.asarray(eigvals(a[:count, :count], b[:count, :count])) if count else np.zeros(0)
     return found[np.argsort(np.abs(found), kind="stable")].astype(complex), int(rank)
 
