@@ -158,7 +158,7 @@ def _bracket(m: StateSpaceModel, rtol: float, band: Band | None) -> HinfNorm:
     try:
         s, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
         part = None if band is None else _mapped_band(band, m.dt, rate)
-        at, level, error, settled = _level_test(s, rtol, part)
+        lower, at, level, error, settled = _level_test(s, rtol, part)
     except (np.linalg.LinAlgError, NoTrustworthyNumber) as failed:
         return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, f"frequency response failed: {failed}")
     # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a representable frequency must lie in there.
@@ -166,10 +166,9 @@ def _bracket(m: StateSpaceModel, rtol: float, band: Band | None) -> HinfNorm:
     omega = at * rate
     if m.is_discrete:  # the bilinear map s = (2/dt) (z - 1)/(z + 1) bends the frequency axis
         omega = 2 / m.dt * float(np.arctan(omega * m.dt / 2)) if np.isfinite(omega) else np.pi / m.dt
-    lower, attained = float(largest_gains(s, np.array([at]))[0]), float(largest_gains(m, np.array([omega]))[0])
-    size, beside = _rounding(m, axis_point(m, omega))
-    error = max(error, beside)
     reason = "" if settled else "the level test did not settle: digits were lost"
+    attained, (size, beside) = float(largest_gains(m, np.array([omega]))[0]), _rounding(m, axis_point(m, omega))
+    error = max(error, beside)
     if abs(attained - lower) > 10 * rtol * lower + min(error, LOUD * lower) and lower > level - lower:
         reason = f"scaled and original realisation differ at the peak: {lower:.9g} against {attained:.9g}"
     if blind:
@@ -186,8 +185,8 @@ def _bracket(m: StateSpaceModel, rtol: float, band: Band | None) -> HinfNorm:
     return HinfNorm(attained, upper, omega, Status.INACCURATE if reason else Status.CERTIFIED, reason)
 
 
-def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[float, float, float, bool]:
-    """Where the gain of a well-scaled model peaks, a level that it does not reach, rounding, and whether it settled."""
+def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[float, float, float, float, bool]:
+    """Peak gain of a well-scaled model, where, a level that is not reached, rounding, and whether that settled."""
     poles = s.poles()
     try:
         peak = [slicot.peak_gain(s.A, s.B, s.C, s.D)[1]]
@@ -206,7 +205,7 @@ def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[flo
         margin = MARGIN if lower > error else 2.0  # a gain of rounding size has no peak to tell apart
         level = lower + max(rtol * lower, margin * error)
         if level == 0:
-            return at, 0.0, 0.0, True
+            return 0.0, at, 0.0, 0.0, True
         omega = crossings(s, level, band)
         gains = largest_gains(s, omega)
         if gains.max() > level:
@@ -220,8 +219,8 @@ def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[flo
             if worst > error and level < lower + margin * worst:
                 error = worst
                 continue
-        return at, level, error, True
-    return at, level, error, False
+        return lower, at, level, error, True
+    return lower, at, level, error, False
 
 
 def _in_balls(m: StateSpaceModel, found: HinfNorm, rtol: float) -> HinfNorm:
@@ -273,10 +272,12 @@ def _terms(
     in_a, in_b, in_c, in_d = [np.abs(m) for m in (A, B, C, D)] if sums is None else sums
     n, size, error = len(A), np.abs(D), in_d
     if n and np.isfinite(s):
-        inverse = np.linalg.inv(s * np.eye(n) - A)
-        X, out, terms = np.abs(inverse @ B), np.abs(C), in_a + abs(s) * np.eye(n)
+        F = -A.astype(complex)
+        F.ravel()[:: n + 1] += s
+        inverse = np.linalg.inv(F)
+        X, out = np.abs(inverse @ B), np.abs(C)
         size = size + out @ X
-        error = error + in_c @ X + out @ (np.abs(inverse) @ (terms @ X + in_b))
+        error = error + in_c @ X + out @ (np.abs(inverse) @ (in_a @ X + abs(s) * X + in_b))
     return float(np.linalg.norm(size)), max(n, 1) * EPS * float(np.linalg.norm(error))
 
 
