@@ -64,7 +64,6 @@ def models() -> None:
         "residualisation": {"method": "residualisation"},
         "hankel": {"method": "hankel"},
         "stochastic": {"method": "stochastic", "floor": 0.01},
-        "band": {"band": (low, high)},
     }
     print("states  order  method           error     promised  any omega  in band   status     CPU ms")
     for masses in (4, 10, 30):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import AnyArray, Array, is_rank_deficient
+from robustlab.arrays import Array, is_rank_deficient
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
@@ -124,28 +124,19 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         put(self, "states", signals(states, a.shape[0], "x", f"{where}: states"))
         put(self, "operating_point", _checked_operating_point(operating_point, a, d, where))
 
-    def _with_matrices(
-        self, A: Array, B: Array, C: Array, D: Array, poles: AnyArray | None = None, modes: AnyArray | None = None
-    ) -> StateSpaceModel:
-        """In other states of the same number, with what is known of the modes; nothing is checked or copied."""
-        model = object.__new__(type(self))
-        for matrix in (A, B, C, D):
-            matrix.setflags(write=False)
-        known = {"_poles": poles, "_eigen": None if modes is None else (poles, modes)}
-        if A is not self.A:
-            known["_schur"] = None
-        kept = {name: value for name, value in vars(self).items() if name not in known}
-        vars(model).update(kept | {name: value for name, value in known.items() if value is not None})
-        vars(model).update(A=A, B=B, C=C, D=D, operating_point=None)
-        return model
-
     def _in_states(
-        self, t: Array | float, A: Array, B: Array, C: Array, D: Array | None = None, rate: float = 1.0
+        self, A: Array, B: Array, C: Array, D: Array | None = None, *, rate: float = 1.0
     ) -> StateSpaceModel:
-        """In the states ``x / t`` and the time unit ``1 / rate``, with all that is known of the poles."""
-        poles, modes = vars(self).get("_eigen") or (vars(self).get("_poles"), None)
-        poles, modes = None if poles is None else poles / rate, None if modes is None else (modes.T / t).T
-        return self._with_matrices(A, B, C, self.D if D is None else D, poles, modes)
+        """In as many other states and the time unit ``1 / rate``, with known poles; nothing is checked or copied."""
+        model = object.__new__(type(self))
+        known = vars(self).get("_poles")
+        parts = {"A": A, "B": B, "C": C, "D": self.D if D is None else D}
+        for matrix in parts.values():
+            matrix.setflags(write=False)
+        vars(model).update(vars(self) | parts | {"operating_point": None})
+        if known is not None and rate != 1:
+            vars(model)["_poles"] = known / rate
+        return model
 
     # --- sizes and names ---------------------------------------------------------------------------------------------
 
@@ -194,13 +185,6 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
     def _poles(self) -> NDArray[np.complex128]:
         """Computed once: the model does not change."""
         return np.linalg.eigvals(self.A).astype(np.complex128) if self.n_states else np.zeros(0, np.complex128)
-
-    def _with_modes(self, known: tuple[AnyArray, AnyArray] | None = None) -> StateSpaceModel:
-        """Itself, with the eigenvectors of A computed beside the poles, or known: for steps that need both."""
-        if "_eigen" not in vars(self) and self.n_states:
-            poles, modes = known or np.linalg.eig(self.A)
-            vars(self).update(_poles=poles.astype(np.complex128), _eigen=(poles.astype(np.complex128), modes))
-        return self
 
     def spectral_abscissa(self) -> float:
         """Largest real part of the poles (dt = 0), or largest modulus minus one (dt > 0); -inf without states.

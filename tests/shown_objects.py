@@ -10,7 +10,6 @@ import numpy as np
 
 import robustlab as rl
 from robustlab import result
-from robustlab.linear_analysis.matrix_equations import care
 from robustlab.synthesis import Damping, MarginGoal, TrackingGoal
 
 OMEGA = np.geomspace(0.01, 100.0, 60)
@@ -276,7 +275,6 @@ OBJECTS: dict[str, Any] = {
     "IqcGain": lambda: rl.peak_gain(loop(), natures={"k": rl.Varying(0.1)}),
     "IqcStability": lambda: rl.robust_stability(first_order(), natures={"pole": rl.Varying()}, order=0),
     "EffectGain": effect_gain,
-    "RiccatiSolution": lambda: care([[0.0]], [[1.0]], [[1.0]], [[1.0]]),
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,
     "StructuralTest": lambda: rl.controllability(problem()),
     "HinfSynthesis": mixsyn,

@@ -9,7 +9,7 @@ import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
 from robustlab.doors.designs import Channels, Controls, K, Measured, Of, Order, Plant
 from robustlab.doors.kinds import Choice, Number, Thing
-from robustlab.doors.words import Band, SampleTime, Search, Sign
+from robustlab.doors.words import SampleTime, Search, Sign
 from robustlab.errors import InputError, UsageError
 
 
@@ -140,7 +140,6 @@ def reduce_model(
     ] = "truncation",
     input_weight: Annotated[Any, Thing(("model", "any")), "A stable model W_i: the error is W_o (G - Gr) W_i."] = None,
     output_weight: Annotated[Any, Thing(("model", "any")), "The same for W_o."] = None,
-    band: Band = None,
     floor: Annotated[float, Number(least=0), "Of stochastic: gain below which errors count absolutely."] = 0.0,
 ) -> Any:
     """A model of lower order, with its certified error beside what theory promises.
@@ -152,7 +151,7 @@ def reduce_model(
     """
     given: Any = method
     return rl.reduce_model(
-        system, order, tolerance=tolerance, method=given, band=band, floor=floor, input_weight=input_weight,
+        system, order, tolerance=tolerance, method=given, floor=floor, input_weight=input_weight,
         output_weight=output_weight,
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ from robustlab.verification.claim import Claim
 
 
 def reduction_claims(found: ReducedModel) -> list[Claim]:
-    """That the two models differ by no more than was found: at all frequencies, in the band, or between the weights.
+    """That the two models differ by no more than was found: at all frequencies, or between the weights.
 
     Nothing is claimed of an error that is relative, or that of coprime factors.
     """
@@ -26,12 +26,11 @@ def reduction_claims(found: ReducedModel) -> list[Claim]:
         return _weighted(found)
     plain = found.method in ("truncation", "residualisation", "hankel")
     whole = found.error if plain else found.difference
-    claims = [] if whole is None else _difference(found, whole, None)
-    return claims if found.band is None else claims + _difference(found, found.error, found.band)
+    return [] if whole is None else _difference(found, whole)
 
 
-def _difference(found: ReducedModel, norm: HinfNorm, band: tuple[float, float] | None) -> list[Claim]:
-    """That of full and reduced model, over a band, or over the axis; where it is not stable, as a gain alone."""
+def _difference(found: ReducedModel, norm: HinfNorm) -> list[Claim]:
+    """That of full and reduced model; where it is not stable, as a gain alone."""
     if not np.isfinite(norm.upper):
         return []
     full, small, level = found.full, found.model, above(norm.upper)
@@ -41,10 +40,10 @@ def _difference(found: ReducedModel, norm: HinfNorm, band: tuple[float, float] |
         np.block([[full.A, np.zeros((n, k))], [np.zeros((k, n)), small.A]]), np.vstack([full.B, small.B]),
         np.hstack([full.C, -small.C]), full.D - small.D, full.dt,
     )  # fmt: skip
-    if band is None and apart.is_stable():
+    if apart.is_stable():
         proof = proof_of_norm(apart, level, norm.upper)
         return [Claim("difference-norm", {**numbers, "gamma": np.array(level), **proof})]
-    scalings = band_scalings(full.n_inputs, full.n_outputs, band or (0.0, np.inf))
+    scalings = band_scalings(full.n_inputs, full.n_outputs, (0.0, np.inf))
     return [Claim("mu-axis", {**numbers, "level": np.array(level), **scalings})]
 
 

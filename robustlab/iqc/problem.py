@@ -22,8 +22,7 @@ from robustlab.iqc.filtered_model import FilteredModel
 from robustlab.iqc.inequality import Inequality, Point
 from robustlab.iqc.multipliers import POPOV, Basis, Term, nonlinear_terms, rate_terms, repeated_terms
 from robustlab.iqc.nature import Nature, Nonlinearity, Varying
-from robustlab.norms import hinf_norm
-from robustlab.norms.level_set import balancing_units, well_scaled
+from robustlab.norms import balancing_units, hinf_norm, well_scaled
 from robustlab.result import Evidence
 from robustlab.shown import listed
 from robustlab.statespace import StateSpaceModel, as_model

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.linear_analysis.magnitude import Moderated, moderated, refuse_overflow
-from robustlab.linear_analysis.modal_response import ModalResponse
+from robustlab.linear_analysis.magnitude import refuse_overflow
 from robustlab.linear_analysis.narrow_peaks import narrow_frequencies
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
@@ -75,22 +74,19 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
     exact = getattr(model, "response_at", None)
     if exact is not None:  # a model that is more than its state space
         return exact(omega)
-    given = moderated(as_model(model, "frequency_response"), "frequency_response")
-    model = given.model
+    model = as_model(model, "frequency_response")
     w = np.atleast_1d(np.asarray(omega, dtype=float))
     finite = np.isfinite(w)
     real_array("omega", w[finite], 1, "frequency_response")
     if not finite.all() and (model.is_discrete or np.isnan(w).any() or (w[~finite] < 0).any()):
         raise InputError("frequency_response", "omega is not finite", "finite frequencies in rad/s")
-    if given.rate:
-        with np.errstate(over="ignore", under="ignore"):
-            w = np.ldexp(w, -given.rate)
-        finite = np.isfinite(w)
-    return _as_given(solved_response(model, w), given)
+    found = solved_response(model, w)
+    refuse_overflow("frequency_response", found)
+    return found
 
 
 def solved_response(model: StateSpaceModel, omega: Array) -> ComplexArray:
-    """`frequency_response` of a model of ordinary entries at valid frequencies, which may be infinite."""
+    """`frequency_response` at valid frequencies, which may be infinite, unchecked."""
     response = np.empty((len(omega), *model.D.shape), dtype=complex)
     response[:] = model.D
     where = np.flatnonzero(np.isfinite(omega))
@@ -123,9 +119,10 @@ def _solved(model: StateSpaceModel, point: ComplexArray) -> ComplexArray:
         return found
     eye, B = np.eye(n), model.B.astype(complex)
     step = max(1, CHUNK // (n * n))
-    for first in range(0, len(point), step):
-        s = point[first : first + step]
-        found[first : first + step] += model.C @ np.linalg.solve(s[:, None, None] * eye - model.A, B[None])
+    with np.errstate(over="ignore", invalid="ignore"):
+        for first in range(0, len(point), step):
+            s = point[first : first + step]
+            found[first : first + step] += model.C @ np.linalg.solve(s[:, None, None] * eye - model.A, B[None])
     return found
 
 
@@ -141,40 +138,9 @@ def value_at(model: Any, s: ArrayLike) -> ComplexArray:
 
 
 def _values(model: StateSpaceModel, s: ComplexArray) -> ComplexArray:
-    given = moderated(model, "G(s)")
-    if given.rate and not model.is_discrete:
-        with np.errstate(over="ignore", under="ignore"):
-            s = np.ldexp(s.view(np.float64), -given.rate).view(np.complex128)
     try:
-        return _as_given(_solved(given.model, s), given)
+        found = _solved(model, s)
     except np.linalg.LinAlgError:
         raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
-
-
-def response_within(
-    model: StateSpaceModel, modes: ModalResponse | None, omega: Array, share: float
-) -> tuple[ComplexArray, Array]:
-    """The response at finite frequencies, shape (n_omega, n_y, n_u), and bounds of its error, shape (n_omega,).
-
-    From the model's modes wherever these are off by no more than ``share`` of it; solved for elsewhere, where the bound
-    told is 0.
-    """
-    found = np.empty((len(omega), *model.D.shape), dtype=complex)
-    error, doubtful = np.zeros(len(omega)), np.ones(len(omega), dtype=bool)
-    if modes is not None:
-        found, error, _ = modes.response(np.exp(1j * omega * model.dt) if model.is_discrete else 1j * omega)
-        with np.errstate(all="ignore"):
-            doubtful = ~(error**2 <= share**2 * (np.abs(found) ** 2).sum(axis=(1, 2)))
-    if doubtful.any():
-        found[doubtful], error[doubtful] = frequency_response(model, omega[doubtful]), 0.0
-    return found, error
-
-
-def _as_given(response: ComplexArray, given: Moderated) -> ComplexArray:
-    """The response in the units of the model as given."""
-    if not given.gain:
-        return response
-    with np.errstate(over="ignore", under="ignore"):
-        parts = np.ldexp(response.view(np.float64), -given.gain)
-    refuse_overflow("frequency_response", parts)
-    return parts.view(np.complex128)
+    refuse_overflow("G(s)", found)
+    return found

@@ -3,14 +3,12 @@ r"""Zeros of models: all finite invariant zeros, with their directions and what 
 .. math:: P(s) = \begin{bmatrix} A - s I & B \\ C & D \end{bmatrix}, \qquad
    \text{zeros: } s \text{ where rank } P(s) \text{ falls below its rank at almost every } s
 
-They are the roots of :math:`\det P(s)`, which is computed in whole numbers: none is missing and none is off, however
-the model is scaled. A pencil that is not square, or whose normal rank is lower, is bordered by random rows and columns;
-roots that two different borders have in common are its zeros. Each zero is then looked at in P(s) itself, outside the
-method that found it.
+Those of a square model of full normal rank are the roots of :math:`\det P(s)`, which is computed in whole numbers: none
+is missing and none is off, however the model is scaled. Those of other models, and of large ones, come from SLICOT's
+AB08ND. Each zero is then looked at in P(s) itself, outside the method that found it.
 
 What is exact of the entries need not be meant: where ``C B`` ought to be zero and is 1e-17 after a change of states,
-there is a zero near 1e17, and a model with more outputs than inputs loses its zeros by any change of an entry. So both
-are told apart by what entrywise changes of ROUNDING do.
+there is a zero near 1e17. Zeros beyond the fastest pole that entrywise changes of ROUNDING move away are left out.
 
 References
 ----------
@@ -28,9 +26,10 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
+from robustlab.arrays import AnyArray, Array, ComplexArray
 from robustlab.errors import NoTrustworthyNumber, told_as
-from robustlab.linear_analysis.exact import MOST_STATES, Root, determinant, normal_rank, roots
+from robustlab.linear_analysis import slicot
+from robustlab.linear_analysis.exact import MOST_STATES, determinant, normal_rank, roots
 from robustlab.linear_analysis.magnitude import equilibrating_exponents
 from robustlab.result import Status
 from robustlab.shown import Facts, Part, Shown, listed, number
@@ -42,13 +41,11 @@ ROUNDING = 1e-14
 DECIDED = 0.1
 # ... unless it goes by less than this share of the fastest pole: it lies at zero then.
 STILL = 1e-9
-# Smallest singular value of P(s) at a zero, relative to P, up to which it was found to working precision, ...
-RESIDUAL = 1e-8
-# ... and at a zero that the entries miss by rounding, which two borders must give alike to ALIKE.
-NEARLY, ALIKE = 1e-13, 1e-6
+# Smallest singular value of P(s) at a zero, relative to P, up to which it was found to working precision, and share of
+# the largest one up to which a singular value counts as zero for the rank.
+RESIDUAL, NEARLY = 1e-8, 1e-13
 # Where [A - s I, B] or [A - s I; C], rows and columns of size one, is that near to losing rank, the mode is hidden.
 HIDDEN = 1e-13
-BORDER = 2**15  # entries of borders, which are whole numbers, are smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,21 +67,11 @@ class Zeros(Shown):
         Unit columns, shape (n_outputs, n_zeros), with ``y^H G(z) = 0``; NaN as for the inputs.
     normal_rank
         Rank of the transfer matrix at almost every s, to within rounding.
-    exact
-        For each zero whether the model has it with its entries taken as the numbers that they are; False where they
-        miss it by rounding, as happens to a model with more outputs or inputs than its normal rank.
-    near_infinity
-        Further zeros of the model as given, beyond its fastest pole, that relative changes of its entries by 1e-14
-        bring in from infinity; inf for those beyond the range of floating-point numbers.
-    sensitivities
-        Relative change of each zero over relative changes of all entries, to first order, shape (n_zeros,); inf for
-        multiple zeros and for those that are not exact.
     residuals
         Singular value of P(z) that should vanish over the largest one, rows and columns of the given model's P(z)
         brought to size one, shape (n_zeros,).
     status
-        CONVERGED: the exact values are right to the last digits, and with those near infinity none is missing; else
-        INACCURATE.
+        CONVERGED: every value is right to within rounding of the entries; else INACCURATE.
     reason
         Why it is inaccurate; else empty.
     dt
@@ -96,9 +83,6 @@ class Zeros(Shown):
     input_directions: ComplexArray
     output_directions: ComplexArray
     normal_rank: int
-    exact: tuple[bool, ...]
-    near_infinity: ComplexArray
-    sensitivities: Array
     residuals: Array
     status: Status
     reason: str = ""
@@ -135,13 +119,10 @@ class Zeros(Shown):
 
     def facts(self) -> Facts:
         kinds = ", ".join(f"{count} {kind}" for kind, count in Counter(self.kinds).items())
-        missed = [number(complex(z)) for z, exact in zip(self.values, self.exact, strict=True) if not exact]
         return [
             ("zeros", listed([number(complex(z)) for z in self.values]) or "none"),
             ("kinds", kinds),
             ("on the boundary or beyond", str(self.not_minimum_phase)),
-            ("missed by rounding", listed(missed) if self.status is Status.CONVERGED else ""),
-            ("at infinity but for rounding", listed([number(complex(z)) for z in self.near_infinity])),
             ("normal rank", str(self.normal_rank)),
             ("largest residual", number(float(self.residuals.max())) if len(self) else ""),
             ("reason", self.reason),
@@ -164,7 +145,7 @@ def zeros(model: Any) -> Zeros:
     -------
     Zeros
         Values, kinds, directions, and the residuals in the given model's own pencil. INACCURATE where rounding of the
-        entries decides where a zero is, and beyond 200 states, where the values are computed in floating point.
+        entries decides where a zero is.
 
     Raises
     ------
@@ -183,22 +164,18 @@ def zeros(model: Any) -> Zeros:
     (array([1.+0.j]), ('transmission',))
     """
     m = as_model(model, "zeros")
-    found, S, n = _found(m), _system(m), m.n_states
-    upper = {z: _looked_at(S, z, n, found.rank) for z in {_above(z) for z in found.values.tolist()}}
-    looked = [upper[_above(z)] if z.imag >= 0 else upper[_above(z)].mirrored() for z in found.values.tolist()]
-    sensitivities = np.array([x.sensitivity for x in looked], dtype=float)
-    sensitivities[~found.exact | _repeated(found.values)] = np.inf
+    values, rank, reason = _found(m)
+    S, n = _system(m), m.n_states
+    upper = {z: _looked_at(S, z, n, rank) for z in {_above(z) for z in values.tolist()}}
+    looked = [upper[_above(z)] if z.imag >= 0 else upper[_above(z)].mirrored() for z in values.tolist()]
     residuals = np.array([x.residual for x in looked], dtype=float)
-    reason = found.reason or _doubt(m, found, sensitivities, residuals)
+    reason = reason or _doubt(m, values, rank, residuals)
     return Zeros(
-        found.values,
+        values,
         tuple(x.kind for x in looked),
         np.array([x.into for x in looked], dtype=complex).reshape(len(looked), m.n_inputs).T,
         np.array([x.out for x in looked], dtype=complex).reshape(len(looked), m.n_outputs).T,
-        found.rank,
-        tuple(found.exact.tolist()),
-        found.near_infinity,
-        sensitivities,
+        rank,
         residuals,
         Status.INACCURATE if reason else Status.CONVERGED,
         reason,
@@ -208,118 +185,44 @@ def zeros(model: Any) -> Zeros:
 
 def transmission_zeros(model: Any, *, complete: bool = False) -> ComplexArray:
     """The finite invariant zeros alone, shape (n_zeros,): the ``values`` of `zeros` without their evidence."""
-    found = _found(as_model(model, "zeros"))
-    if complete and found.reason:
-        raise NoTrustworthyNumber("zeros", found.reason)
-    return found.values
-
-
-# --- the values ------------------------------------------------------------------------------------------------------
-
-
-class _Found(NamedTuple):
-    """Zeros by rising modulus, which of them are exact, those near infinity, and why there may be others."""
-
-    values: ComplexArray
-    exact: Mask
-    near_infinity: ComplexArray
-    rank: int
-    reason: str
+    values, _, reason = _found(as_model(model, "zeros"))
+    if complete and reason:
+        raise NoTrustworthyNumber("zeros", reason)
+    return values
 
 
 def _system(m: StateSpaceModel) -> Array:
     return np.block([[m.A, m.B], [m.C, m.D]])
 
 
-def _found(m: StateSpaceModel) -> _Found:
-    S, n, none = _system(m), m.n_states, np.zeros(0, dtype=complex)
-    rank = exactly = _rank_within_rounding(m)
-    try:
-        if n <= MOST_STATES:
-            exactly = normal_rank(S, n) - n
-        rank = min(rank, exactly)
-        exact, nearly = _roots(S, n, rank, exactly)
-    except NoTrustworthyNumber as error:
-        values = _in_floating_point(S, n, rank)
-        return _Found(values, np.zeros(len(values), dtype=bool), none, rank, error.found)
-    far = 0
-    if rank == m.n_inputs == m.n_outputs:
-        fastest = float(np.abs(m.poles()).max(initial=0.0))
-        while far < len(exact) and abs(z := complex(exact[-1 - far])) > fastest and _decided_by_rounding(S, n, z, 0.0):
-            far += 1
-    near, exact = exact[len(exact) - far :], exact[: len(exact) - far]
-    values = np.concatenate([exact, nearly])
-    order = np.argsort(np.abs(values), kind="stable")
+def _found(m: StateSpaceModel) -> tuple[ComplexArray, int, str]:
+    """Zeros by rising modulus, the normal rank, and why there may be others."""
+    S, n, rank = _system(m), m.n_states, _rank_within_rounding(m)
+    exactly = normal_rank(S, n) - n if n <= MOST_STATES else rank
+    rank = min(rank, exactly)
     reason = f"the normal rank is {exactly}, and {rank} to within rounding of the entries" if rank < exactly else ""
-    return _Found(values[order], (np.arange(len(values)) < len(exact))[order], near, rank, reason)
-
-
-def _roots(S: Array, n: int, rank: int, exactly: int) -> tuple[ComplexArray, ComplexArray]:
-    """Exact zeros by rising modulus, and those that the entries miss by rounding."""
-    if n > MOST_STATES:
-        raise NoTrustworthyNumber("zeros", f"{n} states: more than {MOST_STATES} are not solved exactly")
-    p, m = S.shape[0] - n, S.shape[1] - n
-    if rank == p == m:
-        return _sorted(roots(determinant(S, n)[0])), np.zeros(0, dtype=complex)
-    first, second = (determinant(_bordered(S, n, rank, seed), n)[0] for seed in (0, 1))
-    exact = _sorted(roots(first.gcd(second)) if rank == exactly else [])
-    # Every zero, exact or not, is a root with either border; all other roots change with it.
-    one, two = _sorted(roots(first)), _sorted(roots(second))
-    alike = [z for z in one if len(two) and np.abs(two - z).min() <= ALIKE * abs(z)]
-    left = list(exact)
-    nearly = []
-    for z in alike:
-        if left and min(abs(z - w) for w in left) <= ALIKE * abs(z):
-            left.pop(int(np.argmin([abs(z - w) for w in left])))
-        elif _looked_at(S, complex(z), n, rank).residual <= NEARLY:
-            nearly.append(z)
-    return exact, np.array(nearly, dtype=complex)
-
-
-def _sorted(found: list[Root]) -> ComplexArray:
-    values = [root.value for root in found for _ in range(root.multiplicity)]
-    return np.array(sorted(values, key=lambda z: (abs(z), z.imag)), dtype=complex)
-
-
-def _bordered(S: Array, n: int, rank: int, seed: int) -> Array:
-    """The square matrix ``[S, X; Y, 0]``: with X and Y at random its determinant vanishes at the zeros of S."""
-    p, m = S.shape[0] - n, S.shape[1] - n
-    if rank == p == m:
-        return S
-    rng = np.random.default_rng(seed)
-    r, c = equilibrating_exponents(S)
-    X, Y = (rng.integers(1, BORDER, size).astype(float) for size in ((n + p, p - rank), (m - rank, n + m)))
-    X, Y = np.ldexp(X / BORDER, -r[:, None]), np.ldexp(Y / BORDER, -c)
-    return np.block([[S, X], [Y, np.zeros((m - rank, p - rank))]])
-
-
-def _in_floating_point(S: Array, n: int, rank: int) -> ComplexArray:
-    """The zeros by rising modulus as eigenvalues, without a proof."""
-    from scipy.linalg import eigvals
-
-    each = []
-    for seed in (0, 1):
-        M = _bordered(S, n, rank, seed)
-        r, c = equilibrating_exponents(M)
-        mass = np.zeros_like(M)
-        mass[range(n), range(n)] = np.ldexp(1.0, r[:n] + c[:n])
-        found: Any = eigvals(np.ldexp(M, r[:, None] + c), mass, homogeneous_eigvals=True)
-        finite = np.abs(found[1]) > np.finfo(float).eps * np.abs(found[0])
-        each.append(found[0][finite] / found[1][finite])
-    alike = [z for z in each[0] if len(each[1]) and np.abs(each[1] - z).min() <= ALIKE * abs(z)]
-    return np.array(sorted(alike, key=abs), dtype=complex)
+    if n and rank == m.n_inputs == m.n_outputs and n <= MOST_STATES:
+        try:
+            found = [root.value for root in roots(determinant(S, n)[0]) for _ in range(root.multiplicity)]
+        except NoTrustworthyNumber as error:
+            return slicot.invariant_zeros(m.A, m.B, m.C, m.D)[0], rank, error.found
+        values = np.array(sorted(found, key=lambda z: (abs(z), z.imag)), dtype=complex)
+        fastest = float(np.abs(m.poles()).max(initial=0.0))
+        while len(values) and abs(values[-1]) > fastest and _decided_by_rounding(S, n, complex(values[-1]), 0.0):
+            values = values[:-1]
+        return values, rank, reason
+    return slicot.invariant_zeros(m.A, m.B, m.C, m.D)[0], rank, reason
 
 
 # --- P(s), looked at -------------------------------------------------------------------------------------------------
 
 
 class _Look(NamedTuple):
-    """What P(z) says of a zero: kind, directions at input and output, sensitivity, residual."""
+    """What P(z) says of a zero: kind, directions at input and output, residual."""
 
     kind: str
     into: AnyArray
     out: AnyArray
-    sensitivity: float
     residual: float
 
     def mirrored(self) -> _Look:
@@ -375,16 +278,12 @@ def _rank_within_rounding(m: StateSpaceModel) -> int:
 def _looked_at(S: Array, z: complex, n: int, rank: int) -> _Look:
     P, size, k = _pencil(S, z, n), _pencil(np.abs(S), -abs(z), n).real, n + rank - 1
     sigma, left, right, r, c = _singular(P, size)
-    x, y = _times_power(right[:, k], c - c.max()), _times_power(left[:, k], r - r.max())
-    weight = abs(z) * abs(y[:n].conj() @ x[:n])
-    with np.errstate(all="ignore"):
-        sensitivity = float(np.divide(np.abs(y) @ np.abs(S) @ np.abs(x), weight))
     unreached, unseen = _loses_rank(P[:n], size[:n]), _loses_rank(P[:, :n], size[:, :n])
     kind = {(True, True): "input-output-decoupling", (True, False): "input-decoupling",
             (False, True): "output-decoupling", (False, False): "transmission"}[unreached, unseen]  # fmt: skip
     u = _direction(right[n:, k], c[n:], S.shape[1] - n == rank)
     v = _direction(left[n:, k], r[n:], S.shape[0] - n == rank)
-    return _Look(kind, u, v, sensitivity, abs(float(sigma[k] / sigma[0])) if sigma[0] else 0.0)
+    return _Look(kind, u, v, abs(float(sigma[k] / sigma[0])) if sigma[0] else 0.0)
 
 
 def _direction(vector: ComplexArray, exponents: AnyArray, single: bool) -> ComplexArray:
@@ -423,20 +322,15 @@ def _decided_by_rounding(S: Array, n: int, z: complex, least: float) -> bool:
     return False
 
 
-def _doubt(m: StateSpaceModel, found: _Found, sensitivities: Array, residuals: Array) -> str:
+def _doubt(m: StateSpaceModel, values: ComplexArray, rank: int, residuals: Array) -> str:
     """Why the zeros are not to be trusted; empty where they are."""
     if (residuals > RESIDUAL).any():
         return f"P(s) at a zero misses a lower rank by {residuals.max():.1e}"
-    if found.rank < max(m.n_inputs, m.n_outputs):
+    if rank < max(m.n_inputs, m.n_outputs):
         return ""
     S, n = _system(m), m.n_states
-    least = STILL * float(np.abs(np.concatenate([m.poles(), found.values])).max(initial=0.0))
-    loose = found.values[sensitivities * ROUNDING > 0.1 * DECIDED]
-    moved = [z for z in loose.tolist() if z.imag >= 0 and (least or z) and _decided_by_rounding(S, n, z, least)]
-    if not moved:
-        return ""
-    return f"rounding of the model's entries decides where the zero {moved[0]:.6g} is"
-
-
-def _repeated(values: ComplexArray) -> Mask:
-    return np.array([np.count_nonzero(values == z) > 1 for z in values], dtype=bool)
+    least = STILL * float(np.abs(np.concatenate([m.poles(), values])).max(initial=0.0))
+    for z in values.tolist():
+        if z.imag >= 0 and (least or z) and _decided_by_rounding(S, n, z, least):
+            return f"rounding of the model's entries decides where the zero {z:.6g} is"
+    return ""

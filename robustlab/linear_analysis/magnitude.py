@@ -1,15 +1,7 @@
-r"""The door for models whose entries are too large or too small to be multiplied: scaling by powers of two.
-
-.. math:: G'(s) = 2^g \, G(2^k s): \quad A' = 2^{-k} T^{-1} A T, \quad B' C' \text{ of order one}, \quad D' = 2^g D
-
-A square of 1e200 overflows and one of 1e-200 vanishes, though the answer may be an ordinary number. Everything here
-works on exponents, so nothing overflows on the way, and powers of two cost no digit. Models of ordinary entries pass
-as they are.
-"""
+"""Sizes of the entries of matrices: balancing by powers of two, which costs no digit, and refusal of extremes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,8 +15,8 @@ from robustlab.statespace import StateSpaceModel
 SMALLEST, LARGEST = 2.0**-166, 2.0**166
 LEAST = 2.0**-500
 SWEEPS = 20
-# Dynamics this many powers of two below the direct term are nothing beside it, and need not be smaller still.
-NOTHING = 300
+# Products of entries between these neither overflow nor vanish.
+FAINTEST, STRONGEST = 1e-100, 1e100
 TINY = float(np.finfo(float).tiny)
 
 
@@ -93,62 +85,13 @@ def equilibrating_exponents(matrix: AnyArray) -> tuple[AnyArray, AnyArray]:
     return np.round(r[:, 0]).astype(int), np.round(c).astype(int)
 
 
-@dataclass(frozen=True, eq=False)
-class Moderated:
-    """A model of ordinary entries and what leads back from it."""
-
-    # `G'(s) = 2^gain G(2^rate s)`; a discrete model keeps its steps, and its sample time is `2^rate` times.
-    model: StateSpaceModel
-    # rate, gain: exponents; both 0 for a model that was ordinary as given
-    rate: int
-    gain: int
-    states: AnyArray  # exponents of the states, `x = 2^states x'`, shape (n_x,)
-
-    def value(self, size: float, where: str, rate_power: float = 0.0) -> float:
-        """``size * 2^-gain * 2^(rate * rate_power)``: a norm of the model as given."""
-        return scaled_down(size, self.gain - self.rate * rate_power, where)
-
-    def as_given(self, model: StateSpaceModel, where: str) -> StateSpaceModel:
-        """The model ``2^-gain M(2^-rate s)`` that belongs to one of ordinary entries, M."""
-        if not (self.rate or self.gain):
-            return model
-        rate = 0 if model.is_discrete else self.rate
-        into = (rate - self.gain) // 2
-        parts = (model.A, model.B, model.C, model.D)
-        shifts = (rate, into, rate - self.gain - into, -self.gain)
-        a, b, c, d = (times_power(m, e) for m, e in zip(parts, shifts, strict=True))
-        refuse_overflow(where, a, b, c, d)
-        dt = float(np.ldexp(model.dt, -self.rate))
-        return StateSpaceModel(a, b, c, d, dt, model.inputs, model.outputs, model.states, where=where)
-
-    def frequency(self, omega: float) -> float:
-        """Frequency in rad/s of the model as given; 0 or inf where no floating-point number is."""
-        with np.errstate(over="ignore", under="ignore"):
-            return float(np.ldexp(omega, self.rate)) if self.rate else omega
-
-
-def moderated(model: StateSpaceModel, where: str) -> Moderated:
-    """The model with ordinary entries, none above order one; as it is where they are ordinary already."""
-    m = model
-    plain_dt = not m.is_discrete or SMALLEST <= m.dt <= LARGEST
-    if plain_dt and is_moderate(m.A, m.B, m.C, m.D):
-        return Moderated(m, 0, 0, np.zeros(m.n_states, dtype=int))
-    t = balancing_exponents(m.A, m.B, m.C)
-    k = 0 if m.is_discrete else _top(_exponents(m.A) - t[:, None] + t)
-    w, z = -_top(_exponents(m.B) - t[:, None]), -_top(_exponents(m.C) + t)
-    direct = _top(_exponents(m.D)) if m.D.any() else None
-    gain = k + w + z if m.B.any() and m.C.any() else -(direct or 0)
-    if direct is not None and direct + gain > 0:  # the direct term is the larger part
-        less = min(direct + gain, NOTHING)
-        w, z, gain = w - less // 2, z - (less - less // 2), -direct
-    a = times_power(m.A, -t[:, None] + t - k)
-    # An entry that vanishes beside the others keeps its sign, which a pole at 0 would not have.
-    a = np.where((a == 0) & (m.A != 0), np.copysign(TINY, m.A), a)
-    rate = k if not m.is_discrete or plain_dt else -int(np.frexp(m.dt)[1])
-    b, c, d = times_power(m.B, -t[:, None] + w), times_power(m.C, t + z), times_power(m.D, gain)
-    dt = float(np.ldexp(m.dt, rate))
-    scaled = StateSpaceModel(a, b, c, d, dt, m.inputs, m.outputs, m.states, where=where)
-    return Moderated(scaled, rate, gain, t)
+def refuse_extremes(model: StateSpaceModel, where: str) -> None:
+    """Refuse models whose entries are too large or too small to be multiplied with one another."""
+    for matrix in (model.A, model.B, model.C, model.D):
+        top = float(np.abs(matrix).max(initial=0.0))
+        if top and not FAINTEST < top < STRONGEST:
+            found, expected = f"the largest entry of a matrix of the model is {top:.0e}", "between 1e-100 and 1e100"
+            raise NoTrustworthyNumber(where, found, expected, "choose other units of signals or time")
 
 
 def refuse_overflow(where: str, *arrays: AnyArray) -> None:
@@ -156,22 +99,6 @@ def refuse_overflow(where: str, *arrays: AnyArray) -> None:
     if not all(np.isfinite(array).all() for array in arrays):
         hint = "choose units in which the model's entries are closer to one another"
         raise NoTrustworthyNumber(where, "a product of the model's entries overflows", "numbers below 1e308", hint)
-
-
-def scaled_down(size: float, exponent: float, where: str) -> float:
-    """``size * 2^-exponent``, to the nearest floating-point number."""
-    if not exponent or not np.isfinite(size) or not size:
-        return size
-    whole = int(np.floor(exponent))
-    size = size * 2.0 ** (whole - exponent)
-    with np.errstate(over="ignore", under="ignore"):
-        value = float(np.ldexp(size, -whole))
-    if not np.isfinite(value):
-        decades = (np.log2(abs(size)) - whole) * np.log10(2)
-        raise NoTrustworthyNumber(
-            where, f"the answer is about 1e{decades:.0f}: it overflows", "at most 1e308", "choose larger units"
-        )
-    return value
 
 
 def times_power(matrix: Any, exponents: Any) -> Any:

@@ -1,11 +1,8 @@
-r"""Riccati and Lyapunov equations, continuous and discrete: finite input in, residual-checked solution out.
+r"""Riccati and Lyapunov equations, continuous and discrete: every solution is judged by its residual.
 
-One kernel, the ordered real Schur form of a balanced Hamiltonian (Laub 1979), stands behind the continuous Riccati
-equations; the QZ algorithm on the balanced extended pencil (Van Dooren 1981; scipy) is the second voice there and the
-only one in discrete time. Newton's method (Kleinman 1968) refines what the Schur vectors leave, and every solution is
-judged by its residual and by the stability of its loop.
-
-This is also the one door to LAPACK's own routines (`lapack`).
+Continuous Riccati equations are solved by the ordered real Schur form of a balanced Hamiltonian (Laub 1979), or by the
+QZ algorithm on the extended pencil (Van Dooren 1981; scipy), the only way in discrete time; Newton's method (Kleinman
+1968) refines. This is also where LAPACK's own routines are called (`lapack`).
 """
 
 from __future__ import annotations
@@ -14,17 +11,14 @@ import functools
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.linear_analysis.magnitude import refuse_overflow
-from robustlab.shown import AllFields, Facts, Shown, in_words, number
-from robustlab.statespace import real_array
+from robustlab.errors import NoTrustworthyNumber, told_as
+from robustlab.linear_analysis import slicot
 
 # Relative residual from which on a Riccati solution is refined by Newton's method, and how many steps it gets.
 REFINED, NEWTON_STEPS = 1e-10, 4
@@ -35,73 +29,73 @@ UNBLOCKED = 32
 # Room for LAPACK's work on a matrix with blocks, in columns of it.
 ROOM = 64
 SOLVABLE = "a stabilisable model, and no eigenvalue there"
-MIRRORED = "no unique solution: eigenvalues mirror each other"
 
 
-# --- Riccati equations -----------------------------------------------------------------------------------------------
+class RiccatiSolution(NamedTuple):
+    """The stabilising X (n, n), the gain ``F = -R^-1 (B^T X + S^T)`` (m, n), and the relative residual."""
 
-
-@dataclass(frozen=True, eq=False)
-class RiccatiSolution(Shown, AllFields):
-    """Stabilising solution of a Riccati equation.
-
-    Attributes
-    ----------
-    X
-        The symmetric solution, shape (n, n).
-    gain
-        ``F = -R^-1 (B^T X + S^T)``, shape (m, n); ``A + B F`` is stable.
-    residual
-        Norm of the equation's left-hand side divided by the sum of the norms of its terms.
-    """
-
-    X: AnyArray
-    gain: AnyArray
+    X: Array
+    gain: Array
     residual: float
 
-    def facts(self) -> Facts:
-        residual = number(self.residual, digits=2)
-        return [("X", in_words(self.X)), ("gain", in_words(self.gain)), ("relative residual", residual)]
+
+class _Candidate(NamedTuple):
+    """A symmetric X with the loop that it closes, the left-hand side of its equation, and the relative residual."""
+
+    X: AnyArray
+    loop: AnyArray
+    left: AnyArray
+    residual: float
+
+
+Judge = Callable[[AnyArray], _Candidate | None]
 
 
 @told_as("care")
 def care(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:
-    r"""Stabilising solution of the continuous-time algebraic Riccati equation.
+    r"""Stabilising solution of ``A^T X + X A + Q - (X B + S) R^{-1} (B^T X + S^T) = 0``; R may be indefinite.
 
-    .. math:: A^T X + X A + Q - (X B + S) R^{-1} (B^T X + S^T) = 0, \qquad A - B R^{-1} (B^T X + S^T) \text{ stable}
-
-    R is symmetric and invertible and may be indefinite, as in H-infinity synthesis.
-
-    Notes
-    -----
-    First the ordered Schur form, the quicker one; then the extended pencil, which does not invert R. Newton's method
-    refines what either leaves; the smaller residual wins.
-
-    Examples
-    --------
     >>> float(round(care([[0.0]], [[1.0]], [[1.0]], [[1.0]]).X[0, 0], 12))
     1.0
     """
-    equation = _equation("care", A, B, Q, R, S)
-    if not len(equation.a):
-        return equation.without_states()
+    a, b, q, r, s = _matrices(A, B, Q, R, S)
+    if not len(a):
+        return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
+
+    def judged(X: AnyArray) -> _Candidate | None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            try:
+                gain = -np.linalg.solve(r, b.T @ X + s.T)
+            except np.linalg.LinAlgError:
+                return None
+            loop = a + b @ gain
+            if not np.isfinite(loop).all() or np.linalg.eigvals(loop).real.max() >= 0:
+                return None
+            quadratic = (X @ b + s) @ gain
+            size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
+            left = a.T @ X + X @ a + q + quadratic
+            residual = float(np.linalg.norm(left) / size) if size else 0.0
+        return _Candidate(X, loop, left, residual) if np.isfinite(residual) else None
+
+    try:
+        back = np.linalg.inv(r)
+        with np.errstate(over="ignore", invalid="ignore"):
+            whole = a - b @ back @ s.T, b @ back @ b.T, q - s @ back @ s.T
+    except np.linalg.LinAlgError:
+        whole = None
     best: _Candidate | None = None
-    solvers: tuple[Callable[[_Equation], AnyArray | None], ...] = (_ordered_schur, _extended_pencil)
-    for solve in solvers:
-        X = solve(equation)
-        if X is None:
-            continue
-        found = _refined(equation.judged(0.5 * (X + X.T)), equation.judged)
+    for pencil in (False, True):
+        X = _extended_pencil(a, b, q, r, s, False) if pencil else None if whole is None else _stable_graph(*whole)
+        found = None if X is None else _refined(judged(0.5 * (X + X.T)), judged)
         if found is not None and (best is None or found.residual < best.residual):
             best = found
         if best is not None and best.residual <= tolerance:
-            return RiccatiSolution(best.X, equation.gain(best.X), best.residual)
+            return RiccatiSolution(best.X, -np.linalg.solve(r, b.T @ best.X + s.T), best.residual)
     if best is None:
-        with np.errstate(over="ignore", invalid="ignore"):
-            refuse_overflow("care", equation.b @ equation.b.T, equation.q @ equation.q, equation.s @ equation.s.T)
-        raise NoTrustworthyNumber("care", f"no stabilising solution was found; {_nearest_to_axis(equation)}", SOLVABLE)
+        nearest = "R is singular" if whole is None else _nearest_to_axis(*whole)
+        raise NoTrustworthyNumber("care", f"no stabilising solution was found; {nearest}", SOLVABLE)
     raise NoTrustworthyNumber("care", f"relative residual {best.residual:.1e}", f"at most {tolerance:.1e}")
 
 
@@ -109,45 +103,36 @@ def care(
 def dare(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:
-    """Stabilising solution of the discrete-time algebraic Riccati equation.
+    """Stabilising solution of ``A^T X A - X + Q - (A^T X B + S) (R + B^T X B)^{-1} (B^T X A + S^T) = 0``.
 
-    .. math:: A^T X A - X + Q - (A^T X B + S) (R + B^T X B)^{-1} (B^T X A + S^T) = 0
+    The gain is ``F = -(R + B^T X B)^-1 (B^T X A + S^T)``; R may be singular.
 
-    with ``A + B F`` stable for the gain ``F = -(R + B^T X B)^-1 (B^T X A + S^T)``. R is symmetric and may be singular.
-
-    Examples
-    --------
     >>> float(round(dare([[1.0]], [[1.0]], [[1.0]], [[1.0]]).X[0, 0], 12))
     1.61803398875
     """
-    equation = _equation("dare", A, B, Q, R, S)
-    if not len(equation.a):
-        return equation.without_states()
-    a, b, q, r, s = equation.a, equation.b, equation.q, equation.r, equation.s
-    none = NoTrustworthyNumber("dare", f"no stabilising solution was found; {_nearest_to_circle(equation)}", SOLVABLE)
-    X = _extended_pencil(equation, discrete=True)
-    if X is None:
-        raise none
-    with np.errstate(over="ignore", invalid="ignore"):
-        X = 0.5 * (X + X.T)
-        coupling = b.T @ X @ a + s.T
-        try:
-            gain = -np.linalg.solve(r + b.T @ X @ b, coupling)
-        except np.linalg.LinAlgError:
-            raise none from None
-    if not np.isfinite(X).all() or not np.isfinite(gain).all() or np.abs(np.linalg.eigvals(a + b @ gain)).max() >= 1:
-        raise none
-    residual = accepted_residual("dare", (a.T @ X @ a, -X, q, coupling.T @ gain), tolerance)
+    a, b, q, r, s = _matrices(A, B, Q, R, S)
+    if not len(a):
+        return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
+    X, gain = _extended_pencil(a, b, q, r, s, True), None
+    if X is not None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            X = 0.5 * (X + X.T)
+            coupling = b.T @ X @ a + s.T
+            try:
+                gain = -np.linalg.solve(r + b.T @ X @ b, coupling)
+            except np.linalg.LinAlgError:
+                gain = None
+    if X is None or gain is None or not np.isfinite(gain).all() or np.abs(np.linalg.eigvals(a + b @ gain)).max() >= 1:
+        found = f"no stabilising solution was found; {_nearest_to_circle(a, b, q, r, s)}"
+        raise NoTrustworthyNumber("dare", found, SOLVABLE)
+    quadratic = coupling.T @ gain
+    residual = small_residual("dare", 0.5 * (a.T @ X @ a - X + quadratic), q, tolerance)
     return RiccatiSolution(X, gain, residual)
 
 
 def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: float = 1e-6) -> AnyArray | None:
-    r"""Stabilising solution of a Riccati equation with its quadratic term given whole: the inner loop of searches.
+    r"""Stabilising solution of ``A^T X + X A - X G X + Q = 0``, where ``A - G X`` is stable, for searches.
 
-    .. math:: A^T X + X A - X G X + Q = 0, \qquad A - G X \text{ stable}
-
-    Examples
-    --------
     >>> one = np.eye(1)
     >>> float(np.round(hamiltonian_riccati(0 * one, one, 4 * one)[0, 0], 12))
     2.0
@@ -172,95 +157,22 @@ def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: flo
     return found.X if found is not None and found.residual <= tolerance else None
 
 
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """A symmetric X with the loop that it closes, the left-hand side of its equation, and the relative residual."""
-
-    X: AnyArray
-    loop: AnyArray
-    left: AnyArray
-    residual: float
+def _matrices(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None) -> list[Array]:
+    a, b, q, r = (np.asarray(matrix, dtype=float) for matrix in (A, B, Q, R))
+    return [a, b, q, r, np.zeros(b.shape) if S is None else np.asarray(S, dtype=float)]
 
 
-@dataclass(frozen=True, eq=False)
-class _Equation:
-    """The matrices of a Riccati equation, checked."""
-
-    a: Array
-    b: Array
-    q: Array
-    r: Array
-    s: Array
-
-    def without_states(self) -> RiccatiSolution:
-        return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(self.r), 0)), 0.0)
-
-    def gain(self, X: AnyArray) -> AnyArray:
-        """That of the continuous equation."""
-        return -np.linalg.solve(self.r, self.b.T @ X + self.s.T)
-
-    def judged(self, X: AnyArray) -> _Candidate | None:
-        """The candidate of the continuous equation; None where it does not stabilise."""
-        a, b, q, s = self.a, self.b, self.q, self.s
-        with np.errstate(over="ignore", invalid="ignore"):
-            try:
-                gain = self.gain(X)
-            except np.linalg.LinAlgError:
-                return None
-            loop = a + b @ gain
-            if not np.isfinite(loop).all() or np.linalg.eigvals(loop).real.max() >= 0:
-                return None
-            quadratic = (X @ b + s) @ gain
-            size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
-            left = a.T @ X + X @ a + q + quadratic
-            residual = float(np.linalg.norm(left) / size) if size else 0.0
-        return _Candidate(X, loop, left, residual) if np.isfinite(residual) else None
-
-
-def _equation(where: str, A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None) -> _Equation:
-    a, b, q, r = (real_array(k, v, 2, where) for k, v in (("A", A), ("B", B), ("Q", Q), ("R", R)))
-    n, m = len(a), len(r)
-    s = np.zeros((n, m)) if S is None else real_array("S", S, 2, where)
-    check_shapes(where, A=(a, (n, n)), B=(b, (n, m)), Q=(q, (n, n)), R=(r, (m, m)), S=(s, (n, m)))
-    return _Equation(a, b, q, r, s)
-
-
-def check_shapes(where: str, **wanted: tuple[Array, tuple[int, int]]) -> None:
-    """Raises InputError: a matrix that has not the shape beside it."""
-    for name, (matrix, shape) in wanted.items():
-        if matrix.shape != shape:
-            raise InputError(where, f"{name} is {matrix.shape}", f"{shape}")
-
-
-def _ordered_schur(equation: _Equation) -> AnyArray | None:
-    a, b, q, s = equation.a, equation.b, equation.q, equation.s
-    try:
-        ri = np.linalg.inv(equation.r)
-    except np.linalg.LinAlgError:
-        return None
-    with np.errstate(over="ignore", invalid="ignore"):
-        return _stable_graph(a - b @ ri @ s.T, b @ ri @ b.T, q - s @ ri @ s.T)
-
-
-def _nearest_to_axis(equation: _Equation) -> str:
-    a, b, q, s = equation.a, equation.b, equation.q, equation.s
-    try:
-        inverse = np.linalg.inv(equation.r)
-    except np.linalg.LinAlgError:
-        return "R is singular"
-    with np.errstate(over="ignore", invalid="ignore"):
-        A, G, Q = a - b @ inverse @ s.T, b @ inverse @ b.T, q - s @ inverse @ s.T
-        poles = balanced_eigenvalues(np.block([[A, -G], [-Q, -A.T]]))
+def _nearest_to_axis(A: AnyArray, G: AnyArray, Q: AnyArray) -> str:
+    poles = balanced_eigenvalues(np.block([[A, -G], [-Q, -A.T]]))
     if poles is None:
         return "the entries of the Hamiltonian overflow"
     nearest = poles[np.abs(np.real(poles)).argmin()]
     return f"the eigenvalue of the Hamiltonian nearest to the imaginary axis is {nearest:.3g} rad/s"
 
 
-def _nearest_to_circle(equation: _Equation) -> str:
+def _nearest_to_circle(a: Array, b: Array, q: Array, r: Array, s: Array) -> str:
     from scipy.linalg import eigvals
 
-    a, b, q, r, s = equation.a, equation.b, equation.q, equation.r, equation.s
     n, m, zero = len(a), len(r), np.zeros
     left = np.block([[a, zero((n, n)), b], [-q, np.eye(n), -s], [s.T, zero((m, n)), r]])
     right = np.block(
@@ -321,20 +233,19 @@ def _schur_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
     return 0.5 * (X + X.T) if np.isfinite(X).all() else None
 
 
-def _extended_pencil(equation: _Equation, discrete: bool = False) -> AnyArray | None:
+def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array, discrete: bool) -> AnyArray | None:
     """X from the QZ algorithm on the balanced extended pencil (Van Dooren 1981); None where there is none."""
     from scipy.linalg import LinAlgError, solve_continuous_are, solve_discrete_are
 
-    solve = solve_discrete_are if discrete else solve_continuous_are
     with judged_afterwards():
         try:
-            X = solve(equation.a, equation.b, equation.q, equation.r, s=equation.s)
+            X = (solve_discrete_are if discrete else solve_continuous_are)(a, b, q, r, s=s)
         except (LinAlgError, ValueError):  # ValueError: R is singular to working precision
             return None
     return X if np.isfinite(X).all() else None
 
 
-def _refined(found: _Candidate | None, judged: Callable[[AnyArray], _Candidate | None]) -> _Candidate | None:
+def _refined(found: _Candidate | None, judged: Judge) -> _Candidate | None:
     """The solution after Newton's steps ``A_X^T dX + dX A_X + left = 0``, as long as they help (Kleinman 1968).
 
     The Schur vectors of a Hamiltonian are known to eps times its norm; where its eigenvalues span ten decades X may
@@ -343,93 +254,33 @@ def _refined(found: _Candidate | None, judged: Callable[[AnyArray], _Candidate |
     for _ in range(NEWTON_STEPS):
         if found is None or found.residual <= REFINED:
             break
-        step = _newton_step(found.loop, found.left)
-        after = None if step is None else judged(found.X + step)
+        try:
+            step = slicot.lyapunov_solution(found.loop.T, 0.5 * (found.left + found.left.T), False)
+        except NoTrustworthyNumber:  # eigenvalues mirror each other
+            break
+        after = judged(found.X + 0.5 * (step + step.T))
         if after is None or not after.residual < found.residual:
             break
         found = after
     return found
 
 
-def _newton_step(loop: AnyArray, left: AnyArray) -> AnyArray | None:
-    """Symmetric dX with ``loop^T dX + dX loop + left = 0``; None where there is none."""
-    from scipy.linalg import LinAlgError, solve_continuous_lyapunov
+def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> Array:
+    r"""Solution X of ``A X + X A^T + Q = 0``, or ``A X A^T - X + Q = 0`` where discrete, for a symmetric Q.
 
-    with judged_afterwards():  # eigenvalues may nearly mirror each other
-        try:
-            step = solve_continuous_lyapunov(loop.T, -0.5 * (left + left.T))
-        except (LinAlgError, ValueError):
-            return None
-    return 0.5 * (step + step.T) if np.isfinite(step).all() else None
-
-
-# --- Lyapunov equations ----------------------------------------------------------------------------------------------
-
-
-def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> AnyArray:
-    r"""Solution X of the Lyapunov equation, shape (n, n).
-
-    .. math:: A X + X A^T + Q = 0 \qquad\text{or, discrete,}\qquad A X A^T - X + Q = 0
-
-    Examples
-    --------
     >>> float(lyapunov([[-0.5]], [[2.0]])[0, 0])
     2.0
     """
-    from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
-
-    a, q = real_array("A", A, 2, "lyapunov"), real_array("Q", Q, 2, "lyapunov")
-    n = a.shape[0]
-    check_shapes("lyapunov", A=(a, (n, n)), Q=(q, (n, n)))
-    if n == 0:
-        return np.zeros((0, 0))
-    poles = np.linalg.eigvals(a)
-    with np.errstate(over="ignore", invalid="ignore"):
-        apart = np.multiply.outer(poles, poles) - 1 if discrete else np.add.outer(poles, poles)
-    size = float(np.abs(poles).max() if not discrete else 1.0)
-    X = unique_solution(
-        "lyapunov", apart, size, lambda: solve_discrete_lyapunov(a, q) if discrete else solve_continuous_lyapunov(a, -q)
-    )
-    accepted_residual("lyapunov", (a @ X @ a.T, -X, q) if discrete else (a @ X, X @ a.T, q), tolerance)
+    a, q = np.asarray(A, dtype=float), np.asarray(Q, dtype=float)
+    X = slicot.lyapunov_solution(a, q, discrete)
+    small_residual("lyapunov", 0.5 * (a @ X @ a.T - X) if discrete else a @ X, q, tolerance)
     return X
 
 
-def unique_solution(where: str, apart: AnyArray, size: float, solve: Callable[[], AnyArray]) -> AnyArray:
-    """What ``solve`` gives of a linear matrix equation; ``apart`` is 0 where two eigenvalues mirror each other."""
-    # LAPACK moves eigenvalues that mirror each other apart and answers with a huge X of small residual: refuse before.
-    with np.errstate(over="ignore", invalid="ignore"):
-        gap = np.abs(apart).min()
-    if gap <= 10 * np.finfo(float).eps * size:
-        raise NoTrustworthyNumber(where, MIRRORED)
-    with judged_afterwards():
-        try:
-            X = np.asarray(solve())
-        except (np.linalg.LinAlgError, ValueError):
-            raise NoTrustworthyNumber(where, MIRRORED) from None
-    if not np.isfinite(X).all():
-        raise NoTrustworthyNumber(where, "the solution is not finite")
-    return X
-
-
-# --- judging, and the door to LAPACK ---------------------------------------------------------------------------------
-
-
-def small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float) -> None:
+def small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float) -> float:
     """Refuse the solution of ``half + half^T + known = 0`` that leaves more than this share of its terms."""
     size = 2 * np.linalg.norm(half) + np.linalg.norm(known)
     residual = float(np.linalg.norm(half + half.T + known) / size) if size else 0.0
-    if not residual <= tolerance:
-        raise NoTrustworthyNumber(where, f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
-
-
-def accepted_residual(where: str, terms: tuple[AnyArray, ...], tolerance: float) -> float:
-    """Norm of the sum of an equation's terms, relative to the sum of their norms."""
-    refuse_overflow(where, *terms)
-    # Squares of entries overflow or vanish long before the entries do: a power of two first, which costs no digit.
-    top = max((float(np.abs(term).max(initial=0.0)) for term in terms), default=0.0)
-    scaled = [np.ldexp(term, -int(np.frexp(top)[1])) for term in terms]
-    size = sum(np.linalg.norm(term) for term in scaled)
-    residual = float(np.linalg.norm(sum(scaled)) / size) if size else 0.0
     if not residual <= tolerance:
         raise NoTrustworthyNumber(where, f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
     return residual

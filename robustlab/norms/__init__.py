@@ -1,17 +1,18 @@
 """System norms with their evidence, and the bilinear map, which keeps the H-infinity norm."""
 
 from robustlab.norms.bilinear_map import bilinear_to_continuous, bilinear_to_discrete
+from robustlab.norms.h2 import H2Norm, h2_by_channels, h2_by_gramians, h2_norm
 from robustlab.norms.hinfinity import (
     QUIET,
     HinfNorm,
+    balancing_units,
     checked_band,
     gain_rounding,
     hinf_norm,
     linf_norm,
-    norm_as_given,
+    unstable_norm,
+    well_scaled,
 )
-from robustlab.norms.impulse_energy import H2Norm, h2_by_channels, h2_by_gramians, h2_norm
-from robustlab.norms.panels import panel_ends
 from robustlab.norms.peak_gain import PeakGain
 
 __all__ = [
@@ -26,8 +27,9 @@ __all__ = [
     "h2_by_channels",
     "h2_by_gramians",
     "h2_norm",
+    "balancing_units",
     "hinf_norm",
     "linf_norm",
-    "norm_as_given",
-    "panel_ends",
+    "unstable_norm",
+    "well_scaled",
 ]

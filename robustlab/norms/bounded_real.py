@@ -18,15 +18,16 @@ from flint import arb
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.magnitude import balancing_exponents
 from robustlab.linear_analysis.matrix_equations import care, dare, judged_afterwards, lyapunov
-from robustlab.norms.hinfinity import hinf_norm
+from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.norms.numbers import Numbers, model_numbers
 from robustlab.statespace import StateSpaceModel
-from robustlab.verification.balls import Matrix, exact, identity, inverse, midpoints, precision
+from robustlab.verification.balls import Matrix, exact, identity, inverse, midpoints, precision, radii
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
-from robustlab.verification.models import Model, model_of
+from robustlab.verification.models import Model, model_of, on_the_axis, shifted
 
 SHARE = 0.5  # of what lies between the level and the norm, squared, that the further outputs take up
 # Levels, over the one that is wanted, at which the equation is solved in doubles: near the norm no digit is left.
@@ -51,7 +52,9 @@ def norm_matrix(model: StateSpaceModel, gamma: float, norm: float, numbers: Numb
     t = np.exp2(balancing_exponents(model.A, model.B, C).astype(float))
     A, B, C = model.A / t[:, None] * t, model.B / t[:, None], C * t
     try:
-        into = hinf_norm(StateSpaceModel(A, B, np.eye(n), np.zeros((n, model.n_inputs)), model.dt), 1e-2).upper
+        states = StateSpaceModel(A, B, np.eye(n), np.zeros((n, model.n_inputs)), model.dt)
+        states = bilinear_to_continuous(states) if model.is_discrete else states
+        into = slicot.peak_gain(states.A, states.B, states.C, states.D)[0]
     except (InputError, NoTrustworthyNumber):
         return {}
     if not 0 < into < np.inf:
@@ -96,6 +99,23 @@ def _refined(claim: Claim, X: Array, t: Array, gamma: float, room: float) -> tup
             if np.abs(step).max() <= SMALL * np.abs(X).max():
                 break
         return _in_doubles(P)
+
+
+def gain_in_balls(model: StateSpaceModel, omega: float) -> float:
+    """``sigma_max`` at a finite frequency in rad/s, by extended precision; 0 where even that leaves no digits."""
+    with precision(BITS):
+        G = model_of(Claim("", model_numbers(model)))
+        mapped = on_the_axis(G) if G.dt else G
+        if mapped is None:
+            return 0.0
+        at = np.tan(omega * G.dt / 2) if G.dt else omega
+        try:
+            response = mapped.D + mapped.C * shifted(mapped, at).solve(exact(np.eye(G.n, dtype=complex)) * mapped.B)
+        except ZeroDivisionError:
+            return 0.0
+        if midpoints(radii(response)).max(initial=0.0) > 1e-12 * np.abs(midpoints(response)).max(initial=0.0):
+            return 0.0
+        return float(np.linalg.norm(midpoints(response), 2)) * (1 - 1e-11)
 
 
 def gramian_matrix(model: StateSpaceModel, value: float, level: float, numbers: Numbers) -> Numbers:

@@ -9,7 +9,7 @@ import numpy as np
 
 from robustlab.norms import HinfNorm
 from robustlab.norms.bounded_real import gramian_matrix, norm_matrix
-from robustlab.norms.impulse_energy import H2Norm
+from robustlab.norms.h2 import H2Norm
 from robustlab.norms.numbers import Numbers, above, loop_numbers, model_numbers
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft

@@ -1,7 +1,14 @@
-"""H-infinity and L-infinity norm as a proved bracket: one level test, which needs no stability.
+r"""H-infinity and L-infinity norm as a proved bracket: AB13DD finds the peak, one Hamiltonian level test proves it.
 
-The H-infinity norm is infinite where the model is unstable. The L-infinity norm, the peak over the frequency axis or a
-band of it, is infinite where a pole lies on it.
+``sigma_max(G(jw)) = g`` for some w if and only if the Hamiltonian H(g) has the eigenvalue jw. The imaginary part of
+every eigenvalue counts as a candidate crossing, without a tolerance on its real part, and ``sigma_max`` is evaluated at
+all of them and between each two: none above the level makes it an upper bound; a higher one is the next lower bound,
+which also finds the peaks that AB13DD overlooks. The level is as far above as rounding asks for; where that is too
+far, ball arithmetic decides.
+
+References
+----------
+Boyd, Balakrishnan 1990; Bruinsma, Steinbuch 1990.
 """
 
 from __future__ import annotations
@@ -15,20 +22,14 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.exact import exactly_on_boundary, exactly_stable
-from robustlab.linear_analysis.magnitude import Moderated, balancing_factors, moderated
+from robustlab.linear_analysis.frequency import solved_response
+from robustlab.linear_analysis.magnitude import balancing_factors, refuse_extremes
+from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, lapack
 from robustlab.linear_analysis.narrow_peaks import modes_apart
 from robustlab.norms.bilinear_map import bilinear_to_continuous
-from robustlab.norms.level_set import (
-    TUNING,
-    Band,
-    NormTuning,
-    crossings,
-    largest_gains,
-    level_bracket,
-    search_grid,
-    well_scaled,
-)
+from robustlab.norms.bounded_real import gain_in_balls, norm_matrix
 from robustlab.norms.peak_gain import PeakGain
 from robustlab.result import Status
 from robustlab.shown import Facts
@@ -37,14 +38,19 @@ from robustlab.statespace import StateSpaceModel, as_model
 EPS = float(np.finfo(float).eps)
 # Eigenvalues of a Jordan block of four may be off by this many times those of a matrix with a basis of eigenvectors.
 FAR = 1e12
-
-# Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified,
-# unless the norm with its rounding is below the first share of the terms that cancel in it: zero for every purpose.
-QUIET, LOUD = 1e-9, 1e-3
 # A pole within so many times what eigenvalues are known to may lie on the boundary: those of Jordan blocks are blurred.
 BESIDE = 1e9
-# Share of the norm that rounding is at the worst frequencies before it may be all of the norm.
-MOST = 0.1
+# Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified.
+QUIET, LOUD = 1e-9, 1e-3
+# A level is so many times what rounding may do to the gain above the peak.
+MARGIN = 10.0
+# Levels before the bracket is given up, and frequencies next to poles at which rounding is looked at besides the peak.
+LEVELS, LOOKED_AT = 60, 3
+# Up to so many states a doubtful norm is left to ball arithmetic: about 0.1 s.
+BALL_STATES = 40
+
+Band = tuple[float, float]
+Infinite = Callable[[StateSpaceModel], "HinfNorm | None"]  # which poles make the norm infinite: its bracket, or None
 
 
 @dataclass(frozen=True)
@@ -56,9 +62,9 @@ class HinfNorm(PeakGain):
     lower
         ``sigma_max`` of the given model at ``frequency``, evaluated.
     upper
-        Level that no singular value crosses, by the Hamiltonian test; ``lower <= norm <= upper``. Where rounding may
-        move the gain at the peak by more than 1e-9 of it, both ends are that much further out. A norm that is zero but
-        for rounding has zero and the bound of that rounding as its ends.
+        Level that no singular value crosses, by the Hamiltonian test or in ball arithmetic; ``lower <= norm <= upper``.
+        Where rounding may move the gain at the peak by more than 1e-9 of it, both ends are that much further out. A
+        norm that is zero up to rounding has the ends zero and the bound of that rounding.
     frequency
         Frequency in rad/s at which ``sigma_max`` attains ``lower``; ``inf`` where only the direct term does, NaN for an
         infinite norm without such a frequency.
@@ -87,37 +93,20 @@ class HinfNorm(PeakGain):
         return np.inf if np.isinf(self.upper) else self.lower
 
     def evidence(self) -> Facts:
-        """Why the norm is infinite or inaccurate."""
         return [("reason", self.reason)]
 
     def to_json(self) -> dict[str, Any]:
         return {**super().to_json(), "value": self.value}
 
 
-# Which poles make the norm infinite: its bracket, or None; told times ``2^rate``.
-Infinite = Callable[[StateSpaceModel, int], HinfNorm | None]
-
-
 @told_as("hinf_norm")
-def hinf_norm(model: Any, rtol: float = 1e-6, *, tuning: NormTuning = TUNING) -> HinfNorm:
-    """`robustlab.peak_gain` of a model: the H-infinity norm, infinite where the model is not stable.
-
-    Level-set method on the Hamiltonian: ``sigma_max(G(jw)) = g`` for some w iff H(g) has the eigenvalue jw. The
-    imaginary part of *every* eigenvalue of H(g) counts as a candidate crossing, without a tolerance on its real part,
-    and ``sigma_max`` is evaluated at all of them and between each two; the level is an upper bound where none of these
-    exceeds it. With many states, or where large terms cancel, the level is proved interval by interval instead, by
-    expansions of the response with bounds of their remainders and of rounding (`ModalResponse.above`). A zoom on the
-    highest peaks looks for what rounding may have hidden. Values come from the model's modes where a bound of their
-    error shows that this is enough; what is told is solved for with A.
-    """
-    given = as_model(model, "hinf_norm")
-    return _norm_of(given, rtol, tuning, unstable_norm, None, "hinf_norm")
+def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
+    """`robustlab.peak_gain` of a model: the H-infinity norm, infinite where the model is not stable."""
+    return _norm_of(as_model(model, "hinf_norm"), rtol, unstable_norm, None, "hinf_norm")
 
 
 @told_as("linf_norm")
-def linf_norm(
-    model: Any, rtol: float = 1e-6, *, band: tuple[float, float] | None = None, tuning: NormTuning = TUNING
-) -> HinfNorm:
+def linf_norm(model: Any, rtol: float = 1e-6, *, band: tuple[float, float] | None = None) -> HinfNorm:
     """The same over the frequency axis or a band of it, of a model that may be unstable.
 
     Whether a pole lies on the stability boundary is decided in exact arithmetic up to 12 states; beyond them a pole
@@ -125,19 +114,9 @@ def linf_norm(
     """
     given = as_model(model, "linf_norm")
     part = None if band is None else checked_band(band, given.dt, "linf_norm")
-    infinite = _on_the_boundary if part is None else partial(_in_the_band, part)
-    return _norm_of(given, rtol, tuning, infinite, part, "linf_norm")
-
-
-def _norm_of(
-    given: StateSpaceModel, rtol: float, tuning: NormTuning, infinite: Infinite, band: Band | None, where: str
-) -> HinfNorm:
-    if not 1e-12 <= rtol < 1:
-        raise InputError(where, f"rtol is {rtol}", "between 1e-12 and 1")
-    ordinary = moderated(given, where)
-    found = norm_as_given(bracketed_norm(ordinary, rtol, tuning, infinite, band), ordinary)
-    asked = None if infinite is unstable_norm else (0.0, np.inf) if band is None else (float(band[0]), float(band[1]))
-    return replace(found, system=given, band=asked)
+    infinite = partial(_on_the_boundary, None) if part is None else partial(_on_the_boundary, part)
+    found = _norm_of(given, rtol, infinite, part, "linf_norm")
+    return replace(found, band=part or (0.0, np.inf))
 
 
 def checked_band(band: tuple[float, float], dt: float, where: str) -> tuple[float, float]:
@@ -153,100 +132,113 @@ def checked_band(band: tuple[float, float], dt: float, where: str) -> tuple[floa
     return low, min(high, last)
 
 
-def norm_as_given(norm: HinfNorm, ordinary: Moderated) -> HinfNorm:
-    """The norm in the units of the model as given; the bracket keeps holding where it is rounded."""
-    if not (ordinary.rate or ordinary.gain):
-        return norm
-    lower, upper = (ordinary.value(x, "hinf_norm") for x in (norm.lower, norm.upper))
-    with np.errstate(over="ignore", under="ignore"):
-        if np.ldexp(lower, ordinary.gain) > norm.lower:
-            lower = float(np.nextafter(lower, 0))
-        if np.ldexp(upper, ordinary.gain) < norm.upper:
-            upper = float(np.nextafter(upper, np.inf))
-    return HinfNorm(lower, upper, ordinary.frequency(norm.frequency), norm.status, norm.reason)
-
-
-def bracketed_norm(
-    ordinary: Moderated,
-    rtol: float,
-    tuning: NormTuning,
-    infinite: Infinite,
-    band: Band | None = None,
-) -> HinfNorm:
-    """The norm of the model with ordinary entries; only ``reason`` speaks in the units of the model as given.
-
-    The level test needs no stability: ``infinite`` says which poles make the norm infinite. A band is one of the model
-    as given.
-    """
-    m = ordinary.model
-    if not m.n_inputs or not m.n_outputs:
-        return (infinite(m, ordinary.rate) if m.n_states else None) or HinfNorm(0.0, 0.0, 0.0, Status.CERTIFIED)
-    if not m.n_states:
+def _norm_of(m: StateSpaceModel, rtol: float, infinite: Infinite, band: Band | None, where: str) -> HinfNorm:
+    if not 1e-12 <= rtol < 1:
+        raise InputError(where, f"rtol is {rtol}", "between 1e-12 and 1")
+    refuse_extremes(m, where)
+    found = infinite(m) if m.n_states else None
+    if found is None and not m.D.size:
+        found = HinfNorm(0.0, 0.0, 0.0, Status.CERTIFIED)
+    if found is None and not m.n_states:
         gain = float(np.linalg.norm(m.D, 2))
-        return HinfNorm(gain, gain, 0.0 if band is None else band[0], Status.CERTIFIED)
-    without_bracket = infinite(m, ordinary.rate)
-    if without_bracket is not None:
-        return without_bracket
-    found = _bracket(m, ordinary, rtol, tuning, band)
-    if found.status is Status.CERTIFIED or (apart := modes_apart(m)) is m:
-        return found
-    again = _bracket(apart, ordinary, rtol, tuning, band)
-    return again if again.status is Status.CERTIFIED or again.upper - again.lower < found.upper - found.lower else found
+        found = HinfNorm(gain, gain, 0.0 if band is None else band[0], Status.CERTIFIED)
+    if found is None:
+        found = _bracket(m, rtol, band)
+        if found.status is not Status.CERTIFIED and (apart := modes_apart(m)) is not m:
+            again = _bracket(apart, rtol, band)
+            if again.status is Status.CERTIFIED or again.upper - again.lower < found.upper - found.lower:
+                found = again
+        if found.status is not Status.CERTIFIED and infinite is unstable_norm:
+            found = _in_balls(m, found, rtol)
+    return replace(found, system=m)
 
 
-def _bracket(m: StateSpaceModel, ordinary: Moderated, rtol: float, tuning: NormTuning, band: Band | None) -> HinfNorm:
-    """The norm from these states of the ordinary model."""
+def _bracket(m: StateSpaceModel, rtol: float, band: Band | None) -> HinfNorm:
+    """The norm by the level test."""
     try:
-        scaled, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
-        part = None if band is None else _band_of(ordinary, band, rate)
-        lower, omega, upper, trusted, doubtful = level_bracket(scaled, rtol, tuning, part)
-    except (np.linalg.LinAlgError, NoTrustworthyNumber) as error:
-        return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, f"frequency response failed: {error}")
+        s, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
+        part = None if band is None else _mapped_band(band, m.dt, rate)
+        lower, at, level, error, settled = _level_test(s, rtol, part)
+    except (np.linalg.LinAlgError, NoTrustworthyNumber) as failed:
+        return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, f"frequency response failed: {failed}")
     # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a representable frequency must lie in there.
-    blind = np.isfinite(omega) and np.sqrt(2 * rtol) * np.abs(1j * omega - scaled.poles()).min() < EPS * omega
-    omega *= rate
+    blind = np.isfinite(at) and np.sqrt(2 * rtol) * np.abs(1j * at - s.poles()).min() < EPS * at
+    omega = at * rate
     if m.is_discrete:  # the bilinear map s = (2/dt) (z - 1)/(z + 1) bends the frequency axis
         omega = 2 / m.dt * float(np.arctan(omega * m.dt / 2)) if np.isfinite(omega) else np.pi / m.dt
-        doubtful = 2 / m.dt * np.arctan(rate * doubtful * m.dt / 2) / rate
-    attained = float(largest_gains(m, np.array([omega]))[0])
-    reason = "" if trusted else "the level test and a direct search disagreed; digits were lost"
-    error = worst = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, omega))
-    if abs(attained - lower) > 10 * rtol * lower + min(error, LOUD * lower) and lower > upper - lower:
-        trusted = False
+    reason = "" if settled else "the level test did not settle: digits were lost"
+    attained, (size, beside) = float(largest_gains(m, np.array([omega]))[0]), _rounding(m, axis_point(m, omega))
+    error = max(error, beside)
+    if abs(attained - lower) > 10 * rtol * lower + min(error, LOUD * lower) and lower > level - lower:
         reason = f"scaled and original realisation differ at the peak: {lower:.9g} against {attained:.9g}"
     if blind:
-        at = f"{ordinary.frequency(omega):.6g} rad/s"
-        trusted, reason = False, f"the peak at {at} is narrower than the spacing of floating-point numbers"
-    lower, upper = attained, max(upper, attained)
-    for at, gain in zip(rate * doubtful, largest_gains(m, rate * doubtful) if len(doubtful) else [], strict=True):
-        beside = gain_rounding(m.A, m.B, m.C, m.D, axis_point(m, float(at)))
-        worst, upper = max(worst, beside), max(upper, float(gain) + beside)
+        reason = f"the peak at {omega:.6g} rad/s is narrower than the spacing of floating-point numbers"
+    upper = max(level, attained)
     if error > LOUD * attained:
         upper += error
-        given = None if band is None else _moderated(ordinary, band)
-        sure = blind or worst < MOST * attained
-        nothing = None if sure else _nothing((m, given), (scaled, part), tuning.nothing_points)
-        if nothing is not None:
-            return nothing
+        if settled and attained <= error and upper <= QUIET * size and not blind:
+            return HinfNorm(0.0, upper, omega, Status.CERTIFIED)  # nothing but rounding
         share = error / attained if attained else np.inf
-        trusted, reason = False, f"rounding alone may move the gain at the peak by {share:.2g} of it: digits were lost"
+        reason = reason or f"rounding alone may move the gain at the peak by {share:.2g} of it: digits were lost"
     elif error > QUIET * attained:
-        lower, upper = attained - error, upper + error
-    return HinfNorm(lower, upper, omega, Status.CERTIFIED if trusted else Status.INACCURATE, reason)
+        attained, upper = attained - error, upper + error
+    return HinfNorm(attained, upper, omega, Status.INACCURATE if reason else Status.CERTIFIED, reason)
 
 
-def _band_of(ordinary: Moderated, band: Band, rate: float) -> Band:
+def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[float, float, float, float, bool]:
+    """Peak gain of a well-scaled model, where, a level that is not reached, rounding, and whether that settled."""
+    poles = s.poles()
+    try:
+        peak = [slicot.peak_gain(s.A, s.B, s.C, s.D)[1]]
+    except NoTrustworthyNumber:
+        peak = []
+    if band is None and peak:
+        omega = np.array([*peak, 0.0, np.inf])
+    else:
+        omega = _within(np.abs(np.concatenate([poles, poles.imag, peak])), band or (0.0, np.inf))
+    gains, error, lower, at, looked = largest_gains(s, omega), 0.0, -1.0, 0.0, False
+    for _ in range(LEVELS):
+        top = int(np.argmax(gains))
+        if gains[top] > lower:
+            lower, at = float(gains[top]), float(omega[top])
+            error = max(error, _rounding(s, axis_point(s, at))[1])
+        margin = MARGIN if lower > error else 2.0  # a gain of rounding size has no peak to tell apart
+        level = lower + max(rtol * lower, margin * error)
+        if level == 0:
+            return 0.0, at, 0.0, 0.0, True
+        omega = crossings(s, level, band)
+        gains = largest_gains(s, omega)
+        if gains.max() > level:
+            continue
+        if not looked:  # once: at the points where poles are near, rounding is worst
+            looked = True
+            near = omega[
+                np.argsort(np.abs(1j * omega[:, None] - poles).min(axis=1) / (np.abs(omega) + EPS))[:LOOKED_AT]
+            ]
+            worst = max(_rounding(s, axis_point(s, float(w)))[1] for w in near)
+            if worst > error and level < lower + margin * worst:
+                error = worst
+                continue
+        return lower, at, level, error, True
+    return lower, at, level, error, False
+
+
+def _in_balls(m: StateSpaceModel, found: HinfNorm, rtol: float) -> HinfNorm:
+    """The norm where ball arithmetic proves a level just above the gain at the peak; else what was found."""
+    if m.n_states > BALL_STATES or not np.isfinite(found.upper) or not np.isfinite(found.frequency):
+        return found
+    gain = gain_in_balls(m, found.frequency)
+    if not gain or not norm_matrix(m, (1 + rtol) * gain, gain):
+        return found
+    return HinfNorm(gain, (1 + rtol) * gain, found.frequency, Status.CERTIFIED)
+
+
+def _mapped_band(band: Band, dt: float, rate: float) -> Band:
     """The band of the scaled continuous model that stands for one of the model as given."""
-    low, high = _moderated(ordinary, band)
-    dt = ordinary.model.dt
+    low, high = band
     if dt:
-        low, high = (2 / dt * float(np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf for omega in (low, high))
+        low, high = (2 / dt * float(np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf for omega in band)
     return low / rate, high / rate
-
-
-def _moderated(ordinary: Moderated, band: Band) -> Band:
-    """The band of the model with ordinary entries."""
-    return float(np.ldexp(band[0], -ordinary.rate)), float(np.ldexp(band[1], -ordinary.rate))
 
 
 def axis_point(m: StateSpaceModel, omega: float) -> complex:
@@ -269,6 +261,10 @@ def gain_rounding(
     return _terms(A, B, C, D, s, sums)[1]
 
 
+def _rounding(m: StateSpaceModel, s: complex) -> tuple[float, float]:
+    return _terms(m.A, m.B, m.C, m.D, s)
+
+
 def _terms(
     A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex, sums: Sequence[Array] | None = None
 ) -> tuple[float, float]:
@@ -276,41 +272,20 @@ def _terms(
     in_a, in_b, in_c, in_d = [np.abs(m) for m in (A, B, C, D)] if sums is None else sums
     n, size, error = len(A), np.abs(D), in_d
     if n and np.isfinite(s):
-        inverse = np.linalg.inv(s * np.eye(n) - A)
-        X, terms = np.abs(inverse @ B), in_a + abs(s) * np.eye(n)
-        size = size + np.abs(C) @ X
-        error = error + in_c @ X + np.abs(C) @ np.abs(inverse) @ (terms @ X + in_b)
+        F = -A.astype(complex)
+        F.ravel()[:: n + 1] += s
+        inverse = np.linalg.inv(F)
+        X, out = np.abs(inverse @ B), np.abs(C)
+        size = size + out @ X
+        error = error + in_c @ X + out @ (np.abs(inverse) @ (in_a @ X + abs(s) * X + in_b))
     return float(np.linalg.norm(size)), max(n, 1) * EPS * float(np.linalg.norm(error))
 
 
-def _nothing(
-    one: tuple[StateSpaceModel, Band | None], other: tuple[StateSpaceModel, Band | None], points: int
-) -> HinfNorm | None:
-    """The norm of a model without any gain but rounding, all over or in a band; None where it is not shown to be one.
-
-    Given twice, as it is and scaled, each with the band in its units.
-
-    Nowhere may the gain, its rounding included, be more than next to nothing of the terms that cancel in it. No level
-    test is sharper than that, but at the bound of the rounding it must agree.
-    """
-    (m, band), (scaled, part) = one, other
-    omega = search_grid(m, points, band)
-    try:
-        sigma = largest_gains(m, omega)
-        size, error = np.array([_terms(m.A, m.B, m.C, m.D, axis_point(m, w)) for w in omega]).T
-        upper = float((sigma + error).max())
-        if not (sigma.max() <= error.max() and upper <= QUIET * size.max()):
-            return None
-        again = np.concatenate([search_grid(scaled, points, part), crossings(scaled, upper, part)])
-        if not largest_gains(scaled, again).max() <= upper:
-            return None
-    except (np.linalg.LinAlgError, NoTrustworthyNumber):
-        return None
-    return HinfNorm(0.0, upper, float(omega[np.argmax(sigma)]), Status.CERTIFIED)
+# --- poles that make it infinite -------------------------------------------------------------------------------------
 
 
-def unstable_norm(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
-    """The infinite norm of a model that is not stable, or None; poles are told times ``2^rate``."""
+def unstable_norm(m: StateSpaceModel) -> HinfNorm | None:
+    """The infinite norm of a model that is not stable, or None."""
     abscissa = m.spectral_abscissa()
     # Balancing does not make the sum of all entries larger: where that is enough it need not be done.
     if abscissa < -10 * EPS * max(float(np.abs(m.A).sum()), 1.0 if m.is_discrete else 0.0):
@@ -319,70 +294,116 @@ def unstable_norm(m: StateSpaceModel, rate: int = 0) -> HinfNorm | None:
     if abscissa < -blur:
         return None
     poles = m.poles()
-    worst = poles[np.argmax(np.abs(poles) if m.is_discrete else poles.real)]
-    if not m.is_discrete:
-        worst = complex(np.ldexp(worst.real, rate), np.ldexp(worst.imag, rate))
+    worst = complex(poles[np.argmax(np.abs(poles) if m.is_discrete else poles.real)])
     # Eigenvalues of Jordan blocks are known to far fewer digits; well outside there is no doubt.
     stable = exactly_stable(m.A, m.is_discrete) if abscissa < FAR * blur else False
     if stable or (stable is None and abscissa < 0):
-        text = f"pole {pole_text(worst)} cannot be told from the stability boundary"
-        return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, text)
+        return _infinite(worst, False)
     word = "unstable" if abscissa > blur else "on the stability boundary"
     return HinfNorm(np.inf, np.inf, np.nan, Status.CERTIFIED, f"pole {pole_text(worst)} is {word}")
 
 
-def _on_the_boundary(m: StateSpaceModel, rate: int) -> HinfNorm | None:
-    """The infinite norm of a model with a pole on the stability boundary, or None; poles are told times ``2^rate``."""
-    poles = m.poles()
-    distance = np.abs(np.abs(poles) - 1 if m.is_discrete else poles.real)
-    nearest, blur = int(distance.argmin()), eigenvalue_blur(m)
-    # Eigenvalues of Jordan blocks are known to far fewer digits; well away there is no doubt.
-    if distance[nearest] > FAR * blur:
-        return None
-    there = exactly_on_boundary(m.A, m.is_discrete)
-    if not there and distance[nearest] > blur:
-        return None
-    return _infinite(complex(poles[nearest]), 0 if m.is_discrete else rate, bool(there))
-
-
-def _in_the_band(band: tuple[float, float], m: StateSpaceModel, rate: int) -> HinfNorm | None:
-    """The same of the poles in a band alone; those elsewhere make no gain in it infinite."""
+def _on_the_boundary(band: Band | None, m: StateSpaceModel) -> HinfNorm | None:
+    """The infinite norm of a model with a pole on the stability boundary, in the band where there is one, or None."""
     poles, blur = m.poles(), eigenvalue_blur(m)
     distance = np.abs(np.abs(poles) - 1 if m.is_discrete else poles.real)
-    at = np.abs(np.angle(poles) if m.is_discrete else poles.imag)
-    low, high = (omega * m.dt if m.is_discrete else omega for omega in np.ldexp(band, -rate))
-    inside = (at >= low - blur) & (at <= high + blur)
+    inside = np.ones(len(poles), dtype=bool)
+    if band is not None:
+        at = np.abs(np.angle(poles) if m.is_discrete else poles.imag)
+        low, high = (omega * m.dt if m.is_discrete else omega for omega in band)
+        inside = (at >= low - blur) & (at <= high + blur)
+    # Eigenvalues of Jordan blocks are known to far fewer digits; well away there is no doubt.
     if not (inside & (distance <= FAR * blur)).any():
         return None
     nearest = int(np.where(inside, distance, np.inf).argmin())
     # Exact arithmetic tells whether a pole lies on the boundary, not which: none beside the band may be the one.
     beside = ~inside & (distance <= BESIDE * blur)
     there = bool(not beside.any() and exactly_on_boundary(m.A, m.is_discrete))
-    if not there and distance[nearest] > blur:
-        return None
-    return _infinite(complex(poles[nearest]), 0 if m.is_discrete else rate, there)
+    return _infinite(complex(poles[nearest]), there) if there or distance[nearest] <= blur else None
 
 
-def _infinite(pole: complex, rate: int, there: bool) -> HinfNorm:
-    """What a pole that is on the boundary, or cannot be told from it, makes of the norm; told times ``2^rate``."""
-    word = pole_text(complex(np.ldexp(pole.real, rate), np.ldexp(pole.imag, rate)))
+def _infinite(pole: complex, there: bool) -> HinfNorm:
+    """What a pole that is on the boundary, or cannot be told from it, makes of the norm."""
     if there:
-        return HinfNorm(np.inf, np.inf, np.nan, Status.CERTIFIED, f"pole {word} is on the stability boundary")
-    text = f"pole {word} cannot be told from the stability boundary"
+        text = f"pole {pole_text(pole)} is on the stability boundary"
+        return HinfNorm(np.inf, np.inf, np.nan, Status.CERTIFIED, text)
+    text = f"pole {pole_text(pole)} cannot be told from the stability boundary"
     return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, text)
 
 
 def eigenvalue_blur(m: StateSpaceModel) -> float:
     """Eigenvalues are known to about eps times the norm of the balanced A: a nearer pole has no sign."""
-    return 10 * EPS * max(float(np.linalg.norm(balanced(m.A), 1)), 1.0 if m.is_discrete else 0.0)
-
-
-def balanced(matrix: AnyArray) -> AnyArray:
-    """The matrix in the states in which its rows and columns are alike in size."""
-    t = balancing_factors(matrix)
-    return matrix / t[:, None] * t
+    t = balancing_factors(m.A)
+    return 10 * EPS * max(float(np.linalg.norm(m.A / t[:, None] * t, 1)), 1.0 if m.is_discrete else 0.0)
 
 
 def pole_text(pole: complex) -> str:
     """A pole as error messages show it."""
     return f"{pole.real:.6g}{pole.imag:+.6g}j"
+
+
+# --- gains and crossings ---------------------------------------------------------------------------------------------
+
+
+def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
+    """The same transfer function in the time unit 1/rate, with states balanced against inputs and outputs (Osborne)."""
+    t, rate = balancing_units(m)
+    a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
+    return m._in_states(a / t[:, None] * t, b / t[:, None], c * t, rate=rate), rate
+
+
+def balancing_units(m: StateSpaceModel) -> tuple[Array, float]:
+    """``t`` (n,) and ``rate`` of `well_scaled`, powers of two: its states are ``sqrt(rate) x / t``."""
+    size = np.sort(np.abs(m.poles()))
+    size = size[size > 1e-12 * size[-1]]
+    rate = float(2.0 ** np.round(np.log2(size[len(size) // 2]))) if size.size else 1.0  # nothing but integrators
+    a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
+    level = np.linalg.norm(b) / np.linalg.norm(c) if b.any() and c.any() else 1.0
+    n = m.n_states
+    bordered = np.zeros((n + 1, n + 1), order="F")  # B and C, which weigh the same, as the row and column of one state
+    bordered[:n, :n], bordered[:n, n], bordered[n, :n] = a, np.linalg.norm(b, axis=1), level * np.linalg.norm(c, axis=0)
+    scale = lapack().dgebal(bordered, scale=1, overwrite_a=1)[3]
+    return scale[:n] / scale[n], rate
+
+
+def largest_gains(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
+    """``sigma_max`` at each frequency, shape (n_omega,)."""
+    response = solved_response(m, omega)
+    if not np.isfinite(response).all():
+        raise NoTrustworthyNumber("hinf_norm", "the frequency response overflows")
+    if min(m.n_inputs, m.n_outputs) == 1:
+        return np.sqrt((np.abs(response) ** 2).sum(axis=(1, 2)))
+    return np.linalg.svd(response, compute_uv=False)[:, 0]
+
+
+def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> AnyArray:
+    """Imaginary parts of all eigenvalues of the Hamiltonian at this level, and points between and beyond them.
+
+    Of a band, those inside, its ends, and points between them: nothing crosses the level between two of these.
+    """
+    n, root = m.n_states, np.sqrt(level)
+    b, c, d = m.B / root, m.C / root, m.D / level
+    hamiltonian = np.empty((2 * n, 2 * n))
+    if d.any():
+        r, s = np.eye(m.n_inputs) - d.T @ d, np.eye(m.n_outputs) - d @ d.T
+        solved = np.linalg.solve(r, np.hstack([d.T @ c, b.T]))
+        a, into, out = m.A + b @ solved[:, :n], b @ solved[:, n:], c.T @ np.linalg.solve(s, c)
+    else:
+        a, into, out = m.A, b @ b.T, c.T @ c
+    hamiltonian[:n, :n], hamiltonian[:n, n:], hamiltonian[n:, :n], hamiltonian[n:, n:] = a, into, -out, -a.T
+    eigenvalues = balanced_eigenvalues(hamiltonian)
+    if eigenvalues is None:
+        raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
+    crossing = np.unique(np.append(np.abs(np.imag(eigenvalues)), 0.0))
+    if band is not None:
+        crossing = _within(crossing, band)
+        if np.isfinite(band[1]):
+            return np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:])])
+        crossing = crossing[:-1]
+    beyond = [2 * crossing[-1], 10 * crossing[-1]]
+    return np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:]), beyond])
+
+
+def _within(omega: AnyArray, band: Band) -> AnyArray:
+    """The frequencies inside a band, and its ends, in order."""
+    return np.unique(np.append(omega[(omega > band[0]) & (omega < band[1])], band))

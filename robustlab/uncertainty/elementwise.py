@@ -125,7 +125,7 @@ def elementwise(
 
 def pair_remarks(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> list[str]:
     """Return what a nominal and a perturbed model hint at: instability, no difference, or a scale beyond doubles."""
-    from robustlab.norms.hinfinity import unstable_norm
+    from robustlab.norms import unstable_norm
 
     remarks = []
     unstable = unstable_norm(perturbed)

@@ -7,7 +7,7 @@ import pytest
 
 from robustlab import hinf, mixsyn
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.matrix_equations import hamiltonian_riccati
+from robustlab.linear_analysis import hamiltonian_riccati
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft

@@ -8,7 +8,7 @@ import scipy.signal
 
 from robustlab import frequency_response
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.frequency import default_grid
+from robustlab.linear_analysis import default_grid
 from robustlab.statespace import StateSpaceModel
 
 OMEGA = np.geomspace(0.01, 100.0, 40)

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse.csgraph import connected_components
 
 import robustlab as rl
-from robustlab.linear_analysis.structural import strong_components
+from robustlab.linear_analysis import strong_components
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -48,7 +48,7 @@ def test_the_margin_that_is_left(seed, n, p, m, step, gain):
     """Vinnicombe: arcsin b(P2, C) >= arcsin b(P1, C) - arcsin delta_nu(P1, P2)."""
     one, two, _ = near(seed, n, p, m, step)
     # A controller that stabilises P1: state feedback on an observer, from two Riccati equations.
-    from robustlab.linear_analysis.matrix_equations import care
+    from robustlab.linear_analysis import care
 
     f = care(one.A, one.B, gain * np.eye(n), np.eye(m)).gain
     h = care(one.A.T, one.C.T, np.eye(n), gain * np.eye(p)).gain.T

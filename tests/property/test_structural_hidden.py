@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.linear_analysis.structural import drop_unconnected
+from robustlab.linear_analysis import drop_unconnected
 
 QUICK = settings(max_examples=50)
 SEEDS = st.integers(0, 2**32 - 1)

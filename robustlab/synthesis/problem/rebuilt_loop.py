@@ -9,7 +9,6 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
-from robustlab.linear_analysis.schur_lyapunov import balanced_schur
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
@@ -77,7 +76,7 @@ def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
         exact = (A / scale * scale[:, None] == model.A).all() and (B * scale[:, None] == model.B).all()
         if not exact or not (C / scale == model.C).all():  # overflow, or digits lost to underflow
             return model
-    return model._in_states(scale, A, B, C)
+    return model._in_states(A, B, C)
 
 
 def moderate_states(model: StateSpaceModel) -> StateSpaceModel:
@@ -134,6 +133,6 @@ def surely_stable(loop: StateSpaceModel) -> bool:
     """True where every pole is further inside the stability region than the rounding of eigenvalues may move it."""
     if not loop.n_states:
         return True
-    _, t = balanced_schur(loop)
+    t = balancing_factors(loop.A)
     size = max(float(np.linalg.norm(loop.A / t[:, None] * t, 1)), 1.0 if loop.is_discrete else 0.0)
     return loop.spectral_abscissa() < -10 * float(np.finfo(float).eps) * size

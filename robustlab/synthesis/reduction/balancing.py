@@ -16,10 +16,10 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.magnitude import balancing_factors
-from robustlab.linear_analysis.schur_lyapunov import SchurForm, lyapunov_factors
+from robustlab.linear_analysis.matrix_equations import small_residual
 from robustlab.linear_analysis.structural import LeastOrder, least_order
-from robustlab.norms import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel, parallel
 from robustlab.verification.balls import exact, midpoints, precision
 
@@ -30,11 +30,11 @@ __all__ = [
     "block_factor",
     "gramian_factors",
     "split_stable",
-    "triangular_root",
 ]
 
 Projection = Literal["truncation", "residualisation"]
 BITS = 128  # in which residuals are taken
+RESIDUAL = 1e-8  # relative, of the equations of the Gramians
 
 # Hankel values below this share of the largest are rounding: their states cannot be balanced, and are truncated.
 NEGLIGIBLE = 1e-14
@@ -49,16 +49,14 @@ class SplitModel:
 
     The parts have no names of signals, so that weights of any units go with them.
     ``whole`` is the model in balanced states, ``basis`` T, shape (n, n), the states of both parts in terms of these;
-    None where one of the parts is the model itself. ``form`` is the Schur form of A in balanced states, where the model
-    is continuous and all of it is stable. ``least`` is what was split, where unstable modes of the model that its
-    inputs or outputs miss were removed before.
+    None where one of the parts is the model itself. ``least`` is what was split, where unstable modes of the model that
+    its inputs or outputs miss were removed before.
     """
 
     stable: StateSpaceModel
     apart: StateSpaceModel
     whole: StateSpaceModel
     basis: AnyArray | None = None
-    form: SchurForm | None = None
     least: LeastOrder | None = None
 
     def joined(self, reduced: StateSpaceModel) -> StateSpaceModel:
@@ -125,18 +123,15 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
     scale = balancing_factors(model.A)
     a, b, c = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
     poles = model.poles()
-    form = SchurForm.of(a, "stable part") if n else None
-    values, modes = form.modes() if form else (np.zeros(0), np.zeros((0, 0)))
-    stable = _surely_stable(a, values, modes, poles, dt)
+    stable = _surely_stable(a, poles, dt)
     if stable.all():
         bare = StateSpaceModel(model.A, model.B, model.C, model.D, dt)
-        bare._with_modes((values, scale[:, None] * modes))
-        return SplitModel(bare, _static(model, 0 * model.D), model, form=None if dt else form)
+        return SplitModel(bare, _static(model, 0 * model.D), model)
     least = least_order(model)
     if not all(mode.stable for mode in least.hidden):
         return replace(split_stable(least.model), least=least)
     if not stable.any():
-        return SplitModel(_static(model, model.D), model._with_matrices(model.A, model.B, model.C, 0 * model.D), model)
+        return SplitModel(_static(model, model.D), model._in_states(model.A, model.B, model.C, 0 * model.D), model)
     try:
         form = schur(a, output="real", sort=lambda x, y: bool(stable[np.abs(poles - complex(x, y)).argmin()]))
         t, q, k = np.asarray(form[0]), np.asarray(form[1]), int(form[-1])
@@ -164,33 +159,21 @@ def _static(like: StateSpaceModel, D: AnyArray) -> StateSpaceModel:
     return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n_u)), np.zeros((n_y, 0)), D, like.dt)
 
 
-def gramian_factors(model: StateSpaceModel, form: SchurForm | None = None) -> tuple[AnyArray, AnyArray]:
-    """Factors ``(L_c, L_o)`` of the Gramians of a stable model, each (n, n); a discrete one through the bilinear map.
-
-    The map with the scaling of `robustlab.norms.bilinear_to_continuous` leaves both Gramians as they are. ``form`` is
-    the Schur form of A in balanced states, where it is known.
-    """
-    m = bilinear_to_continuous(model) if model.is_discrete else model
-    if not m.n_states:
+def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
+    """Factors ``(L_c, L_o)`` of the Gramians of a stable model, each (n, n), judged by their residuals."""
+    if not model.n_states:
         return np.zeros((0, 0)), np.zeros((0, 0))
-    scale = balancing_factors(m.A)
-    a = m.A / scale[:, None] * scale
-    form = form or SchurForm.of(a, "lyapunov_factors")
-    reach, see = lyapunov_factors(a, m.B / scale[:, None], m.C * scale, form)
-    if m is model and "_eigen" not in vars(model):
-        poles, modes = form.modes()
-        model._with_modes((poles, scale[:, None] * modes))
-    return scale[:, None] * reach, see / scale[:, None]
-
-
-def triangular_root(rows: AnyArray) -> AnyArray:
-    """R with ``R^T R = rows^T rows``, upper triangular, with no more rows than columns."""
-    return np.asarray(np.linalg.qr(rows, mode="r"))
+    t, discrete = balancing_factors(model.A), model.is_discrete
+    A, B, C = model.A / t[:, None] * t, model.B / t[:, None], model.C * t
+    reach, see = slicot.gramian_factors(A, B, C, discrete)
+    for a, X, known in ((A, reach @ reach.T, B @ B.T), (A.T, see @ see.T, C.T @ C)):
+        small_residual("gramians", 0.5 * (a @ X @ a.T - X) if discrete else a @ X, known, RESIDUAL)
+    return t[:, None] * reach, see / t[:, None]
 
 
 def block_factor(rows: AnyArray) -> AnyArray:
     """Square factor of the diagonal block of ``L L^T`` that belongs to some rows of L."""
-    return triangular_root(rows.T).T
+    return np.asarray(np.linalg.qr(rows.T, mode="r")).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +228,7 @@ def _model(like: StateSpaceModel, a: AnyArray, b: AnyArray, c: AnyArray, d: AnyA
     return StateSpaceModel(a, b, c, d, like.dt, like.inputs, like.outputs, where="reduced model")
 
 
-def _surely_stable(a: AnyArray, values: AnyArray, modes: AnyArray, poles: AnyArray, dt: float) -> AnyArray:
+def _surely_stable(a: AnyArray, poles: AnyArray, dt: float) -> AnyArray:
     r"""Which poles of a balanced matrix are further inside than the rounding of its entries may move them.
 
     .. math:: |\delta \lambda_i| \le \epsilon |y_i|^T |A| |x_i|, \qquad [y_1 \; ... \; y_n]^H = [x_1 \; ... \; x_n]^{-1}
@@ -254,13 +237,13 @@ def _surely_stable(a: AnyArray, values: AnyArray, modes: AnyArray, poles: AnyArr
     """
     if not len(a):
         return np.zeros(0, dtype=bool)
-    # Of defective poles, whose bound is infinite, that of the whole matrix.
-    moved = whole = np.full(len(a), np.linalg.norm(a, 1))
-    with np.errstate(all="ignore"):
-        with suppress(np.linalg.LinAlgError):
-            moved = ((np.abs(np.linalg.inv(modes)) @ np.abs(a)) * np.abs(modes).T).sum(axis=1)
-        rounding = 10 * EPS * np.fmin(moved, whole)
-    rounding = rounding[np.abs(values[None, :] - poles[:, None]).argmin(axis=1)]
-    if dt:
-        return np.abs(poles) < 1 - np.maximum(STABLE_MARGIN, rounding)
-    return np.real(poles) < -np.maximum(STABLE_MARGIN * np.abs(poles), rounding)
+    inside = 1 - np.abs(poles) if dt else -np.real(poles)
+    least = np.full(len(a), STABLE_MARGIN) if dt else STABLE_MARGIN * np.abs(poles)
+    rounding = np.full(len(a), 10 * EPS * float(np.linalg.norm(a, 1)))
+    if (inside > np.maximum(least, rounding)).all():
+        return np.ones(len(a), dtype=bool)
+    values, modes = np.linalg.eig(a)
+    with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):  # of defective poles that of the whole matrix
+        moved = ((np.abs(np.linalg.inv(modes)) @ np.abs(a)) * np.abs(modes).T).sum(axis=1)
+        rounding = np.fmin(10 * EPS * moved, rounding)
+    return inside > np.maximum(least, rounding[np.abs(values[None, :] - poles[:, None]).argmin(axis=1)])

@@ -26,15 +26,15 @@ class ReducedModel(Shown):
     model
         The reduced model, with the inputs and outputs of the one given.
     method
-        ``"truncation"`` or ``"residualisation"``, with ``"weighted "`` or ``"band "`` before it where that was asked
-        for; ``"hankel"``, ``"stochastic"``, ``"coprime"`` or ``"minimal"``.
+        ``"truncation"`` or ``"residualisation"``, with ``"weighted "`` before it where that was asked for;
+        ``"hankel"``, ``"stochastic"``, ``"coprime"`` or ``"minimal"``.
     error
         Largest gain of the difference of the two models, as given and as returned, at all frequencies but those in
-        ``left_out``; times the weights where there are any; inside the band where there is one; relative to the gain of
+        ``left_out``; times the weights where there are any; relative to the gain of
         the stable part for ``"stochastic"``; for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
     bound
         What theory promises for ``error`` before anything is computed, as in `reduce_model`; raised to ``error.upper``
-        where that is larger, as the model returned is rounded: ``error`` never exceeds it. NaN with weights or a band:
+        where that is larger, as the model returned is rounded: ``error`` never exceeds it. NaN with weights:
         there is no such promise.
     hankel
         Hankel singular values of what was reduced (of the coprime factors for ``"coprime"``, of the phase of the model
@@ -49,14 +49,13 @@ class ReducedModel(Shown):
     reason
         Why it is inaccurate; else empty.
     difference
-        H-infinity norm of the difference at all frequencies, where ``error`` is that inside a band or a relative one.
+        H-infinity norm of the difference at all frequencies, where ``error`` is a relative one.
     left_out
         Intervals (low, high) in rad/s, around modes on the stability boundary that are kept apart: rounding moves such
         a mode, or its share of the response, and no bound of the difference is finite there. As narrow as keeps what
         rounding adds to ``error`` below a thousandth of it.
-    band, weights
-        The band in rad/s of ``error``, and the weights on inputs and outputs, where there are any; for
-        `robustlab.verify`.
+    weights
+        The weights on inputs and outputs, where there are any; for `robustlab.verify`.
     hankel_error
         Hankel norm of the difference of the stable parts, from its own Gramians; NaN for other methods than
         ``"hankel"``.
@@ -81,7 +80,6 @@ class ReducedModel(Shown):
     difference: HinfNorm | None = None
     left_out: tuple[tuple[float, float], ...] = ()
     hankel_error: float = np.nan
-    band: tuple[float, float] | None = None
     weights: tuple[StateSpaceModel | None, StateSpaceModel | None] = (None, None)
     removed: tuple[str, ...] = ()
 
@@ -106,9 +104,9 @@ class ReducedModel(Shown):
         }  # fmt: skip
 
     def facts(self) -> Facts:
-        words = {"coprime": "error of the coprime factors", "stochastic": "relative error"}
+        words = {"weighted": "weighted error", "coprime": "error of the coprime factors", "stochastic": "relative error"}
         kind = self.method.partition(" ")[0]
-        what = words.get(kind, {"weighted": "weighted error", "band": "error in the band"}.get(kind, "error"))
+        what = words.get(kind, "error")
         bound = "" if not np.isfinite(self.bound) else f"; promised: at most {self.bound:.6g}"
         at = "" if np.isnan(self.error.frequency) else f" at {self.error.frequency:.4g} rad/s"
         around = ", ".join(
@@ -133,7 +131,7 @@ class ReducedModel(Shown):
     def to_json(self) -> dict[str, Any]:
         return {
             "type": "ReducedModel",
-            **{f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("full", "band", "weights")},
+            **{f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("full", "weights")},
             "order": self.order,
             "full_order": self.full.n_states,
         }

@@ -26,15 +26,15 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.magnitude import balancing_exponents
 from robustlab.linear_analysis.matrix_equations import care
-from robustlab.linear_analysis.schur_lyapunov import lyapunov_factors
 from robustlab.norms import HinfNorm, hinf_norm, linf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, inverse, series
 from robustlab.synthesis.reduction.balancing import Balancing
 
-__all__ = ["Spectrum", "relative_bound", "relative_gap"]
+__all__ = ["Spectrum", "relative_bound"]
 
 HINT = "floor=: the gain below which errors count absolutely"
 TINY = float(np.finfo(float).tiny)
@@ -82,7 +82,7 @@ class Spectrum:
             found = "the gain vanishes at infinite frequency: D has no full row rank"
             raise InputError("reduce_model", found, "a gain that vanishes nowhere", HINT)
         root, back = (turn * np.sqrt(sizes) @ turn.T, turn / np.sqrt(sizes) @ turn.T)
-        reach = lyapunov_factors(a, b, 0 * c)[0]
+        reach = slicot.gramian_factors(a, b, c, False)[0]
         P = reach @ reach.T
         into = P @ c.T + b @ d.T
         try:
@@ -93,7 +93,7 @@ class Spectrum:
         out = back @ (c - into.T @ X)
         factor = StateSpaceModel(a, into, out, root)
         doubt = _doubt(factor, c, a @ P + P @ a.T + b @ b.T, a.T @ X + X @ a + out.T @ out)
-        return cls(model, factor, Balancing.of(reach, lyapunov_factors(a, 0 * b, out)[1]), doubt)
+        return cls(model, factor, Balancing.of(reach, slicot.gramian_factors(a, b, out, False)[1]), doubt)
 
     def per_gain(self) -> float:
         """What an error of gain 1 is at most relative to the model."""
@@ -113,15 +113,6 @@ class Spectrum:
     def _widened(self, upper: float) -> float:
         """What is relative to the factor at most, relative to the spectrum."""
         return upper / np.sqrt(1 - self.doubt) if self.doubt < 1 else np.inf
-
-
-def relative_gap(response: AnyArray, gap: AnyArray, floor: float) -> AnyArray:
-    """Differences at frequencies relative to the response there: without any factor of the spectrum."""
-    turn, gains, _ = np.linalg.svd(response)
-    every = np.zeros(turn.shape[:2])
-    every[:, : gains.shape[1]] = gains
-    size = np.maximum(np.hypot(every, floor), TINY)
-    return turn.conj().transpose(0, 2, 1) @ gap / size[:, :, None]
 
 
 def relative_bound(values: AnyArray, order: int) -> float:

@@ -67,12 +67,12 @@ class SplitError:
         others = self._gains(np.abs(apart[~near])).max(initial=0.0)
         self._elsewhere = max(float(others), float(self._sizes[:, :1].max(initial=0.0)))
 
-    def bound(self, wanted: float, band: Band | None = None) -> SplitBound:
-        """A bound over the axis or a band; more is left out only as long as that takes it to what is wanted."""
+    def bound(self, wanted: float) -> SplitBound:
+        """A bound over the axis; more is left out only as long as that takes it to what is wanted."""
         m = self._model
         if m is None or self.nothing:
             return SplitBound()
-        low, high = band or (0.0, np.pi / m.dt if m.dt else np.inf)
+        low, high = 0.0, np.pi / m.dt if m.dt else np.inf
         small = self._sizes <= max(wanted, 2 * self._elsewhere)
         width = np.logical_and.accumulate(small, axis=1).sum(axis=1) - 1
         while True:

@@ -10,7 +10,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics import NonlinearPlant, plant_names
-from robustlab.linear_analysis.structural import drop_unconnected
+from robustlab.linear_analysis import drop_unconnected
 
 # Březina 2010, Maxon RE 35
 R, L, KM, KB, KF, J = 2.07, 0.62e-3, 0.052, 0.052, 4.8e-5, 7.2e-6

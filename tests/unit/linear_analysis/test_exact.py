@@ -14,8 +14,15 @@ from flint import fmpq, fmpz_poly
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.linear_analysis.exact import all_left, determinant, from_the_circle, normal_rank, on_axis, roots
-from robustlab.linear_analysis.magnitude import equilibrating_exponents
+from robustlab.linear_analysis import (
+    all_left,
+    determinant,
+    equilibrating_exponents,
+    from_the_circle,
+    normal_rank,
+    on_axis,
+    roots,
+)
 
 
 def leibniz(M, n, s):

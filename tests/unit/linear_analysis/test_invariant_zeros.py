@@ -113,13 +113,11 @@ def test_zeros_of_a_chain_with_large_gains(S):
     assert matched(found.values, wanted) < 1e-13 * S
     assert found.status == "converged"
     assert found.residuals.max() < 1e-15
-    assert found.sensitivities.max() < 10
 
 
 def test_a_zero_far_beyond_the_dynamics_is_one():
     found = rl.zeros(StateSpaceModel([[-1e-6]], [[1]], [[1]], [[1e-8]]))  # 1e-8 + 1 / (s + 1e-6)
     np.testing.assert_allclose(found.values, [-1e8 - 1e-6], rtol=1e-15)
-    assert found.exact == (True,)
 
 
 def test_a_rank_that_rounding_decides_is_inaccurate_with_a_reason():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.matrix_equations import accepted_residual, care, dare, hamiltonian_riccati, lyapunov
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.linear_analysis import care, dare, hamiltonian_riccati, lyapunov
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 12])
@@ -81,14 +81,6 @@ def test_a_refusal_names_what_was_measured(parts, measured):
         dare([[2.0]], [[0.0]], [[1.0]], [[1.0]])
 
 
-@pytest.mark.parametrize("wrong", ["B", "Q", "R", "S"])
-def test_care_one_wrong_shape_at_a_time(wrong):
-    parts = {"A": np.eye(2), "B": np.ones((2, 1)), "Q": np.eye(2), "R": np.eye(1), "S": np.zeros((2, 1))}
-    parts[wrong] = np.ones((3, 2))
-    with pytest.raises(InputError, match="care"):
-        care(**parts)
-
-
 @pytest.mark.parametrize("discrete", [False, True])
 @pytest.mark.parametrize("n", [0, 1, 6])
 def test_lyapunov_residual(n, discrete):
@@ -126,18 +118,6 @@ def test_dare_refuses():
         dare([[1.0]], [[0.0]], [[1.0]], [[1.0]])
     with pytest.raises(NoTrustworthyNumber, match="unit circle"):
         dare([[1.0]], [[1.0]], [[0.0]], [[1.0]])
-    with pytest.raises(InputError, match="Q is"):
-        dare([[1.0]], [[1.0]], np.eye(2), [[1.0]])
-    with pytest.raises(InputError, match="NaN"):
-        dare([[np.nan]], [[1.0]], [[1.0]], [[1.0]])
     assert dare(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((0, 0)), [[1.0]]).gain.shape == (1, 0)
 
 
-def test_a_residual_of_huge_terms_is_still_a_residual():
-    """Squares of 1e200 overflow: the quotient of such norms would be 0 or NaN for any X."""
-    huge = np.array([[1e200]])
-    assert accepted_residual("lyap", (huge, huge, -2 * huge), 1e-6) == 0.0
-    with pytest.raises(NoTrustworthyNumber, match=r"^lyap: relative residual 3\.3e-01"):
-        accepted_residual("lyap", (huge, huge, -huge), 1e-6)
-    with pytest.raises(NoTrustworthyNumber, match="overflows"):
-        accepted_residual("lyap", (huge, np.array([[np.inf]])), 1e-6)

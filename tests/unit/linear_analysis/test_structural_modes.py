@@ -9,7 +9,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.structural import drop_unconnected
+from robustlab.linear_analysis import drop_unconnected
 
 
 def model(a, b, c=None, dt=0.0, **names):

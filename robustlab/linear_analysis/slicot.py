@@ -1,0 +1,86 @@
+"""The one file that calls SLICOT, in process through slycot: it finds; what is claimed is checked elsewhere.
+
+Input is finite (SLICOT may not return from NaN), sizes fit, and every info code becomes `NoTrustworthyNumber`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from robustlab.arrays import AnyArray, Array, ComplexArray
+from robustlab.errors import NoTrustworthyNumber
+
+__all__ = ["gramian_factors", "invariant_zeros", "lyapunov_solution", "peak_gain"]
+
+
+def peak_gain(A: Array, B: Array, C: Array, D: Array) -> tuple[float, float]:
+    """The largest gain of a continuous model over the axis, and its frequency in rad/s (AB13DD, Bruinsma-Steinbuch)."""
+    n, (p, m) = len(A), D.shape
+    return _called("ab13dd", "C", "I", "S", "D", n, m, p, A, np.eye(n), B, C, D, 1e-6)
+
+
+def lyapunov_solution(A: Array, Q: Array, discrete: bool) -> Array:
+    """X with ``A X + X A^T + Q = 0``, or ``A X A^T - X + Q = 0``, for a symmetric Q (SB03MD, Bartels-Stewart)."""
+    if not len(A):
+        return np.zeros((0, 0))
+    _, _, X, scale, *_ = _called("sb03md57", A.copy("F"), C=-Q, dico="D" if discrete else "C", trana="T")
+    return X / scale
+
+
+def gramian_factors(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array, Array]:
+    """Triangular L_c, L_o (n, n), ``P = L_c L_c^T`` and ``Q = L_o L_o^T``, of a stable model (SB03OD, Hammarling)."""
+    dico, n = "D" if discrete else "C", len(A)
+    into, out = np.zeros((n, n), order="F"), np.zeros((n, n), order="F")
+    into[:, : B.shape[1]] = B if B.shape[1] <= n else np.linalg.qr(B.T, mode="r").T
+    out[: len(C)] = C if len(C) <= n else np.linalg.qr(C, mode="r")
+    factors = []
+    for part, trans in ((into, "T"), (out, "N")) if n else ():
+        U, scale, _ = _called("sb03od", n, n, A.copy("F"), np.zeros((n, n)), part, dico, trans=trans)
+        factors.append(U[:n, :n] / scale)
+    return (factors[0], factors[1].T) if n else (into, out)
+
+
+def invariant_zeros(A: Array, B: Array, C: Array, D: Array) -> tuple[ComplexArray, int]:
+    """The finite invariant zeros by rising modulus, and the normal rank (AB08ND, Emami-Naeini and Van Dooren)."""
+    from scipy.linalg import eigvals
+
+    if not len(A):
+        return np.zeros(0, dtype=complex), int(np.linalg.matrix_rank(D)) if D.size else 0
+    # A row or column of zeros where there is none: AB08ND wants one of each, and the zeros are the same.
+    into, out = int(not D.shape[1]), int(not len(D))
+    B, C, D = np.pad(B, ((0, 0), (0, into))), np.pad(C, ((0, out), (0, 0))), np.pad(D, ((0, out), (0, into)))
+    count, rank, *_, a, b = _called("ab08nd", len(A), *D.shape[::-1], A, B, C, D, equil="S")
+    found = np.asarray(eigvals(a[:count, :count], b[:count, :count])) if count else np.zeros(0)
+    return found[np.argsort(np.abs(found), kind="stable")].astype(complex), int(rank)
+
+
+@cache
+def _slycot() -> Any:
+    """The package, whose BLAS gets one thread: the same bits under any load, and the quickest for small matrices."""
+    import slycot
+    from threadpoolctl import ThreadpoolController
+
+    for library in ThreadpoolController().lib_controllers:
+        if "slycot" in str(library.filepath):
+            library.set_num_threads(1)
+    return slycot
+
+
+def _called(name: str, *arguments: Any, **options: Any) -> Any:
+    slycot = _slycot()
+    given: list[AnyArray] = [a for a in (*arguments, *options.values()) if isinstance(a, np.ndarray)]
+    if not all(np.isfinite(a).all() for a in given):
+        raise NoTrustworthyNumber(f"SLICOT {name.upper()}", "entries that are NaN or infinite", "finite numbers")
+    wrong = slycot.exceptions.SlycotError, slycot.exceptions.SlycotWarning
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", slycot.exceptions.SlycotWarning)
+        try:
+            return getattr(slycot, name)(*arguments, **options)
+        except wrong as error:
+            first = " ".join(str(error).split()).partition(" (")[0].partition(". ")[0]
+            found = f"info {getattr(error, 'info', '?')}: {first}"
+            raise NoTrustworthyNumber(f"SLICOT {name.upper()}", found) from None

@@ -1,0 +1,194 @@
+"""H2 norm by two Gramians that must agree, or else by one in extended precision that ball arithmetic proves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from robustlab.arrays import AnyArray
+from robustlab.errors import NoTrustworthyNumber, told_as
+from robustlab.linear_analysis import slicot
+from robustlab.linear_analysis.exact import exactly_stable
+from robustlab.linear_analysis.magnitude import balancing_factors, refuse_extremes
+from robustlab.linear_analysis.matrix_equations import small_residual
+from robustlab.linear_analysis.structural import with_hidden
+from robustlab.norms.bounded_real import gramian_matrix, gramian_square
+from robustlab.norms.hinfinity import unstable_norm, well_scaled
+from robustlab.norms.numbers import above, model_numbers
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, number
+from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.verification.checker import check
+from robustlab.verification.claim import Claim, Outcome
+
+__all__ = ["H2Norm", "h2_by_channels", "h2_by_gramians", "h2_norm"]
+
+EPS = float(np.finfo(float).eps)
+# Gramians that differ by more than the first share of the norm disagree; below the second nothing was lost.
+AGREE, SAME = 1e-6, 1e-10
+# A pole nearer to the boundary than this share of the fastest one is known to few digits: Gramians may err alike.
+DAMPED = 1e-8
+
+
+@dataclass(frozen=True)
+class H2Norm(Shown):
+    """H2 norm of a model with its evidence.
+
+    Attributes
+    ----------
+    value
+        The larger of what the two Gramians give, or the norm by one in extended precision.
+    status
+        CONVERGED where the Gramians agree to 1e-10, or the one in extended precision was proved; CERTIFIED for a norm
+        that is infinite or needs no equation; INACCURATE where nothing confirms it, FAILED without a solution.
+    reason
+        Why it is infinite or inaccurate; else empty.
+    system
+        The model that it is the norm of, for `robustlab.verify`.
+    """
+
+    value: float
+    status: Status
+    reason: str = ""
+    system: StateSpaceModel | None = field(default=None, compare=False)
+
+    quantities: ClassVar[Mapping[str, Any]] = {"value": float}
+
+    def headline(self) -> str:
+        return f"H2 norm {number(self.value, digits=8)}"
+
+    def facts(self) -> Facts:
+        return [("norm", number(self.value, digits=6)), ("reason", self.reason)]
+
+    def to_json(self) -> dict[str, object]:
+        return {name: value for name, value in vars(self).items() if name != "system"}
+
+
+@told_as("h2_norm")
+def h2_norm(model: Any) -> H2Norm:
+    r"""H2 norm: the response to white noise, by two Gramians that must agree.
+
+    .. math:: \|G\|_2^2 = \frac{1}{2\pi} \int_{-\infty}^{\infty} \mathrm{tr}\, G(j\omega) G(j\omega)^* d\omega
+        = \mathrm{tr}(C P C^T) = \mathrm{tr}(B^T Q B), \quad
+        A P + P A^T + B B^T = 0, \quad A^T Q + Q A + C^T C = 0
+
+    and, discrete, :math:`\|G\|_2^2 = \mathrm{tr}(C P C^T + D D^T)` with ``A P A^T - P + B B^T = 0``, the mean of
+    ``tr G G^*`` over the unit circle. Where they do not agree to 1e-10, or a pole is next to the stability boundary, a
+    Gramian is computed anew by residuals in extended precision, and counts where ball arithmetic proves the norm from
+    it.
+
+    Parameters
+    ----------
+    model
+        Model with any numbers of states, inputs and outputs, including zero; or a python-control object.
+
+    Returns
+    -------
+    H2Norm
+        Infinite for a model that is unstable or has poles on the stability boundary, reachable or not, and for a
+        continuous one with D != 0.
+
+    Raises
+    ------
+    InputError
+        No model.
+    NoTrustworthyNumber
+        Entries of the model are below 1e-100 or above 1e100.
+
+    References
+    ----------
+    Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 4.4.
+
+    Examples
+    --------
+    >>> lag = StateSpaceModel([[-2.0]], [[1.0]], [[6.0]], [[0.0]])
+    >>> norm = h2_norm(lag)
+    >>> round(norm.value, 9), norm.status.value
+    (3.0, 'converged')
+    """
+    m = as_model(model, "h2_norm")
+    found, gap, _, _ = _by_gramians(m)
+    if np.isnan(gap) and found.status is not Status.FAILED:
+        return replace(found, system=m, reason=with_hidden(found.reason, m) if np.isinf(found.value) else found.reason)
+    poles = m.poles()
+    damping = (1 - np.abs(poles) if m.is_discrete else -poles.real / np.abs(poles).max()).min()
+    if found.status is not Status.CONVERGED or not gap <= SAME or damping < DAMPED:
+        found = _in_balls(found, m)
+    return replace(found, system=m)
+
+
+def _in_balls(found: H2Norm, m: StateSpaceModel) -> H2Norm:
+    """The norm by a Gramian in extended precision where the checker proves it; else that of `found`, inaccurate."""
+    square = gramian_square(m)
+    if square is not None and square >= 0:
+        value, numbers = float(np.sqrt(square)), model_numbers(m)
+        level = above(value)
+        claimed = {**numbers, "value": np.array(level), **gramian_matrix(m, value, level, numbers)}
+        if check(Claim("gramian", claimed)).outcome is Outcome.PROVED:
+            return H2Norm(value, Status.CONVERGED)
+    if found.status is Status.FAILED:
+        return found
+    reason = found.reason or "a Gramian in extended precision does not confirm the others"
+    return replace(found, status=Status.INACCURATE, reason=reason)
+
+
+def h2_by_gramians(model: Any) -> H2Norm:
+    """`h2_norm` for searches: INACCURATE where the two Gramians differ by more than 1e-6."""
+    return h2_by_channels(model)[0]
+
+
+@told_as("h2_norm")
+def h2_by_channels(model: Any) -> tuple[H2Norm, AnyArray, AnyArray]:
+    """`h2_by_gramians`, and what outputs (n_y,) and inputs (n_u,) have of its square; zeros without one."""
+    found, _, out, into = _by_gramians(as_model(model, "h2_norm"))
+    return found, out, into
+
+
+def _by_gramians(m: StateSpaceModel) -> tuple[H2Norm, float, AnyArray, AnyArray]:
+    """The norm, by how much of it both Gramians differ, NaN without them, and the shares of outputs and inputs."""
+    refuse_extremes(m, "h2_norm")
+    none = np.nan, np.zeros(m.n_outputs), np.zeros(m.n_inputs)
+    outside = unstable_norm(m) if m.n_states else None
+    if outside is not None and (outside.status is Status.CERTIFIED or not m.is_stable()):
+        return H2Norm(np.inf, outside.status, outside.reason), *none
+    if not m.is_discrete and m.D.any():
+        return H2Norm(np.inf, Status.CERTIFIED, "the model has a direct term"), *none
+    if not m.n_states:
+        return H2Norm(float(np.linalg.norm(m.D)), Status.CERTIFIED), *none
+    doubt = outside.reason if outside is not None and exactly_stable(m.A, m.is_discrete) is None else ""
+    # In the time unit 1/rate the impulse response keeps its square integral divided by rate.
+    s, rate = (m, 1.0) if m.is_discrete else well_scaled(m)
+    found = _solved(s, rate, doubt)
+    if found[0].status is not Status.CONVERGED:
+        # States that weigh inputs and outputs alike may make A lopsided, whose Schur form then loses small entries.
+        t = balancing_factors(s.A)
+        other = _solved(s._in_states(s.A / t[:, None] * t, s.B / t[:, None], s.C * t), rate, doubt)
+        found = other if other[0].status is Status.CONVERGED or np.isnan(found[1]) else found
+    return found
+
+
+def _solved(s: StateSpaceModel, rate: float, doubt: str) -> tuple[H2Norm, float, AnyArray, AnyArray]:
+    """The same in these states, whose time unit is 1/rate."""
+    BB, CC, direct = s.B @ s.B.T, s.C.T @ s.C, s.D**2
+    try:
+        reach = slicot.lyapunov_solution(s.A, BB, s.is_discrete)
+        see = slicot.lyapunov_solution(s.A.T, CC, s.is_discrete)
+    except NoTrustworthyNumber as error:
+        return H2Norm(np.inf, Status.FAILED, error.line), np.nan, np.zeros(s.n_outputs), np.zeros(s.n_inputs)
+    try:
+        for A, X, known in ((s.A, reach, BB), (s.A.T, see, CC)):
+            small_residual("gramians", 0.5 * (A @ X @ A.T - X) if s.is_discrete else A @ X, known, AGREE)
+    except NoTrustworthyNumber as error:
+        doubt = doubt or error.line
+    out, into = ((s.C @ reach) * s.C).sum(1), ((see @ s.B) * s.B).sum(0)
+    one, two = (float(np.sqrt(rate * max(x.sum() + direct.sum(), 0.0))) for x in (out, into))
+    gap = abs(one - two) / max(one, two) if max(one, two) else 0.0
+    reason = doubt if gap <= AGREE else f"the two Gramians give {one:.9g} and {two:.9g}"
+    sizes = np.abs(s.C) @ np.abs(reach) @ np.abs(s.C.T), np.abs(s.B.T) @ np.abs(see) @ np.abs(s.B)
+    if any(x.sum() < -s.n_states * EPS * np.trace(size) for x, size in zip((out, into), sizes, strict=True)):
+        reason = "a Gramian came out indefinite"
+    norm = H2Norm(max(one, two), Status.INACCURATE if reason else Status.CONVERGED, reason)
+    return norm, gap, out + direct.sum(1), into + direct.sum(0)
