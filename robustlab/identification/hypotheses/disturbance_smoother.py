@@ -1,14 +1,6 @@
-r"""States and the unknown force along a record, from a Kalman smoother.
-
-What a model lacks acts as a force d at its ports, a random walk,
-
-.. math::
-    \dot x = A x + B u + P d, \qquad \dot d_j = \sqrt{q_j}\, w_j, \qquad y_k = C x(t_k) + D u_k + e_k,
-    \qquad q_j = (2 \pi f_j)^2 \Big/ \sum_i |G_{ij}(2 \pi \mathrm i f_j)|^2 / (\sigma_i^2 h)
-
-with w white of unit density and the bandwidth f, below which the record shows d. Bandwidths and noise maximise the
-likelihood of the innovations, a common factor of all variances in closed form (Kailath, Sayed, Hassibi, *Linear
-Estimation*, 2000).
+r"""States and the unknown force along a record, from a Kalman smoother: d a random walk at the ports of the model,
+its intensity such that the record shows d below the bandwidth f. Bandwidths and noise maximise the likelihood of the
+innovations (Kailath, Sayed, Hassibi, *Linear Estimation*, 2000).
 """
 
 from __future__ import annotations
@@ -72,11 +64,8 @@ def smooth_disturbance(
     noise_std: ArrayLike | None = None,
     bandwidth: ArrayLike | None = None,
 ) -> SmoothedRecord:
-    """Smoothed states and forces of a record with inputs u held between samples; NaN in y is a missing sample.
-
-    ``ports`` (n_x, m): rate of the states per unit of each force. ``noise_std``, ``bandwidth`` (Hz): estimated where
-    left out; the noise is at least 1/sqrt(12) of an output's resolution.
-    """
+    """Smoothed states and forces of a record with held inputs u; noise and bandwidth (Hz) estimated where left out."""
+    # ports (n_x, m): rate of the states per unit of each force. NaN in y is a missing sample.
     task = _prepared(model, ports, t, u, y, noise_std)
     given = None
     if bandwidth is not None:
@@ -89,11 +78,9 @@ def smooth_disturbance(
 def output_shares(
     model: StateSpaceModel, ports: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord
 ) -> tuple[Array, Array]:
-    """Share of each output in the smoothed states, (n_measured, n, n_x): twice what half of the output takes away.
-
-    And what one unit more of it at all samples adds. Noise and bandwidth are held, so that the smoother is linear. (A
-    larger output would raise the least noise that it takes for a quantised one.)
-    """
+    """Share of each output in the smoothed states, (n_measured, n, n_x), and what one unit more of it adds."""
+    # Noise and bandwidth are held: the smoother is linear. Half of an output is taken away, since a larger one would
+    # raise the least noise that it takes for a quantised one.
 
     def changed(j: int, output: Array) -> Array:
         other = y.copy()
@@ -197,11 +184,9 @@ def _with_forces(model: StateSpaceModel, ports: Array) -> StateSpaceModel:
 
 
 def _walk_root(wide: StateSpaceModel, h: float, place: int) -> Array:
-    r"""L with :math:`L^T L = \int_0^h e^{F s} b b^T e^{F^T s} ds`, b the unit vector of a force.
-
-    Gauss quadrature over a step so short that it is exact to rounding, doubled up to h; squared roots would lose half
-    the digits of the states that d reaches last.
-    """
+    """L with L^T L = int_0^h e^{Fs} b b^T e^{F^T s} ds, b the unit vector of a force."""
+    # Gauss quadrature over a step so short that it is exact to rounding, doubled up to h; squared roots would lose half
+    # the digits of the states that the force reaches last.
     fastest = float(np.abs(wide.poles()).max(initial=0.0)) * h
     doublings = max(0, math.ceil(math.log2(fastest))) if fastest > 0 else 0
     short = h / 2.0**doublings

@@ -1,16 +1,6 @@
-r"""Fit of one hypothesis: the nominal parameters within their tolerances, plus effects, by windowed simulation.
-
-With the standardised parameters z and the start :math:`\xi_w` of each window, both a priori standard normal,
-
-.. math::
-    V(z, \xi) = \sum_w \| \Sigma^{-1} F \,\mathrm{mean}(y_w - \hat y_w) \|^2 + \|\xi\|^2 + \|z\|^2, \qquad
-    \log p(y | H) = -\tfrac12 V - \tfrac12 \log\det H_{zz} + \text{const}
-
-with the errors averaged over a few samples and whitened by the autoregression F. The starts are eliminated window by
-window. The refit distance of A and B is :math:`d^2 = \min V_B(z, \xi; \hat y_A) - \|z_A\|^2`: B refitted to what A
-predicts, in noise sigmas; below 3 no test on these records tells B from A.
-
-Transtrum, Sethna, *Improvements to the Levenberg-Marquardt algorithm* (2012), section 3 (geodesic acceleration).
+"""Fit of one hypothesis by windowed simulation: parameters z and window starts xi, both a priori standard normal,
+minimise V = |whitened averaged errors|^2 + |xi|^2 + |z|^2; evidence -V/2 - logdet(H_zz)/2 by Laplace, the starts
+eliminated. Steps have Transtrum's geodesic acceleration (Transtrum, Sethna, 2012, section 3).
 """
 
 from __future__ import annotations
@@ -56,9 +46,7 @@ UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """What every hypothesis refits: nominal parameters that a common factor of their references scales
-    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
-    """
+    """What every hypothesis refits: parameters under a common factor of their references, or an input's clock."""
 
     # label, names: of the group, and its parameters
     label: str
@@ -251,11 +239,9 @@ class Problem:
         return tuple(float(told.get(s.name, 0.0)) for s in self.plant.inputs) if told else None
 
     def setting(self, hypothesis: Hypothesis, z: Array) -> Setting:
-        """What a simulation is run with at the standardised parameters.
-
-        A delay that all sensors of a linear plant share is one of all inputs: simulated as that, the two have the same
-        histories before a window's start, and so the same errors to the last bit.
-        """
+        """What a simulation is run with at the standardised parameters."""
+        # A delay that all sensors of a linear plant share is run as one of all inputs: then both have the same
+        # histories before a window's start, and the same errors to the last bit.
         factors, values = self.split(hypothesis, z)
         delayed = any(c.site.kind == "output" and c.effect.delay for c in hypothesis.candidates)
         if not delayed or isinstance(self.plant, NonlinearPlant):
@@ -286,19 +272,14 @@ class Problem:
         ]
 
     def quick(self, hypothesis: Hypothesis) -> list[Simulator]:
-        """Simulators for derivatives, which need not be as exact as errors: no step with force laws is made again in
-        halves.
-        """
+        """Simulators for derivatives: no step with force laws is repeated in halves."""
         return self.under(replace(self.clock, rough=True)).simulators(hypothesis)
 
     def errors(
         self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None,
         near: Array | None = None,
     ) -> list[Array]:  # fmt: skip
-        """Averaged errors of the chosen windows, one array (n_windows, n_points, n_y) a record; NaN without samples.
-
-        ``near``: z near by, of which a nonlinear plant's matrices, and the motion they are about, may be.
-        """
+        """Averaged errors of the chosen windows, (n_windows, n_points, n_y) a record; NaN without samples."""
         return [
             self._record_errors(k, simulator, hypothesis, z, starts[k], near)
             for k, simulator in enumerate(simulators or self.simulators(hypothesis))
@@ -307,9 +288,7 @@ class Problem:
     def _record_errors(
         self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array, near: Array | None = None
     ) -> Array:
-        """Averaged errors of one record's chosen windows; of several starts of each (copies, n_windows, n_x), one copy
-        after the other.
-        """
+        """Averaged errors of one record's chosen windows; of several starts of each, one copy after the other."""
         record, chosen = self.records[k], self.chosen[k]
         around = None if near is None else self.split(hypothesis, near)
         with np.errstate(all="ignore"):
@@ -327,9 +306,9 @@ class Problem:
         xi: Array,
         near: tuple[dict[str, float], list[dict[str, float]]] | None = None,
     ) -> Array:
-        """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured); ``near`` as of
-        `Simulator.run`. Of several starts of each window, xi (copies, n_windows, n_x), one copy after the other.
-        """
+        """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
+        # Of several starts of each window, xi (copies, n_windows, n_x), one copy after the other. ``near``: parameters
+        # near by, of which a nonlinear plant's matrices and the motion they are about may be.
         factors, values, shift = setting
         record, chosen = self.records[k], self.chosen[k]
         values, about = (
@@ -413,15 +392,9 @@ class Problem:
         borrowed: Sequence[tuple[Array, Array]] | None = None,
         prior: Prior | None = None,
     ) -> Fit:
-        """Levenberg-Marquardt from z.
-
-        ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from elsewhere
-        (`derivatives`) to save their simulations in a first look. ``prior``: of the standardised parameters; what other
-        data told of them. The standard normal one where left out.
-
-        A nonlinear plant's matrices along its motion are made anew where z has gone far from where they were made, and
-        where the fit ends, but not in a draft: they multiply what deviates from that motion.
-        """
+        """Levenberg-Marquardt from z; ``borrowed``: derivatives over nuisances and starts of another fit."""
+        # A nonlinear plant's matrices multiply what deviates from its motion: they are made anew where z has gone far,
+        # and where the fit ends, but not in a draft.
         fixed, tolerance = plan.fixed, plan.tolerance
         z = np.array(z, dtype=float)
         own = Prior(np.zeros(len(z)), np.eye(len(z))) if prior is None else prior
@@ -562,10 +535,8 @@ class Problem:
         self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array, around: Array,
         noise: NoiseModel, units: Array, starts: bool, here: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Derivatives of one record's residuals along the units of z, and over the window starts where asked for.
-
-        All starts are moved in one simulation. ``here``: the residuals where both are as given; None: they are asked.
-        """
+        """Derivatives of one record's residuals along the units of z and over the window starts."""
+        # All starts are moved in one simulation. ``here``: the residuals where both are as given, if known.
         step, start_step = tuning.STEP, tuning.START_STEP
 
         def at(there: Array, start: Array) -> Array:

@@ -1,9 +1,4 @@
-"""From the posterior of the sets to what is said: verdict, names, intervals, gaps, and what remains.
-
-The best set is named where its probability is high enough and nothing stands beside it that no test on these records
-tells from it. "Complete" and "no missing effect" are not said where the errors are far beyond noise, where a line over
-time or position is significant, or where an unnamed force explains what the names do not.
-"""
+"""From the posterior of the sets to the answer: verdict, names, intervals, gaps, and what remains."""
 
 from __future__ import annotations
 
@@ -105,10 +100,7 @@ class _Judgement(NamedTuple):
 
 
 class _Left(NamedTuple):
-    """What the best set leaves: whether it matters, whether all was looked at and nothing does, and what it is.
-
-    ``force``, ``lines``: residual force and its lines; ``floor``, ``excess``: noise floor and F against it.
-    """
+    """What the best set leaves: whether it matters, whether all was examined, force, lines, and noise floor."""
 
     remains: bool
     complete: bool
@@ -286,14 +278,9 @@ def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
 
 
 def _on_held_out(judged: _Judgement, gaps: Gaps, strained: bool, material: float) -> _Judgement:
-    """Judge the names on held-out data.
-
-    "unknown" where the updated model is worse than as given (free run), or clearly worse than refitted (windows);
-    "ambiguous" where the latter may be chance.
-
-    A refit that has left its tolerances (``strained``) is no model to be compared with but where its error is smaller
-    by the share ``material``: its parameters do what the names say.
-    """
+    """Judge the names on held-out data."""
+    # A refit that has left its tolerances (strained) does by its parameters what the names say: it counts only where
+    # its error is smaller by the share material.
     if gaps.worse_than_given:
         return _Judgement("unknown", False)
     updated, refitted = (overall(gaps.windows, model) for model in ("updated", "refitted"))
@@ -433,11 +420,9 @@ def _named(
 
 
 def _opened_above(problem: Problem, fit: Fit, k: int, values: Sequence[EffectValue]) -> tuple[EffectValue, ...]:
-    """The values of the k-th effect, with the upper end of its prior where a larger one does as well.
-
-    The curvature at the best fit of a gap whose other flank the load never reaches says nothing of its width: a clearly
-    larger value is held, and everything else fitted again.
-    """
+    """The values of the k-th effect, with the upper end of its prior where a larger one fits as well."""
+    # The curvature at the fit of a gap whose other flank the load never reaches has no information on its width: a
+    # clearly larger value is held, and everything else fitted again.
     candidate = fit.hypothesis.candidates[k]
     name = candidate.effect.told_from_below
     if not name:

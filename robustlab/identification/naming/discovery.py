@@ -1,10 +1,4 @@
-"""`discover`: name the effects that a model lacks, from measured records.
-
-The way: the records are checked and cut into windows; sets of effects of the catalogue are fitted by simulation, always
-together with the nominal parameters within their tolerances and the clocks of the inputs; the search moves from set to
-set by evidence, on what is fitted and on what is held out; the posterior over all sets that it judged says what is
-named, what could stand in its place, and what remains unknown.
-"""
+"""`discover`: name the effects that a model lacks, from measured records."""
 
 from __future__ import annotations
 
@@ -55,11 +49,7 @@ LONGEST_LAG = 0.1  # of a window: until the lag has passed, nothing of the simul
 def admissible(
     plant: AnyPlant, stated: Mapping[str, tuple[float, bool]], fitted: Problem, held: Problem
 ) -> Callable[[Problem, Fit], bool]:
-    """The test that a set has to pass: parameters beyond their tolerances, ripples of which enough is seen.
-
-    ``stated``: parameter -> (relative tolerance, whether it was assumed). ``fitted``, ``held``: the records: a force
-    over the position must be seen for two of its periods in both.
-    """
+    """The test that a set has to pass: parameters beyond their tolerances, ripples of which enough is seen."""
     limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(plant)}
     positions = _positions(plant, fitted)
 

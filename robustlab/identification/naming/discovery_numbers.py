@@ -14,10 +14,7 @@ from robustlab.identification.naming.named_effects import overall, wave_amplitud
 
 
 def units_of_effects(exclude: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Effect that may be named, alone and with its place -> its parameters with their units.
-
-    ``exclude``: ids that are not tried. A unit that depends on the place is left out there.
-    """
+    """Effect that may be named, alone and with its place -> its parameters with their units."""
     left_out = {effect(name).id for name in exclude}
     effects: dict[str, dict[str, Any]] = {}
     for name, kind in catalogue().items():
@@ -40,11 +37,9 @@ def quantities_of(kind: str) -> dict[str, Any]:
 
 
 def numbers_of(d: Any) -> dict[str, Any]:
-    """What requirements may address (docs/discover.md).
-
-    An effect that was tried but not named has confidence 0 and parameters that are no number, so a requirement on it
-    is not met, while a misspelt one is refused; of what is periodic its amplitude is 0.
-    """
+    """What requirements may address (docs/discover.md)."""
+    # An effect that was tried but not named has confidence 0 and NaN parameters: a requirement on it is not met, while
+    # a misspelt one is refused.
     effects, lower, upper, confidence = (_absent(d) for _ in range(4))
     confidence = dict.fromkeys(confidence, 0.0)
     for e in d.effects:

@@ -1,7 +1,4 @@
-"""The words of a `Discovery`: its headline, its facts, and the tables that it rests on.
-
-The result imports its text, so the text names no type of it.
-"""
+"""The words of a `Discovery`: its headline, its facts, and the tables that it rests on."""
 
 from __future__ import annotations
 

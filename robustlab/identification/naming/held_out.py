@@ -1,10 +1,7 @@
-r"""How far models stay from records that no fit saw, in windows and in free run; and what each name brings there.
+"""How far models stay from records that no fit saw, in windows and in free run, and what each name contributes there.
 
-A free run starts from the state of the first window, and nothing is corrected after; a model that diverges has the
-error infinity. With the errors e of the whole set and e' without one effect, the effect is material where for some
-output :math:`\operatorname{rms} e' - \operatorname{rms} e \ge s \operatorname{rms} e` and
-:math:`\operatorname{rms}(e' - e) \ge \Delta / 2` with the sensor's step :math:`\Delta`; where its force is a share s of
-the one that moves the joint; and where only parameters beyond their tolerances or a clock far off can take its place.
+An effect is material where the RMS error without it is larger by a share and by what the sensor resolves, where its
+force is such a share of what moves its joint, or where only parameters beyond tolerances could replace it.
 """
 
 from __future__ import annotations
@@ -33,10 +30,7 @@ TOGETHER = "all parameters together"
 
 @dataclass(frozen=True, eq=False)
 class Gaps:
-    """Errors by output in windows and in free run, what the latter was over, and signals for figures.
-
-    ``worse``: the updated model is clearly further from the windows than the refitted one.
-    """
+    """Errors by output in windows and in free run, whether the updated are clearly worse, and signals."""
 
     windows: Mapping[str, Gap]
     free_run: Mapping[str, Gap]
@@ -51,12 +45,8 @@ class Gaps:
 
 
 def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord] = ()) -> Gaps:
-    """Errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and over their whole records.
-
-    ``held``: the records and which of their windows are held out. ``models``: a fit for each of the three names; its
-    parameters stay, only window starts are found anew. ``known``: records that the fits were told by: of others an
-    effect over time has phases of their own, found anew too.
-    """
+    """Errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and over their whole records."""
+    # Parameters stay, window starts are found anew; so are phases of effects over time in records not known.
     own = {name: in_phase(held, fit, known)[0] for name, fit in models.items()}
     placed = {name: restarted(own[name], fit) for name, fit in models.items()}
     outputs = {name: simulated_outputs(own[name], fit) for name, fit in placed.items()}

@@ -28,12 +28,9 @@ class EffectValue(Evidence):
 
 @dataclass(frozen=True)
 class NominalValue(Evidence):
-    """One refitted nominal parameter: value before and after, unit, 95 % interval, and the tolerance it was given.
+    """One refitted nominal parameter with its 95 % interval, and the tolerance it was given (0: held fixed)."""
 
-    ``assumed`` is True where the plant states no tolerance and one was assumed; ``beyond`` where the value left it.
-    The tolerance is relative, absolute in the parameter's unit where the nominal value is zero; 0 where the parameter
-    was held fixed.
-    """
+    # assumed: the plant states no tolerance; beyond: the value left it. Absolute where the nominal value is 0.
 
     name: str
     nominal: float

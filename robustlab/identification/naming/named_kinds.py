@@ -1,11 +1,5 @@
-r"""The answer at the level at which it is sure: kinds of effects, summed over all sets that have a member of them.
-
-.. math:: P(\text{kind at place}) = \sum_{S \ni e,\; e \in \text{kind, place}} P(S)
-
-At each place the narrowest kind with the probability that an answer needs is told, with its quantities and their 95 %
-intervals over the mixture of its members, and below it the members with their shares. A name is open where the
-probability of its kind lies between none and sure, and no wider kind that nothing else of the answer belongs to is sure
-in its stead.
+"""The answer at the level at which it is sure: probabilities of kinds of effects at places, summed over all sets that
+have a member of them, their quantities with 95 % intervals over the members, and the shares of the members.
 """
 
 from __future__ import annotations
@@ -73,11 +67,8 @@ class Places:
 
 
 def _paths(plant: AnyPlant, model: PortModel, joints: Sequence[Port]) -> dict[str, str]:
-    """Input or output -> the path that it is a part of, of a plant with several inputs.
-
-    That of an input goes to the first sensor of the joint that it moves most; no path where another input moves that
-    joint most, too. A lateness of the one then is one of the other.
-    """
+    """Input or output -> the path that it is a part of, of a plant with several inputs."""
+    # An input's path goes to the first sensor of the joint that it moves most, if no other input moves that one most.
     a, b, c = (np.abs(m).reshape(-1, *m.shape[-2:]).max(axis=0) for m in (model.A, model.B, model.C))
     moved: dict[str, list[str]] = defaultdict(list)
     for signal, pushed in zip(plant.inputs, b[:, : len(plant.inputs)].T, strict=True):
@@ -119,10 +110,8 @@ class Kinds:
         return [(kind.id, self.places.of(candidate.site, kind)) for kind in upwards(KIND_OF[candidate.effect.id])]
 
     def told(self, candidate: Candidate) -> Place | None:
-        """The narrowest kind of the effect that is sure and says something; None where there is none.
-
-        A wider kind stands for a narrower one that is open where no other kind within it is sure by itself.
-        """
+        """The narrowest kind of the effect that is sure and informative; None where there is none."""
+        # A wider kind may take the place of an open narrower one where no other kind within it is sure by itself.
         for kind, place in self.above(candidate):
             if KINDS[kind].wider is None and KIND_OF[candidate.effect.id] != kind:
                 return None  # "a force" is no name

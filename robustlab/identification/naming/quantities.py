@@ -1,9 +1,5 @@
-r"""What every member of a kind of effects can be asked for, from the records' own motion.
-
-With the force f of a fitted effect along the windows, the speed v and the position q of its joint: level
-:math:`-\sum f v / \sum |v|`, viscous :math:`-\sum f v / \sum v^2`, stiffness :math:`-\operatorname{cov}(f, q) /
-\operatorname{var} q`, force :math:`-\operatorname{mean} f`; a lateness is the sum of delay and time constant. Standard
-deviations are by the delta method.
+"""Quantities that every member of a kind of effects has, from the records' own motion: level -sum(f v) / sum|v|,
+viscous -sum(f v) / sum(v^2), stiffness -cov(f, q) / var(q), force -mean(f); standard deviations by the delta method.
 """
 
 from __future__ import annotations
@@ -36,10 +32,8 @@ class Told(NamedTuple):
 
 
 def quantities(problem: Problem, fit: Fit, members: Sequence[int], kind: Kind) -> dict[Quantity, Told]:
-    """What the effects of one kind in a fitted set say of it together; without what one of them cannot be asked for.
-
-    ``members``: their indices. Forces and times add up, factors multiply; an amplitude and a period are those of one.
-    """
+    """The quantities that the effects of one kind (indices ``members``) in a fitted set have together."""
+    # Forces and times add up, factors multiply; an amplitude and a period are those of one.
     starts = np.cumsum([len(problem.nuisances), *(len(c.parameters) for c in fit.hypothesis.candidates)])
     own = np.concatenate([np.arange(starts[k], starts[k + 1]) for k in members])
     middle = _together(problem, fit, fit.z, members, kind)

@@ -1,19 +1,7 @@
-r"""What is left of the unknown force once the named effects are in the model, and the periodic lines in it.
+"""The force that is left once the named effects are in the model, and the periodic lines in it.
 
-The named effects' forces, the input as the plant sees it, and what the sensors add to the outputs are known from the
-simulation of the windows. With them as known inputs the model is linear again, and the smoother tells the force that
-still lacks, with its standard deviation, sample by sample. Along the recorded motion a nonlinear plant with its effects
-gives the rates
-
-.. math:: A_e \begin{bmatrix} \bar x \\ z \end{bmatrix} + B u + E\,(f(\bar x, u) - A \bar x - B u) + \sum_j b_j F_j
-
-with the effects' states z and forces :math:`F_j` as simulated (A and E with what effects have changed). What the
-sensors tell beyond these is smoothed joint by joint.
-
-A line that repeats with the position (a screw) or time (hum) may be too weak to name an effect, and be certain all the
-same. For each wave number a cosine and sine are fitted to the force, with a phase of its own in each record and
-direction of motion; the power explained is judged against the same under random signs of the blocks of time, and
-against the largest level of all wave numbers. Smooth curves are taken off before, and found lines one by one.
+With the effects' simulated forces as known inputs the model is linear again, and the smoother finds the force that is
+still lacking; a nonlinear plant's is smoothed joint by joint beside the rates of plant and effects along its motion.
 """
 
 from __future__ import annotations
@@ -73,10 +61,7 @@ class JointResiduals:
 
 
 def joint_residuals(problem: Problem, fit: Fit, k: int, simulator: Simulator, least: float) -> JointResiduals | None:
-    """Of one record of a nonlinear plant; None where its windows lie in pieces, or there is no joint.
-
-    ``least``: lowest bandwidth of the forces in Hz.
-    """
+    """Of one record of a nonlinear plant; None where its windows lie in pieces, or there is no joint."""
     plant, record = problem.plant, problem.records[k]
     assert isinstance(plant, NonlinearPlant)
     assert record.motion is not None
@@ -134,10 +119,7 @@ class LeftOver:
 
 
 def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
-    """The residual force over the given records; None where there is hardly any motion.
-
-    The parameters stay as fitted; the starts of all windows are found anew.
-    """
+    """The residual force over the given records; None where there is hardly any motion."""
     everything = problem.on(problem.records)
     placed = everything.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))
     simulators = everything.simulators(fit.hypothesis)
@@ -190,11 +172,9 @@ def _at_worst_joint(problem: Problem, fit: Fit, simulators: Sequence[Simulator])
 
 
 def _least(problem: Problem, k: int) -> float:
-    """Lowest bandwidth in Hz of the force in one record.
-
-    The test turns the signs of whole blocks, which must not hang together by the smoother's own memory: where there is
-    hardly any force the likelihood makes that longer than a block, and chance would look like structure.
-    """
+    """Lowest bandwidth in Hz of the force in one record."""
+    # The test flips the signs of whole blocks: a smoother's memory longer than a block would make chance look like
+    # structure.
     windows, dt = problem.records[k].windows, problem.records[k].record.dt
     return max(4, RESIDUAL_BLOCKS // len(problem.records)) / (len(windows.starts) * windows.length * dt)
 
@@ -282,11 +262,8 @@ Turns = NDArray[np.complex128]
 
 
 def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
-    """Lines over position and time in the residual force that chance does not explain (p < 0.01), strongest first.
-
-    Each has ``over`` ("position" or "time"), ``period`` in ``unit``, ``amplitude`` in ``force_unit`` (RMS over records
-    and directions) and ``p_value``. Empty where there is none, or hardly any motion.
-    """
+    """Lines over position and time in the residual force that chance does not explain (p < 0.01), strongest first."""
+    # amplitude: RMS over records and directions.
     try:
         data = moving_samples(left.force, left.std, left.coordinates, left.blocks)
     except InputError as fault:
@@ -406,11 +383,7 @@ def _tables(place: _Search, waves: Array) -> list[tuple[Turns, Turns]]:
 def _normal_equations(
     data: MovingSamples, place: _Search, waves: Array, tables: Sequence[tuple[Turns, Turns]] | None = None
 ) -> Iterator[tuple[Array, Array]]:
-    """For each group the sums over each block of (cos, sin) times the force, and the inverse sums of their products.
-
-    Shapes (n_blocks, n_waves, 2) and (n_waves, 2, 2). ``tables`` are those of as many or more wave numbers with the
-    same steps.
-    """
+    """Of each group the sums of (cos, sin) times the force by block, and the inverse sums of their products."""
     for g, (table, square) in zip(place.groups, tables or _tables(place, waves), strict=True):
         own = np.flatnonzero(place.group == g)
         first = np.exp(2j * np.pi * waves[0] * (place.x[own] - place.x.min()))

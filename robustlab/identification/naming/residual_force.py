@@ -1,9 +1,6 @@
-r"""The force along a record that no effect in the model explains, over speed, position, time and input.
+"""The force along a record that no effect explains, over speed, position, time and input.
 
-The force is correlated in time, so nothing is counted by samples but by contiguous blocks: bands come from a bootstrap
-over blocks, and a share of the variance is always of blocks that the curve was not fitted to. Curves are penalised
-B-splines whose stiffness that cross-validation chooses; one over a speed may jump at zero, and every other coordinate x
-has, besides f(x), the dry pair sgn(v) f(x). Samples at rest are left out: there a dry joint takes up any force.
+It is correlated in time: bands come from a bootstrap over blocks, shares of the variance from blocks not fitted to.
 """
 
 from __future__ import annotations

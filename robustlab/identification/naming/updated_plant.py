@@ -28,15 +28,8 @@ TIMES_RMS = 3.0  # of a force of which nothing is known but its mean square: nea
 
 
 def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[NamedKind] = ()) -> Any:
-    """The plant with the fitted factors in its parameters, tolerances from the fit, and every other effect attached.
-
-    ``kinds``: what is sure. Where the form of one is not settled, its member stands for all of them: the parameter that
-    is its size is as wide as the size of the kind is known, over all members.
-
-    A wrong parameter becomes the plant's new value. A parameter that the fit did not touch keeps value and tolerance.
-    The plant's own kind where no effect has to be attached, else one with effects
-    (`robustlab.dynamics.extended.extended_plant.with_effects`).
-    """
+    """The plant with the fitted factors in its parameters, tolerances from the fit, and every other effect attached."""
+    # Where the form of a kind is not settled, its member's size is as wide as that of the kind.
     plant = problem.plant
     factors, values = problem.split(fit.hypothesis, fit.z)
     spread = _spreads(problem, fit)
@@ -115,10 +108,7 @@ def _together(plant: AnyPlant, changed: Iterable[str]) -> list[tuple[str, ...]]:
 
 
 def fitted_together(plant: Any) -> list[tuple[str, tuple[str, ...]]]:
-    """Groups of parameters of an updated plant that the fit scaled by one factor: (label, names).
-
-    Of each alone it knows no more than that factor. Told by their source, which files keep.
-    """
+    """Groups of an updated plant's parameters that the fit scaled by one factor: (label, names)."""
     base = getattr(plant, "plant", plant)
     if not isinstance(base, (LinearPlant, NonlinearPlant)):
         return []
