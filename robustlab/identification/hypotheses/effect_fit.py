@@ -5,8 +5,9 @@ eliminated. Steps have Transtrum's geodesic acceleration (Transtrum, Sethna, 201
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -221,11 +222,12 @@ class Problem:
         for nuisance, moves, value in zip(self.nuisances, self.moving(hypothesis), z, strict=False):
             if moves:
                 factors.update(dict.fromkeys(nuisance.names, nuisance.factor(float(value))))
-        values, at = [], len(self.nuisances)
-        for candidate in hypothesis.candidates:
-            values.append(candidate.values(z[at : at + len(candidate.parameters)]))
-            at += len(candidate.parameters)
-        return factors, values
+        return factors, [c.values(z[own]) for c, own in self.slices(hypothesis)]
+
+    def slices(self, hypothesis: Hypothesis) -> list[tuple[Candidate, slice]]:
+        """Each effect with the place of its parameters in z."""
+        ends = list(accumulate((len(c.parameters) for c in hypothesis.candidates), initial=len(self.nuisances)))
+        return [(c, slice(a, b)) for c, (a, b) in zip(hypothesis.candidates, pairwise(ends), strict=True)]
 
     def moving(self, hypothesis: Hypothesis) -> list[bool]:
         """Of each nuisance whether it moves anything: the factor of an effect on its parameters is the whole factor."""
@@ -247,8 +249,8 @@ class Problem:
         if not delayed or isinstance(self.plant, NonlinearPlant):
             return Setting(factors, values, self.shift(z))
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
-        told = self.late(effects, values)
-        shared = min(told.get(column, 0.0) for column in self.records[0].columns)
+        _, _, late = self._sensors(effects, values)
+        shared = min(late.get(column, 0.0) for column in self.records[0].columns)
         left = [
             {**v, e.delay: max(0.0, v[e.delay] - shared)} if site.kind == "output" and e.delay else v
             for (e, site), v in zip(effects, values, strict=True)
@@ -331,8 +333,8 @@ class Problem:
 
     def _about_what_happened(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Simulator:
         """Of a nonlinear plant whose sensors are scaled, biased or late: the simulator about the motion as it was."""
-        record, told = self.records[k], (self.shown, self.biased, self.late)
-        motion = record.motion_seen(*(of(simulator.effects, values) for of in told))
+        record = self.records[k]
+        motion = record.motion_seen(*self._sensors(simulator.effects, values))
         return simulator if motion is record.motion else simulator.about(motion)
 
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
@@ -341,44 +343,28 @@ class Problem:
 
     def starts_seen(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Array:
         """States at all window starts of one record, as they are where its sensors have these effects."""
-        shown, biased = self.shown(simulator.effects, values), self.biased(simulator.effects, values)
+        shown, biased, late = self._sensors(simulator.effects, values)
         if self.records[k].motion is not None:
-            return self.records[k].starts_seen(0.0, shown, biased, self.late(simulator.effects, values))
+            return self.records[k].starts_seen(0.0, shown, biased, late)
         lag = sum(effect.lag(v) for (effect, _), v in zip(simulator.effects, values, strict=True))
         return self.records[k].starts_seen(lag, shown, biased)
 
-    def shown(self, effects: Effects, values: Sequence[Mapping[str, float]]) -> dict[int, float]:
-        """Index of each output that the effects scale as a whole -> what is recorded of it over what is there."""
-        found: dict[int, float] = {}
-        for k, effect, v in self._at_outputs(effects, values):
-            if (gain := effect.shown(v)) != 1.0:
-                found[k] = found.get(k, 1.0) * gain
-        return found
-
-    def biased(self, effects: Effects, values: Sequence[Mapping[str, float]]) -> dict[int, float]:
-        """Index of each output that the effects bias -> what is recorded of it where nothing is there."""
-        return self._added(self._at_outputs(effects, values), lambda effect, v: effect.bias(v))
-
-    def late(self, effects: Effects, values: Sequence[Mapping[str, float]]) -> dict[int, float]:
-        """Index of each output that the effects delay -> seconds."""
-        return self._added(self._at_outputs(effects, values), lambda effect, v: effect.lag(v))
-
-    def _at_outputs(
+    def _sensors(
         self, effects: Effects, values: Sequence[Mapping[str, float]]
-    ) -> list[tuple[int, Effect, Mapping[str, float]]]:
+    ) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
+        """Gain, bias and delay in s of each output that the effects scale, bias or delay, by its index."""
         names = [s.name for s in self.plant.outputs]
-        pairs = zip(effects, values, strict=True)
-        return [(names.index(site.name), effect, v) for (effect, site), v in pairs if site.kind == "output"]
-
-    @staticmethod
-    def _added(
-        at: Sequence[tuple[int, Effect, Mapping[str, float]]], of: Callable[[Effect, Mapping[str, float]], float]
-    ) -> dict[int, float]:
-        found: dict[int, float] = {}
-        for k, effect, v in at:
-            if (amount := of(effect, v)) != 0.0:
-                found[k] = found.get(k, 0.0) + amount
-        return found
+        gains, biases, delays = dict[int, float](), dict[int, float](), dict[int, float]()
+        for (effect, site), v in zip(effects, values, strict=True):
+            if site.kind == "output":
+                k = names.index(site.name)
+                gains[k] = gains.get(k, 1.0) * effect.shown(v)
+                biases[k], delays[k] = biases.get(k, 0.0) + effect.bias(v), delays.get(k, 0.0) + effect.lag(v)
+        return (
+            {k: gain for k, gain in gains.items() if gain != 1.0},
+            {k: bias for k, bias in biases.items() if bias},
+            {k: delay for k, delay in delays.items() if delay},
+        )
 
     # --- the fit -----------------------------------------------------------------------------------------------------
 
@@ -551,9 +537,9 @@ class Problem:
         j = np.stack(over_z, axis=2) if over_z else np.zeros((*at_rest.shape, 0))
         return j, np.moveaxis((found - at_rest) / start_step, 0, 2) if starts else np.zeros((*at_rest.shape, 0))
 
-    def derivatives(self, fit: Fit) -> list[tuple[Array, Array]]:
-        """Derivatives of the residuals over the nuisances and over the window starts at a fit, a pair a record."""
-        units = np.eye(len(fit.z))[: len(self.nuisances)]
+    def derivatives(self, fit: Fit, count: int | None = None) -> list[tuple[Array, Array]]:
+        """Derivatives of the residuals over the first ``count`` (or all) parameters and the starts, a pair a record."""
+        units = np.eye(len(fit.z))[:count]
         return [
             self._columns(k, simulator, fit.hypothesis, fit.z, fit.starts[k], fit.z, fit.noise, units, True)
             for k, simulator in enumerate(self.simulators(fit.hypothesis))

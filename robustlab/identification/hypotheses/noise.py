@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from robustlab.arrays import Array
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Problem
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel, Prior
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import AS_LARGE
@@ -21,11 +21,8 @@ SETTLING = 15  # iterations of the reported fits
 
 def first_noise(problem: Problem) -> NoiseModel:
     """White noise of the size the smoother and the resolution of the sensors tell, averaged."""
-    std = []
-    for record in problem.records:
-        single = np.maximum(record.smoothed.noise_std, record.resolution / np.sqrt(12.0))
-        std.append(2.0 * single / np.sqrt(record.thin))
-    return NoiseModel(np.max(std, axis=0), np.zeros((0, std[0].shape[0])))
+    std = 2.0 * np.max([r.sensor_noise for r in problem.records], axis=0)
+    return NoiseModel(std, np.zeros((0, len(std))))
 
 
 def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseModel:
@@ -63,11 +60,7 @@ def careful(problem: Problem, fit: Fit, noise: NoiseModel) -> NoiseModel:
 
 def noise_ratio(problem: Problem, fit: Fit) -> float:
     """Error of the fitted windows over what the sensors' noise makes of it; the largest over the outputs."""
-    single = np.max(
-        [np.maximum(r.smoothed.noise_std, r.resolution / np.sqrt(12.0)) / np.sqrt(r.thin) for r in problem.records],
-        axis=0,
-    )
-    return float(np.max(_sizes(problem, fit) / single))
+    return float(np.max(_sizes(problem, fit) / np.max([r.sensor_noise for r in problem.records], axis=0)))
 
 
 def _past(errors: Array, order: int) -> Array:
@@ -155,12 +148,10 @@ def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = N
     """The parameters to report: the hypothesis' own errors made white, covariance from the scatter of the windows."""
     # Where something is still missing full whitening is wrong: order 1, from a start by least squares, trusts
     # differences between neighbouring points less, in which a small ripple shows first.
-    found, settling = fit, SETTLING
-    if order == 1:
-        found = least_squares(problem, fit, noise, FitPlan(settling, 1e-3))
+    found = least_squares(problem, fit, noise, FitPlan(SETTLING, 1e-3)) if order == 1 else fit
     for _ in range(2):
         own = whitening(problem, found, order)
-        found = problem.fit(fit.hypothesis, own, found.z, found.starts, FitPlan(settling, 1e-3, robust=True))
+        found = problem.fit(fit.hypothesis, own, found.z, found.starts, FitPlan(SETTLING, 1e-3, robust=True))
     return found
 
 
@@ -172,7 +163,7 @@ PRICE = float(np.log(2 * PHASES))  # in log evidence, of a phase that was looked
 def in_phase(problem: Problem, fit: Fit, known: Sequence[PreparedRecord]) -> tuple[Problem, float]:
     """The problem with each record begun where the fit's effects over time leave least, and what that costs."""
     # Records that are ``known`` were fitted and stay; of several such effects the first gives the phase.
-    factors = [c.values(z)[c.effect.timed] for c, z in _parts(problem, fit) if c.effect.timed]
+    factors = [c.values(fit.z[own])[c.effect.timed] for c, own in problem.slices(fit.hypothesis) if c.effect.timed]
     new = [k for k, r in enumerate(problem.records) if not any(r is other for other in known)]
     if not factors or not new:
         return problem, 0.0
@@ -192,15 +183,6 @@ def _begun(problem: Problem, fit: Fit, k: int, period: float) -> float:
 
     step = period / PHASES
     best = step * min(range(PHASES), key=lambda n: cost(step * n))
-    finer: Any = minimize_scalar(
-        cost, bounds=(best - step, best + step), method="bounded", options={"xatol": 0.01 * period}
-    )
+    bounds = best - step, best + step
+    finer: Any = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 0.01 * period})
     return float(finer.x) % period
-
-
-def _parts(problem: Problem, fit: Fit) -> Iterator[tuple[Candidate, Array]]:
-    """Each effect of a fit with its standardised parameters."""
-    at = len(problem.nuisances)
-    for c in fit.hypothesis.candidates:
-        yield c, fit.z[at : at + len(c.parameters)]
-        at += len(c.parameters)

@@ -74,6 +74,11 @@ class PreparedRecord:
         """Measured outputs in the windows, (n_windows, length, n_measured)."""
         return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
 
+    @property
+    def sensor_noise(self) -> Array:
+        """Standard deviation of each measured output's noise or resolution in an averaged error."""
+        return np.maximum(self.smoothed.noise_std, self.resolution / np.sqrt(12.0)) / np.sqrt(self.thin)
+
     def starts_seen(
         self, lag: float, shown: Mapping[int, float], biased: Mapping[int, float] = {}, late: Mapping[int, float] = {}
     ) -> Array:

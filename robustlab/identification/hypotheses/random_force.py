@@ -128,7 +128,7 @@ def _of_record(
 ) -> ForceResponse:
     record, chosen, xi, count = problem.records[k], problem.chosen[k], fit.starts[k], len(places)
     nothing = np.zeros(len(record.u))
-    single = np.maximum(record.smoothed.noise_std, record.resolution / np.sqrt(12.0)) / np.sqrt(record.thin)
+    single = record.sensor_noise
 
     def outputs(z: Array, start: Array, samples: Array = nothing, at: int = 0, simulator: Simulator = quick) -> Array:
         setting = problem.setting(wider, z)

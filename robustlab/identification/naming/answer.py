@@ -393,11 +393,9 @@ def _next_experiment(problem: Problem, best: Fit, rivals: Sequence[Alternative])
 
 def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...]:
     """Parameters of the k-th effect with posterior intervals."""
-    candidate = fit.hypothesis.candidates[k]
-    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k])
-    z, std = fit.z[at : at + len(candidate.parameters)], fit.std[at : at + len(candidate.parameters)]
+    candidate, own = problem.slices(fit.hypothesis)[k]
     values = []
-    for p, centre, spread in zip(candidate.parameters, z, std, strict=True):
+    for p, centre, spread in zip(candidate.parameters, fit.z[own], fit.std[own], strict=True):
         ends = sorted(p.prior.value(float(centre + side * INTERVAL * spread)) for side in (-1.0, 1.0))
         values.append(EffectValue(p.name, p.prior.value(float(centre)), p.unit, ends[0], ends[1], p.meaning))
     return tuple(values)
@@ -423,12 +421,12 @@ def _opened_above(problem: Problem, fit: Fit, k: int, values: Sequence[EffectVal
     """The values of the k-th effect, with the upper end of its prior where a larger one fits as well."""
     # The curvature at the fit of a gap whose other flank the load never reaches has no information on its width: a
     # clearly larger value is held, and everything else fitted again.
-    candidate = fit.hypothesis.candidates[k]
+    candidate, place = problem.slices(fit.hypothesis)[k]
     name = candidate.effect.told_from_below
     if not name:
         return tuple(values)
     own = [p.name for p in candidate.parameters].index(name)
-    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k]) + own
+    at = place.start + own
     prior = candidate.parameters[own].prior
     z = fit.z.copy()
     z[at] = prior.standardised(WIDER * values[own].value)

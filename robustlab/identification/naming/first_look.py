@@ -48,7 +48,7 @@ def best_scored(
     if len({s.candidate.key for s in starts}) <= most:
         return list(starts)
     residual = problem.whitened(problem.errors(base.hypothesis, base.z, base.starts), base.noise)
-    own = own_derivatives(problem, base, residual)
+    own = problem.derivatives(base)
     gains: list[float] = []
     for done, gain in enumerate(workers.map(lambda s: _gain(problem, base, residual, own, s), starts), start=1):
         gains.append(gain)
@@ -60,21 +60,6 @@ def best_scored(
         if key in kept or len(kept) < most:
             kept.setdefault(key, []).append(k)
     return [starts[k] for k in sorted(k for own in kept.values() for k in own[:STARTS])]
-
-
-def own_derivatives(problem: Problem, base: Fit, residual: Sequence[Array]) -> list[tuple[Array, Array]]:
-    """Derivatives of the residuals over all parameters of the set and over the starts, a pair a record."""
-    step, start_step = tuning.STEP, tuning.START_STEP
-    simulators = problem.simulators(base.hypothesis)
-
-    def moved(z: Array, starts: Sequence[Array], by: float) -> list[Array]:
-        there = problem.whitened(problem.errors(base.hypothesis, z, starts, simulators), base.noise)
-        return [(t - r) / by for t, r in zip(there, residual, strict=True)]
-
-    n_x = base.starts[0].shape[1]
-    over_z = [moved(base.z + step * e, base.starts, step) for e in np.eye(len(base.z))]
-    over_x = [moved(base.z, [x + start_step * e for x in base.starts], start_step) for e in np.eye(n_x)]
-    return [(_columns(over_z, k, residual[k]), _columns(over_x, k, residual[k])) for k in range(len(residual))]
 
 
 def _columns(parts: Sequence[Sequence[Array]], k: int, like: Array) -> Array:
@@ -176,15 +161,9 @@ def may_follow(candidate: Candidate, base: Hypothesis) -> bool:
 
 def without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
     """The hypothesis without its k-th effect, and its standardised parameters."""
-    z = list(fit.z[: len(problem.nuisances)])
-    at, kept = len(problem.nuisances), []
-    for j, candidate in enumerate(fit.hypothesis.candidates):
-        own = fit.z[at : at + len(candidate.parameters)]
-        at += len(candidate.parameters)
-        if j != k:
-            kept.append(candidate)
-            z.extend(own)
-    return Hypothesis(tuple(kept)), np.array(z)
+    candidates = fit.hypothesis.candidates
+    gone = problem.slices(fit.hypothesis)[k][1]
+    return Hypothesis(candidates[:k] + candidates[k + 1 :]), np.delete(fit.z, gone)
 
 
 def promising(
@@ -204,7 +183,7 @@ def promising(
     some_base = some.fit(base.hypothesis, noise, base.z, some_starts, FitPlan(1))
     if isinstance(problem.plant, NonlinearPlant):  # many joints, and every moved parameter costs its matrices anew
         jobs = best_scored(few, few_base, jobs, MOST_SCORED, workers, said)
-    borrowed = few.derivatives(few_base)
+    borrowed = few.derivatives(few_base, len(problem.nuisances))
     # A few windows show a small part of what all of them may bring.
     rough_fall, least = tuning.ROUGH / noise.excess, tuning.PROMISING / noise.excess
     some_far = some_ceiling
@@ -307,15 +286,13 @@ def extended(
     problem: Problem, base: Hypothesis, base_z: Array, candidate: Candidate, start: Mapping[str, Any]
 ) -> tuple[Hypothesis, Array]:
     """The base with the candidate, and the point from which its fit starts; a refinement replaces its parent."""
-    kept, z, at = [], list(base_z[: len(problem.nuisances)]), len(problem.nuisances)
-    for there in base.candidates:
-        own = base_z[at : at + len(there.parameters)]
-        at += len(there.parameters)
+    kept, z = [], list(base_z[: len(problem.nuisances)])
+    for there, own in problem.slices(base):
         if candidate.effect.refines == there.effect.id and candidate.site == there.site:
-            start = {**start, **{k: v for k, v in there.values(own).items() if k in start}}
+            start = {**start, **{k: v for k, v in there.values(base_z[own]).items() if k in start}}
             continue
         kept.append(there)
-        z.extend(own)
+        z.extend(base_z[own])
     hypothesis = Hypothesis((*kept, candidate))
     z[: len(problem.nuisances)] = z[: len(problem.nuisances)] * np.array(problem.moving(hypothesis))
     return hypothesis, np.array([*z, *candidate.standardised(start)])

@@ -34,8 +34,8 @@ class Told(NamedTuple):
 def quantities(problem: Problem, fit: Fit, members: Sequence[int], kind: Kind) -> dict[Quantity, Told]:
     """The quantities that the effects of one kind (indices ``members``) in a fitted set have together."""
     # Forces and times add up, factors multiply; an amplitude and a period are those of one.
-    starts = np.cumsum([len(problem.nuisances), *(len(c.parameters) for c in fit.hypothesis.candidates)])
-    own = np.concatenate([np.arange(starts[k], starts[k + 1]) for k in members])
+    places = problem.slices(fit.hypothesis)
+    own = np.concatenate([np.arange(len(fit.z))[places[k][1]] for k in members])
     middle = _together(problem, fit, fit.z, members, kind)
     whole = np.linalg.pinv(fit.hessian) if fit.covariance is None else fit.covariance
     covariance = whole[own][:, own]

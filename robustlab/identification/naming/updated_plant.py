@@ -34,20 +34,16 @@ def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[Named
     factors, values = problem.split(fit.hypothesis, fit.z)
     spread = _spreads(problem, fit)
     attached = []
-    at = len(problem.nuisances)
-    for candidate, own in zip(fit.hypothesis.candidates, values, strict=True):
+    for (candidate, place), own in zip(problem.slices(fit.hypothesis), values, strict=True):
         changed = candidate.effect.factors(plant, candidate.site, own)
         for name, factor in changed.items():
             factors[name] = factors.get(name, 1.0) * factor
         if not changed:
-            std = {}
-            for k, p in enumerate(candidate.parameters):
-                z, s = fit.z[at + k], fit.std[at + k]
-                std[p.name] = 0.5 * abs(p.prior.value(z + s) - p.prior.value(z - s))
+            each = zip(candidate.parameters, fit.z[place], fit.std[place], strict=True)
+            std = {p.name: 0.5 * abs(p.prior.value(z + s) - p.prior.value(z - s)) for p, z, s in each}
             first = candidate.parameters[0]
             std[first.name] = max(std[first.name], abs(own[first.name]) * _spread_of(kinds, candidate))
             attached.append(AttachedEffect(candidate.effect, candidate.site, own, std, source))
-        at += len(candidate.parameters)
     base = _refitted(plant, factors, spread, source)
     return with_effects(base, attached) if attached else base
 
@@ -67,15 +63,13 @@ def _spreads(problem: Problem, fit: Fit) -> dict[str, float]:
     found = {}
     for nuisance, s in zip(problem.nuisances, fit.std, strict=False):
         found.update(dict.fromkeys(nuisance.names, nuisance.spread * float(s)))
-    at = len(problem.nuisances)
-    for candidate in fit.hypothesis.candidates:
+    for candidate, own in problem.slices(fit.hypothesis):
         if candidate.site.kind == "parameter":
-            z, s = fit.z[at], fit.std[at]
+            z, s = fit.z[own.start], fit.std[own.start]
             prior = candidate.parameters[0].prior
             relative = 0.5 * abs(prior.value(z + s) - prior.value(z - s)) / abs(prior.value(z))
-            for name in candidate.effect.factors(problem.plant, candidate.site, candidate.values(fit.z[at : at + 1])):
+            for name in candidate.effect.factors(problem.plant, candidate.site, candidate.values(fit.z[own])):
                 found[name] = relative
-        at += len(candidate.parameters)
     return found
 
 
