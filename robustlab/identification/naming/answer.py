@@ -49,8 +49,13 @@ from robustlab.identification.naming.named_effects import (
 from robustlab.identification.naming.named_kinds import Kinds, kinds_of
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.quantities import force_share
-from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
-from robustlab.identification.naming.residual_force import ResidualForce
+from robustlab.identification.naming.residual_force import (
+    LeftOver,
+    ResidualForce,
+    left_over,
+    remaining_lines,
+    residual_curves,
+)
 from robustlab.identification.naming.set_search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
@@ -164,7 +169,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     explained = _explained_on_held_out(gaps, posterior.noise_ratio)
     structure = {"noise_ratio": posterior.noise_ratio, "explained": explained}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
-    curves = stages.run("residual force", force.curves, None) if force else None
+    curves = stages.run("residual force", lambda: residual_curves(force), None) if force else None
     missing = stages.run("missing force", lambda: _missing_force(found, bare), None) if named else None
     sure = stages.run("kinds", lambda: kinds.named(problem, left.remains), ()) if judged.verdict != "unknown" else ()
     source = f"fitted to {', '.join(names)}"
@@ -354,7 +359,7 @@ def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None
 def _missing_force(found: Found, bare: Fit) -> ResidualForce | None:
     """The force that the refitted nominal model lacks."""
     left = left_over(_everything(found), bare, found.noise)
-    return left.curves() if left else None
+    return residual_curves(left) if left else None
 
 
 def _everything(found: Found) -> Problem:
