@@ -24,7 +24,19 @@ from robustlab.identification.hypotheses.effect_fit import (
 )
 from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
 from robustlab.identification.hypotheses.prepared_record import start_std
-from robustlab.identification.naming.discovery_result import Discovery, Verdict
+from robustlab.identification.naming.discovery_result import (
+    INTERVAL,
+    Discovery,
+    EffectValue,
+    InputClock,
+    NamedEffect,
+    NominalValue,
+    Rival,
+    SearchEntry,
+    SetProbability,
+    Verdict,
+    overall,
+)
 from robustlab.identification.naming.held_out import (
     Gaps,
     Matter,
@@ -34,17 +46,6 @@ from robustlab.identification.naming.held_out import (
     matter_of,
     strained,
     without_effects,
-)
-from robustlab.identification.naming.named_effects import (
-    INTERVAL,
-    EffectValue,
-    InputClock,
-    NamedEffect,
-    NominalValue,
-    Rival,
-    SearchEntry,
-    SetProbability,
-    overall,
 )
 from robustlab.identification.naming.named_kinds import Kinds, kinds_of
 from robustlab.identification.naming.posterior import Alternative, Posterior

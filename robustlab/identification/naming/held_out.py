@@ -20,8 +20,8 @@ from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
 from robustlab.identification.hypotheses.noise import clearly_larger, in_phase, restarted, spans, window_errors
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.naming.discovery_result import Gap, overall
 from robustlab.identification.naming.first_look import without
-from robustlab.identification.naming.named_effects import Gap, overall
 
 MOST_CLOCK = 3.0  # standard deviations of an input's clock
 LIKELY = 0.999  # probability within which the parameters lie together; within tolerances they always do

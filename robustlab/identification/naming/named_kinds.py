@@ -18,7 +18,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Hypothesis, Problem
-from robustlab.identification.naming.named_effects import EffectValue, KindMember, NamedKind
+from robustlab.identification.naming.discovery_result import EffectValue, KindMember, NamedKind
 from robustlab.identification.naming.posterior import Posterior, Weighed
 from robustlab.identification.naming.quantities import Told, quantities
 

@@ -15,7 +15,7 @@ from robustlab.dynamics.effects.kinds import Kind, Quantity
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
-from robustlab.identification.naming.named_effects import wave_amplitude
+from robustlab.identification.naming.discovery_result import wave_amplitude
 
 OF_JOINT: tuple[Quantity, ...] = ("level", "viscous", "stiffness", "force")
 OF_ONE: tuple[Quantity, ...] = ("amplitude", "period")  # two waves have none in common

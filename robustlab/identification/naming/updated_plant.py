@@ -18,7 +18,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError, told_as
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
-from robustlab.identification.naming.named_effects import INTERVAL, NamedKind
+from robustlab.identification.naming.discovery_result import INTERVAL, NamedKind
 from robustlab.identification.naming.residual_force import ResidualForce
 
 ONE_FACTOR = "scaled by one factor"

@@ -20,7 +20,6 @@ from robustlab.identification.hypotheses.effect_fit import (
 )
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.naming.residual_after_naming import left_over
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 
