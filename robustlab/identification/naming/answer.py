@@ -47,9 +47,8 @@ from robustlab.identification.naming.held_out import (
     strained,
     without_effects,
 )
-from robustlab.identification.naming.named_kinds import Kinds, kinds_of
+from robustlab.identification.naming.named_kinds import Kinds, force_share, kinds_of
 from robustlab.identification.naming.posterior import Alternative, Posterior
-from robustlab.identification.naming.quantities import force_share
 from robustlab.identification.naming.residual_force import (
     LeftOver,
     ResidualForce,
@@ -116,19 +115,17 @@ class _Left(NamedTuple):
     excess: Mapping[str, float]
 
 
-class _Stages:
-    """Runs what comes after the naming: what fails is told, and never loses the naming."""
-
-    def __init__(self) -> None:
-        self.findings: list[Finding] = []
+class _Stages(list[Finding]):
+    """Findings of what comes after the naming: what fails is one of them, and never loses the naming."""
 
     def run(self, what: str, work: Callable[[], T], instead: T) -> T:
         try:
             with np.errstate(all="ignore"):
                 return work()
         except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError) as fault:
-            hint = "the names stand without it"
-            self.findings.append(Finding("stage", what, f"not computed: {fault}", "a number", hint, False, {}))
+            self.append(
+                Finding("stage", what, f"not computed: {fault}", "a number", "the names stand without it", False, {})
+            )
             return instead
 
 
@@ -209,7 +206,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         noise_floor=left.floor,
         floor_excess=left.excess,
         remaining_lines=left.lines,
-        findings=(*findings, *stages.findings),
+        findings=(*findings, *stages),
         series=gaps.series,
         model=model,
         next_experiment=experiment,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -96,21 +96,10 @@ def _positions(plant: AnyPlant, problem: Problem) -> dict[str, Array]:
     return rows | {name: port.position for name, port in model.ports.items() if port.position is not None}
 
 
-@runtime_checkable
-class Counting(Protocol):
-    """A listener that shows the numbers itself."""
-
-    def __call__(self, text: str) -> None:
-        """A text that is told at once."""
-
-    def part(self, done: float, expected: float, text: str) -> None:
-        """Work done in this part of the search, work expected in it, and what it is."""
-
-
 def _reporter(progress: Callable[[str], None] | None) -> Callable[[float, float, str], None]:
-    """Report work done, work expected and what it is to a listener; one that is not `Counting` gets each new text."""
-    if isinstance(progress, Counting):
-        return progress.part
+    """Report work done, work expected and what it is to a listener's ``part``, else each new text to itself."""
+    if (part := getattr(progress, "part", None)) is not None:
+        return part
     last = ""
 
     def report(_done: float, _expected: float, text: str) -> None:

@@ -7,7 +7,7 @@ T is 1, or more where an unnamed force beside the best set has evidence (coarsen
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -371,12 +371,17 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
     return left, not ahead or bool(left[0].key)
 
 
+def _changes(best: Visited, others: Iterable[Visited]) -> Iterator[tuple[Visited, list[Candidate], list[Candidate]]]:
+    """Each set with the effects of the best that it lacks, and those that the best lacks."""
+    for other in others:
+        gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
+        yield other, gone, [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+
+
 def _lessened(best: Visited, others: Iterable[Visited]) -> list[Visited]:
     """Sets with one effect less, or with what one of them refines in its place."""
     found = []
-    for other in others:
-        gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
-        come = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+    for other, gone, come in _changes(best, others):
         if len(gone) == 1 and all(c.site == gone[0].site and c.effect.id == gone[0].effect.refines for c in come):
             found.append(other)
     return found
@@ -385,9 +390,7 @@ def _lessened(best: Visited, others: Iterable[Visited]) -> list[Visited]:
 def _exchanged(best: Visited, others: Iterable[Visited]) -> list[Visited]:
     """Sets with one effect in the place of another that neither refines, nor refines what the other does."""
     found = []
-    for other in others:
-        gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
-        come = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+    for other, gone, come in _changes(best, others):
         if len(gone) != 1 or len(come) != 1:
             continue
         of_these = come[0].effect.refines in (gone[0].effect.id, gone[0].effect.refines or "-")
