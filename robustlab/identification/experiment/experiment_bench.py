@@ -318,7 +318,7 @@ class Bench:
         """The experiment as a problem whose measured outputs are those of the hypothesis ``truth``."""
         hypothesis = self.fits[truth].hypothesis
         _, values = self.problem.split(hypothesis, self.fits[truth].z)
-        shown = self.problem.shown([(c.effect, c.site) for c in hypothesis.candidates], values)
+        shown, _, _ = self.problem.sensors([(c.effect, c.site) for c in hypothesis.candidates], values)
         record = _as_record(self.problem, trial, truth, shown, columns, count)
         there = self.problem.on([record])
         return predicted(there, _from_rest(self.fits[truth], there, noise))

@@ -249,7 +249,7 @@ class Problem:
         if not delayed or isinstance(self.plant, NonlinearPlant):
             return Setting(factors, values, self.shift(z))
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
-        _, _, late = self._sensors(effects, values)
+        _, _, late = self.sensors(effects, values)
         shared = min(late.get(column, 0.0) for column in self.records[0].columns)
         left = [
             {**v, e.delay: max(0.0, v[e.delay] - shared)} if site.kind == "output" and e.delay else v
@@ -334,7 +334,7 @@ class Problem:
     def _about_what_happened(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Simulator:
         """Of a nonlinear plant whose sensors are scaled, biased or late: the simulator about the motion as it was."""
         record = self.records[k]
-        motion = record.motion_seen(*self._sensors(simulator.effects, values))
+        motion = record.motion_seen(*self.sensors(simulator.effects, values))
         return simulator if motion is record.motion else simulator.about(motion)
 
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
@@ -343,13 +343,13 @@ class Problem:
 
     def starts_seen(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Array:
         """States at all window starts of one record, as they are where its sensors have these effects."""
-        shown, biased, late = self._sensors(simulator.effects, values)
+        shown, biased, late = self.sensors(simulator.effects, values)
         if self.records[k].motion is not None:
             return self.records[k].starts_seen(0.0, shown, biased, late)
         lag = sum(effect.lag(v) for (effect, _), v in zip(simulator.effects, values, strict=True))
         return self.records[k].starts_seen(lag, shown, biased)
 
-    def _sensors(
+    def sensors(
         self, effects: Effects, values: Sequence[Mapping[str, float]]
     ) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
         """Gain, bias and delay in s of each output that the effects scale, bias or delay, by its index."""

@@ -247,7 +247,7 @@ def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Sit
 def unnamed_force(windows: FittedWindows, place: Site) -> Unnamed:
     """What a hypothesis leaves, told as a force at one place."""
     kinds = families(windows)
-    best = [_judged(windows, family, len(kinds)) for family in kinds]
+    best = [judged(windows, family, len(kinds)) for family in kinds]
     told = [_told(place, f, b) for f, b in zip(kinds, best, strict=True)]
     order = sorted(range(len(told)), key=lambda k: (not told[k].wins, -told[k].evidence))
     first = best[order[0]]
@@ -268,7 +268,7 @@ class _Best(NamedTuple):
     mean: Array
 
 
-def _judged(windows: FittedWindows, family: Family, kinds: int) -> _Best:
+def judged(windows: FittedWindows, family: Family, kinds: int) -> _Best:
     """One of so many kinds at its own best noise and strength."""
     n_z, n, count = len(windows.z), windows.points, family.columns[0].shape[2]
     levels = windows.levels(family.columns, windows.smaller)
