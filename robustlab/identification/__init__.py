@@ -44,6 +44,8 @@ _WORDS = {
     "Hypothesis": "hypotheses.effect_fit",
     "FitPlan": "hypotheses.effect_fit",
     "refit_distance": "hypotheses.effect_fit",
+    "Simulator": "hypotheses.effect_fit",
+    "Windows": "hypotheses.effect_fit",
     "NoiseModel": "hypotheses.normal_equations",
     "first_noise": "hypotheses.noise",
     "held_out_fit": "hypotheses.noise",
