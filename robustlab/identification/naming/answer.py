@@ -40,10 +40,10 @@ from robustlab.identification.naming.discovery_result import (
 from robustlab.identification.naming.held_out import (
     Gaps,
     Matter,
-    errors_of,
     held_out_gaps,
     late_clocks,
     matter_of,
+    simulated,
     strained,
     without_effects,
 )
@@ -238,12 +238,12 @@ def _matters(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None
     asked = [(k, c.key) for k, c in enumerate(fit.hypothesis.candidates) if keys is None or c.key in keys]
     if not asked:
         return {}
-    whole, already = errors_of(held, fit, known), strained(problem, fit)
+    whole, already = simulated(held, fit, known), strained(problem, fit)
     told = {}
     for k, key in asked:
         less = without_effects(problem, fit, {key})
         needed = force_share(problem, fit, k) >= tuning.MATERIAL or bool(strained(problem, less) - already)
-        told[key] = matter_of(held, whole, errors_of(held, less, known), needed)
+        told[key] = matter_of(held, whole, simulated(held, less, known), needed)
     return told
 
 

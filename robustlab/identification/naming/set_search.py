@@ -37,7 +37,7 @@ from robustlab.identification.hypotheses.noise import (
 )
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
-from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
+from robustlab.identification.naming.first_look import Start, akin, extended, may_follow, promising, stretched, without
 from robustlab.identification.naming.held_out import strained
 
 WORKERS = 2
@@ -227,17 +227,9 @@ class _Search:
                     self._sharpen()
         except KeyboardInterrupt:
             interrupted = True
-        order = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)
-        return Found(
-            tuple(order),
-            self.visited[Key()],
-            self.noise,
-            self.expansions,
-            settled,
-            interrupted,
-            self.problem,
-            self.held,
-        )
+        order = tuple(sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True))
+        empty = self.visited[Key()]
+        return Found(order, empty, self.noise, self.expansions, settled, interrupted, self.problem, self.held)
 
     def _used_up(self) -> bool:
         """Whether the search ends here; a set that leaves only noise is still asked whether all of it is needed."""
@@ -391,9 +383,9 @@ class _Search:
             rest, z = without(self.problem, fit, k)
             _, values = self.problem.split(fit.hypothesis, fit.z)
             start = refined.effect.unrefined(values[k])
-            own = plain.standardised({**plain.starts[0], **{n: v for n, v in start.items() if n in plain.starts[0]}})
-            hypothesis = Hypothesis((*rest.candidates, plain))
-            self._visit(self.problem.fit(hypothesis, self.noise, np.append(z, own), fit.starts, FitPlan(tuning.FULL)))
+            start = {**plain.starts[0], **{n: v for n, v in start.items() if n in plain.starts[0]}}
+            hypothesis, z = extended(self.problem, rest, z, plain, start)
+            self._visit(self.problem.fit(hypothesis, self.noise, z, fit.starts, FitPlan(tuning.FULL)))
 
     def _without(self, fit: Fit, key: Key) -> None:
         """Fit a set again with only the effects of ``key``."""
@@ -581,14 +573,10 @@ def single_fits(
 
 
 def _refined_fits(problem: Problem, fits: Sequence[Fit], pool: Sequence[Candidate]) -> Iterator[Begin]:
-    """Where what refines the effects of these fits begins: where they stand."""
-    n = len(problem.nuisances)
+    """Where what refines the effects of these fits begins: where they are."""
     for fit in fits:
         (there,) = fit.hypothesis.candidates
-        (values,) = problem.split(fit.hypothesis, fit.z)[1]
         for candidate in pool:
             if candidate.effect.refines == there.effect.id and candidate.site == there.site:
                 for start in candidate.starts:
-                    kept = {**start, **{name: x for name, x in values.items() if name in start}}
-                    z = np.append(fit.z[:n], candidate.standardised(kept))
-                    yield Hypothesis((candidate,)), z, fit.starts
+                    yield *extended(problem, fit.hypothesis, fit.z, candidate, start), fit.starts
