@@ -226,7 +226,7 @@ def _as_record(
     smoothed = SmoothedRecord(
         t, x, np.tile(std, (n, 1)), np.broadcast_to(np.diag(std**2), (n, len(std), len(std))).copy(),
         np.zeros((n, len(force_std))), np.tile(force_std, (n, 1)), np.zeros(len(columns)), known[0].bandwidth,
-        known[0].intensity, np.zeros((n, len(columns))), 0.0,
+        0.0,
     )  # fmt: skip
     return PreparedRecord(
         record, trial.u[:n], np.zeros((n, len(columns))), tuple(columns), Windows(starts, length), x[starts].copy(),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,10 +48,6 @@ class SmoothedRecord(Evidence):
     d_std: Array
     noise_std: Array  # noise of each output, (n_y,)
     bandwidth: Array  # frequency in Hz up to which the record tells each force, (m,)
-    intensity: Array  # q_j, in the port's unit squared per second, (m,)
-    # whitened one-step prediction errors, (n, n_y): standard normal and independent where the model holds. NaN where a
-    # sample is missing.
-    innovations: Array
     log_likelihood: float  # of the innovations after the first n_x + m samples
 
 
@@ -71,8 +67,18 @@ def smooth_disturbance(
     if bandwidth is not None:
         given = np.log(np.broadcast_to(np.asarray(bandwidth, dtype=float), (task.m,)))
     with np.errstate(over="ignore", invalid="ignore"):
-        choice = _searched(task, given)
-        return _smoothed(task, choice)
+        best = _maximised(task, given, task.known_noise, task.guess)
+        if not task.known_noise and (best.sigma < task.floor).any():
+            best = _maximised(task, given, True, np.maximum(best.sigma, task.floor))
+        mean, covariance = _smoothed(task, best)
+    if not (math.isfinite(best.log_likelihood) and np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        raise NoTrustworthyNumber(WHERE, "the response outgrows double precision")
+    n_x = model.n_states
+    std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    return SmoothedRecord(
+        task.t, mean[:, :n_x].copy(), std[:, :n_x].copy(), covariance[:, :n_x, :n_x].copy(), mean[:, n_x:].copy(),
+        std[:, n_x:].copy(), best.sigma, np.exp(best.bandwidth), best.log_likelihood,
+    )  # fmt: skip
 
 
 def output_shares(
@@ -121,8 +127,7 @@ class _Task:
         return math.log(0.2 / (self.h * len(self.t))), math.log(HIGHEST / self.h)
 
 
-@dataclass(frozen=True)
-class _Choice:
+class _Choice(NamedTuple):
     """Logarithms of the bandwidths, noise of the outputs, and the log-likelihood they reach."""
 
     bandwidth: Array
@@ -278,18 +283,7 @@ def _filtered(task: _Task, log_bandwidth: Array, sigma: Array) -> tuple[float, f
     """Sums of log variance and squared innovation, and their number."""
     from robustlab.identification.hypotheses.smoother_kernels import Kept, forward
 
-    nothing = Kept.of(0, len(task.phi))
-    return forward(_filter(task, log_bandwidth, sigma), task.y, False, np.empty_like(task.y), nothing)
-
-
-def _searched(task: _Task, given: Array | None) -> _Choice:
-    """Bandwidths (their logarithms, where given) and noise of the greatest likelihood."""
-    best = _maximised(task, given, task.known_noise, task.guess)
-    if not task.known_noise and (best.sigma < task.floor).any():
-        best = _maximised(task, given, True, np.maximum(best.sigma, task.floor))
-    if not math.isfinite(best.log_likelihood):
-        raise NoTrustworthyNumber(WHERE, "the response outgrows double precision")
-    return best
+    return forward(_filter(task, log_bandwidth, sigma), task.y, False, Kept.of(0, len(task.phi)))
 
 
 def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _Choice:
@@ -322,31 +316,12 @@ def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _
     return best
 
 
-# --- smoothing -------------------------------------------------------------------------------------------------------
-
-
-def _smoothed(task: _Task, choice: _Choice) -> SmoothedRecord:
+def _smoothed(task: _Task, choice: _Choice) -> tuple[Array, Array]:
+    """Mean and covariance of states and forces at each sample."""
     from robustlab.identification.hypotheses.smoother_kernels import Kept, backward, forward
 
     n, n_z = len(task.t), len(task.phi)
-    kept, innovation = Kept.of(n, n_z), np.empty_like(task.y)
-    mean, covariance = np.empty((n, n_z)), np.empty((n, n_z, n_z))
-    forward(_filter(task, choice.bandwidth, choice.sigma), task.y, True, innovation, kept)
+    kept, mean, covariance = Kept.of(n, n_z), np.empty((n, n_z)), np.empty((n, n_z, n_z))
+    forward(_filter(task, choice.bandwidth, choice.sigma), task.y, True, kept)
     backward(kept, mean, covariance)
-    if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
-        raise NoTrustworthyNumber(WHERE, "the response outgrows double precision")
-    n_x = task.model.n_states
-    std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
-    return SmoothedRecord(
-        t=task.t,
-        x=mean[:, :n_x].copy(),
-        x_std=std[:, :n_x].copy(),
-        covariance=covariance[:, :n_x, :n_x].copy(),
-        d=mean[:, n_x:].copy(),
-        d_std=std[:, n_x:].copy(),
-        noise_std=choice.sigma,
-        bandwidth=np.exp(choice.bandwidth),
-        intensity=_intensities(task, choice.bandwidth, choice.sigma),
-        innovations=innovation,
-        log_likelihood=choice.log_likelihood,
-    )
+    return mean, covariance

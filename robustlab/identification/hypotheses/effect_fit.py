@@ -147,7 +147,6 @@ class Fit:
     window_cost: Array
     hessian: Array  # of V / 2 over z, starts eliminated, prior included
     noise: NoiseModel  # the noise model that V was measured with
-    evaluations: int
     # of z from the scatter of the windows' gradients (sandwich), where it was asked for
     covariance: Array | None = None
 
@@ -439,7 +438,7 @@ class Problem:
             [(r**2).sum(1) + (x**2).sum(1) for r, x in zip(here.residual, here.xi, strict=True)]
         )
         covariance = sandwich(parts, hessian) if plan.robust else None
-        return Fit(hypothesis, here.z, tuple(here.xi), here.cost, window_cost, hessian, noise, count, covariance)
+        return Fit(hypothesis, here.z, tuple(here.xi), here.cost, window_cost, hessian, noise, covariance)
 
     def _distance(self, there: _Place) -> float:
         """Of the largest parameter from where a nonlinear plant's matrices were made; a linear one's are its own."""

@@ -253,18 +253,13 @@ def _collected(
 ) -> SmoothedMotion:  # fmt: skip
     n, n_x, n_y = len(t), x.shape[1], y.shape[1]
     std, covariance = np.zeros((n, n_x)), np.zeros((n, n_x, n_x))
-    told, constant, noise, innovations = (
-        np.zeros((n_y, n, n_x)),
-        np.zeros((n_y, n, n_x)),
-        np.zeros(n_y),
-        np.empty_like(y),
-    )
+    told, constant, noise = *np.zeros((2, n_y, n, n_x)), np.zeros(n_y)
     lacking, lacking_std = np.zeros((n, n_x)), np.zeros((n, n_x))
     for chain, run in zip(chains, runs, strict=True):
         own, outputs = list(chain.states), list(chain.outputs)
         std[:, own] = run.x_std
         covariance[:, np.array(own)[:, None], own] = run.covariance
-        noise[outputs], innovations[:, outputs] = run.noise_std, run.innovations
+        noise[outputs] = run.noise_std
         lacking[:, own[-1]], lacking_std[:, own[-1]] = run.d[:, 0], run.d_std[:, 0]
         shares = output_shares(chain.model(), chain.push, t, known[:, own[-1:]], y[:, outputs], run)
         for j, share, unit in zip(outputs, *shares, strict=True):
@@ -275,8 +270,8 @@ def _collected(
     force, force_std = _forces(plant, x, u, lacking, lacking_std)
     whole = replace(
         runs[0], x=x, x_std=std, covariance=covariance, d=force, d_std=force_std, noise_std=noise,
-        bandwidth=np.concatenate([r.bandwidth for r in runs]), intensity=np.concatenate([r.intensity for r in runs]),
-        innovations=innovations, log_likelihood=float(sum(r.log_likelihood for r in runs)),
+        bandwidth=np.concatenate([r.bandwidth for r in runs]),
+        log_likelihood=float(sum(r.log_likelihood for r in runs)),
     )  # fmt: skip
     return SmoothedMotion(whole, told, constant)
 

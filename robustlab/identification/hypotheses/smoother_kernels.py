@@ -151,12 +151,12 @@ def _repeats(S_new, S):
 
 
 @njit(
-    [(types.NamedTuple(_FILTER, Filter), _2, types.boolean, _2, types.NamedTuple(_KEPT, Kept))],
+    [(types.NamedTuple(_FILTER, Filter), _2, types.boolean, types.NamedTuple(_KEPT, Kept))],
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def forward(model, y, keep, innovation, kept):
+def forward(model, y, keep, kept):
     """Run the filter from zero mean and the root S0; ``kept.last`` receives the filtered root of the last sample."""
     # Returns the sums of log variance and of squared innovation over variance after the first n_z full updates.
     phi, noise, forced, H, sigma, S0 = model
@@ -183,7 +183,6 @@ def forward(model, y, keep, innovation, kept):
         slot_k = place
         for i in range(n_y):
             if math.isnan(y[k, i]):
-                innovation[k, i] = np.nan
                 continue
             v = y[k, i]
             for c in range(n_z):
@@ -193,7 +192,6 @@ def forward(model, y, keep, innovation, kept):
                     z[c] += gain[i, c] * v
             else:
                 variance[i] = _update(z, S, H[i], sigma[i], v, gain[i], direction)
-            innovation[k, i] = v / math.sqrt(variance[i])
             if seen >= n_z:
                 logs += math.log(variance[i])
                 squares += v * v / variance[i]

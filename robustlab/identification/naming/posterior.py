@@ -86,7 +86,6 @@ class Posterior:
     collection: tuple[Weighed, ...]
     generalises: bool
     left: tuple[Unnamed, ...]
-    temperature: float = 1.0
     coarse: bool = False
 
     @property
@@ -194,7 +193,7 @@ def weigh(found: Found) -> Posterior:
     twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL} - renamed
     collection = tuple(_collected(sets, tuning.SURE, twins))
     left = weights[sets[0].key].left if sets[0].key in weights else ()
-    return Posterior(tuple(sets), collection, generalises, left, temperature, temperature > TEMPERATURE)
+    return Posterior(tuple(sets), collection, generalises, left, temperature > TEMPERATURE)
 
 
 def _temperature(best: Visited, weights: Mapping[Key, _Weight]) -> float:
