@@ -1,16 +1,4 @@
-"""Measurement against model: how large the gap is, what is missing, what remains, and whether a set explains a record.
-
-Rooms, each importing from those above it only:
-
-response       a linear model's response to a record, whole or in windows with their own starts
-record_check   is a record what it is taken for: clock, channels, fitness for naming
-comparison     `compare`: how large the gap is, where it lives, what the residual still contains
-hypotheses     one hypothesis about what is missing: which effects may be, and their fit to prepared records
-experiment     what to measure next: a menu of experiments, and how far apart hypotheses are in each
-naming         `discover`: the search over hypotheses, its verdict, and the plant and uncertainty after it
-monitoring     `watch`: does a model go on explaining a running log, and what changes where it does not
-validation     `validate`: the smallest Delta with which an uncertain model explains a record
-"""
+"""Measurement against model: how large the gap is, what is missing, what remains, whether a set explains a record."""
 
 from __future__ import annotations
 
@@ -25,6 +13,52 @@ _WORDS = {
     "cover": "comparison.envelope",
     "discover": "naming.discovery",
     "Discovery": "naming.discovery_result",
+    "LeftOver": "naming.residual_force",
+    "moving_samples": "naming.residual_force",
+    "remaining_lines": "naming.residual_force",
+    "residual_curves": "naming.residual_force",
+    "EffectValue": "naming.discovery_result",
+    "Gap": "naming.discovery_result",
+    "InputClock": "naming.discovery_result",
+    "NamedEffect": "naming.discovery_result",
+    "NominalValue": "naming.discovery_result",
+    "Rival": "naming.discovery_result",
+    "SearchEntry": "naming.discovery_result",
+    "SetProbability": "naming.discovery_result",
+    "ForceCurve": "naming.residual_force",
+    "ResidualForce": "naming.residual_force",
+    "prepare": "hypotheses.prepared_record",
+    "ports_of": "hypotheses.prepared_record",
+    "window_length": "hypotheses.prepared_record",
+    "smooth_disturbance": "hypotheses.disturbance_smoother",
+    "smooth_motion": "hypotheses.motion_smoother",
+    "candidates": "hypotheses.candidates",
+    "catalogue": "hypotheses.candidates",
+    "Scales": "hypotheses.candidates",
+    "nuisance_parameters": "hypotheses.candidates",
+    "stated_tolerances": "hypotheses.candidates",
+    "with_absolute_tolerances": "hypotheses.candidates",
+    "spatial_orders": "hypotheses.candidates",
+    "timed_lines": "hypotheses.candidates",
+    "Problem": "hypotheses.effect_fit",
+    "Hypothesis": "hypotheses.effect_fit",
+    "FitPlan": "hypotheses.effect_fit",
+    "refit_distance": "hypotheses.effect_fit",
+    "Simulator": "hypotheses.effect_fit",
+    "Windows": "hypotheses.effect_fit",
+    "NoiseModel": "hypotheses.normal_equations",
+    "first_noise": "hypotheses.noise",
+    "held_out_fit": "hypotheses.noise",
+    "predictive": "hypotheses.noise",
+    "FittedWindows": "hypotheses.random_force",
+    "ForceResponse": "hypotheses.random_force",
+    "PortMotion": "hypotheses.random_force",
+    "force_response": "hypotheses.random_force",
+    "plain_places": "hypotheses.random_force",
+    "Family": "hypotheses.unnamed_force",
+    "fitted_windows": "hypotheses.unnamed_force",
+    "judged": "hypotheses.unnamed_force",
+    "unnamed_force": "hypotheses.unnamed_force",
     "watch": "monitoring.watch",
     "Watch": "monitoring.watch_result",
     "check_record": "record_check.suitability",

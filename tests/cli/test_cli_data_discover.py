@@ -9,9 +9,7 @@ import pytest
 from shell import robustlab
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.identification.naming import discovery
-from robustlab.identification.naming.named_effects import Rival
+from robustlab.identification import Rival, catalogue
 from robustlab.identification.record_check.suitability import Finding
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
@@ -59,7 +57,7 @@ def answer(monkeypatch):
             asked.update(plant=plant, records=records, held_out=held_out, **options)
             return found
 
-        monkeypatch.setattr(discovery, "discover", instead)
+        monkeypatch.setattr("robustlab.identification.naming.discovery.discover", instead)
         return asked
 
     return put

@@ -82,7 +82,7 @@ def test_tolerances_and_units_in_a_recipe(tmp_path):
 
 
 def test_tolerances_of_a_discovery_may_be_per_cent():
-    from robustlab.identification.hypotheses.candidates import stated_tolerances
+    from robustlab.identification import stated_tolerances
 
     found = stated_tolerances(rl.plant("dc-motor"), {"Km": "5%", "Kf": 2.0})
     assert (found["Km"], found["Kf"]) == ((0.05, False), (2.0, False))

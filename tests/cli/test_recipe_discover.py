@@ -13,7 +13,6 @@ import pytest
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.errors import InputError
-from robustlab.identification.naming import discovery
 from robustlab.identification.record_check.suitability import Finding
 from robustlab.recipe.load import load_recipe, parse_recipe
 from robustlab.recipe.run import run_recipe
@@ -60,7 +59,7 @@ def real(folder):
 @pytest.fixture
 def run(folder, tmp_path, monkeypatch, real):
     def call(rest, found=real):
-        monkeypatch.setattr(discovery, "discover", lambda *_arguments, **_options: found)
+        monkeypatch.setattr("robustlab.identification.naming.discovery.discover", lambda *_arguments, **_options: found)
         path = folder / "axis.toml"
         path.write_text(HEAD + rest, encoding="utf-8")
         return run_recipe(load_recipe(path), tmp_path / "out")

@@ -1,6 +1,4 @@
-"""What a hypothesis may consist of: effects that a plant and its records allow, where and at what magnitudes; and the
-nominal parameters that every hypothesis refits, held by their tolerances.
-"""
+"""Effects that a plant and its records allow, where and at what magnitudes, and the parameters that are refitted."""
 
 from __future__ import annotations
 
@@ -35,11 +33,8 @@ ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, wh
 
 
 def candidates(plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord]) -> list[Candidate]:
-    """Every nameable effect of the catalogue at each of its sites, with priors and starts at the records' magnitudes.
-
-    What does exactly the same as others together is told by their names: it is not looked for.
-    An effect whose period over the position or over time must be known is given once for each strong line.
-    """
+    """Every nameable effect of the catalogue at each of its sites, at the records' magnitudes."""
+    # An effect with a period over the position or time is given once for each strong line.
     model = _with_told_positions(model, records)
     found = []
     known: dict[Site, Scales] = {}
@@ -56,10 +51,7 @@ def candidates(plant: AnyPlant, model: PortModel, records: Sequence[PreparedReco
 
 
 def _with_told_positions(model: PortModel, records: Sequence[PreparedRecord]) -> PortModel:
-    """The model without the positions that the recorded outputs do not tell: nothing can be said to follow them.
-
-    (Of a nonlinear plant all of them are measured.)
-    """
+    """The model without positions that the recorded outputs do not determine: no effect may follow those."""
     if model.A.ndim > 2:
         return model
     c = model.C[list(records[0].columns)]
@@ -168,21 +160,14 @@ def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]]) -> tuple
 
 
 def periods_seen(k: float, position: Array, records: Sequence[PreparedRecord]) -> float:
-    """Periods of a spatial frequency k (rad per unit of position) in the longest stroke of any of the records.
-
-    ``position`` (n_x,) is the row of the states that k counts over. Below `FEWEST_PERIODS` a wave is a curve like any
-    other: constant, slope and a bend, which a spring, a stop or a load in one place makes as well.
-    """
+    """Periods of a spatial frequency k in the longest stroke of the records, over the row ``position`` of states."""
+    # Below `FEWEST_PERIODS` a wave is a curve like any other: a spring, a stop or a load makes it as well.
     return abs(k) * max(float(np.ptp(r.smoothed.x @ position)) for r in records) / (2.0 * np.pi)
 
 
 def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, stroke: float = math.inf) -> tuple[float, ...]:
-    """Strongest spatial frequencies of the force d over the position q, in rad per unit of q, strongest first.
-
-    A periodogram over the position, after the part of d that depends on the direction and linearly on the speed is
-    taken out. Frequencies below two periods in the ``stroke`` (the longest of one record, where q holds several in
-    different places), or in the whole range of q, are curves and no lines.
-    """
+    """Strongest spatial frequencies of the force d over the position q, rad per unit of q, strongest first."""
+    # Below two periods in the longest stroke of one record a frequency is a curve and no line.
     q, d, v = q[moving], d[moving], v[moving]
     span = float(np.ptp(q)) if len(q) else 0.0
     if len(q) < 50 or span == 0.0:
@@ -218,13 +203,9 @@ def _lines(motion: Sequence[tuple[Array, Array, Array, Array]], records: Sequenc
 
 
 def timed_lines(d: Array, v: Array, dt: float, lowest: float) -> tuple[float, ...]:
-    r"""Significant lines of the force d over time in Hz, from ``lowest`` up, strongest first.
-
-    A periodogram, after the part of d that depends on the direction and linearly on the speed is taken out. Of noise
-    whose spectrum is smooth the power over its mean is exponential; over the mean m of K neighbours,
-    :math:`P(p > x m) = (1 + x/K)^{-K}`. A line counts where that, times the number of frequencies looked at, is below
-    ``LINE_P``.
-    """
+    """Significant lines of the force d over time in Hz, from ``lowest`` up, strongest first."""
+    # Of noise with a smooth spectrum the power over the mean m of K neighbours has P(p > x m) = (1 + x/K)^-K; a line
+    # counts where that, times the number of frequencies, is below LINE_P.
     trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
     rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
     n = len(rest)
@@ -261,11 +242,8 @@ def _between(power: Array, k: int) -> float:
 
 
 def stated_tolerances(plant: AnyPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
-    """Parameter -> (tolerance, whether it was assumed): relative, of the value 0 absolute in its unit.
-
-    ``given``: name -> tolerance, 0.05, ``"5%"`` or ``"0.2 N s/m"``, that overrides the plant's own; 0 holds the
-    parameter.
-    """
+    """Parameter -> (tolerance, whether it was assumed): relative, of the value 0 absolute in its unit."""
+    # ``given``: 0.05, "5%" or "0.2 N s/m" by name, over the plant's own; 0 holds the parameter.
     asked: dict[str, float] = {}
     for name, value in (given or {}).items():
         if name not in plant.parameters:
@@ -293,21 +271,15 @@ def stated_tolerances(plant: AnyPlant, given: Mapping[str, float] | None) -> dic
 
 
 def with_absolute_tolerances(plant: AnyPlant, stated: Mapping[str, tuple[float, bool]]) -> AnyPlant:
-    """The plant whose parameters of the value 0 carry the tolerances found by `stated_tolerances`: they may move, so
-    that no effect has to do it in their stead.
-    """
+    """The plant whose parameters of the value 0 carry the tolerances found by `stated_tolerances`."""
     zero = {n: (0.0, t) for n, (t, _) in stated.items() if t and not plant.parameters[n].value}
     return plant.with_parameters(**zero) if zero else plant
 
 
 def nuisance_parameters(plant: AnyPlant, tolerances: Mapping[str, tuple[float, bool]]) -> tuple[Nuisance, ...]:
-    r"""The groups of parameters with a tolerance r, each with a common factor :math:`e^{s z}`, z standard normal.
-
-    Of a group only those with a tolerance move, by the widest of theirs.
-    :math:`s = \ln(1 + r) / \sqrt 3` gives the factor the spread of one that lies anywhere within the tolerance. A
-    parameter whose value is 0 moves by :math:`s z` with :math:`s = r / \sqrt 3`, a friction never below 0. What has no
-    role is a group of its own; what stands in no equation, such as a datum for others to read, is none.
-    """
+    """The groups of parameters with a tolerance r, each with a common factor exp(s z), z standard normal."""
+    # s = ln(1 + r) / sqrt(3) has the spread of a factor that lies anywhere within the tolerance. The value 0 moves by s
+    # z with s = r / sqrt(3), a friction never below 0. What no equation has is left out.
     found, seen = [], set[str]()
     for _, label, names in parameter_groups(plant):
         seen.update(names)

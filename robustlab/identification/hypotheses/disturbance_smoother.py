@@ -1,21 +1,13 @@
-r"""States and the unknown force along a record, from a Kalman smoother.
-
-What a model lacks acts as a force d at its ports, a random walk,
-
-.. math::
-    \dot x = A x + B u + P d, \qquad \dot d_j = \sqrt{q_j}\, w_j, \qquad y_k = C x(t_k) + D u_k + e_k,
-    \qquad q_j = (2 \pi f_j)^2 \Big/ \sum_i |G_{ij}(2 \pi \mathrm i f_j)|^2 / (\sigma_i^2 h)
-
-with w white of unit density and the bandwidth f, below which the record shows d. Bandwidths and noise maximise the
-likelihood of the innovations, a common factor of all variances in closed form (Kailath, Sayed, Hassibi, *Linear
-Estimation*, 2000).
+r"""States and the unknown force along a record, from a Kalman smoother: d a random walk at the ports of the model,
+its intensity such that the record shows d below the bandwidth f. Bandwidths and noise maximise the likelihood of the
+innovations (Kailath, Sayed, Hassibi, *Linear Estimation*, 2000).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,10 +48,6 @@ class SmoothedRecord(Evidence):
     d_std: Array
     noise_std: Array  # noise of each output, (n_y,)
     bandwidth: Array  # frequency in Hz up to which the record tells each force, (m,)
-    intensity: Array  # q_j, in the port's unit squared per second, (m,)
-    # whitened one-step prediction errors, (n, n_y): standard normal and independent where the model holds. NaN where a
-    # sample is missing.
-    innovations: Array
     log_likelihood: float  # of the innovations after the first n_x + m samples
 
 
@@ -72,28 +60,33 @@ def smooth_disturbance(
     noise_std: ArrayLike | None = None,
     bandwidth: ArrayLike | None = None,
 ) -> SmoothedRecord:
-    """Smoothed states and forces of a record with inputs u held between samples; NaN in y is a missing sample.
-
-    ``ports`` (n_x, m): rate of the states per unit of each force. ``noise_std``, ``bandwidth`` (Hz): estimated where
-    left out; the noise is at least 1/sqrt(12) of an output's resolution.
-    """
+    """Smoothed states and forces of a record with held inputs u; noise and bandwidth (Hz) estimated where left out."""
+    # ports (n_x, m): rate of the states per unit of each force. NaN in y is a missing sample.
     task = _prepared(model, ports, t, u, y, noise_std)
     given = None
     if bandwidth is not None:
         given = np.log(np.broadcast_to(np.asarray(bandwidth, dtype=float), (task.m,)))
     with np.errstate(over="ignore", invalid="ignore"):
-        choice = _searched(task, given)
-        return _smoothed(task, choice)
+        best = _maximised(task, given, task.known_noise, task.guess)
+        if not task.known_noise and (best.sigma < task.floor).any():
+            best = _maximised(task, given, True, np.maximum(best.sigma, task.floor))
+        mean, covariance = _smoothed(task, best)
+    if not (math.isfinite(best.log_likelihood) and np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        raise NoTrustworthyNumber(WHERE, "the response outgrows double precision")
+    n_x = model.n_states
+    std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    return SmoothedRecord(
+        task.t, mean[:, :n_x].copy(), std[:, :n_x].copy(), covariance[:, :n_x, :n_x].copy(), mean[:, n_x:].copy(),
+        std[:, n_x:].copy(), best.sigma, np.exp(best.bandwidth), best.log_likelihood,
+    )  # fmt: skip
 
 
 def output_shares(
     model: StateSpaceModel, ports: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord
 ) -> tuple[Array, Array]:
-    """Share of each output in the smoothed states, (n_measured, n, n_x): twice what half of the output takes away.
-
-    And what one unit more of it at all samples adds. Noise and bandwidth are held, so that the smoother is linear. (A
-    larger output would raise the least noise that it takes for a quantised one.)
-    """
+    """Share of each output in the smoothed states, (n_measured, n, n_x), and what one unit more of it adds."""
+    # Noise and bandwidth are held: the smoother is linear. Half of an output is taken away, since a larger one would
+    # raise the least noise that it takes for a quantised one.
 
     def changed(j: int, output: Array) -> Array:
         other = y.copy()
@@ -134,8 +127,7 @@ class _Task:
         return math.log(0.2 / (self.h * len(self.t))), math.log(HIGHEST / self.h)
 
 
-@dataclass(frozen=True)
-class _Choice:
+class _Choice(NamedTuple):
     """Logarithms of the bandwidths, noise of the outputs, and the log-likelihood they reach."""
 
     bandwidth: Array
@@ -197,11 +189,9 @@ def _with_forces(model: StateSpaceModel, ports: Array) -> StateSpaceModel:
 
 
 def _walk_root(wide: StateSpaceModel, h: float, place: int) -> Array:
-    r"""L with :math:`L^T L = \int_0^h e^{F s} b b^T e^{F^T s} ds`, b the unit vector of a force.
-
-    Gauss quadrature over a step so short that it is exact to rounding, doubled up to h; squared roots would lose half
-    the digits of the states that d reaches last.
-    """
+    """L with L^T L = int_0^h e^{Fs} b b^T e^{F^T s} ds, b the unit vector of a force."""
+    # Gauss quadrature over a step so short that it is exact to rounding, doubled up to h; squared roots would lose half
+    # the digits of the states that the force reaches last.
     fastest = float(np.abs(wide.poles()).max(initial=0.0)) * h
     doublings = max(0, math.ceil(math.log2(fastest))) if fastest > 0 else 0
     short = h / 2.0**doublings
@@ -293,18 +283,7 @@ def _filtered(task: _Task, log_bandwidth: Array, sigma: Array) -> tuple[float, f
     """Sums of log variance and squared innovation, and their number."""
     from robustlab.identification.hypotheses.smoother_kernels import Kept, forward
 
-    nothing = Kept.of(0, len(task.phi))
-    return forward(_filter(task, log_bandwidth, sigma), task.y, False, np.empty_like(task.y), nothing)
-
-
-def _searched(task: _Task, given: Array | None) -> _Choice:
-    """Bandwidths (their logarithms, where given) and noise of the greatest likelihood."""
-    best = _maximised(task, given, task.known_noise, task.guess)
-    if not task.known_noise and (best.sigma < task.floor).any():
-        best = _maximised(task, given, True, np.maximum(best.sigma, task.floor))
-    if not math.isfinite(best.log_likelihood):
-        raise NoTrustworthyNumber(WHERE, "the response outgrows double precision")
-    return best
+    return forward(_filter(task, log_bandwidth, sigma), task.y, False, Kept.of(0, len(task.phi)))
 
 
 def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _Choice:
@@ -337,31 +316,12 @@ def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _
     return best
 
 
-# --- smoothing -------------------------------------------------------------------------------------------------------
-
-
-def _smoothed(task: _Task, choice: _Choice) -> SmoothedRecord:
+def _smoothed(task: _Task, choice: _Choice) -> tuple[Array, Array]:
+    """Mean and covariance of states and forces at each sample."""
     from robustlab.identification.hypotheses.smoother_kernels import Kept, backward, forward
 
     n, n_z = len(task.t), len(task.phi)
-    kept, innovation = Kept.of(n, n_z), np.empty_like(task.y)
-    mean, covariance = np.empty((n, n_z)), np.empty((n, n_z, n_z))
-    forward(_filter(task, choice.bandwidth, choice.sigma), task.y, True, innovation, kept)
+    kept, mean, covariance = Kept.of(n, n_z), np.empty((n, n_z)), np.empty((n, n_z, n_z))
+    forward(_filter(task, choice.bandwidth, choice.sigma), task.y, True, kept)
     backward(kept, mean, covariance)
-    if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
-        raise NoTrustworthyNumber(WHERE, "the response outgrows double precision")
-    n_x = task.model.n_states
-    std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
-    return SmoothedRecord(
-        t=task.t,
-        x=mean[:, :n_x].copy(),
-        x_std=std[:, :n_x].copy(),
-        covariance=covariance[:, :n_x, :n_x].copy(),
-        d=mean[:, n_x:].copy(),
-        d_std=std[:, n_x:].copy(),
-        noise_std=choice.sigma,
-        bandwidth=np.exp(choice.bandwidth),
-        intensity=_intensities(task, choice.bandwidth, choice.sigma),
-        innovations=innovation,
-        log_likelihood=choice.log_likelihood,
-    )
+    return mean, covariance

@@ -1,22 +1,13 @@
-r"""Fit of one hypothesis: the nominal parameters within their tolerances, plus effects, by windowed simulation.
-
-With the standardised parameters z and the start :math:`\xi_w` of each window, both a priori standard normal,
-
-.. math::
-    V(z, \xi) = \sum_w \| \Sigma^{-1} F \,\mathrm{mean}(y_w - \hat y_w) \|^2 + \|\xi\|^2 + \|z\|^2, \qquad
-    \log p(y | H) = -\tfrac12 V - \tfrac12 \log\det H_{zz} + \text{const}
-
-with the errors averaged over a few samples and whitened by the autoregression F. The starts are eliminated window by
-window. The refit distance of A and B is :math:`d^2 = \min V_B(z, \xi; \hat y_A) - \|z_A\|^2`: B refitted to what A
-predicts, in noise sigmas; below 3 no test on these records tells B from A.
-
-Transtrum, Sethna, *Improvements to the Levenberg-Marquardt algorithm* (2012), section 3 (geodesic acceleration).
+"""Fit of one hypothesis by windowed simulation: parameters z and window starts xi, both a priori standard normal,
+minimise V = |whitened averaged errors|^2 + |xi|^2 + |z|^2; evidence -V/2 - logdet(H_zz)/2 by Laplace, the starts
+eliminated. Steps have Transtrum's geodesic acceleration (Transtrum, Sethna, 2012, section 3).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -56,9 +47,7 @@ UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """What every hypothesis refits: nominal parameters that a common factor of their references scales
-    (`robustlab.dynamics.parameters.Parameter.reference`), or the clock of an input.
-    """
+    """What every hypothesis refits: parameters under a common factor of their references, or an input's clock."""
 
     # label, names: of the group, and its parameters
     label: str
@@ -158,7 +147,6 @@ class Fit:
     window_cost: Array
     hessian: Array  # of V / 2 over z, starts eliminated, prior included
     noise: NoiseModel  # the noise model that V was measured with
-    evaluations: int
     # of z from the scatter of the windows' gradients (sandwich), where it was asked for
     covariance: Array | None = None
 
@@ -233,11 +221,12 @@ class Problem:
         for nuisance, moves, value in zip(self.nuisances, self.moving(hypothesis), z, strict=False):
             if moves:
                 factors.update(dict.fromkeys(nuisance.names, nuisance.factor(float(value))))
-        values, at = [], len(self.nuisances)
-        for candidate in hypothesis.candidates:
-            values.append(candidate.values(z[at : at + len(candidate.parameters)]))
-            at += len(candidate.parameters)
-        return factors, values
+        return factors, [c.values(z[own]) for c, own in self.slices(hypothesis)]
+
+    def slices(self, hypothesis: Hypothesis) -> list[tuple[Candidate, slice]]:
+        """Each effect with the place of its parameters in z."""
+        ends = list(accumulate((len(c.parameters) for c in hypothesis.candidates), initial=len(self.nuisances)))
+        return [(c, slice(a, b)) for c, (a, b) in zip(hypothesis.candidates, pairwise(ends), strict=True)]
 
     def moving(self, hypothesis: Hypothesis) -> list[bool]:
         """Of each nuisance whether it moves anything: the factor of an effect on its parameters is the whole factor."""
@@ -251,18 +240,16 @@ class Problem:
         return tuple(float(told.get(s.name, 0.0)) for s in self.plant.inputs) if told else None
 
     def setting(self, hypothesis: Hypothesis, z: Array) -> Setting:
-        """What a simulation is run with at the standardised parameters.
-
-        A delay that all sensors of a linear plant share is one of all inputs: simulated as that, the two have the same
-        histories before a window's start, and so the same errors to the last bit.
-        """
+        """What a simulation is run with at the standardised parameters."""
+        # A delay that all sensors of a linear plant share is run as one of all inputs: then both have the same
+        # histories before a window's start, and the same errors to the last bit.
         factors, values = self.split(hypothesis, z)
         delayed = any(c.site.kind == "output" and c.effect.delay for c in hypothesis.candidates)
         if not delayed or isinstance(self.plant, NonlinearPlant):
             return Setting(factors, values, self.shift(z))
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
-        told = self.late(effects, values)
-        shared = min(told.get(column, 0.0) for column in self.records[0].columns)
+        _, _, late = self.sensors(effects, values)
+        shared = min(late.get(column, 0.0) for column in self.records[0].columns)
         left = [
             {**v, e.delay: max(0.0, v[e.delay] - shared)} if site.kind == "output" and e.delay else v
             for (e, site), v in zip(effects, values, strict=True)
@@ -286,19 +273,14 @@ class Problem:
         ]
 
     def quick(self, hypothesis: Hypothesis) -> list[Simulator]:
-        """Simulators for derivatives, which need not be as exact as errors: no step with force laws is made again in
-        halves.
-        """
+        """Simulators for derivatives: no step with force laws is repeated in halves."""
         return self.under(replace(self.clock, rough=True)).simulators(hypothesis)
 
     def errors(
         self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None,
         near: Array | None = None,
     ) -> list[Array]:  # fmt: skip
-        """Averaged errors of the chosen windows, one array (n_windows, n_points, n_y) a record; NaN without samples.
-
-        ``near``: z near by, of which a nonlinear plant's matrices, and the motion they are about, may be.
-        """
+        """Averaged errors of the chosen windows, (n_windows, n_points, n_y) a record; NaN without samples."""
         return [
             self._record_errors(k, simulator, hypothesis, z, starts[k], near)
             for k, simulator in enumerate(simulators or self.simulators(hypothesis))
@@ -307,9 +289,7 @@ class Problem:
     def _record_errors(
         self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array, near: Array | None = None
     ) -> Array:
-        """Averaged errors of one record's chosen windows; of several starts of each (copies, n_windows, n_x), one copy
-        after the other.
-        """
+        """Averaged errors of one record's chosen windows; of several starts of each, one copy after the other."""
         record, chosen = self.records[k], self.chosen[k]
         around = None if near is None else self.split(hypothesis, near)
         with np.errstate(all="ignore"):
@@ -327,9 +307,9 @@ class Problem:
         xi: Array,
         near: tuple[dict[str, float], list[dict[str, float]]] | None = None,
     ) -> Array:
-        """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured); ``near`` as of
-        `Simulator.run`. Of several starts of each window, xi (copies, n_windows, n_x), one copy after the other.
-        """
+        """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
+        # Of several starts of each window, xi (copies, n_windows, n_x), one copy after the other. ``near``: parameters
+        # near by, of which a nonlinear plant's matrices and the motion they are about may be.
         factors, values, shift = setting
         record, chosen = self.records[k], self.chosen[k]
         values, about = (
@@ -352,8 +332,8 @@ class Problem:
 
     def _about_what_happened(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Simulator:
         """Of a nonlinear plant whose sensors are scaled, biased or late: the simulator about the motion as it was."""
-        record, told = self.records[k], (self.shown, self.biased, self.late)
-        motion = record.motion_seen(*(of(simulator.effects, values) for of in told))
+        record = self.records[k]
+        motion = record.motion_seen(*self.sensors(simulator.effects, values))
         return simulator if motion is record.motion else simulator.about(motion)
 
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
@@ -362,44 +342,28 @@ class Problem:
 
     def starts_seen(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Array:
         """States at all window starts of one record, as they are where its sensors have these effects."""
-        shown, biased = self.shown(simulator.effects, values), self.biased(simulator.effects, values)
+        shown, biased, late = self.sensors(simulator.effects, values)
         if self.records[k].motion is not None:
-            return self.records[k].starts_seen(0.0, shown, biased, self.late(simulator.effects, values))
+            return self.records[k].starts_seen(0.0, shown, biased, late)
         lag = sum(effect.lag(v) for (effect, _), v in zip(simulator.effects, values, strict=True))
         return self.records[k].starts_seen(lag, shown, biased)
 
-    def shown(self, effects: Effects, values: Sequence[Mapping[str, float]]) -> dict[int, float]:
-        """Index of each output that the effects scale as a whole -> what is recorded of it over what is there."""
-        found: dict[int, float] = {}
-        for k, effect, v in self._at_outputs(effects, values):
-            if (gain := effect.shown(v)) != 1.0:
-                found[k] = found.get(k, 1.0) * gain
-        return found
-
-    def biased(self, effects: Effects, values: Sequence[Mapping[str, float]]) -> dict[int, float]:
-        """Index of each output that the effects bias -> what is recorded of it where nothing is there."""
-        return self._added(self._at_outputs(effects, values), lambda effect, v: effect.bias(v))
-
-    def late(self, effects: Effects, values: Sequence[Mapping[str, float]]) -> dict[int, float]:
-        """Index of each output that the effects delay -> seconds."""
-        return self._added(self._at_outputs(effects, values), lambda effect, v: effect.lag(v))
-
-    def _at_outputs(
+    def sensors(
         self, effects: Effects, values: Sequence[Mapping[str, float]]
-    ) -> list[tuple[int, Effect, Mapping[str, float]]]:
+    ) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
+        """Gain, bias and delay in s of each output that the effects scale, bias or delay, by its index."""
         names = [s.name for s in self.plant.outputs]
-        pairs = zip(effects, values, strict=True)
-        return [(names.index(site.name), effect, v) for (effect, site), v in pairs if site.kind == "output"]
-
-    @staticmethod
-    def _added(
-        at: Sequence[tuple[int, Effect, Mapping[str, float]]], of: Callable[[Effect, Mapping[str, float]], float]
-    ) -> dict[int, float]:
-        found: dict[int, float] = {}
-        for k, effect, v in at:
-            if (amount := of(effect, v)) != 0.0:
-                found[k] = found.get(k, 0.0) + amount
-        return found
+        gains, biases, delays = dict[int, float](), dict[int, float](), dict[int, float]()
+        for (effect, site), v in zip(effects, values, strict=True):
+            if site.kind == "output":
+                k = names.index(site.name)
+                gains[k] = gains.get(k, 1.0) * effect.shown(v)
+                biases[k], delays[k] = biases.get(k, 0.0) + effect.bias(v), delays.get(k, 0.0) + effect.lag(v)
+        return (
+            {k: gain for k, gain in gains.items() if gain != 1.0},
+            {k: bias for k, bias in biases.items() if bias},
+            {k: delay for k, delay in delays.items() if delay},
+        )
 
     # --- the fit -----------------------------------------------------------------------------------------------------
 
@@ -413,15 +377,9 @@ class Problem:
         borrowed: Sequence[tuple[Array, Array]] | None = None,
         prior: Prior | None = None,
     ) -> Fit:
-        """Levenberg-Marquardt from z.
-
-        ``borrowed`` are derivatives over the nuisances and the window starts, a pair a record, taken from elsewhere
-        (`derivatives`) to save their simulations in a first look. ``prior``: of the standardised parameters; what other
-        data told of them. The standard normal one where left out.
-
-        A nonlinear plant's matrices along its motion are made anew where z has gone far from where they were made, and
-        where the fit ends, but not in a draft: they multiply what deviates from that motion.
-        """
+        """Levenberg-Marquardt from z; ``borrowed``: derivatives over nuisances and starts of another fit."""
+        # A nonlinear plant's matrices multiply what deviates from its motion: they are made anew where z has gone far,
+        # and where the fit ends, but not in a draft.
         fixed, tolerance = plan.fixed, plan.tolerance
         z = np.array(z, dtype=float)
         own = Prior(np.zeros(len(z)), np.eye(len(z))) if prior is None else prior
@@ -480,7 +438,7 @@ class Problem:
             [(r**2).sum(1) + (x**2).sum(1) for r, x in zip(here.residual, here.xi, strict=True)]
         )
         covariance = sandwich(parts, hessian) if plan.robust else None
-        return Fit(hypothesis, here.z, tuple(here.xi), here.cost, window_cost, hessian, noise, count, covariance)
+        return Fit(hypothesis, here.z, tuple(here.xi), here.cost, window_cost, hessian, noise, covariance)
 
     def _distance(self, there: _Place) -> float:
         """Of the largest parameter from where a nonlinear plant's matrices were made; a linear one's are its own."""
@@ -562,10 +520,8 @@ class Problem:
         self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array, around: Array,
         noise: NoiseModel, units: Array, starts: bool, here: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Derivatives of one record's residuals along the units of z, and over the window starts where asked for.
-
-        All starts are moved in one simulation. ``here``: the residuals where both are as given; None: they are asked.
-        """
+        """Derivatives of one record's residuals along the units of z and over the window starts."""
+        # All starts are moved in one simulation. ``here``: the residuals where both are as given, if known.
         step, start_step = tuning.STEP, tuning.START_STEP
 
         def at(there: Array, start: Array) -> Array:
@@ -580,9 +536,9 @@ class Problem:
         j = np.stack(over_z, axis=2) if over_z else np.zeros((*at_rest.shape, 0))
         return j, np.moveaxis((found - at_rest) / start_step, 0, 2) if starts else np.zeros((*at_rest.shape, 0))
 
-    def derivatives(self, fit: Fit) -> list[tuple[Array, Array]]:
-        """Derivatives of the residuals over the nuisances and over the window starts at a fit, a pair a record."""
-        units = np.eye(len(fit.z))[: len(self.nuisances)]
+    def derivatives(self, fit: Fit, count: int | None = None) -> list[tuple[Array, Array]]:
+        """Derivatives of the residuals over the first ``count`` (or all) parameters and the starts, a pair a record."""
+        units = np.eye(len(fit.z))[:count]
         return [
             self._columns(k, simulator, fit.hypothesis, fit.z, fit.starts[k], fit.z, fit.noise, units, True)
             for k, simulator in enumerate(self.simulators(fit.hypothesis))

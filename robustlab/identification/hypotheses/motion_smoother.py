@@ -1,12 +1,5 @@
-r"""States of a nonlinear plant along a record, joint by joint, and the force that the plant lacks at each.
-
-Each joint's position is measured; with the plant's acceleration along the motion as a known input,
-
-.. math:: \dot q = v, \qquad \dot v = f_v(\bar x, u) + k\,(q - \bar q) + c\,(v - \bar v) + a, \qquad
-          a \text{ a random walk},
-
-with k, c the means of the plant's own derivatives; in first order for any other measured state. States that no sensor
-shows follow their own equations along that motion. The lacking force is :math:`F = M a`, M from the plant's pushes.
+"""States of a nonlinear plant along a record, joint by joint: q' = v, v' = the plant's acceleration along the motion +
+a, with a random walk a, smoothed from each measured position; the lacking force is M a, M from the plant's pushes.
 """
 
 from __future__ import annotations
@@ -44,11 +37,7 @@ class SmoothedMotion:
 
 @dataclass(frozen=True, eq=False)
 class _Chain:
-    """A measured state, with the state whose rate is behind it.
-
-    states: (position, velocity) or the one state; outputs: indices among the measured ones, and row of C for each;
-    own: derivatives (n,) of the last state's rate over the states.
-    """
+    """A measured state with the state whose rate it is, the outputs that show them, and the last rate's derivatives."""
 
     states: tuple[int, ...]
     outputs: tuple[int, ...]
@@ -69,11 +58,7 @@ class _Chain:
 
 
 def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int]) -> SmoothedMotion:
-    """States along a record.
-
-    ``t``, ``u``, ``y``: uniform clock (n,), inputs (n, n_u), measured outputs (n, n_measured), NaN where a sample is
-    missing. ``columns``: index of each measured output among the plant's outputs.
-    """
+    """States along a record on a uniform clock; ``columns``: index of each measured output among the plant's."""
     arrays = (np.ascontiguousarray(a) for a in (t, u, y))
     return _kept(plant, *(a.tobytes() for a in arrays), tuple(columns))
 
@@ -81,11 +66,8 @@ def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: 
 def lacking_forces(
     plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int], x: Array, rates: Array, least: float
 ) -> tuple[Array, Array]:
-    """Force at each joint that the plant lacks beside known rates, (n, n_joints), and its standard deviation.
-
-    ``t``, ``u``, ``y``, ``columns``: as for `smooth_motion`. ``x``: the motion, (n, n_x). ``rates``: what is known of
-    the rates from each sample to the next, (n, n_x), effects included. ``least``: lowest bandwidth of the forces in Hz.
-    """
+    """Force at each joint that the plant lacks beside known rates, (n, n_joints), and its standard deviation."""
+    # rates: from each sample to the next, (n, n_x), effects included; least: lowest bandwidth of the forces in Hz.
     chains, offset = _chains(plant, u, y, columns)
     course = Course(plant, x, u, float(t[1] - t[0]))
     middle, _ = course.at(np.minimum(np.arange(len(t)) + 0.5, len(t) - 1.0))
@@ -204,9 +186,7 @@ def _assembled(chains: Sequence[_Chain], runs: Sequence[SmoothedRecord], n: int,
 
 
 def _along(chains: Sequence[_Chain], course: Course) -> tuple[list[_Chain], Array]:
-    """The chains with the plant's mean derivatives along the motion, and what is known of the rates beside, (n, n_x):
-    from each sample to the next, those in the middle.
-    """
+    """The chains with the plant's mean derivatives along the motion, and the known rates between the samples."""
     n = len(course.x)
     x, u = course.at(np.arange(n - 1) + 0.5)
     rates = course.plant.rates_along(x, u)
@@ -273,18 +253,13 @@ def _collected(
 ) -> SmoothedMotion:  # fmt: skip
     n, n_x, n_y = len(t), x.shape[1], y.shape[1]
     std, covariance = np.zeros((n, n_x)), np.zeros((n, n_x, n_x))
-    told, constant, noise, innovations = (
-        np.zeros((n_y, n, n_x)),
-        np.zeros((n_y, n, n_x)),
-        np.zeros(n_y),
-        np.empty_like(y),
-    )
+    told, constant, noise = *np.zeros((2, n_y, n, n_x)), np.zeros(n_y)
     lacking, lacking_std = np.zeros((n, n_x)), np.zeros((n, n_x))
     for chain, run in zip(chains, runs, strict=True):
         own, outputs = list(chain.states), list(chain.outputs)
         std[:, own] = run.x_std
         covariance[:, np.array(own)[:, None], own] = run.covariance
-        noise[outputs], innovations[:, outputs] = run.noise_std, run.innovations
+        noise[outputs] = run.noise_std
         lacking[:, own[-1]], lacking_std[:, own[-1]] = run.d[:, 0], run.d_std[:, 0]
         shares = output_shares(chain.model(), chain.push, t, known[:, own[-1:]], y[:, outputs], run)
         for j, share, unit in zip(outputs, *shares, strict=True):
@@ -295,8 +270,8 @@ def _collected(
     force, force_std = _forces(plant, x, u, lacking, lacking_std)
     whole = replace(
         runs[0], x=x, x_std=std, covariance=covariance, d=force, d_std=force_std, noise_std=noise,
-        bandwidth=np.concatenate([r.bandwidth for r in runs]), intensity=np.concatenate([r.intensity for r in runs]),
-        innovations=innovations, log_likelihood=float(sum(r.log_likelihood for r in runs)),
+        bandwidth=np.concatenate([r.bandwidth for r in runs]),
+        log_likelihood=float(sum(r.log_likelihood for r in runs)),
     )  # fmt: skip
     return SmoothedMotion(whole, told, constant)
 

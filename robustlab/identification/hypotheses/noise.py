@@ -1,11 +1,8 @@
-"""The noise that fits are judged by, and fits under it of data that were kept from them.
-
-When a record began is told by an effect over time: of two records of a ripple each has a phase of its own.
-"""
+"""The noise that fits are judged by, and fits under it of data that were kept from them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +11,7 @@ from scipy.stats import t as student
 
 from robustlab.arrays import Array
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Problem
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel, Prior
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import AS_LARGE
@@ -24,19 +21,14 @@ SETTLING = 15  # iterations of the reported fits
 
 def first_noise(problem: Problem) -> NoiseModel:
     """White noise of the size the smoother and the resolution of the sensors tell, averaged."""
-    std = []
-    for record in problem.records:
-        single = np.maximum(record.smoothed.noise_std, record.resolution / np.sqrt(12.0))
-        std.append(2.0 * single / np.sqrt(record.thin))
-    return NoiseModel(np.max(std, axis=0), np.zeros((0, std[0].shape[0])))
+    std = 2.0 * np.max([r.sensor_noise for r in problem.records], axis=0)
+    return NoiseModel(std, np.zeros((0, len(std))))
 
 
 def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseModel:
-    """Autoregression (of the usual order where left out) and innovation size of a fit's errors, output by output.
-
-    A window tells of no correlation longer than itself, and errors that grow along it look unstable: the roots of the
-    autoregression are held within that of a decay over one window.
-    """
+    """Autoregression and innovation size of a fit's errors, output by output."""
+    # A window shows no correlation longer than itself, and errors that grow along it look unstable: the roots are held
+    # within that of a decay over one window.
     order = tuning.AR_ORDER if order is None else order
     errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
     n_y = errors[0].shape[2]
@@ -56,13 +48,9 @@ def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseMode
 
 
 def careful(problem: Problem, fit: Fit, noise: NoiseModel) -> NoiseModel:
-    r"""The noise model with so large a variance that windows scatter no more than it says.
-
-    With H the Hessian of half the cost, and J the covariance of the windows' gradients, independent errors would have
-    :math:`J = H - 1` (the prior has no scatter). What a model lacks makes errors that hang together: then J is larger.
-    Evidence counted sample by sample is too sure by the factor tr :math:`H^{-1}J` / tr :math:`H^{-1}(H - 1)`, and the
-    variance is raised by it (composite likelihood: Varin, Reid, Firth 2011, section 2.3).
-    """
+    """The noise model with so large a variance that windows scatter no more than it says."""
+    # With the Hessian H of half the cost and the covariance J of the windows' gradients, independent errors have J = H
+    # - 1; a lacking effect makes J larger. Varin, Reid, Firth, composite likelihood (2011), 2.3.
     there = problem.fit(fit.hypothesis, noise, fit.z, fit.starts, FitPlan(tuning.LAST, 0.05, robust=True))
     assert there.covariance is not None
     told = len(there.z) - float(np.trace(np.linalg.pinv(there.hessian)))
@@ -72,11 +60,7 @@ def careful(problem: Problem, fit: Fit, noise: NoiseModel) -> NoiseModel:
 
 def noise_ratio(problem: Problem, fit: Fit) -> float:
     """Error of the fitted windows over what the sensors' noise makes of it; the largest over the outputs."""
-    single = np.max(
-        [np.maximum(r.smoothed.noise_std, r.resolution / np.sqrt(12.0)) / np.sqrt(r.thin) for r in problem.records],
-        axis=0,
-    )
-    return float(np.max(_sizes(problem, fit) / single))
+    return float(np.max(_sizes(problem, fit) / np.max([r.sensor_noise for r in problem.records], axis=0)))
 
 
 def _past(errors: Array, order: int) -> Array:
@@ -102,15 +86,9 @@ def as_fitted(held: Problem, fit: Fit, noise: NoiseModel) -> float:
 
 
 def predictive(held: Problem, fit: Fit, noise: NoiseModel) -> float:
-    r"""Log-likelihood of other windows given those that were fitted, up to a constant common to all hypotheses.
-
-    .. math:: \log p(y_h | y_f) = -\tfrac12 \min_{z, \xi} \bigl(V_h + (z - \hat z)^T H (z - \hat z)\bigr)
-        - \tfrac12 \log\det(H + H_h) + \tfrac12 \log\det H
-
-    with :math:`\hat z`, H of the fit: its parameters are known as well as it tells them, and no better. Another motion
-    may be far more sensitive to them than the one that was fitted; at the fitted values alone a set that is right would
-    then be further away than what bends itself to that motion.
-    """
+    """Log-likelihood of other windows given those that were fitted, up to a constant common to all hypotheses."""
+    # -1/2 min (V_h + (z - z^)^T H (z - z^)) - 1/2 logdet(H + H_h) + 1/2 logdet H: the parameters are known as well as
+    # the fit determines them and no better, since another motion may be far more sensitive to them.
     told = Prior(fit.z, fit.hessian)
     placed = held_out_fit(held, fit, noise)
     there = held.fit(fit.hypothesis, noise, fit.z, placed.starts, FitPlan(PREDICTED, 0.5), prior=told)
@@ -119,10 +97,7 @@ def predictive(held: Problem, fit: Fit, noise: NoiseModel) -> float:
 
 
 def window_errors(problem: Problem, fit: Fit) -> Array:
-    """Mean square of the errors of each chosen window over all outputs, shares of their measured ranges; (n_windows,).
-
-    A window of which nothing is known has none.
-    """
+    """Mean square error of each chosen window as a share of the measured ranges, (n_windows,)."""
     errors, ranges = problem.errors(fit.hypothesis, fit.z, fit.starts), spans(problem.records)
     scaled = np.concatenate([e / np.where(ranges > 0, ranges, 1.0) for e in errors])
     squares = np.nansum(scaled**2, axis=(1, 2))
@@ -130,9 +105,7 @@ def window_errors(problem: Problem, fit: Fit) -> Array:
 
 
 def clearly_larger(errors: Array, others: Array) -> bool:
-    """Whether errors of windows (mean squares) are larger than others of the same windows, on the whole (by what is
-    worth a word) and by more than chance: by Student's test of the logarithm of their ratio, at 95 %.
-    """
+    """Whether mean square errors of windows exceed others as a whole, and by more than chance (95 %)."""
     tiny = np.finfo(float).tiny
     ratio = np.log(np.maximum(errors, tiny) / np.maximum(others, tiny))
     if not errors.sum() > (1.0 + AS_LARGE) ** 2 * others.sum():
@@ -156,11 +129,8 @@ def least_squares(problem: Problem, fit: Fit, noise: NoiseModel, plan: FitPlan) 
 
 
 def restarted(problem: Problem, fit: Fit) -> Fit:
-    """The fit with its starts found anew by least squares: what sensors tell of a start, every model is granted.
-
-    Errors count by the size that this model's errors have, not by that of the sensors' noise: where a model lacks
-    something, errors of 500 times the noise would drive a start hundreds of its standard deviations away.
-    """
+    """The fit with its starts found anew by least squares under the size of this model's errors."""
+    # Not that of the sensors' noise: errors of 500 times it would drive a start hundreds of deviations away.
     start = replace(fit, starts=tuple(np.zeros((len(c), len(problem.plant.states))) for c in problem.chosen))
     for _ in range(2):  # the size of the errors is itself better known from better starts
         start = least_squares(problem, start, first_noise(problem), FitPlan(8, 0.5, fixed=True))
@@ -175,18 +145,13 @@ def _sizes(problem: Problem, fit: Fit) -> Array:
 
 
 def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = None) -> Fit:
-    """The parameters to report: the hypothesis' own errors made white, covariance from the scatter of the windows.
-
-    Full whitening is right where the errors are noise. Where something is still missing it is not: then the first
-    order, from a start by least squares, trusts differences between neighbouring points less, in which what is not
-    modelled (a small ripple) shows first.
-    """
-    found, settling = fit, SETTLING
-    if order == 1:
-        found = least_squares(problem, fit, noise, FitPlan(settling, 1e-3))
+    """The parameters to report: the hypothesis' own errors made white, covariance from the scatter of the windows."""
+    # Where something is still missing full whitening is wrong: order 1, from a start by least squares, trusts
+    # differences between neighbouring points less, in which a small ripple shows first.
+    found = least_squares(problem, fit, noise, FitPlan(SETTLING, 1e-3)) if order == 1 else fit
     for _ in range(2):
         own = whitening(problem, found, order)
-        found = problem.fit(fit.hypothesis, own, found.z, found.starts, FitPlan(settling, 1e-3, robust=True))
+        found = problem.fit(fit.hypothesis, own, found.z, found.starts, FitPlan(SETTLING, 1e-3, robust=True))
     return found
 
 
@@ -196,12 +161,9 @@ PRICE = float(np.log(2 * PHASES))  # in log evidence, of a phase that was looked
 
 
 def in_phase(problem: Problem, fit: Fit, known: Sequence[PreparedRecord]) -> tuple[Problem, float]:
-    """The problem with each record begun where the fit's effects over time leave least, and what that costs.
-
-    The parameters stay; of several such effects the first tells the phase. Records that are ``known`` (the fit was told
-    by them) stay as they are.
-    """
-    factors = [c.values(z)[c.effect.timed] for c, z in _parts(problem, fit) if c.effect.timed]
+    """The problem with each record begun where the fit's effects over time leave least, and what that costs."""
+    # Records that are ``known`` were fitted and stay; of several such effects the first gives the phase.
+    factors = [c.values(fit.z[own])[c.effect.timed] for c, own in problem.slices(fit.hypothesis) if c.effect.timed]
     new = [k for k, r in enumerate(problem.records) if not any(r is other for other in known)]
     if not factors or not new:
         return problem, 0.0
@@ -221,15 +183,6 @@ def _begun(problem: Problem, fit: Fit, k: int, period: float) -> float:
 
     step = period / PHASES
     best = step * min(range(PHASES), key=lambda n: cost(step * n))
-    finer: Any = minimize_scalar(
-        cost, bounds=(best - step, best + step), method="bounded", options={"xatol": 0.01 * period}
-    )
+    bounds = best - step, best + step
+    finer: Any = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 0.01 * period})
     return float(finer.x) % period
-
-
-def _parts(problem: Problem, fit: Fit) -> Iterator[tuple[Candidate, Array]]:
-    """Each effect of a fit with its standardised parameters."""
-    at = len(problem.nuisances)
-    for c in fit.hypothesis.candidates:
-        yield c, fit.z[at : at + len(c.parameters)]
-        at += len(c.parameters)

@@ -1,8 +1,5 @@
-r"""Noise, prior and normal equations of a fit in which every window has a start of its own, which is eliminated.
-
-A step minimises :math:`\sum_w \| r_w + J_w\,dz + X_w\,d\xi_w \|^2 + \|\xi_w + d\xi_w\|^2 + \| z + dz \|^2`; with
-:math:`d\xi_w = -(X_w^T X_w + 1)^{-1}(X_w^T r_w + \xi_w + X_w^T J_w\,dz)` equations in dz alone are left (Björck,
-*Numerical Methods for Least Squares Problems*, 1996, section 9.3).
+"""Noise, prior and normal equations of a fit in which each window's start is eliminated (Björck, *Numerical Methods for
+Least Squares Problems*, 1996, section 9.3).
 """
 
 from __future__ import annotations
@@ -98,20 +95,16 @@ def sandwich(parts: Sequence[Linearised], hessian: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) per measured output.
+    """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) of each output."""
 
-    ``excess`` is the factor of the variance by which ``std`` is above what the errors themselves have: errors of a
-    model come in one piece, and tell less than as many independent ones (`independent`).
-    """
+    # excess: factor of the variance above that of the errors themselves, which hang together (`noise.careful`).
 
     std: Array
     ar: Array
     excess: float = 1.0
 
     def whitened(self, errors: Array) -> Array:
-        """Residuals (n_windows, n_points * n_y) of averaged errors (n_windows, n_points, n_y), each of variance one;
-        missing points are zero.
-        """
+        """Residuals (n_windows, n_points * n_y) of unit variance from averaged errors; missing points are zero."""
         order = len(self.ar)
         e = errors[:, order:].copy()
         for lag in range(order):

@@ -74,14 +74,16 @@ class PreparedRecord:
         """Measured outputs in the windows, (n_windows, length, n_measured)."""
         return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
 
+    @property
+    def sensor_noise(self) -> Array:
+        """Standard deviation of each measured output's noise or resolution in an averaged error."""
+        return np.maximum(self.smoothed.noise_std, self.resolution / np.sqrt(12.0)) / np.sqrt(self.thin)
+
     def starts_seen(
         self, lag: float, shown: Mapping[int, float], biased: Mapping[int, float] = {}, late: Mapping[int, float] = {}
     ) -> Array:
-        """States at the window starts, (n_windows, n_x), where sensors show them late, scaled or biased.
-
-        ``lag``: seconds by which all sensors are late. ``shown``, ``biased``, ``late``: index of an output of the plant
-        -> its gain, what it shows of zero, and the seconds by which it alone is late.
-        """
+        """States at the window starts, (n_windows, n_x), where sensors show them late, scaled or biased."""
+        # lag: seconds by which all sensors are late; shown, biased, late: by index of an output of the plant.
         x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
         for j, share, unit in self._corrections(shown, biased):
             x0 += share * self._at(self.told[j], lag) - unit * self._at(self.constant[j], lag)
@@ -134,12 +136,9 @@ def ports_of(plant: AnyPlant, record: Record) -> PortModel:
 
 
 def window_length(plant: AnyPlant, records: Sequence[Record], model: PortModel | None = None) -> int:
-    """Samples per window: a twelfth of the shortest record, but at least the slowest time constant and two periods of
-    the slowest resonance, as far as four windows fit.
-
-    Of a nonlinear plant (``model`` about its motion) it is that twelfth; but over a window the fastest instability,
-    which a controller held when the record was made, grows no more than ``MOST_GROWTH`` times.
-    """
+    """Samples of a window: a twelfth of the shortest record, or more where the plant is slow."""
+    # At least the slowest time constant and two periods of the slowest resonance, as far as four windows fit. Of a
+    # nonlinear plant the fastest instability grows no more than MOST_GROWTH times over it.
     n, dt = min(r.n for r in records), records[0].dt
     length = min(max(20 * n // (20 * WINDOWS_WANTED + 1), tuning.SHORTEST_WINDOW), LONGEST_WINDOW)
     if isinstance(plant, LinearPlant):
@@ -160,12 +159,8 @@ def prepare(
     valid: dict[str, Mask] | None = None,
     outputs: Collection[str] = (),
 ) -> PreparedRecord:
-    """Cut a uniform record into windows of ``length`` samples and smooth it.
-
-    ``model``: ports of the plant; the unknown force is looked for at its joints, or at its inputs where it has none.
-    ``valid``: output name -> mask of the samples that were measured (all where left out). ``outputs``: the outputs that
-    count, those of the record where left out; what the record has not is missing at all samples.
-    """
+    """Cut a uniform record into windows of ``length`` samples and smooth it."""
+    # valid: output -> mask of the samples that were measured; outputs: those that count, the record's if left out.
     names = [s.name for s in plant.outputs]
     u, y, columns = _signals(plant, record, outputs)
     own = [j for j, k in enumerate(columns) if names[k] in record.outputs]
@@ -262,10 +257,8 @@ def alike(prepared: Sequence[PreparedRecord]) -> list[PreparedRecord]:
 
 
 def averaged(error: Array, thin: int) -> Array:
-    """Means over ``thin`` samples, (n_windows, n_points, n_y); NaN where no sample is known.
-
-    The first twentieth of a window is left out: what a late sensor showed then happened before the window.
-    """
+    """Means over ``thin`` samples, (n_windows, n_points, n_y); NaN where no sample is known."""
+    # The first twentieth of a window is left out: what a late sensor showed then happened before the window.
     error = error[:, error.shape[1] // 20 :]
     count, length, n_y = error.shape
     points = length // thin
@@ -279,12 +272,8 @@ def averaged(error: Array, thin: int) -> Array:
 
 
 def _with_plausible_currents(smoothed: SmoothedRecord, model: PortModel, seen: Array, u: Array) -> SmoothedRecord:
-    r"""Currents that no sensor tells (``seen``: C of the measured outputs) where the plant can have them.
-
-    They follow voltage and speed: near :math:`i_\infty = -(A_{ij} x_j + B_i u) / A_{ii}`, for a motor
-    :math:`(u - K \omega) / R`. That stands where the smoother, which takes nothing for granted at the beginning of a
-    record, knows less; the standard deviation is a share of its size, since effects may delay or change the voltage.
-    """
+    """The smoothed record with currents that no sensor shows where voltage and speed put them."""
+    # Near (u - K omega) / R, with a share of its size as deviation: effects may delay or change the voltage.
     x, std = smoothed.x.copy(), smoothed.x_std.copy()
     for port in model.ports.values():
         if port.kind != "current" or seen[:, port.velocity != 0.0].any():
@@ -319,11 +308,8 @@ def _fastest_seen(model: PortModel, y: Array, dt: float, noise_std: Array) -> fl
 def _smoothed(
     bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array
 ) -> tuple[SmoothedRecord, StateSpaceModel, Array]:
-    """Smoothed with inputs that are held or, where that is more probable, smooth between their samples.
-
-    The smoother knows held inputs alone: a smooth one is given by its means over the samples, and by its rises with
-    columns of their own. With the model and the inputs that were taken.
-    """
+    """Smoothed with inputs that are held or, where that is more probable, smooth between their samples."""
+    # A smooth input is given by its means over the samples, and by its rises with columns of their own.
     dt = float(t[1] - t[0])
     halves = np.stack([SampledInput(column, "smooth").steps(1) for column in u.T])  # (n_u, n, 2)
     inputs = np.vstack([halves.mean(axis=2), halves[:, :, 1] - halves[:, :, 0]]).T
@@ -334,11 +320,8 @@ def _smoothed(
 
 
 def _lead(first: int, last: int, length: int) -> int:
-    """First sample of the first window of a stretch.
-
-    What the input was before the record is not known, and a plant with a delay still answers to it: the samples that
-    the windows leave over are left out at the beginning, up to a twentieth of a window.
-    """
+    """First sample of the first window of a stretch."""
+    # A plant with a delay answers to what was before the record: samples left over are left out at its beginning.
     return first + min((last - first) % length, length // 20)
 
 

@@ -1,15 +1,6 @@
-r"""What small forces at ports change in the windows of a fit, and the errors' likelihood under a random force.
-
-Near a fit the errors of a window, in units of the sensors' noise, are :math:`e = J \delta + X \eta + O f +
-\text{noise}` with the moves of parameters and start and the forces f, held over short segments. O is simulated pulse by
-pulse; only the products :math:`G = [O\; J\; X\; e]^T [O\; J\; X\; e]` of each window are kept.
-
-No machine runs without a random force. With its size s and bandwidth f the covariance of the errors is
-
-.. math:: \sigma^2 (1 + O\, s^2 K_f\, O^T), \qquad (K_f)_{jk} = e^{-2 \pi f |t_j - t_k|}
-
-and all else is Gaussian and eliminated in closed form. The eigenvectors of :math:`L^T O^T O L`, :math:`L L^T = K_f`,
-serve all sizes at once. At several ports the forces are independent, each the same share of what moves its port.
+r"""What small forces at ports change in the windows of a fit, and the errors' likelihood under a random force: errors
+J delta + X eta + O f + noise, covariance sigma^2 (1 + O s^2 K_f O^T) with K_f = exp(-2 pi f |t_j - t_k|), all else
+eliminated in closed form. Only each window's products G = [O J X e]^T [O J X e] are kept.
 """
 
 from __future__ import annotations
@@ -137,7 +128,7 @@ def _of_record(
 ) -> ForceResponse:
     record, chosen, xi, count = problem.records[k], problem.chosen[k], fit.starts[k], len(places)
     nothing = np.zeros(len(record.u))
-    single = np.maximum(record.smoothed.noise_std, record.resolution / np.sqrt(12.0)) / np.sqrt(record.thin)
+    single = record.sensor_noise
 
     def outputs(z: Array, start: Array, samples: Array = nothing, at: int = 0, simulator: Simulator = quick) -> Array:
         setting = problem.setting(wider, z)
@@ -228,12 +219,9 @@ FINER = (0.5, 1.0, 2.0)  # of the best of them
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevel:
-    """A random force, and the sums of each window with it and the start eliminated.
+    """A random force of a size and bandwidth (Hz), and each window's products with it and the start eliminated."""
 
-    ``size`` is its share s of the force that moves a port, ``bandwidth`` in Hz.
-    ``gram`` (n_windows, k + n_z + 1, ...) over the columns asked for, the parameters and the errors;
-    ``logdet`` (n_windows,).
-    """
+    # gram: (n_windows, n, n) over the columns asked for, the parameters and the errors.
 
     size: float
     bandwidth: float
@@ -341,12 +329,9 @@ class FittedWindows:
 
     @property
     def start_volume(self) -> float:
-        """What twice the log likelihood of the hypothesis alone lacks to be compared with others', of the starts.
-
-        The log det of their equations grows with whatever scales the outputs: only what a random force changes of it
-        tells anything. Starts have hardly any prior here, and what one of them shows below the noise within its prior
-        (a current whose heat is carried on for hours) would tell as much; so there they have that of the fit.
-        """
+        """What twice the log likelihood of the hypothesis alone lacks, of the starts, to be compared with others'."""
+        # The log det of their equations grows with whatever scales the outputs: only what a random force changes of it
+        # counts. Starts have hardly any prior here, so there they have that of the fit.
         total = 0.0
         for k, record in enumerate(self.records):
             own = slice(-1 - record.xi.shape[1], -1)
@@ -358,10 +343,7 @@ class FittedWindows:
 
     @property
     def log_likelihood(self) -> float:
-        """Log marginal likelihood of the hypothesis alone under a random force, parameters integrated out.
-
-        Up to a constant common to all hypotheses.
-        """
+        """Log marginal likelihood of the hypothesis alone under a random force, up to a constant common to all."""
         return self.alone.alone + 0.5 * len(self.z) * float(np.log(self.weight)) + 0.5 * self.start_volume
 
     def _within_noise(self, k: int, size: float) -> Array:

@@ -1,15 +1,8 @@
 # pyright: reportMissingParameterType=false
 # (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
-r"""Compiled square-root Kalman filter and Rauch-Tung-Striebel smoother.
-
-.. math:: z_{k+1} = \Phi z_k + f_k + w_k, \quad w_k \sim N(0, L^T L), \qquad
-          y_k = H z_k + e_k, \quad e_k \sim N(0, \operatorname{diag} \sigma^2)
-
-Covariances are carried as roots, P = S S^T; outputs enter one at a time (Potter). The time update is the QR of
-[[S_f^T Phi^T, S_f^T], [L, 0]] = Q [[S_p^T, W], [0, V]]: predicted root, smoother's gain :math:`W^T S_p^{-1}`, and
-:math:`V^T V`, the covariance given the next state. Roots that repeat are kept, and only the means run on.
-
-Park, Kailath, "New square-root smoothing algorithms", IEEE TAC 41 (1996).
+r"""Compiled square-root Kalman filter and Rauch-Tung-Striebel smoother: covariances are roots, P = S S^T, outputs enter
+one at a time (Potter), the time update is the QR of [[S^T Phi^T, S^T], [L, 0]] = Q [[S_p^T, W], [0, V]] with the gain
+W^T S_p^-1 and V^T V, the covariance given the next state (Park, Kailath, IEEE TAC 41, 1996).
 """
 
 from __future__ import annotations
@@ -158,17 +151,14 @@ def _repeats(S_new, S):
 
 
 @njit(
-    [(types.NamedTuple(_FILTER, Filter), _2, types.boolean, _2, types.NamedTuple(_KEPT, Kept))],
+    [(types.NamedTuple(_FILTER, Filter), _2, types.boolean, types.NamedTuple(_KEPT, Kept))],
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def forward(model, y, keep, innovation, kept):
-    """Run the filter from zero mean and the root S0; ``kept.last`` receives the filtered root of the last sample.
-
-    ``innovation`` (n, n_y) receives v / sqrt(a), NaN where y is. With ``keep`` the other arrays are filled for the
-    smoother, else they may be empty. Returns the sum of log a and of v^2 / a over all but the first n_z full updates.
-    """
+def forward(model, y, keep, kept):
+    """Run the filter from zero mean and the root S0; ``kept.last`` receives the filtered root of the last sample."""
+    # Returns the sums of log variance and of squared innovation over variance after the first n_z full updates.
     phi, noise, forced, H, sigma, S0 = model
     predicted, filtered, slot, root, G, rest, last = kept
     n, n_y, n_z = y.shape[0], y.shape[1], len(phi)
@@ -193,7 +183,6 @@ def forward(model, y, keep, innovation, kept):
         slot_k = place
         for i in range(n_y):
             if math.isnan(y[k, i]):
-                innovation[k, i] = np.nan
                 continue
             v = y[k, i]
             for c in range(n_z):
@@ -203,7 +192,6 @@ def forward(model, y, keep, innovation, kept):
                     z[c] += gain[i, c] * v
             else:
                 variance[i] = _update(z, S, H[i], sigma[i], v, gain[i], direction)
-            innovation[k, i] = v / math.sqrt(variance[i])
             if seen >= n_z:
                 logs += math.log(variance[i])
                 squares += v * v / variance[i]

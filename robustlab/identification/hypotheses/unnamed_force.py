@@ -1,13 +1,7 @@
-r"""Evidence that a force without a name acts on top of a hypothesis: a Gaussian process over what it may depend on.
-
-.. math::
-    e = J\,\delta + X\,\eta + O\,(\Phi c + d) + \text{noise}, \qquad d \sim N(0, s^2 K_f), \quad c \sim N(0, \lambda^2)
-
-with the random force d (`robustlab.identification.hypotheses.random_force`) and a force :math:`\Phi c` that follows
-speed, position, time or input smoothly, or as a line over time or position. The marginal likelihoods with and without
-it are maximised over s, f and the scale of the noise, what was searched is paid for; the gain in nats is added to the
-log evidence of the hypothesis. The second judge is `cross_validated`: what each window gains by curves from the others
-(Rasmussen, Williams, *Gaussian Processes for Machine Learning*, 2006, sections 2.7 and 5.4).
+"""Evidence that a force without a name acts beside a hypothesis: a Gaussian process over speed, position, time or
+input, or a line, on top of the random force; its gain in nats after what was searched is paid for, and window by
+window from all the others (Rasmussen, Williams, *Gaussian Processes for Machine Learning*, 2006, sections 2.7 and
+5.4).
 """
 
 from __future__ import annotations
@@ -240,11 +234,9 @@ class Unnamed:
 
 
 def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Site], ...]:
-    """What a hypothesis leaves in the windows under a random force, and where curves of a force are to be looked for.
-
-    Of a linear plant with few joints (``most_places``) the random force acts at one of them, and each is asked; of
-    any other at all of them, and those are asked where more than it is left.
-    """
+    """A hypothesis' windows under a random force, and where curves of a force are looked for."""
+    # Of a linear plant with few joints the force acts at one of them, and each is asked; else at all of them, and those
+    # are asked where more than it is left.
     places, most = plain_places(problem, fit), MOST_PLACES
     if len(places) <= most and not isinstance(problem.plant, NonlinearPlant):
         return tuple((FittedWindows(force_response(problem, fit, [p]), fit.z, problem), p) for p in places)
@@ -255,7 +247,7 @@ def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Sit
 def unnamed_force(windows: FittedWindows, place: Site) -> Unnamed:
     """What a hypothesis leaves, told as a force at one place."""
     kinds = families(windows)
-    best = [_judged(windows, family, len(kinds)) for family in kinds]
+    best = [judged(windows, family, len(kinds)) for family in kinds]
     told = [_told(place, f, b) for f, b in zip(kinds, best, strict=True)]
     order = sorted(range(len(told)), key=lambda k: (not told[k].wins, -told[k].evidence))
     first = best[order[0]]
@@ -276,7 +268,7 @@ class _Best(NamedTuple):
     mean: Array
 
 
-def _judged(windows: FittedWindows, family: Family, kinds: int) -> _Best:
+def judged(windows: FittedWindows, family: Family, kinds: int) -> _Best:
     """One of so many kinds at its own best noise and strength."""
     n_z, n, count = len(windows.z), windows.points, family.columns[0].shape[2]
     levels = windows.levels(family.columns, windows.smaller)

@@ -35,7 +35,6 @@ from robustlab.identification.hypotheses.prepared_record import PreparedRecord, 
 from robustlab.identification.monitoring.change_test import ChangeTest, PieceEquations, onset
 from robustlab.identification.monitoring.watch_result import Watch, WatchedPiece
 from robustlab.identification.naming.discovery import discover, known_plant
-from robustlab.identification.naming.first_look import own_derivatives
 from robustlab.identification.naming.set_search import clock_nuisances, held_inputs
 from robustlab.identification.record_check.resampling import clock_step, uniform
 from robustlab.identification.response.response import with_units
@@ -326,7 +325,7 @@ def faithful_windows(problem: Problem, fit: Fit, spread: Array) -> tuple[Problem
     nor steps of half the length, change its residuals, starts free, by more than `MOST_BENT`.
     """
     (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
-    free = _free(problem, fit, residual)
+    free = _free(problem, fit)
     simulators = problem.simulators(fit.hypothesis)
 
     def moved(z: Array) -> Array:
@@ -344,15 +343,15 @@ def fine_steps(problem: Problem, fit: Fit) -> Problem:
     """The problem with steps so short that half of them change few windows; shorter ones than `MOST_STEPS` are not."""
     while (problem.clock.sub or 1) < MOST_STEPS:
         (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
-        if (_stepped(problem, fit, residual, _free(problem, fit, residual)) > MOST_BENT).mean() <= FEW:
+        if (_stepped(problem, fit, residual, _free(problem, fit)) > MOST_BENT).mean() <= FEW:
             break
         problem = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
     return problem
 
 
-def _free(problem: Problem, fit: Fit, residual: Array) -> Array:
+def _free(problem: Problem, fit: Fit) -> Array:
     """Orthonormal basis of what the starts do to the residuals, (n_windows, points, n_x)."""
-    ((_, over_x),) = own_derivatives(problem, fit, [residual])
+    ((_, over_x),) = problem.derivatives(fit, 0)
     return np.linalg.qr(over_x)[0]
 
 
@@ -375,7 +374,7 @@ def equations(problem: Problem, fit: Fit) -> PieceEquations:
         zero = np.zeros((len(fit.z) + 1,) * 2)
         return PieceEquations(zero, zero, 0, 0)
     (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
-    ((over_z, over_x),) = own_derivatives(problem, fit, [residual])
+    ((over_z, over_x),) = problem.derivatives(fit)
     columns = np.nan_to_num(np.concatenate([over_z, residual[:, :, None]], axis=2), posinf=0.0, neginf=0.0)
     known, n_y = residual != 0.0, len(fit.noise.std)
     count, points, n_x = over_x.shape

@@ -1,9 +1,4 @@
-"""From the posterior of the sets to what is said: verdict, names, intervals, gaps, and what remains.
-
-The best set is named where its probability is high enough and nothing stands beside it that no test on these records
-tells from it. "Complete" and "no missing effect" are not said where the errors are far beyond noise, where a line over
-time or position is significant, or where an unnamed force explains what the names do not.
-"""
+"""From the posterior of the sets to the answer: verdict, names, intervals, gaps, and what remains."""
 
 from __future__ import annotations
 
@@ -29,19 +24,9 @@ from robustlab.identification.hypotheses.effect_fit import (
 )
 from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
 from robustlab.identification.hypotheses.prepared_record import start_std
-from robustlab.identification.naming.discovery_result import Discovery, Verdict
-from robustlab.identification.naming.held_out import (
-    Gaps,
-    Matter,
-    errors_of,
-    held_out_gaps,
-    late_clocks,
-    matter_of,
-    strained,
-    without_effects,
-)
-from robustlab.identification.naming.named_effects import (
+from robustlab.identification.naming.discovery_result import (
     INTERVAL,
+    Discovery,
     EffectValue,
     InputClock,
     NamedEffect,
@@ -49,13 +34,28 @@ from robustlab.identification.naming.named_effects import (
     Rival,
     SearchEntry,
     SetProbability,
+    Verdict,
     overall,
 )
-from robustlab.identification.naming.named_kinds import Kinds, kinds_of
+from robustlab.identification.naming.held_out import (
+    Gaps,
+    Matter,
+    held_out_gaps,
+    late_clocks,
+    matter_of,
+    simulated,
+    strained,
+    without_effects,
+)
+from robustlab.identification.naming.named_kinds import Kinds, force_share, kinds_of
 from robustlab.identification.naming.posterior import Alternative, Posterior
-from robustlab.identification.naming.quantities import force_share
-from robustlab.identification.naming.residual_after_naming import LeftOver, left_over, remaining_lines
-from robustlab.identification.naming.residual_force import ResidualForce
+from robustlab.identification.naming.residual_force import (
+    LeftOver,
+    ResidualForce,
+    left_over,
+    remaining_lines,
+    residual_curves,
+)
 from robustlab.identification.naming.set_search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
@@ -105,10 +105,7 @@ class _Judgement(NamedTuple):
 
 
 class _Left(NamedTuple):
-    """What the best set leaves: whether it matters, whether all was looked at and nothing does, and what it is.
-
-    ``force``, ``lines``: residual force and its lines; ``floor``, ``excess``: noise floor and F against it.
-    """
+    """What the best set leaves: whether it matters, whether all was examined, force, lines, and noise floor."""
 
     remains: bool
     complete: bool
@@ -118,19 +115,17 @@ class _Left(NamedTuple):
     excess: Mapping[str, float]
 
 
-class _Stages:
-    """Runs what comes after the naming: what fails is told, and never loses the naming."""
-
-    def __init__(self) -> None:
-        self.findings: list[Finding] = []
+class _Stages(list[Finding]):
+    """Findings of what comes after the naming: what fails is one of them, and never loses the naming."""
 
     def run(self, what: str, work: Callable[[], T], instead: T) -> T:
         try:
             with np.errstate(all="ignore"):
                 return work()
         except (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError) as fault:
-            hint = "the names stand without it"
-            self.findings.append(Finding("stage", what, f"not computed: {fault}", "a number", hint, False, {}))
+            self.append(
+                Finding("stage", what, f"not computed: {fault}", "a number", "the names stand without it", False, {})
+            )
             return instead
 
 
@@ -155,7 +150,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     verdict = _verdict(found, kinds, fit, left.remains)
     named = fit.hypothesis.candidates
     bare = settled(problem, found.empty.fit, found.noise, 1 if named else None)
-    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise, 0)
+    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise)
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
     judged = _Judgement(verdict, left.complete and verdict != "unknown")
     findings = [*case.findings, *_search_findings(found)]
@@ -172,7 +167,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     explained = _explained_on_held_out(gaps, posterior.noise_ratio)
     structure = {"noise_ratio": posterior.noise_ratio, "explained": explained}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
-    curves = stages.run("residual force", force.curves, None) if force else None
+    curves = stages.run("residual force", lambda: residual_curves(force), None) if force else None
     missing = stages.run("missing force", lambda: _missing_force(found, bare), None) if named else None
     sure = stages.run("kinds", lambda: kinds.named(problem, left.remains), ()) if judged.verdict != "unknown" else ()
     source = f"fitted to {', '.join(names)}"
@@ -211,7 +206,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         noise_floor=left.floor,
         floor_excess=left.excess,
         remaining_lines=left.lines,
-        findings=(*findings, *stages.findings),
+        findings=(*findings, *stages),
         series=gaps.series,
         model=model,
         next_experiment=experiment,
@@ -243,12 +238,12 @@ def _matters(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None
     asked = [(k, c.key) for k, c in enumerate(fit.hypothesis.candidates) if keys is None or c.key in keys]
     if not asked:
         return {}
-    whole, already = errors_of(held, fit, known), strained(problem, fit)
+    whole, already = simulated(held, fit, known), strained(problem, fit)
     told = {}
     for k, key in asked:
         less = without_effects(problem, fit, {key})
         needed = force_share(problem, fit, k) >= tuning.MATERIAL or bool(strained(problem, less) - already)
-        told[key] = matter_of(held, whole, errors_of(held, less, known), needed)
+        told[key] = matter_of(held, whole, simulated(held, less, known), needed)
     return told
 
 
@@ -286,14 +281,9 @@ def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
 
 
 def _on_held_out(judged: _Judgement, gaps: Gaps, strained: bool, material: float) -> _Judgement:
-    """Judge the names on held-out data.
-
-    "unknown" where the updated model is worse than as given (free run), or clearly worse than refitted (windows);
-    "ambiguous" where the latter may be chance.
-
-    A refit that has left its tolerances (``strained``) is no model to be compared with but where its error is smaller
-    by the share ``material``: its parameters do what the names say.
-    """
+    """Judge the names on held-out data."""
+    # A refit that has left its tolerances (strained) does by its parameters what the names say: it counts only where
+    # its error is smaller by the share material.
     if gaps.worse_than_given:
         return _Judgement("unknown", False)
     updated, refitted = (overall(gaps.windows, model) for model in ("updated", "refitted"))
@@ -367,7 +357,7 @@ def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None
 def _missing_force(found: Found, bare: Fit) -> ResidualForce | None:
     """The force that the refitted nominal model lacks."""
     left = left_over(_everything(found), bare, found.noise)
-    return left.curves() if left else None
+    return residual_curves(left) if left else None
 
 
 def _everything(found: Found) -> Problem:
@@ -406,11 +396,9 @@ def _next_experiment(problem: Problem, best: Fit, rivals: Sequence[Alternative])
 
 def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...]:
     """Parameters of the k-th effect with posterior intervals."""
-    candidate = fit.hypothesis.candidates[k]
-    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k])
-    z, std = fit.z[at : at + len(candidate.parameters)], fit.std[at : at + len(candidate.parameters)]
+    candidate, own = problem.slices(fit.hypothesis)[k]
     values = []
-    for p, centre, spread in zip(candidate.parameters, z, std, strict=True):
+    for p, centre, spread in zip(candidate.parameters, fit.z[own], fit.std[own], strict=True):
         ends = sorted(p.prior.value(float(centre + side * INTERVAL * spread)) for side in (-1.0, 1.0))
         values.append(EffectValue(p.name, p.prior.value(float(centre)), p.unit, ends[0], ends[1], p.meaning))
     return tuple(values)
@@ -433,17 +421,15 @@ def _named(
 
 
 def _opened_above(problem: Problem, fit: Fit, k: int, values: Sequence[EffectValue]) -> tuple[EffectValue, ...]:
-    """The values of the k-th effect, with the upper end of its prior where a larger one does as well.
-
-    The curvature at the best fit of a gap whose other flank the load never reaches says nothing of its width: a clearly
-    larger value is held, and everything else fitted again.
-    """
-    candidate = fit.hypothesis.candidates[k]
+    """The values of the k-th effect, with the upper end of its prior where a larger one fits as well."""
+    # The curvature at the fit of a gap whose other flank the load never reaches has no information on its width: a
+    # clearly larger value is held, and everything else fitted again.
+    candidate, place = problem.slices(fit.hypothesis)[k]
     name = candidate.effect.told_from_below
     if not name:
         return tuple(values)
     own = [p.name for p in candidate.parameters].index(name)
-    at = len(problem.nuisances) + sum(len(c.parameters) for c in fit.hypothesis.candidates[:k]) + own
+    at = place.start + own
     prior = candidate.parameters[own].prior
     z = fit.z.copy()
     z[at] = prior.standardised(WIDER * values[own].value)

@@ -1,17 +1,11 @@
-"""`discover`: name the effects that a model lacks, from measured records.
-
-The way: the records are checked and cut into windows; sets of effects of the catalogue are fitted by simulation, always
-together with the nominal parameters within their tolerances and the clocks of the inputs; the search moves from set to
-set by evidence, on what is fitted and on what is held out; the posterior over all sets that it judged says what is
-named, what could stand in its place, and what remains unknown.
-"""
+"""`discover`: name the effects that a model lacks, from measured records."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -55,11 +49,7 @@ LONGEST_LAG = 0.1  # of a window: until the lag has passed, nothing of the simul
 def admissible(
     plant: AnyPlant, stated: Mapping[str, tuple[float, bool]], fitted: Problem, held: Problem
 ) -> Callable[[Problem, Fit], bool]:
-    """The test that a set has to pass: parameters beyond their tolerances, ripples of which enough is seen.
-
-    ``stated``: parameter -> (relative tolerance, whether it was assumed). ``fitted``, ``held``: the records: a force
-    over the position must be seen for two of its periods in both.
-    """
+    """The test that a set has to pass: parameters beyond their tolerances, ripples of which enough is seen."""
     limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(plant)}
     positions = _positions(plant, fitted)
 
@@ -106,21 +96,10 @@ def _positions(plant: AnyPlant, problem: Problem) -> dict[str, Array]:
     return rows | {name: port.position for name, port in model.ports.items() if port.position is not None}
 
 
-@runtime_checkable
-class Counting(Protocol):
-    """A listener that shows the numbers itself."""
-
-    def __call__(self, text: str) -> None:
-        """A text that is told at once."""
-
-    def part(self, done: float, expected: float, text: str) -> None:
-        """Work done in this part of the search, work expected in it, and what it is."""
-
-
 def _reporter(progress: Callable[[str], None] | None) -> Callable[[float, float, str], None]:
-    """Report work done, work expected and what it is to a listener; one that is not `Counting` gets each new text."""
-    if isinstance(progress, Counting):
-        return progress.part
+    """Report work done, work expected and what it is to a listener's ``part``, else each new text to itself."""
+    if (part := getattr(progress, "part", None)) is not None:
+        return part
     last = ""
 
     def report(_done: float, _expected: float, text: str) -> None:

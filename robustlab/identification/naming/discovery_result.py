@@ -1,25 +1,16 @@
-"""What `discover` answers: the verdict, the named effects with their evidence, the gap before and after; its text."""
+"""What `discover` answers: values with intervals, named effects, gaps, sets with probabilities, and its numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+from robustlab.dynamics.effects.catalogue import catalogue, effect
+from robustlab.dynamics.effects.contract import Scales
 from robustlab.dynamics.effects.kinds import KINDS
-from robustlab.identification.naming.discovery_numbers import numbers_of, quantities_of
-from robustlab.identification.naming.discovery_text import details_of, facts_of, headline_of
-from robustlab.identification.naming.named_effects import (
-    SURE,
-    Gap,
-    InputClock,
-    NamedEffect,
-    NamedKind,
-    NominalValue,
-    Rival,
-    SearchEntry,
-    SetProbability,
-)
+from robustlab.dynamics.effects.parameter_effects import GroundedEffect
 from robustlab.result import Evidence, Status
 from robustlab.shown import Each, Facts, Part
 from robustlab.tables import Table, Tabular
@@ -33,6 +24,203 @@ if TYPE_CHECKING:
 
 LINEAR = "linear about the recorded motion"  # said of the records of such runs
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
+INTERVAL = 1.96  # standard deviations of a 95 % interval
+SURE = 0.95  # probability of what is named
+WAVES = (("Ac", "As"), ("Pc", "Ps"), ("c", "s"))  # cosine and sine part of what is periodic in the position
+
+
+@dataclass(frozen=True)
+class EffectValue(Evidence):
+    """One fitted parameter of an effect: value, unit, 95 % interval (posterior, given the effect), and meaning."""
+
+    name: str
+    value: float
+    unit: str
+    lower: float
+    upper: float
+    meaning: str
+
+
+@dataclass(frozen=True)
+class NominalValue(Evidence):
+    """One refitted nominal parameter with its 95 % interval, and the tolerance it was given (0: held fixed)."""
+
+    # assumed: the plant states no tolerance; beyond: the value left it. Absolute where the nominal value is 0.
+
+    name: str
+    nominal: float
+    value: float
+    unit: str
+    lower: float
+    upper: float
+    tolerance: float
+    assumed: bool
+    beyond: bool = False
+
+
+@dataclass(frozen=True)
+class Rival(Evidence):
+    """An effect that these records cannot separate from a named one."""
+
+    # name, title, site: the rival
+    name: str
+    title: str
+    site: str
+    # id of the named effect whose place it could take; "none" where nothing was named, but this effect is about as
+    # probable as none: the tolerances of other parameters may hide it
+    instead_of: str
+    # refit distance d in standard deviations of the noise: how far the rival's best fit stays from what the named
+    # effect predicts for these very records. d < 3 cannot be told apart. Of a rival of "none" it is how far the bare
+    # model stays from what the rival predicts.
+    distance: float
+    evidence: float  # log evidence relative to the named effect (negative: behind)
+    probability: float  # of the most probable set that has it in that place
+    parameters: tuple[EffectValue, ...]  # as it was fitted
+
+
+@dataclass(frozen=True)
+class NamedEffect(Evidence):
+    """One effect that the records show."""
+
+    name: str  # id in the catalogue
+    # title, equation, site: in words; as a formula; where it sits
+    title: str
+    equation: str
+    site: str
+    parameters: tuple[EffectValue, ...]  # fitted values with intervals
+    confidence: float  # its probability: that of all sets of effects that contain it, 0..1
+    evidence: float  # log evidence over the model without it
+    rivals: tuple[str, ...]  # ids that these records cannot separate from it; empty where the name is unique
+    # windowed error on held-out data in percent of the range with all names but this one, refitted; NaN if not known
+    error_without: float = math.nan
+
+
+@dataclass(frozen=True)
+class KindMember(Evidence):
+    """An effect that a kind may be: id, title, site, and its share of the kind's probability, 0..1."""
+
+    name: str
+    title: str
+    site: str
+    share: float
+
+
+@dataclass(frozen=True)
+class NamedKind(Evidence):
+    """What the records are sure of at one place."""
+
+    # kind, title, place: id in the tree of kinds (`robustlab.dynamics.effects.kinds`), in words, and where
+    kind: str
+    title: str
+    place: str
+    probability: float  # of all sets that have a member of it there, 0..1
+    values: tuple[EffectValue, ...]  # what every member can be asked for, with 95 % intervals over all members
+    members: tuple[KindMember, ...]  # the effects that it may be, the most probable first
+    form: str  # how to tell the members apart, as an instruction
+    # whether more than noise is left beside it: that may be what its best form differs from the true one by
+    misfit: bool = False
+
+    quantities: ClassVar[Mapping[str, Any]] = {"probability": "1"}
+
+    @property
+    def words(self) -> str:
+        """What and where: ``dry friction at omega``, ``a lateness from u to q``."""
+        return f"{self.title} {'from' if ' to ' in self.place else 'at'} {self.place}"
+
+    @property
+    def settled(self) -> bool:
+        """Whether one member alone has 95 % of it, and nothing is left that another could be told by."""
+        return [m.share >= SURE for m in self.members if m.share > 1.0 - SURE] == [True] and not self.misfit
+
+    @property
+    def open_form(self) -> str:
+        """Why the form is not told: several members at once, a misfit beside it, or records that do not settle it."""
+        if sum(m.share >= SURE for m in self.members) > 1:
+            return "more than one at once"
+        return "not settled beside what remains" if self.misfit else "not settled"
+
+
+def wave_amplitude(values: Mapping[str, float]) -> float | None:
+    """Amplitude of an effect that is periodic, from its cosine and sine part; None of any other."""
+    pair = next(((c, s) for c, s in WAVES if c in values and s in values), None)
+    return math.hypot(values[pair[0]], values[pair[1]]) if pair else None
+
+
+@dataclass(frozen=True)
+class Gap(Evidence):
+    """Simulation error (RMS) of one output: in windows, or in one run from the record's start."""
+
+    # output, unit, range: the output, its unit, its measured range on that data
+    output: str
+    unit: str
+    range: float
+    # nominal, refitted, updated: RMS of these models; infinite where the simulation diverges
+    nominal: float
+    refitted: float
+    updated: float
+
+    quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("range", "nominal", "refitted", "updated"), "*")
+
+
+def overall(gaps: Mapping[str, Gap], model: str) -> float:
+    """RMS over the outputs of the error of ``nominal``, ``refitted`` or ``updated`` in percent of the range."""
+    shares = [getattr(g, model) / (g.range or 1.0) for g in gaps.values()]
+    return 100.0 * math.sqrt(sum(share**2 for share in shares) / len(shares)) if shares else math.nan
+
+
+@dataclass(frozen=True)
+class SetProbability(Evidence):
+    """A set of effects and how probable it is among all that the search visited."""
+
+    effects: tuple[str, ...]  # its effects with their places, ``"coulomb-friction@omega"``; empty: nothing is missing
+    names: tuple[str, ...]  # their ids in the catalogue
+    probability: float  # of this set, 0..1; over all visited sets it sums to one
+    evidence: float  # log evidence, prior of the set included, relative to the most probable one
+    # refit distance from the most probable set in standard deviations of the noise (3 tell); NaN where not asked
+    distance: float = math.nan
+    unnamed: str = ""  # the unnamed force that belongs to it (``"force over speed"``), empty where none does
+
+
+@dataclass(frozen=True)
+class InputClock(Evidence):
+    """What an input does between its samples, and by how much its clock is late against the outputs', in s."""
+
+    input: str
+    hold: Literal["held", "linear", "smooth"]
+    shift: float
+    std: float
+
+
+@dataclass(frozen=True)
+class SearchEntry(Evidence):
+    """One set that the search visited, in its order: effects with places, log evidence, what became of it."""
+
+    effects: tuple[str, ...]
+    evidence: float
+    decision: str
+
+
+def units_of_effects(exclude: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Effect that may be named, alone and with its place -> its parameters with their units."""
+    left_out = {effect(name).id for name in exclude}
+    effects: dict[str, dict[str, Any]] = {}
+    for name, kind in catalogue().items():
+        units: dict[str, Any] = {p.name: p.unit for p in kind.parameters(Scales())}
+        if wave_amplitude(dict.fromkeys(units, 0.0)) is not None:
+            units["amplitude"] = float
+        if isinstance(kind, GroundedEffect):  # at a joint that has no such parameter
+            units[kind.symbol] = float
+        if name not in left_out:
+            effects |= {name: units, f"{name}@*": units}
+    return effects
+
+
+ENDS = {"": "value", "_lower": "lower", "_upper": "upper"}  # of a quantity of a kind
+
+
+def quantities_of(kind: str) -> dict[str, Any]:
+    """What requirements may ask of a kind: each quantity and the ends of its 95 % interval; units go by the place."""
+    return {f"{name}{end}": float for name in KINDS[kind].quantities for end in ENDS}
 
 
 @dataclass(frozen=True)
@@ -42,62 +230,39 @@ class Discovery(Tabular, Evidence):
     Attributes
     ----------
     status
-        CONVERGED, or INCONCLUSIVE where the verdict is ambiguous or unknown, or where the named effects leave more of
-        the error on held-out data than they explain.
+        CONVERGED; INCONCLUSIVE where the verdict is ambiguous or unknown, or most of the held-out error remains.
     verdict
-        ``"no missing effect"`` (``rivals`` has what the records do not exclude all the same), ``"named"``,
-        ``"ambiguous"`` (named, but some name has rivals that these records cannot exclude), ``"unknown"`` (something is
-        missing that no effect of the catalogue explains).
+        ``"no missing effect"`` (``rivals``: what the records do not exclude all the same), ``"named"``,
+        ``"ambiguous"`` (some name has rivals that these records cannot exclude), ``"unknown"`` (no effect of the
+        catalogue explains what is missing).
     complete
         False where structure remains beyond the named effects.
-    effects, rivals
-        Named effects in the order in which they were found; what could not be told apart.
-    kinds
-        What is sure at each place: the narrowest kind of effects with 95 %, its quantities over all its members, and
-        their shares. Empty where the verdict is ``"unknown"``.
+    effects, rivals, kinds
+        Named effects; what could not be excluded; the narrowest sure kind of effects at each place, its quantities
+        over all its members, and their shares.
     also_detectable
-        Effects that the records show and that bring next to nothing on held-out data: no part of the updated plant.
-    nominal
-        Refitted nominal parameters.
-    gap_before, gap_after
-        Windowed RMS error on held-out data in percent of the measured range, over all outputs: nominal model, and
-        updated one. ``gaps`` has each output in its unit.
-    gap_refitted
-        The same of the nominal model refitted.
-    held_out
-        What the gap was measured on: names of the held-out records, or the held-out blocks of the records.
+        Effects that are seen but bring next to nothing on held-out data: no part of the updated plant.
+    nominal, clocks
+        Refitted parameters; hold and time shift of each input.
+    gap_before, gap_refitted, gap_after, gaps, held_out
+        Windowed RMS error on held-out data in percent of the range, over all outputs: as given, refitted, updated; of
+        each output in its unit; and which data these are.
     free_run, free_run_on
-        The same errors of one simulation from the record's start to its end, without restarts; the records.
+        The same errors of one simulation from the record's start to its end; the records.
     model
-        The updated plant (an `ExtendedPlant` or `LinearPlant`), ready for trim, linearise, save; None where its free
-        run on held-out data is worse than that of the plant as given.
+        The updated plant; None where its free run on held-out data is worse than that of the plant as given.
     next_experiment
         What to measure next to separate the rivals; None where there are none.
-    posterior
-        Sets of effects, the most probable first.
-    clocks
-        Hold and time shift of each input, as the records tell them.
-    search
-        Every set that the search visited.
-    residual_force, missing_force
-        The force that the updated model still lacks over speed, position, time and input; the one that the refitted
-        nominal model lacked.
+    posterior, search
+        Sets of effects, the most probable first; every set that the search visited.
+    residual_force, missing_force, remaining_lines
+        The force that the updated and the refitted nominal model lack over speed, position, time and input; lines.
     structure
-        ``noise_ratio``: error over noise and random force; ``explained``: share of the mean-square error as given on
-        held-out data that the updated model removes, noise not counted.
+        ``noise_ratio``: error over noise and random force; ``explained``: share of the mean-square error removed.
     noise_floor, floor_excess
         Model-free noise floor where the record repeats, and F of the updated model against it (1: nothing left).
-    findings
-        Remarks on the records.
-    window
-        Length of the windows in s.
     series
-        Signals of a held-out stretch for figures: ``t``, and for each output ``measured``, ``nominal``, ``refitted``,
-        ``updated`` (windowed simulation); ``free_run`` has the same of one held-out record from its start.
-    candidates
-        Ids that were tried.
-    seconds
-        Time that the naming took.
+        Signals of held-out data for figures: ``t``, for each output the measured and the models'; ``free_run``.
     """
 
     status: Status
@@ -198,18 +363,24 @@ class Discovery(Tabular, Evidence):
 
     def headline(self) -> str:
         """The verdict in one sentence that a person understands."""
+        from robustlab.identification.naming.discovery_text import headline_of
+
         return headline_of(self)
 
     def numbers(self) -> dict[str, Any]:
-        """What requirements may refer to; see `robustlab.identification.naming.discovery_numbers`."""
-        return numbers_of(self)
+        """What requirements may refer to (docs/discover.md)."""
+        return _numbers_of(self)
 
     def facts(self) -> Facts:
         """Verdict, effects with their parameters, what is left open, errors on held-out data, what to do next."""
+        from robustlab.identification.naming.discovery_text import facts_of
+
         return facts_of(self)
 
     def details(self) -> list[Part]:
         """What the answer rests on."""
+        from robustlab.identification.naming.discovery_text import details_of
+
         return details_of(self)
 
     def table(self) -> Table:
@@ -226,3 +397,83 @@ class Discovery(Tabular, Evidence):
         data: dict[str, object] = {key: value for key, value in vars(self).items() if key not in left_out}
         data.update(names=self.names, answer=self.answer, findings=[vars(f) for f in self.findings])
         return data
+
+
+def _numbers_of(d: Discovery) -> dict[str, Any]:
+    """What requirements may address (docs/discover.md)."""
+    # An effect that was tried but not named has confidence 0 and NaN parameters: a requirement on it is not met, while
+    # a misspelt one is refused.
+    effects, lower, upper, confidence = (_absent(d) for _ in range(4))
+    confidence = dict.fromkeys(confidence, 0.0)
+    for e in d.effects:
+        # A second effect of the same kind, at another place, is told by that place.
+        key = e.name if e.name not in d.names[: d.effects.index(e)] else f"{e.name}@{e.site}"
+        effects[key] = {p.name: p.value for p in e.parameters}
+        if (amplitude := wave_amplitude(effects[key])) is not None:
+            effects[key]["amplitude"] = amplitude
+        lower[key] = {p.name: p.lower for p in e.parameters}
+        upper[key] = {p.name: p.upper for p in e.parameters}
+        confidence[key] = e.confidence
+    return {
+        **_kinds(d),
+        "verdict": d.verdict,
+        "complete": d.complete,
+        "names": list(d.names),
+        "places": [f"{e.name}@{e.site}" for e in d.effects],
+        "answer": list(d.answer),
+        "kinds": [k.kind for k in d.kinds],
+        "count": len(d.effects),
+        "gap_before": d.gap_before,
+        "gap_refitted": d.gap_refitted,
+        "gap_after": d.gap_after,
+        "gap_ratio": d.gap_before / d.gap_after if d.gap_after > 0 else math.inf,
+        "refitted_ratio": d.gap_refitted / d.gap_after if d.gap_after > 0 else math.inf,
+        "gaps": {name: gap.to_json() for name, gap in d.gaps.items()},
+        "free_run": {
+            "before": overall(d.free_run, "nominal"),
+            "refitted": overall(d.free_run, "refitted"),
+            "after": overall(d.free_run, "updated"),
+            "outputs": {name: gap.to_json() for name, gap in d.free_run.items()},
+        },
+        "effects": effects,
+        "lower": lower,
+        "upper": upper,
+        "confidence": confidence,
+        "nominal": {p.name: p.value for p in d.nominal},
+        "next_experiment": {
+            "name": d.next_experiment.name if d.next_experiment else "none",
+            "separation": d.next_experiment.separation if d.next_experiment else math.nan,
+        },
+        "structure": dict(d.structure),
+        "remaining_lines": [dict(line) for line in d.remaining_lines],
+        "line": {over: _strongest_line(d, over) for over in ("position", "time")},
+        "seconds": d.seconds,
+    }
+
+
+def _kinds(d: Discovery) -> dict[str, dict[str, float]]:
+    """Every kind with its quantities: no number of one that is not sure; of two places the more probable one."""
+    found: dict[str, dict[str, float]] = {
+        kind: {"probability": 0.0} | dict.fromkeys(quantities_of(kind), math.nan) for kind in KINDS
+    }
+    for k in sorted(d.kinds, key=lambda k: k.probability):
+        told = {f"{v.name}{end}": getattr(v, part) for v in k.values for end, part in ENDS.items()}
+        found[k.kind] |= {"probability": k.probability, **told}
+    return found
+
+
+def _strongest_line(d: Discovery, over: str) -> dict[str, float]:
+    """Period and amplitude of the strongest line that remains over a coordinate; no numbers where there is none."""
+    line = next((line for line in d.remaining_lines if line["over"] == over), None)
+    return {name: math.nan if line is None else float(line[name]) for name in ("period", "amplitude")}
+
+
+def _absent(d: Discovery) -> dict[str, dict[str, float]]:
+    """Every effect that was tried, with parameters that are no number."""
+    known = catalogue()
+    tried = [known[name] for name in d.candidates if name in known]
+    found = {effect.id: {p.name: math.nan for p in effect.parameters(Scales())} for effect in tried}
+    for values in found.values():
+        if wave_amplitude(values) is not None:
+            values["amplitude"] = 0.0
+    return found

@@ -1,7 +1,4 @@
-"""The words of a `Discovery`: its headline, its facts, and the tables that it rests on.
-
-The result imports its text, so the text names no type of it.
-"""
+"""The words of a `Discovery`: its headline, its facts, and the tables that it rests on."""
 
 from __future__ import annotations
 
@@ -10,8 +7,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.identification.naming.named_effects import (
+from robustlab.identification.naming.discovery_result import (
     SURE,
+    Discovery,
     EffectValue,
     Gap,
     InputClock,
@@ -23,7 +21,6 @@ from robustlab.identification.naming.named_effects import (
     overall,
     wave_amplitude,
 )
-from robustlab.identification.tuning import AS_LARGE
 from robustlab.shown import Facts, Part, listed, number
 
 SHOWN_SETS = 6  # in the facts
@@ -31,7 +28,7 @@ SHOWN_SEARCH = 12  # most probable sets of the search
 MODELS = ("nominal", "refitted", "updated")
 
 
-def headline_of(d: Any) -> str:
+def headline_of(d: Discovery) -> str:
     """The verdict in one sentence that a person understands."""
     early = "Interrupted; by then: " if d.interrupted else ""
     change = f"error on held-out data {_three_errors(d.gaps, d.effects)}"
@@ -58,7 +55,7 @@ def headline_of(d: Any) -> str:
     return f"{early}{d.plant} lacks something{beyond} that no effect of the catalogue explains ({change})"
 
 
-def facts_of(d: Any) -> Facts:
+def facts_of(d: Discovery) -> Facts:
     """Verdict, effects with intervals, what the records leave open, errors, what remains, what to do next."""
     found = [("verdict", d.verdict if d.complete else f"{d.verdict}, incomplete: structure remains")]
     for kind in d.kinds:
@@ -94,7 +91,7 @@ def facts_of(d: Any) -> Facts:
     ]
 
 
-def details_of(d: Any) -> list[Part]:
+def details_of(d: Discovery) -> list[Part]:
     """Evidence of the effects, refitted parameters, inputs between their samples, next experiment, findings, search."""
     best = sorted(d.search, key=lambda e: -e.evidence)[:SHOWN_SEARCH]
     without = {e.name: percent(e.error_without) if math.isfinite(e.error_without) else "" for e in d.effects}
@@ -128,22 +125,6 @@ def with_interval(p: EffectValue | NominalValue) -> str:
     return f"{p.value:.{digits}g}{unit} (95 %: {p.lower:.{digits}g} to {p.upper:.{digits}g})"
 
 
-def compared(before: float, after: float, name: str) -> str:
-    """How the second error compares with the first, which is that of ``name``: ``46 times smaller than refitted``."""
-    if math.isinf(before) and math.isfinite(after):
-        return f"finite, unlike {name}"
-    if not (math.isfinite(before) and math.isfinite(after)):
-        return f"not comparable with {name}"
-    if before <= 0.0 or after <= 0.0:
-        return f"as large as {name}" if before == after else f"{'zero' if after <= 0.0 else 'not zero'}, unlike {name}"
-    ratio = before / after
-    if abs(ratio - 1.0) < AS_LARGE:
-        return f"as large as {name}"
-    times = max(ratio, 1.0 / ratio)
-    size = f"{times:.3g}" if times < 1000.0 else f"{times:.0f}"
-    return f"{size} times {'smaller' if ratio > 1.0 else 'larger'} than {name}"
-
-
 def chance(probability: float) -> str:
     """A probability in percent; what is as good as sure or impossible is told by a bound."""
     if probability > 0.999:
@@ -151,7 +132,7 @@ def chance(probability: float) -> str:
     return "< 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
 
 
-def _sure_words(d: Any) -> list[str]:
+def _sure_words(d: Discovery) -> list[str]:
     """What is sure, in words: a kind by its size where its form is not settled, else the effects; else the best set."""
     if not d.kinds:
         return [e.title for e in d.effects]
@@ -183,11 +164,11 @@ def _three_errors(gaps: Mapping[str, Gap], named: Iterable[NamedEffect] | None =
     return f"{given} of the range as given, {refitted} refitted, {updated} {them}"
 
 
-def _what_shows(d: Any) -> str:
+def _what_shows(d: Discovery) -> str:
     return "matters" if d.also_detectable else "these records show"
 
 
-def _choices(d: Any) -> str:
+def _choices(d: Discovery) -> str:
     """What all sets of the collection have, then what they differ in: ``A and either B or C``."""
     sets = [(*p.effects, p.unnamed) if p.unnamed else p.effects for p in d.collection]
     common = [e for e in (sets[0] if sets else ()) if all(e in other for other in sets)]
@@ -240,11 +221,10 @@ def _sizes(g: Gap) -> str:
             return "diverges"
         return _sized(value, g.unit) + (f" ({percent(100 * value / g.range)})" if g.range > 0 else "")
 
-    changes = [compared(g.nominal, g.updated, "the given model"), compared(g.refitted, g.updated, "refitted")]
-    return f"rms {size(g.nominal)} -> {size(g.refitted)} -> {size(g.updated)}; {', '.join(changes)}"
+    return f"rms {size(g.nominal)} -> {size(g.refitted)} -> {size(g.updated)}"
 
 
-def _remaining(d: Any) -> str:
+def _remaining(d: Discovery) -> str:
     if d.complete:
         return "nothing systematic was found"
     told = "the named effects do not explain everything" if d.effects else "unexplained"
@@ -280,7 +260,7 @@ def _clock(c: InputClock) -> str:
     return f"{between}; {late}"
 
 
-def _next(d: Any) -> str:
+def _next(d: Discovery) -> str:
     """One line on what to do with the answer."""
     if d.next_experiment is not None:
         return f"measure what tells them apart: {d.next_experiment.description}"

@@ -1,9 +1,7 @@
 """Which effects are worth a full fit on top of a set: two short fits of every one, on few windows and then on some.
 
-In the first, derivatives over what the set has are borrowed from the set. Where there are many effects their gain is
-told first from a few simulations: with the residuals r of the set, the change G that an effect and its linear
-parameters make of them, and P the projection off all that the set refits, V falls by :math:`g^T h^{-1} g` with
-:math:`h = G^T P G` and :math:`g = G^T P r`.
+Where there are many effects their gain g^T h^-1 g is computed first from a few simulations: h = G^T P G, g = G^T P r
+with the change G of the residuals r by an effect, and P the projection off all that the set refits.
 """
 
 from __future__ import annotations
@@ -35,10 +33,7 @@ NEGLIGIBLE = 1e-9  # of a column's own square: what the set refits makes all of 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """An effect on top of a set, and the standardised parameters from which a fit of both begins.
-
-    ``starts``: the windows' starts that go with them; None where those of the set do.
-    """
+    """An effect on top of a set, the parameters where a fit of both begins, and its window starts."""
 
     candidate: Candidate
     hypothesis: Hypothesis
@@ -49,14 +44,11 @@ class Start:
 def best_scored(
     problem: Problem, base: Fit, starts: Sequence[Start], most: int, workers: Executor, said: Callable[[int, int], None]
 ) -> list[Start]:
-    """The best starts of at most so many effects, those that promise most; all where there are no more.
-
-    ``base``: the fit of the set in these windows. ``said``: called with the number of starts scored and to score.
-    """
+    """The best starts of at most so many effects, those that promise most; all where there are no more."""
     if len({s.candidate.key for s in starts}) <= most:
         return list(starts)
     residual = problem.whitened(problem.errors(base.hypothesis, base.z, base.starts), base.noise)
-    own = own_derivatives(problem, base, residual)
+    own = problem.derivatives(base)
     gains: list[float] = []
     for done, gain in enumerate(workers.map(lambda s: _gain(problem, base, residual, own, s), starts), start=1):
         gains.append(gain)
@@ -70,21 +62,6 @@ def best_scored(
     return [starts[k] for k in sorted(k for own in kept.values() for k in own[:STARTS])]
 
 
-def own_derivatives(problem: Problem, base: Fit, residual: Sequence[Array]) -> list[tuple[Array, Array]]:
-    """Derivatives of the residuals over all parameters of the set and over the starts, a pair a record."""
-    step, start_step = tuning.STEP, tuning.START_STEP
-    simulators = problem.simulators(base.hypothesis)
-
-    def moved(z: Array, starts: Sequence[Array], by: float) -> list[Array]:
-        there = problem.whitened(problem.errors(base.hypothesis, z, starts, simulators), base.noise)
-        return [(t - r) / by for t, r in zip(there, residual, strict=True)]
-
-    n_x = base.starts[0].shape[1]
-    over_z = [moved(base.z + step * e, base.starts, step) for e in np.eye(len(base.z))]
-    over_x = [moved(base.z, [x + start_step * e for x in base.starts], start_step) for e in np.eye(n_x)]
-    return [(_columns(over_z, k, residual[k]), _columns(over_x, k, residual[k])) for k in range(len(residual))]
-
-
 def _columns(parts: Sequence[Sequence[Array]], k: int, like: Array) -> Array:
     return np.stack([p[k] for p in parts], axis=2) if parts else np.zeros((*like.shape, 0))
 
@@ -92,9 +69,7 @@ def _columns(parts: Sequence[Sequence[Array]], k: int, like: Array) -> Array:
 def effect_columns(
     problem: Problem, base: Fit, residual: Sequence[Array], start: Start
 ) -> tuple[list[Array], list[list[Array]]]:
-    """What an effect does to the residuals of a set where a fit of it begins, an array a record each: the change that
-    it makes as a whole, and the derivatives over its linear parameters.
-    """
+    """The change of a set's residuals by an effect where its fit begins, and its linear derivatives."""
     simulators = problem.simulators(start.hypothesis)
 
     def there(z: Array) -> list[Array]:
@@ -136,12 +111,8 @@ def _gain(
 
 
 def stretched(problem: Problem, base: Fit, pool: Sequence[Candidate]) -> list[Start]:
-    """The parameters that the refit of a set has taken beyond their tolerances, as effects on top of it; and delays in
-    the stead of a clock that stands for one.
-
-    Their fits begin with the errors of the set, exactly: only the parameter's prior is another one. So no look at a few
-    windows, in which something else may seem to gain more, decides whether they are fitted.
-    """
+    """Parameters that a set's refit took beyond their tolerances as effects, and delays in the place of its clocks."""
+    # Their fits begin with the errors of the set, exactly: no look at a few windows decides about them.
     found = [start for candidate in pool for start in _handed_over(problem, base, candidate)]
     for nuisance, z in zip(problem.nuisances, base.z, strict=False):
         low, high = nuisance.ends
@@ -190,28 +161,18 @@ def may_follow(candidate: Candidate, base: Hypothesis) -> bool:
 
 def without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
     """The hypothesis without its k-th effect, and its standardised parameters."""
-    z = list(fit.z[: len(problem.nuisances)])
-    at, kept = len(problem.nuisances), []
-    for j, candidate in enumerate(fit.hypothesis.candidates):
-        own = fit.z[at : at + len(candidate.parameters)]
-        at += len(candidate.parameters)
-        if j != k:
-            kept.append(candidate)
-            z.extend(own)
-    return Hypothesis(tuple(kept)), np.array(z)
+    candidates = fit.hypothesis.candidates
+    gone = problem.slices(fit.hypothesis)[k][1]
+    return Hypothesis(candidates[:k] + candidates[k + 1 :]), np.delete(fit.z, gone)
 
 
 def promising(
     problem: Problem, base: Fit, best: Fit, pool: Sequence[Candidate], known: dict[str, Fit], workers: Executor,
     said: Callable[[int, int], None], far: float = np.inf,
 ) -> list[Start]:  # fmt: skip
-    """The effects of the pool that lower V most on top of ``base``, best first, each with where its full fit begins.
-
-    ``best``: the most probable set of all. An effect whose fits cannot be hoped to come near its V is given up.
-    ``known``: key of an effect -> fit of base and effect that an earlier look ended with; put down here. ``said``:
-    called with the number of short fits done and to do. ``far``: times the V that would come near ``best``: nothing
-    beyond is kept.
-    """
+    """The effects of the pool that lower V most on top of ``base``, best first, each with where its full fit begins."""
+    # known: key of an effect -> fit that an earlier look ended with. far: times the V near ``best`` beyond which
+    # nothing is kept.
     noise = base.noise
     jobs = [start for candidate in pool for start in _starts(problem, base, candidate, known)]
     rough = replace(problem.clock, rough=True)
@@ -222,7 +183,7 @@ def promising(
     some_base = some.fit(base.hypothesis, noise, base.z, some_starts, FitPlan(1))
     if isinstance(problem.plant, NonlinearPlant):  # many joints, and every moved parameter costs its matrices anew
         jobs = best_scored(few, few_base, jobs, MOST_SCORED, workers, said)
-    borrowed = few.derivatives(few_base)
+    borrowed = few.derivatives(few_base, len(problem.nuisances))
     # A few windows show a small part of what all of them may bring.
     rough_fall, least = tuning.ROUGH / noise.excess, tuning.PROMISING / noise.excess
     some_far = some_ceiling
@@ -253,10 +214,8 @@ def promising(
 
 
 def _carried(fit: Fit, looked: Problem, there: Problem, base: Fit) -> list[Array]:
-    """The starts of a problem's windows: of those that were looked at as fitted, of the others those of the base.
-
-    Behind a gap the load rests at another place in each window; a fit that had found those would begin without them.
-    """
+    """The starts of a problem's windows: of those that were looked at as fitted, of the others those of the base."""
+    # Behind a gap the load rests at another place in each window.
     found = []
     for own, seen, chosen, rest in zip(fit.starts, looked.chosen, there.chosen, base.starts, strict=True):
         starts = rest.copy()
@@ -327,26 +286,21 @@ def extended(
     problem: Problem, base: Hypothesis, base_z: Array, candidate: Candidate, start: Mapping[str, Any]
 ) -> tuple[Hypothesis, Array]:
     """The base with the candidate, and the point from which its fit starts; a refinement replaces its parent."""
-    kept, z, at = [], list(base_z[: len(problem.nuisances)]), len(problem.nuisances)
-    for there in base.candidates:
-        own = base_z[at : at + len(there.parameters)]
-        at += len(there.parameters)
+    kept, z = [], list(base_z[: len(problem.nuisances)])
+    for there, own in problem.slices(base):
         if candidate.effect.refines == there.effect.id and candidate.site == there.site:
-            start = {**start, **{k: v for k, v in there.values(own).items() if k in start}}
+            start = {**start, **{k: v for k, v in there.values(base_z[own]).items() if k in start}}
             continue
         kept.append(there)
-        z.extend(own)
+        z.extend(base_z[own])
     hypothesis = Hypothesis((*kept, candidate))
     z[: len(problem.nuisances)] = z[: len(problem.nuisances)] * np.array(problem.moving(hypothesis))
     return hypothesis, np.array([*z, *candidate.standardised(start)])
 
 
 def _thinned(problem: Problem, fit: Fit, best: Fit, wanted: int) -> tuple[Problem, list[Array], float]:
-    """Windows for a short look, the fitted starts there, and a V beyond which nothing there can come near the best.
-
-    Half of them are those that the fit explains worst, since an effect may act in few windows (a stop, a saturation);
-    the other half lie evenly over the records, so that what explains the worst does not spoil the rest.
-    """
+    """Windows for a short look, the fitted starts there, and a V beyond which nothing there can come near the best."""
+    # Half are those that the fit explains worst, since an effect may act in few windows (a stop); half lie evenly.
     count = sum(len(c) for c in problem.chosen)
     far = 2.0 * tuning.FAR_BEHIND
     if count < 2 * wanted:

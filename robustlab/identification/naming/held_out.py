@@ -1,17 +1,14 @@
-r"""How far models stay from records that no fit saw, in windows and in free run; and what each name brings there.
+"""How far models stay from records that no fit saw, in windows and in free run, and what each name contributes there.
 
-A free run starts from the state of the first window, and nothing is corrected after; a model that diverges has the
-error infinity. With the errors e of the whole set and e' without one effect, the effect is material where for some
-output :math:`\operatorname{rms} e' - \operatorname{rms} e \ge s \operatorname{rms} e` and
-:math:`\operatorname{rms}(e' - e) \ge \Delta / 2` with the sensor's step :math:`\Delta`; where its force is a share s of
-the one that moves the joint; and where only parameters beyond their tolerances or a clock far off can take its place.
+An effect is material where the RMS error without it is larger by a share and by what the sensor resolves, where its
+force is such a share of what moves its joint, or where only parameters beyond tolerances could replace it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -23,8 +20,8 @@ from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
 from robustlab.identification.hypotheses.noise import clearly_larger, in_phase, restarted, spans, window_errors
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.naming.discovery_result import LINEAR, Gap, overall
 from robustlab.identification.naming.first_look import without
-from robustlab.identification.naming.named_effects import Gap, overall
 
 MOST_CLOCK = 3.0  # standard deviations of an input's clock
 LIKELY = 0.999  # probability within which the parameters lie together; within tolerances they always do
@@ -33,10 +30,7 @@ TOGETHER = "all parameters together"
 
 @dataclass(frozen=True, eq=False)
 class Gaps:
-    """Errors by output in windows and in free run, what the latter was over, and signals for figures.
-
-    ``worse``: the updated model is clearly further from the windows than the refitted one.
-    """
+    """Errors by output in windows and in free run, whether the updated are clearly worse, and signals."""
 
     windows: Mapping[str, Gap]
     free_run: Mapping[str, Gap]
@@ -50,37 +44,52 @@ class Gaps:
         return overall(self.free_run, "updated") > overall(self.free_run, "nominal")
 
 
-def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord] = ()) -> Gaps:
-    """Errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and over their whole records.
+class Simulated(NamedTuple):
+    """A fit on held-out data: the fit with starts found anew, outputs of the windows and of whole runs, by record."""
 
-    ``held``: the records and which of their windows are held out. ``models``: a fit for each of the three names; its
-    parameters stay, only window starts are found anew. ``known``: records that the fits were told by: of others an
-    effect over time has phases of their own, found anew too.
-    """
-    own = {name: in_phase(held, fit, known)[0] for name, fit in models.items()}
-    placed = {name: restarted(own[name], fit) for name, fit in models.items()}
-    outputs = {name: simulated_outputs(own[name], fit) for name, fit in placed.items()}
-    runs = [unbroken(record) for record in held.records]
-    free = {
-        name: run_free(own[name], [unbroken(record) for record in own[name].records], fit)
-        for name, fit in models.items()
-    }
-    measured = [r.measured[chosen] for r, chosen in zip(held.records, held.chosen, strict=True)]
-    followed = [r.measured for r in runs]
+    problem: Problem
+    fit: Fit
+    windows: list[Array]
+    runs: list[Array]
+
+
+def simulated(held: Problem, fit: Fit, known: Sequence[PreparedRecord]) -> Simulated:
+    """Simulate a fit on held-out windows and, from each record's own start, to its end."""
+    # Parameters stay, window starts are found anew; so are phases of effects over time in records not known.
+    own = in_phase(held, fit, known)[0]
+    placed, runs = restarted(own, fit), [unbroken(record) for record in own.records]
+    lengths = [r.windows.length for r in own.records]
+    beginnings = [replace(r, windows=Windows(r.windows.starts, n)) for r, n in zip(runs, lengths, strict=True)]
+    start = restarted(own.on(beginnings), fit)
+    with np.errstate(all="ignore"):
+        return Simulated(own, placed, simulated_outputs(own, placed), simulated_outputs(own.on(runs), start))
+
+
+def _measured(held: Problem) -> tuple[list[Array], list[Array]]:
+    """Measured outputs of the held-out windows and of the whole runs."""
+    windows = [r.measured[chosen] for r, chosen in zip(held.records, held.chosen, strict=True)]
+    return windows, [unbroken(record).measured for record in held.records]
+
+
+def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord] = ()) -> Gaps:
+    """Errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and over their whole records."""
+    own = {name: simulated(held, fit, known) for name, fit in models.items()}
+    outputs, free = {name: s.windows for name, s in own.items()}, {name: s.runs for name, s in own.items()}
+    measured, followed = _measured(held)
     # The record with most sensors is drawn.
     k = int(np.argmax([np.isfinite(r.y).any(axis=0).sum() for r in held.records]))
     first, windows = held.records[k], held.records[k].windows
     drawn = (windows.starts[held.chosen[k]][:, None] + np.arange(windows.length)).ravel()
-    whole = runs[k].windows.starts[0] + np.arange(runs[k].windows.length)
+    whole = unbroken(first).windows.starts[0] + np.arange(followed[k].shape[1])
     names = ", ".join(r.record.name for r in held.records)
     if isinstance(held.plant, NonlinearPlant):
-        names += " (linear about the recorded motion)"
+        names += f" ({LINEAR})"
     partly = any(len(chosen) < r.count for r, chosen in zip(held.records, held.chosen, strict=True))
     return Gaps(
         _gaps(held, measured, outputs),
         _gaps(held, followed, free),
         f"all of {names}, which the fit saw in part" if partly else names,
-        clearly_larger(*(window_errors(own[name], placed[name]) for name in ("updated", "refitted"))),
+        clearly_larger(*(window_errors(own[name].problem, own[name].fit) for name in ("updated", "refitted"))),
         _series(held, first, drawn, measured[k], {name: values[k] for name, values in outputs.items()})
         | {"free_run": _series(held, first, whole, followed[k], {name: values[k] for name, values in free.items()})},
     )
@@ -96,36 +105,25 @@ def unbroken(record: PreparedRecord) -> PreparedRecord:
     return replace(record, windows=windows, x0=record.x0[a : a + 1], x0_std=record.x0_std[a : a + 1])
 
 
-def run_free(held: Problem, runs: Sequence[PreparedRecord], fit: Fit) -> list[Array]:
-    """Outputs of one simulation over each run, (1, length, n_measured), from the state that its first window tells."""
-    lengths = [r.windows.length for r in held.records]
-    beginnings = [replace(r, windows=Windows(r.windows.starts, n)) for r, n in zip(runs, lengths, strict=True)]
-    start = restarted(held.on(beginnings), fit)
-    with np.errstate(all="ignore"):
-        return simulated_outputs(held.on(runs), start)
-
-
 def _gaps(held: Problem, measured: Sequence[Array], outputs: Mapping[str, Sequence[Array]]) -> dict[str, Gap]:
-    found = {}
-    for j, (column, span) in enumerate(zip(held.records[0].columns, spans(held.records), strict=True)):
-        if not any(np.isfinite(y[:, :, j]).any() for y in measured):
-            continue
-        signal = held.plant.outputs[column]
-        rms = {
-            name: _rms(
-                [(y - model)[:, :, j][np.isfinite(y[:, :, j])] for y, model in zip(measured, values, strict=True)]
-            )
-            for name, values in outputs.items()
-        }
-        found[signal.name] = Gap(signal.name, signal.unit, float(span), **rms)
-    return found
+    rms, ranges = {name: _rms(measured, measured, values) for name, values in outputs.items()}, spans(held.records)
+    return {
+        (signal := held.plant.outputs[column]).name: Gap(
+            signal.name, signal.unit, float(ranges[j]), **{name: float(values[j]) for name, values in rms.items()}
+        )
+        for j, column in enumerate(held.records[0].columns)
+        if any(np.isfinite(y[:, :, j]).any() for y in measured)
+    }
 
 
-def _rms(errors: Sequence[Array]) -> float:
-    """Over all samples; infinite where a model's output is no number any more."""
-    with np.errstate(over="ignore"):
-        value = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    return value if np.isfinite(value) else np.inf
+def _rms(measured: Sequence[Array], ours: Sequence[Array], theirs: Sequence[Array]) -> Array:
+    """RMS difference of each output where it was measured, (n_measured,); infinite where a model diverges."""
+    y, a, b = (np.concatenate([p.reshape(-1, p.shape[-1]) for p in parts]) for parts in (measured, ours, theirs))
+    known = np.isfinite(y)
+    with np.errstate(all="ignore"):
+        difference = np.where(known, b - a, 0.0)
+        difference[~np.isfinite(difference)] = np.inf
+        return np.asarray(np.sqrt((difference**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1)))
 
 
 def _series(
@@ -147,26 +145,6 @@ class Matter:
 
     material: bool
     error_without: float
-
-
-@dataclass(frozen=True, eq=False)
-class Errors:
-    """Held-out errors of one model: of its windows and of whole runs, one array (..., n_measured) a record."""
-
-    windows: Sequence[Array]
-    runs: Sequence[Array]
-
-
-def errors_of(held: Problem, fit: Fit, known: Sequence[PreparedRecord]) -> Errors:
-    """Errors of a fit on held-out windows, starts found anew, and from each record's own start to its end."""
-    own = in_phase(held, fit, known)[0]
-    placed = restarted(own, fit)
-    windows = [
-        record.measured[chosen] - outputs
-        for record, chosen, outputs in zip(own.records, own.chosen, simulated_outputs(own, placed), strict=True)
-    ]
-    runs = [unbroken(record) for record in own.records]
-    return Errors(windows, [r.measured - y for r, y in zip(runs, run_free(own, runs, fit), strict=True)])
 
 
 def without_effects(problem: Problem, fit: Fit, keys: Collection[str]) -> Fit:
@@ -196,29 +174,22 @@ def late_clocks(problem: Problem, fit: Fit) -> frozenset[str]:
     return strained(problem, fit) & {n.label for n in problem.nuisances if n.input}
 
 
-def matter_of(held: Problem, whole: Errors, less: Errors, needed: bool) -> Matter:
+def matter_of(held: Problem, whole: Simulated, less: Simulated, needed: bool) -> Matter:
     """What is missing in ``less`` brings to ``whole``; ``needed``: it is material whatever the errors say."""
-    ranges = spans(held.records)
+    ranges, (windows, runs) = spans(held.records), _measured(held)
     seen = ranges > 0.0
-    with np.errstate(over="ignore"):
-        share = _rms_by_output(less.windows)[seen] / ranges[seen]
+    share = _rms(windows, windows, less.windows)[seen] / ranges[seen]
     resolution = np.max([r.resolution for r in held.records], axis=0)
     material = needed or any(
-        _matters(ours, theirs, resolution, tuning.MATERIAL)
-        for ours, theirs in ((whole.windows, less.windows), (whole.runs, less.runs))
+        _matters(y, ours, theirs, resolution)
+        for y, ours, theirs in ((windows, whole.windows, less.windows), (runs, whole.runs, less.runs))
     )
     return Matter(material, 100.0 * float(np.sqrt(np.mean(share**2))))
 
 
-def _matters(ours: Sequence[Array], theirs: Sequence[Array], resolution: Array, share: float) -> bool:
+def _matters(measured: Sequence[Array], ours: Sequence[Array], theirs: Sequence[Array], resolution: Array) -> bool:
+    own, other = _rms(measured, measured, ours), _rms(measured, measured, theirs)
     with np.errstate(all="ignore"):
-        own, other = _rms_by_output(ours), _rms_by_output(theirs)
-        apart = _rms_by_output([b - a for a, b in zip(ours, theirs, strict=True)])
-        worse = ~(other - own < share * own)  # a model that diverges without it is worse, too
+        worse = ~(other - own < tuning.MATERIAL * own)  # a model that diverges without it is worse, too
+        apart = _rms(measured, ours, theirs)
         return bool(np.any(worse & (own < np.inf) & ~(apart < 0.5 * resolution) & ~(other <= own)))
-
-
-def _rms_by_output(errors: Sequence[Array]) -> Array:
-    """Over all known samples of each output, (n_measured,); infinite where a model's output is no number any more."""
-    rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
-    return np.sqrt(np.nansum(rows**2, axis=0) / np.maximum(np.sum(~np.isnan(rows), axis=0), 1))

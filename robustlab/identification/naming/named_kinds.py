@@ -1,83 +1,72 @@
-r"""The answer at the level at which it is sure: kinds of effects, summed over all sets that have a member of them.
-
-.. math:: P(\text{kind at place}) = \sum_{S \ni e,\; e \in \text{kind, place}} P(S)
-
-At each place the narrowest kind with the probability that an answer needs is told, with its quantities and their 95 %
-intervals over the mixture of its members, and below it the members with their shares. A name is open where the
-probability of its kind lies between none and sure, and no wider kind that nothing else of the answer belongs to is sure
-in its stead.
+"""The answer at the level at which it is sure: probabilities of kinds of effects at places, summed over all sets that
+have a member of them, their quantities with 95 % intervals over the members, and the shares of the members.
 """
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from statistics import NormalDist
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import ndtr
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, Kind, Quantity, upwards
+from robustlab.dynamics.effects.parameter_effects import GroundedEffect
+from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Hypothesis, Problem
-from robustlab.identification.naming.named_effects import EffectValue, KindMember, NamedKind
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
+from robustlab.identification.naming.discovery_result import EffectValue, KindMember, NamedKind, wave_amplitude
 from robustlab.identification.naming.posterior import Posterior, Weighed
-from robustlab.identification.naming.quantities import Told, quantities
 
 MOST_MEMBERS = 4  # of a kind that its quantities are asked of: those of the smallest share would move no digit
+OF_JOINT: tuple[Quantity, ...] = ("level", "viscous", "stiffness", "force")
+OF_ONE: tuple[Quantity, ...] = ("amplitude", "period")  # two waves have none in common
+DIVIDES = ("inertia", "resistance")  # factors by whose inverse the path from input to sensor is scaled
+APART = 0.2  # standard deviations by which a parameter is moved for differences
 
 Place = tuple[str, str]  # kind, place
+Places = Callable[[Site, str], str]  # site of an effect, where its kind acts
 
 
-class Places:
-    """The place of an effect in a plant, by the kind that it is asked as."""
+def places_of(plant: AnyPlant, model: PortModel) -> Places:
+    """The place of an effect by its site and where its kind acts: the joint, the path, or the site itself."""
+    joints = [p for p in model.ports.values() if p.kind == "joint"]
+    paths = {} if len(plant.inputs) == 1 else _paths(plant, model, joints)
 
-    def __init__(self, plant: AnyPlant, model: PortModel) -> None:
-        self.plant = plant
-        self.joints = [p for p in model.ports.values() if p.kind == "joint"]
-        self._paths = {} if len(plant.inputs) == 1 else _paths(plant, model, self.joints)
-        self._of: dict[tuple[Site, str], str] = {}
+    @cache
+    def place(site: Site, where: str) -> str:
+        if where == "path" and len(plant.inputs) == 1:
+            outputs = plant.outputs
+            return f"{plant.inputs[0].name} to {outputs[0].name if len(outputs) == 1 else 'the sensors'}"
+        if where == "path":
+            return paths.get(site.name, site.name)
+        if where != "joint" or site.kind != "parameter":
+            return site.name
+        if len(joints) == 1:
+            return joints[0].name
+        if isinstance(plant, NonlinearPlant) or not joints:
+            return site.name
+        # The joint whose equation of motion the parameters change most.
+        names = site.name.split("+")
+        change = port_model(plant, dict.fromkeys(names, 2.0)).A - port_model(plant).A
+        moved = [float(np.abs(p.velocity[: len(change)] @ change).sum()) for p in joints]
+        return joints[int(np.argmax(moved))].name
 
-    def of(self, site: Site, kind: Kind) -> str:
-        """The joint that it acts at, the path, or the site itself."""
-        key = site, kind.where
-        if key not in self._of:
-            self._of[key] = self._found(site, kind)
-        return self._of[key]
-
-    def _found(self, site: Site, kind: Kind) -> str:
-        if kind.where == "path":
-            return self._path() if len(self.plant.inputs) == 1 else self._paths.get(site.name, site.name)
-        if kind.where == "joint" and site.kind == "parameter":
-            return self._joint_of(site.name.split("+"))
-        return site.name
-
-    def _path(self) -> str:
-        """From the only input to the sensors."""
-        outputs = self.plant.outputs
-        return f"{self.plant.inputs[0].name} to {outputs[0].name if len(outputs) == 1 else 'the sensors'}"
-
-    def _joint_of(self, names: Sequence[str]) -> str:
-        """The joint whose equation of motion the parameters change most."""
-        if len(self.joints) == 1:
-            return self.joints[0].name
-        if isinstance(self.plant, NonlinearPlant) or not self.joints:
-            return "+".join(names)
-        change = port_model(self.plant, dict.fromkeys(names, 2.0)).A - port_model(self.plant).A
-        moved = [float(np.abs(p.velocity[: len(change)] @ change).sum()) for p in self.joints]
-        return self.joints[int(np.argmax(moved))].name
+    return place
 
 
 def _paths(plant: AnyPlant, model: PortModel, joints: Sequence[Port]) -> dict[str, str]:
-    """Input or output -> the path that it is a part of, of a plant with several inputs.
-
-    That of an input goes to the first sensor of the joint that it moves most; no path where another input moves that
-    joint most, too. A lateness of the one then is one of the other.
-    """
+    """Input or output -> the path that it is a part of, of a plant with several inputs."""
+    # An input's path goes to the first sensor of the joint that it moves most, if no other input moves that one most.
     a, b, c = (np.abs(m).reshape(-1, *m.shape[-2:]).max(axis=0) for m in (model.A, model.B, model.C))
     moved: dict[str, list[str]] = defaultdict(list)
     for signal, pushed in zip(plant.inputs, b[:, : len(plant.inputs)].T, strict=True):
@@ -116,13 +105,11 @@ class Kinds:
 
     def above(self, candidate: Candidate) -> list[Place]:
         """The kinds of an effect, the narrowest first, each with its place."""
-        return [(kind.id, self.places.of(candidate.site, kind)) for kind in upwards(KIND_OF[candidate.effect.id])]
+        return [(kind.id, self.places(candidate.site, kind.where)) for kind in upwards(KIND_OF[candidate.effect.id])]
 
     def told(self, candidate: Candidate) -> Place | None:
-        """The narrowest kind of the effect that is sure and says something; None where there is none.
-
-        A wider kind stands for a narrower one that is open where no other kind within it is sure by itself.
-        """
+        """The narrowest kind of the effect that is sure and informative; None where there is none."""
+        # A wider kind may take the place of an open narrower one where no other kind within it is sure by itself.
         for kind, place in self.above(candidate):
             if KINDS[kind].wider is None and KIND_OF[candidate.effect.id] != kind:
                 return None  # "a force" is no name
@@ -188,7 +175,7 @@ class Kinds:
 def kinds_of(problem: Problem, posterior: Posterior, ignored: frozenset[str] = frozenset()) -> Kinds:
     """The kinds of a posterior; ``ignored``: keys of effects that decide nothing."""
     model = problem.simulators(Hypothesis(()))[0].model({}, [])
-    return Kinds(posterior, Places(problem.plant, model), tuning.SURE, ignored)
+    return Kinds(posterior, places_of(problem.plant, model), tuning.SURE, ignored)
 
 
 def _mixture(name: Quantity, members: Sequence[tuple[float, Mapping[Quantity, Told]]]) -> EffectValue | None:
@@ -205,20 +192,188 @@ def _mixture(name: Quantity, members: Sequence[tuple[float, Mapping[Quantity, To
 
 
 def _quantile(parts: Sequence[tuple[float, Told]], q: float) -> float:
-    """Of a mixture of normal distributions, by bisection."""
-    low = min(t.value - 9.0 * t.std for _, t in parts)
-    high = max(t.value + 9.0 * t.std for _, t in parts)
-    spread = [(weight, NormalDist(t.value, t.std) if t.std > 0.0 else None, t.value) for weight, t in parts]
+    """Of a mixture of normal distributions."""
+    weight, value = (np.array(x) for x in zip(*((w, t.value) for w, t in parts), strict=True))
+    std = np.maximum([t.std for _, t in parts], 1e-12 * np.abs(value) + 1e-300)
+    ends = float((value - 9.0 * std).min()), float((value + 9.0 * std).max())
+    return float(brentq(lambda x: float(weight @ ndtr((x - value) / std)) - q, *ends, xtol=1e-300, rtol=1e-12))
 
-    def below(x: float) -> float:
-        return sum(w * (float(x >= v) if d is None else d.cdf(x)) for w, d, v in spread)
 
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        if below(middle) < q:
-            low = middle
-        else:
-            high = middle
-        if math.isclose(low, high, rel_tol=1e-12, abs_tol=0.0):
-            break
-    return 0.5 * (low + high)
+# --- quantities: from the parameters, or from the force f along the records' motion, with speed v and position q ------
+#     level -sum(f v) / sum|v|, viscous -sum(f v) / sum(v^2), stiffness -cov(f, q) / var(q), force -mean(f)
+
+
+class Told(NamedTuple):
+    """A quantity of one member: value, standard deviation, unit."""
+
+    value: float
+    std: float
+    unit: str
+
+
+def quantities(problem: Problem, fit: Fit, members: Sequence[int], kind: Kind) -> dict[Quantity, Told]:
+    """The quantities that the effects of one kind (indices ``members``) in a fitted set have together."""
+    # Forces and times add up, factors multiply; an amplitude and a period are those of one.
+    places = problem.slices(fit.hypothesis)
+    own = np.concatenate([np.arange(len(fit.z))[places[k][1]] for k in members])
+    middle = _together(problem, fit, fit.z, members, kind)
+    whole = np.linalg.pinv(fit.hessian) if fit.covariance is None else fit.covariance
+    covariance = whole[own][:, own]
+    slopes = {name: np.zeros(len(own)) for name in middle}
+    for j, at in enumerate(own):
+        step = max(APART * float(fit.std[at]), 1e-6)
+        z = fit.z.copy()
+        z[at] += step
+        for name, (value, _) in _together(problem, fit, z, members, kind).items():
+            slopes[name][j] = (value - middle[name][0]) / step
+    found = {}
+    for name, (value, unit) in middle.items():
+        variance = float(slopes[name] @ covariance @ slopes[name])
+        if math.isfinite(value) and math.isfinite(variance):
+            found[name] = Told(value, math.sqrt(max(variance, 0.0)), unit)
+    return found
+
+
+def _together(
+    problem: Problem, fit: Fit, z: Array, members: Sequence[int], kind: Kind
+) -> dict[Quantity, tuple[float, str]]:
+    """Value and unit of each quantity of all members at these parameters."""
+    found: dict[Quantity, tuple[float, str]] = {}
+    for name in kind.quantities:
+        told = [_of_member(problem, fit, z, k, name) for k in members]
+        each = [t for t in told if t is not None]
+        if len(each) < len(told) or len({unit for _, unit in each}) > 1:
+            continue
+        if len(each) == 1:
+            found[name] = each[0]
+        elif name not in OF_ONE:
+            values = [value for value, _ in each]
+            found[name] = (math.prod(values) if name == "factor" else sum(values)), each[0][1]
+    return found
+
+
+def _of_member(problem: Problem, fit: Fit, z: Array, k: int, name: Quantity) -> tuple[float, str] | None:
+    """Value and unit of one effect's; None where it cannot be asked."""
+    candidate = fit.hypothesis.candidates[k]
+    own = problem.split(fit.hypothesis, z)[1][k]
+    if name in OF_JOINT:
+        return _coefficient(problem, candidate, own, name) or _along(problem, fit, z, k, name)
+    return _of_parameters(candidate, own, name)
+
+
+def _coefficient(
+    problem: Problem, candidate: Candidate, values: Mapping[str, float], name: Quantity
+) -> tuple[float, str] | None:
+    """Of an effect that is a coefficient: at a joint its own, of a parameter what it has more than the plant says."""
+    effect = candidate.effect
+    if not isinstance(effect, GroundedEffect):
+        return None
+    if name != ("stiffness" if effect.of == "position" else "viscous"):
+        return None
+    if candidate.site.kind == "joint":
+        return values[effect.symbol], candidate.parameters[0].unit
+    name_of, factor = next(iter(effect.factors(problem.plant, candidate.site, values).items()))
+    p = problem.plant.parameters[name_of]
+    return p.reference * factor - p.value, p.unit
+
+
+def _of_parameters(candidate: Candidate, values: Mapping[str, float], name: Quantity) -> tuple[float, str] | None:
+    effect = candidate.effect
+    units = {p.name: p.unit for p in candidate.parameters}
+    if name == "delay":
+        parts = [values[p] for p in (effect.delay, effect.time_constant) if p]
+        return (sum(parts), "s") if parts else None
+    if name == "factor":
+        if not effect.scale:
+            return None
+        s = values[effect.scale]
+        return (1.0 / s if effect.id in DIVIDES else s), "1"
+    if name == "amplitude":
+        size = wave_amplitude(values)
+        if size is None and len(values) >= 2 and not effect.spatial:  # a pendulum: horizontal and vertical part
+            size = math.hypot(*list(values.values())[:2])
+        return None if size is None else (size, candidate.parameters[0].unit)
+    if name == "period":
+        if effect.timed:
+            return 1.0 / values[effect.timed], "s"
+        if "k" in values:
+            return 2.0 * math.pi / values["k"], units["k"].rpartition("/")[2]
+        return 2.0 * math.pi, "rad"
+    return None
+
+
+def force_share(problem: Problem, fit: Fit, k: int) -> float:
+    """RMS of the k-th effect's force over that of the force that moves its joint; 0 of what is no force at a joint."""
+    candidate = fit.hypothesis.candidates[k]
+    values = problem.split(fit.hypothesis, fit.z)[1][k]
+    if isinstance(candidate.effect, GroundedEffect) and candidate.site.kind == "joint":
+        model = problem.simulators(fit.hypothesis)[0].model(*problem.setting(fit.hypothesis, fit.z)[:2])
+        row = getattr(model.ports[candidate.site.name], candidate.effect.of)[: len(problem.plant.states)]
+        x = np.concatenate([r.smoothed.x if r.motion is None else r.motion for r in problem.records])
+        size = abs(values[candidate.effect.symbol]) * float(np.sqrt(np.mean((x @ row) ** 2)))
+        return size / candidate.scales.force
+    motion = _motion(problem, fit, fit.z, k)
+    return 0.0 if motion is None else float(np.sqrt(np.mean(motion.force**2))) / candidate.scales.force
+
+
+class _Motion(NamedTuple):
+    """Along all simulated windows: the effect's force, speed and position (None without one) of its joint, units."""
+
+    force: Array
+    speed: Array
+    position: Array | None
+    units: tuple[str, str, str]
+
+
+def _motion(problem: Problem, fit: Fit, z: Array, k: int) -> _Motion | None:
+    """Of an effect with a force law at a joint; None of any other."""
+    if fit.hypothesis.candidates[k].site.kind != "joint":
+        return None
+    forces, speeds, places, units = [], [], [], ("", "", "")
+    for i, simulator in enumerate(problem.simulators(fit.hypothesis)):
+        record, chosen = problem.records[i], problem.chosen[i]
+        factors, values, shift = problem.setting(fit.hypothesis, z)
+        each = zip(simulator.effects, values, strict=True)
+        laws = [j for j, ((e, site), v) in enumerate(each) for _ in e.laws(site, v)]
+        if k not in laws:
+            return None
+        x0 = problem.starts_seen(i, simulator, values)
+        x0[chosen] += record.x0_std[chosen] * fit.starts[i]
+        windows = Windows(record.windows.starts[chosen], record.windows.length)
+        motion, _, model = simulator.run_along(factors, values, x0[chosen], windows, shift)
+        port = model.ports[simulator.laws(values)[laws.index(k)].port]
+        used = windows.starts[:, None] + np.arange(windows.length)
+        x = motion.states if record.motion is None else record.motion[used]
+        n = x.shape[-1]
+        v = x @ port.velocity[:n]
+        # The force noted at a sample is that of the step before it.
+        forces.append(motion.forces[:, 1:, laws.index(k)].ravel())
+        speeds.append((0.5 * (v[:, 1:] + v[:, :-1])).ravel())
+        if port.position is not None:
+            q = x @ port.position[:n]
+            places.append((0.5 * (q[:, 1:] + q[:, :-1])).ravel())
+        units = port.unit, port.speed_unit, port.position_unit
+    q = np.concatenate(places) if places else None
+    return _Motion(np.concatenate(forces), np.concatenate(speeds), q, units)
+
+
+def _along(problem: Problem, fit: Fit, z: Array, k: int, name: Quantity) -> tuple[float, str] | None:
+    """Of an effect with a force law: from its force along the simulated windows."""
+    motion = _motion(problem, fit, z, k)
+    if motion is None:
+        return None
+    f, v, q, units = motion
+    if name == "level":
+        return _over(-float(f @ v), float(np.abs(v).sum())), units[0]
+    if name == "viscous":
+        return _over(-float(f @ v), float(v @ v)), f"{units[0]} s/{units[1].removesuffix('/s')}" if units[0] else ""
+    if name == "force":
+        return -float(f.mean()), units[0]
+    if q is None:
+        return None
+    q = q - q.mean()
+    return _over(-float(f @ q), float(q @ q)), f"{units[0]}/{units[2]}" if units[0] else ""
+
+
+def _over(a: float, b: float) -> float:
+    return a / b if b > 0.0 else math.nan

@@ -1,19 +1,13 @@
-r"""How probable each set of effects is, and what that allows to be said.
+"""How probable each set of effects is: P(S) ~ exp(E(S) / T) with the log evidence E under sensor noise and a random
+force.
 
-:math:`P(S) \propto e^{E(S) / T}` with the log evidence E. T is 1 where the best set leaves noise; where an unnamed
-force beside it brings the evidence g, :math:`T = \max(1, g / \ln(p / (1 - p)))` with p the probability of a sure name
-(coarsened posterior: Miller, Dunson, JASA 114, 2019). The most probable sets are weighed again here under the noise of
-the sensors and a random force (`robustlab.identification.hypotheses.random_force`), over fitted and held-out windows.
-
-Of two sets that differ in one effect, or by one, with a refit distance below 3, log evidence beyond :math:`d^2/2` and
-the priors is not counted: an effect without which the rest explains the records as well is not named. An unnamed force
-may stand beside any set and adds to its evidence; where it alone is more probable than all names, nothing is named. A
-set whose held-out error is larger than that of the refitted nominal model is no answer.
+T is 1, or more where an unnamed force beside the best set has evidence (coarsened posterior: Miller, Dunson, JASA 114,
+2019). Evidence of an effect that the refit distance does not support (below 3) is not counted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -51,12 +45,7 @@ HARDLY = 0.005  # probability below which a set changes no verdict
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A set with its probability.
-
-    ``evidence`` is the log of the probability up to a constant, ``distance`` the refit distance from the most probable
-    one (NaN where not asked for), ``unnamed`` the force that more probably than not acts beside it (None also where it
-    was not looked for).
-    """
+    """A set with its probability, log evidence, refit distance from the best (NaN: not computed), and unnamed force."""
 
     visited: Visited
     probability: float
@@ -87,19 +76,16 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Sets of effects, the most probable first.
+    """Sets of effects, the most probable first."""
 
-    ``collection`` is the smallest of them with the probability that an answer needs, and whatever no test tells from
-    the best. ``generalises`` is False where every more probable set than the empty one fails on held-out data.
-    ``left`` is what the best set leaves, place by place. ``temperature`` is what log evidence was divided by,
-    and ``coarse`` says that it is so because something is left beside the best set.
-    """
+    # collection: the smallest with an answer's probability, and what no test separates from the best; generalises:
+    # False where every more probable set than the empty one fails on held-out data; left: what the best set leaves, by
+    # place; coarse: log evidence is divided because something is left.
 
     sets: tuple[Weighed, ...]
     collection: tuple[Weighed, ...]
     generalises: bool
     left: tuple[Unnamed, ...]
-    temperature: float = 1.0
     coarse: bool = False
 
     @property
@@ -137,10 +123,7 @@ class Posterior:
 
 @dataclass(frozen=True, eq=False)
 class _Weight:
-    """A set over all windows under a random force, at each place where one may act.
-
-    ``price``: of phases that were looked for.
-    """
+    """A set over all windows under a random force, at each place where one may act; less the price of phases."""
 
     places: tuple[tuple[FittedWindows, Site], ...]
     price: float
@@ -210,14 +193,12 @@ def weigh(found: Found) -> Posterior:
     twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL} - renamed
     collection = tuple(_collected(sets, tuning.SURE, twins))
     left = weights[sets[0].key].left if sets[0].key in weights else ()
-    return Posterior(tuple(sets), collection, generalises, left, temperature, temperature > TEMPERATURE)
+    return Posterior(tuple(sets), collection, generalises, left, temperature > TEMPERATURE)
 
 
 def _temperature(best: Visited, weights: Mapping[Key, _Weight]) -> float:
-    """What log evidence is divided by: that of what the best set leaves, over that of a name that is sure.
-
-    A line over position or time does not count: it is no misfit that another name than one of its period could be.
-    """
+    """What log evidence is divided by: that of what the best set leaves, over that of a name that is sure."""
+    # A line over position or time does not count: another name than one of its period would be no misfit.
     left = weights[best.key].left if best.key in weights else ()
     smooth = [f for u in left for f in u.forces if f.wins and not np.isfinite(f.period)]
     gain = max((_gain(f) for f in smooth), default=0.0)
@@ -225,21 +206,15 @@ def _temperature(best: Visited, weights: Mapping[Key, _Weight]) -> float:
 
 
 def _as_machines_have(weights: dict[Key, _Weight], most: float) -> dict[Key, _Weight]:
-    """The weights of those sets whose random force is no larger than that of a machine, where there are such sets.
-
-    A larger one is no noise: it stands for what is missing, and follows the next sample better than any law does, all
-    the more where the law has the machine stick, of which a force tells nothing. Those sets stay as far behind as their
-    simulated windows were.
-    """
+    """The weights of sets whose random force is no larger than that of a machine, where there are such sets."""
+    # A larger one is no noise: it stands for what is missing, and predicts the next sample better than any law.
     own = {key: weight for key, weight in weights.items() if weight.random_share < most}
     return own or weights
 
 
 def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, float]) -> dict[Key, float]:
-    """Raise the evidence of sets that the records do not tell from the best one; refit distances from the best.
-
-    A set with less that becomes the more probable one by it takes the place of the best.
-    """
+    """Raise the evidence of sets that the records do not separate from the best one; refit distances from the best."""
+    # A set with one effect less that becomes the more probable one by it takes the place of the best.
     best = ordered[0]
     while True:
         near = [v for v in ordered if v is not best and best.evidence - v.evidence <= tuning.FAR_BEHIND]
@@ -265,12 +240,8 @@ def _raise(problem: Problem, best: Visited, others: Sequence[Visited], evidence:
 def _folded(
     problem: Problem, weighed: Sequence[Weighed], evidence: Mapping[Key, float], temperature: float
 ) -> list[Weighed]:
-    """Sets without those that have an effect more of which the records say nothing, neither for it nor against it.
-
-    What a larger set is the more probable for, its prior put aside, is the evidence of the records for what it has
-    more. Where there is none, or where the refit distance says that there can be none, its probability is that of the
-    smaller set, and of something that no record shows.
-    """
+    """Sets without those that have one effect more for which the records have no evidence either way."""
+    # Their probability goes to the smaller set: by the evidence without priors, or by the refit distance.
     kept: list[Weighed] = []
     for entry in sorted(weighed, key=lambda w: len(w.key)):
         plain = evidence[entry.key] - entry.visited.prior
@@ -294,12 +265,9 @@ def _folded(
 
 
 def _misjudged(found: Found, sets: Sequence[Weighed], evidence: Mapping[Key, float]) -> tuple[list[Weighed], set[Key]]:
-    """The sets, most probable first, each under the name that its parameters ask for; and which have another name now.
-
-    A set whose refit takes a parameter beyond its tolerance predicts the same as the set that calls this parameter
-    misjudged; they differ in its prior alone. Between the two the tolerance is a bound: of its evidence the first keeps
-    the part within, against the second with the prior of an effect more; and together they are as probable as before.
-    """
+    """The sets, each under the name that its parameters ask for, and which have another name now."""
+    # A set whose refit takes a parameter beyond its tolerance predicts the same as the one that calls it misjudged. The
+    # tolerance is a bound between the two; together they stay as probable as before.
     nuisances, renamed = found.problem.nuisances, set[Key]()
     own = {w.key: w for w in sets}
     for key in sorted({v.key for v in found.sets}, key=len):
@@ -385,10 +353,7 @@ def _gain(force: UnnamedEvidence | None) -> float:
 
 
 def _generalising(found: Found) -> tuple[list[Visited], bool]:
-    """The sets that may be the answer, and whether the most probable of them does not fail on held-out data.
-
-    Those that fail are left out, as far down as sets are weighed.
-    """
+    """Sets that may be the answer, without those that fail on held-out data, and whether the best does not fail."""
     held, plain = found.held, white(found.noise)
 
     def errors(visited: Visited) -> Array:
@@ -405,12 +370,17 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
     return left, not ahead or bool(left[0].key)
 
 
+def _changes(best: Visited, others: Iterable[Visited]) -> Iterator[tuple[Visited, list[Candidate], list[Candidate]]]:
+    """Each set with the effects of the best that it lacks, and those that the best lacks."""
+    for other in others:
+        gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
+        yield other, gone, [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+
+
 def _lessened(best: Visited, others: Iterable[Visited]) -> list[Visited]:
     """Sets with one effect less, or with what one of them refines in its place."""
     found = []
-    for other in others:
-        gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
-        come = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+    for other, gone, come in _changes(best, others):
         if len(gone) == 1 and all(c.site == gone[0].site and c.effect.id == gone[0].effect.refines for c in come):
             found.append(other)
     return found
@@ -419,9 +389,7 @@ def _lessened(best: Visited, others: Iterable[Visited]) -> list[Visited]:
 def _exchanged(best: Visited, others: Iterable[Visited]) -> list[Visited]:
     """Sets with one effect in the place of another that neither refines, nor refines what the other does."""
     found = []
-    for other in others:
-        gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
-        come = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+    for other, gone, come in _changes(best, others):
         if len(gone) != 1 or len(come) != 1:
             continue
         of_these = come[0].effect.refines in (gone[0].effect.id, gone[0].effect.refines or "-")

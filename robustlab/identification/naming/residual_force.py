@@ -1,36 +1,57 @@
-r"""The force along a record that no effect in the model explains, over speed, position, time and input.
+"""The force that is left along the records once the named effects are in the model: its curves over speed, position,
+time and input, and the periodic lines in it.
 
-The force is correlated in time, so nothing is counted by samples but by contiguous blocks: bands come from a bootstrap
-over blocks, and a share of the variance is always of blocks that the curve was not fitted to. Curves are penalised
-B-splines whose stiffness that cross-validation chooses; one over a speed may jump at zero, and every other coordinate x
-has, besides f(x), the dry pair sgn(v) f(x). Samples at rest are left out: there a dry joint takes up any force.
+With the effects' simulated forces as known inputs the model is linear again, and the smoother finds the force that is
+still lacking; a nonlinear plant's is smoothed joint by joint beside the rates of plant and effects along its motion.
+The force is correlated in time: bands come from a bootstrap over blocks, shares of the variance from blocks not fitted
+to.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from robustlab.arrays import Array
-from robustlab.errors import InputError
+from robustlab.arrays import Array, Indices
+from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
+from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.port_model import Port
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem
+from robustlab.identification.hypotheses.motion_smoother import lacking_forces
+from robustlab.identification.hypotheses.normal_equations import NoiseModel
+from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.result import Evidence
-from robustlab.statespace import real_array
+from robustlab.statespace import StateSpaceModel
 
-WHERE = "residual force"
-
-BLOCKS = 24
+RESIDUAL_BLOCKS = 32  # of time, over all records
+RESIDUAL_SAMPLES = 6000  # over all records; the force is smooth, so every so manieth sample tells it
 FEWEST_BLOCKS = 8
-POINTS = 4000  # samples looked at: d is smooth, and a denser grid shows nothing more
-REST = 0.01  # of the largest speed: slower counts as standing still
+POINTS = 4000  # samples looked at: the force is smooth, and a denser grid shows nothing more
+REST = 0.01  # of the largest speed: slower counts as standing still, where a dry joint takes up any force
 FOLDS = 8  # of cross-validation
 STIFFNESS = 10.0 ** np.arange(-5.0, 3.0)  # penalty over the data's own weight
 RIDGE = 1e-7
 SIDE, WIDE, SLOW = 8, 14, 2  # spline coefficients on a side of zero speed and over other coordinates; degree over time
 BINS = 24
 REPEATS = 400  # of the bootstrap
+
+LINE_ALARM = 0.01  # p-value of a line worth telling
+MOST_LINES = 4
+LINE_WORTH = 0.02  # of the mean square of the force: a weaker line is certain and of no use
+FEWEST_TURNS = 8.0  # over the range of the position: fewer are a curve, which the splines have taken
+TURNS_PER_BLOCK = 3.0  # of a line over time: slower ones cannot be told from drift between blocks
+MOST_WAVES = 3000  # wave numbers tried over a coordinate
+OVERSAMPLING = 2.0  # wave numbers tried per turn over the range
+WAVES_AT_ONCE = 300  # bounds the memory
+FINER_WAVES = 41  # of the last search, between the neighbours of the best one
+CURVE_STIFFNESS = 1e-4  # of the smooth curves that are taken off first
+FLIPS = 400  # random signs
 
 
 @dataclass(frozen=True)
@@ -61,32 +82,7 @@ class ResidualForce(Evidence):
     blocks: int  # number of blocks
 
 
-def residual_force(
-    d: ArrayLike,
-    d_std: ArrayLike,
-    coordinates: Mapping[str, ArrayLike],
-    units: Mapping[str, str] | None = None,
-    *,
-    unit: str = "",
-    blocks: int | NDArray[np.int_] = BLOCKS,
-    seed: int = 0,
-) -> ResidualForce:
-    """The force over each coordinate, with bands and held-out shares; see `moving_samples`."""
-    data, rng = moving_samples(d, d_std, coordinates, blocks), np.random.default_rng(seed)
-    force = data.d - np.average(data.d, weights=data.weight)
-    curves: dict[str, ForceCurve] = {}
-    for basis in coordinate_bases(data):
-        name = basis.coordinate
-        if basis.kind != "dry":
-            x, value, low, high, count = _binned(data, data.x[name], role(name) == "speed", rng)
-            share = _held_out_share(data, force, basis)
-            curves[name] = ForceCurve(name, (units or {}).get(name, ""), x, value, low, high, count, share)
-    variance = float(np.average(force**2, weights=data.weight))
-    noise = min(1.0, float(np.average(data.std**2, weights=data.weight)) / variance) if variance > 0 else 1.0
-    return ResidualForce(unit, float(np.sqrt(np.mean(data.d**2))), noise, curves, data.n_blocks)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MovingSamples:
     """Samples in motion: force (n,), weights (n,), coordinates, block of each sample, sign of the speed."""
 
@@ -105,30 +101,10 @@ class MovingSamples:
         return (belongs @ value.reshape(len(value), -1)).reshape(self.n_blocks, *value.shape[1:])
 
 
-def moving_samples(
-    d: ArrayLike, d_std: ArrayLike, coordinates: Mapping[str, ArrayLike], blocks: int | NDArray[np.int_]
-) -> MovingSamples:
-    """The samples in motion of a force (n,) along records; ``blocks``: their number, or a label for each sample."""
-    force, std = real_array("d", d, 1, WHERE), real_array("d_std", d_std, 1, WHERE)
-    x = {name: real_array(name, value, 1, WHERE) for name, value in coordinates.items()}
-    n = len(force)
-    for name, value in (("d_std", std), *x.items()):
-        if len(value) != n:
-            raise InputError(f"{WHERE}: {name}", f"{len(value)} samples", f"{n} as in d")
-    if not x:
-        raise InputError(WHERE, "no coordinates", "at least one, for example speed")
-    if not (std > 0).all():
-        raise InputError(f"{WHERE}: d_std", f"{std.min():g}", "positive numbers")
-    if isinstance(blocks, (int, np.integer)):
-        if not FEWEST_BLOCKS <= blocks <= n // 8:
-            raise InputError(f"{WHERE}: blocks", f"{blocks} for {n} samples", f"{FEWEST_BLOCKS} to {n // 8}")
-        label = np.arange(n) * int(blocks) // n
-    else:
-        if np.shape(blocks) != (n,):
-            raise InputError(f"{WHERE}: blocks", f"shape {np.shape(blocks)}", f"a number, or a label for each of {n}")
-        label = np.asarray(blocks)
+def moving_samples(force: Array, std: Array, x: Mapping[str, Array], label: NDArray[np.int_]) -> MovingSamples | None:
+    """The samples in motion of a force (n,) along records, with the label of each one's block; None of hardly any."""
     speed = next((name for name in x if role(name) == "speed"), None)
-    chosen = np.arange(0, n, max(1, n // POINTS))
+    chosen = np.arange(0, len(force), max(1, len(force) // POINTS))
     if speed is not None:
         moving = np.abs(x[speed]) > REST * np.abs(x[speed]).max()
         if moving[chosen].sum() >= 0.2 * len(chosen):
@@ -136,7 +112,7 @@ def moving_samples(
     _, block = np.unique(label[chosen], return_inverse=True)
     count = int(block.max()) + 1
     if count < FEWEST_BLOCKS:
-        raise InputError(f"{WHERE}: blocks", f"{count} blocks in motion", f"at least {FEWEST_BLOCKS}")
+        return None
     floor = float(np.median(std[chosen]))
     weight = 1.0 / np.maximum(std[chosen], floor) ** 2 * floor**2
     sign = np.sign(x[speed][chosen]) if speed else np.ones(len(chosen))
@@ -150,14 +126,231 @@ def role(name: str) -> str:
     return name.split(maxsplit=1)[0].lower() if name.split() else ""
 
 
-@dataclass(frozen=True)
-class Basis:
-    """Columns (n, p) with their roughness penalty (p, p)."""
+# --- along the records -----------------------------------------------------------------------------------------------
 
-    coordinate: str
-    kind: str
-    columns: Array
-    penalty: Array
+
+@dataclass(frozen=True, eq=False)
+class LeftOver:
+    """The force that is left at one joint (or the first input), its unit, and those of the coordinates."""
+
+    port: str
+    unit: str
+    units: Mapping[str, str]
+    samples: MovingSamples
+
+
+class _Part(NamedTuple):
+    """Along one record."""
+
+    port: str
+    unit: str
+    force: Array
+    std: Array
+    coordinates: dict[str, Array]
+    units: dict[str, str]
+
+
+def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
+    """The residual force over the given records; None where there is hardly any motion."""
+    everything = problem.on(problem.records)
+    placed = everything.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))
+    simulators = everything.simulators(fit.hypothesis)
+    if isinstance(problem.plant, NonlinearPlant):
+        parts = _at_worst_joint(everything, placed, simulators)
+    else:
+        parts = [p for k, s in enumerate(simulators) if (p := _of_record(everything, placed, k, s)) is not None]
+    if not parts:
+        return None
+    per_record = max(4, RESIDUAL_BLOCKS // len(parts))
+    step = max(1, sum(len(p.force) for p in parts) // RESIDUAL_SAMPLES)
+    blocks = [k * per_record + np.arange(len(p.force)) * per_record // len(p.force) for k, p in enumerate(parts)]
+    samples = moving_samples(
+        np.concatenate([p.force[::step] for p in parts]),
+        np.concatenate([p.std[::step] for p in parts]),
+        {name: np.concatenate([p.coordinates[name][::step] for p in parts]) for name in parts[0].coordinates},
+        np.concatenate([b[::step] for b in blocks]),
+    )
+    return samples and LeftOver(parts[0].port, parts[0].unit, parts[0].units, samples)
+
+
+def _coordinates(
+    problem: Problem, record: PreparedRecord, used: Indices, x: Array, port: Port | None
+) -> tuple[dict[str, Array], dict[str, str]]:
+    """Time, speed and position of a joint, and the inputs, with their units."""
+    found, units = {"time": record.record.t[used]}, {"time": "s"}
+    if port is not None:
+        found["speed"], units["speed"] = x @ port.velocity[: x.shape[1]], port.speed_unit
+        if port.position is not None:
+            found["position"], units["position"] = x @ port.position[: x.shape[1]], port.position_unit
+    for j, signal in enumerate(problem.plant.inputs):
+        found[f"input {signal.name}"], units[f"input {signal.name}"] = record.u[used, j], signal.unit
+    return found, units
+
+
+def _at_joints(
+    problem: Problem, fit: Fit, k: int, simulator: Simulator
+) -> tuple[list[Port], Array, Array, Array, Indices] | None:
+    """Joints, forces (n, n_joints), deviations, motion and samples of a nonlinear plant's record; None in pieces."""
+    plant, record = problem.plant, problem.records[k]
+    assert isinstance(plant, NonlinearPlant)
+    assert record.motion is not None
+    windows = Windows(record.windows.starts, record.windows.length)
+    used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
+    factors, values, shift = problem.setting(fit.hypothesis, fit.z)
+    x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
+    motion, about, model = simulator.run_along(factors, values, x0, windows, shift)
+    assert about is not None
+    names = [p.name for p in plant.port_places if p.kind == "joint"]
+    if np.any(np.diff(used) != 1) or not names:
+        return None
+    n, own, n_u = len(used), model.own, len(plant.inputs)
+    mean = simulator.seen_input(values, shift)[0][used]
+    x = record.motion[used]
+    middle = np.vstack([0.5 * (x[1:] + x[:-1]), x[-1:]])
+    z = motion.states.reshape(n, -1)[:, own:]
+    steps = len(about.steps) // n  # a sample
+    rates, point = about.rates[::steps], about.points
+    total = (model.A[point, :own] @ np.hstack([middle, z])[..., None])[..., 0]
+    total += (model.B[point, :own] @ np.hstack([mean, rates])[..., None])[..., 0]
+    # The force noted at a sample is that of the step before it; held over a sample it belongs one sample earlier.
+    forces = motion.forces.reshape(n, -1)
+    forces = np.vstack([forces[1:], forces[-1:]])
+    for j, law in enumerate(simulator.laws(values)):
+        total += model.ports[law.port].force[point, :own] * forces[:, j : j + 1]
+    columns = list(record.columns)
+    plain = simulator.plain_outputs(motion.states, about, model, mean.reshape(*motion.states.shape[:2], n_u))
+    added = (motion.outputs - plain)[:, :, columns].reshape(n, -1)
+    try:
+        t = record.record.dt * np.arange(n)
+        force, std = lacking_forces(
+            plant, t, record.u[used], record.y[used] - added, columns, x, total, _least(problem, k)
+        )
+    except NoTrustworthyNumber:
+        return None
+    return [model.ports[name] for name in names], force, std, x, used
+
+
+def _at_worst_joint(problem: Problem, fit: Fit, simulators: Sequence[Simulator]) -> list[_Part]:
+    """Of a nonlinear plant: at the joint where most is left, in standard deviations."""
+    found = [(problem.records[k], _at_joints(problem, fit, k, s)) for k, s in enumerate(simulators)]
+    known = [(record, *part) for record, part in found if part is not None]
+    if not known:
+        return []
+    j = int(np.argmax(np.sum([np.mean((force / std) ** 2, axis=0) for _, _, force, std, _, _ in known], axis=0)))
+    return [
+        _Part(ports[j].name, ports[j].unit, force[:, j], std[:, j], *_coordinates(problem, record, used, x, ports[j]))
+        for record, ports, force, std, x, used in known
+    ]
+
+
+def _least(problem: Problem, k: int) -> float:
+    """Lowest bandwidth in Hz of the force in one record."""
+    # The test flips the signs of whole blocks: a smoother's memory longer than a block would make chance look like
+    # structure.
+    windows, dt = problem.records[k].windows, problem.records[k].record.dt
+    return max(4, RESIDUAL_BLOCKS // len(problem.records)) / (len(windows.starts) * windows.length * dt)
+
+
+def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Part | None:
+    """Port, unit, force, std, coordinates and their units along one record."""
+    record = problem.records[k]
+    factors, values, shift = problem.setting(fit.hypothesis, fit.z)
+    model = simulator.model(factors, values)
+    joint = next((p for p in model.ports.values() if p.kind == "joint"), None)
+    # A plant without a joint: what it lacks is told as an addition to its first input.
+    first = problem.plant.inputs[0]
+    push, name, unit = (joint.force, joint.name, joint.unit) if joint else (model.B[:, 0], first.name, first.unit)
+    windows = record.windows
+    used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
+    x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
+    known, columns, added = _known_inputs(simulator, factors, values, record, x0, shift)
+    y = record.y[used] - added
+    seen = np.isfinite(y).any(axis=0)
+    rows, y = np.array(record.columns)[seen], y[:, seen]
+    d = model.D[rows]  # at the samples themselves, where the line begins
+    linear = StateSpaceModel(
+        model.A, np.hstack([model.B, rising(model.A, model.B, record.record.dt), columns]), model.C[rows],
+        np.hstack([d, -d, np.zeros((len(rows), columns.shape[1]))]),
+    )  # fmt: skip
+    t = record.record.dt * np.arange(len(used))
+    if np.any(np.diff(used) != 1):
+        return None
+    least = _least(problem, k)
+    try:
+        smoothed = smooth_disturbance(linear, push[:, None], t, known, y)
+        if smoothed.bandwidth[0] < least:
+            smoothed = smooth_disturbance(linear, push[:, None], t, known, y, bandwidth=least)
+    except NoTrustworthyNumber:
+        return None
+    coordinates, units = _coordinates(problem, record, used, smoothed.x, joint)
+    if joint is None:
+        for k_y in record.columns:
+            signal = problem.plant.outputs[k_y]
+            coordinates[f"output {signal.name}"] = smoothed.x @ model.C[k_y]
+            units[f"output {signal.name}"] = signal.unit
+    return _Part(name, unit, smoothed.d[:, 0], smoothed.d_std[:, 0], coordinates, units)
+
+
+def _known_inputs(
+    simulator: Simulator,
+    factors: Mapping[str, float],
+    values: Sequence[Mapping[str, float]],
+    record: PreparedRecord,
+    x0: Array,
+    shift: Sequence[float] | None,
+) -> tuple[Array, Array, Array]:
+    """Inputs of the linear model (n, 2 n_u + n_laws), columns of the laws' forces (n_x, n_laws), what sensors add."""
+    windows = Windows(record.windows.starts, record.windows.length)
+    motion = simulator.run(factors, values, x0, windows, shift)
+    model = simulator.model(factors, values)
+    laws = [law for (e, site), v in zip(simulator.effects, values, strict=True) for law in e.laws(site, v)]
+    columns = np.zeros((len(model.A), len(laws)))
+    for j, law in enumerate(laws):
+        columns[:, j] = model.ports[law.port].force
+    # The force noted at a sample is that of the step before it; held over a sample it belongs one sample earlier.
+    used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
+    forces = motion.forces.reshape(len(used), len(laws))
+    forces = np.vstack([forces[1:], forces[-1:]])
+    mean, rise = (part[used] for part in simulator.seen_input(values, shift))
+    plain = motion.states @ model.C.T
+    if model.D.any():
+        plain = plain + (mean - rise).reshape(len(windows.starts), windows.length, -1) @ model.D.T
+    added = (motion.outputs - plain)[:, :, list(record.columns)].reshape(len(used), -1)
+    return np.hstack([mean, rise, forces]), columns, added
+
+
+# --- curves ----------------------------------------------------------------------------------------------------------
+
+
+def residual_curves(left: LeftOver, seed: int = 0) -> ResidualForce:
+    """The force over each coordinate, with bands and held-out shares."""
+    data, rng = left.samples, np.random.default_rng(seed)
+    force = data.d - np.average(data.d, weights=data.weight)
+    curves: dict[str, ForceCurve] = {}
+    for name, (columns, penalty) in _bases(data).items():
+        x, value, low, high, count = _binned(data, data.x[name], role(name) == "speed", rng)
+        share = _held_out_share(data, force, columns, penalty)
+        curves[name] = ForceCurve(name, left.units.get(name, ""), x, value, low, high, count, share)
+    variance = float(np.average(force**2, weights=data.weight))
+    noise = min(1.0, float(np.average(data.std**2, weights=data.weight)) / variance) if variance > 0 else 1.0
+    return ResidualForce(left.unit, float(np.sqrt(np.mean(data.d**2))), noise, curves, data.n_blocks)
+
+
+def _bases(data: MovingSamples) -> dict[str, tuple[Array, Array]]:
+    """Of each coordinate that varies the columns (n, p) of a curve over it, and their roughness penalty (p, p)."""
+    return {name: _basis(name, x) for name, x in data.x.items() if np.ptp(x) > 0}
+
+
+def _basis(name: str, x: Array) -> tuple[Array, Array]:
+    low, high = float(x.min()), float(x.max())
+    if role(name) == "speed":  # over sqrt|v|, a set below zero and one above: the curve may jump and bend at zero
+        side = _spline(np.sqrt(np.abs(x) / (float(np.abs(x).max()) or 1.0)), 0.0, 1.0, SIDE)
+        columns = np.hstack([side * (x < 0)[:, None], side * (x > 0)[:, None]])
+        return columns, np.asarray(np.kron(np.eye(2), _roughness(SIDE)))
+    if role(name) == "time":  # held-out blocks at the record's ends ask for extrapolation: a polynomial stays tame
+        columns = np.vander((x - low) / ((high - low) or 1.0) - 0.5, SLOW + 1, increasing=True)
+        return columns, np.diag([0.0, *[1.0] * SLOW])
+    return _spline(x, low, high, WIDE), _roughness(WIDE)
 
 
 def _spline(x: Array, low: float, high: float, size: int) -> Array:
@@ -175,47 +368,21 @@ def _roughness(size: int) -> Array:
     return np.asarray(second.T @ second, dtype=np.float64)
 
 
-def _speed_basis(name: str, x: Array) -> Basis:
-    """Splines over sqrt(abs(v)), one set below zero and one above, so that the curve may jump and bend at zero."""
-    top = float(np.abs(x).max()) or 1.0
-    side = _spline(np.sqrt(np.abs(x) / top), 0.0, 1.0, SIDE)
-    penalty = np.asarray(np.kron(np.eye(2), _roughness(SIDE)), dtype=np.float64)
-    return Basis(name, "speed", np.hstack([side * (x < 0)[:, None], side * (x > 0)[:, None]]), penalty)
-
-
-def _plain_basis(name: str, x: Array, sign: Array, dry: bool) -> Basis:
-    low, high = float(x.min()), float(x.max())
-    slow, span = role(name) == "time", (high - low) or 1.0
-    if slow:  # held-out blocks at the ends of the record ask for extrapolation: a polynomial stays tame
-        base = np.vander((x - low) / span - 0.5, SLOW + 1, increasing=True)
-    else:
-        base = _spline(x, low, low + span, WIDE)
-    penalty = np.diag([0.0, *[1.0] * SLOW]) if slow else _roughness(WIDE)
-    return Basis(name, "dry" if dry else "plain", base * sign[:, None] if dry else base, penalty)
-
-
-def coordinate_bases(data: MovingSamples) -> list[Basis]:
-    """A curve over each coordinate that varies, and its dry pair."""
-    result: list[Basis] = []
-    for name, x in data.x.items():
-        if np.ptp(x) == 0:
-            continue
-        result.append(_speed_basis(name, x) if role(name) == "speed" else _plain_basis(name, x, data.sign, False))
-        if data.speed and role(name) != "speed":
-            result.append(_plain_basis(name, x, data.sign, True))
-    return result
-
-
-def without_curves(data: MovingSamples, stiffness: float) -> Array:
-    """The force less a sum of smooth curves over all coordinates."""
+def _without_curves(data: MovingSamples) -> Array:
+    """The force less a sum of smooth curves over all coordinates, and of dry ones, sgn(v) f(x)."""
     from scipy.linalg import block_diag
 
-    bases = coordinate_bases(data)
+    bases = []
+    for name, (columns, penalty) in _bases(data).items():
+        bases.append((columns, penalty))
+        if data.speed and role(name) != "speed":
+            bases.append((columns * data.sign[:, None], penalty))
     if not bases:
         return data.d - np.average(data.d, weights=data.weight)
-    columns, penalty = np.hstack([b.columns for b in bases]), np.asarray(block_diag(*(b.penalty for b in bases)))
+    columns, penalty = np.hstack([c for c, _ in bases]), np.asarray(block_diag(*(p for _, p in bases)))
     weighted = columns.T * data.weight
-    return data.d - columns @ _solved(weighted @ columns, weighted @ data.d, stiffness, penalty, weighted @ columns)
+    gram = weighted @ columns
+    return data.d - columns @ _solved(gram, weighted @ data.d, CURVE_STIFFNESS, penalty, gram)
 
 
 def _solved(gram: Array, moment: Array, stiffness: float, penalty: Array, whole: Array) -> Array:
@@ -224,16 +391,16 @@ def _solved(gram: Array, moment: Array, stiffness: float, penalty: Array, whole:
     return np.linalg.solve(gram + size * (stiffness * penalty + RIDGE * np.eye(len(whole))), moment)
 
 
-def _held_out_share(data: MovingSamples, force: Array, basis: Basis) -> float:
+def _held_out_share(data: MovingSamples, force: Array, columns: Array, penalty: Array) -> float:
     """Share of the variance that a curve explains in runs of blocks it was not fitted to, at the best stiffness."""
     folds = data.block * min(FOLDS, data.n_blocks) // data.n_blocks
-    parts = [(basis.columns[folds == k], data.weight[folds == k], force[folds == k]) for k in np.unique(folds)]
+    parts = [(columns[folds == k], data.weight[folds == k], force[folds == k]) for k in np.unique(folds)]
     grams = [(c.T * w) @ c for c, w, _ in parts]
     moments = [(c.T * w) @ f for c, w, f in parts]
     gram, moment = np.sum(grams, axis=0), np.sum(moments, axis=0)
     total = float(data.weight @ force**2) or 1.0
     left = [
-        sum(float(w @ (f - c @ _solved(gram - g, moment - m, s, basis.penalty, gram)) ** 2)
+        sum(float(w @ (f - c @ _solved(gram - g, moment - m, s, penalty, gram)) ** 2)
             for (c, w, f), g, m in zip(parts, grams, moments, strict=True))
         for s in STIFFNESS
     ]  # fmt: skip
@@ -272,3 +439,113 @@ def _binned(
 
 def _quantiles(x: Array, n: int) -> Array:
     return np.unique(np.quantile(x, np.linspace(0.0, 1.0, n + 1)))
+
+
+# --- lines -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Wave numbers (turns per unit) that are tried over one coordinate; samples of one group share a phase."""
+
+    name: str
+    x: Array
+    waves: Array
+    group: NDArray[np.int_]
+
+
+def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
+    """Lines over position and time in the residual force that chance does not explain (p < 0.01), strongest first."""
+    # Each wave number's power, a phase for each record and direction, is judged against the largest of all of them
+    # under random signs of the blocks. Smooth curves are taken off before, and found lines one by one.
+    data = left.samples
+    chance = np.random.default_rng(0).choice([-1.0, 1.0], size=(FLIPS, data.n_blocks))
+    signs = np.vstack([np.ones(data.n_blocks), chance])
+    data = replace(data, d=_without_curves(data))
+    places = list(_places(data))
+    least = LINE_WORTH * float(data.weight @ data.d**2)
+    found: list[dict[str, float | str]] = []
+    while len(found) < MOST_LINES:
+        sure = [line for p in places if (line := _strongest(data, p, signs, len(places)))]
+        if not sure:
+            break
+        power, p, place, at = max(sure, key=lambda line: line[0])
+        if power < least:
+            break
+        step = 1.0 / (float(np.ptp(place.x)) * OVERSAMPLING)
+        finer = place.waves[at] + step * np.linspace(-1.0, 1.0, FINER_WAVES)
+        wave = float(finer[_power(data, replace(place, waves=finer), signs[:1])[0].argmax()])
+        fitted, amplitude = _line(data, place, wave)
+        data = replace(data, d=data.d - fitted)
+        line: dict[str, float | str] = {"over": role(place.name), "period": 1.0 / wave, "amplitude": amplitude}
+        found.append({**line, "unit": left.units.get(place.name, ""), "force_unit": left.unit, "p_value": p})
+    return tuple(found)
+
+
+def _places(data: MovingSamples) -> Iterator[_Place]:
+    """Position and time, each with the wave numbers that its samples can show."""
+    time = next((x for name, x in data.x.items() if role(name) == "time"), np.zeros(len(data.d)))
+    record = np.concatenate([[0], np.cumsum(np.diff(time) < 0)])  # a clock that goes back begins a new one
+    for name, x in data.x.items():
+        span = float(np.ptp(x))
+        if role(name) not in ("position", "time") or not span > 0:
+            continue
+        step = np.abs(np.diff(x))
+        longest, group = span / FEWEST_TURNS, 2 * record + (data.sign > 0)
+        if role(name) == "time":
+            length = float(np.median([np.ptp(x[data.block == b]) for b in range(data.n_blocks)]))
+            longest, group = min(longest, length / TURNS_PER_BLOCK), record
+        low, high = 1.0 / longest, 0.5 / float(np.median(step[step > 0]))
+        count = min(MOST_WAVES, int((high - low) * span * OVERSAMPLING))
+        if count >= 2:
+            yield _Place(name, x, low + np.arange(count) / (span * OVERSAMPLING), group)
+
+
+def _strongest(
+    data: MovingSamples, place: _Place, signs: Array, places: int
+) -> tuple[float, float, _Place, int] | None:
+    """Of the waves that chance does not explain the one with the most power: power, p, place, index."""
+    power = _power(data, place, signs)
+    mean = power[1:].mean(axis=0)
+    level = power / np.where(mean > 0, mean, 1.0)
+    chance = np.sort(level[1:].max(axis=1))
+    p = places * (1 + len(chance) - np.searchsorted(chance, level[0])) / len(level)
+    sure = np.flatnonzero(p < LINE_ALARM)
+    if not len(sure):
+        return None
+    at = int(sure[power[0, sure].argmax()])
+    return float(power[0, at]), float(p[at]), place, at
+
+
+def _power(data: MovingSamples, place: _Place, signs: Array) -> Array:
+    """Explained power of every wave number under every set of the blocks' signs, (n_signs, n_waves)."""
+    power, waves = np.zeros((len(signs), len(place.waves))), place.waves
+    for g in np.unique(place.group):
+        own = place.group == g
+        x, weight = place.x[own] - place.x.min(), data.weight[own]
+        by_block = (np.arange(data.n_blocks)[:, None] == data.block[own]) * (weight * data.d[own])
+        # The wave numbers are evenly spaced: each chunk only turns on.
+        table = np.exp(2j * np.pi * np.outer(x, waves[:WAVES_AT_ONCE] - waves[0]))
+        for first in range(0, len(waves), WAVES_AT_ONCE):
+            chunk = slice(first, first + WAVES_AT_ONCE)
+            turned = np.exp(2j * np.pi * waves[first] * x)[:, None] * table[:, : len(waves[chunk])]
+            double, total = weight @ turned**2, float(weight.sum())
+            # Turned so that cosine and sine are orthogonal (Lomb); the ridge is for samples that miss one of them.
+            sums = (by_block @ turned) * np.exp(-0.5j * np.angle(double))
+            for part, side in ((sums.real, 1.0), (sums.imag, -1.0)):
+                norm = 0.5 * (total + side * np.abs(double)) + 1e-6 * total
+                power[:, chunk] += (signs @ part) ** 2 / norm
+    return power
+
+
+def _line(data: MovingSamples, place: _Place, wave: float) -> tuple[Array, float]:
+    """The fitted line along the samples, and its amplitude: RMS over the samples of each group's own."""
+    phase = 2.0 * np.pi * wave * (place.x - place.x.min())
+    columns, root = np.column_stack([np.cos(phase), np.sin(phase)]), np.sqrt(data.weight)
+    fitted, square = np.empty(len(phase)), 0.0
+    for g in np.unique(place.group):
+        own = place.group == g
+        ab = np.linalg.lstsq(columns[own] * root[own, None], data.d[own] * root[own], rcond=1e-6)[0]
+        fitted[own] = columns[own] @ ab
+        square += float(ab @ ab) * float(np.mean(own))
+    return fitted, float(np.sqrt(square))

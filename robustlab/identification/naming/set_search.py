@@ -1,11 +1,5 @@
-r"""The search over sets of effects, by evidence on what is fitted and on what is held out.
-
-.. math:: \log p(S | y) = \log p(y_f | S) + \log p(y_h | y_f, S) + \log p(S) + \text{const}
-
-with Laplace's evidence of the fitted windows, the likelihood of the held-out ones, and a prior for each effect. From
-the empty set on the most probable set that was not looked at is expanded by one effect. When nothing added makes the
-best more probable, each of its effects (of three, each two) is taken away and the rest expanded again. All sets are
-judged under one noise model, that of the best, and one clock: input holds and steps short enough for the best of them.
+"""The search over sets of effects: log p(S | y) = Laplace's evidence of the fitted windows + the likelihood of those
+held out given them + a prior for each effect. All sets are judged under the noise and the clock of the best one.
 """
 
 from __future__ import annotations
@@ -43,7 +37,7 @@ from robustlab.identification.hypotheses.noise import (
 )
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
-from robustlab.identification.naming.first_look import Start, akin, may_follow, promising, stretched, without
+from robustlab.identification.naming.first_look import Start, akin, extended, may_follow, promising, stretched, without
 from robustlab.identification.naming.held_out import strained
 
 WORKERS = 2
@@ -163,11 +157,8 @@ def log_prior(hypothesis: Hypothesis) -> float:
 
 
 def _at_line(candidate: Candidate, line: UnnamedEvidence) -> Candidate:
-    """An effect that makes a line, begun at that line; of a wave with its phase, too.
-
-    Where the motion follows the wave (a mass that rests in its valleys) a fit that begins without any comes to another
-    period: from the motion without it the derivatives lead there.
-    """
+    """An effect that makes a line, begun at that line; of a wave with its phase, too."""
+    # Where the motion follows the wave a fit that begins without any comes to another period.
     effect = candidate.effect
     at = {"orders": (2.0 * np.pi / line.period,)} if effect.spatial else {"lines": (1.0 / line.period,)}
     scales = replace(candidate.scales, **at)
@@ -180,11 +171,7 @@ def _at_line(candidate: Candidate, line: UnnamedEvidence) -> Candidate:
 def search_sets(
     problem: Problem, held: Problem, pool: Sequence[Candidate], allowed: Allowed, progress: Progress
 ) -> Found:
-    """Search the sets of effects of ``pool``.
-
-    ``problem``, ``held``: the windows to fit and the windows that are kept from the fits. ``allowed``: whether a fitted
-    set may be the answer. ``progress``: called with the number of fits done, those expected, and what is being done.
-    """
+    """Search the sets of effects of ``pool``; ``allowed``: whether a fitted set may be the answer."""
     with ThreadPoolExecutor(WORKERS) as workers:
         return _Search(problem, held, pool, allowed, progress, workers).run()
 
@@ -240,17 +227,9 @@ class _Search:
                     self._sharpen()
         except KeyboardInterrupt:
             interrupted = True
-        order = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)
-        return Found(
-            tuple(order),
-            self.visited[Key()],
-            self.noise,
-            self.expansions,
-            settled,
-            interrupted,
-            self.problem,
-            self.held,
-        )
+        order = tuple(sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True))
+        empty = self.visited[Key()]
+        return Found(order, empty, self.noise, self.expansions, settled, interrupted, self.problem, self.held)
 
     def _used_up(self) -> bool:
         """Whether the search ends here; a set that leaves only noise is still asked whether all of it is needed."""
@@ -275,10 +254,7 @@ class _Search:
         return told
 
     def _whole(self) -> Visited:
-        """The set around which the search goes on: that which is told, or one effect of it that leaves only noise.
-
-        What is gained beside that one is judged with all sets, and leads no further.
-        """
+        """The set around which the search goes on: the one to build on, or one effect of it that leaves only noise."""
         told = self._told()
         alone = [v for k, v in self.visited.items() if len(k) == 1 and k < told.key and v.allowed]
         enough = [v for v in alone if self._explains(v)]
@@ -295,11 +271,9 @@ class _Search:
         return d >= tuning.CANNOT_TELL or 0.5 * d**2 > other.prior - one.prior
 
     def _next(self) -> Key | None:
-        """The set to expand next: the best one, else what remains of it when one or two of its effects are away.
-
-        Where the errors hang together something is missing, and which effect came first says little: then the next
-        single effects are expanded, too, until two of them lead to the best set.
-        """
+        """The set to expand next: the best one, else what remains of it without one or two of its effects."""
+        # Where the errors hang together which effect came first has little weight: the next single effects are
+        # expanded, too, until two of them lead to the best set.
         told = self._told().key
         whole = self._whole()
         best = whole.key
@@ -333,10 +307,8 @@ class _Search:
         return max(left, key=lambda k: self.visited[k].evidence, default=None)
 
     def _explains(self, told: Visited) -> bool:
-        """Whether a set leaves no more than noise: then no other beginning can lead further.
-
-        Not with parameters beyond their tolerances: those stand for something that is missing.
-        """
+        """Whether a set leaves no more than noise: then no other beginning can lead further."""
+        # Not with parameters beyond their tolerances: those stand for something that is missing.
         return self._as_noise(told) and not strained(self.problem, told.fit)
 
     def _as_noise(self, told: Visited) -> bool:
@@ -352,10 +324,8 @@ class _Search:
         return self.explained[told.fit]
 
     def _lines(self) -> bool:
-        """Whether the best set leaves lines over position or time; effects that make such lines are then tried there.
-
-        Beside what is far stronger a line does not show in the force that the nominal model lacks.
-        """
+        """Whether the best set leaves lines; effects that make such lines are then tried there."""
+        # Beside what is far stronger a line does not show in the force that the nominal model lacks.
         best = self.best
         if best.key in self.asked:
             return False
@@ -381,12 +351,8 @@ class _Search:
         return self._as_noise(self._told()) and not self._explains(self._told())
 
     def _singles(self) -> bool:
-        """Fit every single effect in full under the present noise, once; whether that changes the best set.
-
-        A short look may miss an effect that explains by itself what two or three others share, or what one does with
-        parameters beyond their tolerances: neither is believed before. Of a nonlinear plant the search came to each set
-        by all of its parts already.
-        """
+        """Fit every single effect in full under the present noise, once; whether that changes the best set."""
+        # A short look may miss one effect that explains by itself what two or three others share.
         told, empty = self._told().key, self.visited[Key()].fit
         if self.alone or isinstance(self.problem.plant, NonlinearPlant):
             return False
@@ -401,10 +367,8 @@ class _Search:
         return self._told().key != told
 
     def _unrefined(self, fit: Fit) -> None:
-        """Fit a set with what a refinement refines in its stead: a simpler name must have been asked.
-
-        Where it was and lies far behind, once more from where the refinement stands: a fit may rest in a poor minimum.
-        """
+        """Fit a set with what a refinement refines in its place: the simpler name must have been tried."""
+        # If that lies far behind, once more from where the refinement is: a fit may rest in a poor minimum.
         for k, refined in enumerate(fit.hypothesis.candidates):
             plain = next(
                 (c for c in self.pool if c.effect.id == refined.effect.refines and c.site == refined.site), None
@@ -419,9 +383,9 @@ class _Search:
             rest, z = without(self.problem, fit, k)
             _, values = self.problem.split(fit.hypothesis, fit.z)
             start = refined.effect.unrefined(values[k])
-            own = plain.standardised({**plain.starts[0], **{n: v for n, v in start.items() if n in plain.starts[0]}})
-            hypothesis = Hypothesis((*rest.candidates, plain))
-            self._visit(self.problem.fit(hypothesis, self.noise, np.append(z, own), fit.starts, FitPlan(tuning.FULL)))
+            start = {**plain.starts[0], **{n: v for n, v in start.items() if n in plain.starts[0]}}
+            hypothesis, z = extended(self.problem, rest, z, plain, start)
+            self._visit(self.problem.fit(hypothesis, self.noise, z, fit.starts, FitPlan(tuning.FULL)))
 
     def _without(self, fit: Fit, key: Key) -> None:
         """Fit a set again with only the effects of ``key``."""
@@ -473,11 +437,8 @@ class _Search:
         return min(base.cost - 2.0 * tuning.PROMISING, self.best.fit.cost + 2.0 * tuning.FAR_BEHIND)
 
     def _within_tolerance(self) -> None:
-        """Fit promising sets that may not be the answer without what forbids it: a parameter within its tolerance.
-
-        Beside dry friction a misjudged viscous one that stood for it goes back to its nominal value; the two together
-        are then no answer, and the dry friction alone would not have been asked.
-        """
+        """Fit promising sets that may not be the answer without the parameter that is within its tolerance."""
+        # Beside dry friction a misjudged viscous one that stood for it goes back to its nominal value.
         for there in [v for v in self.visited.values() if not v.allowed and v.evidence > self.best.evidence]:
             for candidate in there.fit.hypothesis.candidates:
                 less = there.key - {candidate.key}
@@ -485,11 +446,8 @@ class _Search:
                     self._without(there.fit, less)
 
     def _from_children(self, key: Key) -> None:
-        """Fit a set once more from where its best extension stands.
-
-        A fit may rest in a minimum that is not the lowest (contacts make many); an effect that only leads out of it
-        would seem to explain what the set explains as well.
-        """
+        """Fit a set once more from where its best extension is."""
+        # A fit may rest in a local minimum; an effect that only leads out of it would seem to explain something.
         base = self.visited[key].fit
         leader = min((v.fit for v in self.visited.values()), key=lambda f: f.cost)
         kept = base.hypothesis.candidates
@@ -502,10 +460,8 @@ class _Search:
             self._visit(again)
 
     def _visit(self, fit: Fit) -> None:
-        """Judge a fit, and keep it where it is the better one of its set.
-
-        One set stands for ripples of several periods: one that may be the answer is not lost to one that may not.
-        """
+        """Judge a fit, and keep it where it is the better one of its set."""
+        # One set covers ripples of several periods: one that may be the answer is not lost to one that may not.
         key = key_of(fit.hypothesis)
         there = self.visited.get(key)
         if there is not None and there.allowed and fit.evidence <= there.fit.evidence:
@@ -546,10 +502,8 @@ class _Search:
         self.visited, self.expanded = {key_of(fit.hypothesis): self._judged(fit) for fit in again}, set()
 
     def _freed(self, fit: Fit) -> Fit:
-        """The fit, or that of least squares from where it stands, if its errors are beyond noise and that leaves less.
-
-        Coloured noise that was taken from a wrong minimum holds a fit there.
-        """
+        """The fit, or the least-squares fit from there if the errors are beyond noise and that leaves less."""
+        # Coloured noise that was taken from a wrong minimum holds a fit there.
         if noise_ratio(self.problem, fit) < tuning.MOST_NOISE:
             return fit
         plain = least_squares(self.problem, fit, self.noise, FitPlan(tuning.FULL, 0.05))
@@ -561,11 +515,8 @@ class _Search:
         return careful(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if self.near else 1))
 
     def _again(self, fit: Fit) -> Fit:
-        """The set fitted under the present noise and clock, from where it stands.
-
-        Parameters that are then beyond their tolerances may have been driven there under another noise, in which a
-        wrong model's errors were far larger, and be held there by this one: a second fit begins with nominal ones.
-        """
+        """The set fitted under the present noise and clock, from where it is."""
+        # Parameters beyond their tolerances may be held there by this noise: a second fit begins with nominal ones.
         plan = FitPlan(tuning.FULL, 0.05)
         stands = self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, plan)
         if not strained(self.problem, stands):
@@ -591,13 +542,8 @@ Begin = tuple[Hypothesis, Array, Sequence[Array]]  # what is fitted, its standar
 def single_fits(
     problem: Problem, best: Fit, pool: Sequence[Candidate], ceiling: float, workers: Executor, said: Said
 ) -> Iterator[Fit]:
-    """Fits of single effects of ``pool`` under the noise of the ``best`` set, those that may come below ``ceiling``.
-
-    Under small coloured noise the cost is rugged, and a fit from a guess rests in the next valley. So each effect is
-    fitted under the sensors' white noise first, from each of its starts; the lowest go on under that of the search.
-
-    ``said``: called with the number of fits done and to do.
-    """
+    """Fits of single effects of ``pool`` under the noise of the ``best`` set, those that may come below ``ceiling``."""
+    # Under small coloured noise the cost is rugged: each is fitted under the sensors' white noise first.
     wide, nominal = first_noise(problem), np.zeros(len(problem.nuisances))
     jobs = [(c, start) for c in pool for start in c.starts]
     near = problem.fit(best.hypothesis, wide, best.z, best.starts, FitPlan(ROUGH_FULL, tuning.ROUGH)).cost
@@ -627,14 +573,10 @@ def single_fits(
 
 
 def _refined_fits(problem: Problem, fits: Sequence[Fit], pool: Sequence[Candidate]) -> Iterator[Begin]:
-    """Where what refines the effects of these fits begins: where they stand."""
-    n = len(problem.nuisances)
+    """Where what refines the effects of these fits begins: where they are."""
     for fit in fits:
         (there,) = fit.hypothesis.candidates
-        (values,) = problem.split(fit.hypothesis, fit.z)[1]
         for candidate in pool:
             if candidate.effect.refines == there.effect.id and candidate.site == there.site:
                 for start in candidate.starts:
-                    kept = {**start, **{name: x for name, x in values.items() if name in start}}
-                    z = np.append(fit.z[:n], candidate.standardised(kept))
-                    yield Hypothesis((candidate,)), z, fit.starts
+                    yield *extended(problem, fit.hypothesis, fit.z, candidate, start), fit.starts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +18,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError, told_as
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
-from robustlab.identification.naming.named_effects import INTERVAL, NamedKind
-from robustlab.identification.naming.residual_force import ResidualForce
+from robustlab.identification.naming.discovery_result import INTERVAL, Discovery, NamedKind
 
 ONE_FACTOR = "scaled by one factor"
 SIGMAS = 2.0  # standard deviations that a refitted parameter's tolerance covers
@@ -28,33 +27,22 @@ TIMES_RMS = 3.0  # of a force of which nothing is known but its mean square: nea
 
 
 def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[NamedKind] = ()) -> Any:
-    """The plant with the fitted factors in its parameters, tolerances from the fit, and every other effect attached.
-
-    ``kinds``: what is sure. Where the form of one is not settled, its member stands for all of them: the parameter that
-    is its size is as wide as the size of the kind is known, over all members.
-
-    A wrong parameter becomes the plant's new value. A parameter that the fit did not touch keeps value and tolerance.
-    The plant's own kind where no effect has to be attached, else one with effects
-    (`robustlab.dynamics.extended.extended_plant.with_effects`).
-    """
+    """The plant with the fitted factors in its parameters, tolerances from the fit, and every other effect attached."""
+    # Where the form of a kind is not settled, its member's size is as wide as that of the kind.
     plant = problem.plant
     factors, values = problem.split(fit.hypothesis, fit.z)
     spread = _spreads(problem, fit)
     attached = []
-    at = len(problem.nuisances)
-    for candidate, own in zip(fit.hypothesis.candidates, values, strict=True):
+    for (candidate, place), own in zip(problem.slices(fit.hypothesis), values, strict=True):
         changed = candidate.effect.factors(plant, candidate.site, own)
         for name, factor in changed.items():
             factors[name] = factors.get(name, 1.0) * factor
         if not changed:
-            std = {}
-            for k, p in enumerate(candidate.parameters):
-                z, s = fit.z[at + k], fit.std[at + k]
-                std[p.name] = 0.5 * abs(p.prior.value(z + s) - p.prior.value(z - s))
+            each = zip(candidate.parameters, fit.z[place], fit.std[place], strict=True)
+            std = {p.name: 0.5 * abs(p.prior.value(z + s) - p.prior.value(z - s)) for p, z, s in each}
             first = candidate.parameters[0]
             std[first.name] = max(std[first.name], abs(own[first.name]) * _spread_of(kinds, candidate))
             attached.append(AttachedEffect(candidate.effect, candidate.site, own, std, source))
-        at += len(candidate.parameters)
     base = _refitted(plant, factors, spread, source)
     return with_effects(base, attached) if attached else base
 
@@ -74,15 +62,13 @@ def _spreads(problem: Problem, fit: Fit) -> dict[str, float]:
     found = {}
     for nuisance, s in zip(problem.nuisances, fit.std, strict=False):
         found.update(dict.fromkeys(nuisance.names, nuisance.spread * float(s)))
-    at = len(problem.nuisances)
-    for candidate in fit.hypothesis.candidates:
+    for candidate, own in problem.slices(fit.hypothesis):
         if candidate.site.kind == "parameter":
-            z, s = fit.z[at], fit.std[at]
+            z, s = fit.z[own.start], fit.std[own.start]
             prior = candidate.parameters[0].prior
             relative = 0.5 * abs(prior.value(z + s) - prior.value(z - s)) / abs(prior.value(z))
-            for name in candidate.effect.factors(problem.plant, candidate.site, candidate.values(fit.z[at : at + 1])):
+            for name in candidate.effect.factors(problem.plant, candidate.site, candidate.values(fit.z[own])):
                 found[name] = relative
-        at += len(candidate.parameters)
     return found
 
 
@@ -115,10 +101,7 @@ def _together(plant: AnyPlant, changed: Iterable[str]) -> list[tuple[str, ...]]:
 
 
 def fitted_together(plant: Any) -> list[tuple[str, tuple[str, ...]]]:
-    """Groups of parameters of an updated plant that the fit scaled by one factor: (label, names).
-
-    Of each alone it knows no more than that factor. Told by their source, which files keep.
-    """
+    """Groups of an updated plant's parameters that the fit scaled by one factor: (label, names)."""
     base = getattr(plant, "plant", plant)
     if not isinstance(base, (LinearPlant, NonlinearPlant)):
         return []
@@ -129,16 +112,6 @@ def fitted_together(plant: Any) -> list[tuple[str, tuple[str, ...]]]:
 
 
 # --- the uncertain model ---------------------------------------------------------------------------------------------
-
-
-@runtime_checkable
-class _Found(Protocol):
-    """What is needed of a `Discovery`."""
-
-    model: Any
-    residual_force: ResidualForce | None
-    complete: bool
-    records: tuple[str, ...]
 
 
 @told_as("uncertain_from")
@@ -189,7 +162,7 @@ def uncertain_from(
     >>> blocks.origins["coulomb-friction@omega"].split("; ")[1]
     'harmonic balance, for oscillations of amplitude 10 rad/s and more'
     """
-    if not isinstance(found, _Found):
+    if not isinstance(found, Discovery):
         tied = fitted_together(found)
         return effect_blocks(found, outputs, sigmas=sigmas, amplitude=amplitude, dry=dry, pade=pade, tied=tied)
     if found.model is None:
@@ -208,7 +181,7 @@ def uncertain_from(
     )  # fmt: skip
 
 
-def _speeds(found: _Found) -> dict[str, Amplitude]:
+def _speeds(found: Discovery) -> dict[str, Amplitude]:
     """Largest speed along the records, for the only joint that has effects."""
     curve = None if found.residual_force is None else found.residual_force.curves.get("speed")
     joints = {e.site.name for e in getattr(found.model, "effects", ()) if e.site.kind == "joint"}

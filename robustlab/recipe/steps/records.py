@@ -154,7 +154,7 @@ class Naming(DoorStep):
         return replace(super().foretell(ahead), inputs=ahead[of].inputs, outputs=ahead[of].outputs)
 
     def pattern(self, ahead: Ahead) -> Any:
-        from robustlab.identification.naming.discovery_numbers import units_of_effects
+        from robustlab.identification.naming.discovery_result import units_of_effects
 
         given = vars(self)
         effects = units_of_effects(given["exclude"] or ())

@@ -10,20 +10,20 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.dynamics import Descriptor, LinearPlant, Parameter, overridden
-from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Scales
-from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
 from robustlab.errors import InputError
-from robustlab.identification.hypotheses.candidates import (
+from robustlab.identification import (
+    Scales,
     candidates,
+    catalogue,
     nuisance_parameters,
+    ports_of,
+    prepare,
     spatial_orders,
     stated_tolerances,
     timed_lines,
+    window_length,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord, prepare, window_length
-from robustlab.statespace import Signal, StateSpaceModel
 
 # --- priors ----------------------------------------------------------------------------------------------------------
 
@@ -98,9 +98,9 @@ def own_motor(**given):
         Parameter("b", 0.0, "N m s/rad", sign="any"),
         Parameter("ratio", 3.0, "", 0.5),
     )
-    states = (Signal("phi", "rad"), Signal("omega", "rad/s"))
+    states = (rl.Signal("phi", "rad"), rl.Signal("omega", "rad/s"))
     return LinearPlant(
-        "own motor", overridden(parameters, given, "own motor"), (Signal("u", "N m"),), states, states,
+        "own motor", overridden(parameters, given, "own motor"), (rl.Signal("u", "N m"),), states, states,
         equations=lambda p: Descriptor([[1, 0], [0, p["J"]]], [[0, 1], [0, -p["c"] - p["b"]]], [[0], [1]], np.eye(2)),
     )  # fmt: skip
 
@@ -173,27 +173,24 @@ T = np.arange(1000) * 2e-3
 U = np.sin(2 * np.pi * 1.3 * T) + 0.5 * np.sign(np.sin(2 * np.pi * 3.1 * T + 0.5))
 
 
-def prepared(plant, outputs=None) -> PreparedRecord:
-    run = rl.simulate(plant, T, U)
-    rng = np.random.default_rng(2)
-    noisy = {s: y + 1e-4 * np.ptp(y) * rng.normal(size=len(T)) for s, y in run.outputs.items()}
-    record = rl.Record(run.t, run.inputs, {k: noisy[k] for k in outputs or noisy}, name="run")
-    return prepare(plant, port_model(plant), record, window_length(plant, [record]))
-
-
-@cache
-def tried(name: str, outputs: tuple[str, ...] = ()) -> dict[str, list]:
-    plant = linear_plant_of(BARE) if name == "bare" else rl.plant(name)
+def tried_with(plant, record):
+    """The effects that may be tried, by key."""
+    model = ports_of(plant, record)
     found: dict[str, list] = {}
-    for c in candidates(plant, port_model(plant), [prepared(plant, outputs)]):
+    for c in candidates(plant, model, [prepare(plant, model, record, window_length(plant, [record]))]):
         found.setdefault(c.key, []).append(c)
     return found
 
 
-BARE = StateSpaceModel(
-    [[-2.0]], [[3.0]], [[1.0]], [[0.0]], inputs=(Signal("u", "V"),), outputs=(Signal("v", "m/s"),),
-    states=(Signal("v", "m/s"),),
-)  # fmt: skip
+@cache
+def tried(name: str, outputs: tuple[str, ...] = ()) -> dict[str, list]:
+    plant = rl.plant(name)
+    run = rl.simulate(plant, T, U)
+    rng = np.random.default_rng(2)
+    noisy = {s: y + 1e-4 * np.ptp(y) * rng.normal(size=len(T)) for s, y in run.outputs.items()}
+    return tried_with(plant, rl.Record(run.t, run.inputs, {k: noisy[k] for k in outputs or noisy}, name="run"))
+
+
 ELECTRICAL = {"brush-drop", "resistance", "resistance-heating", "torque-constant"}
 AT_A_POSITION = {"bouc-wen", "cogging", "cubic-stiffness", "end-stop", "one-sided-spring",
                  "position-dependent-friction"}  # fmt: skip
@@ -206,7 +203,6 @@ USUAL = {"coulomb-friction", "sensor-delay"}
         # What the resolution does is known noise, never a name.
         ("servo-axis", (), USUAL | AT_A_POSITION | {"inertia", "input-delay"}, ELECTRICAL | {"quantisation"}),
         ("dc-motor", (), USUAL | ELECTRICAL, set()),
-        ("bare", (), USUAL | {"viscous-friction", "input-gain"}, AT_A_POSITION),
     ],
 )  # fmt: skip
 def test_the_effects_tried_are_those_that_the_plant_and_its_record_can_have(plant, outputs, there, absent):
@@ -238,14 +234,8 @@ def test_a_contact_on_one_side_is_tried_on_both_and_never_beyond_the_record():
 
 def test_a_ripple_over_time_is_tried_at_its_line():
     axis = rl.with_effects(rl.plant("servo-axis"), {"torque-ripple": {"Ac": 5.0, "As": 5.0, "f": 41.0}})
-    ready = prepared(axis.plant)
     run = rl.simulate(axis, T, U)
-    record = rl.Record(run.t, run.inputs, {"q": run["q"]}, name="run")
-    ready = prepare(axis.plant, port_model(axis.plant), record, window_length(axis.plant, [record]))
-    found = [c for c in candidates(axis.plant, port_model(axis.plant), [ready]) if c.effect.id == "torque-ripple"]
-    assert found[0].starts == ({"Ac": 0.0, "As": 0.0, "f": pytest.approx(41.0, abs=0.15)},)
+    (found, *_) = tried_with(axis.plant, rl.Record(run.t, run.inputs, {"q": run["q"]}, name="run"))["torque-ripple @ v"]
+    assert found.starts == ({"Ac": 0.0, "As": 0.0, "f": pytest.approx(41.0, abs=0.15)},)
     without = [c.starts for c in tried("servo-axis")["torque-ripple @ v"]]
     assert [s["f"] for s in without[0]] == [50.0, 100.0, 60.0, 120.0]
-
-
-# --- records made ready ----------------------------------------------------------------------------------------------

@@ -6,51 +6,30 @@ from functools import cache
 
 import numpy as np
 import pytest
+from naming_cases import AXIS, T, U, noisy, problem_of
 from oracle.stick_slip import stick_slip
 
 import robustlab as rl
-from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import (
-    Candidate,
-    Fit,
-    FitPlan,
-    Hypothesis,
-    Problem,
-    _total,
-)
-from robustlab.identification.hypotheses.noise import first_noise
-from robustlab.identification.hypotheses.normal_equations import NoiseModel
-from robustlab.identification.hypotheses.prepared_record import prepare
+from robustlab.identification import FitPlan, Hypothesis, NoiseModel, Problem, first_noise, ports_of, prepare
 
-AXIS = rl.plant("servo-axis")
-T = np.arange(1000) * 2e-3
-U = 1.5 * np.sin(2 * np.pi * 1.3 * T) + np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 20), 50)
 NONE = Hypothesis(())
-
-
-def problem_of(record, plant=AXIS, length=100, tolerances=None) -> tuple[Problem, dict[str, Candidate]]:
-    model = port_model(plant)
-    ready = prepare(plant, model, record, length)
-    nuisances = nuisance_parameters(plant, stated_tolerances(plant, tolerances))
-    return Problem(plant, [ready], nuisances), {c.key: c for c in candidates(plant, model, [ready])}
 
 
 def cost(problem, hypothesis, noise, z, starts):
     """V at a point."""
-    return _total(problem.whitened(problem.errors(hypothesis, z, starts), noise), starts) + float(z @ z)
+    parts = [*problem.whitened(problem.errors(hypothesis, z, starts), noise), *starts, z]
+    return sum(float((part**2).sum()) for part in parts)
 
 
-def noisy(record, seed=0, share=1e-3):
-    rng = np.random.default_rng(seed)
-    outputs = {k: y + share * np.ptp(y) * rng.normal(size=len(y)) for k, y in record.outputs.items()}
-    return rl.Record(record.t, record.inputs, outputs, record.units)
+def recorded(run, seed=0):
+    """With white noise of a thousandth of the range."""
+    return rl.Record(T, {"u": U}, noisy(run.outputs, seed))
 
 
 @cache
-def exact() -> tuple[Problem, dict[str, Candidate]]:
+def exact():
     """A noisy record of the plant itself; its parameters are known without error."""
-    return problem_of(noisy(rl.simulate(AXIS, T, U)), tolerances={"M": 0.0, "Fv": 0.0})
+    return problem_of(recorded(rl.simulate(AXIS, T, U)), tolerances={"M": 0.0, "Fv": 0.0})
 
 
 WHITE = NoiseModel(np.array([2e-4, 2e-3]), np.zeros((0, 2)))
@@ -79,7 +58,7 @@ def linear_hypotheses() -> dict[str, Hypothesis]:
     return {"none": NONE, "load": Hypothesis((load,)), "bias": Hypothesis((bias,)), "both": Hypothesis((load, bias))}
 
 
-def fitted(hypothesis: Hypothesis, **options) -> Fit:
+def fitted(hypothesis: Hypothesis, **options):
     problem = exact()[0]
     return problem.fit(hypothesis, WHITE, np.zeros(problem.size(hypothesis)), plan=FitPlan(tolerance=1e-9, **options))
 
@@ -147,7 +126,7 @@ def test_the_robust_covariance_is_the_sandwich_over_windows():
 def test_a_parameter_of_the_value_zero_is_found_within_its_absolute_tolerance():
     """Recorded with a viscosity of 30 N s/m, of which the model says 0 +- 50."""
     true = rl.simulate(rl.plant("servo-axis", Fv=30.0), T, U)
-    problem, _ = problem_of(noisy(true), rl.plant("servo-axis", Fv=(0.0, 50.0)), tolerances={"M": 0.0})
+    problem, _ = problem_of(recorded(true), rl.plant("servo-axis", Fv=(0.0, 50.0)), tolerances={"M": 0.0})
     fit = problem.fit(NONE, WHITE, np.zeros(1))
     factors, _ = problem.split(fit.hypothesis, fit.z)
     assert factors["Fv"] == pytest.approx(30.0, rel=0.05)
@@ -188,9 +167,9 @@ def test_missing_samples_carry_no_weight():
 
 
 def test_records_of_different_sensors_are_fitted_together():
-    run = noisy(rl.simulate(AXIS, T, U))
+    run = recorded(rl.simulate(AXIS, T, U))
     encoder = rl.Record(T, run.inputs, {"q": run["q"]})
-    model, load = port_model(AXIS), linear_hypotheses()["load"]
+    model, load = ports_of(AXIS, run), linear_hypotheses()["load"]
     both = [prepare(AXIS, model, r, 100, outputs={"q", "v"}) for r in (run, encoder)]
     problem = exact()[0].on(both)
     fit = problem.fit(load, WHITE, np.zeros(1), plan=FitPlan(tolerance=1e-9))
@@ -226,7 +205,7 @@ def test_parameters_lie_within_their_intervals():
     true = np.array([math.log(1.03), 0.0, math.log(20.0)])
     misses = []
     for seed in range(4):
-        problem, pool = problem_of(noisy(with_friction(), seed))
+        problem, pool = problem_of(recorded(with_friction(), seed))
         friction = pool["coulomb-friction @ v"]
         noise = NoiseModel(1e-3 * np.ptp(problem.records[0].y, axis=0), np.zeros((0, 2)))
         fit = problem.fit(Hypothesis((friction,)), noise, np.zeros(3), plan=FitPlan(20))

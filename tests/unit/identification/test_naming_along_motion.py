@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 from arm_machine import NOMINAL, arm_record
 from closed_loop import closed_loop
+from naming_cases import all_but
+from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue, effect
-from robustlab.dynamics.effects.contract import Scales, Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.plant_contract import input_signal
-from robustlab.identification.hypotheses.motion_smoother import smooth_motion
+from robustlab.identification import Simulator, Windows, smooth_motion
 
 MODELS = Path(__file__).parents[3] / "models" / "plants"
 FEW = {"coulomb-friction", "viscous-friction", "constant-load", "input-gain", "inertia", "sensor-bias"}
@@ -39,12 +37,12 @@ def swing():
     return closed_loop(plant, control, np.zeros(4), 300, 2e-3, ["q_1", "q_2"], 0.0)
 
 
-def simulated(plant, motion, x0=None, effects=(), values=()):
+def simulated(plant, motion, x0=None):
     record, x = swing()
     u = np.column_stack(list(record.inputs.values()))
     windows = Windows(np.array([0, 60, 120, 180]), 60)
     start = x[windows.starts] if x0 is None else x0
-    return Simulator(plant, effects, u, record.dt, sub=2, motion=motion).run({}, values, start, windows).states
+    return Simulator(plant, (), u, record.dt, sub=2, motion=motion).run({}, (), start, windows).states
 
 
 def true_windows(x):
@@ -75,16 +73,6 @@ def test_the_error_of_a_simulation_that_leaves_the_motion_is_of_second_order():
     assert errors[0] < 0.02
 
 
-def test_an_effect_at_a_joint_is_what_the_same_parameter_makes():
-    _, x = swing()
-    more = arm(b_2=(0.3 + 0.5, 0.3))
-    as_parameter = simulated(more, x)
-    site = Site("joint", "w_2")
-    as_effect = simulated(arm(), x, effects=[(effect("viscous-friction"), site)], values=[{"b": 0.5}])
-    # Both leave the motion by 0.04 rad: they agree but for what that is of second order.
-    assert np.abs(as_effect - as_parameter).max() < 5e-3 * np.abs(as_parameter - simulated(arm(), x)).max()
-
-
 # --- states from the sensors -----------------------------------------------------------------------------------------
 
 
@@ -111,7 +99,10 @@ def test_a_state_without_a_sensor_follows_its_own_equations_though_the_plant_has
     run = rl.simulate(tank, t, u, [0.08, 0.08], hold="zoh")
     noisy = run["level"] + 0.01 * np.random.default_rng(2).standard_normal(len(t))
     moved = smooth_motion(tank, t, u, noisy[:, None], (0,)).smoothed
-    levels = tank.trajectory(input_signal(t, u, "zoh"), np.array([0.08, 0.08]), 1e-9)
+    levels = np.full((len(t), 2), 0.08)
+    for k in range(len(t) - 1):
+        rate = lambda _, x, k=k: tank.rates_along(x[None], u[k : k + 1])[0]  # noqa: E731
+        levels[k + 1] = solve_ivp(rate, (0.0, 1.0), levels[k], rtol=1e-8, atol=1e-12).y[:, -1]
     # The upper tank's level at the start is a guess, forgotten with A/a sqrt(2 h/g) = 80 s.
     settled = slice(450, None)
     assert np.abs(moved.x[settled] - levels[settled]).max() < 0.01 * np.ptp(levels)
@@ -119,37 +110,14 @@ def test_a_state_without_a_sensor_follows_its_own_equations_though_the_plant_has
     assert found.outputs["level"].windowed_rms < 0.02
 
 
-# --- effects of machines with several joints and motors --------------------------------------------------------------
-
-
-def test_a_shifted_centre_and_a_tilted_base_are_parameters_of_the_platform():
-    plant = rl.plant("stewart-platform", preset="physical", platform_cx=(0.002, 0.0))
-    rest = plant.equilibrium()
-    n = 8
-    run = Simulator(plant, [], np.tile(rest.u, (n, 1)), 1e-3, sub=1, motion=np.tile(rest.x, (n, 1)))
-    (site,) = effect("centre-of-mass").sites(plant, run.model({}, []))
-    made = effect("centre-of-mass").factors(plant, site, {"x": 0.01, "y": -0.02, "z": 0.0})
-    values = {name: plant.parameters[name].reference * f for name, f in made.items()}
-    assert values == pytest.approx({"platform_cx": 0.012, "platform_cy": -0.02, "platform_cz": 0.0})
-    (site,) = effect("gravity-direction").sites(plant, run.model({}, []))
-    assert site.name == "tilt_x+tilt_y"
-    motor = rl.plant("dc-motor")
-    assert not effect("centre-of-mass").sites(motor, run.model({}, []))
-    assert {p.name for p in effect("gravity-direction").parameters(Scales())} == {"x", "y"}
-
-
 # --- whole ----------------------------------------------------------------------------------------------------------
-
-
-def only(*names):
-    return sorted(set(catalogue()) - set(names))
 
 
 @pytest.mark.slow
 def test_friction_of_one_joint_is_named_at_that_joint():
     perturbed = {"m_2": 1.02 * NOMINAL["m_2"], "b_1": 1.2 * NOMINAL["b_1"], "I_r2": 0.95 * NOMINAL["I_r2"]}
     runs = [arm_record(seed, coulomb=(0.0, 0.5), **perturbed) for seed in (11, 12)]
-    found = rl.discover(arm(), runs[0], held_out=runs[1], exclude=only(*FEW))
+    found = rl.discover(arm(), runs[0], held_out=runs[1], exclude=all_but(*FEW))
     assert (found.verdict, found.complete) == ("named", True)
     (one,) = found.effects
     assert (one.name, one.site) == ("coulomb-friction", "w_2")
@@ -163,6 +131,6 @@ def test_friction_of_one_joint_is_named_at_that_joint():
 def test_nothing_missing_is_said_of_an_arm_within_its_tolerances():
     perturbed = {"m_1": 0.98 * NOMINAL["m_1"], "b_2": 0.8 * NOMINAL["b_2"]}
     runs = [arm_record(seed, **perturbed) for seed in (21, 22)]
-    found = rl.discover(arm(), runs[0], held_out=runs[1], exclude=only(*FEW))
+    found = rl.discover(arm(), runs[0], held_out=runs[1], exclude=all_but(*FEW))
     assert found.verdict == "no missing effect"
     assert not found.effects

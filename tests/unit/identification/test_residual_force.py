@@ -1,11 +1,10 @@
-"""Residual forces with known structure: curves and shares; and the figure."""
+"""Residual forces with known structure: curves, shares and periodic lines."""
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robustlab.errors import InputError
-from robustlab.identification.naming.residual_force import residual_force
+from robustlab.identification import LeftOver, moving_samples, remaining_lines, residual_curves
 
 H = 1e-3
 UNITS = {"speed": "rad/s", "position": "rad", "time": "s", "input u": "V"}
@@ -30,13 +29,18 @@ def friction(x):
     return np.sign(x["speed"]) * (2.0 + np.exp(-np.abs(x["speed"]) / 5.0)) + 0.02 * x["speed"]
 
 
+def curves_of(d, std, x, seed=0):
+    blocks = np.arange(len(d)) * 24 // len(d)
+    return residual_curves(LeftOver("omega", "N m", UNITS, moving_samples(d, std, x, blocks)), seed)
+
+
 def test_curve_over_speed_has_the_friction_in_its_band_and_other_coordinates_no_share():
     inside = []
     for seed in range(5):
         x = motion(seed, 20000)
         rng = np.random.default_rng(seed)
         d = friction(x) + 0.5 * slow_noise(rng, 20000)
-        found = residual_force(d, np.full(20000, 0.2), x, UNITS, unit="N m", seed=seed)
+        found = curves_of(d, np.full(20000, 0.2), x, seed)
         curve = found.curves["speed"]
         truth = friction({"speed": curve.x})
         inside.append((curve.low <= truth) & (truth <= curve.high))
@@ -50,25 +54,64 @@ def test_curve_over_speed_has_the_friction_in_its_band_and_other_coordinates_no_
 def test_shares_are_of_blocks_never_seen():
     # A spline follows noise in the samples it is fitted to; held-out, it explains nothing.
     x, rng = motion(3), np.random.default_rng(0)
-    for name, curve in residual_force(slow_noise(rng, 5000), np.ones(5000), x).curves.items():
+    for name, curve in curves_of(slow_noise(rng, 5000), np.ones(5000), x).curves.items():
         assert curve.share < 0.1, name
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"d": np.zeros(99)}, "100 samples"),
-        ({"d": np.full(100, np.nan)}, "NaN"),
-        ({"d_std": np.zeros(100)}, "positive"),
-        ({"coordinates": {}}, "no coordinates"),
-        ({"coordinates": {"speed": np.zeros(7)}}, "speed"),
-        ({"blocks": 3}, "blocks"),
-        ({"blocks": 50}, "blocks"),
-        ({"blocks": np.zeros(99)}, "blocks"),
-        ({"blocks": np.arange(100) // 50}, "2 blocks"),
-    ],
-)
-def test_bad_input_is_named(change, message):
-    usual = {"d": np.ones(100), "d_std": np.ones(100), "coordinates": {"speed": np.arange(100.0)}, "blocks": 10}
-    with pytest.raises(InputError, match=message):
-        residual_force(**(usual | change))
+# --- lines -----------------------------------------------------------------------------------------------------------
+
+N, DT, BLOCKS = 2400, 0.01, 16
+
+
+def left_over(force_of, seed, zeros=(0.0, 0.0)):
+    """Two records of back-and-forth motion with slow noise, and ``force_of(time, place, speed)`` besides.
+
+    The encoder shows the place less ``zeros``, where it was switched on.
+    """
+    rng = np.random.default_rng(seed)
+    parts = []
+    for k, zero in enumerate(zeros):
+        t = DT * np.arange(N)
+        # Frequencies without a common period, so that position and time are told apart.
+        q = 0.1 * np.sin(0.9 * t + k) + 0.05 * np.sin(2.3 * t + rng.uniform(0, 6)) + zero
+        v = np.gradient(q, DT)
+        noise = lfilter([0.2], [1.0, -0.9], np.append(0.0, rng.standard_normal(N - 1)))
+        parts.append((force_of(t, q, v) + noise, t, q - zero, v, k * BLOCKS + np.arange(N) * BLOCKS // N))
+    force, t, q, v, blocks = (np.concatenate(column) for column in zip(*parts, strict=True))
+    coordinates = {"speed": v, "time": t, "position": q, "input u": rng.standard_normal(len(t))}
+    return LeftOver(
+        "v", "N", {"time": "s", "position": "m"}, moving_samples(force, np.full(len(t), 0.3), coordinates, blocks)
+    )
+
+
+def test_a_line_over_the_position_is_found_with_its_period_and_size():
+    (line,) = remaining_lines(left_over(lambda t, q, v: 0.5 * np.cos(2 * np.pi * q / 0.0025 + 0.7), 1))
+    assert (line["over"], line["unit"], line["force_unit"]) == ("position", "m", "N")
+    assert line["period"] == pytest.approx(0.0025, rel=2e-3)
+    assert line["amplitude"] == pytest.approx(0.5, rel=0.1)
+    assert line["p_value"] < 0.01
+
+
+def test_each_record_may_count_from_its_own_zero():
+    made = left_over(lambda t, q, v: 0.5 * np.cos(2 * np.pi * q / 0.004), 2, zeros=(0.0, 0.0123))
+    (line,) = remaining_lines(made)
+    assert line["period"] == pytest.approx(0.004, rel=2e-3)
+    assert line["amplitude"] == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_line_over_time_is_told_from_one_over_the_position():
+    made = left_over(lambda t, q, v: 0.5 * np.sin(2 * np.pi * 7.3 * t) + 0.4 * np.cos(2 * np.pi * q / 0.0025), 4)
+    lines = {line["over"]: line for line in remaining_lines(made)}
+    assert set(lines) == {"time", "position"}
+    assert lines["time"]["period"] == pytest.approx(1 / 7.3, rel=1e-3)
+    assert lines["position"]["period"] == pytest.approx(0.0025, rel=2e-3)
+
+
+def smooth(t, q, v):
+    return 2.0 * np.tanh(v / 0.01) + 5.0 * v + 3.0 * q
+
+
+@pytest.mark.parametrize("seeds", [(100, 101), pytest.param(range(102, 112), marks=pytest.mark.slow)])
+def test_noise_and_smooth_curves_are_no_lines(seeds):
+    """Twelve records of coloured noise and smooth, at a false alarm rate of one in a hundred."""
+    assert sum(bool(remaining_lines(left_over(smooth, seed))) for seed in seeds) <= 1

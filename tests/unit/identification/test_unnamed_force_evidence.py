@@ -5,28 +5,28 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from naming_cases import problem_of
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 import robustlab as rl
-from robustlab.dynamics.ports.port_model import port_model
-from robustlab.identification.hypotheses import unnamed_force as unnamed
-from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
-from robustlab.identification.hypotheses.noise import first_noise
-from robustlab.identification.hypotheses.prepared_record import prepare
-from robustlab.identification.hypotheses.random_force import (
-    START,
+from robustlab.identification import (
+    Family,
+    FitPlan,
     FittedWindows,
     ForceResponse,
+    Hypothesis,
     PortMotion,
+    first_noise,
+    fitted_windows,
     force_response,
+    judged,
     plain_places,
+    unnamed_force,
 )
-from robustlab.identification.hypotheses.unnamed_force import fitted_windows, unnamed_force
 
+START = 1e-4  # precision of the starts' prior, over that in the fit
 DT = 2e-3
-AXIS = rl.plant("servo-axis")
 M, FV, GAIN = 95.1089, 203.5034, 35.15065
 
 
@@ -114,8 +114,7 @@ def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
 def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
     windows = dense.windows()
     columns = np.random.default_rng(5).normal(size=(4, 6, 3))
-    family = SimpleNamespace(price=1.5, columns=[columns])
-    best = unnamed._judged(windows, family, 1)
+    best = judged(windows, Family("speed", [columns], price=1.5), 1)
     e = dense.e.ravel()
 
     def of(level, strength):
@@ -123,7 +122,7 @@ def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
 
     alone = max(profiled(e, *of(level, 0.0)) for level in [*windows.levels([columns]), windows.alone])
     with_it = profiled(e, *of(best.level, best.strength))
-    tried = len(unnamed.STRENGTHS)
+    tried = 8  # strengths of the family: 10^-3.5 to 1 in half decades
     assert best.evidence == pytest.approx(with_it - alone - np.log(tried) - 1.5, abs=1e-7)
 
     def predictive(covariance, mean, scale):
@@ -178,10 +177,7 @@ def measured(extra, noise=2e-5, seconds=6.0, seed=0) -> rl.Record:
 
 
 def fitted(record: rl.Record):
-    model = port_model(AXIS)
-    problem = Problem(
-        AXIS, [prepare(AXIS, model, record, 200)], nuisance_parameters(AXIS, stated_tolerances(AXIS, None))
-    )
+    problem, _ = problem_of(record, length=200)
     zero = np.zeros(len(problem.nuisances))
     return problem, problem.fit(Hypothesis(()), first_noise(problem), zero, plan=FitPlan(10))
 
