@@ -65,7 +65,7 @@ from robustlab.result import Status
 
 if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
-    from robustlab.identification.experiment.next_experiment import NextExperiment
+    from robustlab.identification.experiment import NextExperiment
 
 
 MOSTLY = 0.5  # of what the bare model lacks, by names that are sure beside a misfit; below, they are not it
@@ -389,15 +389,11 @@ def _search_findings(found: Found) -> list[Finding]:
 
 def _next_experiment(problem: Problem, best: Fit, rivals: Sequence[Alternative]) -> NextExperiment | None:
     """What would separate the named effects from their rivals."""
-    if not rivals:
+    if not rivals or isinstance(problem.plant, NonlinearPlant):  # which moves as its controller asks
         return None
+    from robustlab.identification.experiment import propose_experiment
+
     others = {a.weighed.key: a.weighed.fit for a in rivals}
-    if isinstance(problem.plant, NonlinearPlant):  # which moves as its controller asks
-        from robustlab.identification.experiment.path_experiment import propose_path
-
-        return propose_path(problem, best, list(others.values()))
-    from robustlab.identification.experiment.next_experiment import propose_experiment
-
     return propose_experiment(problem, best, list(others.values()))
 
 

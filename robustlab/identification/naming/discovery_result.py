@@ -26,7 +26,7 @@ from robustlab.tables import Table, Tabular
 
 if TYPE_CHECKING:
     from robustlab.identification.comparison.noise_floor import NoiseFloor
-    from robustlab.identification.experiment.next_experiment import NextExperiment
+    from robustlab.identification.experiment import NextExperiment
     from robustlab.identification.naming.residual_force import ResidualForce
     from robustlab.identification.record_check.suitability import Finding
     from robustlab.uncertainty.lft import UncertainModel

@@ -20,8 +20,6 @@ kind                    fatal  what was found
 ``jitter``              no     a clock that is not uniform
 ``quantisation``        no     an encoder's step, found from the samples
 ``motion``              yes    of a nonlinear plant: a position that is not recorded, a motion that it cannot have
-``shut-gap``            no     of a naming: a joint at which a backlash would not show
-                               (`robustlab.identification.experiment.shut_gaps`)
 ======================  =====  ===============================================================================
 
 What the samples say of themselves (constant and clipped channels, the clock, units) `check_record` tells of any record,

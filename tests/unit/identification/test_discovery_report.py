@@ -12,7 +12,7 @@ import pytest
 import robustlab as rl
 from robustlab.cli.data import _fill_folder
 from robustlab.identification import Discovery
-from robustlab.identification.experiment.next_experiment import NextExperiment, Pair, Tried
+from robustlab.identification.experiment import NextExperiment, Pair, Tried
 from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.named_effects import (
     EffectValue,
