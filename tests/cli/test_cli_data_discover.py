@@ -12,7 +12,7 @@ import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.identification.naming import discovery
 from robustlab.identification.naming.named_effects import Rival
-from robustlab.identification.record_check.suitability import Finding
+from robustlab.identification.record_check import Finding
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
 EXCLUDED = [word for name in catalogue() if name not in TRIED for word in ("--exclude", name)]

@@ -64,7 +64,7 @@ from robustlab.record import Record
 from robustlab.result import Status
 
 if TYPE_CHECKING:
-    from robustlab.identification.comparison.noise_floor import NoiseFloor
+    from robustlab.identification.comparison.repeats import NoiseFloor
     from robustlab.identification.experiment import NextExperiment
 
 
@@ -331,7 +331,7 @@ def _explained_on_held_out(gaps: Gaps, noise_ratio: float) -> float:
 
 def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None, dict[str, float]]:
     """Model-free noise floor of the first record, where it repeats, and F of the updated model's errors against it."""
-    from robustlab.identification.comparison.noise_floor import noise_floor
+    from robustlab.identification.comparison.repeats import noise_floor
 
     problem, record = found.problem, case.records[0]
     first = problem.records[0]

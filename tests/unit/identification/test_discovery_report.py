@@ -27,7 +27,7 @@ from robustlab.identification.naming.named_effects import (
     wave_amplitude,
 )
 from robustlab.identification.naming.residual_force import ForceCurve, ResidualForce
-from robustlab.identification.record_check.suitability import Finding
+from robustlab.identification.record_check import Finding
 from robustlab.provenance import Provenance
 from robustlab.recipe.schema import Requirement, judge
 from robustlab.report.discovery import discovery_figures, write_page
