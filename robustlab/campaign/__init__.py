@@ -4,6 +4,7 @@ Each sample is stored as it comes; a run that was interrupted or killed goes on 
 """
 
 from robustlab.campaign.campaign_result import CampaignResult
+from robustlab.campaign.evaluation import TILE, Evaluator, Rows
 from robustlab.campaign.runs import (
     Replay,
     read_campaign,
@@ -12,14 +13,20 @@ from robustlab.campaign.runs import (
     run_campaign,
     saved_samples,
 )
-from robustlab.campaign.settings import CampaignSettings
+from robustlab.campaign.settings import CampaignSettings, Identity
+from robustlab.campaign.store import Store
 from robustlab.campaign.workers import Crew
 
 __all__ = [
+    "TILE",
     "CampaignResult",
     "CampaignSettings",
     "Crew",
+    "Evaluator",
+    "Identity",
     "Replay",
+    "Rows",
+    "Store",
     "read_campaign",
     "replay_sample",
     "resume_campaign",

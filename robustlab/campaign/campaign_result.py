@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.campaign.evaluation import Evaluator, decode_delta
+from robustlab.campaign.evaluation import Evaluator
 from robustlab.campaign.store import Sample, Store
 from robustlab.errors import InputError
 from robustlab.result import Status
 from robustlab.shown import Facts, Part, Shown, member, member_rows, number
 from robustlab.tables import Table, Tabular
+from robustlab.worst_case_analysis.members import decoded
 from robustlab.worst_case_analysis.statistics import clopper_pearson
 
 CONFIDENCE = 0.95
@@ -305,7 +306,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
     digest = store.digest()
     if facts and complete and facts["digest"] != digest:
         raise InputError(store.where, "its rows were changed after the campaign ended (the digest differs)")
-    delta = decode_delta(blocks, worst.numbers) if worst else {}
+    delta = decoded(blocks, worst.numbers) if worst else {}
     sampled = settings.kind == "samples" and counts.done > 0
     unseen = probability_bounds(counts.lost, counts.done + counts.lost)[1] if sampled else math.nan
     return CampaignResult(
@@ -332,7 +333,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         share_beyond(store, evaluator.sense, limit, counts.done, counts.lost)
         if limit is not None and counts.done
         else None,
-        tuple(LostSample(row.index, row.reason, decode_delta(blocks, row.numbers)) for row in store.lost(SHOWN_LOST)),
+        tuple(LostSample(row.index, row.reason, decoded(blocks, row.numbers)) for row in store.lost(SHOWN_LOST)),
         digest,
         store.seconds(),
         settings.seed,

@@ -1,9 +1,8 @@
 """The value of sample i: a pure function of uncertain model, settings and i.
 
-This is the one module of the room that knows metrics and searches. Samples are computed in tiles of fixed borders
-(sample i belongs to tile ``i // tile``, a whole tile is computed even where it reaches beyond n), because a stack of
-members shares its scaling in the matrix exponential: with other neighbours the last digit of a value could change.
-So the answer depends neither on the number of workers nor on n nor on where an earlier run was interrupted.
+Samples are computed in tiles of fixed borders (a whole tile even where it reaches beyond n), because members that are
+computed together share their scaling: with other neighbours the last digit of a value could change. So the answer
+depends neither on the number of workers nor on n nor on where an earlier run was interrupted.
 """
 
 from __future__ import annotations
@@ -19,20 +18,15 @@ from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.campaign.settings import CampaignSettings, Identity, code_identity, differences, model_from_bytes
 from robustlab.errors import EnvironmentFault, NoTrustworthyNumber, plain_text
-from robustlab.statespace import real_array
-from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import delta_of_sample
-from robustlab.worst_case_analysis.ensemble import delta_stack
-from robustlab.worst_case_analysis.metric_contract import Evaluation
-from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
+from robustlab.worst_case_analysis.members import Deltas, decoded, delta_of_sample, encoded
+from robustlab.worst_case_analysis.metrics import Evaluation, MetricRequest, make_metric
 from robustlab.worst_case_analysis.worst_case_search import worst_case
 
 DONE, LOST = 0, 1
 # Samples in a tile. It decides the last digits of a value, so it is no matter of taste.
 TILE = 64
-# Operations in a tile, roughly: a tile of a large model is smaller, so that its time limit stays near that of a sample.
-TILE_WORK = 2e9
+TILE_WORK = 2e9  # operations in a tile, roughly: one of a large model is smaller, so that little is lost by a kill
 # A search ends by itself, where nothing improves it any more.
 TO_THE_END = 1e9
 
@@ -43,7 +37,7 @@ class Rows:
 
     first: int  # index of the first one
     values: Array  # the metric, shape (k,); NaN where a sample is lost
-    deltas: Array  # normalised Deltas as numbers, shape (k, width); see `encode_delta`
+    deltas: Array  # normalised Deltas as numbers, shape (k, width); see `robustlab.worst_case_analysis.members.encoded`
     seconds: Array  # time each one took, shape (k,); samples computed together share their time evenly
     lost: Mapping[int, str] = field(default_factory=dict)  # index -> reason, for samples that gave no value
 
@@ -66,36 +60,6 @@ class Rows:
             np.concatenate([part.seconds for part in parts]),
             {index: reason for part in parts for index, reason in part.lost.items()},
         )
-
-
-def delta_width(blocks: Sequence[Block]) -> int:
-    """Number of real numbers that `encode_delta` needs."""
-    return sum(block.n_coordinates for block in blocks)
-
-
-def encode_delta(blocks: Sequence[Block], values: Mapping[str, Any]) -> Array:
-    """Delta as real numbers, shape (width,): one for a real scalar, real and imaginary parts of all entries else."""
-    parts = [block.coordinates(values[block.name]) for block in blocks]
-    return np.concatenate([np.zeros(0), *parts], dtype=np.float64)
-
-
-def decode_delta(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
-    """Inverse of `encode_delta`.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
-    >>> blocks = [RealScalar("k"), ComplexScalar("c")]
-    >>> decode_delta(blocks, encode_delta(blocks, {"k": 0.5, "c": 0.1 - 0.2j}))
-    {'k': 0.5, 'c': (0.1-0.2j)}
-    """
-    values: dict[str, Any] = {}
-    start = 0
-    for block in blocks:
-        stop = start + block.n_coordinates
-        values[block.name] = block.value_at(numbers[start:stop])
-        start = stop
-    return values
 
 
 class Evaluator:
@@ -131,13 +95,20 @@ class Evaluator:
 
     def delta(self, index: int) -> dict[str, Any]:
         """Delta of a sample or a vertex: block name -> normalised value. A search finds its own: zero here."""
+        return decoded(self.uncertain.blocks, self._theta(index, index + 1)[0])
+
+    def _theta(self, first: int, last: int) -> Array:
+        """Coordinates of samples (k, width)."""
         blocks, seed = self.uncertain.blocks, self.settings.seed
         if self.settings.kind == "search":
-            return {block.name: block.zero for block in blocks}
+            return np.zeros((last - first, self._judge.set.size))
         if self.settings.kind == "samples":
-            return delta_of_sample(blocks, seed, index)
-        values = delta_of_sample(blocks, seed, index, boundary=True)
-        return {**values, **dict(zip(self._reals, self._signs(index), strict=True))}
+            return Deltas(blocks, last, seed, np.zeros((0, 0))).numbers(slice(first, last))
+        corners = [
+            delta_of_sample(blocks, seed, k, boundary=True) | dict(zip(self._reals, self._signs(k), strict=True))
+            for k in range(first, last)
+        ]
+        return np.array([encoded(blocks, corner) for corner in corners])
 
     def _signs(self, index: int) -> list[float]:
         """Vertex of the real deltas: the binary digits of the index, or random where not all of them are asked for."""
@@ -163,37 +134,34 @@ class Evaluator:
     def _tile(self, first: int) -> Rows:
         if self.tile == 1:
             return self.alone(first)
-        started = time.perf_counter()
-        deltas = [self.delta(index) for index in range(first, first + self.tile)]
+        started, theta = time.perf_counter(), self._theta(first, first + self.tile)
         try:
-            values = self._values(deltas)
-        except Exception:  # noqa: BLE001  one sample spoils the stack; which one, and how, is found out below
-            values = np.full(len(deltas), np.nan)
+            values = self._values(theta)
+        except Exception:  # noqa: BLE001  one sample spoils the tile; which one, and how, is found out below
+            values = np.full(len(theta), np.nan)
         if np.isnan(values).any():
             parts = [self.alone(index) for index in range(first, first + self.tile)]
             return parts[0].followed_by(parts[1:])
-        seconds = np.full(len(deltas), (time.perf_counter() - started) / len(deltas))
-        return Rows(first, values, np.stack([encode_delta(self.uncertain.blocks, d) for d in deltas]), seconds)
+        return Rows(first, values, theta, np.full(len(theta), (time.perf_counter() - started) / len(theta)))
 
     def alone(self, index: int) -> Rows:
         """One sample; what it raises becomes the reason why it is lost."""
-        started = time.perf_counter()
-        delta, value, reason = self.delta(index), np.nan, ""
+        started, theta, value, reason = time.perf_counter(), self._theta(index, index + 1), np.nan, ""
         try:
             if self.settings.kind == "search":
                 value, delta = self._search(index)
+                theta = encoded(self.uncertain.blocks, delta)[None]
             else:
-                value = float(self._values([delta])[0])
+                value = float(self._values(theta)[0])
         except Exception as error:  # noqa: BLE001  whatever a sample raises concerns this sample alone
             reason = plain_text(f"{type(error).__name__}: {error}")[:500]
         if not reason and np.isnan(value):
             reason = "the metric is not a number"
         seconds = np.array([time.perf_counter() - started])
-        numbers = encode_delta(self.uncertain.blocks, delta)[None]
-        return Rows(index, np.array([value]), numbers, seconds, {index: reason} if reason else {})
+        return Rows(index, np.array([value]), theta, seconds, {index: reason} if reason else {})
 
-    def _values(self, deltas: list[dict[str, Any]]) -> Array:
-        return np.asarray(self._judge.values(delta_stack(self._judge.uncertain.blocks, deltas)), dtype=np.float64)
+    def _values(self, theta: Array) -> Array:
+        return self._judge.of(self._judge.set.members(theta))
 
     def _search(self, index: int) -> tuple[float, dict[str, Any]]:
         s = self.settings
@@ -206,14 +174,12 @@ class Evaluator:
             )
         return found.value, dict(found.delta)
 
-    @property
-    def width(self) -> int:
-        """Numbers per Delta."""
-        return delta_width(self.uncertain.blocks)
-
 
 def _request(uncertain: UncertainModel, s: CampaignSettings) -> MetricRequest:
-    clock = None if s.t_end is None else _clock(uncertain, s, s.t_end)
+    clock = None
+    if s.t_end is not None:
+        dt = uncertain.dt
+        clock = dt * np.arange(max(2, round(s.t_end / dt) + 1)) if dt else np.linspace(0.0, s.t_end, s.points)
     return MetricRequest(s.metric, s.output, s.input, clock, s.u, s.hold, s.band)
 
 
@@ -223,12 +189,6 @@ def _tile_size(n_states: int, settings: CampaignSettings) -> int:
         return 1
     work = (n_states + 1) ** 2 * (settings.points + 100 + 30 * n_states)
     return max(1, min(TILE, int(TILE_WORK / work)))
-
-
-def _clock(uncertain: UncertainModel, settings: CampaignSettings, t_end: float) -> Array:
-    if uncertain.dt:
-        return real_array("t", uncertain.dt * np.arange(max(2, round(t_end / uncertain.dt) + 1)), 1)
-    return real_array("t", np.linspace(0.0, t_end, settings.points), 1)
 
 
 _evaluators: dict[str, Evaluator] = {}  # of this process: that of the campaign it worked for last

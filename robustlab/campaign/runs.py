@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,25 +13,30 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.campaign.campaign_result import CampaignResult, result_of
-from robustlab.campaign.dispatch import compute_missing
-from robustlab.campaign.evaluation import LOST, Evaluator, decode_delta
+from robustlab.campaign.evaluation import LOST, Evaluator, Rows, compute
 from robustlab.campaign.settings import (
     CampaignSettings,
     Identity,
     code_identity,
     differences,
     model_from_bytes,
-    model_to_bytes,
 )
 from robustlab.campaign.store import Store, locked
-from robustlab.campaign.workers import Crew, hired
-from robustlab.errors import EnvironmentFault, InputError
+from robustlab.campaign.workers import Crew, Workers, hired
+from robustlab.errors import EnvironmentFault, InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.shown import AllFields, Facts, Part, Shown, member_rows, number
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis.members import decoded
 
 Existing = Literal["resume", "restart", "fork"]
 EVERYONE = Crew()
+MAX_LOST_SHARE = 0.01  # of the samples that may have no value
+# How the work is cut; the samples do not depend on it.
+PIECE_SECONDS = 0.7  # of work in a piece: long against sending and storing it, short against what a kill may lose
+GROWTH = 4  # factor by which a piece grows at most, until its speed is known
+LONGEST_PIECE = 100_000  # samples: its rows are held in memory and written in one transaction
+POLL_SECONDS = 1.0
 
 
 def run_campaign(
@@ -74,7 +80,7 @@ def run_campaign(
             _same_campaign(opened, identity)
         else:
             Store.delete(path)
-            opened = Store.create(path, identity, model_to_bytes(uncertain))
+            opened = Store.create(path, uncertain, settings)
         return _work(opened, evaluator, crew, limit, progress)
 
 
@@ -177,7 +183,7 @@ def replay_sample(store: str | Path, index: int) -> Replay:
         rows = evaluator.rows(first, first + evaluator.tile)
     place = index - rows.first
     value = float(rows.values[place])
-    delta = decode_delta(evaluator.uncertain.blocks, rows.deltas[place])
+    delta = decoded(evaluator.uncertain.blocks, rows.deltas[place])
     again = evaluator.evaluate(delta)
     stored = math.nan if row is None else row.value
     identical = value == stored
@@ -240,8 +246,8 @@ def _note_end(store: Store, evaluator: Evaluator) -> None:
     facts: dict[str, Any] = {"digest": store.digest(), "agrees": False}
     if worst is not None:
         blocks = evaluator.uncertain.blocks
-        again = evaluator.evaluate(decode_delta(blocks, worst.numbers))
-        zero = evaluator.evaluate(decode_delta(blocks, np.zeros(evaluator.width)))
+        again = evaluator.evaluate(decoded(blocks, worst.numbers))
+        zero = evaluator.evaluate({})
         agrees = evaluator.agrees(worst.value, again)
         facts.update(agrees=agrees, again=again.value, at=again.at, nominal=zero.value)
     store.note_facts(facts)
@@ -278,3 +284,74 @@ def _free_name(path: Path) -> Path:
         if not candidate.exists():
             return candidate
     raise EnvironmentFault(str(path), "has more than 9998 forks already")
+
+
+# --- pieces of what the store lacks go to the workers, what comes back goes to the store -----------------------------
+
+
+class _Pieces:
+    """What is missing in the store, cut at the borders of tiles into pieces of about PIECE_SECONDS."""
+
+    def __init__(self, gaps: list[tuple[int, int]], tile: int) -> None:
+        self._gaps, self._tile, self._tiles, self._seconds = gaps[::-1], tile, 1, 0.0
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        while self._gaps:
+            first, last = self._gaps.pop()
+            first -= first % self._tile  # a tile is computed whole, whatever of it is stored
+            end = first + self._tiles * self._tile
+            if end < last:
+                self._gaps.append((end, last))
+            yield first, min(end, -(-last // self._tile) * self._tile)
+
+    def learn(self, rows: Rows) -> None:
+        """Take the time of a finished piece into account."""
+        each = float(rows.seconds.mean())
+        self._seconds = each if not self._seconds else 0.7 * self._seconds + 0.3 * each
+        wanted = int(PIECE_SECONDS / max(self._seconds, 1e-9) / self._tile)
+        self._tiles = max(1, min(wanted, GROWTH * self._tiles, LONGEST_PIECE // self._tile))
+
+
+def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progress: Callable[[int], None]) -> None:
+    """Compute what the store lacks; ``progress`` is called with the number of samples that were just stored.
+
+    Raises NoTrustworthyNumber: more than 1 % of the samples have no value. EnvironmentFault: a worker ended.
+    """
+    n, identity, model = evaluator.settings.n, store.identity, store.model
+    todo = _Pieces(store.missing(n), evaluator.tile)
+    pieces, under_way = iter(todo), set[Future[Rows]]()
+    lost = store.counts().lost
+    _stop_if_too_many(store, lost, n)
+    while True:
+        while len(under_way) <= workers.count and (piece := next(pieces, None)) is not None:
+            under_way.add(workers.executor.submit(compute, identity, model, *piece))
+        if not under_way:
+            return
+        workers.check()
+        done, under_way = wait(under_way, POLL_SECONDS, FIRST_COMPLETED)
+        for future in done:
+            try:
+                rows = future.result()
+            except Exception as error:
+                found = f"a worker failed ({type(error).__name__}: {error})"[:500]
+                raise EnvironmentFault("campaign", found, None, "give it more memory, or fewer --workers") from error
+            todo.learn(rows)
+            rows = rows.up_to(n)
+            store.save(rows)
+            progress(len(rows))
+            lost += len(rows.lost)
+            if rows.lost:
+                _stop_if_too_many(store, lost, n)
+
+
+def _stop_if_too_many(store: Store, lost: int, n: int) -> None:
+    if lost <= MAX_LOST_SHARE * n:
+        return
+    first = store.lost(3)
+    raise NoTrustworthyNumber(
+        store.where,
+        f"{lost} of {n} samples are lost, more than {100 * MAX_LOST_SHARE:g} %",
+        None,
+        f"robustlab campaign replay {store.where} {first[0].index}",
+        tuple(f"sample {row.index}: {row.reason}" for row in first),
+    )

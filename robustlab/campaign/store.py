@@ -21,8 +21,9 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.campaign.evaluation import DONE, LOST, Rows
-from robustlab.campaign.settings import Identity
+from robustlab.campaign.settings import CampaignSettings, Identity, model_to_bytes
 from robustlab.errors import EnvironmentFault, InputError
+from robustlab.uncertainty.lft import UncertainModel
 
 FORMAT_VERSION = 1
 APPLICATION_ID = 0x524C4350  # "RLCP"
@@ -35,7 +36,7 @@ CREATE TABLE sample (
     idx INTEGER PRIMARY KEY,
     status INTEGER NOT NULL,  -- 0 done, 1 lost
     value REAL,               -- the metric; NULL where lost
-    delta BLOB NOT NULL,      -- normalised Delta, little-endian float64, see robustlab.campaign.evaluation.encode_delta
+    delta BLOB NOT NULL,      -- normalised Delta, float64, see worst_case_analysis.members.encoded
     seconds REAL NOT NULL,
     reason TEXT               -- why the sample is lost
 );
@@ -55,7 +56,7 @@ class Sample:
 
     @property
     def numbers(self) -> Array:
-        """Delta as `robustlab.campaign.evaluation.decode_delta` takes it."""
+        """Delta as `robustlab.worst_case_analysis.members.decoded` takes it."""
         return np.frombuffer(self.delta, dtype="<f8").astype(np.float64)
 
 
@@ -95,11 +96,12 @@ class Store:
             raise EnvironmentFault(str(path), f"cannot be replaced ({error.strerror or error})") from None
 
     @classmethod
-    def create(cls, path: Path, identity: Identity, model: bytes) -> Store:
+    def create(cls, path: Path, uncertain: UncertainModel, settings: CampaignSettings) -> Store:
         """A new store for a campaign; everything or nothing of it is on disk.
 
         Raises EnvironmentFault: the file cannot be written.
         """
+        identity = Identity.of(uncertain, settings)
         with _named(path):
             db = sqlite3.connect(path, isolation_level=None)
             store = cls(path, db)
@@ -111,7 +113,7 @@ class Store:
                     db.execute(statement)
             store.put("identity", json.dumps(identity.to_json(), sort_keys=True))
             store.put("hash", identity.hash)
-            store.put("model", model)
+            store.put("model", model_to_bytes(uncertain))
             db.execute("COMMIT")
             store._write_ahead()
         return store

@@ -1,4 +1,4 @@
-"""Every number that the thesis prints about its machine, beside ours, computed from nothing but parameters.
+"""Every number that the thesis prints (``numbers.toml``), beside ours, computed from nothing but parameters.
 
 The key of a row begins with the number of the item; ``status`` says what to expect:
 
@@ -17,7 +17,9 @@ Březina 2010; the place is given with each row.
 from __future__ import annotations
 
 import math
+import tomllib
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -33,7 +35,7 @@ from robustlab.dynamics.stewart.stewart_platform import StewartPlatform, stewart
 from robustlab.linear_analysis.structural import controllability, drop_unconnected, observability
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.thesis.runs import UP_TO, Case, SineRun, cases, lowest_stable_pole, sine_run, track
+from robustlab.thesis.runs import Case, SineRun, cases, lowest_stable_pole, sine_run, track
 
 # Appendix B in mm, without the misprints of b6 (y 114,5) and of m2, m3 (x 163,3).
 BASE = ((165.3, -57.4), (32.9, 171.9), (-32.9, 171.9), (-165.3, -57.4), (-132.4, -114.5), (132.4, -114.5))
@@ -155,25 +157,23 @@ def published_numbers() -> PublishedNumbers:
     varied = cases(plant)
     thesis, physical = (stewart_platform(preset=name, motors=True) for name in ("thesis", "physical"))
     tracking = {"thesis": track(thesis), "link-4": track(thesis, (1, 1, 1, -1, 1, -1)), "rotors": track(physical)}
-    rows = [
-        *_geometry_rows(plant),
-        *_motor_rows(),
-        *_state_rows(plant),
-        *_sine_rows(plant, sines),
-        *_case_rows(varied),
-        *_tracking_rows(tracking),
-        *_pole_rows(thesis, physical),
-        *_jig_rows(),
-    ]
-    rows.sort(key=lambda row: int(row.key.partition("-")[0]))
-    return PublishedNumbers({row.key: row for row in rows}, sines, varied, tracking)
+    found: dict[str, Any] = {
+        **_geometry(plant), **_states(plant), **_motor(), **_jig(), **_sines(plant, sines), **_cases(varied),
+        **_tracking(tracking), "25": lowest_stable_pole(thesis), "25-rotor": lowest_stable_pole(physical),
+    }  # fmt: skip
+    table = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    rows = {}
+    for key, row in table.items():
+        row["why"] = row.get("why", "").format(**found)
+        rows[key] = PublishedNumber(key=key, ours=found.get(key), **{"published": None, **row})
+    return PublishedNumbers(rows, sines, varied, tracking)
 
 
-# --- chapter 6: geometry; 8.2: holding torque and states -------------------------------------------------------------
+# What follows gives our numbers by the keys of the rows, and the words in their reasons.
 
 
-def _geometry_rows(plant: StewartPlatform) -> list[PublishedNumber]:
-    g, row = plant.geometry, PublishedNumber
+def _geometry(plant: StewartPlatform) -> dict[str, Any]:
+    g = plant.geometry
     poses = np.zeros((2, 6))
     poses[:, 2] = 0.1462, 0.1062
     longest, shortest = 1e3 * inverse_kinematics(g, poses)[:, 0]
@@ -185,24 +185,11 @@ def _geometry_rows(plant: StewartPlatform) -> list[PublishedNumber]:
     def gap(found: Array, table: Any) -> float:
         return float(np.abs(1e3 * found - np.array(table)).max())
 
-    return [
-        row("1", "base points: largest distance of a coordinate from the table", "6.1, App. B", 0.0,
-            gap(g.base[:, :2], BASE), "mm", "R", 0.06, "b6 y is misprinted: 114,5 must be -114,5"),
-        row("2", "platform points p1-p4, y: largest distance from the table", "6.2, App. B", 0.0,
-            gap(g.platform[:4, 1], PLATFORM_Y), "mm",
-            "R", 0.065, "the table has 113 where the formula gives 112.936; hence 0.065 mm and not 0.06"),
-        row("3", "bearing points: largest distance of a coordinate of all six from the table", "App. B", 0.0,
-            gap(g.bearing[:, :2], _bearing_table()), "mm", "R", 0.06,
-            "m2, m3 are printed as 163,3; 175,4: the x is misprinted, it must be 16,33. m1, m4-m6 are judged against "
-            "that pair turned by 120 degrees"),
-        row("4-max", "longest actuator, z = 0.1462 m", "6.1.1", 188.0, longest, "mm", "R", 0.1),
-        row("4-min", "shortest actuator, z = 0.1062 m", "6.1.1", 159.0, shortest, "mm", "P", 1.8,
-            f"159 mm is z = {lowest:.1f} mm; the plain joint is 10 mm longer throughout"),
-        row("5-max", "height at which the actuators are 188 mm long", "8.2.1, 10.3.1", 146.2, highest, "mm", "R", 0.1),
-        row("5-min", "height at which the actuators are 159 mm long", "8.2.1, 10.3.1", 106.2, lowest, "mm", "P", None,
-            "at the printed height they are 160.7 mm long"),
-        row("6", "gear ratio, 4.8 x 41/21", "6.1.1", 4.8 * 41 / 21, plant.values["ratio"], "rad/rad", "R", 1e-12),
-    ]  # fmt: skip
+    return {
+        "1": gap(g.base[:, :2], BASE), "2": gap(g.platform[:4, 1], PLATFORM_Y),
+        "3": gap(g.bearing[:, :2], _bearing_table()), "4-max": longest, "4-min": shortest, "5-max": highest,
+        "5-min": lowest, "lowest": lowest, "6": plant.values["ratio"],
+    }  # fmt: skip
 
 
 def _bearing_table() -> Array:
@@ -214,23 +201,13 @@ def _bearing_table() -> Array:
     return np.array([right[1], *pair, left[0], left[1], right[0]])
 
 
-def _state_rows(plant: StewartPlatform) -> list[PublishedNumber]:
-    row, model, motor = PublishedNumber, linearise(plant), _speed_motor()
-    ranks = [(what(m).rank, m.n_states) for m in (model, motor) for what in (controllability, observability)]
-    (c, states), (o, _), (cm, motor_states), (om, _) = ranks
-    return [
-        row("7", "holding torque of each motor at home", "8.2", 0.8701e-3, float(trim(plant).u[0]), "N m", "F",
-            0.8701e-7, "the platform's mass is not printed; 3.167 kg were chosen so that this row agrees"),
-        row("12-states", "states of the linear model", "8.2", 12, states, "", "R", 0.0),
-        row("12-ctrb", "controllable states of the linear model", "8.2.2", 12, c, "", "R", 0.0),
-        row("12-obsv", "observable states of the linear model", "8.2.2", 12, o, "", "R", 0.0,
-            "8.2.2 prints ob = ctrb(A, C), which must be obsv(A, C); both give 12"),
-        row("12-motor", "controllable and observable states of the motor", "7.2.1", 2, min(cm, om, motor_states), "",
-            "R", 0.0),
-    ]  # fmt: skip
-
-
-# --- section 7.2, 10.1.1 and chapter 11: motor and jig ---------------------------------------------------------------
+def _states(plant: StewartPlatform) -> dict[str, Any]:
+    model, motor = linearise(plant), _speed_motor()
+    c, o, cm, om = (what(m).rank for m in (model, motor) for what in (controllability, observability))
+    return {
+        "7": float(trim(plant).u[0]), "12-states": model.n_states, "12-ctrb": c, "12-obsv": o,
+        "12-motor": min(cm, om, motor.n_states),
+    }  # fmt: skip
 
 
 def _speed_motor(**parameters: float) -> Any:
@@ -244,41 +221,22 @@ def _no_load(**parameters: float) -> tuple[float, float]:
     return float(speed), float(current)
 
 
-def _motor_rows() -> list[PublishedNumber]:
-    row, kf, r, k = PublishedNumber, 4.8e-5, 2.07, 0.052
+def _motor() -> dict[str, Any]:
+    kf, r, k = 4.8e-5, 2.07, 0.052
     speed, current = _no_load()
     slow, fast = _no_load(Kf=1.35 * kf)[0], _no_load(Kf=0.65 * kf)[0]
     needed = (42 * k / 788.5 - k * k) / r  # friction with which the motor runs at 788.5 rad/s
-    maker = 0.0525 * 0.0927 / MAKER_SPEED
-    return [
-        row("8", "no-load speed at 42 V", "7.2", 779.1, speed, "rad/s", "R", 0.05),
-        row("9", "the maker's no-load speed, 7530 rpm", "7.2", 788.5, MAKER_SPEED, "rad/s", "R", 0.05),
-        row("10", "the maker's speed over the model's", "7.2", 1.2, 100 * (MAKER_SPEED / speed - 1), "%", "R", 0.02),
-        row("11", "highest speed with Kf uncertain by 35 % covers the maker's", "10.1.1", 788.5, fast, "rad/s", "R",
-            0.0, f"the band is {slow:.2f} .. {fast:.2f} rad/s", "at least"),
-        row("11-need", "change of Kf that is needed", "10.1.1", -35.0, 100 * (needed / kf - 1), "%", "R", 0.0,
-            "35 % is the next round number", "at least"),
-        row("29-friction", "viscous friction by the data sheet's no-load current", "7.2", 4.8e-5, maker, "N m s/rad",
-            "N", None, "the printed friction is eight times what the maker's 92.7 mA say"),
-        row("29-current", "current of the model without load", "data sheet", 0.0927, current, "A", "N", None,
-            "the same disagreement"),
-    ]  # fmt: skip
+    return {
+        "8": speed, "9": MAKER_SPEED, "10": 100 * (MAKER_SPEED / speed - 1), "11": fast, "slow": slow, "fast": fast,
+        "11-need": 100 * (needed / kf - 1), "29-friction": 0.0525 * 0.0927 / MAKER_SPEED, "29-current": current,
+    }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class _JigMotion:
-    """How far and how fast the jig moves under a square wave: largest motor angle, steady and largest speed."""
+def _jig_motion(motor: LinearPlant, heavier: float = 1.0) -> Array:
+    """Largest motor angle, steady and largest speed of the jig's link under 11.8 V at 1 Hz.
 
-    angle: float
-    speed: float
-    peak_speed: float
-
-
-def _jig_motion(motor: LinearPlant, heavier: float = 1.0) -> _JigMotion:
-    """The jig's link under 11.8 V at 1 Hz, driven by the torque that the motor gives where its own link is nominal.
-
-    ``motor``: jig from which the torque comes, back-EMF and all. ``heavier``: mass and inertia of the link that this
-    torque drives, over those of the motor's own; it has no back-EMF.
+    It is driven by the torque that the ``motor`` gives where its own link is nominal; ``heavier``: mass and inertia of
+    the driven link over those of the motor's own; it has no back-EMF.
     """
     model = motor.state_space()
     a, b = np.zeros((5, 5)), np.vstack([model.B, np.zeros((2, 1))])
@@ -288,165 +246,67 @@ def _jig_motion(motor: LinearPlant, heavier: float = 1.0) -> _JigMotion:
     names = ["phi", "omega", "i", "angle", "speed"]
     driven = StateSpaceModel(a, b, np.eye(5), np.zeros((5, 1)), outputs=names)
     record = simulate(driven, t, np.where(t < 0.5, 11.8, -11.8))
-    steady = float(record["speed"][t < 0.5][-1])
-    return _JigMotion(float(np.abs(record["angle"]).max()), steady, float(np.abs(record["speed"]).max()))
+    return np.array([np.abs(record["angle"]).max(), record["speed"][t < 0.5][-1], np.abs(record["speed"]).max()])
 
 
-def _jig_rows() -> list[PublishedNumber]:
+def _jig() -> dict[str, Any]:
     """Chapter 11: what is left of the gaps of 11 and 12.5 % by which the model is beyond the measurement."""
-    row = PublishedNumber
     nominal = linear_actuator(J=0.0)
     base = _jig_motion(nominal)
 
-    def left(found: _JigMotion) -> tuple[float, float, float]:
+    def left(found: Array) -> Array:
         """Of the first gap by the angle; of the second by the steady and by the largest speed."""
-        pairs = ((1.11, "angle"), (1.125, "speed"), (1.125, "peak_speed"))
-        first, second, peak = (100 * (gap * getattr(found, k) / getattr(base, k) - 1) for gap, k in pairs)
-        return first, second, peak
+        return 100 * (np.array([1.11, 1.125, 1.125]) * found / base - 1)
 
     sticky, slippery = (nominal.with_parameters(Kf=factor * 4.8e-5) for factor in (1.35, 0.65))
-    more, less = left(_jig_motion(sticky)), left(_jig_motion(slippery))
-    link, both = left(_jig_motion(nominal, 1.1)), left(_jig_motion(sticky, 1.1))
+    less = _jig_motion(slippery)
     heavy = {name: 1.1 * nominal.values[name] for name in ("J_nut", "m_screw", "m_cart")}
-    driven = left(_jig_motion(nominal.with_parameters(**heavy)))
-    data = "the measured record, its waveform, the cart's mass and friction are not in the text"
-    beyond = "reading: the model moves 11 % further and 12.5 % faster than the measurement, square wave, 11.8 V, 1 Hz"
-    digits = "the tolerance is what the printed digits of the gap leave open"
-    torque = f"{beyond}; the nominal motor's torque drives the heavier link, with no back-EMF in between"
-    inertia = (
-        f"{beyond}; its voltage drives the heavier link, as 7.3 and 7.4 have it: the back-EMF fixes the speed, inertia "
-        "only how soon it is reached. Only the reading by torque gives the printed figures"
-    )
-    first, second = (100 * (1 - behind * _jig_motion(slippery).angle / base.angle) for behind in (0.89, 0.875))
-    other = (
-        f"{beyond}; less friction makes the gap larger. Were the model as far behind the measurement instead, "
-        f"{first:.3g} and {second:.3g} % would be left, but then a heavier link could not make up for anything"
-    )
-    covered = f"{torque}; printed is that both together cover the measurement: nothing is left"
-    what = "left of the {} gap after {}"
-    plus, minus, ten = "Kf +35 %", "Kf -35 %", "10 % more mass and inertia of the link"
-    return [
-        row("26-first", "nominal model against the measured jig, first figure", "11", 11.0, None, "%", "N", None, data),
-        row("26-second", "the same, second figure", "11", 12.5, None, "%", "N", None, data),
-        row("27-first", what.format("first", plus), "11.1", 9.3, more[0], "%", "P", 0.5, f"{beyond}; {digits}"),
-        row("27-second", what.format("second", plus), "11.1", 11.2, more[1], "%", "P", 0.1,
-            f"{beyond}, steady speed; {digits}; by the largest speed {more[2]:.3g} %"),
-        row("27-less-first", what.format("first", minus), "11.1", 9.3, less[0], "%", "N", None, other),
-        row("27-less-second", what.format("second", minus), "11.1", 11.2, less[1], "%", "N", None, other),
-        row("28-first", what.format("first", ten), "11.2", 1.0, link[0], "%", "P", 0.5, f"{torque}; {digits}"),
-        row("28-second", what.format("second", ten), "11.2", 2.2, link[1], "%", "P", 0.1, f"{torque}; {digits}"),
-        row("28-volts-first", what.format("first", ten), "11.2", 1.0, driven[0], "%", "N", None, inertia),
-        row("28-volts-second", what.format("second", ten), "11.2", 2.2, driven[1], "%", "N", None, inertia),
-        row("28-both-first", what.format("first", f"{plus} and {ten}"), "11.3", 0.0, both[0], "%", "P", 0.0, covered,
-            "at most"),
-        row("28-both-second", what.format("second", f"{plus} and {ten}"), "11.3", 0.0, both[1], "%", "P", None,
-            f"{covered}; by the largest speed {both[2]:.2g} %", "at most"),
-    ]  # fmt: skip
+    shares = {
+        "27": _jig_motion(sticky), "27-less": less, "28": _jig_motion(nominal, 1.1),
+        "28-volts": _jig_motion(nominal.with_parameters(**heavy)), "28-both": _jig_motion(sticky, 1.1),
+    }  # fmt: skip
+    found: dict[str, Any] = {}
+    for key, motion in shares.items():
+        found[f"{key}-first"], found[f"{key}-second"], _ = left(motion)
+    found["more_peak"], found["both_peak"] = left(shares["27"])[2], left(shares["28-both"])[2]
+    found["first_behind"], found["second_behind"] = (100 * (1 - x * less[0] / base[0]) for x in (0.89, 0.875))
+    return found
 
 
-# --- 8.2.1: sines; 10.3.1: cases -------------------------------------------------------------------------------------
-
-
-def _sine_rows(plant: StewartPlatform, runs: dict[str, SineRun]) -> list[PublishedNumber]:
-    row = PublishedNumber
+def _sines(plant: StewartPlatform, runs: dict[str, SineRun]) -> dict[str, Any]:
     strong, weak, quick = runs["0.1 N m at 2 Hz"], runs["1 mN m at 2 Hz"], runs["0.1 N m at 20 Hz"]
     reached, left = strong.when_height(0.1407), strong.when_length(plant.values["L_max"])
-    peak, duration = "height at the peak of the sine", "duration and phase are not printed"
-    literal = f"0.1 N m at 2 Hz is at 0.1407 m after {1e3 * reached:.1f} ms, out of reach after {1e3 * left:.0f} ms"
-    rows = [
-        row("13", f"{peak}, 0.1 N m at 2 Hz", "8.2.1", 0.1407, None, "m", "N", None, f"{literal}; {duration}"),
-        row("13-20Hz", f"{peak}, one period at 20 Hz", "8.2.1", 0.1407, quick.height.max(), "m", "P", 5e-4,
-            "a frequency ten times the printed one"),
-        row("13-1mNm", f"{peak}, one period of 1 mN m", "8.2.1", 0.1407, weak.height.max(), "m", "P", None,
-            "a torque a hundredth of the printed one"),
-        row("19", "time in which 0.1 N m at 2 Hz reaches 0.1407 m", "8.2.1", None, reached, "s", "N", None,
-            "not printed; chosen as the length of rows 15-18, since only a run of 0.05-0.06 s fits them"),
-    ]  # fmt: skip
-    readings = (("", strong, reached, "up to 0.1407 m"), ("-1mNm", weak, math.inf, "one period of 1 mN m"))
-    for suffix, run, until, words in readings:
+    found: dict[str, Any] = {
+        "13-20Hz": quick.height.max(), "13-1mNm": weak.height.max(), "19": reached, "reached": 1e3 * reached,
+        "left": 1e3 * left,
+    }  # fmt: skip
+    for suffix, run, until in (("", strong, reached), ("-1mNm", weak, math.inf)):
         _, angle, rate = run.percent(until)
-        for name, published, curve in (("angle", 1.5, angle), ("rate", 2.1, rate)):
-            rows.append(
-                row(f"14-{name}{suffix}", f"linear against nonlinear, {name}, {words}", "8.2.1", published,
-                    float(np.abs(curve).max()), "%", "N", None, f"no reading gives both figures; {duration}")
-            )  # fmt: skip
-    return rows
+        found[f"14-angle{suffix}"], found[f"14-rate{suffix}"] = np.abs(angle).max(), np.abs(rate).max()
+    return found
 
 
-def _case_rows(varied: tuple[Case, ...]) -> list[PublishedNumber]:
+def _cases(varied: tuple[Case, ...]) -> dict[str, Any]:
     """Rows 15-18; the number is that of the case's figure, by the same definition (`Case.largest_percent`)."""
-    row, where = PublishedNumber, "10.3.1"
-    rows: list[PublishedNumber] = []
-    tolerances = {"1": 0.15, "2a": 0.014 * (1 - 1 / 1.3), "2b": 0.060 * (1 - 1 / 1.3), "2c": 0.02}
-    definition = f"angle of nut 1, 0.1 N m at 2 Hz for {1e3 * UP_TO:.1f} ms, in percent of its largest nominal value"
-    held = "reading: the holding torque stays nominal while gravity grows"
-    trimmed = "reading: trimmed anew"
+    found: dict[str, Any] = {"15-gain": abs(varied[0].gain_percent)}
     for number, case in zip((15, 16, 17, 18), varied, strict=True):
-        said = f"case {case.name}, {case.words}"
-        other = max(map(abs, case.changes(not case.held)))
-        reading, not_taken = (held, "trimmed anew") if case.held else (trimmed, "torque held")
-        why = f"{reading} ({not_taken} {other:.4g} %); {definition}"
-        rows += [
-            row(str(number), f"{said}: largest change", where, case.published, case.largest_percent, "%", "P",
-                tolerances[case.name], why),
-            row(f"{number}-worst", f"{said}: worst Delta, 1 for +I, -1 for -I", where, case.published_worst, case.worst,
-                "", "P", 0.0, case.worst_in_words),
-        ]  # fmt: skip
-    gain = abs(varied[0].gain_percent)
-    why = "the change of B alone: with A over 0.5 s gravity wins"
-    rows.insert(1, row("15-gain", "case 1, z = 0.1062 m: change of B", where, 1.13, gain, "%", "P", 0.15, why))
-    return rows
+        found |= {str(number): case.largest_percent, f"{number}-worst": case.worst}
+        found |= {f"worst_{number}": case.worst_in_words, f"other_{number}": max(map(abs, case.changes(not case.held)))}
+    return found
 
 
-# --- 9.1.3: tracking -------------------------------------------------------------------------------------------------
-
-
-def _tracking_rows(runs: dict[str, TrajectoryFollowing]) -> list[PublishedNumber]:
-    row, where = PublishedNumber, "9.1.3"
+def _tracking(runs: dict[str, TrajectoryFollowing]) -> dict[str, Any]:
     plain, turned, rotors = (runs[name] for name in ("thesis", "link-4", "rotors"))
     error = plain.largest_error(after=3.0)
-    torque, volts = (float(found.max()) for found in (plain.largest_torque(), plain.largest_voltage()))
-    other_torque, other_volts = (float(f.max()) for f in (turned.largest_torque(), turned.largest_voltage()))
-    rotor = rotors.largest_torque()
 
     def worst(values: Array) -> int:
         return int(values.argmax()) + 1
 
-    signs = (
-        "the signs are not printed; +++-+- were chosen because they give link 4, one of three choices (with all + link "
-        f"{worst(plain.largest_torque())})"
-    )
-    fitted = "p_up is not printed; 236 /s were chosen so that this row agrees"
-    pole = "with the p_up of row 20: a check of it, as both errors follow from one law"
-    abrupt = "the sines start abruptly; with a rise of 1 s the torque keeps to the limit"
-    return [
-        row("20", "largest position error of an axis", where, 0.2, 1e3 * float(error[:3].max()), "mm", "F", 0.005,
-            fitted),
-        row("21", "largest orientation error", where, 0.8, 1e3 * float(error[3:].max()), "mrad", "R", 0.02, pole),
-        row("22", "largest torque", where, 0.0977, torque, "N m", "R", 0.0, "the lift must be smooth", "at most"),
-        row("22-signs", "largest torque, signs +++-+-", where, 0.0977, other_torque, "N m", "R", 0.0, "", "at most"),
-        row("22-rotor", "largest torque with the rotors' inertia", where, 0.0977, float(rotor.max()), "N m", "P", None,
-            abrupt, "at most"),
-        row("22-smooth", "largest torque with the rotors after t = 3 s", where, 0.0977,
-            float(rotors.largest_torque(after=3.0).max()), "N m",
-            "R", 0.0, "", "at most"),
-        row("23", "largest voltage", where, 42.0, volts, "V", "R", 0.0, "", "at most"),
-        row("23-signs", "largest voltage, signs +++-+-", where, 42.0, other_volts, "V", "R", 0.0, "", "at most"),
-        row("24-torque", "link with the largest torque", where, 4, worst(turned.largest_torque()), "", "P", 0.0,
-            signs),
-        row("24-voltage", "link with the largest voltage", where, 4, worst(turned.largest_voltage()), "", "P", 0.0,
-            signs),
-        row("24-length", "link with the largest extension", where, 4, worst(turned.lengths.max(axis=0)), "", "P", 0.0,
-            f"{1e3 * turned.lengths.max():.2f} mm; {signs}"),
-    ]  # fmt: skip
-
-
-def _pole_rows(thesis: StewartPlatform, physical: StewartPlatform) -> list[PublishedNumber]:
-    row = PublishedNumber
-    return [
-        row("25", "slowest stable pole of the lower layer, p_up = 236 /s", "9.3", None,
-            lowest_stable_pole(thesis), "1/s", "N", None,
-            "not printed; the layer designs with a rotor that the machine lacks"),
-        row("25-rotor", "the same with the rotors", "9.3", None, lowest_stable_pole(physical), "1/s", "N", None,
-            "not printed"),
-    ]  # fmt: skip
+    return {
+        "20": 1e3 * error[:3].max(), "21": 1e3 * error[3:].max(), "22": plain.largest_torque().max(),
+        "22-signs": turned.largest_torque().max(), "22-rotor": rotors.largest_torque().max(),
+        "22-smooth": rotors.largest_torque(after=3.0).max(), "23": plain.largest_voltage().max(),
+        "23-signs": turned.largest_voltage().max(), "24-torque": worst(turned.largest_torque()),
+        "24-voltage": worst(turned.largest_voltage()), "24-length": worst(turned.lengths.max(axis=0)),
+        "longest": 1e3 * turned.lengths.max(), "all_plus": worst(plain.largest_torque()),
+    }  # fmt: skip

@@ -12,6 +12,7 @@ from robustlab.worst_case_analysis.statistics import (
     clopper_pearson,
     quantile_bounds,
     sample_size,
+    upper_bound,
     violation_probability,
 )
 from robustlab.worst_case_analysis.worst_case_search import WorstCase, worst_case
@@ -30,6 +31,7 @@ __all__ = [
     "quantile_bounds",
     "sample",
     "sample_size",
+    "upper_bound",
     "violation_probability",
     "worst_case",
 ]

@@ -150,8 +150,8 @@ def influence_of(batch: MetricBatch, values: Array, worst: int) -> Influence:
     d = len(at)
     others = np.where(np.eye(d, dtype=bool), 0.0, at)
     single = np.where(np.eye(d, dtype=bool), at, 0.0)
-    judge, members = batch.judge, batch.real_set
-    found = judge.of(members.members(np.vstack([others, single, np.zeros((1, d))])))
+    judge = batch.judge
+    found = judge.of(judge.set.members(np.vstack([others, single, np.zeros((1, d))])))
     return Influence(
         tuple(b.name for b in batch.uncertain.blocks),
         first_order,

@@ -1,4 +1,9 @@
-"""The catalogue of metrics: what each name means, how it is made for a set, and its values at seeded samples."""
+"""Metrics: what "worst" may mean, each with two ways to its value, and its values at seeded samples.
+
+``of`` gives the value of many members at once, for searches and samples; ``evaluate`` that of one Delta through
+`UncertainModel.evaluate` and the routines that a user would call: what was found is re-evaluated with it. The control
+effort of a closed loop is the peak or the RMS of its control signal, which is an output of the loop.
+"""
 
 from __future__ import annotations
 
@@ -7,29 +12,39 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
-from robustlab.dynamics.simulation import default_clock
+from robustlab.dynamics.simulation import default_clock, simulate
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean, is_function
+from robustlab.linear_analysis.frequency import default_grid
+from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import BLOCK, Deltas, RealSet, is_count
-from robustlab.worst_case_analysis.ensemble import Ensemble, Hold, blocks_of, delta_stack, excitation
-from robustlab.worst_case_analysis.metric_contract import Evaluation, Metric, need_real
-from robustlab.worst_case_analysis.model_metrics import (
-    Damping,
-    H2Gain,
-    HinfGain,
-    SpectralAbscissa,
+from robustlab.worst_case_analysis.members import (
+    BLOCK,
+    Deltas,
+    Ensemble,
+    Excitation,
+    Hold,
+    MemberSet,
+    blocks_of,
+    encoded,
+    excitation,
+    is_count,
+    peak_gains,
+    time_responses,
 )
-from robustlab.worst_case_analysis.time_metrics import Overshoot, Peak, PeakDeviation, Rms, SettlingTime, TimeMetric
 
 MOST_SAMPLES = 10_000_000
 UserFunction = Callable[[StateSpaceModel], float]
+DOUBLINGS = 46  # of the Smith iteration; a pole at 1e-12 of its size from the boundary has converged by then
+GRID_POINTS = 48  # frequencies at which the gain of every member is computed, besides those of its own poles
+NO_FINAL_VALUE = 1e-9  # share of a response's size below which a final value is zero
 
 # Name -> what it is. The largest value is the worst but where the text says otherwise.
 METRICS: dict[str, str] = {
@@ -43,6 +58,547 @@ METRICS: dict[str, str] = {
     "spectral-abscissa": "largest real part of the poles",
     "damping": "smallest damping ratio of the poles; the smallest is the worst",
 }
+
+
+class Evaluation(NamedTuple):
+    """A metric at one Delta."""
+
+    value: float  # the metric; infinite where there is no bounded value
+    at: float = np.nan  # time in s or frequency in rad/s where it is attained; NaN where there is none
+    accurate: bool = True  # False where the routine behind it lost digits
+    reason: str = ""  # why there is no bounded value; else empty
+
+
+class Metric:
+    """A number for each member of a set."""
+
+    uncertain: UncertainModel  # the set, without what does not matter for the metric
+    unit: str = ""  # unit of the value; empty where not stated
+    location: str = ""  # what `at` is: `"t [s]"`, `"omega [rad/s]"`, or empty
+    # 1 where the largest value is the worst, -1 where the smallest is. A member without a bounded value has `sense *
+    # inf`.
+    sense: float = 1.0
+    tolerance: float = 1e-6  # search and re-evaluation must agree to this share of the value
+    smooth: bool = True  # False where the value jumps with the parameters
+    # True where re-evaluation may find a worse value than the search saw (a peak between its grid points).
+    one_sided: bool = False
+
+    @property
+    def unbounded(self) -> float:
+        """The value of a member that has none."""
+        return self.sense * np.inf
+
+    def of(self, ensemble: Ensemble) -> Array:
+        """The metric of each member, shape (k,)."""
+        raise NotImplementedError
+
+    @cached_property
+    def set(self) -> MemberSet:
+        """The set, prepared for many members."""
+        return MemberSet(self.uncertain)
+
+    def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
+        """The metric at one Delta, by a second way."""
+        try:
+            model = self.uncertain.evaluate(delta)
+        except NoTrustworthyNumber as error:  # ill-posed
+            return Evaluation(self.unbounded, reason=error.found)
+        return self.of_model(model)
+
+    def of_model(self, model: StateSpaceModel) -> Evaluation:
+        """The metric of one model, by a second way."""
+        raise NotImplementedError
+
+    def work(self, count: int) -> float:
+        """Work of measuring so many members at once, roughly."""
+        n = self.uncertain.M.n_states
+        return 300 + count * (20 + n**2 + n**3 / 30)
+
+    def slack(self, value: float) -> float:
+        """How far re-evaluation may be off ``value``."""
+        return self.tolerance * abs(value)
+
+    def agrees(self, found: float, again: float) -> bool:
+        """Whether re-evaluation confirms what was found."""
+        if not np.isfinite(found) or not np.isfinite(again):
+            return bool(found == again)
+        slack = max(self.slack(found), self.slack(again))
+        # A second path that may look between the search's points can find a worse value: that is no fault.
+        beyond = self.sense * (again - found)
+        return bool(-slack <= beyond and (self.one_sided or beyond <= slack))
+
+
+# --- what metrics share ----------------------------------------------------------------------------------------------
+
+
+def connected(uncertain: UncertainModel) -> UncertainModel:
+    """The same set without states that no input reaches or no output sees, whatever Delta is."""
+    return UncertainModel(drop_unconnected(uncertain.M), uncertain.blocks)
+
+
+def selected(uncertain: UncertainModel, input: str | None, output: str | None) -> UncertainModel:
+    """The set with the named input and output only; None keeps all."""
+    for kind, name, known in (("input", input, uncertain.inputs), ("output", output, uncertain.outputs)):
+        names = [s.name for s in known]
+        if name is not None and name not in names:
+            raise InputError(
+                f"worst_case: {kind} {name!r}",
+                "no such signal",
+                f"one of {', '.join(names)}",
+                did_you_mean(name, names),
+            )
+    return uncertain.select([input] if input else None, [output] if output else None)
+
+
+def need_real(uncertain: UncertainModel, what: str) -> None:
+    """Refuse complex blocks."""
+    for block in uncertain.blocks:
+        if not block.is_real:
+            hint = "a complex Delta has a metric 'hinf' only"
+            raise InputError("worst_case", f"block {block.name!r} is complex", f"real blocks for {what}", hint)
+
+
+def need_stable(nominal: StateSpaceModel, what: str) -> None:
+    """Refuse a nominal model that is not asymptotically stable; one without states is."""
+    if nominal.n_states and not nominal.is_stable():
+        poles = nominal.poles()
+        worst = poles[np.argmax(np.abs(poles) if nominal.is_discrete else poles.real)]
+        raise NoTrustworthyNumber(
+            "worst_case",
+            f"nominal model is not asymptotically stable (pole {worst:.4g}): {what}",
+            None,
+            "choose an output that does not see this pole, or close a loop around the model first",
+        )
+
+
+# --- of a model ------------------------------------------------------------------------------------------------------
+
+
+def _gramians(ensemble: Ensemble) -> Array:
+    r"""Return the controllability Gramians of stable members, shape (k, n_x, n_x).
+
+    .. math:: A P + P A^T + B B^T = 0 \quad\text{or}\quad A P A^T - P + B B^T = 0
+
+    A continuous equation is made discrete by the Cayley map, :math:`A_d = (p I + A)(p I - A)^{-1}`, and
+    :math:`P = \sum_j A_d^j Q A_d^{jT}` is summed by doubling (Smith, SIAM J. Appl. Math. 16, 1968).
+    """
+    a, n = ensemble.A, ensemble.A.shape[1]
+    q = ensemble.B @ ensemble.B.transpose(0, 2, 1)
+    if n and not ensemble.dt:
+        size = np.abs(np.linalg.eigvals(ensemble.A))
+        rate = np.sqrt(size.min(axis=1) * size.max(axis=1))[:, None, None]
+        inverse = np.linalg.inv(rate * np.eye(n) - a)
+        q = 2.0 * rate * inverse @ q @ inverse.transpose(0, 2, 1)
+        a = (rate * np.eye(n) + a) @ inverse
+    power, total = a, q
+    with np.errstate(under="ignore"):
+        for _ in range(DOUBLINGS):
+            total = total + power @ total @ power.transpose(0, 2, 1)
+            power = power @ power
+            # Powers that shrink below the smallest normal numbers would slow down everything.
+            power = np.where(np.abs(power) < 1e-150, 0.0, power)
+    return 0.5 * (total + total.transpose(0, 2, 1))
+
+
+class HinfGain(Metric):
+    """H-infinity norm of the members from all or one input to all or one output; ``inf`` where unstable."""
+
+    location = "omega [rad/s]"
+    one_sided = True
+
+    def __init__(self, uncertain: UncertainModel, input: str | None, output: str | None) -> None:
+        self.uncertain = connected(selected(uncertain, input, output))
+        nominal = self.uncertain.nominal
+        need_stable(nominal, "its H-infinity norm is infinite")
+        self._grid = default_grid(nominal, GRID_POINTS)
+
+    def of(self, ensemble: Ensemble) -> Array:
+        return peak_gains(ensemble, self._grid)[0]
+
+    def of_model(self, model: StateSpaceModel) -> Evaluation:
+        """See `Metric.of_model`; `robustlab.norms.hinf_norm` is the second way."""
+        from robustlab.norms import hinf_norm
+
+        norm = hinf_norm(model)
+        return Evaluation(norm.value, norm.frequency, norm.status.trustworthy, norm.reason)
+
+    def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
+        if np.iscomplexobj(delta_matrix(self.uncertain.blocks, delta)):
+            return self._complex_gain(delta)
+        return super().evaluate(delta)
+
+    def _complex_gain(self, delta: Mapping[str, Any]) -> Evaluation:
+        """Gain at the frequency that the search found, from `UncertainModel.response`; stability from the poles."""
+        ensemble = self.set.members(encoded(self.uncertain.blocks, delta)[None])
+        if not ensemble.spectral_abscissa()[0] < 0 and self.uncertain.M.n_states:
+            return Evaluation(np.inf)
+        omega = float(peak_gains(ensemble, self._grid)[1][0])
+        # At a negative frequency M is the conjugate of itself at the positive one; so the gain is that of conj(Delta).
+        values = delta if omega >= 0 else {name: np.conj(value) for name, value in delta.items()}
+        response = self.uncertain.response([abs(omega)], values)[0]
+        return Evaluation(float(np.linalg.norm(response, 2)) if response.size else 0.0, omega)
+
+
+class H2Gain(Metric):
+    """H2 norm of the members from all or one input to all or one output; ``inf`` where unstable."""
+
+    tolerance = 1e-5
+
+    def __init__(self, uncertain: UncertainModel, input: str | None, output: str | None) -> None:
+        need_real(uncertain, "h2")
+        self.uncertain = connected(selected(uncertain, input, output))
+        need_stable(self.uncertain.nominal, "its H2 norm is infinite")
+        if not uncertain.dt and self.uncertain.nominal.D.any():
+            hint = "choose input and output without direct feedthrough, or use the metric hinf"
+            raise NoTrustworthyNumber("worst_case", "the model has a direct term: its H2 norm is infinite", None, hint)
+
+    def of(self, ensemble: Ensemble) -> Array:
+        value = np.full(len(ensemble), np.inf)
+        direct = ensemble.D.any(axis=(1, 2)) if not ensemble.dt else np.zeros(len(ensemble), dtype=bool)
+        good = np.flatnonzero(ensemble.is_stable() & ~direct)
+        some = ensemble.part(good)
+        reach = _gramians(some)
+        square = np.einsum("kij,kjl,kil->k", some.C, reach, some.C)
+        if ensemble.dt:
+            square = square + (some.D**2).sum(axis=(1, 2))
+        value[good] = np.sqrt(np.maximum(square, 0.0))
+        return value
+
+    def of_model(self, model: StateSpaceModel) -> Evaluation:
+        """See `Metric.of_model`; `robustlab.norms.h2_norm` is the second way."""
+        from robustlab.norms import h2_by_gramians
+
+        norm = h2_by_gramians(model)
+        return Evaluation(norm.value, accurate=norm.status.trustworthy, reason=norm.reason)
+
+
+class _OfPoles(Metric):
+    """What metrics of the poles share: states, and the number of a pole."""
+
+    def __init__(self, uncertain: UncertainModel) -> None:
+        if not uncertain.M.n_states:
+            raise InputError("worst_case", "a model without states", "states: a static gain has no poles")
+        self.uncertain = uncertain
+
+    def _number(self, poles: NDArray[np.complex128]) -> Array:
+        """What is judged of each pole."""
+        raise NotImplementedError
+
+    def of(self, ensemble: Ensemble) -> Array:
+        numbers = self._number(np.linalg.eigvals(ensemble.A).astype(complex))
+        return np.where(ensemble.ill_posed, self.unbounded, self.sense * (self.sense * numbers).max(axis=1))
+
+    def of_model(self, model: StateSpaceModel) -> Evaluation:
+        return self._evaluation(model.poles())
+
+    def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
+        """Complex Deltas have poles too."""
+        d = delta_matrix(self.uncertain.blocks, delta)
+        if not np.iscomplexobj(d):
+            return super().evaluate(delta)
+        m11 = self.uncertain.delta_channels
+        a = m11.A + m11.B @ d @ np.linalg.solve(np.eye(d.shape[1]) - m11.D @ d, m11.C)
+        return self._evaluation(np.asarray(np.linalg.eigvals(a), dtype=np.complex128))
+
+    def _evaluation(self, poles: NDArray[np.complex128]) -> Evaluation:
+        numbers = self._number(poles)
+        return Evaluation(float(self.sense * (self.sense * numbers).max()))
+
+    def slack(self, value: float) -> float:
+        """Poles are as accurate as the largest of them."""
+        return self.tolerance * max(abs(value), float(np.abs(self.uncertain.nominal.poles()).max()))
+
+
+class SpectralAbscissa(_OfPoles):
+    """Largest real part of the poles in rad/s, or largest modulus minus one for discrete models; negative is stable."""
+
+    def __init__(self, uncertain: UncertainModel) -> None:
+        super().__init__(uncertain)
+        self.unit = "" if uncertain.dt else "rad/s"
+
+    def _number(self, poles: NDArray[np.complex128]) -> Array:
+        return np.abs(poles) - 1.0 if self.uncertain.dt else poles.real
+
+
+class Damping(_OfPoles):
+    r"""Smallest damping ratio :math:`-\mathrm{Re}\,s / |s|` of the poles; negative for an unstable one.
+
+    Of a discrete model ``s = log(z) / dt``. A pole at s = 0 has damping 0.
+    """
+
+    sense = -1.0
+
+    def _number(self, poles: NDArray[np.complex128]) -> Array:
+        if self.uncertain.dt:
+            poles = np.log(np.where(np.abs(poles) > 1e-300, poles, 1e-300))
+        size = np.abs(poles)
+        return np.where(size > 0, -poles.real / np.where(size > 0, size, 1.0), 0.0)
+
+    def slack(self, value: float) -> float:
+        """A ratio of at most one."""
+        return self.tolerance
+
+
+class UserMetric(Metric):
+    """A user's function of a model; the larger the worse, ``inf`` for a member without a bounded value."""
+
+    smooth = False
+
+    def __init__(self, uncertain: UncertainModel, function: UserFunction, name: str) -> None:
+        need_real(uncertain, f"the function {name}")
+        self.uncertain, self._function, self._name = uncertain, function, name
+
+    def of(self, ensemble: Ensemble) -> Array:
+        value = np.full(len(ensemble), np.inf)
+        nominal = self.uncertain.nominal
+        for k in np.flatnonzero(~ensemble.ill_posed):
+            a, b, c, d = (matrix[k] for matrix in (ensemble.A, ensemble.B, ensemble.C, ensemble.D))
+            model = StateSpaceModel(a, b, c, d, ensemble.dt, nominal.inputs, nominal.outputs, nominal.states)
+            value[k] = self._number(model)
+        return value
+
+    def work(self, count: int) -> float:
+        """What the function does is not known: taken for a few milliseconds."""
+        return 3000.0 * count
+
+    def of_model(self, model: StateSpaceModel) -> Evaluation:
+        """The function once more, at the model of `UncertainModel.evaluate`."""
+        return Evaluation(self._number(model))
+
+    def _number(self, model: StateSpaceModel) -> float:
+        found = self._function(model)
+        try:
+            value = float(found)
+        except (TypeError, ValueError):
+            raise InputError(f"metric {self._name}", f"gave a {type(found).__name__}", "a number") from None
+        if math.isnan(value):
+            raise NoTrustworthyNumber(f"metric {self._name}", "gave NaN", "a number, or inf where there is none")
+        return value
+
+
+# --- of a response ---------------------------------------------------------------------------------------------------
+
+
+class TimeMetric(Metric):
+    """What metrics of a response share. It starts from zero initial state.
+
+    ``uncertain``: set with real blocks.
+    ``output``: name of the output.
+    ``drive``, ``hold``: times, input, and what the input does between samples.
+    """
+
+    name = "response"
+    location = "t [s]"
+
+    def __init__(self, uncertain: UncertainModel, output: str, drive: Excitation, hold: Hold) -> None:
+        need_real(uncertain, self.name)
+        self.uncertain = connected(selected(uncertain, None, output))
+        self.unit = self.uncertain.outputs[0].unit
+        self._drive = drive
+        self._hold: Hold = hold
+        self._centre = self.set.members(np.zeros((1, self.set.size)))
+        self._nominal = self._responses(self._centre)[0]
+
+    @property
+    def clock(self) -> Array:
+        """Times in s, (n_t,)."""
+        return self._drive.t
+
+    def response(self, delta: Mapping[str, Any]) -> Array:
+        """The output of a member, (n_t,), by the second way.
+
+        Raises NoTrustworthyNumber: it outgrows double precision.
+        """
+        return self._simulated(self.uncertain.evaluate(delta))
+
+    def _responses(self, ensemble: Ensemble) -> Array:
+        start = np.zeros(ensemble.A.shape[1])
+        return time_responses(ensemble, self._drive, start, self._hold)[:, :, 0]
+
+    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
+        """Value of each response (k, n_t)."""
+        raise NotImplementedError
+
+    def of(self, ensemble: Ensemble) -> Array:
+        with np.errstate(all="ignore"):
+            value = self._measure(self._responses(ensemble), ensemble)
+        return np.where(ensemble.ill_posed | np.isnan(value), np.inf, value)
+
+    def of_model(self, model: StateSpaceModel) -> Evaluation:
+        """See `Metric.of_model`; `robustlab.dynamics.simulation.simulate` is the second way."""
+        try:
+            y = self._simulated(model)
+        except NoTrustworthyNumber:
+            return Evaluation(np.inf, reason="the response outgrows double precision")
+        return self._judge(model, y)
+
+    def _simulated(self, model: StateSpaceModel) -> Array:
+        return np.asarray(simulate(model, self._drive.t, self._drive.u, hold=self._hold)[model.output_names[0]])
+
+    def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
+        """The metric of a simulated response (n_t,)."""
+        raise NotImplementedError
+
+    def _attained(self, size: Array) -> Evaluation:
+        worst = int(size.argmax())
+        return Evaluation(float(size[worst]), float(self._drive.t[worst]))
+
+    def work(self, count: int) -> float:
+        """Members side by side share most of the steps."""
+        n, steps = self.uncertain.M.n_states, len(self._drive.t)
+        return 300 + steps * (0.1 + n**2 / 160) + count * (20 + n**3 / 50 + steps * (0.05 + n**2 / 6000))
+
+
+class PeakDeviation(TimeMetric):
+    """Largest ``|y(t; Delta) - y(t; 0)|`` over the given times."""
+
+    name = "peak-deviation"
+
+    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
+        return np.abs(y - self._nominal).max(axis=1)
+
+    def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
+        return self._attained(np.abs(y - self._simulated(self.uncertain.nominal)))
+
+
+class Peak(TimeMetric):
+    """Largest ``|y(t)|`` over the given times."""
+
+    name = "peak"
+
+    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
+        return np.abs(y).max(axis=1)
+
+    def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
+        return self._attained(np.abs(y))
+
+
+class Rms(TimeMetric):
+    r"""Root mean square over the given times, :math:`\sqrt{\frac1T \int_0^T y^2 dt}` by the trapezoidal rule."""
+
+    name = "rms"
+    location = ""
+
+    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
+        return np.sqrt(np.trapezoid(y**2, dx=1.0 / (y.shape[1] - 1), axis=1))
+
+    def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
+        return Evaluation(float(np.sqrt(np.trapezoid(y**2, self._drive.t) / np.ptp(self._drive.t))))
+
+
+class _Settled(TimeMetric):
+    """What metrics share that are relative to the final value."""
+
+    def __init__(self, uncertain: UncertainModel, output: str, drive: Excitation, hold: Hold) -> None:
+        super().__init__(uncertain, output, drive, hold)
+        if np.ptp(drive.u, axis=0).max(initial=0.0) > 0:
+            raise InputError("worst_case", "an input that changes", f"constant inputs: {self.name} is that of a step")
+        need_stable(self.uncertain.nominal, f"it has no {self.name}")
+        final = float(self._finals(self._centre)[0])
+        if abs(final) <= NO_FINAL_VALUE * float(np.abs(self._nominal).max(initial=0.0)):
+            raise NoTrustworthyNumber(
+                "worst_case",
+                f"the nominal response settles at {final:.3g}",
+                f"a final value other than zero: {self.name} is relative to it",
+                "use the metric peak",
+            )
+
+    def _finals(self, ensemble: Ensemble) -> Array:
+        """Final values of all members (k,); infinite where a member does not settle."""
+        n = ensemble.A.shape[1]
+        stable = ensemble.is_stable()
+        final = np.full(len(ensemble), np.inf)
+        some = ensemble.part(np.flatnonzero(stable))
+        u = self._drive.u[0]
+        shift = np.eye(n) if ensemble.dt else np.zeros((n, n))
+        x = np.linalg.solve(shift - some.A, (some.B @ u)[:, :, None])
+        final[stable] = (some.C @ x)[:, 0, 0] + some.D[:, 0] @ u
+        return final
+
+    def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
+        if model.n_states and not model.is_stable():
+            return Evaluation(np.inf, reason="this member is unstable and never settles")
+        return self._relative(y, float(model.dc_gain()[0] @ self._drive.u[0]))
+
+    def _relative(self, y: Array, final: float) -> Evaluation:
+        raise NotImplementedError
+
+
+class Overshoot(_Settled):
+    """How far a step response goes beyond its final value, in percent of it; 0 where it never does."""
+
+    name = "overshoot"
+
+    def __init__(self, uncertain: UncertainModel, output: str, drive: Excitation, hold: Hold) -> None:
+        super().__init__(uncertain, output, drive, hold)
+        self.unit = "%"
+
+    def slack(self, value: float) -> float:
+        """Percent of a final value that both ways know to the tolerance."""
+        return self.tolerance * (100.0 + abs(value))
+
+    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
+        final = self._finals(ensemble)
+        share = y / final[:, None]
+        value = 100.0 * np.maximum(share.max(axis=1) - 1.0, 0.0)
+        return np.where(np.isfinite(final), value, np.inf)
+
+    def _relative(self, y: Array, final: float) -> Evaluation:
+        found = self._attained(y / final)
+        return Evaluation(max(0.0, 100.0 * (found.value - 1.0)), found.at)
+
+
+class SettlingTime(_Settled):
+    """Last time at which a step response is farther from its final value than ``band`` times it, in s.
+
+    Interpolated between samples. Infinite for a member that is unstable, or still outside at the last of the given
+    times; the re-evaluation says which.
+    """
+
+    name = "settling-time"
+    location = ""
+    smooth = False
+
+    def __init__(
+        self, uncertain: UncertainModel, output: str, drive: Excitation, hold: Hold, band: float = 0.02
+    ) -> None:
+        if not 0 < band < 1:
+            raise InputError("worst_case", f"band is {band!r}", "a share of the final value between 0 and 1")
+        super().__init__(uncertain, output, drive, hold)
+        self.unit, self.band = "s", band
+
+    def slack(self, value: float) -> float:
+        """A crossing is known to a share of the step only."""
+        return self.tolerance * (abs(value) + self._drive.h)
+
+    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
+        return settling_times(self._drive.t, y, self._finals(ensemble), self.band)
+
+    def _relative(self, y: Array, final: float) -> Evaluation:
+        value = float(settling_times(self._drive.t, y[None], np.array([final]), self.band)[0])
+        last = f"{self._drive.t[-1]:.6g}"
+        reason = "" if np.isfinite(value) else f"this member has not settled by t = {last} s, the last of the times"
+        return Evaluation(value, reason=reason)
+
+
+def settling_times(t: Array, y: Array, final: Array, band: float) -> Array:
+    """When responses y (k, n_t) come to stay within ``band * |final|`` of their final values (k,), shape (k,)."""
+    gap = y - final[:, None]
+    edge = band * np.abs(final)
+    outside: NDArray[Any] = ~(np.abs(gap) <= edge[:, None])
+    last = len(t) - 1 - outside[:, ::-1].argmax(axis=1)
+    rows = np.arange(len(y))
+    following = np.minimum(last + 1, len(t) - 1)
+    here, there = gap[rows, last], gap[rows, following]
+    with np.errstate(all="ignore"):
+        share = (np.abs(here) - edge) / (np.abs(here) - np.sign(here) * there)
+        crossing = t[last] + share * (t[following] - t[last])
+    settled = np.where(outside.any(axis=1), crossing, 0.0)
+    return np.where(outside[:, -1] | ~np.isfinite(final), np.inf, settled)
+
+
+# --- by name, and at samples -----------------------------------------------------------------------------------------
+
 OF_A_RESPONSE: dict[str, type[TimeMetric]] = {
     kind.name: kind for kind in (PeakDeviation, Peak, Rms, Overshoot, SettlingTime)
 }
@@ -64,44 +620,6 @@ class MetricRequest:
     def name(self) -> str:
         """Name of the metric; that of the function for a user's own."""
         return self.metric if isinstance(self.metric, str) else getattr(self.metric, "__name__", "function")
-
-
-class UserMetric(Metric):
-    """A user's function of a model; the larger the worse, ``inf`` for a member without a bounded value."""
-
-    smooth = False
-
-    def __init__(self, uncertain: UncertainModel, function: UserFunction, name: str) -> None:
-        need_real(uncertain, f"the function {name}")
-        self.uncertain, self._function, self._name = uncertain, function, name
-
-    def of(self, ensemble: Ensemble) -> Array:
-        """See `Metric.of`."""
-        value = np.full(len(ensemble), np.inf)
-        nominal = self.uncertain.nominal
-        for k in np.flatnonzero(~ensemble.ill_posed):
-            a, b, c, d = (matrix[k] for matrix in (ensemble.A, ensemble.B, ensemble.C, ensemble.D))
-            model = StateSpaceModel(a, b, c, d, ensemble.dt, nominal.inputs, nominal.outputs, nominal.states)
-            value[k] = self._number(model)
-        return value
-
-    def work(self, count: int) -> float:
-        """See `Metric.work`; what the function does is not known: taken for a few milliseconds."""
-        return 3000.0 * count
-
-    def of_model(self, model: StateSpaceModel) -> Evaluation:
-        """See `Metric.of_model`: the function once more, at the model of `UncertainModel.evaluate`."""
-        return Evaluation(self._number(model))
-
-    def _number(self, model: StateSpaceModel) -> float:
-        found = self._function(model)
-        try:
-            value = float(found)
-        except (TypeError, ValueError):
-            raise InputError(f"metric {self._name}", f"gave a {type(found).__name__}", "a number") from None
-        if math.isnan(value):
-            raise NoTrustworthyNumber(f"metric {self._name}", "gave NaN", "a number, or inf where there is none")
-        return value
 
 
 def make_metric(uncertain: UncertainModel, request: MetricRequest, where: str = "worst_case") -> Metric:
@@ -185,34 +703,22 @@ class MetricBatch:
         """The metric."""
         return make_metric(self.uncertain, self.request)
 
-    @property
-    def all_real(self) -> bool:
-        """Whether every block is a real scalar."""
-        return self._deltas(1).all_real
-
-    @cached_property
-    def real_set(self) -> RealSet:
-        """The set, prepared for many members; for real scalars only."""
-        return RealSet(self.judge.uncertain)
-
     def _deltas(self, n: int) -> Deltas:
         return Deltas(self.uncertain.blocks, n, self.seed, np.zeros((0, 0)))
 
     def __call__(self, first: int, count: int) -> Array:
         """Values of ``count`` samples, shape (count,)."""
         deltas = self._deltas(first + count)
-        if not self.all_real:
-            return self.judge.values(delta_stack(self.uncertain.blocks, deltas[first : first + count]))
         # Products are rounded the same for the same place in a block only: begin where a block begins.
         start = first - first % BLOCK
         values = np.empty(first + count - start)
-        for part in blocks_of(len(values), self.real_set.block):
+        for part in blocks_of(len(values), self.judge.set.block):
             theta = deltas.numbers(slice(start + part.start, start + part.stop))
-            values[part] = self.judge.of(self.real_set.members(theta))
+            values[part] = self.judge.of(self.judge.set.members(theta))
         return values[first - start :]
 
     def theta(self, n: int) -> Array:
-        """Normalised deltas of the first n samples (n, d), for sets of real scalars."""
+        """Coordinates of the first n samples (n, d)."""
         return self._deltas(n).numbers(slice(0, n))
 
     def delta(self, index: int) -> dict[str, Any]:
@@ -225,8 +731,7 @@ class MetricBatch:
             raise InputError("n", f"{n!r}", f"a whole number of samples from 1 to {MOST_SAMPLES}")
         if not is_count(workers, 1):
             raise InputError("workers", f"{workers!r}", "a whole number, at least 1")
-        if self.all_real:
-            self.real_set  # noqa: B018  made before threads ask for it
+        self.judge.set  # noqa: B018  made before threads ask for it
         parts = blocks_of(int(n), BLOCK)
         with ThreadPoolExecutor(workers) as pool:
             return np.concatenate(list(pool.map(lambda part: self(part.start, part.stop - part.start), parts)))

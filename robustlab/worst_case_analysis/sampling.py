@@ -21,8 +21,17 @@ from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import Deltas, RealSet, is_count, vertex_signs
-from robustlab.worst_case_analysis.ensemble import Excitation, Hold, blocks_of, excitation, time_responses
+from robustlab.worst_case_analysis.members import (
+    Deltas,
+    Excitation,
+    Hold,
+    MemberSet,
+    blocks_of,
+    excitation,
+    is_count,
+    time_responses,
+    vertex_signs,
+)
 
 # A response is kept whole: samples x times x outputs.
 MAX_NUMBERS = 64_000_000
@@ -375,12 +384,12 @@ def _respond(
         raise InputError("respond", f"{count:.3g} numbers of response", f"at most {MAX_NUMBERS:.3g}", hint)
     y = np.empty((len(samples), len(drive.t), n_y))
     unstable: list[int] = []
-    members = RealSet(uncertain)
+    members = MemberSet(uncertain)
     for part in blocks_of(len(samples), members.block):
         ensemble = members.drawn(samples.deltas, part, "respond")
         unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
         y[part] = time_responses(ensemble, drive, start, hold)
-    nominal = time_responses(members.members(np.zeros((1, len(members)))), drive, start, hold)[0]
+    nominal = time_responses(members.members(np.zeros((1, members.size))), drive, start, hold)[0]
     lower, upper, deviation, finite = _envelope(y, nominal)
     return Responses(
         drive.t,

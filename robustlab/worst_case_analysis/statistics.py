@@ -34,8 +34,8 @@ from robustlab.shown import Facts, Part, Shown, listed, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import is_count
 from robustlab.worst_case_analysis.influence import Influence, influence_of
+from robustlab.worst_case_analysis.members import is_count
 from robustlab.worst_case_analysis.metrics import MetricBatch, MetricRequest
 
 # Shares that are shown by more samples than 10^15 are not asked for.
@@ -366,7 +366,7 @@ def violation_probability(
     again = judge.evaluate(delta)
     low, high = clopper_pearson(violations, len(values), confidence)
     at_most = upper_bound(violations, len(values), confidence)
-    real = batch.all_real and len(values) >= FEWEST_SAMPLES
+    real = judge.set.all_real and len(values) >= FEWEST_SAMPLES
     return ViolationProbability(
         batch.request.name,
         judge.unit,

@@ -9,13 +9,13 @@ A search attains what it reports; it proves no bound. Guaranteed bounds are `rob
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread, search_budget
@@ -23,13 +23,10 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Evidence, Status
 from robustlab.shown import AllFields, Facts, Part, Shown, member, member_rows, number
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, block_slices, delta_values, structure_size
+from robustlab.uncertainty.blocks import delta_values
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.draws import RealSet, is_count, vertex_signs
-from robustlab.worst_case_analysis.ensemble import chunks, members
-from robustlab.worst_case_analysis.metric_contract import Metric
-from robustlab.worst_case_analysis.metrics import MetricRequest, make_metric
-from robustlab.worst_case_analysis.time_metrics import TimeMetric
+from robustlab.worst_case_analysis.members import MemberSet, chunks, is_count, vertex_signs
+from robustlab.worst_case_analysis.metrics import Metric, MetricRequest, TimeMetric, make_metric
 
 LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
@@ -264,8 +261,7 @@ def _searched(
     judge = make_metric(uncertain, request)
     search = _Search(judge, budget)
     theta, found = search.run(n, seed, workers)
-    stack = search.box.deltas(theta[None])
-    delta = delta_values(uncertain.blocks, stack[0])
+    delta = delta_values(uncertain.blocks, search.set.deltas(theta[None])[0])
     evaluation = judge.evaluate(delta)
     value = evaluation.value
     status = Status.CONVERGED if evaluation.accurate and judge.agrees(found, value) else Status.INACCURATE
@@ -289,7 +285,7 @@ def _searched(
         judge.unit,
         request.input,
         request.output,
-        float(members(uncertain, stack).spectral_abscissa()[0]),
+        float(MemberSet(uncertain).members(theta[None]).spectral_abscissa()[0]),
         seed,
         search.gradients,
         _response(judge, delta),
@@ -307,36 +303,6 @@ def _response(judge: Metric, delta: Mapping[str, Any]) -> WorstResponse | None:
 
 
 # --- the search ------------------------------------------------------------------------------------------------------
-
-
-class DeltaBox:
-    """Delta from a vector in [-1, 1]^d: a number for a real scalar, real and imaginary parts for the rest.
-
-    A complex scalar or a full matrix outside its ball is drawn back onto it, so every vector gives a Delta of the set.
-    """
-
-    def __init__(self, blocks: Sequence[Block]) -> None:
-        self.blocks = tuple(blocks)
-        self.slices: list[slice] = []
-        size = 0
-        for b in self.blocks:
-            self.slices.append(slice(size, size + b.n_coordinates))
-            size += b.n_coordinates
-        self.size = size
-        self.real = [s.start for b, s in zip(self.blocks, self.slices, strict=True) if b.interval]
-
-    @property
-    def all_real(self) -> bool:
-        """Whether every block is a real scalar."""
-        return len(self.real) == len(self.blocks)
-
-    def deltas(self, theta: Array) -> NDArray[Any]:
-        """Stack of Deltas (k, q, p) from vectors (k, d)."""
-        dtype = float if all(b.is_real for b in self.blocks) else complex
-        delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
-        for block, part, (rows, cols) in zip(self.blocks, self.slices, block_slices(self.blocks), strict=True):
-            delta[:, rows, cols] = block.members(theta[:, part])
-        return delta
 
 
 class _Unbounded(Exception):
@@ -367,8 +333,9 @@ class _Search:
 
     def __init__(self, judge: Metric, budget: Budget) -> None:
         self.judge, self.budget = judge, budget
-        self.box = DeltaBox(judge.uncertain.blocks)
-        self._real = RealSet(judge.uncertain) if self.box.all_real else None
+        self.set = judge.set
+        ends = np.cumsum([0, *(b.n_coordinates for b in self.set.blocks)])
+        self.real = [int(i) for i, b in zip(ends, self.set.blocks, strict=False) if b.interval]
         self.evaluations = self.gradients = 0
         self.remark: str | None = None  # what ended the search early
 
@@ -383,8 +350,8 @@ class _Search:
         scores = self._scores(points)
         order = np.argsort(-scores, kind="stable")
         best, top = points[order[0]], float(scores[order[0]])
-        if self.box.size and not np.isposinf(top) and not self.ended:
-            if self._real is not None and self.judge.smooth:
+        if self.set.size and not np.isposinf(top) and not self.ended:
+            if self.set.all_real and self.judge.smooth:
                 starts = _apart(points[order], CLIMBS, APART)
                 for found in self._climbs(starts, workers):
                     self._add(found)
@@ -399,20 +366,18 @@ class _Search:
         return best, self.judge.sense * top
 
     def _start_points(self, n: int, seed: int) -> Array:
-        d = self.box.size
+        d = self.set.size
         centre = np.zeros((1, d))
         if d == 0:
             return centre
-        signs = vertex_signs(len(self.box.real), VERTICES, seed) if self.box.real else np.zeros((0, 0))
+        signs = vertex_signs(len(self.real), VERTICES, seed) if self.real else np.zeros((0, 0))
         vertices = np.zeros((len(signs), d))
-        vertices[:, self.box.real] = signs
+        vertices[:, self.real] = signs
         return np.vstack([centre, vertices, 2.0 * _sobol(n, d, seed) - 1.0])
 
     def _measure(self, theta: Array) -> Array:
         """Values at vectors (k, d), NaN-free; whatever the optimisers ask for lies in the box."""
-        if self._real is not None:
-            return self.judge.of(self._real.members(theta))
-        return self.judge.values(self.box.deltas(theta))
+        return self.judge.of(self.set.members(theta))
 
     def _scores(self, theta: Array) -> Array:
         """Scores at vectors (k, d); after the end of the budget the rest counts as -inf."""
@@ -457,7 +422,7 @@ class _Search:
                 score, slope = self._score_and_slope(theta, climb)
                 return -score / size, -slope / size
 
-            bounds = [(-1.0, 1.0)] * self.box.size
+            bounds = [(-1.0, 1.0)] * self.set.size
             options = {"maxiter": CLIMB_STEPS}
             minimize(falling, climb.theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         except _Unbounded as met:

@@ -1,7 +1,6 @@
 """A gap at a leg of the platform, robustlab's law against the machine that knows nothing of it."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ import pytest
 import robustlab as rl
 from robustlab.dynamics.effects.spring_effects import DAMPING
 from robustlab.dynamics.ports.carried_load import shares_behind
-from robustlab.identification.experiment.shut_gaps import shut_gaps
 
 pytest.importorskip("pinocchio")
 
@@ -18,12 +16,6 @@ import platform_machine as pm
 
 LEG, DT = 2, 2e-3
 POSE = np.array([0.002, 0.001, 0.127, 0.01, -0.01, 0.02])
-
-
-class Prepared(NamedTuple):
-    motion: np.ndarray
-    u: np.ndarray
-    record: rl.Record
 
 
 def machine(motors, gap):
@@ -68,36 +60,3 @@ def test_the_law_moves_as_the_machine(motors, size, monkeypatch):
     assert np.abs(x[:, LEG] - found.clean[:, LEG]).max() < 0.02 * without[LEG]
     assert np.abs(x[:, len(start.x)] - (found.clean - found.phi)[:, LEG]).max() < 0.02 * gap
     assert (np.abs(x[:, others] - found.phi[:, others]).max(axis=0) < 0.05 * without[others]).all()
-
-
-def swing(of, plant, target):
-    """The run of a leg that a controller makes follow a target about its pose, (n,)."""
-    home = pm.nut_angles(POSE[None])[0]
-    whole = np.tile(home, (len(target), 1))
-    whole[:, LEG] += target
-    r = np.random.default_rng(0)
-    return pm.simulate(of, POSE, len(target), DT, pc._controller(of, whole, r))
-
-
-@pytest.mark.slow
-def test_a_shut_gap_stays_shut_in_the_machine_and_opens_in_the_motion_that_is_proposed():
-    plant, of = machine(False, 0.1)
-    t = np.arange(400) * DT
-    slow = 3.0 * (1 - np.cos(2 * np.pi * 1.25 * t))
-    run = swing(of, plant, slow)
-    settled = slice(100, None)  # it begins in the middle of its gap, and falls
-    assert run.flights[settled, LEG].mean() == 0.0
-    motion = np.hstack([run.phi, run.rates])[settled]
-    record = rl.Record(t[settled], {}, {"phi_3": motion[:, LEG]})
-    told = {f.channel: f for f in shut_gaps(plant, [Prepared(motion, run.u[settled], record)])}
-    evidence = told["phidot_3"].evidence
-    # weight and inertia of what hangs there, by the bodies of the other program
-    body = pm.mechanism(replace(of, drives=replace(of.drives, gap=1.0)), POSE)
-    forces, accelerations = [], np.gradient(run.rates, DT, axis=0)[settled]
-    for phi, rates, up in zip(run.phi[settled], run.rates[settled], accelerations, strict=True):
-        inverse, bias = body.terms(phi, rates)
-        forces.append((np.linalg.inv(inverse) @ up + bias)[LEG])
-    assert evidence["force"] == pytest.approx([min(forces), max(forces)], rel=1e-3)
-    rate = 2 * np.pi * evidence["frequency"]
-    fast = swing(of, plant, evidence["amplitude"] * np.sin(rate * t) * np.minimum(t / 0.1, 1.0))
-    assert fast.flights[settled, LEG].mean() > 0.5 * evidence["open"]

@@ -10,7 +10,7 @@ from shell import robustlab
 
 import robustlab as rl
 from robustlab.identification import Rival, catalogue
-from robustlab.identification.record_check.suitability import Finding
+from robustlab.identification.record_check import Finding
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
 EXCLUDED = [word for name in catalogue() if name not in TRIED for word in ("--exclude", name)]

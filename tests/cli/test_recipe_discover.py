@@ -13,7 +13,7 @@ import pytest
 import robustlab as rl
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.errors import InputError
-from robustlab.identification.record_check.suitability import Finding
+from robustlab.identification.record_check import Finding
 from robustlab.recipe.load import load_recipe, parse_recipe
 from robustlab.recipe.run import run_recipe
 

@@ -17,11 +17,18 @@ import pytest
 from patience import PATIENCE
 
 import robustlab as rl
-from robustlab.campaign import CampaignSettings, Crew, read_campaign, resume_campaign, run_campaign, saved_samples
-from robustlab.campaign.evaluation import Rows
-from robustlab.campaign.settings import Identity, model_to_bytes
-from robustlab.campaign.store import Store, locked
-from robustlab.errors import DependencyMissing, EnvironmentFault, InputError
+from robustlab.campaign import (
+    CampaignSettings,
+    Crew,
+    Identity,
+    Rows,
+    Store,
+    read_campaign,
+    resume_campaign,
+    run_campaign,
+    saved_samples,
+)
+from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, NoTrustworthyNumber
 
 ROOT = Path(__file__).parents[2]
 
@@ -63,7 +70,7 @@ def settings_of(n=300, **more):
 def begun(path, motor, n=300, saved=64, **more):
     """A store of an unfinished campaign."""
     settings = settings_of(n, **more)
-    store = Store.create(path, Identity.of(motor, settings), model_to_bytes(motor))
+    store = Store.create(path, motor, settings)
     store.save(Rows(0, np.arange(float(saved)), np.zeros((saved, 2)), np.ones(saved)))
     store.close(finished=True)
     return path
@@ -104,9 +111,16 @@ def test_a_second_run_is_refused_ctrl_c_says_how_to_go_on_and_a_dead_pid_is_free
         time.sleep(0.05)
     run.kill()
     run.communicate()
-    # Its lock is gone with it.
-    with locked(store):
-        pass
+
+
+def test_more_than_one_percent_lost_stops(tmp_path, motor):
+    store = Store.create(tmp_path / "s.sqlite", motor, settings_of())
+    store.save(Rows(0, np.full(4, np.nan), np.zeros((4, 2)), np.ones(4), dict.fromkeys(range(4), "gone")))
+    store.close()
+    with pytest.raises(NoTrustworthyNumber, match="4 of 300 samples are lost") as caught:
+        resume_campaign(tmp_path / "s.sqlite", crew=Crew(1))
+    assert "campaign replay" in str(caught.value)
+    assert "sample 0: gone" in str(caught.value)
 
 
 # --- what changed ---------------------------------------------------------------------------------------------------

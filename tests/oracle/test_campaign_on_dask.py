@@ -14,9 +14,7 @@ import pytest
 from patience import PATIENCE
 
 import robustlab as rl
-from robustlab.campaign import CampaignSettings, saved_samples
-from robustlab.campaign.evaluation import TILE, Evaluator
-from robustlab.campaign.store import Store
+from robustlab.campaign import TILE, CampaignSettings, Evaluator, Store, saved_samples
 from robustlab.errors import RobustlabError
 
 pytest.importorskip("distributed")

@@ -21,7 +21,7 @@ along a motion follows from it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,16 +33,6 @@ from robustlab.errors import RobustlabError
 ASIDE = 0.05  # of the states, at which an inertia that no pose changes is asked for a second time
 ROUNDING = 1e-9  # of an inertia
 LEAST_SHARE = 1e-4  # of the load, where a pose leaves it less inertia than the drive is said to have
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """States (n, n_x) and inputs (n, n_u) at points of a motion, the plant's rates there, and those of the motion."""
-
-    x: Array
-    u: Array
-    rates: Array
-    accelerations: Array  # rates of the states as the motion has them, (n, n_x)
 
 
 def with_carried_load(model: PortModel, joint: str, share: float, relative: str) -> PortModel:
@@ -118,27 +108,6 @@ def shares_behind(plant: NonlinearPlant, joint: str) -> tuple[float, ...]:
         return ()
     found = [float(s) for s in found if 0.0 < s < 1.0]
     return (min(found), max(found))[: len(set(found))] if found else ()
-
-
-def carried_force(model: PortModel, joint: str, share: float, motion: Motion) -> Array:
-    r"""Force (n,) that keeps the load at the joint's drive along a motion: its sign is the flank's of a gap there.
-
-    .. math:: e_j^T (M - (1 - s) J e_j e_j^T)\,\dot v - (e_j^T M a - D)
-
-    with the accelerations a of the plant and D the drive's own force, as they are at the states and inputs of the
-    motion; what the inputs do there cancels. As long as it keeps its sign no gap opens.
-
-    ``model``: about the points of the motion. ``share``: as of `with_carried_load`.
-    """
-    port = model.ports[joint]
-    places = {n: int(np.argmax(p.velocity)) for n, p in model.ports.items() if p.kind == "joint"}
-    rows, n = np.array(sorted(places.values()), dtype=np.int64), len(port.velocity)
-    over_x, over_b = _drives_own(model, port, places, rows)
-    lacking = motion.accelerations[:, rows] - motion.rates[:, rows]
-    found = np.sum(_masses(model, port, rows) * lacking, axis=1)
-    found += np.sum(over_x[:, :n] * motion.x, axis=1) + np.sum(over_b[:, : motion.u.shape[1]] * motion.u, axis=1)
-    drive = (1.0 - share) * (port.home_inertia or port.mean_inertia)
-    return np.asarray(found - drive * motion.accelerations[:, places[joint]])
 
 
 def _masses(model: PortModel, port: Port, rows: Indices) -> Array:

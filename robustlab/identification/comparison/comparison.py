@@ -44,7 +44,7 @@ from robustlab.identification.comparison.localisation import (
     repeated,
     windowed_error,
 )
-from robustlab.identification.comparison.noise_floor import NoiseFloor
+from robustlab.identification.comparison.repeats import NoiseFloor
 from robustlab.identification.comparison.residual_tests import judged_lines
 from robustlab.identification.record_check.suitability import channel_warnings
 from robustlab.identification.response.response import Response, Stretch, response_of

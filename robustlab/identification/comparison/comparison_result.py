@@ -25,7 +25,7 @@ from robustlab.identification.comparison.localisation import (
     NoiseGap,
     Spectrum,
 )
-from robustlab.identification.comparison.noise_floor import NoiseFloor
+from robustlab.identification.comparison.repeats import NoiseFloor
 from robustlab.identification.comparison.residual_tests import EvenOdd
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record

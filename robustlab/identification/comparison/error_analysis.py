@@ -21,7 +21,7 @@ from robustlab.identification.comparison.localisation import (
     speed_edges,
     time_shares,
 )
-from robustlab.identification.comparison.noise_floor import NoiseFloor, noise_floor
+from robustlab.identification.comparison.repeats import NoiseFloor, noise_floor
 from robustlab.identification.comparison.residual_tests import (
     EvenOdd,
     InputCorrelation,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.identification.comparison.noise_floor import Excess, NoiseFloor
+from robustlab.identification.comparison.repeats import Excess, NoiseFloor
 from robustlab.identification.response.response import Response, Stretch
 from robustlab.identification.response.windowed_simulation import fit_state, window_edges
 from robustlab.record import Record

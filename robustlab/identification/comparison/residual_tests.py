@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
-from robustlab.identification.comparison.noise_floor import NoiseFloor
+from robustlab.identification.comparison.repeats import NoiseFloor
 from robustlab.result import Evidence
 
 BAND_99 = 2.5758293035489004  # the 99.5 % point of the normal distribution: 99 % of white samples lie within

@@ -64,8 +64,8 @@ from robustlab.record import Record
 from robustlab.result import Status
 
 if TYPE_CHECKING:
-    from robustlab.identification.comparison.noise_floor import NoiseFloor
-    from robustlab.identification.experiment.next_experiment import NextExperiment
+    from robustlab.identification.comparison.repeats import NoiseFloor
+    from robustlab.identification.experiment import NextExperiment
 
 
 MOSTLY = 0.5  # of what the bare model lacks, by names that are sure beside a misfit; below, they are not it
@@ -321,7 +321,7 @@ def _explained_on_held_out(gaps: Gaps, noise_ratio: float) -> float:
 
 def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None, dict[str, float]]:
     """Model-free noise floor of the first record, where it repeats, and F of the updated model's errors against it."""
-    from robustlab.identification.comparison.noise_floor import noise_floor
+    from robustlab.identification.comparison.repeats import noise_floor
 
     problem, record = found.problem, case.records[0]
     first = problem.records[0]
@@ -379,15 +379,11 @@ def _search_findings(found: Found) -> list[Finding]:
 
 def _next_experiment(problem: Problem, best: Fit, rivals: Sequence[Alternative]) -> NextExperiment | None:
     """What would separate the named effects from their rivals."""
-    if not rivals:
+    if not rivals or isinstance(problem.plant, NonlinearPlant):  # which moves as its controller asks
         return None
+    from robustlab.identification.experiment import propose_experiment
+
     others = {a.weighed.key: a.weighed.fit for a in rivals}
-    if isinstance(problem.plant, NonlinearPlant):  # which moves as its controller asks
-        from robustlab.identification.experiment.path_experiment import propose_path
-
-        return propose_path(problem, best, list(others.values()))
-    from robustlab.identification.experiment.next_experiment import propose_experiment
-
     return propose_experiment(problem, best, list(others.values()))
 
 

@@ -18,7 +18,6 @@ from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, parameter_groups
 from robustlab.errors import InputError, told_as
 from robustlab.identification import tuning
-from robustlab.identification.experiment.shut_gaps import shut_gaps
 from robustlab.identification.hypotheses.candidates import (
     FEWEST_PERIODS,
     candidates,
@@ -185,8 +184,6 @@ def discover(
     model = ports_of(known, _uniform(measured)[0].record)
     problem, held, held_text = _problems(known, model, measured, kept_out, stated, window)
     pool = [c for c in candidates(known, model, problem.records) if c.effect.id not in left_out]
-    if any(c.effect.id == "backlash" for c in pool):
-        findings += shut_gaps(known, problem.records)
     case = Case(known, measured, repeats, period, stated, findings, held_text, pool)
     report = _reporter(progress)
     allowed = admissible(known, stated, problem, held)

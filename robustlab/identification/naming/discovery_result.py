@@ -16,8 +16,8 @@ from robustlab.shown import Each, Facts, Part
 from robustlab.tables import Table, Tabular
 
 if TYPE_CHECKING:
-    from robustlab.identification.comparison.noise_floor import NoiseFloor
-    from robustlab.identification.experiment.next_experiment import NextExperiment
+    from robustlab.identification.comparison.repeats import NoiseFloor
+    from robustlab.identification.experiment import NextExperiment
     from robustlab.identification.naming.residual_force import ResidualForce
     from robustlab.identification.record_check.suitability import Finding
     from robustlab.uncertainty.lft import UncertainModel

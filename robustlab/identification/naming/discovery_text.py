@@ -72,7 +72,6 @@ def facts_of(d: Discovery) -> Facts:
         )
     found += [("not excluded", _rival(r)) for r in d.rivals if r.instead_of == "none"]
     found += [("tried", f.message) for f in d.findings if f.kind == "refuted"]
-    found += [("cannot show", f"{f.message}; to tell: {f.hint}") for f in d.findings if f.kind == "shut-gap"]
     if len(d.collection) > 1:
         found += [("left open (3 noise sigmas tell)", _set_words(p)) for p in d.collection[:SHOWN_SETS]]
     for gaps, how in ((d.gaps, f"windows of {d.window:.3g} s"), (d.free_run, d.whole_run)):

@@ -1,12 +1,15 @@
 r"""Is every recorded channel what the model takes it for: its sign, its unit, its name?
 
 Where one output of the model is the derivative of another the record must show the same: over windows, with constant
-and slope projected out, :math:`y_a \approx s\,\kappa \int y_b\,dt` with s = 1. All else is judged in windows with free
-start, constant disturbance and constant sensor error: :math:`P y_j = n\,P (G u)_j` with n of order one.
+and slope projected out, :math:`y_a \approx s\,\kappa \int y_b\,dt` with s = 1. All else is judged by the factors s of
+the responses to the inputs,
 
-A channel is called wrong only where turning it explains the record far better than the channel as it is together with
-the effects that a model may lack: friction, damping, springs, gains of 0.05 to 2.5, delays up to 20 ms. Of a nonlinear
-plant only where turning it takes nearly all of the error away.
+.. math:: y_j \approx \sum_i s_{ji}\, G_{ji} u_i + \sum_k c_k\, G_{jk} e_k,
+
+in windows with free start, constant disturbance and constant sensor error, beside what springs, damping and dry
+friction would add that the model may lack (forces e along y, its rate, the rate's sign). A channel is called wrong
+where these explain the output, the inputs' part of it is needed, and s is near -1 or the factor between two units. Of
+a nonlinear plant only where turning a channel takes nearly all of the error away.
 """
 
 from __future__ import annotations
@@ -14,18 +17,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import Course
+from robustlab.dynamics.simulation import transition
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.response.motion_response import MotionResponse, fit_windows
 from robustlab.identification.response.response import Stretch, stretch_of
-from robustlab.identification.response.windowed_simulation import ResponseWindows, explained
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.units import unit_family
@@ -82,35 +86,17 @@ def _error(plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, columns: S
     return float(np.mean(np.concatenate(left) ** 2))
 
 
-Fits = Sequence[ResponseWindows]
-
 # Of a channel in no known unit: thousands, hundreds, degrees, turns, turns a minute.
-ANY_FACTORS = (
-    1e3,
-    1e-3,
-    1e2,
-    1e-2,
-    180 / math.pi,
-    math.pi / 180,
-    2 * math.pi,
-    0.5 / math.pi,
-    30 / math.pi,
-    math.pi / 30,
-)
-
-FAR = 8.0  # factors further than this from the plain one are not tried
-PLAUSIBLE_GAIN = (0.25, 4.0)  # plain factors within are no ground for suspicion
-RIVAL_GAIN = (0.05, 2.5)  # what missing effects may leave of a response, or add to it
-BEFORE_FRICTION = (0.35, 2.5)  # gains before friction takes its share
-TURNED_GAIN = (0.2, 2.5)  # the same for a channel whose sign is turned back
-UNIT_GAIN = (0.4, 1.8)  # for a channel converted to another unit, by a factor of 20 or more
-SMALL_UNIT_GAIN = (0.7, 1.45)  # by less: there gains and effects come close to units
-SMALL_UNIT = 20.0
-EXPLAINED = 0.8  # share that the turned channel must explain
-MUCH_BETTER = 0.25  # share of the error as it is that may remain when the channel is turned
-EXPLAINED_AS_IT_IS = 0.9  # share from which a channel is not turned: what is left of it is no matter of its sign
+ANY_FACTORS = tuple(both for f in (1e3, 1e2, 180 / math.pi, 2 * math.pi, 30 / math.pi) for both in (f, 1.0 / f))
+MOST_PORTS = 6
+RANK = 1e-8
+GROWTH = 1e6  # windows over which an unstable model grows by more are not simulated
+EXPLAINED = 0.8  # share of an output that must be explained
+NEEDED = 0.25  # share of the error without an input that may remain with it
+NEAR, NEAR_SMALL, SMALL = 2.5, 1.45, 20.0  # how far a factor may be off -1 or a unit; of units that differ by less
+ALONE = 0.99  # the same of a response alone, beside which no effect is looked for
+LIKELY = 0.3  # the same, that says which of two channels is wrong
 RAW_SHARE = 0.5  # share of the raw response that tells a sign
-OWN_RESPONSE = 0.99  # an output that its own response explains so far, at any gain, is no other one
 SLOPE_FIT = 0.9  # R² from which the slope of a derivative relation is taken at its word
 SLOPE_RANGE = (0.6, 1.6)  # what sensor gains and filters may make of a slope of 1
 SLOPE_MATCH = 1.3
@@ -120,7 +106,7 @@ SLOPE_MATCH = 1.3
 class Contradiction:
     """A channel that is not what the model takes it for."""
 
-    kind: str  # "sign", "unit", "swapped-outputs" or "swapped-inputs"
+    kind: str  # "sign", "unit" or "swapped-outputs"
     # the channel; two where they are swapped, or where one of two is wrong and the record cannot say which
     channels: tuple[str, ...]
     factor: float  # the recorded values are this many times those the model expects (NaN for swapped channels)
@@ -144,18 +130,17 @@ def unit_factors(unit: str) -> dict[float, str]:
 
 
 def contradictions(
-    model: StateSpaceModel, outputs: tuple[str, ...], record: Record, good: Mask, fits: Fits
+    model: StateSpaceModel, outputs: tuple[str, ...], record: Record, good: Mask, factors: Sequence[Factors]
 ) -> list[Contradiction]:
-    """Channels that contradict the model, the surest test first.
+    """Channels of a record on a uniform clock that contradict the model, the surest test first.
 
-    ``model``: linear model; outputs that are not named in ``outputs`` are left aside. ``record``: record on a uniform
-    clock, with the model's inputs and the named outputs. ``good``: samples that were measured, shape (n,). ``fits``:
-    the same record in windows: `robustlab.identification.response.windowed_simulation.response_windows`.
+    ``good``: samples that were measured, (n,). ``factors``: of each output.
     """
-    found = _from_derivatives(model, outputs, record, good, fits)
+    seen = (*model.inputs, *(s for s in model.outputs if s.name in outputs))
+    units = {s.name: record.unit(s.name) or s.unit for s in seen}
+    found = _from_derivatives(model, outputs, record, good, units, factors)
     taken = {name for one in found for name in one.channels}
-    found += _from_responses(model, outputs, record, fits, taken)
-    return found
+    return found + _from_responses(model, outputs, units, factors, taken)
 
 
 # --- one output the derivative of another ----------------------------------------------------------------------------
@@ -209,10 +194,10 @@ def derivative_slope(y_a: Array, y_b: Array, dt: float, good: Mask) -> tuple[flo
 
 
 def _from_derivatives(
-    model: StateSpaceModel, outputs: tuple[str, ...], record: Record, good: Mask, fits: Fits
-) -> list[Contradiction]:
+    model: StateSpaceModel, outputs: tuple[str, ...], record: Record, good: Mask, units: dict[str, str],
+    factors: Sequence[Factors],
+) -> list[Contradiction]:  # fmt: skip
     found: list[Contradiction] = []
-    units = {s.name: record.unit(s.name) or s.unit for s in model.outputs if s.name in outputs}
     for a, b, kappa in derivative_pairs(model):
         if a not in outputs or b not in outputs:
             continue
@@ -227,237 +212,56 @@ def _from_derivatives(
             continue
         if share < SLOPE_FIT:
             continue
-        if slope < 0:
-            who = _sign_owner(a, b, outputs, fits)
+        own = [factors[outputs.index(n)] for n in (a, b)]
+        (s_a, sure_a), (s_b, sure_b) = ((f.plain[0], f.plain_share) for f in own)
+        if slope < 0:  # the one that moves against the model's response; both where the record cannot say
+            told = s_a * s_b < 0 and max(sure_a, sure_b) >= 0.5
+            who = (a, b) if not told else (a,) if s_a < 0 else (b,)
             found.append(Contradiction("sign", who, -1.0, "", evidence))
-        found += _unit_of_slope(a, b, abs(slope), units, outputs, fits, evidence)
+        size = abs(slope)
+        if SLOPE_RANGE[0] <= size <= SLOPE_RANGE[1]:
+            continue
+        near = [(abs(math.log(size / f)), a, f, name) for f, name in unit_factors(units[a]).items()]
+        near += [(abs(math.log(size * f)), b, f, name) for f, name in unit_factors(units[b]).items()]
+        best: dict[str, tuple[float, str]] = {}
+        for distance, name, f, unit in sorted(near):
+            if distance < math.log(SLOPE_MATCH):
+                best.setdefault(name, (f, unit))
+        if len(best) == 2 and min(sure_a, sure_b) >= 0.3 and s_a and s_b:
+            best.pop(b if abs(math.log(abs(s_a))) > abs(math.log(abs(s_b))) else a)
+        if best:
+            factor, unit = next(iter(best.values()))
+            found.append(Contradiction("unit", tuple(best), factor, unit if len(best) == 1 else "", evidence))
     return found
 
 
-def _sign_owner(a: str, b: str, outputs: tuple[str, ...], fits: Fits) -> tuple[str, ...]:
-    """Which of two outputs moves against the model's response; both where the record cannot say."""
-    (s_a, sure_a), (s_b, sure_b) = (_best_factor(outputs.index(name), fits) for name in (a, b))
-    if s_a * s_b < 0 and max(sure_a, sure_b) >= 0.5:
-        return (a,) if s_a < 0 else (b,)
-    return a, b
-
-
-def _unit_of_slope(
-    a: str,
-    b: str,
-    slope: float,
-    units: dict[str, str],
-    outputs: tuple[str, ...],
-    fits: Fits,
-    evidence: dict[str, object],
-) -> list[Contradiction]:
-    choices = [(abs(math.log(slope / f)), a, f, name) for f, name in unit_factors(units[a]).items()]
-    choices += [(abs(math.log(slope * f)), b, f, name) for f, name in unit_factors(units[b]).items()]
-    near = sorted(choice for choice in choices if choice[0] < math.log(SLOPE_MATCH))
-    if not near or SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
-        return []
-    best: dict[str, tuple[float, str]] = {}
-    for _, name, f, unit in near:
-        best.setdefault(name, (f, unit))
-    if len(best) == 2:
-        (s_a, sure_a), (s_b, sure_b) = (_best_factor(outputs.index(name), fits) for name in (a, b))
-        if min(sure_a, sure_b) >= 0.3 and s_a and s_b:
-            best.pop(b if abs(math.log(abs(s_a))) > abs(math.log(abs(s_b))) else a)
-    channels = tuple(best)
-    factor, unit = next(iter(best.values()))
-    return [Contradiction("unit", channels, factor, unit if len(channels) == 1 else "", evidence)]
-
-
-def _best_factor(j: int, fits: Fits) -> tuple[float, float]:
-    """Plain factor of the first input's response in output j, and its R², in the windows that show it best."""
-    options = [fit.plain(j) for fit in fits]
-    if not options:
-        return 0.0, 0.0
-    s, share = max(options, key=lambda one: one[1])
-    return float(s[0]), share
-
-
-# --- channels turned, converted and swapped --------------------------------------------------------------------------
-
-
-class _Explanation:
-    """How much of output ``channel`` the model's output ``row`` explains in one set of windows, under hypotheses."""
-
-    def __init__(self, fit: ResponseWindows, channel: int, row: int) -> None:
-        self.fit, self.row = fit, row
-        y = fit.y[..., channel]
-        self.target = fit.project(row, y)
-        self.effects = fit.effects(row, fit.rows[row], y)
-
-    def share(self, factor: float, gain: tuple[float, float], forced: list[Array], *, net: bool = True) -> float:
-        """Share explained of the channel divided by ``factor``, with the responses' gains within ``gain``.
-
-        With ``net`` the gains are what friction and damping leave of the response; without, what they begin with.
-        """
-        effects, sign = self.effects, math.copysign(1.0, factor)
-        main = np.column_stack(forced)
-        losses = np.column_stack(effects.losses) if effects.losses else np.zeros((len(main), 0))
-        springs = np.column_stack(effects.springs) / factor if effects.springs else np.zeros((len(main), 0))
-        most = np.array(effects.largest)
-        # Of each port's three losses the last two follow the sign of the motion alone, whatever its unit.
-        losses = losses * np.tile([sign / abs(factor), sign, sign], losses.shape[1] // 3)
-        if net:
-            q = np.linalg.qr(main[:, np.linalg.norm(main, axis=0) > 0])[0]
-            losses, most = losses - q @ (q.T @ losses), np.full(len(most), np.inf)
-            held = np.zeros((len(main), 0))
-        else:  # at rest static friction may hold all of the input
-            held = -np.column_stack(effects.held)
-        n_u, n_rest = main.shape[1], springs.shape[1] + losses.shape[1] + held.shape[1]
-        lower = np.concatenate([np.full(n_u, gain[0]), np.zeros(n_rest)])
-        upper = np.concatenate([np.full(n_u, gain[1]), effects.stiffest, most, np.full(held.shape[1], gain[1])])
-        return explained(self.target / factor, np.hstack([main, springs, losses, held]), lower, upper)[0]
-
-    def corrected(self, factor: float) -> float:
-        """Share explained of the channel divided by ``factor``, whether friction takes much of it or little."""
-        gain = _gain_of(factor)
-        forced = self.fit.forced[self.row]
-        return max(self.share(factor, gain, forced, net=net) for net in (True, False))
-
-    def as_it_is(self, factor: float = -1.0) -> float:
-        """Share explained by a delay of up to 20 ms, gains and effects, as the rival of a channel off by ``factor``."""
-        fit = self.fit
-        late = [[fit.project(self.row, f[..., fit.rows[self.row]]) for f in forced] for forced in fit.late]
-        options = (fit.forced[self.row], *late)
-        best = max(self.share(1.0, BEFORE_FRICTION, forced, net=False) for forced in options)
-        # A factor near 1 lies within what friction may leave of a response: there that is no rival.
-        if 1.0 < max(abs(factor), 1 / abs(factor)) < SMALL_UNIT:
-            return best
-        return max(best, *(self.share(1.0, RIVAL_GAIN, forced) for forced in options))
-
-
-def _gain_of(factor: float) -> tuple[float, float]:
-    size = max(abs(factor), 1 / abs(factor))
-    if size == 1.0:
-        return TURNED_GAIN
-    return UNIT_GAIN if size >= SMALL_UNIT else SMALL_UNIT_GAIN
-
-
-def _convincing(turned: float, as_it_is: float) -> bool:
-    return turned >= EXPLAINED and 1.0 - turned <= MUCH_BETTER * (1.0 - as_it_is)
-
-
-def _suspicious(fit: ResponseWindows, j: int) -> bool:
-    """Whether the plain factors of output j lie where no gain error is looked for."""
-    factors, share = fit.plain(j)
-    energy = np.array([float(f @ f) for f in fit.forced[j]]) * factors**2
-    heavy = energy > 0.05 * energy.sum()
-    low, high = PLAUSIBLE_GAIN
-    return share >= 0.3 and bool((heavy & ((factors < low) | (factors > high))).any())
+# --- responses to the inputs -----------------------------------------------------------------------------------------
 
 
 def _from_responses(
-    model: StateSpaceModel, outputs: tuple[str, ...], record: Record, fits: Fits, taken: set[str]
+    model: StateSpaceModel, outputs: tuple[str, ...], units: dict[str, str], factors: Sequence[Factors], taken: set[str]
 ) -> list[Contradiction]:
+    """An input whose factor is off in every output that tells it, then outputs whose every factor is off."""
     free = [j for j, name in enumerate(outputs) if name not in taken]
-    found = _swapped_outputs(outputs, fits, free)
-    taken = taken | {name for one in found for name in one.channels}
-    free = [j for j in free if outputs[j] not in taken]
-    if len(model.inputs) > 1:
-        found += _wrong_inputs(model, outputs, record, fits, free)
-        if found:
-            return found
-    wrong = {j: one for j in free if (one := _wrong_output(model, outputs, record, fits, j))}
-    if not wrong:
-        return found
-    if len(model.inputs) == 1:
-        return found + _of_one_input(model, outputs, record, fits, free, wrong)
-    for j, (factor, evidence) in wrong.items():
-        found += _named((outputs[j],), factor, unit_factors(_unit(model, record, outputs[j])), evidence)
-    return found
-
-
-def _unit(model: StateSpaceModel, record: Record, name: str) -> str:
-    stated = {s.name: s.unit for s in (*model.inputs, *model.outputs)}
-    return record.unit(name) or stated[name]
-
-
-def _wrong_output(
-    model: StateSpaceModel, outputs: tuple[str, ...], record: Record, fits: Fits, j: int
-) -> tuple[float, dict[str, object]] | None:
-    """Factor by which output j is off (or the only input by its inverse), where that is convincing."""
-    sizes = {1.0, *unit_factors(_unit(model, record, outputs[j]))}
-    if len(model.inputs) == 1:
-        sizes |= {1.0 / f for f in unit_factors(_unit(model, record, model.input_names[0]))}
-    for fit in fits:
-        if not _suspicious(fit, j):
-            continue
-        plain, share = fit.plain(j)
-        typical = float(np.median(plain))
-        sign = math.copysign(1.0, typical)
-        near = [sign * f for f in sizes if sign * f != 1.0 and abs(math.log(abs(typical) / f)) < math.log(FAR)]
-        if not near:
-            continue
-        explanation = _Explanation(fit, j, j)
-        turned = {f: explanation.corrected(f) for f in near}
-        # Friction takes away from a response: of factors that explain alike, the one closest to the plain one is taken.
-        best = max(turned.values())
-        alike = [f for f in near if 1.0 - turned[f] <= 2.0 * (1.0 - best) + 1e-3]
-        factor = min(alike, key=lambda f: abs(math.log(typical / f)))
-        as_it_is = explanation.as_it_is(factor)
-        if factor < 0 and (as_it_is > EXPLAINED_AS_IT_IS or _raw_sign(fits, j, 0) > 0):
-            continue
-        if _convincing(turned[factor], as_it_is) and not _denied(fits, j, factor):
-            return factor, {
-                "test": "response in windows",
-                "plain_factor": typical,
-                "plain_r2": share,
-                "explained_as_it_is": as_it_is,
-                "explained_when_corrected": turned[factor],
-                "window": fit.length * fit.dt,
-            }
-    return None
-
-
-def _denied(fits: Fits, j: int, factor: float) -> bool:
-    """Whether windows of another length show clearly another factor."""
-    for fit in fits:
-        factors, share = fit.plain(j)
-        ratio = float(np.median(factors)) / factor
-        if share >= 0.5 and not 0.2 < ratio < 5.0:
-            return True
-    return False
-
-
-def _raw_sign(fits: Fits, j: int, i: int) -> float:
-    """Sign that the raw response of output j to input i has; 0 where it says none.
-
-    The test in windows leaves out what a constant may do, and with it all that a steady input did: of a motor at
-    nearly constant current it sees the ripple alone, which follows the motor's own disturbances with either sign.
-    """
-    options = [fit.raw(j) for fit in fits]
-    factors, share = max(options, key=lambda one: one[1], default=(np.zeros(i + 1), 0.0))
-    return float(np.sign(factors[i])) if share >= RAW_SHARE else 0.0
-
-
-def _of_one_input(
-    model: StateSpaceModel,
-    outputs: tuple[str, ...],
-    record: Record,
-    fits: Fits,
-    free: list[int],
-    wrong: dict[int, tuple[float, dict[str, object]]],
-) -> list[Contradiction]:
-    """Outputs that are off, or the only input where every output that moves says the same."""
-    source = model.input_names[0]
-    moving = {j: s for j in free for s, share in [_best_factor(j, fits)] if share >= 0.3 or j in wrong}
-    first, evidence = next(iter(wrong.values()))
-    low, high = PLAUSIBLE_GAIN
-    # What the derivative relation holds together is wrong together.
-    bound = {outputs.index(n) for a, b, _ in derivative_pairs(model) for n in (a, b) if {a, b} <= set(outputs)}
-    bound = {j for j in bound if j in free} if bound & wrong.keys() else set()
-    moving.update(dict.fromkeys({*bound, *(j for j, (factor, _) in wrong.items() if factor == first)}, first))
-    agreed = all(low < s / first < high or (s < 0 and first == -1.0) for s in moving.values())
-    if len(moving) > 1 and agreed:
-        return _named((source,), 1.0 / first, unit_factors(_unit(model, record, source)), evidence)
+    sure, likely = np.full((2, len(free), model.n_inputs), np.nan)
+    for k, j in enumerate(free):
+        for i, name in enumerate(model.input_names):
+            sure[k, i], likely[k, i] = _snapped(factors[j], i, units[outputs[j]], units[name])
     found: list[Contradiction] = []
-    for j, (factor, figures) in wrong.items():
-        channels = (outputs[j], source) if len(moving) == 1 else (outputs[j],)
-        found += _named(channels, factor, unit_factors(_unit(model, record, outputs[j])), figures)
+    for i, name in enumerate(model.input_names):
+        wrong = np.flatnonzero(np.isfinite(sure[:, i]) & (sure[:, i] != 1.0))
+        own = likely[:, i][np.isfinite(likely[:, i])]
+        if len(wrong) and np.allclose(own, own[0]) and (len(own) > 1 or (sure[wrong[0]] == 1.0).any()):
+            figures = factors[free[wrong[0]]].evidence(i)
+            found += _named((name,), 1.0 / sure[wrong[0], i], unit_factors(units[name]), figures)
+    if found:
+        return found
+    for row, j in zip(sure, free, strict=True):
+        wrong = np.flatnonzero(np.isfinite(row) & (row != 1.0))
+        if len(wrong) and np.allclose(row[np.isfinite(row)], row[wrong[0]]):
+            channels = (outputs[j], *model.input_names) if np.isfinite(likely).sum() == 1 else (outputs[j],)
+            figures = factors[j].evidence(int(wrong[0]))
+            found += _named(channels, row[wrong[0]], unit_factors(units[outputs[j]]), figures)
     return found
 
 
@@ -465,111 +269,191 @@ def _named(
     channels: tuple[str, ...], factor: float, units: dict[float, str], evidence: dict[str, object]
 ) -> list[Contradiction]:
     """A factor as a wrong sign, a wrong unit, or both."""
-    found: list[Contradiction] = []
-    if factor < 0:
-        found.append(Contradiction("sign", channels, -1.0, "", evidence))
+    found = [Contradiction("sign", channels, -1.0, "", evidence)] if factor < 0 else []
     size = abs(factor)
-    if size != 1.0:
+    if not math.isclose(size, 1.0):
         unit = next((name for f, name in units.items() if abs(math.log(f / size)) < 1e-6), "")
-        found.append(Contradiction("unit", channels, size, unit, evidence))
+        found.append(Contradiction("unit", channels, float(size), unit, evidence))
     return found
 
 
-def _swapped_outputs(outputs: tuple[str, ...], fits: Fits, free: list[int]) -> list[Contradiction]:
-    for fit in fits:
-        poor = [j for j in free if fit.plain(j)[1] < OWN_RESPONSE]
-        as_it_is = {j: _Explanation(fit, j, j).as_it_is() for j in poor} if len(poor) > 1 else {}
-        as_it_is = {j: share for j, share in as_it_is.items() if share < OWN_RESPONSE}
-        for j, k in combinations(as_it_is, 2):
-            crossed = [_Explanation(fit, a, b).share(1.0, UNIT_GAIN, fit.forced[b]) for a, b in ((j, k), (k, j))]
-            if all(_convincing(c, as_it_is[m]) for c, m in zip(crossed, (j, k), strict=True)):
-                evidence: dict[str, object] = {
-                    "test": "response in windows",
-                    "explained_as_it_is": [as_it_is[j], as_it_is[k]],
-                    "explained_when_corrected": crossed,
-                    "window": fit.length * fit.dt,
-                }
-                return [Contradiction("swapped-outputs", (outputs[j], outputs[k]), math.nan, "", evidence)]
-    return []
+@dataclass(frozen=True)
+class Factors:
+    """Factors s (n_u,) of the inputs' responses in one output, in the windows of ``window`` s that show them best."""
+
+    s: Array
+    share: float  # of the output that these and effects explain
+    left: Array  # what remains of the squared error without each input when it is there, (n_u,)
+    plain: Array  # factors without effects, (n_u,), and the share that they explain
+    plain_share: float
+    raw: Array  # signs of the raw responses, 0 where they tell none, (n_u,)
+    window: float
+
+    def evidence(self, i: int) -> dict[str, object]:
+        """The figures behind the factor of input i."""
+        return {"test": "response in windows", "found": float(self.s[i]), "r2": self.share, "window": self.window}
 
 
-def _good(fit: ResponseWindows, j: int) -> bool:
-    """Whether plain gains of 0.25 to 4 explain 95 % of the output."""
-    columns = np.column_stack(fit.forced[j])
-    low, high = PLAUSIBLE_GAIN
-    return explained(fit.target[j], columns, np.full(columns.shape[1], low), high)[0] >= 0.95
+def _snapped(found: Factors, i: int, output_unit: str, input_unit: str) -> tuple[float, float]:
+    """1, -1 or the factor of a unit that the factor of input i surely stands for, and likely; NaN where it tells none.
+
+    Likely is what the response shows without effects, good enough to say which of two channels is wrong.
+    """
+    sizes = [1.0, *unit_factors(output_unit), *(1.0 / f for f in unit_factors(input_unit))]
+
+    def nearest(s: float) -> float:
+        return math.copysign(min(sizes, key=lambda f: abs(math.log(abs(s) / f))), s)
+
+    s, plain = float(found.s[i]), float(found.plain[i])
+    likely = nearest(plain) if plain and found.plain_share >= LIKELY else math.nan
+    if found.share < EXPLAINED or found.left[i] > NEEDED or not s or s < 0 < found.raw[i]:
+        return math.nan, likely
+    size = nearest(s)
+    apart = max(abs(size), 1.0 / abs(size))
+    near = NEAR_SMALL if 1.0 < apart < SMALL else NEAR
+    return (size, size) if abs(math.log(s / size)) <= math.log(near) else (math.nan, likely)
 
 
-def _wrong_inputs(
-    model: StateSpaceModel, outputs: tuple[str, ...], record: Record, fits: Fits, free: list[int]
-) -> list[Contradiction]:
-    """One input turned or in another unit, or two inputs of one unit exchanged, by all outputs together."""
-    names = model.input_names
-    for fit in fits:
-        if all(_good(fit, j) for j in free):
-            continue
-        rows = {j: _Explanation(fit, j, j) for j in free if float(fit.target[j] @ fit.target[j]) > 0}
-        before = {j: row.as_it_is() for j, row in rows.items()}
-        best: tuple[float, list[Contradiction]] = (-np.inf, [])
-        for channels, factor, order in _input_hypotheses(model, record):
-            changed = fit.response(fit.u[..., list(order)], np.arange(len(names)))
-            after = {}
-            for j, row in rows.items():
-                forced = [fit.project(j, f[..., fit.rows[j]]) for f in changed]
-                for i, name in enumerate(names):
-                    if math.isfinite(factor) and name in channels:
-                        forced[i] = forced[i] / factor
-                gain = RIVAL_GAIN if not math.isfinite(factor) else (max(RIVAL_GAIN[0], _gain_of(factor)[0]), 2.5)
-                after[j] = row.share(1.0, gain, forced)
-            said = [j for j in rows if max(after[j], before[j]) >= 0.5]
-            if not said:
-                continue
-            new, old = (float(np.mean([shares[j] for j in said])) for shares in (after, before))
-            if factor < 0:
-                raw = sum(_raw_sign(fits, j, names.index(channels[0])) for j in said)
-                if raw > 0 or old > EXPLAINED_AS_IT_IS:
-                    continue
-            if _convincing(new, old) and new > best[0]:
-                evidence: dict[str, object] = {
-                    "test": "response in windows",
-                    "explained_as_it_is": old,
-                    "explained_when_corrected": new,
-                    "window": fit.length * fit.dt,
-                }
-                best = new, _input_finding(model, record, outputs, channels, factor, evidence, said)
-        if best[1]:
-            return best[1]
-    return []
+def response_factors(
+    model: StateSpaceModel, outputs: tuple[str, ...], record: Record, good: Mask
+) -> tuple[Factors, ...]:
+    """Factors of each output, in windows of the whole record, a sixth or a thirtieth, whichever shows them best.
+
+    ``record``: on a uniform clock; windows with samples that are not ``good`` (n,) are left out.
+    """
+    point = model.operating_point
+    at_y = dict(zip(model.output_names, point.y, strict=True)) if point else {}
+    at_u = dict(zip(model.input_names, point.u, strict=True)) if point else {}
+    u = np.column_stack([record.inputs[name] - at_u.get(name, 0.0) for name in model.input_names])
+    y = np.column_stack([record.outputs[name] - at_y.get(name, 0.0) for name in outputs])
+    poles = model.poles()
+    if model.is_discrete:
+        poles = np.log(np.where(np.abs(poles) > 0, poles, 1e-300)) / model.dt
+    growth, shortest = float(poles.real.max(initial=0.0)), max(40, 8 * (2 * model.n_states + 1))
+    lengths = [n for n in (record.n // parts for parts in (1, 6, 30))
+               if n >= shortest and growth * n * record.dt < math.log(GROWTH)]  # fmt: skip
+    fits = [ResponseWindows(model, outputs, record.dt, u, y, good, length) for length in lengths]
+    none = np.zeros(model.n_inputs)
+    unknown = Factors(none, 0.0, none + 1, none, 0.0, none, 0.0)
+    found = [[fit.factors(j) for fit in fits if fit.keep] for j in range(len(outputs))]
+    return tuple(max(each, key=lambda f: f.share, default=unknown) for each in found)
 
 
-def _input_hypotheses(model: StateSpaceModel, record: Record) -> list[tuple[tuple[str, ...], float, tuple[int, ...]]]:
-    """(channels, factor of the recorded input, order in which the recorded inputs drive the model)."""
-    names = model.input_names
-    same = tuple(range(len(names)))
-    options: list[tuple[tuple[str, ...], float, tuple[int, ...]]] = []
-    for name in names:
-        sizes = (1.0, *unit_factors(_unit(model, record, name)))
-        options += [((name,), sign * f, same) for f in sizes for sign in (1.0, -1.0) if sign * f != 1.0]
-    for i, k in combinations(same, 2):
-        if _unit(model, record, names[i]) == _unit(model, record, names[k]):
-            order = list(same)
-            order[i], order[k] = k, i
-            options.append(((names[i], names[k]), math.nan, tuple(order)))
-    return options
+class ResponseWindows:
+    """A record cut into windows of one length, with what no initial state or constant explains."""
+
+    def __init__(
+        self, model: StateSpaceModel, outputs: tuple[str, ...], dt: float, u: Array, y: Array, good: Mask, length: int
+    ) -> None:
+        edges = np.arange(0, len(u) + 1, length)
+        self.keep = [(i, k) for i, k in pairwise(edges.tolist()) if good[i:k].all()]
+        self.model, self.dt, self.length = model, dt, length
+        self.rows = [model.output_names.index(name) for name in outputs]
+        self.ports = _ports(model)
+        self.phi, self.gamma = _with_state_inputs(model, dt)
+        if self.keep:
+            self.u, self.y = (np.stack([x[i:k] for i, k in self.keep]) for x in (u, y))
+            self.answers = self._response(self.u, np.arange(model.n_inputs))
+
+    def _response(self, signals: Array, columns: NDArray[np.intp]) -> list[Array]:
+        """Outputs (windows, n, n_y_of_model) to each signal (windows, n, columns) from rest, one at a time.
+
+        Column k < n_u of the inputs is input k; column n_u + i drives the equation of state i.
+        """
+        gamma, force = self.gamma[:, columns], signals.transpose(1, 2, 0)  # (n, columns, windows)
+        state = np.zeros((len(columns), force.shape[2], self.model.n_states))
+        states = np.empty((self.length, *state.shape))
+        for k in range(self.length):
+            states[k] = state
+            state = state @ self.phi.T + force[k][:, :, None] * gamma.T[:, None, :]
+        found = []
+        for c, column in enumerate(columns.tolist()):
+            y = states[:, c].transpose(1, 0, 2) @ self.model.C.T
+            through = self.model.D[:, column] if column < self.model.n_inputs else 0.0
+            found.append(y + signals[..., c : c + 1] * through)
+        return found
+
+    def _free(self, row: int) -> Array:
+        """Output over a window from a unit of each state at its start, (n, n_x)."""
+        free = np.empty((self.length, self.model.n_states))
+        line = self.model.C[row]
+        for k in range(self.length):
+            free[k], line = line, line @ self.phi
+        return free
+
+    def factors(self, j: int) -> Factors:
+        """Factors of the inputs' responses in output j, beside springs, damping and friction."""
+        from scipy.signal import savgol_filter
+
+        row, y = self.rows[j], self.y[..., j]
+        free = self._free(row)
+        drive = self.gamma[:, self.model.n_inputs :]
+        held = np.vstack([np.zeros((1, self.model.n_states)), np.cumsum(free[:-1] @ drive, axis=0)])
+        constant = _orthonormal(np.column_stack([free, held, np.ones(self.length)]))
+        target = _projected(y, constant)
+        forced = np.column_stack([_projected(f[..., row], constant) for f in self.answers])
+        width = min(self.length - 1 + self.length % 2, max(5, (self.length // 40) | 1))
+        rate = np.asarray(savgol_filter(y, width, min(3, width - 1), deriv=1, delta=self.dt, axis=1), dtype=np.float64)
+        drives = np.stack([y - y.mean(axis=1, keepdims=True), rate, np.sign(y), np.sign(rate)], axis=2)
+        moved = self._response(np.tile(drives, len(self.ports)), np.repeat(self.ports, drives.shape[2]))
+        effects = np.column_stack([_projected(a[..., row], constant) for a in moved]) if moved else target[:, :0]
+        s, share = _fit(target, np.hstack([forced, effects]))
+        n_u = forced.shape[1]
+        without = [_fit(target, np.hstack([np.delete(forced, i, axis=1), effects]))[1] for i in range(n_u)]
+        left = np.array([(1.0 - share) / max(1.0 - part, 1e-300) for part in without])
+        start = _orthonormal(free)  # what a steady input does counts here, too
+        own = np.column_stack([_projected(f[..., row], start) for f in self.answers])
+        signs, told = _fit(_projected(y, start), own)
+        raw = np.sign(signs) if told >= RAW_SHARE else np.zeros(n_u)
+        plain, plain_share = _fit(target, forced)
+        alone = (left > NEEDED) & (plain_share >= ALONE)  # in closed loop effects stand for the input as well
+        s, left = np.where(alone, plain, s[:n_u]), np.where(alone, 0.0, left)
+        return Factors(s, share, left, plain, plain_share, raw, self.length * self.dt)
 
 
-def _input_finding(
-    model: StateSpaceModel,
-    record: Record,
-    outputs: tuple[str, ...],
-    channels: tuple[str, ...],
-    factor: float,
-    evidence: dict[str, object],
-    said: list[int],
-) -> list[Contradiction]:
-    if not math.isfinite(factor):
-        return [Contradiction("swapped-inputs", channels, factor, "", evidence)]
-    units = unit_factors(_unit(model, record, channels[0]))
-    if len(said) == 1 and len(outputs) == 1:
-        channels = (*channels, outputs[said[0]])
-    return _named(channels, factor, units, evidence)
+def _projected(x: Array, basis: Array) -> Array:
+    """What a basis (n, r) leaves of each window of x (windows, n), as one vector."""
+    return (x - (x @ basis) @ basis.T).ravel()
+
+
+def _fit(target: Array, columns: Array) -> tuple[Array, float]:
+    """Least-squares factors of the columns, and the share of the target's square that they explain."""
+    size = np.linalg.norm(columns, axis=0)
+    use = size > 1e-12 * max(float(size.max(initial=0.0)), 1e-300)
+    found, total = np.zeros(columns.shape[1]), float(target @ target)
+    if not total or not use.any():
+        return found, 0.0
+    scaled = columns[:, use] / size[use]
+    x = np.linalg.lstsq(scaled, target, rcond=RANK)[0]
+    found[use] = x / size[use]
+    return found, 1.0 - float(((target - scaled @ x) ** 2).sum()) / total
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Orthonormal basis (n, r) of what the columns span."""
+    size = np.linalg.norm(columns, axis=0)
+    if not size.any():
+        return np.zeros((len(columns), 0))
+    left, sigma, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    return left[:, sigma > RANK * sigma[0]]
+
+
+def _with_state_inputs(model: StateSpaceModel, dt: float) -> tuple[Array, Array]:
+    """Transition over a sample, with a further input on the equation of every state."""
+    wide = np.hstack([model.B, np.eye(model.n_states)])
+    if model.is_discrete:
+        return model.A, wide
+    names = [f"input {k}" for k in range(wide.shape[1])]
+    through = np.zeros((len(model.C), wide.shape[1]))
+    phi, gamma, _ = transition(StateSpaceModel(model.A, wide, model.C, through, inputs=names), dt)
+    return phi, gamma
+
+
+def _ports(model: StateSpaceModel) -> list[int]:
+    """Where effects act: equations of states that are no plain integrals of others; in large models the inputs."""
+    n_u = model.n_inputs
+    states = [
+        n_u + k for k in range(model.n_states)
+        if model.B[k].any() or np.count_nonzero(model.A[k]) != 1 or model.A[k, k]
+    ]  # fmt: skip
+    return states if len(states) <= MOST_PORTS else list(range(min(n_u, MOST_PORTS)))

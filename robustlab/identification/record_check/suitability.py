@@ -13,15 +13,12 @@ kind                    fatal  what was found
 ``constant-output``     if all a dead sensor; of a nonlinear plant always fatal
 ``sign``                yes    a channel with the other sign (`robustlab.identification.record_check.channel_identity`)
 ``unit``                yes    a channel off by the factor between two units
-``swapped-outputs``     yes    two channels that carry each other's names
-``swapped-inputs``      yes
+``swapped-outputs``     yes    two outputs, one the other's derivative, that carry each other's names
 ``clipped``             no     an output that stands at the end of its range
 ``gaps``                no     missing samples
 ``jitter``              no     a clock that is not uniform
 ``quantisation``        no     an encoder's step, found from the samples
 ``motion``              yes    of a nonlinear plant: a position that is not recorded, a motion that it cannot have
-``shut-gap``            no     of a naming: a joint at which a backlash would not show
-                               (`robustlab.identification.experiment.shut_gaps`)
 ======================  =====  ===============================================================================
 
 What the samples say of themselves (constant and clipped channels, the clock, units) `check_record` tells of any record,
@@ -40,10 +37,14 @@ from robustlab.arrays import Array
 from robustlab.clocks import summarise_clock
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.record_check.channel_identity import Contradiction, contradictions, turned_channels
+from robustlab.identification.record_check.channel_identity import (
+    Contradiction,
+    contradictions,
+    response_factors,
+    turned_channels,
+)
 from robustlab.identification.record_check.resampling import UniformRecord, uniform
 from robustlab.identification.response.response import Response, longest_period, matched, response_of, with_units
-from robustlab.identification.response.windowed_simulation import response_windows
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
 from robustlab.shown import Facts, Part
@@ -339,12 +340,12 @@ def suitability(plant: Any, record: Record) -> Suitability:
         findings = [*_clock(record, level), *_samples(record, outputs), *_dead(record, outputs)]
         findings += _too_short(response, record)
         good = np.logical_and.reduce([level.valid[name] for name in outputs])
-        windows = response_windows(response.model, outputs, level.record, good)
-        shown = {name: max((fit.plain(j)[1] for fit in windows), default=0.0) for j, name in enumerate(outputs)}
+        factors = response_factors(response.model, outputs, level.record, good)
+        shown = {name: found.plain_share for name, found in zip(outputs, factors, strict=True)}
         unexcited = _unexcited(record, inputs, outputs, shown)
         findings += unexcited
         if not any(finding.fatal for finding in unexcited):
-            wrong = contradictions(response.model, outputs, level.record, good, windows)
+            wrong = contradictions(response.model, outputs, level.record, good, factors)
             findings += [_named(one, response, record) for one in wrong]
     order = sorted(findings, key=lambda finding: not finding.fatal)
     return Suitability(record.name, tuple(order))
@@ -558,5 +559,4 @@ def _because(one: Contradiction) -> str:
         return f"{e['test']} exchanged has the slope {e['slope_swapped']:.3g}"
     if "slope" in e:
         return f"{e['test']}: slope {e['slope']:.3g} instead of 1, R² {e['r2']:.3g}"
-    before, after = (np.mean(np.atleast_1d(np.asarray(e[f"explained_{k}"]))) for k in ("as_it_is", "when_corrected"))
-    return f"then the model explains {100 * after:.1f} % of the response, now {100 * max(0.0, float(before)):.0f} %"
+    return f"its response is {e['found']:.3g} times the model's, R² {e['r2']:.3g}"

@@ -13,7 +13,8 @@ data_cover             the unmodelled dynamics that a plant's records need
 """
 
 from robustlab.identification.validation.model_validation import validate
+from robustlab.identification.validation.sampled_problem import NoiseNorm
 from robustlab.identification.validation.spectral_problem import FrequencyData
 from robustlab.identification.validation.validation_result import BlockSize, Validation
 
-__all__ = ["BlockSize", "FrequencyData", "Validation", "validate"]
+__all__ = ["BlockSize", "FrequencyData", "NoiseNorm", "Validation", "validate"]

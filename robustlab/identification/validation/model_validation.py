@@ -175,7 +175,7 @@ def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm, confi
     """Noise bounds from the record's own periods."""
     from scipy import stats
 
-    from robustlab.identification.comparison.noise_floor import noise_floor
+    from robustlab.identification.comparison.repeats import noise_floor
 
     names = [s.name for s in uncertain.outputs if s.name in record.outputs]
     try:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -277,22 +277,7 @@ def with_delta_of(uncertain: UncertainModel, values: Mapping[str, float]) -> tup
     return closed, tuple(uncertain.blocks[k] for k in kept)
 
 
-class _Matrices(Protocol):
-    """State-space matrices and the sample time."""
-
-    @property
-    def A(self) -> Array: ...
-    @property
-    def B(self) -> Array: ...
-    @property
-    def C(self) -> Array: ...
-    @property
-    def D(self) -> Array: ...
-    @property
-    def dt(self) -> float: ...
-
-
-def held(M: _Matrices, dt: float) -> tuple[Array, Array, Array, Array]:
+def held(M: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
     """The model at the record's sample time with all inputs held between samples."""
     if M.dt or not len(M.A):
         return M.A, M.B, M.C, M.D

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.best_linear_approximation import held_response
-from robustlab.identification.comparison.noise_floor import noise_floor
+from robustlab.identification.comparison.repeats import noise_floor
 from robustlab.identification.validation.sampled_problem import noise_bounds, prepared
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.record import Record

@@ -102,14 +102,17 @@ class _Job:
 
     def noise_alone(self, search: Search) -> _Found:
         """Without a block the record is explained by its noise, or not at all."""
-        fit, none = WindowFit(self.recorded, [], search.budget), np.zeros(0)
-        excess, noise, weights = fit.excess(fit.windows(none))
+        fit = WindowFit(self.recorded, search.budget)
+        at = fit.windows(np.zeros(0))
+        if at is None:
+            raise NoTrustworthyNumber("validate", "the response outgrows every number", None, "use windows")
+        excess, noise, weights = fit.excess(at)
         gamma = 0.0 if excess <= 1 + SLACK else np.inf
-        if gamma and not fit.witness(weights, none) > 1:
+        if gamma and not fit.witness(weights, at) > 1:
             found = f"the noise bound is missed by {excess - 1:.1e} of itself: too close to tell"
             raise NoTrustworthyNumber(f"validate: {self.recorded.uncertain!r}", found)
         label = "noise alone: the set has no block"
-        recheck = (lambda: np.inf if fit.witness(weights, none) > 1 else 0.0) if gamma else None
+        recheck = (lambda: np.inf if fit.witness(weights, at) > 1 else 0.0) if gamma else None
         return _Found(gamma, gamma, label, True, fit.whole(noise), excess, recheck=recheck)
 
     def relaxed(self, search: Search) -> tuple[float, Mapping[str, Array]]:

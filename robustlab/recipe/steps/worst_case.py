@@ -277,8 +277,7 @@ class CampaignStep(MetricStep):
         )  # fmt: skip
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.campaign import CampaignSettings, Crew, run_campaign
-        from robustlab.campaign.settings import Identity
+        from robustlab.campaign import CampaignSettings, Crew, Identity, run_campaign
 
         model = work.uncertain(self.of)
         seed = work.seed if self.seed is None else self.seed

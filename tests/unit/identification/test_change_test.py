@@ -9,17 +9,11 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import binom, multivariate_normal
 
-from robustlab.identification.monitoring.change_test import (
-    DIFFUSE,
-    GROWING,
-    SCATTERS,
-    SIZES,
-    UNNAMED,
-    ChangeTest,
-    PieceEquations,
-    onset,
-)
+from robustlab.identification.monitoring import ChangeTest, PieceEquations, onset
 
+# Precision of a parameter, sizes of a change, pieces in which it grows, variances of random errors, their share: the
+# test's priors, as docs/watch.md states them.
+DIFFUSE, SIZES, GROWING, SCATTERS, UNNAMED = 1e-4, (0.05, 0.5), 5.0, (1.0, 100.0), 0.5
 SIZE = np.full(2, 0.4)
 
 

@@ -5,9 +5,6 @@ import pytest
 
 import robustlab as rl
 from robustlab.identification import compare
-from robustlab.identification.response.response import response_of
-from robustlab.identification.response.windowed_simulation import starting_state
-from robustlab.result import Status
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
 UNITS = {"u": "V", "q": "m", "v": "m/s"}
@@ -47,7 +44,7 @@ def test_a_gain_error_of_ten_percent_has_the_closed_form_gap():
     gap = found.outputs["w"]
     start = found.initial_state.x0
     error = y - (y / 1.1 + np.exp(-2 * t) * start)
-    assert found.status is Status.CONVERGED
+    assert found.status is rl.Status.CONVERGED
     assert gap.peak == pytest.approx(np.abs(error).max(), rel=1e-9)
     assert gap.rms == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
     assert gap.fit == pytest.approx(100 * (1 - np.linalg.norm(error) / np.linalg.norm(y - y.mean())), rel=1e-9)
@@ -92,8 +89,7 @@ def test_the_start_is_estimated_from_noise_with_the_stated_spread():
     for seed in range(40):
         noise = 1e-3 * np.random.default_rng(seed).standard_normal(len(t))
         record = rl.Record(t, {"u": u}, {"q": clean["q"] + noise}, {"u": "V", "q": "m"})
-        response = response_of(axis(), record)
-        found = starting_state(response, response.stretch(record), 200)
+        found = compare(axis(), record, start=2.0).initial_state
         errors.append(found.x0 - [0.1, 0.5])
         stds.append(found.std)
         lengths.append(found.samples)

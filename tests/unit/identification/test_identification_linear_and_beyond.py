@@ -6,12 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.identification.comparison.best_linear_approximation import arbitrary_bla, held_response, periodic_bla
-from robustlab.identification.comparison.localisation import bins, directions
-from robustlab.identification.comparison.noise_floor import noise_floor
-from robustlab.identification.comparison.residual_tests import even_odd
-from robustlab.record import Record
-from robustlab.statespace import StateSpaceModel
+from robustlab import Record, StateSpaceModel
+from robustlab.identification.comparison import (
+    arbitrary_bla,
+    bins,
+    directions,
+    even_odd,
+    held_response,
+    noise_floor,
+    periodic_bla,
+)
 
 N, DT = 512, 0.01
 

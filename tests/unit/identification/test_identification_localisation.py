@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.identification.comparison.localisation import (
+from robustlab.identification.comparison import (
     bins,
     motion_of,
     position_edges,
@@ -13,7 +13,7 @@ from robustlab.identification.comparison.localisation import (
     speed_edges,
     time_shares,
 )
-from robustlab.identification.record_check.suitability import clipped_runs
+from robustlab.identification.record_check import clipped_runs
 from robustlab.record import Record
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.noise_floor import NoiseFloor, noise_floor, period_of
+from robustlab.identification.comparison import NoiseFloor, noise_floor, period_of
 from robustlab.record import Record
 
 DT = 0.01

@@ -8,9 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from robustlab.dynamics import plant, simulate
-from robustlab.identification.comparison.residual_tests import autocorrelation, input_correlation, whiteness
-from robustlab.identification.response.response import response_of
-from robustlab.identification.response.windowed_simulation import windowed_simulation
+from robustlab.identification.comparison import autocorrelation, compare, input_correlation, whiteness
 from robustlab.record import Record
 
 
@@ -113,11 +111,10 @@ def test_perfect_model_with_noise_is_rejected_at_the_level_only():
         y = simulate(axis, t, u, [0.1, -0.2])
         q, v = y["q"] + 1e-3 * rng.standard_normal(600), y["v"] + 1e-2 * rng.standard_normal(600)
         record = Record(t, {"u": u}, {"q": q, "v": v}, {"u": "V", "q": "m", "v": "m/s"})
-        response = response_of(axis, record)
-        windows = windowed_simulation(response, response.stretch(record), 50)
-        for k, name in enumerate("qv"):
-            rejected[name] += whiteness(windows.residual[:, k], 20).p_value < 0.05
-        rejected["u"] += input_correlation(u, windows.residual[:, 0], 20).p_value < 0.05
+        tests = compare(axis, record, window=0.5, lags=20).residual
+        for name in "qv":
+            rejected[name] += tests[name].whiteness.p_value < 0.05
+        rejected["u"] += tests["q"].inputs["u"].p_value < 0.05
     assert all(count <= 12 for count in rejected.values()), rejected  # binomial(80, 0.05): 12 or less with 99.9 %
 
 

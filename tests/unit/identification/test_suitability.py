@@ -9,8 +9,7 @@ from oracle.stick_slip import stick_slip
 
 import robustlab as rl
 from robustlab.identification import suitability
-from robustlab.identification.record_check.channel_identity import derivative_pairs
-from robustlab.identification.record_check.suitability import quantisation_step
+from robustlab.identification.record_check import derivative_pairs, quantisation_step
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 DT = 1e-3
@@ -52,11 +51,9 @@ def changed(record, **factors):
 
 
 def swapped(record, a, b):
-    """The record with two channels exchanged, each keeping the unit of its name."""
-    group = dict(record.outputs if a in record.outputs else record.inputs)
-    group[a], group[b] = group[b], group[a]
-    ins, outs = (group, record.outputs) if a in record.inputs else (record.inputs, group)
-    return rl.Record(record.t, ins, outs, record.units, record.name)
+    """The record with two outputs exchanged, each keeping the unit of its name."""
+    outputs = {**record.outputs, a: record[b], b: record[a]}
+    return rl.Record(record.t, record.inputs, outputs, record.units, record.name)
 
 
 def wrong(plant, record):
@@ -104,22 +101,12 @@ def test_the_channel_and_its_unit_are_named(factors, kind, channel, unit, fricti
         assert finding.evidence["factor"] == pytest.approx(factors[channel])
 
 
-def test_outputs_of_one_unit_that_are_swapped():
-    plant = rl.plant("mass-spring-damper", m=[1.0, 1.0], c=0.5, k=[100.0, 40.0])
-    t = 5e-3 * np.arange(3000)
-    u = {"f1": np.repeat(np.random.default_rng(5).standard_normal(60), 50), "f2": np.zeros(3000)}
-    record = measured(plant, u, outputs=("q1", "q2"), t=t)
-    assert wrong(plant, record) == []
-    assert wrong(plant, swapped(record, "q1", "q2")) == [("swapped-outputs", "q1, q2")]
-
-
-def test_inputs_swapped_or_turned():
+def test_inputs_turned_or_in_another_unit():
     plant = rl.plant("mass-spring-damper", m=[1.0, 3.0], c=3.0, k=[100.0, 40.0])
     t, rng = 5e-3 * np.arange(3000), np.random.default_rng(6)
     u = {name: np.repeat(rng.standard_normal(60), 50) for name in ("f1", "f2")}
     record = measured(plant, u, outputs=("q1", "q2"), t=t)
     assert wrong(plant, record) == []
-    assert wrong(plant, swapped(record, "f1", "f2")) == [("swapped-inputs", "f1, f2")]
     assert wrong(plant, changed(record, f2=-1.0)) == [("sign", "f2")]
     assert wrong(plant, changed(record, f1=1e3)) == [("unit", "f1")]
 

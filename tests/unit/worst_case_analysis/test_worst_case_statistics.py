@@ -6,18 +6,15 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from robustlab import RealScalar, UncertainModel, elementwise
-from robustlab.errors import InputError, UnitMismatch
-from robustlab.report.robustness_figures import distribution_figure, influence_figure
-from robustlab.result import Status, plain
-from robustlab.statespace import StateSpaceModel
+from robustlab import InputError, RealScalar, StateSpaceModel, Status, UncertainModel, elementwise
+from robustlab.errors import UnitMismatch
 from robustlab.worst_case_analysis import (
     clopper_pearson,
     quantile_bounds,
     sample_size,
+    upper_bound,
     violation_probability,
 )
-from robustlab.worst_case_analysis.statistics import upper_bound
 
 
 def gains(*weights):
@@ -116,9 +113,7 @@ def test_unstable_members_violate():
     assert found.lower < 0.25 < found.upper
     assert found.influence is not None
     assert found.influence.of_ranks
-    assert plain(found)["worst_value"] == "inf"
-    influence_figure(found.influence, "hinf")
-    distribution_figure(found)
+    assert np.isinf(found.worst_value)
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,20 @@
-r"""Many members of an uncertain model at once: batched matrices, poles, time responses and gains.
+r"""Members of an uncertain model, many at once: random Deltas and vertices, matrices, poles, time responses and gains.
 
-.. math:: \begin{bmatrix} A & B \\ C & D \end{bmatrix}_k = M_{22} + M_{21} \Delta_k (I - D_{11} \Delta_k)^{-1} M_{12}
+Sample i depends on the seed and on i alone. A Delta is given by its coordinates, one number for a real scalar, real and
+imaginary parts of the entries of other blocks; with :math:`S = \begin{bmatrix} A & B \\ C & D \end{bmatrix}`
 
-A response is driven by an `Excitation`, a uniform clock and the samples of every input.
+.. math:: S_k = M_{22} + M_{21} \Delta_k (I - D_{11} \Delta_k)^{-1} M_{12}
+
+which for real scalars with D11 = 0 is :math:`S_0 + \sum_j c_j L_j R_j`. A response is driven by an `Excitation`, a
+uniform clock and the samples of every input.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from itertools import pairwise
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,13 +24,20 @@ from robustlab.clocks import UNIFORM_TOLERANCE
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.linear_analysis.magnitude import is_moderate, refuse_overflow
 from robustlab.statespace import Signal, real_array
-from robustlab.uncertainty.blocks import Block, delta_matrix, structure_size
+from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.upper_lft import ILL_POSED
 
 CHUNK = 2_000_000  # numbers of an intermediate array: memory, not the answer
 ZOOM_POINTS = 7  # of each round of the zoom on the highest grid point ...
 ZOOM_ROUNDS = 8  # ... each of which narrows its bracket by a factor of 4
+
+# "all" vertices are listed up to this many real deltas; subsets are drawn from a full list up to the same number.
+MAX_LISTED = 16
+# Members are computed in blocks that begin at its multiples: a sample's value must not depend on how many are drawn.
+BLOCK = 512
+BLOCK_NUMBERS = 2_000_000  # of large models, which take smaller blocks
+TABLE = 4_000_000  # numbers of all L_k R_k up to which they are kept
 
 Hold = Literal["zoh", "foh"]
 
@@ -105,6 +117,128 @@ def _column(where: str, value: Any, n: int) -> Array:
     return column
 
 
+# --- Deltas -----------------------------------------------------------------------------------------------------------
+
+
+def is_count(value: Any, least: int) -> bool:
+    """Whether a number of samples, vertices or threads, or a seed, is a whole number, at least ``least``."""
+    return not isinstance(value, bool) and isinstance(value, (int, np.integer)) and int(value) >= least
+
+
+class Deltas(Sequence[Mapping[str, Any]]):
+    """The Deltas of n random samples and of vertices after them, as a sequence of mappings of block names to values.
+
+    None of them is kept: a million samples take no memory.
+
+    ``blocks``: structure of Delta.
+    ``n``: number of random samples; sample i is drawn from ``SeedSequence(seed, spawn_key=(i,))``.
+    ``signs``: vertices (n_v, k) of the k real scalars; complex and full blocks are put on their boundary there, at
+    random.
+    """
+
+    def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array) -> None:
+        self.blocks, self.n, self.seed, self.signs = tuple(blocks), n, seed, signs
+        self._reals = tuple(b.name for b in blocks if b.interval)
+        self._asymmetric = [(k, b) for k, b in enumerate(self.blocks) if not b.is_symmetric]
+
+    def __len__(self) -> int:
+        return self.n + len(self.signs)
+
+    @overload
+    def __getitem__(self, index: int) -> Mapping[str, Any]: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Mapping[str, Any], ...]: ...
+    def __getitem__(self, index: int | slice) -> Mapping[str, Any] | tuple[Mapping[str, Any], ...]:
+        if isinstance(index, slice):
+            return tuple(self[i] for i in range(*index.indices(len(self))))
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"sample {index} of {len(self)}")
+        index %= len(self)
+        if index < self.n:
+            return delta_of_sample(self.blocks, self.seed, index)
+        row = self.signs[index - self.n]
+        values = delta_of_sample(self.blocks, self.seed, index - self.n, boundary=True)
+        return {**values, **{name: float(s) for name, s in zip(self._reals, row, strict=True)}}
+
+    def numbers(self, part: slice) -> Array:
+        """Coordinates of some samples, shape (k, d)."""
+        if len(self._reals) < len(self.blocks):
+            rows = [encoded(self.blocks, values) for values in self[part]]
+            return np.array(rows).reshape(len(rows), sum(b.n_coordinates for b in self.blocks))
+        inside = np.arange(part.start, max(part.start, min(part.stop, self.n)))
+        drawn = np.array([_generator(self.seed, int(i)).uniform(-1.0, 1.0, len(self.blocks)) for i in inside])
+        drawn = drawn.reshape(len(inside), len(self.blocks))
+        for k, block in self._asymmetric:
+            drawn[:, k] = [block.in_range(place) for place in drawn[:, k].tolist()]
+        corners = self.signs[max(part.start - self.n, 0) : max(part.stop - self.n, 0)]
+        return np.concatenate([drawn, corners]) if len(corners) else drawn
+
+    def to_json(self) -> list[Mapping[str, Any]]:
+        """All of them."""
+        return list(self)
+
+
+def encoded(blocks: Sequence[Block], values: Mapping[str, Any]) -> Array:
+    """Coordinates (d,) of a Delta: one for a real scalar, real and imaginary parts of all entries else."""
+    parts = [block.coordinates(values[block.name]) for block in blocks]
+    return np.concatenate([np.zeros(0), *parts], dtype=np.float64)
+
+
+def decoded(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
+    """Inverse of `encoded`.
+
+    Examples
+    --------
+    >>> from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
+    >>> blocks = [RealScalar("k"), ComplexScalar("c")]
+    >>> decoded(blocks, encoded(blocks, {"k": 0.5, "c": 0.1 - 0.2j}))
+    {'k': 0.5, 'c': (0.1-0.2j)}
+    """
+    ends = np.cumsum([0, *(b.n_coordinates for b in blocks)])
+    return {b.name: b.value_at(numbers[i:j]) for b, (i, j) in zip(blocks, pairwise(ends), strict=True)}
+
+
+def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary: bool = False) -> dict[str, Any]:
+    """Delta of one sample: it depends on the blocks, the seed and the sample's index, and on nothing else.
+
+    ``boundary``: complex scalars and full blocks on their boundary, as at vertices (drawn apart from the samples
+    inside).
+
+    Examples
+    --------
+    >>> from robustlab.uncertainty.blocks import RealScalar
+    >>> block = RealScalar("pole")
+    >>> delta_of_sample([block], 7, 1)["pole"] == delta_of_sample([block], 7, 1)["pole"]
+    True
+    """
+    key = (index, 1) if boundary else (index,)
+    rng = _generator(seed, *key)
+    return {block.name: block.draw(rng, boundary) for block in blocks}
+
+
+def _generator(seed: int, *key: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+
+
+def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
+    """Vertices of the box [-1, 1]^k, shape (n, k): all where ``count`` allows it, else so many seeded ones."""
+    if count == "all" and k > MAX_LISTED:
+        hint = "ask for a number of vertices"
+        raise InputError("sample", f"all vertices of {k} real deltas (2^{k})", f"at most 2^{MAX_LISTED}", hint)
+    number = 2**k if count == "all" else count
+    if number == 0:
+        return np.zeros((0, k))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 2)))
+    if k > MAX_LISTED:
+        # Equal draws are rare among so many vertices; where they happen, fewer different ones come back.
+        drawn = rng.integers(0, 2, (number, k))
+        bits = drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
+        return real_array("vertices", 2 * bits - 1, 2)
+    order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
+    bits = (order[:, None] >> np.arange(k)[::-1]) & 1
+    return real_array("vertices", 2 * bits - 1, 2)
+
+
 # --- members ----------------------------------------------------------------------------------------------------------
 
 
@@ -159,40 +293,69 @@ def chunks(count: int, numbers_each: int) -> Iterator[slice]:
         yield slice(first, min(first + step, count))
 
 
-def delta_stack(blocks: Sequence[Block], deltas: Sequence[Mapping[str, Any]]) -> NDArray[Any]:
-    """One Delta for each mapping of names to values, shape (k, q, p)."""
-    if not deltas:
-        return np.zeros((0, *structure_size(blocks)))
-    return np.stack([delta_matrix(blocks, values) for values in deltas])
+class MemberSet:
+    """A set, prepared for the evaluation of many members; `block` is how many belong in one call."""
 
+    def __init__(self, uncertain: UncertainModel) -> None:
+        m, (q, p), self.blocks = uncertain.M, uncertain.delta_shape, uncertain.blocks
+        self.n_states, self.dt = m.n_states, m.dt
+        self._left, self._right = np.vstack([m.B[:, :q], m.D[p:, :q]]), np.hstack([m.C[:p], m.D[:p, q:]])
+        self._d11, self._nominal = m.D[:p, :q], np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
+        ends = np.cumsum([0, *(b.n_coordinates for b in self.blocks)])
+        self._parts = [slice(a, b) for a, b in pairwise(ends)]
+        self.size, self.all_real = int(ends[-1]), all(b.interval for b in self.blocks)
+        self._scale = state_scale(m.A)
+        self.block = max(1, min(BLOCK, BLOCK_NUMBERS // max(1, self._nominal.size)))
+        self._table: Array | None = None
+        if self.all_real and not self._d11.any() and self.block == BLOCK and self.size * self._nominal.size <= TABLE:
+            self.below = np.array([-b.interval[0] for b in self.blocks if b.interval])
+            products, table = (
+                self._left.T[:, :, None] * self._right[:, None, :],
+                np.zeros((self.size, *self._nominal.shape)),
+            )
+            np.add.at(table, np.repeat(np.arange(self.size), [b.rows for b in self.blocks]), products)
+            self._table = table.reshape(self.size, self._nominal.size)
 
-def members(uncertain: UncertainModel, delta: NDArray[Any]) -> Ensemble:
-    """The members at a stack of Deltas, shape (k, q, p)."""
-    left, right, d11, nominal = lft_parts(uncertain)
-    k = len(delta)
-    ill_posed = np.zeros(k, dtype=bool)
-    if d11.any():
-        loop = np.eye(len(d11)) - d11 @ delta
-        ill_posed = ~(np.linalg.cond(loop) <= ILL_POSED)
-        loop[ill_posed] = np.eye(len(d11))
-        delta = np.where(ill_posed[:, None, None], 0.0, delta)
-        change = left @ delta @ np.linalg.solve(loop, np.broadcast_to(right, (k, *right.shape)))
-    else:
-        change = left @ delta @ right
-    m = uncertain.M
-    return split(nominal + change, m.n_states, m.dt, ill_posed, state_scale(m.A))
+    def drawn(self, deltas: Deltas, part: slice, where: str) -> Ensemble:
+        """The members at some of the samples. Raises NoTrustworthyNumber: one of them is ill-posed."""
+        ensemble = self.members(deltas.numbers(part))
+        if ensemble.ill_posed.any():
+            index = part.start + int(np.argmax(ensemble.ill_posed))
+            found = f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {deltas[index]}"
+            raise NoTrustworthyNumber(where, found)
+        return ensemble
 
+    def deltas(self, theta: Array) -> NDArray[Any]:
+        """Deltas (k, q, p) at coordinates (k, d); what lies outside its ball is drawn back onto it."""
+        dtype = float if all(b.is_real for b in self.blocks) else complex
+        delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
+        for block, part, (rows, cols) in zip(self.blocks, self._parts, block_slices(self.blocks), strict=True):
+            delta[:, rows, cols] = block.members(theta[:, part])
+        return delta
 
-def lft_parts(uncertain: UncertainModel) -> tuple[Array, Array, Array, Array]:
-    """left, right, D11 and nominal, with ``[A B; C D] = nominal + left Delta (I - D11 Delta)^-1 right``."""
-    m, (q, p) = uncertain.M, uncertain.delta_shape
-    left, right = np.vstack([m.B[:, :q], m.D[p:, :q]]), np.hstack([m.C[:p], m.D[:p, q:]])
-    return left, right, m.D[:p, :q], np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
+    def members(self, theta: Array) -> Ensemble:
+        """The members at coordinates (k, d)."""
+        k = len(theta)
+        ill_posed = np.zeros(k, dtype=bool)
+        if self._table is not None:
+            # Filled up to whole blocks: a product of another shape may round differently.
+            numbers = np.zeros((-(-k // BLOCK) * BLOCK, self.size))
+            numbers[:k] = np.where(theta < 0, theta * self.below, theta)
+            change = np.concatenate([numbers[i : i + BLOCK] @ self._table for i in range(0, len(numbers), BLOCK)])
+            return self._split(self._nominal + change[:k].reshape(k, *self._nominal.shape), ill_posed)
+        delta, right = self.deltas(theta), self._right[None]
+        if self._d11.any():
+            loop = np.eye(len(self._d11)) - self._d11 @ delta
+            ill_posed = ~(np.linalg.cond(loop) <= ILL_POSED)
+            loop[ill_posed] = np.eye(len(self._d11))
+            delta = np.where(ill_posed[:, None, None], 0.0, delta)
+            right = np.linalg.solve(loop, np.broadcast_to(self._right, (k, *self._right.shape)))
+        return self._split(self._nominal + self._left @ delta @ right, ill_posed)
 
-
-def split(whole: NDArray[Any], n: int, dt: float, ill_posed: Mask, scale: Array) -> Ensemble:
-    """The members whose matrices ``[A B; C D]`` are given, shape (k, n_x + n_y, n_x + n_u)."""
-    return Ensemble(whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:], dt, ill_posed, scale)
+    def _split(self, whole: NDArray[Any], ill_posed: Mask) -> Ensemble:
+        n = self.n_states
+        blocks = whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:]
+        return Ensemble(*blocks, self.dt, ill_posed, self._scale)
 
 
 def blocks_of(count: int, size: int) -> list[slice]:
