@@ -95,10 +95,7 @@ def plant(name: str, **parameters: Any) -> Plant:
 
 
 def builtin_plant(name: str, **parameters: Any) -> Any:
-    """The same of a plant that comes with robustlab, and of no other: for names out of data files, which run no code.
-
-    Raises InputError: as `plant`.
-    """
+    """Give a plant that comes with robustlab, and no other: for names out of data files, which run no code."""
     if not isinstance(name, str) or name not in _PLANTS:
         known = f"one of {', '.join(_PLANTS)}, path/to/file.py:name or path/to/machine.fmu"
         raise InputError(f"plant {name!r}", "no such plant", known, did_you_mean(str(name), plant_names()))

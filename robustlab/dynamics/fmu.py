@@ -1,9 +1,4 @@
-"""Functional mock-up units for co-simulation (FMI 2.0 and 3.0) as plants, run by FMPy in a child process.
-
-A unit is a program. The child (this module as a program) is started for each request, told by a file what to do, and
-ended by its end or the time limit; what it prints reaches nobody. The unit brings its own solver and shows outputs
-alone, so a plant made of it has no states, no linear model and no rest.
-"""
+"""Functional mock-up units for co-simulation (FMI 2.0 and 3.0) as plants, run by FMPy in a child process."""
 
 from __future__ import annotations
 
@@ -102,20 +97,7 @@ def fmu(path: str | Path, *, time_limit: float = 60.0, **parameters: Any) -> Fmu
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FmuPlant(SteppedPlant):
-    """A functional mock-up unit for co-simulation as a plant without states of ours.
-
-    It can be simulated (inputs are held between the samples, each a communication step, or ``step=`` shorter ones),
-    compared with a record (`compare`), and sampled over its parameters.
-
-    Attributes
-    ----------
-    path, sha256
-        File of the unit, and its hash when the plant was made; another file is not run.
-    time_limit
-        Seconds that the unit may take for one request.
-    about
-        What the unit's description says.
-    """
+    """A functional mock-up unit for co-simulation as a plant without states of ours."""
 
     path: Path
     sha256: str
@@ -144,15 +126,7 @@ class FmuPlant(SteppedPlant):
         return np.zeros((len(t), 0)), y
 
     def compare(self, record: Record) -> FreeRun:
-        """The record's inputs simulated from the unit's own initial state, beside its outputs; nothing is fitted.
-
-        Raises
-        ------
-        InputError
-            An input that the record has not got, no output in common.
-        UnitMismatch
-            Different units of a signal.
-        """
+        """The record's inputs simulated from the unit's own initial state, beside its outputs; nothing is fitted."""
         where = f"compare {record.name}"
         missing = [s.name for s in self.inputs if s.name not in record.inputs]
         shared = [s for s in self.outputs if s.name in record.outputs]

@@ -1,18 +1,4 @@
-r"""A nonlinear plant at rest as a function of its parameters, in descriptor form.
-
-While the parameters p change, some states and inputs are held and the others follow:
-
-.. math:: f(x(p), u(p), p) = 0
-
-With :math:`b_j` the rates per unit of what acts at port j (a force at a joint, a voltage at a current), and
-:math:`\Pi` their rows of the ports' own states,
-
-.. math:: E = \operatorname{diag}(I, \Pi^{-1}), \qquad F = E A, \qquad G = E B
-
-For a mechanism :math:`\Pi^{-1}` is the mass matrix: :math:`M \ddot q = f(q, \dot q, u)` at rest gives
-:math:`M \delta\ddot q = \partial f / \partial x\, \delta x + \partial f / \partial u\, \delta u`, as the derivative of
-M meets :math:`\ddot q = 0`.
-"""
+"""A nonlinear plant at rest as a function of its parameters, in descriptor form."""
 
 from __future__ import annotations
 
@@ -65,14 +51,7 @@ class _LocallyLinear(Protocol):
 def held_descriptor(
     plant: _LocallyLinear, x: Array, u: Array, hold: Sequence[str] | None, tried: Mapping[str, Values]
 ) -> TrimmedDescriptor:
-    """The plant's descriptor form about (x, u) as a function of its parameters.
-
-    ``x``, ``u``: rest at the nominal parameters, (n_x,) and (n_u,).
-    ``hold``: names of states and inputs that are held, besides the velocities of the joints, which stay zero. Where
-    left out, the first of these with which there is rest at all ``tried`` values of the parameters: all states but
-    currents, the positions of the joints, the inputs.
-    ``tried``: values of all parameters by what messages call them.
-    """
+    """The plant's descriptor form about (x, u) as a function of its parameters."""
     states, inputs = [s.name for s in plant.states], [s.name for s in plant.inputs]
     places = plant.port_places
     ports = [states.index(place.name) for place in places]

@@ -53,12 +53,7 @@ class InputSignal:
 
 
 def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
-    """Signal through the samples (n, n_u).
-
-    ``hold``: "zoh": constant until the next sample (a D/A converter). "foh": straight to the next sample. "spline": the
-    not-a-knot spline of degree 5, for a smooth signal (a cubic one would break the integrator's order at every sample);
-    it needs at least 6 samples.
-    """
+    """Signal through the samples (n, n_u)."""
     coefficients = np.zeros((len(t) - 1, 6, samples.shape[1]))
     broken = np.zeros(len(t) - 1, dtype=np.bool_)
     if hold == "zoh":
@@ -211,12 +206,7 @@ class PortPlace:
 
 @dataclass(frozen=True, eq=False)
 class LocalModels:
-    r"""A nonlinear plant about n points (x_k, u_k), which need not be at rest.
-
-    .. math::
-        \dot x \approx f_k + A_k (x - x_k) + B_k (u - u_k) + \sum_j b_{kj} F_j, \qquad
-        y \approx y_k + C_k (x - x_k) + D_k (u - u_k)
-    """
+    """A nonlinear plant about n points (x_k, u_k), which need not be at rest."""
 
     # rates, outputs: f_k and y_k, shapes (n, n_x) and (n, n_y)
     rates: Array
@@ -240,13 +230,6 @@ class NonlinearPlant(Plant):
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
         """The plant about the points x (n, n_x), u (n, n_u), with the parameter values (all of them; nominal ones where
         left out).
-
-        Raises
-        ------
-        InputError
-            A plant that has no such models.
-        NoTrustworthyNumber
-            A point at which it has none, by its number.
         """
         raise InputError(self.name, "a plant without models along a motion", "one that has them", None)
 
@@ -255,13 +238,7 @@ class NonlinearPlant(Plant):
         return self.local_models(x, u, values).rates
 
     def check_reach(self, t: Array, x: Array) -> None:
-        """Whether the machine can be in the states x (n, n_x) at the times t; any by default.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            A state beyond its range; the message names the first time.
-        """
+        """Whether the machine can be in the states x (n, n_x) at the times t; any by default."""
 
     @abstractmethod
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
@@ -298,40 +275,7 @@ class NonlinearPlant(Plant):
         at: Any = None,
         hold: Sequence[str] | None = None,
     ) -> UncertainModel:
-        r"""The set of the linear models at a trim, for all parameters within their tolerances.
-
-        Every parameter with a tolerance becomes one `RealScalar` of its name. Exact are those of which the descriptor
-        form :math:`E \dot x = F x + G u` is a polynomial: masses, inertias, lengths, motor constants as a rule. Others
-        are covered: their first-order effect, and one full block ``remainder`` for the rest, found from samples and
-        proved for these only. ``origin`` of each block says which it is, what is held and what was checked; see
-        `robustlab.dynamics.descriptor_family`.
-
-        Parameters
-        ----------
-        outputs
-            Names of the outputs to keep; states that then neither show nor act are left out. All where left out.
-        ranges
-            Name -> (low, high), numbers or texts with a unit, around the parameter's value, instead of its tolerance.
-        at
-            A `Trim`, what `trim` takes as a dict, or for a mechanism a pose (6,); the trim at home where left out.
-        hold
-            States and inputs that keep their value while the parameters change and the others follow into rest. Where
-            left out, the first of these with which there is rest: all states but currents (the inputs follow), the
-            positions of the joints, the inputs (the states follow). ``origin`` of the blocks says which. A platform
-            holds its pose.
-
-        Returns
-        -------
-        UncertainModel
-            At Delta = 0 the linear model at the trim, whose operating point it carries.
-
-        Raises
-        ------
-        InputError
-            A plant without models along a motion, an unknown name, a range that is none.
-        NoTrustworthyNumber
-            No rest with what is held at some value of the parameters, named by it.
-        """
+        """The set of the linear models at a trim, for all parameters within their tolerances."""
         allowed = parameter_ranges(self.parameters, ranges or {}, self.name)
         point = _trim_at(self, at)
         model = StateSpaceModel(
@@ -350,13 +294,7 @@ class NonlinearPlant(Plant):
         return np.array([self.output(state, force) for state, force in zip(x, u, strict=True)])
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
-        """States (n, n_x) at the times of the signal, by DOP853 with the local error held at ``rtol``.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            The integrator gave up; the message names the time.
-        """
+        """States (n, n_x) at the times of the signal, by DOP853 with the local error held at ``rtol``."""
         from scipy.integrate import solve_ivp
 
         states = np.empty((len(signal.t), len(x0)))

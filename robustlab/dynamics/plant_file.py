@@ -1,11 +1,4 @@
-"""Plants of the user's own, by the name ``path/to/file.py:name``: a plant, or a function that returns one.
-
-Such a file is a program, and it is run: where the user named it, in a call, on the command line or in a recipe, and
-never because a data file says so (`robustlab.storage` knows the names of built-in plants only). What it does wrong is
-told in one line with the file and the line in it. It may import modules that lie beside it. What it prints goes where
-Python's own output goes; an endless loop in it is ended by Ctrl-C. ``robustlab plant new`` writes
-a file to start from.
-"""
+"""Plants of the user's own, by the name ``path/to/file.py:name``: a plant, or a function that returns one."""
 
 from __future__ import annotations
 
@@ -49,13 +42,7 @@ _neighbours: dict[str, types.ModuleType] = {}
 
 
 def plant_reference(text: str) -> tuple[str, str] | None:
-    """File and name of a plant in a file of Python, the name empty where there is none; None for any other text.
-
-    Examples
-    --------
-    >>> plant_reference("machines/axis.py:axis"), plant_reference("axis.py"), plant_reference("servo-axis")
-    (('machines/axis.py', 'axis'), ('axis.py', ''), None)
-    """
+    """File and name of a plant in a file of Python, the name empty where there is none; None for any other text."""
     found = re.fullmatch(r"([^\0]+\.py)(?::(.*))?", text, re.DOTALL)
     return (found[1], found[2] or "") if found else None
 
@@ -66,13 +53,7 @@ def unit_reference(text: str) -> bool:
 
 
 def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None, path: Path | None = None) -> Plant:
-    """The plant that ``file.py:name`` means, with these parameters in the places of its own.
-
-    ``parameters``: handed to the function; those that it does not name, and all of a plant that is no function, go to
-    the plant's ``with_parameters``.
-    ``path``: where the file was found, if not at the place that the reference says.
-    Returns: its ``provenance`` has the SHA-256 of the file, and of the modules beside it that it imported.
-    """
+    """The plant that ``file.py:name`` means, with these parameters in the places of its own."""
     file, name = plant_reference(reference) or ("", "")
     if not file:
         raise InputError(reference, "names no file of Python", "path/to/file.py:name")

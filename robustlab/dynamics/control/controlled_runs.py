@@ -46,27 +46,7 @@ class TimePanel(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ControlledRuns(Shown):
-    """Simulated runs of one machine under several controllers.
-
-    Attributes
-    ----------
-    controllers
-        Controller -> its numbers by name.
-    columns
-        Title of a column of the table, where its number stands, and the factor to the title's unit.
-    t
-        Times of the curves in s.
-    panels
-        Signals over time; the first one is the error that counts.
-    unit
-        Unit of that error.
-    after
-        Time in s from which on errors count.
-    told
-        What was simulated, as (label, text).
-    notes
-        What the numbers do not say.
-    """
+    """Simulated runs of one machine under several controllers."""
 
     controllers: Mapping[str, Mapping[str, Any]]
     columns: tuple[tuple[str, tuple[str, ...], float], ...]
@@ -154,11 +134,7 @@ def follow_sine(
     effects: Mapping[str, Mapping[str, float]] | None = None,
     members: Sequence[Mapping[str, float]] = (),
 ) -> ControlledRuns:
-    """A linear plant under several controllers, as it is and with effects that no design knew, members included.
-
-    ``effects``: as of `with_effects`; one at a control acts on what the controller commands.
-    ``members``: parameters of further members. Limits are compared with, nothing is clipped.
-    """
+    """A linear plant under several controllers, as it is and with effects that no design knew, members included."""
     if not isinstance(plant, LinearPlant):
         raise InputError("follow_sine: plant", type(plant).__name__, "a linear plant")
     units = {s.name: s.unit for s in (*plant.outputs, *plant.inputs)}
@@ -232,14 +208,7 @@ class Path(NamedTuple):
 def follow_path(
     plant: Any, controllers: Mapping[str, Any], path: Path, after: float = 3.0, p_low: float = 3000.0
 ) -> ControlledRuns:
-    """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3.
-
-    With motors the controllers are upper layers that ask for torques, above the motors' torque loops of triple pole
-    ``p_low`` in 1/s. Without, the machine takes their torques; it may have effects then, and controllers may see angles
-    alone. Numbers, by controller: ``worst_error`` (largest distance from the path in mm), ``position_error`` in m and
-    ``orientation_error`` in rad of the worst axis, ``nut_errors.phi_1`` ... in rad, ``largest_torque`` and, with
-    motors, ``largest_voltage``, ``within_limits``, ``spectral_abscissa`` of the linear loop.
-    """
+    """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3."""
     runs, abscissas, asked, below = _followed(plant, controllers, path, p_low)
     t, limits = np.linspace(0.0, path.t_end, path.points), next(iter(runs.values())).limits
     late = t >= after

@@ -1,32 +1,5 @@
-r"""Two-layer control of a machine with motors: an upper multichannel I-PD for the angles, a torque loop for each motor.
-
-Upper layer, on the linear model :math:`\ddot\varphi = B \dot\varphi + C \varphi + D m` of the machine with the motors'
-torques m as inputs (deviations from the trim):
-
-.. math::
-    m_{ref} = K_i \int (r - \varphi)\,dt - K_p \varphi - K_d \dot\varphi, \qquad
-    K_d = D^{-1}(3 p I + B), \quad K_p = D^{-1}(3 p^2 I + C), \quad K_i = p^3 D^{-1}
-
-gives every angle :math:`(s + p)^3 \varphi = p^3 r`. Lower layer: a motor whose torque m turns its own rotor J follows
-:math:`\ddot m = b \dot m + c\, m + d\, \dot u` with
-
-.. math::
-    b = -\frac{L K_f + R J}{L J}, \quad c = -\frac{R K_f + K_b K_m}{L J}, \quad d = \frac{K_m}{L},
-
-    \dot u = k_i \int (m_{ref} - m)\,dt - k_p m - k_d \dot m, \qquad
-    k_d = (3 p + b)/d, \quad k_p = (3 p^2 + c)/d, \quad k_i = p^3/d
-
-and so :math:`(s + p)^3 m = p^3 m_{ref}` with the lower layer's own p. The law is integrated once, so that no derivative
-of the torque is needed: :math:`u = \sigma - k_d m`, :math:`\dot\sigma = k_i \xi - k_p m`,
-:math:`\dot\xi = m_{ref} - m`.
-
-The lower layer designs with the rotor alone; in the machine the motor turns something else, so that the whole is stable
-only for some pairs of poles: look at `closed_loop`.
-
-References
-----------
-Březina 2010, eqs 9.1-9.4. Eqs 9.2 and 9.4 lack one derivative; the gains are right for the plants written above.
-"""
+"""Two-layer control of a machine with motors: an upper I-PD for the angles, a torque loop for each motor."""
+# Březina 2010, eqs 9.1-9.4. Eqs 9.2 and 9.4 lack one derivative; the gains are right for the plants written above.
 
 from __future__ import annotations
 
@@ -71,10 +44,7 @@ class LayeredController:
             raise InputError("layered controller", found, "r, phi, phidot (6 each) in and 6 torques out, continuous")
 
     def state_space(self) -> StateSpaceModel:
-        """Linear model of the controller: inputs r, phi, phidot, torque (6 each), outputs the six voltages.
-
-        States: those of the upper layer, the integrals of the torques' errors, and sigma.
-        """
+        """Linear model of the controller: inputs r, phi, phidot, torque (6 each), outputs the six voltages."""
         upper, lower = self.upper, self.lower
         n, one, none = upper.n_states, np.eye(6), np.zeros((6, 6))
         below = np.zeros((6, n))
@@ -104,13 +74,7 @@ def upper_layer(Kp: Array, Kd: Array, Ki: Array) -> StateSpaceModel:
 
 
 def torque_gains(p: float, *, R: float, L: float, Km: float, Kb: float, Kf: float, J: float) -> TorqueGains:
-    """Gains that give the torque of a motor with the free rotor J the triple pole -p.
-
-    Examples
-    --------
-    >>> round(torque_gains(3000.0, R=2.07, L=0.62e-3, Km=0.052, Kb=0.052, Kf=4.8e-5, J=7.2e-6).kd, 6)
-    67.420513
-    """
+    """Gains that give the torque of a motor with the free rotor J the triple pole -p."""
     b, c, d = -(L * Kf + R * J) / (L * J), -(R * Kf + Kb * Km) / (L * J), Km / L
     return TorqueGains(kp=(3 * p**2 + c) / d, kd=(3 * p + b) / d, ki=p**3 / d)
 
@@ -118,14 +82,7 @@ def torque_gains(p: float, *, R: float, L: float, Km: float, Kb: float, Kf: floa
 def two_layer(
     plant: StewartPlatform, p_up: float = 236.0, p_low: float = 3000.0, at: Trim | None = None, rotor_J: float = ROTOR
 ) -> LayeredController:
-    """Two-layer controller of a Stewart platform with motors.
-
-    ``plant``: ``plant("stewart-platform", motors=True)``, of either preset.
-    ``p_up``, ``p_low``: triple poles of the upper and the lower layer in 1/s. 236 gives the tracking errors of section
-    9.1.3.
-    ``at``: trim to design at; home where left out.
-    ``rotor_J``: rotor inertia in kg m2 with which the lower layer is designed.
-    """
+    """Two-layer controller of a Stewart platform with motors."""
     if not (isinstance(plant, StewartPlatform) and plant.motors):
         raise InputError("two_layer", "a plant without motors", 'plant("stewart-platform", motors=True)')
     for name, value in (("p_up", p_up), ("p_low", p_low), ("rotor_J", rotor_J)):
@@ -151,12 +108,7 @@ def measured(plant: StewartPlatform) -> Array:
 
 
 def closed_loop(plant: StewartPlatform, controller: LayeredController, at: Trim | None = None) -> StateSpaceModel:
-    """Linear model of the machine under control: references r (6) to nut angles, torques and voltages (18).
-
-    Its states are the machine's 18 and the controller's.
-
-    ``at``: trim to linearise the machine at; the controller's own where left out.
-    """
+    """Linear model of the machine under control: references r (6) to nut angles, torques and voltages (18)."""
     model, k, c = linearise(plant, controller.at if at is None else at), controller.state_space(), measured(plant)
     from_r, from_y = k.B[:, :6], k.B[:, 6:]
     direct = k.D[:, 6:] @ c

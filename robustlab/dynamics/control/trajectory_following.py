@@ -3,14 +3,9 @@ r"""The nonlinear machine under control, following a trajectory: a lift, then a 
 .. math::
     q(t) = q_0 + \Delta\, e(t / T) + a\, e\bigl((t - T) / T_r\bigr) \sin \omega (t - T), \qquad
     e(s) = 10 s^3 - 15 s^4 + 6 s^5 \text{ on } [0, 1]
-
-The sines start at T; with :math:`T_r = 0` abruptly, that is, with a jump of the velocity.
-
-References
-----------
-Březina 2010, section 9.1.3: 5 mm and 20 mrad at pi rad/s. How the first 2 s are passed is not printed; a step would ask
-for 0.23 N m and 219 V.
 """
+# Březina 2010, section 9.1.3: 5 mm and 20 mrad at pi rad/s. How the first 2 s are passed is not printed; a step would
+# ask for 0.23 N m and 219 V.
 
 from __future__ import annotations
 
@@ -162,15 +157,7 @@ def follow(
     limits: MotorLimits | None = None,
     rtol: float = 1e-6,
 ) -> TrajectoryFollowing:
-    """Nonlinear simulation of the machine under control, at rest at the controller's trim at the first time.
-
-    Radau IIA of order 5 with the exact Jacobian, restarted where the trajectory is not smooth: the torque loops' poles
-    of some 1000 /s would hold an explicit method to steps of less than a millisecond.
-
-    ``t``: times in s to report, (n,).
-    ``limits``: only compared with; nothing is clipped. The thesis' motor where left out.
-    ``rtol``: relative local error.
-    """
+    """Nonlinear simulation of the machine under control, at rest at the controller's trim at the first time."""
     clock = Record(t, name="follow").t
     reference = _within(plant, trajectory, clock)
     read, k, at = measured(plant), controller.state_space(), controller.at
@@ -206,18 +193,7 @@ def follow_with_torques(
     at: Trim,
     limits: MotorLimits | None = None,
 ) -> TrajectoryFollowing:
-    """Nonlinear simulation of a machine that takes torques, with effects at its joints or without, under a controller.
-
-    Its references go straight from sample to sample. Dry friction sticks exactly; the steps are halved until the motion
-    stands (`robustlab.dynamics.extended.extended_plant`).
-
-    ``plant``: a Stewart platform without motors, perhaps with effects as after naming.
-    ``K``: controller from r, phi (6 each), or r, phi, phidot, to the six motor torques, in deviations from ``at``;
-    continuous.
-    ``t``: times in s to report, equally spaced, (n,).
-    ``at``: trim of the machine, at which it rests at the first time.
-    ``limits``: only compared with; nothing is clipped. The thesis' motor where left out.
-    """
+    """Simulate a machine that takes torques, with effects at its joints or without, under a controller."""
     machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
     if not isinstance(machine, StewartPlatform) or machine.motors:
         raise InputError("follow_with_torques", "no Stewart platform that takes torques", "motors = False")

@@ -1,7 +1,5 @@
 """The catalogue: what the modules of this folder hold as ``EFFECTS``, or one alone as ``EFFECT``. A new file is found
 without being named.
-
-An effect that lives elsewhere joins it by `add_effect`, for as long as the process runs.
 """
 
 from __future__ import annotations
@@ -57,16 +55,5 @@ def effect(name: str) -> Effect:
 
 
 def effect_names() -> tuple[str, ...]:
-    """Ids of all effects of the catalogue.
-
-    Returns
-    -------
-    tuple
-        Sorted; those of `add_effect` among them.
-
-    Examples
-    --------
-    >>> "coulomb-friction" in effect_names()
-    True
-    """
+    """Ids of all effects of the catalogue."""
     return tuple(catalogue())

@@ -1,25 +1,5 @@
-r"""Simulation of a plant with effects, in windows that start anew or in one run.
-
-A linear plant is exact; a nonlinear one is linear about a recorded motion (`robustlab.dynamics.ports.motion_model`). An
-input between its samples, shifted in time, is what the steps see of it. A sampled input is one polynomial per sample
-interval, with :math:`\theta = (t - t_k)/\Delta t \in [0, 1)`:
-
-.. math:: u(t_k + \theta\,\Delta t) = \sum_m c_{km}\, \theta^m
-
-``"zoh"``: held, :math:`c_{k0} = u_k`; ``"linear"``: the straight line to the next sample; ``"smooth"``: the spline of
-degree five through the samples, for inputs that were band-limited before they were sampled. A sine of 8 samples a
-period keeps :math:`\operatorname{sinc}^2(1/8) = 0.95` of its amplitude as straight lines, and 0.99999 as that spline.
-Before its first and after its last sample the input stands still.
-
-Over a step of the simulation the input counts by its mean m and its first moment, those of the line
-:math:`m + s (2\tau/h - 1)`; whatever lies within the step (an edge, a kink) has both exactly, so that the response is
-third order in the step and smooth in the shift. The line is given by its values at a quarter and at three quarters of
-the step, which are the means of its halves.
-
-References
-----------
-Unser, Splines: a perfect fit for signal and image processing, IEEE Signal Processing Magazine 16 (1999) 22-38.
-"""
+"""Simulation of a plant with effects, in windows that start anew or in one run."""
+# Unser, Splines: a perfect fit for signal and image processing, IEEE Signal Processing Magazine 16 (1999) 22-38.
 
 from __future__ import annotations
 
@@ -56,11 +36,7 @@ DEGREE = 5
 
 
 class SampledInput:
-    """One input of a record.
-
-    ``samples``: shape (n,).
-    ``hold``: what it is between them.
-    """
+    """One input of a record."""
 
     def __init__(self, samples: Array, hold: Hold = "zoh") -> None:
         if hold not in get_args(Hold):
@@ -123,11 +99,7 @@ def _pieces(samples: Array, degree: int) -> Array:
 
 
 def _weights(a: float, w: float, terms: int) -> tuple[Array, Array]:
-    r"""Weights (terms, 2) with which a step from :math:`\theta = a` of width w sees two neighbouring intervals.
-
-    Of each power :math:`\theta^m` the mean :math:`\frac1w \int \theta^m d\theta` and the slope
-    :math:`\frac{6}{w^2} \int (\theta - c)\, \theta^m d\theta` about the step's middle c.
-    """
+    r"""Weights (terms, 2) with which a step from :math:`\theta = a` of width w sees two neighbouring intervals."""
     m = np.arange(terms)
 
     def seen(low: float, high: float, middle: float) -> Array:
@@ -168,11 +140,7 @@ class Motion:
 
 
 class _Table(NamedTuple):
-    """The plant in steps, before the laws: for the whole step, its first and its second half, n_points of each.
-
-    phi (3, n_points, n, n), psi (half a step; n_points, n, n), gamma_u (3, n_points, n, columns of u), drift
-    (3, n_steps, n), empty for a linear plant, and the stride of the points in steps.
-    """
+    """The plant in steps, before the laws: for the whole step, its first and its second half, n_points of each."""
 
     phi: Array
     psi: Array
@@ -183,11 +151,7 @@ class _Table(NamedTuple):
 
 @lru_cache(maxsize=64)
 def stepping(plant: LinearPlant, dt: float) -> int:
-    """Steps a sample that simulations of the plant share, whatever its effects: 20 a period of its fastest oscillation.
-
-    On a resonance of 9 samples a period a cubic spring of a third of the plant's own is then right to 1e-4 of the
-    amplitude after 20 periods. At least 2, at most 16.
-    """
+    """Steps a sample that all simulations of the plant share: 20 a period of its fastest oscillation."""
     poles = np.linalg.eigvals(port_model(plant).A)
     fastest = float(np.abs(poles.imag).max(initial=0.0))
     steps = math.ceil(STEPS_A_PERIOD * fastest * dt / (2.0 * math.pi) - 1e-9)
@@ -195,31 +159,7 @@ def stepping(plant: LinearPlant, dt: float) -> int:
 
 
 class Simulator:
-    """One plant with effects at their sites, over one recorded input.
-
-    Parameters
-    ----------
-    plant
-        The plant; all its outputs are simulated.
-    effects
-        Pairs of effect and site.
-    u
-        Samples of the inputs, shape (n, n_u).
-    dt
-        Sample time in s.
-    t0
-        Time of the first sample (effects that depend on time count from the beginning of the run at t = 0).
-    sub
-        Steps a sample, the same whatever the effects; None: `stepping`.
-    hold
-        What each input is between its samples, (n_u,): ``"zoh"``, ``"linear"`` or ``"smooth"``
-        (`robustlab.dynamics.extended.simulator`); None: all held.
-
-    rough
-        Steps are made once, not a second time in halves: a third of the time, and second order at best.
-    motion
-        Of a nonlinear plant: the states (n, n_x) at the samples about which it is linear.
-    """
+    """One plant with effects at their sites, over one recorded input."""
 
     def __init__(
         self,
@@ -268,17 +208,7 @@ class Simulator:
         shift: Sequence[float] | None = None,
         near: tuple[Mapping[str, float], Sequence[Mapping[str, float]]] | None = None,
     ) -> Motion:
-        """Simulate all windows.
-
-        ``factors``: plant parameter -> factor of the nominal value.
-        ``values``: parameters of each effect.
-        ``x0``: plant states at the window starts, (n_windows, n_plant). States of effects start at zero and are carried
-        over from window to window. Further rows are further runs through all windows, each as if it were alone.
-        ``windows``: where they lie.
-        ``shift``: time in s by which the plant sees each input later than the record says, (n_u,); negative: earlier.
-        ``near``: of a nonlinear plant: factors and values near by whose matrices along the motion may stand for those
-        of these (`robustlab.dynamics.ports.motion_model.with_factors`); the linear one is always exact.
-        """
+        """Simulate all windows."""
         return self.run_along(factors, values, x0, windows, shift, near)[0]
 
     def run_along(
@@ -395,11 +325,7 @@ class Simulator:
         return tuple(late)
 
     def _seen(self, values: Sequence[Mapping[str, float]], late: tuple[float, ...]) -> Array:
-        """Inputs as the plant sees them in each step, (n * sub, n_u).
-
-        Where they do not stand still within the steps, these are the means of the first halves of the steps, and n_u
-        further columns those of the second.
-        """
+        """Inputs as the plant sees them in each step, (n * sub, n_u)."""
         steps = self._steps.get(late)
         if steps is None:
             if len(self._steps) > KEPT_INPUTS:

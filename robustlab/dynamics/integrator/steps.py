@@ -1,22 +1,8 @@
 # pyright: reportMissingParameterType=false
 # (the compiler infers the types of the leaves)
-"""Steps of the explicit Runge-Kutta pair DOP853 under inputs that are piecewise polynomials of time; to be compiled in.
-
-A kernel that is built from these supplies the rates of its own equations. The coefficients, of order 8(5, 3) with the
-dense output of order 7, are those of scipy. They stand in a module of it that is not part of its public interface: what
-is taken from it is checked here by shape, and by a test against published values and the order conditions.
-
-Compiled functions are a `leaf` inside others, or an `entry` with its signatures and its code kept on disk.
-No fast arithmetic, not even contraction to fused multiply-adds: a leaf stands in the code of several entries, optimised
-differently, and which of these copies is called depends on whether an entry was just compiled or read from disk. With
-IEEE arithmetic as written all copies give the same bits, the first run on a machine those of every later one; it costs
-6 to 10 % of the time.
-
-References
-----------
-Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", Springer 1993, section II.10 (their code DOP853,
-whose coefficients scipy carries).
-"""
+"""Steps of the Runge-Kutta pair DOP853 under inputs that are piecewise polynomials of time; to be compiled in."""
+# Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", Springer 1993, section II.10 (their code DOP853,
+# whose coefficients scipy carries).
 
 from __future__ import annotations
 

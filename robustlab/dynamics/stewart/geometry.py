@@ -1,19 +1,5 @@
-r"""The machine in numbers: published parameters, points and axes of the legs, constants of the equations of motion.
-
-Legs 1..6 go round counter-clockwise. The base points stand in pairs at -30, 90, 210 degrees, the platform points
-in pairs at 30, 150, 270 degrees, so that each leg leans from one pair to the next:
-
-.. math::
-    b_i = r_b (\cos, \sin)(\beta_i), \quad \beta = \{-30 + \alpha_b,\; 90 - \alpha_b,\; 90 + \alpha_b, \dots\}, \qquad
-    p_i = r_p (\cos, \sin)(\pi_i), \quad \pi = \{30 - \alpha_p,\; 30 + \alpha_p,\; \dots\}
-
-The universal joint of leg i turns first about the axis :math:`x^*_i = (m_i - b_i)/|m_i - b_i|` through the bearing
-point :math:`m_i = r_m (\cos, \sin)(\beta_i \mp \alpha_m)`, :math:`z = z_m`.
-
-References
-----------
-Březina 2010, eqs 6.1, 6.2, App. A and B (with the misprints of b6, m2 and m3 corrected).
-"""
+"""The machine in numbers: published parameters, points and axes of the legs, constants of the equations of motion."""
+# Březina 2010, eqs 6.1, 6.2, App. A and B (with the misprints of b6, m2 and m3 corrected).
 
 from __future__ import annotations
 
@@ -253,14 +239,7 @@ def _assembly(base: Array, axis: Array, top: Array, c: float) -> tuple[Array, Ar
 
 
 def constants(p: Mapping[str, Any]) -> Array:
-    """What the equations of motion need besides the legs' geometry, in the order of `CONSTANTS`.
-
-    The parameters may be arrays of one shape (n,), for n machines at once; then the result is (n, 34), else (34,).
-    ``m0 m1 m2`` are the sums of m, m zeta, m zeta^2 over link, nut and motor body, zeta their height along the leg;
-    ``x1 x2 xz`` the motor body's m eta, m eta^2, m zeta eta, eta its offset along I. ``leg_I leg_J leg_K`` are the
-    inertias of link, screw and motor body, ``rotor`` is the rotor's, felt as a mass at the screw. ``up`` is the unit
-    vector against gravity in the frame of the base, :math:`R_x(t_x)^T R_y(t_y)^T e_z`.
-    """
+    """What the equations of motion need besides the legs' geometry, in the order of `CONSTANTS`."""
     link, nut, motor = p["link_mass"], p["nut_mass"], p["motor_mass"]
     at_link, at_nut, at_motor = p["link_cg"], p["nut_at"] + p["nut_cg"], p["motor_at"] + p["motor_cg"]
     turns, x = 2 * np.pi / p["lead"], p["motor_x"]

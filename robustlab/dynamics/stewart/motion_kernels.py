@@ -1,15 +1,8 @@
 # pyright: reportMissingParameterType=false
 # (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
-"""Compiled simulation of the Stewart platform: DOP853 with error control and dense output.
-
-The state is z = (pose, twist) or (pose, twist, currents): in the pose the equations need no direct kinematics. Inputs
-are piecewise polynomials of time; the integrator restarts only where they are marked as broken.
-
-References
-----------
-Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", Springer 1993, section II.10 (their code DOP853,
-whose coefficients scipy carries).
-"""
+"""Compiled simulation of the Stewart platform: DOP853 with error control and dense output."""
+# Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", Springer 1993, section II.10 (their code DOP853,
+# whose coefficients scipy carries).
 
 from __future__ import annotations
 
@@ -168,10 +161,7 @@ _SIGNATURE = _OUTCOME(_VECTOR, _INPUTS, _MACHINE, types.float64, _MATRIX, _MATRI
 
 @entry(_SIGNATURE)
 def integrate(start, inputs, machine, rtol, z_at, x_at):
-    """States z (n, n_z) and x (n, n_x) at the times of the inputs (n,); returns (outcome, time reached, evaluations).
-
-    The integrator restarts where the inputs break.
-    """
+    """States z (n, n_z) and x (n, n_x) at the times of the inputs (n,); gives (outcome, time, evaluations)."""
     clock, _, broken = inputs
     n, last = start.shape[0], clock.shape[0] - 1
     work = _workspace(n)

@@ -1,15 +1,8 @@
 r"""Rigid-body dynamics of the Stewart platform in nut coordinates.
 
 .. math:: M(\varphi)\,\ddot\varphi + b(\varphi, \dot\varphi) = k\,u, \qquad M = J^{-T} M_V J^{-1}
-
-with u the motor torques and :math:`M_V` the mass matrix in the platform's twist, to which every body of every leg
-contributes: lower link and motor body (mounted at home, riding on the joint), nut (turning by phi about K), ball screw
-(sliding without turning), reflected rotor :math:`J_r k^2`.
-
-References
-----------
-Březina 2010, section 7.1 and App. A.
 """
+# Březina 2010, section 7.1 and App. A.
 
 from __future__ import annotations
 

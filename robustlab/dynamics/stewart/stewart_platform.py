@@ -3,14 +3,8 @@ r"""The Stewart platform as a plant: six motors turn six nuts, the nuts move the
 .. math::
     M(\varphi)\,\ddot\varphi + b(\varphi, \dot\varphi) = k\,\tau, \qquad
     \text{with motors:}\quad \tau = K_m i - K_f k \dot\varphi, \quad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
-
-States (phi_1..6, phidot_1..6), with motors also (i_1..6); the nut angles are zero at home (but for the
-parameters ``offset_1..6``) and grow with extension.
-
-References
-----------
-Březina 2010, sections 6.1, 7.1, 7.2, 8.1. The reading of what the text leaves open is in ``docs/stewart.md``.
 """
+# Březina 2010, sections 6.1, 7.1, 7.2, 8.1. The reading of what the text leaves open is in ``docs/stewart.md``.
 
 from __future__ import annotations
 
@@ -120,18 +114,7 @@ _SHAPE = (
 
 
 def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: Any) -> StewartPlatform:
-    """Plant with six motor torques [N m] as inputs, or six voltages [V] with the motors attached.
-
-    ``preset``: ``"thesis"``: without the rotors' inertia, as the thesis has it. ``"physical"``: with it. ``motors``:
-    true: 18 states, voltages as inputs. False: 12 states, motor torques as inputs. ``given``: parameters, each as a
-    value or ``(value, relative tolerance)``.
-
-    Examples
-    --------
-    >>> machine = stewart_platform(platform_mass=3.3)
-    >>> len(machine.states), machine.inputs[0]
-    (12, Signal(name='torque_1', unit='N m'))
-    """
+    """Plant with six motor torques [N m] as inputs, or six voltages [V] with the motors attached."""
     parameters = overridden(machine_parameters(preset, motors), given, "stewart-platform")
     angles = tuple(Signal(f"phi_{i}", "rad") for i in _NUMBERS)
     rates = tuple(Signal(f"phidot_{i}", "rad/s") for i in _NUMBERS)
@@ -172,18 +155,7 @@ class StewartPlatform(NonlinearPlant):
     # --- poses -------------------------------------------------------------------------------------------------------
 
     def poses(self, phi: ArrayLike, start: ArrayLike | None = None) -> Array:
-        """Poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`.
-
-        Parameters
-        ----------
-        start
-            Pose to start from, home where left out.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            Nut angles that no pose could be proved to have, by row.
-        """
+        """Poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`."""
         angles, one = poses_array(phi, "phi")
         lengths = self.geometry.home_lengths + angles / self.geometry.turns
         if (lengths <= 0).any():
@@ -318,15 +290,7 @@ class StewartPlatform(NonlinearPlant):
         return self.geometry if same else geometry(values), constants(values), values
 
     def equilibrium(self, pose: ArrayLike | None = None, phi: ArrayLike | None = None, **unknown: Any) -> Trim:
-        """Rest at a pose (tx, ty, tz, ax, ay, az), or at nut angles phi (6,); at home where neither is given.
-
-        Raises
-        ------
-        InputError
-            Both given, a pose out of the workspace, NaN.
-        NoTrustworthyNumber
-            A singular pose, nut angles that no pose has.
-        """
+        """Rest at a pose (tx, ty, tz, ax, ay, az), or at nut angles phi (6,); at home where neither is given."""
         if unknown:
             raise InputError(f"{self.name}: trim", f"{next(iter(unknown))!r}", "pose or phi")
         if pose is not None and phi is not None:
@@ -350,15 +314,7 @@ class StewartPlatform(NonlinearPlant):
     def trimmed_descriptor(
         self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
     ) -> TrimmedDescriptor:
-        r"""The platform at a pose as a function of its parameters.
-
-        .. math:: M(p)\,\ddot\varphi = K(p)\,\varphi + k\,\tau, \qquad
-            \tau = K_m i - K_f k \dot\varphi, \qquad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
-
-        The pose is held; the holding torques, which shape K, follow. M and K are affine in masses and inertias, and
-        polynomials of the places of the centres of gravity. Whether the inertias are those of a rigid body is not
-        asked: a box of tolerances has corners at which they are not.
-        """
+        """The platform at a pose as a function of its parameters."""
         if hold is not None:
             raise InputError(f"{self.name}: hold", f"{', '.join(hold)}", "None: the pose is held")
         pose = self.poses(trim.x[:6]) if trim.pose is None else trim.pose
@@ -373,13 +329,7 @@ class StewartPlatform(NonlinearPlant):
         return TrimmedDescriptor(matrices, f"the pose is held, the {follow} follow")
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
-        """States (n, 12) or (n, 18) at the times of the signal; compiled.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            An actuator reaches the end of its range, or the integrator gives up; the message names the time.
-        """
+        """States (n, 12) or (n, 18) at the times of the signal; compiled."""
         pose, twist = self._motion(x0)
         start = np.concatenate([pose[0], twist[0], x0[12:]])
         states, z = np.empty((len(signal.t), len(x0))), np.empty((len(signal.t), len(x0)))
@@ -447,11 +397,7 @@ class LinearModels(AllFields):
 def linear_models(
     plant: StewartPlatform, poses: ArrayLike, parameters: Mapping[str, ArrayLike] | None = None
 ) -> LinearModels:
-    """Linear models at the poses (n, 6), each at its own values of the named parameters (n,).
-
-    What `robustlab.dynamics.linearise` does for one pose of one machine, for many in one compiled call. The poses are
-    not checked against the workspace.
-    """
+    """Linear models at the poses (n, 6), each at its own values of the named parameters (n,)."""
     array, _ = poses_array(poses)
     n, values = len(array), dict[str, Any](plant.values)
     for name, given in (parameters or {}).items():

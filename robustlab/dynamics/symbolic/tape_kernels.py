@@ -1,10 +1,6 @@
 # pyright: reportMissingParameterType=false
 # (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
-"""Compiled evaluation and simulation of tapes: one kernel for all plants, nothing is compiled for any of them.
-
-A tape fills one row w of numbers: inputs, then constants, then the result of one operation after the other, each on two
-entries before its own. Interpreting costs one jump for each operation, some 2 ns.
-"""
+"""Compiled evaluation and simulation of tapes: one kernel for all plants, nothing is compiled for any of them."""
 
 from __future__ import annotations
 
@@ -39,11 +35,7 @@ LEAST_SCALE = 1e-2
 
 
 class Code(NamedTuple):
-    """A tape: operations, their arguments (n,), constants (n_c,), and where the outputs stand (n_out,).
-
-    Of the inputs the first ``moving`` change from one evaluation to the next, the others seldom; on these alone are the
-    first ``still`` operations.
-    """
+    """A tape: operations, their arguments (n,), constants (n_c,), and where the outputs stand (n_out,)."""
 
     operations: Any
     left: Any
@@ -146,10 +138,7 @@ def _operate(op, a, b):
 
 @leaf
 def _run(code, start, stop, first, w):
-    """Operations start .. stop - 1 on the row w, in which ``first`` is the place of the first result of all.
-
-    Equal ones stand in runs: one jump for a run, and loops of their own for what there is most of.
-    """
+    """Operations start .. stop - 1 on the row w, in which ``first`` is the place of the first result of all."""
     operations, left, right = code.operations, code.left, code.right
     k = start
     while k < stop:
@@ -231,11 +220,7 @@ def _culprit(stages, found):
     )
 )
 def integrate(code, start, values, inputs, rtol, x_at):
-    """States (n, n_x) at the times of the inputs (n,) under the tape of (x, u, values) -> rates.
-
-    Returns (outcome, time reached, evaluations, state whose rate is not finite or -1). The integrator restarts where
-    the inputs break.
-    """
+    """States (n, n_x) at the times of the inputs (n,) under the tape of (x, u, values) -> rates."""
     clock, polynomials, broken = inputs
     n, n_u, last = start.shape[0], polynomials.shape[2], clock.shape[0] - 1
     n_in = n + n_u + values.shape[0]
