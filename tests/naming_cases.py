@@ -10,7 +10,7 @@ import numpy as np
 from oracle.stick_slip import stick_slip
 
 import robustlab as rl
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import port_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Problem
 from robustlab.identification.hypotheses.prepared_record import prepare

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.spring_effects import DAMPING
-from robustlab.dynamics.ports.carried_load import shares_behind
+from robustlab.dynamics import DAMPING, shares_behind
 from robustlab.identification.experiment.shut_gaps import shut_gaps
 
 pytest.importorskip("pinocchio")

@@ -9,7 +9,7 @@ import pytest
 from shell import robustlab
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics import catalogue
 from robustlab.identification.naming import discovery
 from robustlab.identification.naming.named_effects import Rival
 from robustlab.identification.record_check.suitability import Finding

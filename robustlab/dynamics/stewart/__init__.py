@@ -13,7 +13,9 @@ from robustlab.dynamics.stewart.kinematics import (
     inside,
     inverse_kinematics,
     nut_angles,
+    rotation,
     singularity,
+    twist,
     velocity_jacobian,
     workspace_grid,
 )
@@ -44,9 +46,11 @@ __all__ = [
     "mass_matrix",
     "nut_angles",
     "potential_energy",
+    "rotation",
     "singularity",
     "stewart_platform",
     "trim_torque",
+    "twist",
     "velocity_jacobian",
     "workspace_grid",
 ]

@@ -6,17 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.stewart import (
-    acceleration_bias,
-    condition_map,
-    direct_kinematics,
-    inside,
-    inverse_kinematics,
-    singularity,
-    velocity_jacobian,
-    workspace_grid,
-)
-from robustlab.dynamics.stewart.kinematics import rotation, twist
+from robustlab.dynamics import stewart
 
 MACHINE = rl.plant("stewart-platform")
 G = MACHINE.geometry
@@ -41,15 +31,15 @@ def test_points_of_appendix_b():
     ("z", "shifted", "simple"), [(0.1062, 160.71, 170.66), (0.1262, 173.78, 183.77), (0.1462, 188.06, 198.04)]
 )
 def test_published_lengths(z, shifted, simple):
-    np.testing.assert_allclose(1e3 * inverse_kinematics(G, at(z)), shifted, atol=0.006)
-    np.testing.assert_allclose(1e3 * inverse_kinematics(G, at(z), joint="simple"), simple, atol=0.006)
+    np.testing.assert_allclose(1e3 * stewart.inverse_kinematics(G, at(z)), shifted, atol=0.006)
+    np.testing.assert_allclose(1e3 * stewart.inverse_kinematics(G, at(z), joint="simple"), simple, atol=0.006)
 
 
 def test_shifted_joint_closes_the_chain():
     """b + c y + L K reaches the platform point, y and K being perpendicular to the second joint axis."""
     for pose in POSES:
-        points = pose[:3] + G.platform @ rotation(pose).T
-        lengths = inverse_kinematics(G, pose)
+        points = pose[:3] + G.platform @ stewart.rotation(pose).T
+        lengths = stewart.inverse_kinematics(G, pose)
         for i in range(6):
             w, x = points[i] - G.base[i], G.axis[i]
             z = np.cross(x, w) / np.linalg.norm(np.cross(x, w))
@@ -72,18 +62,18 @@ def test_velocity_and_acceleration_jacobians():
         def motion(t, pose=pose, rate=rate, bend=bend):
             return pose + rate * t + 0.5 * bend * t * t
 
-        first, second = along(lambda t: inverse_kinematics(G, motion(t)), 2e-3)
-        V = twist(pose, rate)
-        acceleration, _ = along(lambda t: twist(motion(t), rate + bend * t), 2e-3)  # noqa: B023
-        J = velocity_jacobian(G, pose)
+        first, second = along(lambda t: stewart.inverse_kinematics(G, motion(t)), 2e-3)
+        V = stewart.twist(pose, rate)
+        acceleration, _ = along(lambda t: stewart.twist(motion(t), rate + bend * t), 2e-3)  # noqa: B023
+        J = stewart.velocity_jacobian(G, pose)
         np.testing.assert_allclose(J @ V, first, rtol=0, atol=1e-11)
-        np.testing.assert_allclose(J @ acceleration + acceleration_bias(G, pose, V), second, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(J @ acceleration + stewart.acceleration_bias(G, pose, V), second, rtol=0, atol=1e-7)
 
 
 def test_direct_kinematics_is_certified_over_the_workspace():
-    grid = workspace_grid(G, 8)
+    grid = stewart.workspace_grid(G, 8)
     assert len(grid) > 1000
-    found = direct_kinematics(G, inverse_kinematics(G, grid))
+    found = stewart.direct_kinematics(G, stewart.inverse_kinematics(G, grid))
     assert found.status is rl.Status.CERTIFIED
     error = np.abs(found.poses - grid)
     error[:, 3:] *= G.radius
@@ -96,21 +86,26 @@ def test_direct_kinematics_is_certified_over_the_workspace():
 def test_certificate_is_refused_where_there_is_no_pose():
     lengths = G.home_lengths.copy()
     lengths[0] = 0.5  # longer than the platform allows
-    found = direct_kinematics(G, lengths)
+    found = stewart.direct_kinematics(G, lengths)
     assert not found.proved.any()
     assert found.status is rl.Status.INCONCLUSIVE
 
 
 def test_singularity_and_map():
     # the neutral axis: the vertical motion of a symmetric platform moves all legs alike, J e_z = K_z
-    smallest, largest = singularity(G, G.home)
+    smallest, largest = stewart.singularity(G, G.home)
     assert 0 < smallest < largest
     # a yaw of 90 degrees makes a Stewart platform of this kind singular (Fichter)
     yaw = np.tile(G.home, (181, 1))
     yaw[:, 5] = np.linspace(0, np.pi, 181)
-    assert singularity(G, yaw)[:, 0].min() < 0.02 * smallest
-    made = condition_map(G, ("tx", "ty"), np.linspace(-0.05, 0.05, 11), [0.0, 0.01])
+    assert stewart.singularity(G, yaw)[:, 0].min() < 0.02 * smallest
+    made = stewart.condition_map(G, ("tx", "ty"), np.linspace(-0.05, 0.05, 11), [0.0, 0.01])
     assert made.condition.shape == (11, 2)
     assert np.isnan(made.condition[0, 0])
     assert made.condition[5, 0] == pytest.approx(largest / smallest)
-    assert inside(G, np.vstack([at(0.1062), at(0.1462), at(0.15), at(0.10)])).tolist() == [True, True, False, False]
+    assert stewart.inside(G, np.vstack([at(0.1062), at(0.1462), at(0.15), at(0.10)])).tolist() == [
+        True,
+        True,
+        False,
+        False,
+    ]

@@ -9,10 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.dynamics import Descriptor, LinearPlant, Parameter, overridden
-from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Scales
-from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
+from robustlab.dynamics import (
+    Descriptor,
+    LinearPlant,
+    Parameter,
+    Scales,
+    catalogue,
+    linear_plant_of,
+    overridden,
+    port_model,
+)
 from robustlab.errors import InputError
 from robustlab.identification.hypotheses.candidates import (
     candidates,

@@ -10,9 +10,7 @@ import pytest
 
 import robustlab as rl
 from robustlab import uncertain_from
-from robustlab.dynamics.extended.delays import delay_block
-from robustlab.dynamics.extended.effect_blocks import effect_blocks
-from robustlab.dynamics.extended.effect_loads import effect_loads
+from robustlab.dynamics import delay_block, effect_blocks, effect_loads
 from robustlab.identification import Discovery
 from robustlab.identification.naming.residual_force import ForceCurve, ResidualForce
 

@@ -9,7 +9,7 @@ import pytest
 from oracle.stick_slip import stick_slip
 
 import robustlab as rl
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import port_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import cont2discrete
 
 import robustlab as rl
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import port_model
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel

@@ -10,11 +10,7 @@ from hypothesis import strategies as st
 from naming_cases import AXIS, FRICTION, LOAD, T, U, machine, noisy, searched
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Scales, Site
-from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, upwards
-from robustlab.dynamics.ports.motion_model import local_port_model
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import KIND_OF, KINDS, MEANINGS, Scales, Site, catalogue, local_port_model, port_model, upwards
 from robustlab.identification.naming.discovery_numbers import numbers_of
 from robustlab.identification.naming.named_effects import NamedKind
 from robustlab.identification.naming.named_kinds import Kinds, Places, _mixture, _quantile, kinds_of

@@ -12,10 +12,7 @@ from arm_machine import NOMINAL, arm_record
 from closed_loop import closed_loop
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue, effect
-from robustlab.dynamics.effects.contract import Scales, Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.plant_contract import input_signal
+from robustlab.dynamics import Scales, Simulator, Site, Windows, catalogue, effect, input_signal
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 
 MODELS = Path(__file__).parents[3] / "models" / "plants"

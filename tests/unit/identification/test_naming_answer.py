@@ -5,7 +5,7 @@ import pytest
 from naming_cases import AXIS, machine, noisy
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics import catalogue
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.naming import answer as module
 from robustlab.identification.naming.held_out import Gaps

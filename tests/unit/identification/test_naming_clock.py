@@ -7,8 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import catalogue, port_model
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Clock, Fit, FitPlan, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics.stewart import nut_angles
+from robustlab.dynamics import stewart
 from robustlab.identification.experiment import path_experiment
 from robustlab.identification.experiment.path_menu import PathLimits, menu, paths
 
@@ -20,7 +20,7 @@ def machine():
 
 
 def limits(plant, speed=40.0, acceleration=2000.0, reach=15.0):
-    centre = nut_angles(plant.geometry, HOME[None])[0]
+    centre = stewart.nut_angles(plant.geometry, HOME[None])[0]
     return PathLimits(np.full(6, speed), np.full(6, acceleration), np.column_stack([centre - reach, centre + reach]))
 
 
@@ -36,7 +36,7 @@ def test_every_path_keeps_to_the_limits_uses_them_and_rests_at_both_ends(given):
             found[0].angles
         )
     for p in found:
-        assert np.abs(nut_angles(plant.geometry, p.poses) - p.angles).max() < 1e-9
+        assert np.abs(stewart.nut_angles(plant.geometry, p.poses) - p.angles).max() < 1e-9
         speed = np.diff(p.angles, axis=0) / DT
         acceleration = np.diff(speed, axis=0) / DT
         shares = [

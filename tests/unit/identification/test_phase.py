@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robustlab.dynamics.effects.catalogue import effect
+from robustlab.dynamics import effect
 
 N, DT, LATER = 600, 2e-3, 0.093
 WAVE = {"Ac": 12.0, "As": -9.0, "f": 7.0}

@@ -5,7 +5,7 @@ import pytest
 from naming_cases import AXIS, FRICTION, GAIN_OF_Q, LOAD, T, U, machine, noisy, opened, quiet, searched, usual
 
 import robustlab as rl
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import port_model
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.prepared_record import prepare
 from robustlab.identification.naming.posterior import Posterior, weigh

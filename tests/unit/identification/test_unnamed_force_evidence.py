@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 import robustlab as rl
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import port_model
 from robustlab.identification.hypotheses import unnamed_force as unnamed
 from robustlab.identification.hypotheses.candidates import nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics import LinearPlant
-from robustlab.dynamics.extended.extended_plant import ExtendedPlant
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import ExtendedPlant, LinearPlant, port_model
 from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
