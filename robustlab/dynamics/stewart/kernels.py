@@ -191,24 +191,6 @@ def jacobians(poses, legs, c, lengths, matrices):
         lengths_and_jacobian(poses[k], legs, c, lengths[k], matrices[k])
 
 
-@entry("void(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8[:,::1])")
-def length_bias(poses, twists, legs, c, bias):
-    """d2L/dt2 at zero acceleration of the platform, (n, 6): the quadratic part of the acceleration Jacobian."""
-    for j in range(poses.shape[0]):
-        q, v = poses[j], twists[j]
-        rotation = _rotation(q)
-        w = (v[3], v[4], v[5])
-        for i in range(6):
-            rho = _arm(rotation, legs, i)
-            _, z, k, n, _, sb, r, length, over_r, over_l = _leg_axes(
-                legs, i, c, q[0] + rho[0], q[1] + rho[1], q[2] + rho[2]
-            )
-            turn = _cross(w, rho)
-            rate = (v[0] + turn[0], v[1] + turn[1], v[2] + turn[2])
-            swing, tilt = _dot(z, rate) * over_r, _dot(n, rate) * over_l
-            bias[j, i] = _dot(k, _cross(w, turn)) + r * swing * swing * sb + length * tilt * tilt
-
-
 # --- direct kinematics -----------------------------------------------------------------------------------------------
 
 

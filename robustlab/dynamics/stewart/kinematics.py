@@ -84,44 +84,6 @@ def velocity_jacobian(geometry: Geometry, poses: ArrayLike) -> Array:
     return matrices[0] if one else matrices
 
 
-def acceleration_bias(geometry: Geometry, poses: ArrayLike, twists: ArrayLike) -> Array:
-    """d2L/dt2 at dV/dt = 0, so that d2L/dt2 = J dV/dt + bias; shape of the poses, (6,) or (n, 6)."""
-    array, one = poses_array(poses)
-    rates, _ = poses_array(twists, "twist")
-    if rates.shape != array.shape:
-        raise InputError("acceleration_bias", f"{len(rates)} twists", f"{len(array)}, one for each pose")
-    bias = np.empty_like(array)
-    kernels().length_bias(array, rates, geometry.legs, geometry.c, bias)
-    return bias[0] if one else bias
-
-
-def rotation(pose: ArrayLike) -> Array:
-    """R = Rz(az) Ry(ay) Rx(ax) of a pose, shape (3, 3)."""
-    _, _, _, ax, ay, az = np.asarray(pose, dtype=np.float64)
-    (cx, cy, cz), (sx, sy, sz) = np.cos([ax, ay, az]), np.sin([ax, ay, az])
-    return np.array(
-        [
-            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-            [-sy, cy * sx, cy * cx],
-        ]
-    )
-
-
-def twist(pose: ArrayLike, rates: ArrayLike) -> Array:
-    """(v, omega) at the rates of the pose's six coordinates, shape (6,)."""
-    _, _, _, _, ay, az = np.asarray(pose, dtype=np.float64)
-    rate = np.asarray(rates, dtype=np.float64)
-    turn = np.array(
-        [
-            [np.cos(az) * np.cos(ay), -np.sin(az), 0.0],
-            [np.sin(az) * np.cos(ay), np.cos(az), 0.0],
-            [-np.sin(ay), 0.0, 1.0],
-        ]
-    )
-    return np.concatenate([rate[:3], turn @ rate[3:]])
-
-
 @dataclass(frozen=True, eq=False)
 class DirectPoses:
     """Poses found by Newton's method, each with its certificate; arrays of n rows."""
@@ -175,34 +137,11 @@ def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike |
     return DirectPoses(poses, target, proved, facts[:, 1], facts[:, 2], facts[:, 3], facts[:, 0].astype(np.int64))
 
 
-def assembly_poses(geometry: Geometry, lengths: ArrayLike, seeds: ArrayLike) -> DirectPoses:
-    """All different poses with one set of lengths (6,) that Newton's method reaches from the seeds (n, 6)."""
-    target, _ = poses_array(lengths, "lengths")
-    starts, _ = poses_array(seeds, "seeds")
-    found = direct_kinematics(geometry, np.repeat(target[:1], len(starts), axis=0), starts)
-    kept: list[int] = []
-    for k in np.flatnonzero(found.proved & (np.abs(found.poses[:, 4]) < np.pi / 2)):
-        pose = np.concatenate([found.poses[k, :3], np.exp(1j * found.poses[k, 3:])])
-        others = [np.concatenate([found.poses[j, :3], np.exp(1j * found.poses[j, 3:])]) for j in kept]
-        if all(np.abs(pose - other).max() > 1e-7 for other in others):
-            kept.append(int(k))
-    if not kept:
-        raise NoTrustworthyNumber(
-            "assembly_poses", f"none of {len(starts)} seeds led to a proved pose", None, "check the lengths, in m"
-        )
-    names = ("poses", "lengths", "proved", "h", "radius", "residual", "iterations")
-    return DirectPoses(*(getattr(found, name)[kept] for name in names))
-
-
 COORDINATES = ("tx", "ty", "tz", "ax", "ay", "az")
 # Lengths this little beyond a limit are within it: the rounding of a published limit pose.
 SLACK = 1e-9
 # Below this measure a pose counts as singular: six digits of the torques are gone.
 SINGULAR = 1e-6
-# Half widths of a box about home that holds the workspace, in m and rad: found by two million random poses.
-REACH = (0.024, 0.024, 0.02, 0.14, 0.14, 0.10)
-
-
 def inside(geometry: Geometry, poses: ArrayLike) -> NDArray[np.bool_]:
     """True where all six actuators are within their limits, shape (n,)."""
     array, _ = poses_array(poses)
@@ -254,14 +193,6 @@ def real_array_of_one(pose: ArrayLike, where: str) -> Array:
     if not one:
         raise InputError(where, f"{len(array)} poses", "one pose (tx, ty, tz, ax, ay, az)")
     return array[0]
-
-
-def workspace_grid(geometry: Geometry, points: int = 5, reach: ArrayLike = REACH) -> Array:
-    """Poses (n, 6) within the workspace, from a grid of points^6 about home with the given half widths in m and rad."""
-    half = real_array_of_one(reach, "workspace_grid: reach")
-    axes = [np.linspace(-width, width, points) for width in half]
-    grid = geometry.home + np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 6)
-    return grid[inside(geometry, grid)]
 
 
 @dataclass(frozen=True, eq=False)

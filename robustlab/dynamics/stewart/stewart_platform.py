@@ -30,16 +30,18 @@ from robustlab.dynamics.stewart.geometry import (
 )
 from robustlab.dynamics.stewart.kinematics import (
     LIMIT,
+    SINGULAR,
     SLACK,
     check_pose,
     direct_kinematics,
     kernels,
     motion_kernels,
     poses_array,
+    real_array_of_one,
+    singularity,
 )
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
-from robustlab.shown import AllFields
 from robustlab.statespace import Signal, real_array
 
 NAME = "stewart-platform"
@@ -336,14 +338,45 @@ class StewartPlatform(NonlinearPlant):
         code = motion_kernels()
         low, high = self.geometry.limits
         inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken)
-        machine = code.Machine(self.geometry.legs, self._numbers[0], self.motors, low - SLACK, high + SLACK)
+        machine = code.machine(self.geometry.legs, self._numbers[0], self.motors, low - SLACK, high + SLACK)
         outcome, time, _ = code.integrate(start, inputs, machine, rtol, z, states)
-        if outcome == code.LEFT_WORKSPACE:
+        if outcome == code.LEFT:
             raise self._beyond(time)
         if outcome != code.DONE:
             words = "the step became too small" if outcome == code.NOT_FINITE else "too many steps"
             raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}")
         return states
+
+
+def _equations(legs: Array, numbers: Array, pose: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
+    """Mass matrix, forces, nut Jacobian and bias in the platform's twist."""
+    mass, force, jacobian, bias = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
+    kernels().equations(pose, twist, legs, np.array(numbers), mass, force, jacobian, bias, np.empty(6))
+    return mass, force, jacobian, bias
+
+
+def _nut_to_twist(plant: StewartPlatform, pose: Array) -> Array:
+    """J^-1 of ``V = J^-1 dphi/dt``, (6, 6)."""
+    smallest, largest = singularity(plant.geometry, pose)
+    if not smallest > SINGULAR * largest:
+        raise NoTrustworthyNumber(plant.name, f"singular pose: smallest singular value {smallest:.3g}")
+    return np.linalg.inv(_equations(plant.geometry.legs, plant.constants, pose, np.zeros(6))[2])
+
+
+def mass_matrix(plant: StewartPlatform, pose: ArrayLike) -> Array:
+    """M in kg m2 at the nuts, shape (6, 6)."""
+    array = real_array_of_one(pose, plant.name)
+    inverse = _nut_to_twist(plant, array)
+    mass = _equations(plant.geometry.legs, plant.constants, array, np.zeros(6))[0]
+    return np.asarray(inverse.T @ mass @ inverse, dtype=np.float64)
+
+
+def bias_torque(plant: StewartPlatform, pose: ArrayLike, phidot: ArrayLike) -> Array:
+    """Torques b in N m at the nuts: gravity and velocity terms at the nut rates phidot (6,)."""
+    array, rates = real_array_of_one(pose, plant.name), real_array("phidot", phidot, 1, plant.name)
+    inverse = _nut_to_twist(plant, array)
+    mass, force, _, bias = _equations(plant.geometry.legs, plant.constants, array, inverse @ rates)
+    return inverse.T @ (force - mass @ (inverse @ bias))
 
 
 def _mass_and_stiffness(pose: Array, shape: Geometry, numbers: Array, where: str) -> tuple[Array, Array]:
@@ -357,9 +390,7 @@ def _mass_and_stiffness(pose: Array, shape: Geometry, numbers: Array, where: str
         and code.linearisations(at, twist, torque, legs, numbers[None], slopes, damping, gain)
     ):
         raise NoTrustworthyNumber(where, "singular pose: no linear model in nut coordinates")
-    mass, jacobian = np.empty((6, 6)), np.empty((6, 6))
-    force, bias = np.empty(6), np.empty(6)
-    code.equations(at[0], twist[0], legs, numbers, mass, force, jacobian, bias, phi[0])
+    mass, _, jacobian, _ = _equations(legs, numbers, at[0], twist[0])
     inverse = np.linalg.inv(jacobian)
     nuts = inverse.T @ mass @ inverse
     return nuts, nuts @ slopes[0]
@@ -379,50 +410,6 @@ def _descriptor(mass: Array, stiffness: Array, p: Mapping[str, float], motors: b
         g[6:12] = k * one
     made[n:, :12] = np.eye(12)
     return made
-
-
-# --- many linear models at once --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class LinearModels(AllFields):
-    """Linear models at n trimmed poses of n machines: A (n, n_x, n_x), B (n, n_x, 6), trims x (n, n_x), u (n, 6)."""
-
-    A: Array
-    B: Array
-    x: Array
-    u: Array
-
-
-def linear_models(
-    plant: StewartPlatform, poses: ArrayLike, parameters: Mapping[str, ArrayLike] | None = None
-) -> LinearModels:
-    """Linear models at the poses (n, 6), each at its own values of the named parameters (n,)."""
-    array, _ = poses_array(poses)
-    n, values = len(array), dict[str, Any](plant.values)
-    for name, given in (parameters or {}).items():
-        if name not in values or name in _SHAPE:
-            found = "it shapes the legs" if name in _SHAPE else "no such parameter"
-            raise InputError(f"linear_models: {name}", found, "a mass, inertia, place or motor parameter")
-        values[name] = real_array(name, given, 1, "linear_models")
-        if len(values[name]) != n:
-            raise InputError(f"linear_models: {name}", f"{len(values[name])} values", f"{n}, one for each pose")
-        plant.with_parameters(**{name: float(values[name].min())})  # signs and inertias, at the smallest value
-    numbers = np.array(np.broadcast_to(constants(values), (n, len(plant.constants))), order="C")
-    legs, code = plant.geometry.legs, kernels()
-    phi, torque = np.empty((n, 6)), np.empty((n, 6))
-    stiffness, damping, gain = np.empty((n, 6, 6)), np.empty((n, 6, 6)), np.empty((n, 6, 6))
-    if not (
-        code.trim_torques(array, legs, numbers, phi, torque)
-        and code.linearisations(array, np.zeros((n, 6)), torque, legs, numbers, stiffness, damping, gain)
-    ):
-        raise NoTrustworthyNumber("linear_models", "singular pose among those given")
-    a, b = _assembled(stiffness, damping, gain, numbers, plant.motors)
-    x, u = np.hstack([phi, np.zeros((n, 6))]), torque
-    if plant.motors:
-        km, r = np.broadcast_to(values["Km"], n)[:, None], np.broadcast_to(values["R"], n)[:, None]
-        x, u = np.hstack([x, torque / km]), r * torque / km
-    return LinearModels(a, b, x, u)
 
 
 def _assembled(stiffness: Array, damping: Array, gain: Array, numbers: Array, motors: bool) -> tuple[Array, Array]:

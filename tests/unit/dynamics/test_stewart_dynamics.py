@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from platform_energy import kinetic_energy, potential_energy
 
 import robustlab as rl
 from robustlab.dynamics import NonlinearPlant, input_signal, stewart
@@ -83,11 +84,9 @@ def test_holding_torque_is_virtual_work():
     """K u . dphi = dU: the potential energy is summed over the bodies apart from the equations of motion."""
     k = THESIS.values["ratio"]
     for pose in random_poses(3):
-        dU = central(lambda q: np.array(stewart.potential_energy(THESIS, q)), pose, 2e-3)
+        dU = central(lambda q: np.array(potential_energy(THESIS, q)), pose, 2e-3)
         dphi = central(lambda q: stewart.nut_angles(THESIS.geometry, q), pose, 2e-3)
-        np.testing.assert_allclose(
-            k * stewart.trim_torque(THESIS, pose) @ dphi, dU, rtol=0, atol=1e-9 * np.abs(dU).max()
-        )
+        np.testing.assert_allclose(k * rl.trim(THESIS, pose=pose).u @ dphi, dU, rtol=0, atol=1e-9 * np.abs(dU).max())
 
 
 def test_velocity_terms_are_lagranges():
@@ -111,13 +110,10 @@ def test_energy_over_a_second(preset):
     rate = np.column_stack([record[f"phidot_{i}"] for i in range(1, 7)])
     poses = plant.poses(phi, start.pose)
     energy = np.array(
-        [
-            stewart.kinetic_energy(plant, q, v) + stewart.potential_energy(plant, q)
-            for q, v in zip(poses, rate, strict=True)
-        ]
+        [kinetic_energy(plant, q, v) + potential_energy(plant, q) for q, v in zip(poses, rate, strict=True)]
     )
     work = plant.values["ratio"] * (phi - phi[0]) @ u
-    moved = np.ptp([stewart.potential_energy(plant, q) for q in poses])
+    moved = np.ptp([potential_energy(plant, q) for q in poses])
     assert moved > 1e-4
     assert np.abs(energy - energy[0] - work).max() < 1e-8 * moved
 
@@ -127,9 +123,7 @@ def test_three_fold_symmetry():
     c, s = np.cos(third), np.sin(third)
     pose = np.array([0.004, -0.002, 0.13, 0.0, 0.0, 0.05])  # yaw alone: R commutes with the turn
     turned = np.array([c * pose[0] - s * pose[1], s * pose[0] + c * pose[1], *pose[2:]])
-    np.testing.assert_allclose(
-        np.roll(stewart.trim_torque(THESIS, pose), 2), stewart.trim_torque(THESIS, turned), rtol=1e-12
-    )
+    np.testing.assert_allclose(np.roll(rl.trim(THESIS, pose=pose).u, 2), rl.trim(THESIS, pose=turned).u, rtol=1e-12)
     np.testing.assert_allclose(
         np.roll(stewart.mass_matrix(THESIS, pose), (2, 2), (0, 1)),
         stewart.mass_matrix(THESIS, turned),
@@ -178,7 +172,7 @@ def test_trim_by_pose_and_by_angles():
         assert trim.status is rl.Status.CONVERGED
         if motors:
             p = plant.values
-            np.testing.assert_allclose(trim.u / p["R"] * p["Km"], stewart.trim_torque(THESIS, pose), rtol=1e-13)
+            np.testing.assert_allclose(trim.u / p["R"] * p["Km"], rl.trim(THESIS, pose=pose).u, rtol=1e-13)
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh", "spline"])
