@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import overload
 
 from robustlab.errors import EnvironmentFault
 
@@ -22,6 +23,42 @@ leaf = njit(**_options)
 def entry(*signatures):
     """Compile for the given signatures, and keep the code on disk."""
     return njit(list(signatures), cache=True, **_options)
+
+
+# What a machine must answer, by the type of its NamedTuple: code that takes functions as arguments is never kept on
+# disk, code that is chosen by type is.
+def rates(z, u, machine, dz):
+    """Rates dz (n,) at the state z under the inputs u."""
+    raise NotImplementedError
+
+
+def observe(z, machine, x):
+    """What is observed of the state, into x; False where the machine cannot be."""
+    raise NotImplementedError
+
+
+def scaled(rtol, z, end, machine, first, scale):
+    """The size of the error that a step from z to end may have, into scale."""
+    raise NotImplementedError
+
+
+def answers(kind, rates_of, observe_of, scaled_of):
+    """Let machines of this kind answer with these functions."""
+
+    def is_one(machine):
+        return getattr(machine, "instance_class", None) is kind
+
+    def rates_typed(z, u, machine, dz):
+        return rates_of if is_one(machine) else None
+
+    def observe_typed(z, machine, x):
+        return observe_of if is_one(machine) else None
+
+    def scaled_typed(rtol, z, end, machine, first, scale):
+        return scaled_of if is_one(machine) else None
+
+    for stub, typed in ((rates, rates_typed), (observe, observe_typed), (scaled, scaled_typed)):
+        overload(stub, jit_options=_options)(typed)
 
 
 try:
@@ -81,7 +118,7 @@ def _norm(a, scale):
 
 
 @leaf
-def _stage(s, rates, machine, z, t, h, span, k, inputs, u, at, stages):
+def _stage(s, machine, z, t, h, span, k, inputs, u, at, stages):
     """The rates of stage s of a step of length h from z at t, into its row."""
     n = z.shape[0]
     for i in range(n):
@@ -152,12 +189,8 @@ def _not_finite(stages, found):
 
 
 @leaf
-def integrated(rates, observe, scaled, start, inputs, machine, rtol, z_at, x_at):
-    """States z and what is observed of them at the times of the inputs: (outcome, time reached, state not finite).
-
-    ``rates(z, u, machine, dz)``; ``observe(z, machine, x)``, False where the machine cannot be; ``scaled(rtol, z, end,
-    first, scale)``, the size of the error that is allowed. It begins anew only where the inputs break.
-    """
+def integrated(start, inputs, machine, rtol, z_at, x_at):
+    """States z and what is observed of them at the times of the inputs: (outcome, time reached, state not finite)."""
     clock, polynomials, broken = inputs
     n, last = start.shape[0], clock.shape[0] - 1
     stages, at, end, scale, u = np.zeros((16, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(polynomials.shape[2])
@@ -167,7 +200,7 @@ def integrated(rates, observe, scaled, start, inputs, machine, rtol, z_at, x_at)
     if not observe(z, machine, x_at[0]):
         return LEFT, t, culprit
     piece = 0
-    while piece < last:
+    while piece < last:  # it begins anew only where the inputs break
         following = piece + 1
         while following < last and not broken[following]:
             following += 1
@@ -177,7 +210,7 @@ def integrated(rates, observe, scaled, start, inputs, machine, rtol, z_at, x_at)
         rates(z, u, machine, stages[0])
         evaluations += 1
         if h == 0.0:
-            scaled(rtol, z, z, True, scale)
+            scaled(rtol, z, z, machine, True, scale)
             h = min(max(0.01 * _norm(z, scale) / max(_norm(stages[0], scale), 1e-12), 1e-6), 1e-2)
         while t < stop:
             if evaluations > 12 * MAX_STEPS:
@@ -187,7 +220,7 @@ def integrated(rates, observe, scaled, start, inputs, machine, rtol, z_at, x_at)
                 step, ends = stop - t, True
             k = piece
             for s in range(1, 12):
-                k = _stage(s, rates, machine, z, t, step, span, k, inputs, u, at, stages)
+                k = _stage(s, machine, z, t, step, span, k, inputs, u, at, stages)
             for i in range(n):
                 total = 0.0
                 for j in range(12):
@@ -196,7 +229,7 @@ def integrated(rates, observe, scaled, start, inputs, machine, rtol, z_at, x_at)
             _input_between(t + step, span, k, inputs, u)
             rates(end, u, machine, stages[12])
             evaluations += 12
-            scaled(rtol, z, end, False, scale)
+            scaled(rtol, z, end, machine, False, scale)
             error = _error(step, stages, scale)
             if not error < 1.0:
                 if not np.isfinite(error):
@@ -209,7 +242,7 @@ def integrated(rates, observe, scaled, start, inputs, machine, rtol, z_at, x_at)
             if sample <= last and clock[sample] < t_end:
                 k = piece
                 for s in range(13, 16):
-                    k = _stage(s, rates, machine, z, t, step, span, k, inputs, u, at, stages)
+                    k = _stage(s, machine, z, t, step, span, k, inputs, u, at, stages)
                 evaluations += 3
                 _polynomial(z, end, step, stages, f)
                 while sample <= last and clock[sample] < t_end:

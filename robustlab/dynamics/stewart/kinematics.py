@@ -142,6 +142,8 @@ COORDINATES = ("tx", "ty", "tz", "ax", "ay", "az")
 SLACK = 1e-9
 # Below this measure a pose counts as singular: six digits of the torques are gone.
 SINGULAR = 1e-6
+
+
 def inside(geometry: Geometry, poses: ArrayLike) -> NDArray[np.bool_]:
     """True where all six actuators are within their limits, shape (n,)."""
     array, _ = poses_array(poses)

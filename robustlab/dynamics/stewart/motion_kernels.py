@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from robustlab.dynamics.integrator.steps import DONE, LEFT, NOT_FINITE, Inputs, entry, integrated, leaf  # noqa: F401
+from robustlab.dynamics.integrator.steps import DONE, LEFT, NOT_FINITE, Inputs, answers, entry, integrated  # noqa: F401
 from robustlab.dynamics.stewart.kernels import (
     HOME,
     KB,
@@ -50,7 +50,6 @@ def machine(legs, constants, motors, shortest, longest):
     return Machine(legs, constants, motors, shortest, longest, np.empty(6), motion)
 
 
-@leaf
 def _rates(z, u, machine, dz):
     """dz/dt under motor torques, or voltages with the motors attached."""
     legs, p, motors, _, _, torque, motion = machine
@@ -74,7 +73,6 @@ def _rates(z, u, machine, dz):
     dz[3], dz[4], dz[5] = angle_rates(q, v[3], v[4], v[5])
 
 
-@leaf
 def _observe(z, machine, x):
     """Nut angles, rates (and currents) of z into x; False where an actuator is beyond its limits."""
     legs, p, _, shortest, longest, _, motion = machine
@@ -93,11 +91,12 @@ def _observe(z, machine, x):
     return inside
 
 
-@leaf
-def _scaled(rtol, z, end, first, scale):
+def _scaled(rtol, z, end, machine, first, scale):
     for i in range(z.shape[0]):
         scale[i] = rtol * (SCALE[i] if first or i < 6 else max(SCALE[i], abs(z[i]), abs(end[i])))
 
+
+answers(Machine, _rates, _observe, _scaled)
 
 _VECTOR, _MATRIX = types.float64[::1], types.float64[:, ::1]
 _INPUTS = types.NamedTuple((_VECTOR, types.float64[:, :, ::1], types.boolean[::1]), Inputs)
@@ -109,4 +108,4 @@ _OUTCOME = types.Tuple((types.int64, types.float64, types.int64))
 @entry(_OUTCOME(_VECTOR, _INPUTS, _MACHINE, types.float64, _MATRIX, _MATRIX))
 def integrate(start, inputs, machine, rtol, z_at, x_at):
     """States z and x (n, n_x) at the times of the inputs (n,)."""
-    return integrated(_rates, _observe, _scaled, start, inputs, machine, rtol, z_at, x_at)
+    return integrated(start, inputs, machine, rtol, z_at, x_at)

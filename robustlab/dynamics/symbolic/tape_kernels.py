@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from robustlab.dynamics.integrator.steps import DONE, NOT_FINITE, Inputs, entry, integrated, leaf  # noqa: F401
+from robustlab.dynamics.integrator.steps import DONE, NOT_FINITE, Inputs, answers, entry, integrated, leaf  # noqa: F401
 
 # The local error of a state is held at rtol times the larger of this and its size, in the state's unit.
 LEAST_SCALE = 1e-2
@@ -182,29 +182,28 @@ class Plant(NamedTuple):
     w: Any
 
 
-@leaf
-def _rates(x, u, plant, dx):
-    code, first, w = plant
-    n = x.shape[0]
+def _rates(z, u, machine, dz):
+    code, first, w = machine
+    n = z.shape[0]
     for i in range(n):
-        w[i] = x[i]
+        w[i] = z[i]
     for i in range(u.shape[0]):
         w[n + i] = u[i]
     _run(code, code.still, code.operations.shape[0], first, w)
     for i in range(n):
-        dx[i] = w[code.outputs[i]]
+        dz[i] = w[code.outputs[i]]
 
 
-@leaf
-def _observe(z, plant, x):
+def _observe(z, machine, x):
     return True
 
 
-@leaf
-def _scaled(rtol, z, end, first, scale):
+def _scaled(rtol, z, end, machine, first, scale):
     for i in range(z.shape[0]):
         scale[i] = rtol * max(LEAST_SCALE, abs(z[i]), abs(end[i]))
 
+
+answers(Plant, _rates, _observe, _scaled)
 
 _OUTCOME = types.Tuple((types.int64, types.float64, types.int64))
 
@@ -218,4 +217,4 @@ def integrate(code, start, values, inputs, rtol, x_at):
     for i in range(values.shape[0]):
         w[n + n_u + i] = values[i]
     _run(code, 0, code.still, first, w)
-    return integrated(_rates, _observe, _scaled, start, inputs, Plant(code, first, w), rtol, x_at, x_at)
+    return integrated(start, inputs, Plant(code, first, w), rtol, x_at, x_at)
