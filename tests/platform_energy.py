@@ -17,7 +17,7 @@ def up(p):
 def potential_energy(plant, pose):
     """Sum of m g times height over all bodies in J."""
     g, p, turn = plant.geometry, plant.values, Rotation.from_euler("xyz", pose[3:])
-    top = pose[:3] + turn.apply(g.platform)
+    top = pose[:3] + g.platform @ turn.as_matrix().T
     w = top - g.base
     y = w - np.sum(w * g.axis, axis=1)[:, None] * g.axis
     y /= np.linalg.norm(y, axis=1, keepdims=True)

@@ -18,10 +18,11 @@ if TYPE_CHECKING:
 
 # What else other rooms and tests ask for, loaded on first use: module -> names.
 _INNER = {
-    "control.controlled_plant": "actuator_cascade controlled_nonlinear controlled_plant driver_in_loop",
+    "control.controlled_plant": "TorqueGains actuator_cascade controlled_nonlinear controlled_plant driver_in_loop"
+    " torque_gains",
     "control.controlled_runs": "Judged Sine follow_sine",
-    "control.controllers": "LayeredController TorqueGains closed_loop measured torque_gains two_layer upper_layer",
-    "control.trajectory_following": "SineTrajectory follow follow_with_torques torque_loop",
+    "control.platform": "LayeredController SineTrajectory closed_loop follow follow_with_torques measured torque_loop"
+    " two_layer upper_layer",
     "descriptor_elimination": "eliminated",
     "effects.catalogue": "add_effect catalogue effect effect_names",
     "effects.contract": "Effect EffectParameter Footprint Law Prior Scales Site",

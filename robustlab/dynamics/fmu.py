@@ -105,13 +105,11 @@ class FmuPlant(SteppedPlant):
     about: Mapping[str, Any]
 
     def with_parameters(self, **given: Any) -> FmuPlant:
-        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
         made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
         made.traced(Provenance.now(BY_UNIT, {str(self.path): self.sha256}))
         return made
 
     def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
-        """No states (n, 0), and outputs (n, n_y), at the times t for inputs (n, n_u) held between them."""
         steps = np.diff(t)
         if not self.about["variable_step"] and len(steps) and np.ptp(steps) > EVEN * steps.mean():
             raise InputError(f"simulate {self.name}", "steps that differ", "equal ones: the unit takes no others")
@@ -153,11 +151,9 @@ class FmuPlant(SteppedPlant):
     def linear_model(
         self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
     ) -> StateSpaceModel:
-        """Refused."""
         self._refused()
 
     def left_out(self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0) -> tuple[Any, ...]:
-        """Nothing that is known."""
         return ()
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
@@ -170,7 +166,6 @@ class FmuPlant(SteppedPlant):
         self._refused()
 
     def equilibrium(self, **where: Any) -> Trim:
-        """Refused."""
         self._refused()
 
 

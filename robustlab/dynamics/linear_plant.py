@@ -155,7 +155,6 @@ class LinearPlant(Plant):
         return AffineEquations(names, stacked, {name: self.values[name] for name in self.exact})
 
     def to_model(self) -> StateSpaceModel:
-        """The same as `state_space`; functions that take a model call it, so they take a linear plant too."""
         return self.state_space()
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
@@ -169,7 +168,6 @@ class LinearPlant(Plant):
         return model.C @ state + model.D @ force
 
     def with_parameters(self, **given: Any) -> LinearPlant:
-        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
         made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
         made.traced(self.provenance)
         return made

@@ -119,7 +119,6 @@ class Parameter:
             )
 
     def to_json(self) -> dict[str, object]:
-        """All attributes as plain types."""
         return {
             "name": self.name,
             "value": self.value,

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.dynamics.control.controllers import torque_gains
 from robustlab.dynamics.effects.contract import EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.effects.signal_effects import InputDeadZone
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
@@ -68,6 +67,21 @@ def loop_parts(
         hint = "the design before its step discretise; that step (rl.discretise) judges the sampled loop"
         raise InputError(f"{where}: controller", f"a discrete one, dt = {model.dt:g} s", "a continuous one", hint)
     return model, c, m
+
+
+@dataclass(frozen=True)
+class TorqueGains:
+    """Gains of a motor's torque loop: kp in V/(N m s), kd in V/(N m), ki in V/(N m s2)."""
+
+    kp: float
+    kd: float
+    ki: float
+
+
+def torque_gains(p: float, *, R: float, L: float, Km: float, Kb: float, Kf: float, J: float) -> TorqueGains:
+    """Gains that give the torque of a motor with the free rotor J the triple pole -p."""
+    b, c, d = -(L * Kf + R * J) / (L * J), -(R * Kf + Kb * Km) / (L * J), Km / L
+    return TorqueGains(kp=(3 * p**2 + c) / d, kd=(3 * p + b) / d, ki=p**3 / d)
 
 
 def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 3000.0) -> StateSpaceModel:
@@ -142,7 +156,6 @@ class ControlledNonlinearPlant(NonlinearPlant):
         )  # fmt: skip
 
     def with_parameters(self, **given: Any) -> ControlledNonlinearPlant:
-        """The same controller at the plant with other values, or (value, relative tolerance)."""
         plant = self.plant.with_parameters(**given)
         return replace(self, plant=plant, parameters=plant.parameters)
 
@@ -152,11 +165,9 @@ class ControlledNonlinearPlant(NonlinearPlant):
 
     @property
     def start(self) -> Array:
-        """The rest at which the controller takes hold."""
         return np.concatenate([self.at.x, np.zeros(self.K.n_states)])
 
     def check_reach(self, t: Array, x: Array) -> None:
-        """Whether the plant can be there."""
         self.plant.check_reach(t, x[:, : len(self.plant.states)])
 
     # --- rates and outputs -------------------------------------------------------------------------------------------
@@ -169,18 +180,15 @@ class ControlledNonlinearPlant(NonlinearPlant):
         return own, y, v, self.at.u + inner @ self.K.C.T + v @ self.K.D.T
 
     def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
-        """Rates (n, n_x) of the plant's states and of the controller's."""
         own, _, v, force = self._parts(x, u, values)
         inner = x[:, own.shape[1] :] @ self.K.A.T + v @ self.K.B.T
         return np.hstack([self.plant.rates_along(own, force, values), inner])
 
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
-        """The plant's outputs and its inputs along a trajectory."""
         _, y, _, force = self._parts(x, u, values)
         return np.hstack([y, force])
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
-        """The loop about points x (n, n_x), references u (n, n_r)."""
         own, y, v, force = self._parts(x, u, values)
         local, k, n = self.plant.local_models(own, force, values), self.K, len(x)
         if local.D.any():
@@ -221,7 +229,6 @@ class ControlledNonlinearPlant(NonlinearPlant):
         return local.A[0], local.B[0], local.C[0], local.D[0]
 
     def equilibrium(self, **where: Any) -> Trim:
-        """The rest at which the controller takes hold, with the references there."""
         if where:
             raise InputError(f"{self.name}: trim", f"{next(iter(where))!r}", "nothing: the controller has its rest")
         x, r = self.start, self.offset[: len(self.inputs)].copy()

@@ -11,13 +11,17 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.control.controlled_plant import controlled_plant, driver_in_loop
-from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
-from robustlab.dynamics.control.trajectory_following import (
+from robustlab.dynamics.control.platform import (
+    MOST_TORQUE,
+    MOST_VOLTAGE,
+    LayeredController,
     SineTrajectory,
     TrajectoryFollowing,
+    closed_loop,
     follow,
     follow_with_torques,
     torque_loop,
+    two_layer,
 )
 from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, with_effects
 from robustlab.dynamics.linear_plant import LinearPlant
@@ -64,7 +68,6 @@ class ControlledRuns(Shown):
 
     @property
     def status(self) -> Status:
-        """CONVERGED: simulated, with the integrators' own control of their steps."""
         return Status.CONVERGED
 
     def headline(self) -> str:
@@ -74,7 +77,6 @@ class ControlledRuns(Shown):
         return [*self.told, ("errors count from", number(self.after, "s", 5))]
 
     def details(self) -> list[Part]:
-        """A row for each controller."""
         header = ("controller", "order", *(title for title, _, _ in self.columns))
         rows = [
             (name, str(row["order"]), *(_cell(row, where, factor) for _, where, factor in self.columns))
@@ -210,7 +212,7 @@ def follow_path(
 ) -> ControlledRuns:
     """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3."""
     runs, abscissas, asked, below = _followed(plant, controllers, path, p_low)
-    t, limits = np.linspace(0.0, path.t_end, path.points), next(iter(runs.values())).limits
+    t = np.linspace(0.0, path.t_end, path.points)
     late = t >= after
     rows: dict[str, dict[str, Any]] = {}
     curves: dict[str, dict[str, Array]] = {key: {} for key in ("position", "torque", "voltage")}
@@ -234,8 +236,8 @@ def follow_path(
             curves["voltage"][name] = np.abs(run.voltage).max(axis=1)
     panels = (
         TimePanel("distance to path [mm]", curves["position"]),
-        TimePanel("largest |torque| [mN m]", curves["torque"], 1e3 * limits.torque),
-        TimePanel("largest |voltage| [V]", curves["voltage"], limits.voltage),
+        TimePanel("largest |torque| [mN m]", curves["torque"], 1e3 * MOST_TORQUE),
+        TimePanel("largest |voltage| [V]", curves["voltage"], MOST_VOLTAGE),
     )
     columns = (
         ("position [mm]", ("position_error",), 1e3),

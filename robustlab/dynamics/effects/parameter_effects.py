@@ -27,7 +27,6 @@ class ParameterEffect(Effect):
     quantity: str  # what is scaled, in words
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        """The factor s."""
         meaning = f"{self.quantity}, true value over the nominal one"
         return (EffectParameter("s", "", meaning, Prior("log", 1.0, self.spread)),)
 
@@ -35,7 +34,6 @@ class ParameterEffect(Effect):
         return ({"s": math.exp(self.spread)}, {"s": math.exp(-self.spread)})
 
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
-        """Factor s for each parameter of the group."""
         if site.kind != "parameter":
             return {}
         names = site.name.split("+")  # the label of the group
@@ -106,7 +104,6 @@ class MisplacedEffect(ParameterEffect):
         return (dict.fromkeys(self.components, 0.1 * self.spread),)
 
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
-        """Of each parameter, over its reference."""
         names = site.name.split("+")
         for name in names:
             if name not in plant.parameters:

@@ -25,7 +25,6 @@ class SignalGain(Effect):
     meaning: str  # of s, in words
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        """The gain s."""
         return (EffectParameter("s", "", self.meaning, Prior("log", 1.0, self.spread)),)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
@@ -36,7 +35,6 @@ class SignalGain(Effect):
         return values["s"] * signal
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        """The gain s, at every amplitude."""
         return Footprint(site.name, self.site_kind, values["s"], values["s"])
 
 
@@ -46,7 +44,6 @@ class SignalDelay(Effect):
     delay = "d"
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        """The delay d."""
         return (EffectParameter("d", "s", "delay", Prior("log", 3.0 * scales.dt, 1.2)),)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
@@ -59,7 +56,6 @@ class SignalDelay(Effect):
         return values["d"] / h
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        """The gain 1, late."""
         return Footprint(site.name, self.site_kind, 1.0, 1.0, delay=values["d"])
 
 
@@ -207,7 +203,6 @@ class SensorBias(Effect):
     site_kind = "output"
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
-        """Outputs k for which no equilibrium A x = 0 has C x = e_k: no free initial state takes the bias."""
         offered = []
         n = model.A.shape[-1]
         a, c = model.A.reshape(-1, n), model.C.reshape(-1, len(plant.outputs), n)[0]  # along a motion at every point

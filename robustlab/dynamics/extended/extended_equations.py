@@ -28,8 +28,7 @@ from robustlab.dynamics.extended.attached_effect import (
 from robustlab.dynamics.extended.delays import HIGHEST_PADE, delayed, lagged
 from robustlab.dynamics.extended.nonlinear_steps import About, somewhere
 from robustlab.dynamics.extended.simulator import Simulator
-from robustlab.dynamics.held_point import REST_PASSES, STILL
-from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
+from robustlab.dynamics.plant_contract import REST_PASSES, STILL, NonlinearPlant, SteppedPlant, Trim
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name

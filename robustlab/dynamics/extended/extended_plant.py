@@ -55,11 +55,9 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         object.__setattr__(self, "changed", scaled(self.plant, self.effects))
 
     def about(self, x: Array, seen: Array) -> About:
-        """Rates, outputs and slopes of the plant at the point."""
         return point_model(self.changed, self.effects, x, seen)
 
     def turning(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
-        """By differences of the exact models about the point, extrapolated."""
         own, n = len(self.plant.states), len(self.states)
         rows = carried(self.plant, self.effects)
         at = rows @ x
@@ -82,7 +80,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
     def motion(
         self, u: Array, dt: float, t0: float, x0: Array, step: float | None, hold: Literal["zoh", "foh"] = "zoh"
     ) -> tuple[Array, Array]:
-        """States and outputs, by `robustlab.dynamics.extended.nonlinear_steps`."""
         if hold == "foh" and any(e.site.kind == "input" for e in self.effects):
             raise InputError(
                 f"{self.name}: simulate", "inputs that are not held, with an effect on one", "hold = 'zoh'"
@@ -127,7 +124,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         return float(max(shares, default=0.0))
 
     def nearby(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
-        """The rest of the plant without force laws, and what is asked; a pose that is asked for holds the positions."""
         signals = {s.name for s in (*self.states, *self.inputs, *self.outputs)}
         given = {name: value for name, value in where.items() if name in signals}
         other = {name: value for name, value in where.items() if name not in signals}
@@ -168,12 +164,10 @@ class ExtendedPlant(ExtendedEquations):
     plant: LinearPlant
 
     def about(self, x: Array, seen: Array) -> About:
-        """The same model everywhere."""
         model = self.model
         return About(model, model.A @ x + model.B @ seen, model.C @ x + model.D @ seen)
 
     def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
-        """States and outputs, by `Simulator`."""
         parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
         held = np.repeat(u, parts, axis=0)
         run = Simulator(self.plant, [(e.effect, e.site) for e in self.effects], held, dt / parts, t0)
@@ -182,7 +176,6 @@ class ExtendedPlant(ExtendedEquations):
         return motion.states[0, ::parts], motion.outputs[0, ::parts]
 
     def to_model(self) -> StateSpaceModel:
-        """The linear model at the rest with the smallest inputs; functions that take a model call it."""
         return self.linear_model()
 
     def uncertain(  # pyright: ignore[reportIncompatibleMethodOverride]  (effects, not trims, are what it is asked about)

@@ -14,6 +14,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
+from robustlab.dynamics.extended.simulator import Windows, step_laws
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
 from robustlab.dynamics.ports.motion_model import Course, exponentials_and_ramps, local_port_model
 from robustlab.dynamics.ports.port_model import PortModel
@@ -232,30 +233,12 @@ class _Block:
 
     def _stepped(self, start: Array, memory: Array, length: int) -> Array:
         """States (length, n_x) at the beginnings of so many steps; the memory is carried to the end of the last."""
-        from robustlab.dynamics.ports import law_kernel as kernel
-
         (phi, push, drift), ports, stride = self._table
-        n, n_laws = phi.shape[-1], len(self.laws)
-        velocity, position = np.zeros((n_laws, n)), np.zeros((n_laws, n))
-        parameters = np.zeros((n_laws, max([1, *(len(law.parameters) for law in self.laws)])))
-        for j, law in enumerate(self.laws):
-            port = ports[law.port]
-            velocity[j] = port.velocity
-            if port.position is not None:
-                position[j] = port.position
-            parameters[j, : len(law.parameters)] = law.parameters
         no_input = np.zeros((*phi.shape[:3], 0))
-        held = kernel.HeldSteps(
-            phi, no_input, push, velocity, position, np.ascontiguousarray(drift[:, :length]), stride
-        )
-        addresses = np.array([law.function.address for law in self.laws], dtype=np.uintp)
-        states, forces = np.empty((1, length, n)), np.zeros((1, length, n_laws))
-        run = kernel.Run(
-            np.zeros((self.at + length, 0)), self.drive.h, self.drive.t0, 1,
-            np.array([self.at], dtype=np.int64), length, start[None].copy(), n, True,
-        )  # fmt: skip
-        kernel.step_windows(addresses, parameters, memory, *held, *run, states, forces)
-        return states[0]
+        table = phi, no_input, push, np.ascontiguousarray(drift[:, :length]), stride
+        inputs = np.zeros((self.at + length, 0)), self.drive.h, self.drive.t0, 1
+        window = Windows(np.array([self.at], dtype=np.int64), length)
+        return step_laws(self.laws, ports, table, inputs, window, start[None].copy(), phi.shape[-1], True, memory)[0][0]
 
     def _remember(self, start: Array) -> None:
         if any(law.memory for law in self.laws):

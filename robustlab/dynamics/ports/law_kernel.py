@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -33,32 +32,6 @@ UNRESOLVED = 0.1  # share of the forces by which a step and its halves differ wh
 def law(function):  # type: ignore[no-untyped-def]
     """Compile ``function(p, z, z_next, seen) -> force``."""
     return nb.cfunc(LAW_SIGNATURE, cache=True)(function)
-
-
-class HeldSteps(NamedTuple):
-    """The plant over a whole step, its first and its second half, with the forces held; n states."""
-
-    phi: Any
-    gamma_u: Any
-    gamma_f: Any
-    velocity: Any
-    position: Any
-    drift: Any
-    stride: Any
-
-
-class Run(NamedTuple):
-    """What is simulated: inputs, window starts and lengths."""
-
-    u: Any
-    h: Any
-    t0: Any
-    sub: Any
-    starts: Any
-    length: Any
-    x0: Any
-    own: Any
-    halves: Any
 
 
 @intrinsic
@@ -108,7 +81,16 @@ def step_windows(  # type: ignore[no-untyped-def]
     u, h, t0, sub, starts, length, x0, own, halves,
     states, forces,
 ):  # fmt: skip
-    """Simulate windows one after the other; with more rows of x0 than windows, all of them several times."""
+    """Simulate windows one after the other; with more rows of x0 than windows, all of them several times.
+
+    The plant over a whole step, its first and its second half, with the forces held: phi (3, m, n, n), gamma_u (3, m,
+    n, columns of u), gamma_f (3, m, n_laws, n); what each law sees: velocity, position (n_laws, n). About a motion row
+    (w, j) holds over ``stride`` steps of window w, and drift (3, steps of all windows, n) is what its rates add in
+    each; of a linear plant m = 1 and drift is empty. ``own``: leading states that x0 sets after the first window.
+    """
+    # x+ = phi x + gamma_u u + drift + sum_j gamma_f f_j. Each law answers with the force that fits the motion at the
+    # end of the step that this very force brings about. Every step is made at once and in two halves and extrapolated:
+    # fourth order where the forces are smooth. Several laws are swept (Gauss-Seidel, relaxed after Aitken).
     n, n_u, n_z = phi.shape[2], gamma_u.shape[3], memory.shape[1]
     n_laws = forces.shape[2]
     x = np.zeros((4, n))  # at the start, after a whole step, in its middle, after two halves

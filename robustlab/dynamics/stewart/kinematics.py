@@ -107,7 +107,6 @@ class DirectPoses:
 
     @property
     def status(self) -> Status:
-        """CERTIFIED where every pose is proved, else INCONCLUSIVE."""
         return Status.CERTIFIED if self.proved.all() else Status.INCONCLUSIVE
 
     def to_json(self) -> dict[str, Any]:

@@ -146,7 +146,6 @@ class StewartPlatform(NonlinearPlant):
         self.constants.setflags(write=False)
 
     def with_parameters(self, **given: Any) -> StewartPlatform:
-        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
         parameters = overridden(self.parameters.values(), given, self.name)
         return StewartPlatform(self.name, parameters, self.inputs, self.outputs, self.states, self.preset, self.motors)
 
@@ -213,7 +212,6 @@ class StewartPlatform(NonlinearPlant):
         return state[:12].copy()
 
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
-        """Nut angles and rates (n, 12) along a trajectory."""
         return x[:, :12]
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
@@ -221,7 +219,6 @@ class StewartPlatform(NonlinearPlant):
         return self._jacobians(state, force, *self._motion(state))
 
     def jacobians_at(self, trim: Trim) -> tuple[Array, Array, Array, Array]:
-        """A, B, C, D at a trim of this plant, whose pose is known."""
         if trim.pose is None:
             return self.jacobians(trim.x, trim.u)
         return self._jacobians(*self.point(trim.x, trim.u), np.array(trim.pose[None]), np.zeros((1, 6)))
@@ -237,7 +234,6 @@ class StewartPlatform(NonlinearPlant):
         return a[0], b[0], np.eye(12, len(self.states)), np.zeros((12, 6))
 
     def check_reach(self, t: Array, x: Array) -> None:
-        """The actuators must be within their range."""
         lengths = self.geometry.home_lengths + x[:, :6] / self.geometry.turns
         low, high = self.geometry.limits
         beyond = ((lengths < low - SLACK) | (lengths > high + SLACK)).any(axis=1)
@@ -260,7 +256,6 @@ class StewartPlatform(NonlinearPlant):
         return places(self.motors)
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
-        """The plant about points x (n, 12 or 18), u (n, 6), at the parameter values."""
         shape, numbers, p = self._at(values)
         torque = torques(p, x, u)
         parts = derivatives(shape, numbers, x, torque)
@@ -275,7 +270,6 @@ class StewartPlatform(NonlinearPlant):
         return LocalModels(self.rates_along(x, u, values), self.outputs_along(x, u), a, b, c, d, push)
 
     def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
-        """Rates (n, 12 or 18) of the states."""
         shape, numbers, p = self._at(values)
         found = accelerations(shape, numbers, x, torques(p, x, u))
         if not self.motors:
@@ -292,7 +286,6 @@ class StewartPlatform(NonlinearPlant):
         return self.geometry if same else geometry(values), constants(values), values
 
     def equilibrium(self, pose: ArrayLike | None = None, phi: ArrayLike | None = None, **unknown: Any) -> Trim:
-        """Rest at a pose (tx, ty, tz, ax, ay, az), or at nut angles phi (6,); at home where neither is given."""
         if unknown:
             raise InputError(f"{self.name}: trim", f"{next(iter(unknown))!r}", "pose or phi")
         if pose is not None and phi is not None:
@@ -316,7 +309,6 @@ class StewartPlatform(NonlinearPlant):
     def trimmed_descriptor(
         self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
     ) -> TrimmedDescriptor:
-        """The platform at a pose as a function of its parameters."""
         if hold is not None:
             raise InputError(f"{self.name}: hold", f"{', '.join(hold)}", "None: the pose is held")
         pose = self.poses(trim.x[:6]) if trim.pose is None else trim.pose
@@ -331,7 +323,6 @@ class StewartPlatform(NonlinearPlant):
         return TrimmedDescriptor(matrices, f"the pose is held, the {follow} follow")
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
-        """States (n, 12) or (n, 18) at the times of the signal; compiled."""
         pose, twist = self._motion(x0)
         start = np.concatenate([pose[0], twist[0], x0[12:]])
         states, z = np.empty((len(signal.t), len(x0))), np.empty((len(signal.t), len(x0)))

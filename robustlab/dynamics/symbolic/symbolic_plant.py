@@ -59,7 +59,6 @@ class SymbolicPlant(NonlinearPlant):
         return self.equations.places
 
     def with_parameters(self, **given: Any) -> SymbolicPlant:
-        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
         made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
         made.traced(self.provenance)
         return made
@@ -75,11 +74,9 @@ class SymbolicPlant(NonlinearPlant):
         return self.outputs_along(state[None], force[None])[0]
 
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
-        """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u), at the parameter values of `local_models`."""
         return self._evaluated(self.equations.outputs, x, u, values, first=len(self.states))
 
     def rates_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
-        """Rates (n, n_x) along a trajectory, at the parameter values of `local_models`."""
         return self._evaluated(self.equations.rates, x, u, values)
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
@@ -88,7 +85,6 @@ class SymbolicPlant(NonlinearPlant):
         return local.A[0], local.B[0], local.C[0], local.D[0]
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> LocalModels:
-        """The plant about the points x (n, n_x), u (n, n_u)."""
         n, n_x, n_u, n_y, n_p = (len(x), *map(len, (self.states, self.inputs, self.outputs, self.equations.places)))
         found = self._evaluated(self.equations.models, x, u, values)
         shapes = ((n_x,), (n_y,), (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u), (n_x, n_p))
@@ -97,11 +93,9 @@ class SymbolicPlant(NonlinearPlant):
         return LocalModels(*(part.reshape(n, *shape) for part, shape in zip(parts, shapes, strict=True)))
 
     def equilibrium(self, **where: Any) -> Trim:
-        """State and input at which the plant stays, with the given states, inputs and outputs held by name."""
         return rest(self, where)
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
-        """States (n, n_x) at the times of the signal, by DOP853 with the local error held at ``rtol``; compiled."""
         code = tape_kernels()
         states = np.empty((len(signal.t), len(x0)))
         inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), np.array(signal.broken))

@@ -39,7 +39,7 @@ def test_published_lengths(z, shifted, simple):
 def test_shifted_joint_closes_the_chain():
     """b + c y + L K reaches the platform point, y and K being perpendicular to the second joint axis."""
     for pose in POSES:
-        points = pose[:3] + Rotation.from_euler("xyz", pose[3:]).apply(G.platform)
+        points = pose[:3] + G.platform @ Rotation.from_euler("xyz", pose[3:]).as_matrix().T
         lengths = stewart.inverse_kinematics(G, pose)
         for i in range(6):
             w, x = points[i] - G.base[i], G.axis[i]
