@@ -1,6 +1,4 @@
 """The Stewart platform under control: its two layers, and the nonlinear machine that follows a lift and sines."""
-the nonlinear machine under control, following a trajectory: a smooth lift, then a sine on every axis.
-"""
 # Březina 2010, eqs 9.1-9.4 and section 9.1.3. Eqs 9.2 and 9.4 lack one derivative; the gains are right for the plants
 # written above them. How the first 2 s of the path are passed is not printed; a step would ask for 0.23 N m and 219 V.
 
