@@ -342,6 +342,23 @@ def fitting(plant: NonlinearPlant, at: Trim, where: str) -> Trim:
     return at
 
 
+class PlantAlong(NonlinearPlant):
+    """A nonlinear plant whose equations are given along points; those at one point follow."""
+
+    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
+        state, force = self.point(x, u)
+        return self.rates_along(state[None], force[None])[0]
+
+    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
+        state, force = self.point(x, u)
+        return self.outputs_along(state[None], force[None])[0]
+
+    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        state, force = self.point(x, u)
+        local = self.local_models(state[None], force[None])
+        return local.A[0], local.B[0], local.C[0], local.D[0]
+
+
 class SteppedPlant(NonlinearPlant):
     """A nonlinear plant with forces or signals that no differential equation gives (dry friction, delays), stepped."""
 

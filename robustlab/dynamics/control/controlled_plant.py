@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import EffectParameter, Footprint, Prior, Scales, Site
@@ -15,7 +14,7 @@ from robustlab.dynamics.effects.signal_effects import InputDeadZone
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, with_effects
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
-from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, Plant, PortPlace, Trim
+from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, Plant, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.ports.law_kernel import V, law
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.errors import InputError, unknown_name
@@ -131,7 +130,7 @@ def controlled_nonlinear(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ControlledNonlinearPlant(NonlinearPlant):
+class ControlledNonlinearPlant(PlantAlong):
     """A nonlinear plant under a linear controller; made by `controlled_nonlinear`."""
 
     plant: NonlinearPlant  # the plant, without direct term from inputs to outputs
@@ -214,19 +213,6 @@ class ControlledNonlinearPlant(NonlinearPlant):
             np.concatenate([np.zeros((n, y.shape[1], n_r)), many(k.D[:, :n_r])], axis=1),
             np.concatenate([local.push, np.zeros((n, k.n_states, local.push.shape[2]))], axis=1),
         )
-
-    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, reference = self.point(x, u)
-        return self.rates_along(state[None], reference[None])[0]
-
-    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, reference = self.point(x, u)
-        return self.outputs_along(state[None], reference[None])[0]
-
-    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        state, reference = self.point(x, u)
-        local = self.local_models(state[None], reference[None])
-        return local.A[0], local.B[0], local.C[0], local.D[0]
 
     def equilibrium(self, **where: Any) -> Trim:
         if where:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor
 from robustlab.dynamics.parameters import overridden
-from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PortPlace, Trim
+from robustlab.dynamics.plant_contract import InputSignal, LocalModels, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.stewart.geometry import (
     CONSTANTS,
     Geometry,
@@ -29,7 +29,6 @@ from robustlab.dynamics.stewart.geometry import (
     machine_parameters,
 )
 from robustlab.dynamics.stewart.kinematics import (
-    LIMIT,
     SINGULAR,
     SLACK,
     check_pose,
@@ -86,25 +85,6 @@ def torques(values: Mapping[str, float], x: Array, u: Array) -> Array:
     return values["Km"] * x[:, 12:] - values["Kf"] * values["ratio"] * x[:, 6:12]
 
 
-def accelerations(geometry: Geometry, constants: Array, x: Array, torque: Array) -> Array:
-    """Of the nuts, (n, 6)."""
-    poses, twists = motion(geometry, x)
-    phi, rates, found = np.empty_like(poses), np.empty_like(poses), np.empty_like(poses)
-    numbers = np.array(np.broadcast_to(constants, (len(x), len(constants))), order="C")
-    kernels().forward_dynamics(poses, twists, torque, geometry.legs, numbers, phi, rates, found)
-    return found
-
-
-def derivatives(geometry: Geometry, constants: Array, x: Array, torque: Array) -> tuple[Array, Array, Array]:
-    """Derivatives of the nuts' accelerations over nut angles, rates and motor torques, (n, 6, 6) each."""
-    poses, twists = motion(geometry, x)
-    numbers = np.array(np.broadcast_to(constants, (len(x), len(constants))), order="C")
-    stiffness, damping, gain = np.empty((3, len(x), 6, 6))
-    if not kernels().linearisations(poses, twists, torque, geometry.legs, numbers, stiffness, damping, gain):
-        raise NoTrustworthyNumber(NAME, "singular pose along the motion: no linear model in nut coordinates")
-    return stiffness, damping, gain
-
-
 _NUMBERS = range(1, 7)
 # A trim's residual beyond this share of what gravity alone would do is more than rounding.
 ROUNDING = 1e-9
@@ -128,7 +108,7 @@ def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: A
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StewartPlatform(NonlinearPlant):
+class StewartPlatform(PlantAlong):
     """A Stewart platform; made by `stewart_platform`."""
 
     # preset, motors: as given
@@ -149,10 +129,6 @@ class StewartPlatform(NonlinearPlant):
         parameters = overridden(self.parameters.values(), given, self.name)
         return StewartPlatform(self.name, parameters, self.inputs, self.outputs, self.states, self.preset, self.motors)
 
-    @cached_property
-    def _numbers(self) -> Array:
-        return np.array(self.constants[None])  # writable, as the kernels ask for
-
     # --- poses -------------------------------------------------------------------------------------------------------
 
     def poses(self, phi: ArrayLike, start: ArrayLike | None = None) -> Array:
@@ -170,68 +146,10 @@ class StewartPlatform(NonlinearPlant):
             )
         return found.poses[0] if one else found.poses
 
-    def _motion(self, x: Array) -> tuple[Array, Array]:
-        """Pose and twist (1, 6) of a state."""
-        g, code = self.geometry, kernels()
-        pose, facts = np.empty((1, 6)), np.empty((1, 4))
-        lengths = (g.home_lengths + x[:6] / g.turns)[None]
-        code.direct_poses(lengths, np.array(g.home[None]), g.legs, g.c, LIMIT, pose, facts)
-        if not (facts[0, 0] >= 0 and facts[0, 1] <= 0.5):
-            raise NoTrustworthyNumber(self.name, f"no pose has the nut angles {x[:6].round(3).tolist()}")
-        if not x[6:12].any():
-            return pose, np.zeros((1, 6))
-        matrix = np.empty((1, 6, 6))
-        code.jacobians(pose, g.legs, g.c, lengths, matrix)
-        return pose, np.linalg.solve(g.turns * matrix[0], x[6:12])[None]
-
-    def _torque(self, x: Array, u: Array) -> Array:
-        """Motor torques (6,)."""
-        if not self.motors:
-            return u
-        p = self.values
-        return p["Km"] * x[12:] - p["Kf"] * p["ratio"] * x[6:12]
-
     # --- the contract of a plant -------------------------------------------------------------------------------------
-
-    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, force = self.point(x, u)
-        return self._rates(state, force, *self._motion(state))
-
-    def _rates(self, state: Array, force: Array, pose: Array, twist: Array) -> Array:
-        torque = np.array(self._torque(state, force)[None])
-        phi, rates, accelerations = np.empty((1, 6)), np.empty((1, 6)), np.empty((1, 6))
-        kernels().forward_dynamics(pose, twist, torque, self.geometry.legs, self._numbers, phi, rates, accelerations)
-        if not self.motors:
-            return np.concatenate([state[6:12], accelerations[0]])
-        p = self.values
-        current = (force - p["R"] * state[12:] - p["Kb"] * p["ratio"] * state[6:12]) / p["L"]
-        return np.concatenate([state[6:12], accelerations[0], current])
-
-    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, _ = self.point(x, u)
-        return state[:12].copy()
 
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
         return x[:, :12]
-
-    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        state, force = self.point(x, u)
-        return self._jacobians(state, force, *self._motion(state))
-
-    def jacobians_at(self, trim: Trim) -> tuple[Array, Array, Array, Array]:
-        if trim.pose is None:
-            return self.jacobians(trim.x, trim.u)
-        return self._jacobians(*self.point(trim.x, trim.u), np.array(trim.pose[None]), np.zeros((1, 6)))
-
-    def _jacobians(self, state: Array, force: Array, pose: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
-        torque = np.array(self._torque(state, force)[None])
-        stiffness, damping, gain = np.empty((1, 6, 6)), np.empty((1, 6, 6)), np.empty((1, 6, 6))
-        if not kernels().linearisations(
-            pose, twist, torque, self.geometry.legs, self._numbers, stiffness, damping, gain
-        ):
-            raise NoTrustworthyNumber(self.name, "singular pose: no linear model in nut coordinates")
-        a, b = _assembled(stiffness, damping, gain, self._numbers, self.motors)
-        return a[0], b[0], np.eye(12, len(self.states)), np.zeros((12, 6))
 
     def check_reach(self, t: Array, x: Array) -> None:
         lengths = self.geometry.home_lengths + x[:, :6] / self.geometry.turns
@@ -257,21 +175,45 @@ class StewartPlatform(NonlinearPlant):
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
         shape, numbers, p = self._at(values)
-        torque = torques(p, x, u)
-        parts = derivatives(shape, numbers, x, torque)
-        a, b = _assembled(*parts, np.broadcast_to(numbers, (len(x), len(numbers))), self.motors)
-        n, size = len(x), len(self.states)
-        push = np.zeros((n, size, len(self.port_places)))
-        push[:, 6:12, :6] = parts[2] / p["ratio"]
-        if self.motors:
-            push[:, 12:, 6:] = np.eye(6) / p["L"]
-        c = np.broadcast_to(np.eye(12, size), (n, 12, size))
-        d = np.zeros((n, 12, 6))
-        return LocalModels(self.rates_along(x, u, values), self.outputs_along(x, u), a, b, c, d, push)
+        return self._local(motion(shape, x), shape, numbers, p, x, u)
+
+    def jacobians_at(self, trim: Trim) -> tuple[Array, Array, Array, Array]:
+        if trim.pose is None:
+            return self.jacobians(trim.x, trim.u)
+        x, u = self.point(trim.x, trim.u)
+        at = np.array(trim.pose[None]), np.zeros((1, 6))
+        local = self._local(at, *self._at(None), x[None], u[None])
+        return local.A[0], local.B[0], local.C[0], local.D[0]
 
     def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
         shape, numbers, p = self._at(values)
-        found = accelerations(shape, numbers, x, torques(p, x, u))
+        return self._rates(motion(shape, x), shape, numbers, p, x, u)
+
+    def _local(
+        self, at: tuple[Array, Array], shape: Geometry, numbers: Array, p: Mapping[str, float], x: Array, u: Array
+    ) -> LocalModels:
+        """The local models with the poses and twists known."""
+        n, size = len(x), len(self.states)
+        every = np.array(np.broadcast_to(numbers, (n, len(numbers))), order="C")
+        stiffness, damping, gain = np.empty((3, n, 6, 6))
+        if not kernels().linearisations(*at, torques(p, x, u), shape.legs, every, stiffness, damping, gain):
+            raise NoTrustworthyNumber(self.name, "singular pose: no linear model in nut coordinates")
+        a, b = _assembled(stiffness, damping, gain, every, self.motors)
+        push = np.zeros((n, size, len(self.port_places)))
+        push[:, 6:12, :6] = gain / p["ratio"]
+        if self.motors:
+            push[:, 12:, 6:] = np.eye(6) / p["L"]
+        c = np.broadcast_to(np.eye(12, size), (n, 12, size))
+        rates = self._rates(at, shape, numbers, p, x, u)
+        return LocalModels(rates, self.outputs_along(x, u), a, b, c, np.zeros((n, 12, 6)), push)
+
+    def _rates(
+        self, at: tuple[Array, Array], shape: Geometry, numbers: Array, p: Mapping[str, float], x: Array, u: Array
+    ) -> Array:
+        """The rates with the poses and twists known."""
+        phi, rates, found = np.empty((3, len(x), 6))
+        every = np.array(np.broadcast_to(numbers, (len(x), len(numbers))), order="C")
+        kernels().forward_dynamics(*at, torques(p, x, u), shape.legs, every, phi, rates, found)
         if not self.motors:
             return np.hstack([x[:, 6:12], found])
         current = (u - p["R"] * x[:, 12:] - p["Kb"] * p["ratio"] * x[:, 6:12]) / p["L"]
@@ -293,14 +235,15 @@ class StewartPlatform(NonlinearPlant):
         if phi is not None:
             pose = self.poses(real_array("phi", phi, 1, self.name))
         at = check_pose(self.geometry, self.geometry.home if pose is None else pose, self.name)
-        angles, torques = np.empty((1, 6)), np.empty((1, 6))
-        if not kernels().trim_torques(at[None], self.geometry.legs, self._numbers, angles, torques):
+        angles, held = np.empty((1, 6)), np.empty((1, 6))
+        if not kernels().trim_torques(at[None], self.geometry.legs, np.array(self.constants[None]), angles, held):
             raise NoTrustworthyNumber(self.name, "singular pose: the actuators cannot hold the platform there")
-        x, u = np.concatenate([angles[0], np.zeros(6)]), torques[0]
+        x, u = np.concatenate([angles[0], np.zeros(6)]), held[0]
         if self.motors:
             p = self.values
             x, u = np.concatenate([x, u / p["Km"]]), p["R"] * u / p["Km"]
-        residual = float(np.abs(self._rates(x, u, at[None], np.zeros((1, 6)))).max())
+        rest = at[None], np.zeros((1, 6))
+        residual = float(np.abs(self._rates(rest, *self._at(None), x[None], u[None])).max())
         # free fall accelerates a nut by about turns * gravity
         still = residual <= ROUNDING * max(self.geometry.turns * abs(self.values["gravity"]), 1.0)
         status = Status.CONVERGED if still else Status.INACCURATE
@@ -323,13 +266,13 @@ class StewartPlatform(NonlinearPlant):
         return TrimmedDescriptor(matrices, f"the pose is held, the {follow} follow")
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
-        pose, twist = self._motion(x0)
+        pose, twist = motion(self.geometry, x0[None])
         start = np.concatenate([pose[0], twist[0], x0[12:]])
         states, z = np.empty((len(signal.t), len(x0))), np.empty((len(signal.t), len(x0)))
         code = motion_kernels()
         low, high = self.geometry.limits
         inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken)
-        machine = code.machine(self.geometry.legs, self._numbers[0], self.motors, low - SLACK, high + SLACK)
+        machine = code.machine(self.geometry.legs, np.array(self.constants), self.motors, low - SLACK, high + SLACK)
         outcome, time, _ = code.integrate(start, inputs, machine, rtol, z, states)
         if outcome == code.LEFT:
             raise self._beyond(time)

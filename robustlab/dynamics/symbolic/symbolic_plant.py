@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, Indices, Mask
 from robustlab.dynamics.parameters import overridden
-from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PortPlace, Trim
+from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.symbolic.tape import Tape, tape_kernels
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
 from robustlab.result import Status
@@ -33,7 +32,7 @@ class Equations:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SymbolicPlant(NonlinearPlant):
+class SymbolicPlant(PlantAlong):
     """A plant of one's own; made by `robustlab.dynamics.symbolic.equations.PlantEquations`."""
 
     equations: Equations  # its tapes
@@ -65,24 +64,11 @@ class SymbolicPlant(NonlinearPlant):
 
     # --- the contract of a plant -------------------------------------------------------------------------------------
 
-    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, force = self.point(x, u)
-        return self._evaluated(self.equations.rates, state[None], force[None])[0]
-
-    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, force = self.point(x, u)
-        return self.outputs_along(state[None], force[None])[0]
-
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
         return self._evaluated(self.equations.outputs, x, u, values, first=len(self.states))
 
     def rates_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
         return self._evaluated(self.equations.rates, x, u, values)
-
-    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        state, force = self.point(x, u)
-        local = self.local_models(state[None], force[None])
-        return local.A[0], local.B[0], local.C[0], local.D[0]
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> LocalModels:
         n, n_x, n_u, n_y, n_p = (len(x), *map(len, (self.states, self.inputs, self.outputs, self.equations.places)))
