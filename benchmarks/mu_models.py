@@ -130,7 +130,7 @@ def platform_legs(tolerances: dict[str, float], p_low: float = 3000.0) -> Model:
     triple pole (1/s) that the torque loops were designed for: at 2086.632 their six modes have damping 0.001.
     """
     import robustlab as rl
-    from robustlab.dynamics.control.controllers import measured, two_layer
+    from robustlab.dynamics import measured, two_layer
 
     nominal = rl.plant("stewart-platform", motors=True)
     ranges = {name: (nominal.values[name], tolerance) for name, tolerance in tolerances.items()}

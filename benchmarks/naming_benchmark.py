@@ -61,7 +61,7 @@ def robustlab(folder: Path) -> dict[str, Any]:
 
 
 def _kind(effect: str) -> str:
-    from robustlab.dynamics.effects.kinds import KIND_OF
+    from robustlab.dynamics import KIND_OF
 
     return KIND_OF[effect]
 
@@ -116,7 +116,7 @@ def apart(folder: Path, truth: dict[str, Any], answers: dict[str, Any], seed: in
 
 def distance(case: Any, truth: Sequence[str], answer: Sequence[tuple[str, str, Any]]) -> float:
     """Refit distance from the hidden effects to those of the answer; NaN where the catalogue cannot say one here."""
-    from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
+    from robustlab.dynamics import linear_plant_of, port_model
     from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
     from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem, refit_distance
     from robustlab.identification.hypotheses.noise import first_noise, whitening

@@ -27,7 +27,7 @@ import numpy as np
 from harness import append, in_child, json_lines
 from platform_cases import NOISE, OUTSIDE, PlatformCase, cached_case, names, nominal_plant, seeds
 
-from robustlab.dynamics.effects.kinds import KIND_OF
+from robustlab.dynamics import KIND_OF
 
 Line = dict[str, Any]
 Said = frozenset[tuple[str, int]]  # (effect, leg 1..6; 0: nowhere in particular)

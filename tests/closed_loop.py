@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from robustlab.dynamics import NonlinearPlant
-from robustlab.dynamics.plant_contract import input_signal
+from robustlab.dynamics import NonlinearPlant, input_signal
 from robustlab.record import Record
 
 __all__ = ["closed_loop"]

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.dynamics import NonlinearPlant, Parameter, Trim, overridden
-from robustlab.dynamics.plant_contract import LocalModels, PortPlace
+from robustlab.dynamics import LocalModels, NonlinearPlant, Parameter, PortPlace, Trim, overridden
 from robustlab.statespace import Signal
 
 STEP = 1e-30

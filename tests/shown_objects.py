@@ -166,7 +166,7 @@ def digital() -> rl.StateSpaceModel:
 
 
 def made_effects() -> Any:
-    from robustlab.dynamics.extended.effect_blocks import effect_blocks
+    from robustlab.dynamics import effect_blocks
 
     return effect_blocks(rl.plant("servo-axis", M=(95.0, 0.05), Fv=(200.0, 0.1)))
 
@@ -201,7 +201,7 @@ def performance_comparison() -> Any:
 
 
 def controlled_runs() -> Any:
-    from robustlab.dynamics.control.controlled_runs import Judged, Sine, follow_sine
+    from robustlab.dynamics import Judged, Sine, follow_sine
 
     K = rl.StateSpaceModel([], [], [], [[0.5, -0.5]], inputs=["omega_ref", ("omega", "rad/s")], outputs=[("u", "V")])
     sine = Sine(10.0, 30.0, 0.1, 0.4, points=41)

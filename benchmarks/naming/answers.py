@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from robustlab.dynamics.effects.kinds import KINDS
+from robustlab.dynamics import KINDS
 
 SCHEMA = "robustlab.naming.answers/1"
 VERDICTS = ("named", "open", "unknown", "nothing")

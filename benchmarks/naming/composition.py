@@ -9,7 +9,7 @@ from typing import Any
 
 from hidden import FAMILIES, Family, NothingInCommon, make_case, told
 
-from robustlab.dynamics.effects.kinds import KIND_OF
+from robustlab.dynamics import KIND_OF
 
 CONDITIONS = ("single", "pair", "nothing", "outside", "poor")
 RICH = ("rich", "multisine", "square", "oneway", "steps")  # excitations under which nothing is missing

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.dynamics.effects.kinds import upwards
+from robustlab.dynamics import upwards
 
 Said = Mapping[str, Any]
 RESOLVABLE = 3.0  # standard deviations of the noise below which no test on the records tells two sets apart

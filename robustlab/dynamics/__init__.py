@@ -16,6 +16,37 @@ from robustlab.errors import InputError, did_you_mean
 if TYPE_CHECKING:
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 
+# What else other rooms and tests ask for, loaded on first use: module -> names.
+_INNER = {
+    "control.controlled_plant": "TorqueGains actuator_cascade controlled_nonlinear controlled_plant driver_in_loop"
+    " torque_gains",
+    "control.controlled_runs": "Judged Sine follow_sine",
+    "control.platform": "LayeredController SineTrajectory closed_loop follow follow_with_torques measured torque_loop"
+    " two_layer upper_layer",
+    "descriptor_elimination": "eliminated",
+    "effects.catalogue": "add_effect catalogue effect effect_names",
+    "effects.contract": "Effect EffectParameter Footprint Law Prior Scales Site",
+    "effects.kinds": "KINDS KIND_OF MEANINGS upwards",
+    "effects.signal_effects": "SignalGain",
+    "effects.spring_effects": "DAMPING",
+    "extended.attached_effect": "AttachedEffect holding_force is_set_valued rest_band steady_force",
+    "extended.delays": "delay_block",
+    "extended.effect_blocks": "effect_blocks",
+    "extended.effect_loads": "effect_loads",
+    "extended.extended_equations": "extended_model",
+    "extended.extended_plant": "ExtendedPlant",
+    "extended.feed_forward": "DryLevel FeedForward Wave feed_forward",
+    "extended.force_blocks": "Dry",
+    "extended.simulator": "SampledInput Simulator Windows stepping",
+    "plant_contract": "LocalModels PortPlace input_signal",
+    "plants.motors": "cart_travel linear_actuator",
+    "ports.carried_load": "shares_behind",
+    "ports.motion_model": "local_port_model",
+    "ports.port_model": "linear_plant_of parameter_groups port_model",
+    "symbolic.tape": "OPERATIONS Tape tape_of",
+}
+_MODULE_OF = {name: module for module, names in _INNER.items() for name in names.split()}
+
 __all__ = [
     "Descriptor",
     "LinearPlant",
@@ -42,6 +73,12 @@ _PLANTS = {
     "linear-actuator": "plants.motors.linear_actuator",
     "stewart-platform": "stewart.stewart_platform.stewart_platform",
 }
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULE_OF:
+        return getattr(import_module(f"robustlab.dynamics.{_MODULE_OF[name]}"), name)
+    raise AttributeError(f"module 'robustlab.dynamics' has no attribute {name!r}")
 
 
 # What an editor completes after ``rl.plant(...).``; a test holds the names to the table.
@@ -95,10 +132,7 @@ def plant(name: str, **parameters: Any) -> Plant:
 
 
 def builtin_plant(name: str, **parameters: Any) -> Any:
-    """The same of a plant that comes with robustlab, and of no other: for names out of data files, which run no code.
-
-    Raises InputError: as `plant`.
-    """
+    """Give a plant that comes with robustlab, and no other: for names out of data files, which run no code."""
     if not isinstance(name, str) or name not in _PLANTS:
         known = f"one of {', '.join(_PLANTS)}, path/to/file.py:name or path/to/machine.fmu"
         raise InputError(f"plant {name!r}", "no such plant", known, did_you_mean(str(name), plant_names()))

@@ -1,25 +1,8 @@
 r"""Linear models in descriptor form as state-space models: what E says of no rate is eliminated.
 
 .. math:: E \dot x = A x + B u, \qquad y = C x + D u
-
-=========  =============================================================================================================
-index 0    E has an inverse: ``E^-1 A``, ``E^-1 B``; the states stay
-index 1    equations without a rate fix as many states: they are solved for these, and the rest are the states
-index > 1  some states are determined by derivatives of the input: refused
-=========  =============================================================================================================
-
-With Delta channels it is closed to an uncertain state-space model:
-
-.. math::
-    E \dot x = F x + G u + L_x w, \quad y = C x + D u + L_y w, \qquad
-    z = R\,[x; u; \dot x] + S w, \qquad w = \Delta z
-
-gives, with :math:`\dot x = A x + B u + E^{-1} L_x w` put into z, the M of an upper LFT.
-
-References
-----------
-Dai, *Singular Control Systems* (1989), chapter 1.
 """
+# Dai, *Singular Control Systems* (1989), chapter 1.
 
 from __future__ import annotations
 
@@ -75,10 +58,7 @@ def closed_descriptor(
     outputs: Sequence[str] | None = None,
     point: OperatingPoint | None = None,
 ) -> UncertainModel:
-    """The uncertain model around a nominal one, whose descriptor form has E and these channels.
-
-    ``outputs``: names of the outputs to keep; states that then neither show nor act are left out. All where left out.
-    """
+    """The uncertain model around a nominal one, whose descriptor form has E and these channels."""
     n, n_u, n_y = nominal.n_states, nominal.n_inputs, nominal.n_outputs
     left, right, inner, blocks = channels
     into_x = solved(e, left[:n], where) + 0.0  # no negative zeros

@@ -1,31 +1,6 @@
-r"""The linear models of a trimmed plant over the ranges of its parameters, as one uncertain model.
-
-At every value of the parameters p the plant has, at its operating point, the linear model
-
-.. math:: N(p) \begin{bmatrix} x \\ u \\ \dot x \end{bmatrix} = \begin{bmatrix} 0 \\ y \end{bmatrix}, \qquad
-          N = \begin{bmatrix} F & G & -E \\ C & D & 0 \end{bmatrix}
-
-With E the mass matrix, N is a polynomial of masses, inertias, lengths and motor constants where A and B are not.
-Parameters are sorted by the values of N:
-
-exact
-    N is a polynomial of the parameter, also far beyond its range. A function that is a polynomial of each of several
-    variables is one of all of them; its coefficients come from random points, and other points check it.
-sampled
-    N is no such polynomial, or the plant has no linear model far beyond the range. The polynomial then goes on with the
-    first powers of the parameter (higher ones where those leave much), fitted to the corners of the box and to a Sobol
-    sequence in it, and one full block takes what is left:
-
-    .. math:: N(p) = P(p) + \rho\, W_1 \Delta_r W_2, \qquad \|\Delta_r\| \le 1
-
-    with :math:`\rho` a little more than the largest of the samples asks for. It is proved for these samples by their
-    Delta, and tried on fresh ones; it is not proved for what lies between.
-
-References
-----------
-Cockburn, Morton, "Linear fractional representations of uncertain systems", Automatica 33 (1997); Carroll, "A polynomial
-in each variable separately is a polynomial", Amer. Math. Monthly 68 (1961).
-"""
+"""The linear models of a trimmed plant over the ranges of its parameters, as one uncertain model."""
+# Cockburn, Morton, "Linear fractional representations of uncertain systems", Automatica 33 (1997); Carroll, "A
+# polynomial in each variable separately is a polynomial", Amer. Math. Monthly 68 (1961).
 
 from __future__ import annotations
 
@@ -98,15 +73,7 @@ def uncertain_family(
     ranges: Mapping[str, ParameterRange],
     outputs: Sequence[str] | None = None,
 ) -> UncertainModel:
-    """The uncertain model of all linear models with parameters in their ranges.
-
-    ``where``: the plant's name, for messages.
-    ``nominal``: its linear model with all parameters at ``values``.
-    ``ranges``: the parameters that are uncertain; of several thousand models each takes part in, see `FAMILY_CHECKS`.
-    ``outputs``: names of the outputs to keep, all where left out.
-    Returns: one `RealScalar` for each parameter that has an effect, of its name; ``remainder``, a full block, where the
-    values of a parameter are covered by samples. ``origin`` of each block says which it is, and on what evidence.
-    """
+    """The uncertain model of all linear models with parameters in their ranges."""
     if not ranges:
         return UncertainModel(nominal, [], nominal.operating_point)
     if REMAINDER in ranges:
@@ -124,10 +91,7 @@ def uncertain_family(
 
 
 def _scale(centre: Array, scans: Sequence[Array]) -> Array:
-    """Natural magnitude of each entry of N, an outer product; columns are measured in the rows that do change.
-
-    Rows such as ``phi' = phidot`` or of outputs say nothing of how large a signal is where it meets a parameter.
-    """
+    """Natural magnitude of each entry of N, an outer product; columns are measured in the rows that do change."""
     every = np.concatenate([centre[None], *scans])
     size, changing = np.abs(every).max(axis=0), np.ptp(every, axis=0).any(axis=1)
     if not changing.any():
@@ -200,8 +164,6 @@ def _chebyshev(count: int) -> Array:
 def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, dict[str, Array | None]]:
     """The family whose free rows have those factors that make them simplest, and N along each parameter: (nodes, rows,
     columns), None where there is none far beyond the range.
-
-    The others stand beside their nominal values: at those a parameter may be without effect.
     """
     base = {n: 0.62 * r.nominal + 0.38 * family.reach(n)[1] for n, r in zip(family.names, family.ranges, strict=True)}
     base = base if _exists(family, base) else {}
@@ -268,11 +230,7 @@ def _complexity(rows: Mapping[str, Array]) -> tuple[int, int]:
 
 
 def _degree(scan: Array) -> int | None:
-    """Degree of the polynomial through values at Chebyshev nodes, (nodes, ...) of magnitude one; None: of none.
-
-    A function that is no polynomial has Chebyshev coefficients that fall off until they drown in rounding, which the
-    highest ones show; a polynomial has none beyond its degree.
-    """
+    """Degree of the polynomial through values at Chebyshev nodes, (nodes, ...) of magnitude one; None: of none."""
     count = len(scan)
     basis = np.polynomial.chebyshev.chebvander(_chebyshev(count), count - 1)
     sizes = np.abs(basis.T @ scan.reshape(count, -1)) * (2.0 / count)

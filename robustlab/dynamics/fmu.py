@@ -1,9 +1,4 @@
-"""Functional mock-up units for co-simulation (FMI 2.0 and 3.0) as plants, run by FMPy in a child process.
-
-A unit is a program. The child (this module as a program) is started for each request, told by a file what to do, and
-ended by its end or the time limit; what it prints reaches nobody. The unit brings its own solver and shows outputs
-alone, so a plant made of it has no states, no linear model and no rest.
-"""
+"""Functional mock-up units for co-simulation (FMI 2.0 and 3.0) as plants, run by FMPy in a child process."""
 
 from __future__ import annotations
 
@@ -102,20 +97,7 @@ def fmu(path: str | Path, *, time_limit: float = 60.0, **parameters: Any) -> Fmu
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FmuPlant(SteppedPlant):
-    """A functional mock-up unit for co-simulation as a plant without states of ours.
-
-    It can be simulated (inputs are held between the samples, each a communication step, or ``step=`` shorter ones),
-    compared with a record (`compare`), and sampled over its parameters.
-
-    Attributes
-    ----------
-    path, sha256
-        File of the unit, and its hash when the plant was made; another file is not run.
-    time_limit
-        Seconds that the unit may take for one request.
-    about
-        What the unit's description says.
-    """
+    """A functional mock-up unit for co-simulation as a plant without states of ours."""
 
     path: Path
     sha256: str
@@ -123,13 +105,11 @@ class FmuPlant(SteppedPlant):
     about: Mapping[str, Any]
 
     def with_parameters(self, **given: Any) -> FmuPlant:
-        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
         made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
         made.traced(Provenance.now(BY_UNIT, {str(self.path): self.sha256}))
         return made
 
     def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
-        """No states (n, 0), and outputs (n, n_y), at the times t for inputs (n, n_u) held between them."""
         steps = np.diff(t)
         if not self.about["variable_step"] and len(steps) and np.ptp(steps) > EVEN * steps.mean():
             raise InputError(f"simulate {self.name}", "steps that differ", "equal ones: the unit takes no others")
@@ -144,15 +124,7 @@ class FmuPlant(SteppedPlant):
         return np.zeros((len(t), 0)), y
 
     def compare(self, record: Record) -> FreeRun:
-        """The record's inputs simulated from the unit's own initial state, beside its outputs; nothing is fitted.
-
-        Raises
-        ------
-        InputError
-            An input that the record has not got, no output in common.
-        UnitMismatch
-            Different units of a signal.
-        """
+        """The record's inputs simulated from the unit's own initial state, beside its outputs; nothing is fitted."""
         where = f"compare {record.name}"
         missing = [s.name for s in self.inputs if s.name not in record.inputs]
         shared = [s for s in self.outputs if s.name in record.outputs]
@@ -179,11 +151,9 @@ class FmuPlant(SteppedPlant):
     def linear_model(
         self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
     ) -> StateSpaceModel:
-        """Refused."""
         self._refused()
 
     def left_out(self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0) -> tuple[Any, ...]:
-        """Nothing that is known."""
         return ()
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
@@ -196,7 +166,6 @@ class FmuPlant(SteppedPlant):
         self._refused()
 
     def equilibrium(self, **where: Any) -> Trim:
-        """Refused."""
         self._refused()
 
 

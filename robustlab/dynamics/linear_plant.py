@@ -1,18 +1,6 @@
 r"""Linear plants in descriptor form, and their exact parametric uncertainty.
 
 .. math:: E(p)\,\dot x = F(p)\,x + G(p)\,u, \qquad y = C(p)\,x + D(p)\,u
-
-with matrices that are affine in the parameters p. The state space ``A = E^-1 F, B = E^-1 G`` is rational in p; the
-descriptor form is not, and that is what makes the linear fractional transformation minimal: with :math:`p_k = \bar
-p_k + r_k \delta_k`
-
-.. math:: \bar E \dot x = \bar F x + \bar G u + \sum_k \delta_k r_k (F_k x + G_k u - E_k \dot x),
-
-and a parameter whose :math:`[F_k\; G_k\; {-E_k}; C_k\; D_k\; 0] = l_k r_k^T` has rank one costs one channel, wherever
-it stands.
-
-Parameters may be tied (`tied_plant`): of the inertias of a drive train a record shows the sum, and a fit their common
-factor. A range for each alone would say what nobody measured; one block for the factor says what was, and nothing else.
 """
 
 from __future__ import annotations
@@ -167,7 +155,6 @@ class LinearPlant(Plant):
         return AffineEquations(names, stacked, {name: self.values[name] for name in self.exact})
 
     def to_model(self) -> StateSpaceModel:
-        """The same as `state_space`; functions that take a model call it, so they take a linear plant too."""
         return self.state_space()
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
@@ -181,7 +168,6 @@ class LinearPlant(Plant):
         return model.C @ state + model.D @ force
 
     def with_parameters(self, **given: Any) -> LinearPlant:
-        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
         made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
         made.traced(self.provenance)
         return made
@@ -191,34 +177,9 @@ class LinearPlant(Plant):
     def uncertain(
         self, outputs: Sequence[str] | None = None, ranges: Mapping[str, tuple[float, float]] | None = None
     ) -> UncertainModel:
-        r"""The set of all models whose parameters lie within their tolerances, as an exact and minimal LFT.
-
-        .. math::
-            z_k = r_k \rho_k^T [x; u; \dot x], \quad w_k = \delta_k z_k, \quad
-            \dot x = \bar A x + \bar B u + \bar E^{-1} L w
-
-        Every parameter with a tolerance becomes one `RealScalar` of its name (repeated only where its coefficients
-        have a higher rank than one). A parameter without a tolerance stays at its value.
-
-        Parameters
-        ----------
-        outputs
-            Names of the outputs to keep; states that then neither show nor act are left out (a motor's angle, where
-            only its speed is looked at). All outputs and states where left out.
-        ranges
-            Name -> (low, high), numbers or texts with a unit, around the parameter's value, instead of its tolerance: a
-            range need not be symmetric.
-
-        Returns
-        -------
-        UncertainModel
-            At Delta = 0 the nominal plant; at any other Delta the plant rebuilt with those parameter values.
-
-        References
-        ----------
-        Březina 2010, eqs 10.1-10.4; the rows of R, L, Kb there want -1/L and those of Km, Kf, J want 1/J as
-        coefficients when the deltas are absolute, which is what comes out here.
-        """
+        """The set of all models whose parameters lie within their tolerances, as an exact and minimal LFT."""
+        # Březina 2010, eqs 10.1-10.4; the rows of R, L, Kb there want -1/L and those of Km, Kf, J want 1/J as
+        # coefficients when the deltas are absolute, which is what comes out here.
         e = self.matrices(self.values)[0]
         channels = self._channels(parameter_ranges(self.parameters, ranges or {}, self.name, self.exact))
         return closed_descriptor(self.state_space(), e, channels, self.name, outputs)
@@ -275,11 +236,7 @@ class LinearPlant(Plant):
 
 
 def _rank_factors(matrix: Array) -> tuple[Array, Array]:
-    """``matrix = columns @ rows`` with as few columns as its rank, by elimination with full pivoting.
-
-    Coefficients of a parameter are small whole numbers as a rule, and elimination leaves them exact where an SVD
-    would not.
-    """
+    """``matrix = columns @ rows`` with as few columns as its rank, by elimination with full pivoting."""
     rest = matrix.copy()
     columns, rows = [np.zeros((len(matrix), 0))], [np.zeros((0, matrix.shape[1]))]
     smallest = ROUNDING * np.abs(matrix).max(initial=0.0)
@@ -295,21 +252,7 @@ def _rank_factors(matrix: Array) -> tuple[Array, Array]:
 
 
 def tied_plant(plant: LinearPlant, groups: Iterable[tuple[str, tuple[str, ...]]]) -> LinearPlant:
-    r"""The same plant with one further parameter s = 1 for each group, which scales all of the group.
-
-    .. math:: p_k = \bar p_k + \bar p_k (s - 1) \quad \text{for each } k \text{ of the group}
-
-    Its tolerance is the widest of the group's, whose own are taken off; groups of one, or without a tolerance, stay.
-
-    ``groups``: (label, names of parameters) each.
-
-    Examples
-    --------
-    >>> from robustlab.dynamics import plant
-    >>> motor = plant("dc-motor", Km=(0.05, 0.02), Kb=(0.05, 0.02), Kf=(4.8e-5, 0.0))
-    >>> [b.name for b in tied_plant(motor, [("Km+Kb", ("Km", "Kb"))]).uncertain(["omega"]).blocks]
-    ['Km+Kb']
-    """
+    """The same plant with one further parameter s = 1 for each group, which scales all of the group."""
     parameters, scaled = dict(plant.parameters), plant.values
     tied: dict[str, tuple[str, ...]] = {}
     seen: set[str] = set()

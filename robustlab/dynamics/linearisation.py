@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant, Trim
+from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant, Trim, fitting
 from robustlab.errors import InputError, told_as
 from robustlab.provenance import code_of
 from robustlab.statespace import OperatingPoint, StateSpaceModel
@@ -104,9 +104,7 @@ def linearise(
     StateSpaceModel(3 states, [u] -> [phi, omega, i], continuous)
     """
     if isinstance(plant, SteppedPlant):
-        if isinstance(at, Trim):
-            at = _trimmed(plant, at)
-        return plant.linear_model(at, amplitude, pade)
+        return plant.linear_model(fitting(plant, at, "linearise: at") if isinstance(at, Trim) else at, amplitude, pade)
     if amplitude or pade:
         raise InputError("linearise", "amplitude or pade for a plant without effects", "neither")
     if isinstance(plant, NonlinearPlant):
@@ -137,9 +135,7 @@ def linearise(
 def _trimmed(plant: NonlinearPlant, at: Any) -> Trim | None:
     """The trim that the user gave, or asked for by giving nothing or a pose; None where ``at`` is something else."""
     if isinstance(at, Trim):
-        if at.plant != plant.name or len(at.x) != len(plant.states) or len(at.u) != len(plant.inputs):
-            raise InputError("linearise: at", f"a trim of {at.plant} with {len(at.x)} states", f"one of {plant.name}")
-        return at
+        return fitting(plant, at, "linearise: at")
     if at is None:
         return plant.equilibrium()
     if isinstance(at, (tuple, list)) and len(at) == 2:

@@ -119,7 +119,6 @@ class Parameter:
             )
 
     def to_json(self) -> dict[str, object]:
-        """All attributes as plain types."""
         return {
             "name": self.name,
             "value": self.value,
@@ -131,20 +130,7 @@ class Parameter:
 
 
 def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: str) -> dict[str, Parameter]:
-    """The default parameters with the given ones put in their places.
-
-    ``given``: name -> value (the default's tolerance stays; that of the value 0 is none), or name -> ``(value,
-    tolerance)``, the tolerance as `tolerance_of` reads it. A value may be a text: a number with the parameter's unit,
-    or one that measures the same.
-    ``where``: what messages call the plant.
-
-    Examples
-    --------
-    >>> overridden([Parameter("R", 2.07, "ohm")], {"R": (2.1, 0.05)}, "dc-motor")["R"].radius
-    0.10500000000000001
-    >>> overridden([Parameter("L", 6e-4, "H")], {"L": ("0.5 mH", "10%")}, "dc-motor")["L"].range
-    ParameterRange(nominal=0.0005, radius=5e-05, unit='H', below=None)
-    """
+    """The default parameters with the given ones put in their places."""
     known = {p.name: p for p in defaults}
     for name, value in given.items():
         if name not in known:
@@ -166,17 +152,7 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
 def parameter_ranges(
     parameters: Mapping[str, Parameter], given: Mapping[str, Any], where: str, exact: Collection[str] = ()
 ) -> dict[str, ParameterRange]:
-    """The range of every parameter that has one: as given, or from its tolerance.
-
-    ``given``: name -> (low, high), numbers or texts with a unit, around the parameter's value. ``where``: what messages
-    call the plant. ``exact``: names of parameters that take no range.
-
-    Examples
-    --------
-    >>> resistance = Parameter("R", 2.0, "ohm", tolerance=0.1)
-    >>> parameter_ranges({"R": resistance}, {"R": (1.9, 2.5)}, "motor")["R"].high
-    2.5
-    """
+    """The range of every parameter that has one: as given, or from its tolerance."""
     known = tuple(parameters)
     for name in given:
         place = f"{where}: uncertain: {name!r}"
@@ -198,17 +174,7 @@ def parameter_ranges(
 
 
 def tolerance_of(where: str, given: Any, nominal: float, unit: str) -> float:
-    """A tolerance as `Parameter` holds it: relative, of the value 0 absolute in ``unit``.
-
-    ``given``: a number, a share such as ``"5%"``, or an absolute tolerance with its unit such as ``"+-0.2 N s/m"``.
-
-    Examples
-    --------
-    >>> tolerance_of("c", 0.1, 20.0, "N s/m"), tolerance_of("c", "+-5 N s/m", 20.0, "N s/m")
-    (0.1, 0.25)
-    >>> tolerance_of("c", "+-0.2 N s/m", 0.0, "N s/m")
-    0.2
-    """
+    """A tolerance as `Parameter` holds it: relative, of the value 0 absolute in ``unit``."""
     text = given.strip().removeprefix("+-").removeprefix("±").strip() if isinstance(given, str) else given
     try:
         tolerance = _number(where, share(where, text))

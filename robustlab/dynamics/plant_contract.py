@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
-from robustlab.dynamics.descriptor_family import TrimmedDescriptor, uncertain_family
-from robustlab.dynamics.held_point import held_descriptor
+from robustlab.dynamics.descriptor_family import TrimmedDescriptor, Values, uncertain_family
 from robustlab.dynamics.parameters import Parameter, parameter_ranges
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import AllFields, Facts, Shown, listed, number, with_units
@@ -28,6 +27,15 @@ from robustlab.uncertainty.lft import UncertainModel
 # Slopes of a sampled input that differ by less than this share of the largest are one straight line. Larger: fewer
 # restarts of the integrator, at the price of its order where the input does bend.
 STRAIGHT = 1e-9
+
+# Newton steps towards rest; it is where a rate is no more than the second number's share of the terms that make it up.
+REST_PASSES = 60
+STILL = 1e-11
+# Where parameters change, a Newton step that leads away is halved so often at most.
+REST_HALVINGS = 40
+
+# A state or input below it, in its unit, counts as zero where the size of a rate's terms is taken.
+NONE = 1e-6
 
 NonlinearHold = Literal["zoh", "foh", "spline"]
 
@@ -53,12 +61,7 @@ class InputSignal:
 
 
 def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
-    """Signal through the samples (n, n_u).
-
-    ``hold``: "zoh": constant until the next sample (a D/A converter). "foh": straight to the next sample. "spline": the
-    not-a-knot spline of degree 5, for a smooth signal (a cubic one would break the integrator's order at every sample);
-    it needs at least 6 samples.
-    """
+    """Signal through the samples (n, n_u)."""
     coefficients = np.zeros((len(t) - 1, 6, samples.shape[1]))
     broken = np.zeros(len(t) - 1, dtype=np.bool_)
     if hold == "zoh":
@@ -211,12 +214,7 @@ class PortPlace:
 
 @dataclass(frozen=True, eq=False)
 class LocalModels:
-    r"""A nonlinear plant about n points (x_k, u_k), which need not be at rest.
-
-    .. math::
-        \dot x \approx f_k + A_k (x - x_k) + B_k (u - u_k) + \sum_j b_{kj} F_j, \qquad
-        y \approx y_k + C_k (x - x_k) + D_k (u - u_k)
-    """
+    """A nonlinear plant about n points (x_k, u_k), which need not be at rest."""
 
     # rates, outputs: f_k and y_k, shapes (n, n_x) and (n, n_y)
     rates: Array
@@ -240,13 +238,6 @@ class NonlinearPlant(Plant):
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
         """The plant about the points x (n, n_x), u (n, n_u), with the parameter values (all of them; nominal ones where
         left out).
-
-        Raises
-        ------
-        InputError
-            A plant that has no such models.
-        NoTrustworthyNumber
-            A point at which it has none, by its number.
         """
         raise InputError(self.name, "a plant without models along a motion", "one that has them", None)
 
@@ -255,13 +246,7 @@ class NonlinearPlant(Plant):
         return self.local_models(x, u, values).rates
 
     def check_reach(self, t: Array, x: Array) -> None:
-        """Whether the machine can be in the states x (n, n_x) at the times t; any by default.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            A state beyond its range; the message names the first time.
-        """
+        """Whether the machine can be in the states x (n, n_x) at the times t; any by default."""
 
     @abstractmethod
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
@@ -288,7 +273,7 @@ class NonlinearPlant(Plant):
     def trimmed_descriptor(
         self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
     ) -> TrimmedDescriptor:
-        """The plant at rest as a function of its parameters; see `robustlab.dynamics.held_point.held_descriptor`."""
+        """The plant at rest as a function of its parameters."""
         return held_descriptor(self, trim.x, trim.u, hold, tried)
 
     def uncertain(
@@ -298,40 +283,7 @@ class NonlinearPlant(Plant):
         at: Any = None,
         hold: Sequence[str] | None = None,
     ) -> UncertainModel:
-        r"""The set of the linear models at a trim, for all parameters within their tolerances.
-
-        Every parameter with a tolerance becomes one `RealScalar` of its name. Exact are those of which the descriptor
-        form :math:`E \dot x = F x + G u` is a polynomial: masses, inertias, lengths, motor constants as a rule. Others
-        are covered: their first-order effect, and one full block ``remainder`` for the rest, found from samples and
-        proved for these only. ``origin`` of each block says which it is, what is held and what was checked; see
-        `robustlab.dynamics.descriptor_family`.
-
-        Parameters
-        ----------
-        outputs
-            Names of the outputs to keep; states that then neither show nor act are left out. All where left out.
-        ranges
-            Name -> (low, high), numbers or texts with a unit, around the parameter's value, instead of its tolerance.
-        at
-            A `Trim`, what `trim` takes as a dict, or for a mechanism a pose (6,); the trim at home where left out.
-        hold
-            States and inputs that keep their value while the parameters change and the others follow into rest. Where
-            left out, the first of these with which there is rest: all states but currents (the inputs follow), the
-            positions of the joints, the inputs (the states follow). ``origin`` of the blocks says which. A platform
-            holds its pose.
-
-        Returns
-        -------
-        UncertainModel
-            At Delta = 0 the linear model at the trim, whose operating point it carries.
-
-        Raises
-        ------
-        InputError
-            A plant without models along a motion, an unknown name, a range that is none.
-        NoTrustworthyNumber
-            No rest with what is held at some value of the parameters, named by it.
-        """
+        """The set of the linear models at a trim, for all parameters within their tolerances."""
         allowed = parameter_ranges(self.parameters, ranges or {}, self.name)
         point = _trim_at(self, at)
         model = StateSpaceModel(
@@ -350,13 +302,7 @@ class NonlinearPlant(Plant):
         return np.array([self.output(state, force) for state, force in zip(x, u, strict=True)])
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
-        """States (n, n_x) at the times of the signal, by DOP853 with the local error held at ``rtol``.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            The integrator gave up; the message names the time.
-        """
+        """States (n, n_x) at the times of the signal, by DOP853 with the local error held at ``rtol``."""
         from scipy.integrate import solve_ivp
 
         states = np.empty((len(signal.t), len(x0)))
@@ -384,13 +330,33 @@ class NonlinearPlant(Plant):
 
 def _trim_at(plant: NonlinearPlant, at: Any) -> Trim:
     """The trim that the user gave, or asked for by a dict, a pose or nothing."""
-    if at is None or isinstance(at, dict):
-        return plant.equilibrium(**(at or {}))
-    if not isinstance(at, Trim):
-        return plant.equilibrium(pose=at)
+    if isinstance(at, Trim):
+        return fitting(plant, at, "uncertain: at")
+    return plant.equilibrium(**(at or {})) if at is None or isinstance(at, dict) else plant.equilibrium(pose=at)
+
+
+def fitting(plant: NonlinearPlant, at: Trim, where: str) -> Trim:
+    """The trim, where it is one of the plant."""
     if at.plant != plant.name or (len(at.x), len(at.u)) != (len(plant.states), len(plant.inputs)):
-        raise InputError("uncertain: at", f"a trim of {at.plant} with {len(at.x)} states", f"one of {plant.name}")
+        raise InputError(where, f"a trim of {at.plant} with {len(at.x)} states", f"one of {plant.name}")
     return at
+
+
+class PlantAlong(NonlinearPlant):
+    """A nonlinear plant whose equations are given along points; those at one point follow."""
+
+    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
+        state, force = self.point(x, u)
+        return self.rates_along(state[None], force[None])[0]
+
+    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
+        state, force = self.point(x, u)
+        return self.outputs_along(state[None], force[None])[0]
+
+    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        state, force = self.point(x, u)
+        local = self.local_models(state[None], force[None])
+        return local.A[0], local.B[0], local.C[0], local.D[0]
 
 
 class SteppedPlant(NonlinearPlant):
@@ -415,3 +381,106 @@ class SteppedPlant(NonlinearPlant):
     @abstractmethod
     def left_out(self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0) -> tuple[Any, ...]:
         """What that model does not have."""
+
+
+# --- rest as a function of the parameters ----------------------------------------------------------------------------
+
+
+def held_descriptor(
+    plant: NonlinearPlant, x: Array, u: Array, hold: Sequence[str] | None, tried: Mapping[str, Values]
+) -> TrimmedDescriptor:
+    """The plant's descriptor form about (x, u) as a function of its parameters."""
+    states, inputs = [s.name for s in plant.states], [s.name for s in plant.inputs]
+    places = plant.port_places
+    ports = [states.index(place.name) for place in places]
+    currents = {place.name for place in places if place.kind == "current"}
+    names = [*states, *inputs]
+    for name in hold or ():
+        if name not in names:
+            expected = f"of {', '.join(names)}"
+            raise InputError(f"{plant.name}: hold", f"no state or input {name!r}", expected, did_you_mean(name, names))
+    positions = {place.position for place in places if place.kind == "joint" and place.position}
+    choices = [set(states) - currents, *([positions] if positions else []), set(inputs)]
+    choices = [set(hold)] if hold is not None else choices
+    refused: NoTrustworthyNumber | None = None
+    for choice in choices:
+        held = choice | {place.name for place in places if place.kind == "joint"}
+        rest = _Rest(plant, np.concatenate([x, u]), [k for k, name in enumerate(names) if name not in held])
+        try:
+            for label, values in tried.items():
+                rest.at(values, f" ({label})")
+        except NoTrustworthyNumber as error:
+            refused = refused or error
+            continue
+        free = tuple(k for k in range(len(states)) if k not in ports)
+        return TrimmedDescriptor(lambda values, rest=rest: _descriptor(rest.at(values), ports), rest.told(names), free)
+    assert refused is not None
+    raise refused
+
+
+def _descriptor(local: Any, ports: Sequence[int]) -> Array:
+    """N of `robustlab.dynamics.descriptor_family` from the local model at one point."""
+    a, b, c, d = local.A[0], local.B[0], local.C[0], local.D[0]
+    n, n_y = len(a), len(c)
+    e = np.eye(n)
+    inner = local.push[0][list(ports)]
+    if len(ports) and np.linalg.matrix_rank(inner) == len(ports):
+        e[np.ix_(ports, ports)] = np.linalg.inv(inner)
+    return np.block([[e @ a, e @ b, -e], [c, d, np.zeros((n_y, n))]])
+
+
+@dataclass(frozen=True)
+class _Rest:
+    """Rest of a plant with all states and inputs at ``start`` (n_x + n_u,) but those that ``follow``."""
+
+    plant: NonlinearPlant
+    start: Array
+    follow: Sequence[int]
+
+    def told(self, names: Sequence[str]) -> str:
+        """What is held and what follows."""
+        follow = [names[k] for k in self.follow]
+        held = ", ".join(name for name in names if name not in follow) or "nothing"
+        return f"held: {held}" + (f"; what follows: {', '.join(follow)}" if follow else "")
+
+    def at(self, values: Values, label: str = "") -> Any:
+        """The local model at rest, by Newton's method from the start; steps are halved while they lead away."""
+        follow = list(self.follow)
+        point = self.start.copy()
+        off, local, size = self._looked(point, values)
+        for _ in range(REST_PASSES if follow else 0):
+            if off == 0.0:
+                break
+            weight = np.where(self.start[follow] == 0, 1.0, np.abs(self.start[follow]))
+            slopes = np.hstack([local.A[0], local.B[0]])[:, follow] * weight / size[:, None]
+            step = weight * np.linalg.lstsq(slopes, -local.rates[0] / size, rcond=None)[0]
+            # at rounding a step is only tried as it is
+            for _ in range(1 if off <= STILL else REST_HALVINGS):
+                there = point.copy()
+                there[follow] += step
+                found = self._looked(there, values)
+                if found[0] < off:
+                    break
+                step = 0.5 * step
+            else:
+                break
+            (off, local, size), point = found, there
+        if not np.isfinite(off):
+            raise NoTrustworthyNumber(self.plant.name, f"no finite linear model with what is held{label}")
+        if off > STILL:
+            fastest = self.plant.states[int(np.argmax(np.abs(local.rates[0] / size)))].name
+            hint = "hold other states or inputs, so that the others can follow"
+            raise NoTrustworthyNumber(self.plant.name, f"no rest with what is held: {fastest} moves{label}", None, hint)
+        return local
+
+    def _looked(self, point: Array, values: Values) -> tuple[float, Any, Array]:
+        """The largest rate relative to what its terms add up to, the local model, those sums; inf where none is."""
+        n = len(self.plant.states)
+        try:
+            local = self.plant.local_models(point[None, :n], point[None, n:], values)
+        except NoTrustworthyNumber:
+            return np.inf, None, np.ones(n)
+        slopes = np.hstack([local.A[0], local.B[0]])
+        size = np.abs(slopes) @ np.where(np.abs(point) < NONE, 1.0, np.abs(point)) + np.finfo(float).tiny
+        off = float(np.abs(local.rates[0] / size).max(initial=0.0))
+        return (off if np.isfinite(off) else np.inf), local, size

@@ -1,11 +1,4 @@
-"""Plants of the user's own, by the name ``path/to/file.py:name``: a plant, or a function that returns one.
-
-Such a file is a program, and it is run: where the user named it, in a call, on the command line or in a recipe, and
-never because a data file says so (`robustlab.storage` knows the names of built-in plants only). What it does wrong is
-told in one line with the file and the line in it. It may import modules that lie beside it. What it prints goes where
-Python's own output goes; an endless loop in it is ended by Ctrl-C. ``robustlab plant new`` writes
-a file to start from.
-"""
+"""Plants of the user's own, by the name ``path/to/file.py:name``: a plant, or a function that returns one."""
 
 from __future__ import annotations
 
@@ -49,13 +42,7 @@ _neighbours: dict[str, types.ModuleType] = {}
 
 
 def plant_reference(text: str) -> tuple[str, str] | None:
-    """File and name of a plant in a file of Python, the name empty where there is none; None for any other text.
-
-    Examples
-    --------
-    >>> plant_reference("machines/axis.py:axis"), plant_reference("axis.py"), plant_reference("servo-axis")
-    (('machines/axis.py', 'axis'), ('axis.py', ''), None)
-    """
+    """File and name of a plant in a file of Python, the name empty where there is none; None for any other text."""
     found = re.fullmatch(r"([^\0]+\.py)(?::(.*))?", text, re.DOTALL)
     return (found[1], found[2] or "") if found else None
 
@@ -66,13 +53,7 @@ def unit_reference(text: str) -> bool:
 
 
 def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None, path: Path | None = None) -> Plant:
-    """The plant that ``file.py:name`` means, with these parameters in the places of its own.
-
-    ``parameters``: handed to the function; those that it does not name, and all of a plant that is no function, go to
-    the plant's ``with_parameters``.
-    ``path``: where the file was found, if not at the place that the reference says.
-    Returns: its ``provenance`` has the SHA-256 of the file, and of the modules beside it that it imported.
-    """
+    """The plant that ``file.py:name`` means, with these parameters in the places of its own."""
     file, name = plant_reference(reference) or ("", "")
     if not file:
         raise InputError(reference, "names no file of Python", "path/to/file.py:name")
@@ -277,47 +258,6 @@ def _choice(module: types.ModuleType) -> str:
 # The plant in the template.
 PLANT = "axis"
 
-TEMPLATE = '''\
-"""{stem}: a carriage on an incline, pushed by a motor and held by a spring that stiffens.
-
-Look at it:                robustlab plant show {file}:axis
-Against a measurement:     robustlab data compare {file}:axis run.csv --inputs F --outputs x
-What does the model lack:  robustlab data discover {file}:axis run.csv --inputs F --outputs x
-"""
-
-import casadi as ca  # sin, cos, sqrt, ... of expressions
-
-import robustlab as rl
-
-
-def axis(**given):
-    p = rl.PlantEquations("{stem}")
-
-    # What you know of the machine: name, value, SI unit. tolerance=0.05: the true value is within 5 % of this one. With
-    # a tolerance, say the parameter's role: inertia, viscous-friction, torque-constant, resistance, inductance,
-    # stiffness, input-gain, or none. An effect such as "inertia wrong" changes all parameters of that role.
-    m = p.parameter("m", 12.0, "kg", tolerance=0.05, role="inertia", meaning="moving mass", source="weighed")
-    c = p.parameter("c", 60.0, "N s/m", tolerance=0.3, role="viscous-friction", meaning="guide", source="assumed")
-    k = p.parameter("k", 800.0, "N/m", tolerance=0.1, role="stiffness", meaning="spring", source="data sheet")
-    h = p.parameter("h", 2e5, "N/m3", meaning="how the spring stiffens", source="measured once")
-    slope = p.parameter("slope", 0.35, "rad", meaning="incline", source="drawing")
-    g = p.parameter("g", 9.81, "m/s2", meaning="gravity", source="standard value, rounded")
-
-    # What drives the machine.
-    F = p.input("F", "N")
-
-    # A joint: a coordinate (in m or rad) and its velocity. Friction, backlash and other effects can act there.
-    x, v = p.joint("x", "v", "m")
-
-    # Its equation of motion, mass matrix times accelerations = forces, with one row for each joint. Write it as on
-    # paper: robustlab makes derivatives, points of rest and linear models of it.
-    p.motion([[m]], [F - m * g * ca.sin(slope) - k * x - h * x**3 - c * v])
-
-    # What is measured.
-    p.output("x", x, "m")
-    return p.plant(**given)
-'''
-
 
 def write_template(name: str) -> Path:
     """Write ``NAME.py`` in the working directory, or in the folder before the name; a file that is there stays."""
@@ -330,6 +270,7 @@ def write_template(name: str) -> Path:
         raise EnvironmentFault(str(path), "exists already", "a new name")
     if find_spec(stem) is not None:
         raise UsageError(f"plant new {name}", "the name of a module that Python knows", "a name of your own")
-    text = TEMPLATE.format(stem=stem, file=path)
+    template = Path(__file__).with_name("plant_template.txt").read_text(encoding="utf-8")
+    text = template.format(stem=stem, file=path)
     atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return path

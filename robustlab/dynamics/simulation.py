@@ -238,17 +238,8 @@ def _stepped(
 
 
 def transition(model: StateSpaceModel, h: float) -> tuple[Array, Array, Array]:
-    r"""``(Phi, Gamma, Gamma1)`` of one step of length h in s of a continuous model.
-
-    .. math:: x_{k+1} = \Phi x_k + \Gamma u_k + \Gamma_1 (u_{k+1} - u_k)
-
-    with :math:`\Phi = e^{A h}`, :math:`\Gamma = \int_0^h e^{A s} B ds` and :math:`\Gamma_1 = \frac{1}{h} \int_0^h (h
-    - s) e^{A (h-s)} B ds`; the last term is left out for a piecewise constant input.
-
-    References
-    ----------
-    Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978).
-    """
+    """``(Phi, Gamma, Gamma1)`` of one step of length h in s of a continuous model."""
+    # Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978).
     from scipy.linalg import expm, matrix_balance
 
     n, n_u = model.n_states, model.n_inputs

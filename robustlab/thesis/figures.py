@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
-from robustlab.dynamics.control.trajectory_following import TrajectoryFollowing
+from robustlab.dynamics.control.platform import MOST_TORQUE, MOST_VOLTAGE, TrajectoryFollowing
 from robustlab.dynamics.stewart.kinematics import ConditionMap
 from robustlab.report.figures import COLOURS, house_style, new_figure, plain_label
 from robustlab.thesis.runs import SineRun
@@ -197,8 +197,8 @@ def tracking_effort_figure(run: TrajectoryFollowing) -> Figure:
     """Torques and voltages of the six motors with their limits, and lengths of the actuators."""
     figure, panels = new_figure(3, 1, width=8.4, height=2.3, sharex=True)
     shown = (
-        (1e3 * run.torque, "torque [mN m]", 1e3 * run.limits.torque),
-        (run.voltage, "voltage [V]", run.limits.voltage),
+        (1e3 * run.torque, "torque [mN m]", 1e3 * MOST_TORQUE),
+        (run.voltage, "voltage [V]", MOST_VOLTAGE),
         (1e3 * run.lengths, "length [mm]", None),
     )
     with house_style():

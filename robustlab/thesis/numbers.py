@@ -25,7 +25,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.control.trajectory_following import TrajectoryFollowing
+from robustlab.dynamics.control.platform import TrajectoryFollowing
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.plants.motors import dc_motor, linear_actuator

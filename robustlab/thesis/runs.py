@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.control.controllers import closed_loop, two_layer
-from robustlab.dynamics.control.trajectory_following import SineTrajectory, TrajectoryFollowing, follow
+from robustlab.dynamics.control.platform import SineTrajectory, TrajectoryFollowing, closed_loop, follow, two_layer
 from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.spring_effects import DAMPING
-from robustlab.dynamics.ports.carried_load import shares_behind
+from robustlab.dynamics import DAMPING, shares_behind
 
 pytest.importorskip("pinocchio")
 

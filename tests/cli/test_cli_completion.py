@@ -141,7 +141,7 @@ def test_plants_and_metrics_are_those_of_the_library():
 
 def test_choices_are_those_of_the_library():
     from robustlab.campaign import CampaignSettings
-    from robustlab.dynamics.extended.force_blocks import Dry
+    from robustlab.dynamics import Dry
     from robustlab.identification.validation import NoiseNorm
     from robustlab.mu_analysis.margins.cover import COVER_FORMS
     from robustlab.mu_analysis.margins.disk_margin import Place

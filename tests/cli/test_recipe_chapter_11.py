@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics import catalogue
 from robustlab.errors import InputError
 from robustlab.recipe.load import load_recipe, parse_recipe, recipe_path
 from robustlab.recipe.run import run_recipe

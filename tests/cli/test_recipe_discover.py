@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics import catalogue
 from robustlab.errors import InputError
 from robustlab.identification.record_check import Finding
 from robustlab.recipe.load import load_recipe, parse_recipe

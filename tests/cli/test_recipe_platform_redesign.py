@@ -11,7 +11,7 @@ import pytest
 from shell import robustlab
 
 import robustlab as rl
-from robustlab.dynamics.stewart import nut_angles
+from robustlab.dynamics import stewart
 from robustlab.identification import Comparison
 from robustlab.identification.comparison.along_motion import _pose
 
@@ -100,7 +100,7 @@ def test_the_pose_of_the_worst_window_is_told():
     machine = rl.plant("stewart-platform")
     t = np.linspace(0.0, 1.0, 101)
     height = machine.geometry.home[2] + 0.01 * t
-    phi = nut_angles(machine.geometry, np.array([[0.0, 0.0, z, 0.0, 0.0, 0.0] for z in height]))
+    phi = stewart.nut_angles(machine.geometry, np.array([[0.0, 0.0, z, 0.0, 0.0, 0.0] for z in height]))
     outputs = {f"phi_{i + 1}": phi[:, i] for i in range(6)}
     gaps = {name: SimpleNamespace(name=name, windowed_rms_percent=float(name[-1] == "4")) for name in outputs}
     windows = SimpleNamespace(start=[0.0, 0.4], stop=[0.4, 0.6], worst=1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.dynamics import catalogue
 from robustlab.recipe.load import load_recipe
 from robustlab.recipe.run import run_recipe
 

@@ -10,9 +10,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import SampledInput, Simulator, Windows
+from robustlab.dynamics import SampledInput, Simulator, Site, Windows, effect
 from robustlab.errors import InputError
 
 HOLDS = ("zoh", "linear", "smooth")

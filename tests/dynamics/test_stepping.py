@@ -7,9 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows, stepping
+from robustlab.dynamics import Simulator, Site, Windows, effect, stepping
 
 DT, N = 1e-3, 150
 JOINT = Site("joint", "v")

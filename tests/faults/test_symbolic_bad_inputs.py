@@ -120,13 +120,9 @@ def test_a_plant_without_a_name_states_or_outputs():
 def test_without_casadi_the_extra_is_named(monkeypatch):
     import sys
 
-    from robustlab.dynamics.symbolic import equations
-
-    equations._casadi.cache_clear()
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(DependencyMissing, match=r"robustlab\[casadi\]"):
         rl.PlantEquations("tank")
-    equations._casadi.cache_clear()
 
 
 # --- the plant -------------------------------------------------------------------------------------------------------
@@ -183,7 +179,7 @@ def test_an_escape_in_finite_time_is_an_error():
 
 
 def _signal(end, n_u):
-    from robustlab.dynamics.plant_contract import input_signal
+    from robustlab.dynamics import input_signal
 
     t = np.linspace(0.0, end, 11)
     return input_signal(t, np.zeros((11, n_u)), "zoh")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.control.controllers import two_layer
-from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow
+from robustlab.dynamics import SineTrajectory, follow, two_layer
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from platform_energy import kinetic_energy, potential_energy
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
@@ -275,7 +276,7 @@ def test_centre_of_gravity_and_tilt_of_the_plant(preset):
         x = np.concatenate([model.nut_angles(pose), phidot])
         expected = model.nut_acceleration(pose, phidot, u)
         np.testing.assert_allclose(plant.derivative(x, u)[6:], expected, rtol=0, atol=1e-8 * np.abs(expected).max())
-        energy = stewart.potential_energy(plant, pose), stewart.kinetic_energy(plant, pose, phidot)
+        energy = potential_energy(plant, pose), kinetic_energy(plant, pose, phidot)
         assert energy == pytest.approx((model.potential_energy(pose), model.kinetic_energy(pose, phidot)), rel=1e-9)
 
 

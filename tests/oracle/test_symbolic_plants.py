@@ -176,7 +176,7 @@ def test_without_friction_and_force_the_energy_stays(name, still):
 
 
 def _quiet(plant, t):
-    from robustlab.dynamics.plant_contract import input_signal
+    from robustlab.dynamics import input_signal
 
     return input_signal(t, np.zeros((len(t), len(plant.inputs))), "zoh")
 

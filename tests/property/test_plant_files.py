@@ -10,11 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.dynamics import Descriptor, LinearPlant, NonlinearPlant, Parameter, Trim, overridden
-from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Scales
-from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import (
+    AttachedEffect,
+    Descriptor,
+    LinearPlant,
+    NonlinearPlant,
+    Parameter,
+    Scales,
+    Trim,
+    catalogue,
+    overridden,
+    port_model,
+)
 from robustlab.storage import read
 
 T = np.arange(60) * 1e-3

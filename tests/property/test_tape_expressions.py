@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.dynamics.symbolic.tape import tape_of
+from robustlab.dynamics import tape_of
 
 BINARY = (lambda a, b: a + b, lambda a, b: a - b, lambda a, b: a * b, lambda a, b: a / (2 + b**2), ca.atan2, ca.fmin)
 UNARY = (

@@ -1,29 +1,4 @@
-r"""A plant under feedback, as a plant of its own: it takes effects, other parameters, and any reference.
-
-Linear,
-
-.. math::
-    E(p) \dot x = F(p) x + G(p) u, \qquad \dot x_k = A_k x_k + B_k v, \qquad u = C_k x_k + D_k v, \qquad
-    v = \begin{bmatrix} r \\ y_m \end{bmatrix}
-
-The physical parameters stay where they are in the equations, so that dry friction and the like are attached in their
-own units (`robustlab.with_effects`), and a member of the uncertain set is simulated with ``with_parameters``.
-
-Nonlinear, about the rest :math:`(x_0, u_0, y_0)` at which the controller takes hold,
-
-.. math::
-    \dot x = f(x, u), \quad \dot x_k = A_k x_k + B_k v, \quad u = u_0 + C_k x_k + D_k v, \quad
-    v = \begin{bmatrix} r \\ y_m \end{bmatrix} - \begin{bmatrix} y_{0,c} \\ y_{0,m} \end{bmatrix}, \quad y = h(x)
-
-Its slopes are exact where the plant's own are, and forces act at the plant's own ports: dry friction is attached to
-the loop as it is to the plant (`robustlab.with_effects`).
-
-A driver with a dead zone inside a loop (what a controller commands is a state of the loop, no recorded input),
-
-.. math:: u' = u + f, \qquad f = -\max(-d, \min(d, u)), \qquad u = c^T x
-
-is `robustlab.dynamics.effects.signal_effects.InputDeadZone` as a force law at a port whose "velocity" is the command.
-"""
+"""A plant under feedback, as a plant of its own: it takes effects, other parameters, and any reference."""
 
 from __future__ import annotations
 
@@ -32,16 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.dynamics.control.controllers import torque_gains
 from robustlab.dynamics.effects.contract import EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.effects.signal_effects import InputDeadZone
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, with_effects
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
-from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, Plant, PortPlace, Trim
+from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, Plant, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.ports.law_kernel import V, law
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.errors import InputError, unknown_name
@@ -51,24 +24,7 @@ from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
 
 def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str]) -> LinearPlant:
-    """The plant under ``u = K v`` with v = (references of the controlled outputs, measured outputs).
-
-    ``plant``: continuous linear plant without direct term.
-    ``K``: continuous controller: an input for each reference and each measured output, in this order, an output for
-    each input of the plant.
-    ``controlled``, ``measured``: names of outputs of the plant.
-    Returns: inputs ``<name>_ref``; outputs those of the plant and its inputs; states those of the plant, then
-    ``controller_1`` ...
-
-    Examples
-    --------
-    >>> from robustlab.dynamics import plant, simulate
-    >>> motor = plant("dc-motor")
-    >>> gain = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), [[2.0, -2.0]])
-    >>> loop = controlled_plant(motor, gain, ["phi"], ["phi"])
-    >>> float(simulate(loop, [0.0, 0.1, 0.2], [1.0, 1.0, 1.0])["phi"][-1].round(3))
-    1.0
-    """
+    """The plant under ``u = K v`` with v = (references of the controlled outputs, measured outputs)."""
     where = f"{plant.name} under control"
     model, c, m = loop_parts(plant, K, controlled, measured)
     n, n_k, n_r = len(plant.states), model.n_states, len(c)
@@ -112,24 +68,24 @@ def loop_parts(
     return model, c, m
 
 
+@dataclass(frozen=True)
+class TorqueGains:
+    """Gains of a motor's torque loop: kp in V/(N m s), kd in V/(N m), ki in V/(N m s2)."""
+
+    kp: float
+    kd: float
+    ki: float
+
+
+def torque_gains(p: float, *, R: float, L: float, Km: float, Kb: float, Kf: float, J: float) -> TorqueGains:
+    """Gains that give the torque of a motor with the free rotor J the triple pole -p."""
+    b, c, d = -(L * Kf + R * J) / (L * J), -(R * Kf + Kb * Km) / (L * J), Km / L
+    return TorqueGains(kp=(3 * p**2 + c) / d, kd=(3 * p + b) / d, ki=p**3 / d)
+
+
 def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 3000.0) -> StateSpaceModel:
-    r"""The two layers of the thesis for one actuator: an I-PD for the angle above a loop for the motor's torque.
-
-    .. math::
-        m_{ref} = K_i \int (r - \varphi) - K_p \varphi - K_d \omega, \quad m = K_m i - K_f \omega, \quad
-        u = \sigma - k_d m, \quad \dot\sigma = k_i \xi - k_p m, \quad \dot\xi = m_{ref} - m
-
-    with :math:`K_p, K_d, K_i = (3 p^2, 3 p, p^3)\, J_t` for the whole inertia :math:`J_t` at the motor's shaft and the
-    lower layer's gains for a motor that turns its rotor alone (`robustlab.dynamics.control.controllers.torque_gains`).
-
-    ``plant``: ``plant("linear-actuator")`` with a rotor inertia J > 0.
-    ``p_up``, ``p_low``: triple poles of the layers in 1/s.
-    Returns: inputs phi_ref [rad], phi [rad], omega [rad/s], i [A]; output u [V]; three states.
-
-    References
-    ----------
-    Březina 2010, eqs 9.1-9.4.
-    """
+    """The two layers of the thesis for one actuator: an I-PD for the angle above a loop for the motor's torque."""
+    # Březina 2010, eqs 9.1-9.4.
     needed = ("R", "L", "Km", "Kb", "Kf", "J")
     if not isinstance(plant, LinearPlant) or any(n not in plant.values for n in needed) or len(plant.states) != 3:
         raise InputError("actuator cascade", f"plant {plant.name!r}", 'plant("linear-actuator")')
@@ -161,16 +117,7 @@ def _positions(where: str, names: Sequence[str], plant: Plant) -> list[int]:
 def controlled_nonlinear(
     plant: NonlinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str], at: Trim
 ) -> ControlledNonlinearPlant | ExtendedNonlinearPlant:
-    """The plant under ``u = K v``, with v = (references of the controlled outputs, measured outputs).
-
-    ``plant``: without direct term; with effects at its joints and parameters or without.
-    ``K``: continuous controller in deviations from ``at``: an input for each reference and each measured output, in
-    this order, an output for each input of the plant.
-    ``controlled``, ``measured``: names of outputs of the plant.
-    ``at``: a rest of the plant.
-    Returns: inputs ``<name>_ref``, outputs those of the plant and its inputs, states those of the plant, then
-    ``controller_1`` ...; the latter where the plant has effects.
-    """
+    """The plant under ``u = K v``, with v = (references of the controlled outputs, measured outputs)."""
     model, c, m = loop_parts(plant, K, controlled, measured)
     base, effects = (plant.plant, plant.effects) if isinstance(plant, ExtendedNonlinearPlant) else (plant, ())
     for e in effects:
@@ -183,12 +130,8 @@ def controlled_nonlinear(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ControlledNonlinearPlant(NonlinearPlant):
-    """A nonlinear plant under a linear controller; made by `controlled_nonlinear`.
-
-    Inputs are the references ``<name>_ref``, outputs those of the plant and its inputs, states those of the plant, then
-    ``controller_1`` ...
-    """
+class ControlledNonlinearPlant(PlantAlong):
+    """A nonlinear plant under a linear controller; made by `controlled_nonlinear`."""
 
     plant: NonlinearPlant  # the plant, without direct term from inputs to outputs
     # the controller, from (references, measured outputs) to the plant's inputs, in deviations from ``at``
@@ -212,7 +155,6 @@ class ControlledNonlinearPlant(NonlinearPlant):
         )  # fmt: skip
 
     def with_parameters(self, **given: Any) -> ControlledNonlinearPlant:
-        """The same controller at the plant with other values, or (value, relative tolerance)."""
         plant = self.plant.with_parameters(**given)
         return replace(self, plant=plant, parameters=plant.parameters)
 
@@ -222,11 +164,9 @@ class ControlledNonlinearPlant(NonlinearPlant):
 
     @property
     def start(self) -> Array:
-        """The rest at which the controller takes hold."""
         return np.concatenate([self.at.x, np.zeros(self.K.n_states)])
 
     def check_reach(self, t: Array, x: Array) -> None:
-        """Whether the plant can be there."""
         self.plant.check_reach(t, x[:, : len(self.plant.states)])
 
     # --- rates and outputs -------------------------------------------------------------------------------------------
@@ -239,24 +179,15 @@ class ControlledNonlinearPlant(NonlinearPlant):
         return own, y, v, self.at.u + inner @ self.K.C.T + v @ self.K.D.T
 
     def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
-        """Rates (n, n_x) of the plant's states and of the controller's."""
         own, _, v, force = self._parts(x, u, values)
         inner = x[:, own.shape[1] :] @ self.K.A.T + v @ self.K.B.T
         return np.hstack([self.plant.rates_along(own, force, values), inner])
 
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
-        """The plant's outputs and its inputs along a trajectory."""
         _, y, _, force = self._parts(x, u, values)
         return np.hstack([y, force])
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
-        """The loop about points x (n, n_x), references u (n, n_r).
-
-        Raises
-        ------
-        InputError
-            A plant with a direct term from an input to an output.
-        """
         own, y, v, force = self._parts(x, u, values)
         local, k, n = self.plant.local_models(own, force, values), self.K, len(x)
         if local.D.any():
@@ -283,27 +214,7 @@ class ControlledNonlinearPlant(NonlinearPlant):
             np.concatenate([local.push, np.zeros((n, k.n_states, local.push.shape[2]))], axis=1),
         )
 
-    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, reference = self.point(x, u)
-        return self.rates_along(state[None], reference[None])[0]
-
-    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, reference = self.point(x, u)
-        return self.outputs_along(state[None], reference[None])[0]
-
-    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        state, reference = self.point(x, u)
-        local = self.local_models(state[None], reference[None])
-        return local.A[0], local.B[0], local.C[0], local.D[0]
-
     def equilibrium(self, **where: Any) -> Trim:
-        """The rest at which the controller takes hold, with the references there.
-
-        Raises
-        ------
-        InputError
-            Anything asked for: the rest is the controller's.
-        """
         if where:
             raise InputError(f"{self.name}: trim", f"{next(iter(where))!r}", "nothing: the controller has its rest")
         x, r = self.start, self.offset[: len(self.inputs)].copy()
@@ -340,12 +251,7 @@ class _DriverInLoop(InputDeadZone):
 
 
 def driver_in_loop(loop: LinearPlant, plant: LinearPlant, control: str, values: Mapping[str, Any]) -> AttachedEffect:
-    """The dead zone of the driver of one control, for `with_effects` of the loop.
-
-    ``loop``: `robustlab.dynamics.control.controlled_plant.controlled_plant` of ``plant``: the plant's states first, its
-    inputs among the outputs. ``plant``: the plant with the same parameter values. ``control``: name of an input of the
-    plant. ``values``: ``{"d": half width}``.
-    """
+    """The dead zone of the driver of one control, for `with_effects` of the loop."""
     where = f"input-dead-zone at {control}"
     names = [s.name for s in plant.inputs]
     if control not in names:

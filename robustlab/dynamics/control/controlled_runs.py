@@ -11,13 +11,17 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.control.controlled_plant import controlled_plant, driver_in_loop
-from robustlab.dynamics.control.controllers import LayeredController, closed_loop, two_layer
-from robustlab.dynamics.control.trajectory_following import (
+from robustlab.dynamics.control.platform import (
+    MOST_TORQUE,
+    MOST_VOLTAGE,
+    LayeredController,
     SineTrajectory,
     TrajectoryFollowing,
+    closed_loop,
     follow,
     follow_with_torques,
     torque_loop,
+    two_layer,
 )
 from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, with_effects
 from robustlab.dynamics.linear_plant import LinearPlant
@@ -46,27 +50,7 @@ class TimePanel(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ControlledRuns(Shown):
-    """Simulated runs of one machine under several controllers.
-
-    Attributes
-    ----------
-    controllers
-        Controller -> its numbers by name.
-    columns
-        Title of a column of the table, where its number stands, and the factor to the title's unit.
-    t
-        Times of the curves in s.
-    panels
-        Signals over time; the first one is the error that counts.
-    unit
-        Unit of that error.
-    after
-        Time in s from which on errors count.
-    told
-        What was simulated, as (label, text).
-    notes
-        What the numbers do not say.
-    """
+    """Simulated runs of one machine under several controllers."""
 
     controllers: Mapping[str, Mapping[str, Any]]
     columns: tuple[tuple[str, tuple[str, ...], float], ...]
@@ -84,7 +68,6 @@ class ControlledRuns(Shown):
 
     @property
     def status(self) -> Status:
-        """CONVERGED: simulated, with the integrators' own control of their steps."""
         return Status.CONVERGED
 
     def headline(self) -> str:
@@ -94,7 +77,6 @@ class ControlledRuns(Shown):
         return [*self.told, ("errors count from", number(self.after, "s", 5))]
 
     def details(self) -> list[Part]:
-        """A row for each controller."""
         header = ("controller", "order", *(title for title, _, _ in self.columns))
         rows = [
             (name, str(row["order"]), *(_cell(row, where, factor) for _, where, factor in self.columns))
@@ -154,11 +136,7 @@ def follow_sine(
     effects: Mapping[str, Mapping[str, float]] | None = None,
     members: Sequence[Mapping[str, float]] = (),
 ) -> ControlledRuns:
-    """A linear plant under several controllers, as it is and with effects that no design knew, members included.
-
-    ``effects``: as of `with_effects`; one at a control acts on what the controller commands.
-    ``members``: parameters of further members. Limits are compared with, nothing is clipped.
-    """
+    """A linear plant under several controllers, as it is and with effects that no design knew, members included."""
     if not isinstance(plant, LinearPlant):
         raise InputError("follow_sine: plant", type(plant).__name__, "a linear plant")
     units = {s.name: s.unit for s in (*plant.outputs, *plant.inputs)}
@@ -232,16 +210,9 @@ class Path(NamedTuple):
 def follow_path(
     plant: Any, controllers: Mapping[str, Any], path: Path, after: float = 3.0, p_low: float = 3000.0
 ) -> ControlledRuns:
-    """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3.
-
-    With motors the controllers are upper layers that ask for torques, above the motors' torque loops of triple pole
-    ``p_low`` in 1/s. Without, the machine takes their torques; it may have effects then, and controllers may see angles
-    alone. Numbers, by controller: ``worst_error`` (largest distance from the path in mm), ``position_error`` in m and
-    ``orientation_error`` in rad of the worst axis, ``nut_errors.phi_1`` ... in rad, ``largest_torque`` and, with
-    motors, ``largest_voltage``, ``within_limits``, ``spectral_abscissa`` of the linear loop.
-    """
+    """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3."""
     runs, abscissas, asked, below = _followed(plant, controllers, path, p_low)
-    t, limits = np.linspace(0.0, path.t_end, path.points), next(iter(runs.values())).limits
+    t = np.linspace(0.0, path.t_end, path.points)
     late = t >= after
     rows: dict[str, dict[str, Any]] = {}
     curves: dict[str, dict[str, Array]] = {key: {} for key in ("position", "torque", "voltage")}
@@ -265,8 +236,8 @@ def follow_path(
             curves["voltage"][name] = np.abs(run.voltage).max(axis=1)
     panels = (
         TimePanel("distance to path [mm]", curves["position"]),
-        TimePanel("largest |torque| [mN m]", curves["torque"], 1e3 * limits.torque),
-        TimePanel("largest |voltage| [V]", curves["voltage"], limits.voltage),
+        TimePanel("largest |torque| [mN m]", curves["torque"], 1e3 * MOST_TORQUE),
+        TimePanel("largest |voltage| [V]", curves["voltage"], MOST_VOLTAGE),
     )
     columns = (
         ("position [mm]", ("position_error",), 1e3),

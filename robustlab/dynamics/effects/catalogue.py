@@ -1,25 +1,26 @@
-"""The catalogue: what the modules of this folder hold as ``EFFECTS``, or one alone as ``EFFECT``. A new file is found
-without being named.
-
-An effect that lives elsewhere joins it by `add_effect`, for as long as the process runs.
-"""
+"""The catalogue of effects; one that lives elsewhere joins it by `add_effect`, for as long as the process runs."""
 
 from __future__ import annotations
 
-import pkgutil
-from functools import cache
-from importlib import import_module
-
-from robustlab.dynamics import effects
+from robustlab.dynamics.effects import (
+    circuit_effects,
+    friction_effects,
+    load_effects,
+    parameter_effects,
+    signal_effects,
+    spring_effects,
+)
 from robustlab.dynamics.effects.contract import Effect
 from robustlab.errors import InputError, unknown_name
 
+_MODULES = (circuit_effects, friction_effects, load_effects, parameter_effects, signal_effects, spring_effects)
+_OWN = {e.id: e for module in _MODULES for e in module.EFFECTS}
 _ADDED: dict[str, Effect] = {}
 
 
 def catalogue() -> dict[str, Effect]:
     """Id -> effect, in the order of their ids."""
-    return dict(sorted({**_own(), **_ADDED}.items()))
+    return dict(sorted({**_OWN, **_ADDED}.items()))
 
 
 def add_effect(added: Effect) -> None:
@@ -29,23 +30,9 @@ def add_effect(added: Effect) -> None:
     for attribute in ("id", "title", "equation", "site_kind"):
         if not isinstance(getattr(added, attribute, None), str):
             raise InputError(f"add_effect: {type(added).__name__}", f"no {attribute}", f"a text as its {attribute}")
-    if added.id in _own():
+    if added.id in _OWN:
         raise InputError("add_effect", f"the id {added.id!r}, which robustlab's own catalogue has", "an id of its own")
     _ADDED[added.id] = added
-
-
-@cache
-def _own() -> dict[str, Effect]:
-    """The effects of this folder."""
-    found: dict[str, Effect] = {}
-    for module in pkgutil.iter_modules(effects.__path__):
-        held = vars(import_module(f"{effects.__name__}.{module.name}"))
-        for candidate in (*held.get("EFFECTS", ()), *([held["EFFECT"]] if "EFFECT" in held else ())):
-            if candidate.id in found:
-                where = f"effects/{module.name}.py"
-                raise InputError(where, f"the id {candidate.id!r}, which another effect has", "its own id")
-            found[candidate.id] = candidate
-    return found
 
 
 def effect(name: str) -> Effect:
@@ -57,16 +44,5 @@ def effect(name: str) -> Effect:
 
 
 def effect_names() -> tuple[str, ...]:
-    """Ids of all effects of the catalogue.
-
-    Returns
-    -------
-    tuple
-        Sorted; those of `add_effect` among them.
-
-    Examples
-    --------
-    >>> "coulomb-friction" in effect_names()
-    True
-    """
+    """Ids of all effects of the catalogue."""
     return tuple(catalogue())

@@ -11,13 +11,7 @@ from robustlab.dynamics.ports.law_kernel import GV, STEP, V0, V, law
 
 
 class BrushDrop(Effect):
-    r"""Voltage drop of brushes: a constant voltage against the current.
-
-    .. math::
-        f = -V_b \operatorname{sgn} i, \qquad |f| \le V_b \text{ and } i = 0 \text{ while no current breaks through}
-
-    The same law as dry friction, at a current.
-    """
+    """Voltage drop of brushes: a constant voltage against the current."""
 
     id = "brush-drop"
     title = "Brush voltage drop"
@@ -52,15 +46,7 @@ QUICKEST = 0.5  # s: no winding heats faster; a resistance that follows the curr
 
 
 class ResistanceHeating(Effect):
-    r"""A winding that warms up: a resistance that grows with the heat it has taken.
-
-    .. math:: f = -\Delta R\, i, \qquad T\, \dot{\Delta R} = \kappa\, i^2 - \Delta R
-
-    f is a voltage. One thermal body that is cold at the beginning of the run: at a steady current the resistance grows
-    by :math:`\kappa i^2 (1 - e^{-t/T})`. :math:`\kappa` is in ohm per square ampere: 0.39 % of the winding's resistance
-    per K (copper), times its thermal resistance, times the resistance that heats it. A record much shorter than T shows
-    the ratio :math:`\kappa / T` alone.
-    """
+    """A winding that warms up: a resistance that grows with the heat it has taken."""
 
     id = "resistance-heating"
     title = "Heating of the winding"

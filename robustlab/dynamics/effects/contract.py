@@ -1,12 +1,4 @@
-r"""What every effect is: a name, an equation, parameters with priors, and the way it enters a plant.
-
-An effect enters in one or more of five ways: it scales parameters of the plant, changes or extends the linear
-equations, acts as a force law at a port, maps an input before the plant sees it, or maps an output before it is
-recorded. `Effect` gives each of them a method that does nothing; an effect overrides those that apply.
-
-Priors are given in units of the record's own magnitudes (`Scales`), since a friction torque that is large for one
-machine is nothing for another.
-"""
+"""What every effect is: a name, an equation, parameters with priors, and the way it enters a plant."""
 
 from __future__ import annotations
 
@@ -78,11 +70,7 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Site:
-    """Where an effect sits: the kind of place and its name.
-
-    The name is that of a velocity or current state, of an input or output, or of a group of parameters as
-    `robustlab.dynamics.ports.port_model.parameter_groups` labels it.
-    """
+    """Where an effect sits: the kind of place and its name."""
 
     kind: SiteKind
     name: str

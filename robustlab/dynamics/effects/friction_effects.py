@@ -35,10 +35,7 @@ def dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class CoulombFriction(Effect):
-    r"""Dry friction: a force of constant size against the motion that holds the joint at rest.
-
-    .. math:: f = -F_c \operatorname{sgn} v, \qquad |f| \le F_c \text{ and } v = 0 \text{ while the joint sticks}
-    """
+    """Dry friction: a force of constant size against the motion that holds the joint at rest."""
 
     id = "coulomb-friction"
     title = "Coulomb (dry) friction"
@@ -73,14 +70,7 @@ def uneven_dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class AsymmetricCoulombFriction(Effect):
-    r"""Dry friction whose level differs between the directions.
-
-    .. math:: f = -F_+ \ (v > 0), \qquad f = F_- \ (v < 0), \qquad -F_+ \le f \le F_- \text{ while the joint sticks}
-
-    With :math:`\bar F = (F_+ + F_-)/2` and :math:`d = (F_+ - F_-)/2` this is Coulomb friction of the level :math:`\bar
-    F` and a constant load d, sliding as well as sticking: no record of the motion tells the two apart. What does is to
-    change the load (turn the machine on its side): the friction keeps its difference, a load goes with gravity.
-    """
+    """Dry friction whose level differs between the directions."""
 
     id = "asymmetric-coulomb-friction"
     title = "Direction-dependent Coulomb friction"
@@ -114,17 +104,10 @@ def stribeck_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class StribeckFriction(Effect):
-    r"""Stribeck friction: dry friction whose level falls from breakaway to sliding as the joint gathers speed.
+    """Stribeck friction: dry friction whose level falls from breakaway to sliding as the joint gathers speed."""
 
-    .. math::
-        f = -\left(F_c + \Delta F\, e^{-(v/v_s)^2}\right) \operatorname{sgn} v,
-        \qquad |f| \le F_c + \Delta F \text{ at rest}
-
-    References
-    ----------
-    Armstrong-Helouvry, Dupont, Canudas de Wit, *A survey of models, analysis tools and compensation methods for the
-    control of machines with friction*, Automatica 30 (1994), eq. 5.
-    """
+    # Armstrong-Helouvry, Dupont, Canudas de Wit, *A survey of models, analysis tools and compensation methods for the
+    # control of machines with friction*, Automatica 30 (1994), eq. 5.
 
     id = "stribeck-friction"
     title = "Stribeck friction"
@@ -210,23 +193,10 @@ def presliding_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class Presliding(Effect):
-    r"""Presliding: dry friction whose contact gives way like a spring before it slides.
+    """Presliding: dry friction whose contact gives way like a spring before it slides."""
 
-    .. math:: f = -\sigma_0 z, \qquad \dot z = v - \frac{|v|\, z}{g}, \qquad g = \frac{F_c}{\sigma_0}
-
-    Over a stretch s in one direction the contact's deflection is exactly :math:`z \to \pm g + (z \mp g) e^{-|s|/g}`, at
-    any speed (Dahl; LuGre without its damping). The step is one such stretch, or two where the velocity turns. The
-    force is the mean over the way, whose work is exactly what the contact stores and dissipates. A contact that is
-    stiffer than the step can follow would ring: there the force is the one at the end of the step, with which it comes
-    to rest; only of a first stretch that is followed by sliding the other way its mean counts for its share of the
-    step. With :math:`c = \sigma_0 g_v h / 2`, half the square of the contact's frequency in steps, the force is
-    :math:`(f_\mathrm{mean} + c^4 f_\mathrm{end}) / (1 + c^4)`.
-
-    References
-    ----------
-    Dahl, *A solid friction model* (1968); Canudas de Wit, Olsson, Astrom, Lischinsky, *A new model for control of
-    systems with friction*, IEEE Trans. Automatic Control 40 (1995).
-    """
+    # Dahl, *A solid friction model* (1968); Canudas de Wit, Olsson, Astrom, Lischinsky, *A new model for control of
+    # systems with friction*, IEEE Trans. Automatic Control 40 (1995).
 
     id = "presliding"
     title = "Presliding (elastic dry friction)"
@@ -295,12 +265,7 @@ def uneven_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class PositionDependentFriction(Effect):
-    r"""Dry friction whose level goes up and down over the position: a bent shaft, an uneven screw or gear.
-
-    .. math:: f = -\max(0,\ F_c + P_c \cos kq + P_s \sin kq) \operatorname{sgn} v
-
-    The level of a step is its mean over the way of the step, at the way that the force itself brings about.
-    """
+    """Dry friction whose level goes up and down over the position: a bent shaft, an uneven screw or gear."""
 
     id = "position-dependent-friction"
     title = "Position-dependent friction"
@@ -340,14 +305,7 @@ def loss_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class GearEfficiency(Effect):
-    r"""Gear losses: dry friction in proportion to the force that drives the joint.
-
-    .. math:: f = -(1 - \eta)\, |T| \operatorname{sgn} v
-
-    T is the net force of the step at the joint without this loss, :math:`T = (v_\mathrm{free} - v_0)/g_v`: what
-    accelerates the inertia behind the gear. The joint speeds up with :math:`\eta T` and slows down with :math:`(2 -
-    \eta) T`.
-    """
+    """Gear losses: dry friction in proportion to the force that drives the joint."""
 
     id = "gear-efficiency"
     title = "Gear efficiency"
@@ -382,25 +340,10 @@ def directional_loss(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class LoadDependentFriction(Effect):
-    r"""Friction in proportion to the load that a gear passes on, with one share while driven and another while braking.
+    """Friction in proportion to the load that a gear passes on: one share while driven, another while braking."""
 
-    .. math::
-        f = -k\, |T| \operatorname{sgn} v, \qquad k = k_d \text{ where } T v > 0 \text{ (driving)}, \quad
-        k_b \text{ where } T v < 0 \text{ (back-driving)}
-
-    T is the net force of the step at the joint without this friction, as in
-    `GearEfficiency`, which is :math:`k_d = k_b = 1 - \eta`: a worm gear takes more while it is driven from behind. A
-    constant part is Coulomb friction. What rests on the gear without moving it (a weight held by the motor) is not in
-    T; where loads are held, the friction of the gear grows by more than this.
-
-    Under a constant T a step is known in closed form: on with :math:`(1 - k_d) T`, or slower by :math:`(1 + k_b) |T|`
-    to a stop, and from there the other way.
-
-    References
-    ----------
-    Duclusaud, Passault, Padois, Ly, *Extended Friction Models for the Physics Simulation of Servo Actuators*, arXiv
-    2410.08650 (2024): load-dependent and directional models, there of the torques of motor and load.
-    """
+    # Duclusaud, Passault, Padois, Ly, *Extended Friction Models for the Physics Simulation of Servo Actuators*, arXiv
+    # 2410.08650 (2024): load-dependent and directional models, there of the torques of motor and load.
 
     id = "load-dependent-friction"
     title = "Load-dependent friction, driven and back-driven"
@@ -446,14 +389,7 @@ def asymmetric_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class AsymmetricViscousFriction(Effect):
-    r"""Viscous friction that differs between the directions: the plant's own, more one way and less the other.
-
-    .. math:: f = -\Delta F_v\, |v|
-
-    that is, :math:`+\Delta F_v` on the viscous coefficient forwards and :math:`-\Delta F_v` backwards. Over a step the
-    force is that of the mean of :math:`|v|`; where the velocity runs from :math:`v_0` through zero to :math:`v_1`, this
-    is :math:`(v_0^2 + v_1^2) / (2 |v_1 - v_0|)`, and the force solves a quadratic equation.
-    """
+    """Viscous friction that differs between the directions: the plant's own, more one way and less the other."""
 
     id = "asymmetric-viscous-friction"
     title = "Direction-dependent viscous friction"
@@ -481,12 +417,7 @@ def drag_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class QuadraticDrag(Effect):
-    r"""Quadratic drag: fans, fluids, windage.
-
-    .. math:: f = -c\, v |v|
-
-    Over a step, at the mean of the velocities at its start and its end: a quadratic equation for the force.
-    """
+    """Quadratic drag: fans, fluids, windage."""
 
     id = "quadratic-drag"
     title = "Quadratic drag"

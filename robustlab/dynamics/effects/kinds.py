@@ -1,9 +1,4 @@
-"""The tree of kinds: what a person would call an effect where its form is not settled.
-
-"Dry friction of 0.028 N m at the motor" is an answer that one can act on, whether the contact gives way before it
-slides or not. Every effect of the catalogue belongs to one kind, a kind may belong to a wider one, and each has the
-quantities that all of its members can be asked for.
-"""
+"""The tree of kinds: what a person would call an effect where its form is not settled."""
 
 from __future__ import annotations
 
@@ -28,21 +23,7 @@ MEANINGS: Mapping[Quantity, str] = {
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of effects.
-
-    Attributes
-    ----------
-    id, title
-        Its name in results and in words.
-    wider
-        Id of the kind that it is a part of; None at the top.
-    where
-        What its members share a place by: the joint at which they act, the path from input to sensor, the sensor.
-    quantities
-        What every member can be asked for.
-    form
-        What tells its members apart, as an instruction.
-    """
+    """A kind of effects."""
 
     id: str
     title: str
@@ -131,13 +112,7 @@ KIND_OF: Mapping[str, str] = {
 
 
 def upwards(kind: str) -> Iterator[Kind]:
-    """A kind and those that it is a part of, the narrowest first.
-
-    Examples
-    --------
-    >>> [k.id for k in upwards("dry-friction")]
-    ['dry-friction', 'resisting-force', 'force']
-    """
+    """A kind and those that it is a part of, the narrowest first."""
     at: str | None = kind
     while at is not None:
         yield KINDS[at]

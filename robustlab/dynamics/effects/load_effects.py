@@ -63,10 +63,7 @@ def load_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class ConstantLoad(Effect):
-    r"""Constant load: gravity along the axis, a preload, or an offset.
-
-    .. math:: f = -T_0
-    """
+    """Constant load: gravity along the axis, a preload, or an offset."""
 
     id = "constant-load"
     title = "Constant load"
@@ -117,13 +114,7 @@ def cogging_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class Cogging(Effect):
-    r"""Cogging, torque ripple: a force that is periodic in the position and the same both ways.
-
-    .. math:: f = A_c \cos kq + A_s \sin kq
-
-    Over a step it is the mean over the way of the step, at the way that the force itself brings about; its work is then
-    exactly the difference of the potential, so that the step neither makes nor loses energy.
-    """
+    """Cogging, torque ripple: a force that is periodic in the position and the same both ways."""
 
     id = "cogging"
     title = "Cogging (force ripple)"
@@ -154,16 +145,7 @@ class Cogging(Effect):
 
 
 class PendulumGravity(Effect):
-    r"""Gravity of a pendulum: a weight off the axis of a joint that turns.
-
-    .. math:: f = -(G \sin q + H \cos q) = -m g l\, \sin(q - q_0), \qquad m g l = \sqrt{G^2 + H^2}, \quad
-       q_0 = -\operatorname{atan2}(H, G)
-
-    :math:`q_0` is the reading of the position at which the weight hangs straight down; the encoder's zero need not be
-    there. The period is a turn by nature and no parameter: over a short stroke it is this that tells gravity from a
-    cogging of any period. Over a step the force is that of `Cogging`: its work is exactly the difference of the
-    potential.
-    """
+    """Gravity of a pendulum: a weight off the axis of a joint that turns."""
 
     id = "pendulum-gravity"
     title = "Gravity of a pendulum"
@@ -208,14 +190,7 @@ FEWEST_TURNS = 2.0  # of a ripple within the record: fewer are a slope or a bow
 
 
 class TorqueRipple(Effect):
-    r"""Ripple of the force over time: mains, a beat of two clocks, an unbalanced neighbour.
-
-    .. math:: f = A_c \cos 2 \pi f t + A_s \sin 2 \pi f t
-
-    t counts from the first sample of the record (`robustlab.dynamics.extended.simulator.Simulator` from its ``t0``): of
-    two records that were not started by the ripple itself, each has phases of its own. Over a step the force is its
-    mean over the step's time.
-    """
+    """Ripple of the force over time: mains, a beat of two clocks, an unbalanced neighbour."""
 
     id = "torque-ripple"
     title = "Ripple over time"

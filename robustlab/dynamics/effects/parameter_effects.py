@@ -27,7 +27,6 @@ class ParameterEffect(Effect):
     quantity: str  # what is scaled, in words
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        """The factor s."""
         meaning = f"{self.quantity}, true value over the nominal one"
         return (EffectParameter("s", "", meaning, Prior("log", 1.0, self.spread)),)
 
@@ -35,7 +34,6 @@ class ParameterEffect(Effect):
         return ({"s": math.exp(self.spread)}, {"s": math.exp(-self.spread)})
 
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
-        """Factor s for each parameter of the group."""
         if site.kind != "parameter":
             return {}
         names = site.name.split("+")  # the label of the group
@@ -46,13 +44,7 @@ class ParameterEffect(Effect):
 
 
 def has_ground_term(plant: AnyPlant, port: Port, role: str, rows: tuple[Port, ...], of: str) -> bool:
-    """Whether parameters of this role already give the joint a force against the ground.
-
-    They do where the force that they give is not zero in a motion that all joints ``rows`` share; ``of`` says whether
-    the motion is that of the ``"velocity"`` or of the ``"position"``. (A spring between two masses is none to ground.)
-    A parameter of the value 0 with a tolerance gives one too. (In a nonlinear plant only these do: its equations do not
-    say at which joint a damping acts.)
-    """
+    """Whether parameters of this role already give the joint a force against the ground."""
     if isinstance(plant, NonlinearPlant):
         return any(p.role == role and not p.value for p in plant.parameters.values())
     directions = [getattr(r, of) for r in rows if getattr(r, of) is not None]
@@ -112,7 +104,6 @@ class MisplacedEffect(ParameterEffect):
         return (dict.fromkeys(self.components, 0.1 * self.spread),)
 
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
-        """Of each parameter, over its reference."""
         names = site.name.split("+")
         for name in names:
             if name not in plant.parameters:
@@ -122,8 +113,8 @@ class MisplacedEffect(ParameterEffect):
 
 
 class GroundedEffect(ParameterEffect):
-    """A parameter effect that can also sit at a joint whose equation lacks the term: a force to ground, linear in
-    the joint's position or velocity, whose coefficient is the parameter named `symbol`.
+    """A parameter effect that can also sit at a joint whose equation lacks the term: a force to ground, linear in the
+    joint's position or velocity, whose coefficient is the parameter named `symbol`.
     """
 
     symbol: str  # name of the coefficient at a joint
@@ -172,10 +163,7 @@ class GroundedEffect(ParameterEffect):
 
 
 class Inertia(ParameterEffect):
-    r"""Misjudged inertia: the true value is a multiple of the nominal one.
-
-    .. math:: J' = s\,J
-    """
+    """Misjudged inertia: the true value is a multiple of the nominal one."""
 
     id = "inertia"
     title = "Misjudged inertia"
@@ -187,10 +175,7 @@ class Inertia(ParameterEffect):
 
 
 class CentreOfMass(MisplacedEffect):
-    r"""A centre of mass that is not where the plant has it.
-
-    .. math:: c' = c + (x, y, z)
-    """
+    """A centre of mass that is not where the plant has it."""
 
     id = "centre-of-mass"
     title = "Misplaced centre of mass"
@@ -204,10 +189,7 @@ class CentreOfMass(MisplacedEffect):
 
 
 class GravityDirection(MisplacedEffect):
-    r"""A base that does not stand level: gravity acts in another direction than the plant says.
-
-    .. math:: t' = t + (x, y)
-    """
+    """A base that does not stand level: gravity acts in another direction than the plant says."""
 
     id = "gravity-direction"
     title = "Base that is not level"
@@ -221,12 +203,7 @@ class GravityDirection(MisplacedEffect):
 
 
 class Resistance(MotorEffect):
-    r"""Misjudged resistance: the true value is a multiple of the nominal one.
-
-    .. math:: R' = s\,R
-
-    Of a plant with several motors that of all of them, or of one: the term of its current in its own equation.
-    """
+    """Misjudged resistance: the true value is a multiple of the nominal one."""
 
     id = "resistance"
     title = "Misjudged resistance"
@@ -241,13 +218,7 @@ class Resistance(MotorEffect):
 
 
 class TorqueConstant(MotorEffect):
-    r"""Misjudged torque constant: the true value is a multiple of the nominal one.
-
-    .. math:: K_m' = s\,K_m, \qquad K_b' = s\,K_b
-
-    Of a plant with several motors the constants of all of them, or those of one: what its current does to other states,
-    and what their speeds do to it.
-    """
+    """Misjudged torque constant: the true value is a multiple of the nominal one."""
 
     id = "torque-constant"
     title = "Misjudged torque constant"
@@ -263,10 +234,7 @@ class TorqueConstant(MotorEffect):
 
 
 class Stiffness(GroundedEffect):
-    r"""Stiffness: a misjudged spring, or a spring to ground at a joint that has none.
-
-    .. math:: k' = s\,k \quad\text{(parameter)}, \qquad f = -k\,q \quad\text{(joint; zero force at the position's zero)}
-    """
+    """Stiffness: a misjudged spring, or a spring to ground at a joint that has none."""
 
     id = "stiffness"
     title = "Stiffness, misjudged or missing"
@@ -285,10 +253,7 @@ class Stiffness(GroundedEffect):
 
 
 class ViscousFriction(GroundedEffect):
-    r"""Viscous friction: a misjudged coefficient, or friction at a joint whose equation has none.
-
-    .. math:: b' = s\,b \quad\text{(parameter)}, \qquad f = -b\,v \quad\text{(joint)}
-    """
+    """Viscous friction: a misjudged coefficient, or friction at a joint whose equation has none."""
 
     id = "viscous-friction"
     title = "Viscous friction, misjudged or missing"

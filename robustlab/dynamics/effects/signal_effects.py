@@ -25,7 +25,6 @@ class SignalGain(Effect):
     meaning: str  # of s, in words
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        """The gain s."""
         return (EffectParameter("s", "", self.meaning, Prior("log", 1.0, self.spread)),)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
@@ -36,7 +35,6 @@ class SignalGain(Effect):
         return values["s"] * signal
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        """The gain s, at every amplitude."""
         return Footprint(site.name, self.site_kind, values["s"], values["s"])
 
 
@@ -46,33 +44,23 @@ class SignalDelay(Effect):
     delay = "d"
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        """The delay d."""
         return (EffectParameter("d", "s", "delay", Prior("log", 3.0 * scales.dt, 1.2)),)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         return tuple({"d": steps * scales.dt} for steps in (1.0, 4.0, 15.0))
 
     def steps(self, values: Mapping[str, float], h: float) -> float:
-        """The delay in steps of h seconds.
-
-        Raises InputError: a negative one.
-        """
+        """The delay in steps of h seconds."""
         if values["d"] < 0.0:
             raise InputError(f"effect {self.id}: d", f"{values['d']:g} s", "a delay of 0 s or more")
         return values["d"] / h
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        """The gain 1, late."""
         return Footprint(site.name, self.site_kind, 1.0, 1.0, delay=values["d"])
 
 
 class InputGain(SignalGain):
-    r"""Input gain: the plant gets a multiple of the commanded input.
-
-    .. math:: u' = s\,u
-
-    A pulse-width modulated driver with dead time :math:`t_d` at the switching frequency f has :math:`s = 1 - 2 t_d f`.
-    """
+    """Input gain: the plant gets a multiple of the commanded input."""
 
     id = "input-gain"
     title = "Input gain"
@@ -86,13 +74,7 @@ class InputGain(SignalGain):
 
 
 class InputDelay(SignalDelay):
-    r"""Input delay: the plant sees the input d seconds late.
-
-    .. math:: u'(t) = u(t - d)
-
-    The input is held in steps; each step of the delayed input is its mean over that step. A simulation shifts the
-    samples themselves (`robustlab.dynamics.extended.simulator`), first moments included.
-    """
+    """Input delay: the plant sees the input d seconds late."""
 
     id = "input-delay"
     title = "Input delay"
@@ -109,10 +91,7 @@ class InputDelay(SignalDelay):
 
 
 class InputDeadZone(Effect):
-    r"""Dead zone of the driver: it drops a constant voltage, or needs one before anything comes out.
-
-    .. math:: u' = u - d \operatorname{sgn} u \ \text{ for } |u| > d, \qquad u' = 0 \ \text{ otherwise}
-    """
+    """Dead zone of the driver: it drops a constant voltage, or needs one before anything comes out."""
 
     id = "input-dead-zone"
     title = "Dead zone or drop of the driver"
@@ -136,10 +115,7 @@ class InputDeadZone(Effect):
 
 
 class InputSaturation(Effect):
-    r"""Saturation of the input: the driver gives no more than :math:`u_{max}` either way.
-
-    .. math:: u' = \max(-u_{max}, \min(u_{max}, u))
-    """
+    """Saturation of the input: the driver gives no more than :math:`u_{max}` either way."""
 
     id = "input-saturation"
     title = "Saturation of the input"
@@ -173,13 +149,7 @@ def _lagged_means(u, step):  # type: ignore[no-untyped-def]
 
 
 class ActuatorLag(Effect):
-    r"""Lag of the actuator: its output follows the input in first order.
-
-    .. math:: T \frac{du'}{dt} = u - u'
-
-    The input is held in steps; each step of what comes out is its mean over that step, exact for any length of the
-    step. Before the first sample the first value was held.
-    """
+    """Lag of the actuator: its output follows the input in first order."""
 
     id = "actuator-lag"
     title = "Lag of the actuator"
@@ -208,10 +178,7 @@ class ActuatorLag(Effect):
 
 
 class SensorGain(SignalGain):
-    r"""Sensor gain: a wrong scale factor, gear ratio or calibration.
-
-    .. math:: y' = s\,y
-    """
+    """Sensor gain: a wrong scale factor, gear ratio or calibration."""
 
     id = "sensor-gain"
     title = "Sensor gain"
@@ -227,13 +194,7 @@ class SensorGain(SignalGain):
 
 
 class SensorBias(Effect):
-    r"""Sensor bias: a constant in the reading.
-
-    .. math:: y' = y + b
-
-    Where the plant can rest at any value of the output without another output moving (the angle of a free shaft), the
-    bias is nothing but another zero of that angle: it is offered only at outputs where it can be seen.
-    """
+    """Sensor bias: a constant in the reading."""
 
     id = "sensor-bias"
     title = "Sensor bias"
@@ -242,7 +203,6 @@ class SensorBias(Effect):
     site_kind = "output"
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
-        """Outputs k for which no equilibrium A x = 0 has C x = e_k: no free initial state takes the bias."""
         offered = []
         n = model.A.shape[-1]
         a, c = model.A.reshape(-1, n), model.C.reshape(-1, len(plant.outputs), n)[0]  # along a motion at every point
@@ -270,14 +230,7 @@ class SensorBias(Effect):
 
 
 class SensorDelay(SignalDelay):
-    r"""Sensor delay: the reading is d seconds old, or its clock runs behind that of the input.
-
-    .. math:: y'(t) = y(t - d)
-
-     Between samples the output follows the cubic through its four neighbours (Lagrange's); before the start of a window
-    it goes on backwards along the first two samples. In an open loop the same delay of all outputs is one of all
-    inputs.
-    """
+    """Sensor delay: the reading is d seconds old, or its clock runs behind that of the input."""
 
     id = "sensor-delay"
     title = "Sensor delay"
@@ -309,12 +262,7 @@ POSITION_UNITS = ("rad", "m")
 
 
 class SensorEccentricity(Effect):
-    r"""Eccentric or tilted encoder: the reading runs ahead and behind once a turn.
-
-    .. math:: y' = y + c \cos k y + s \sin k y
-
-    It moves the reading and not the plant: unlike a torque ripple it does not fade with the speed.
-    """
+    """Eccentric or tilted encoder: the reading runs ahead and behind once a turn."""
 
     id = "sensor-eccentricity"
     title = "Eccentric or misaligned position sensor"
@@ -356,13 +304,7 @@ class SensorEccentricity(Effect):
 
 
 class MagnitudeSensor(Effect):
-    r"""A sensor that shows the size of its signal and not its sign.
-
-    .. math:: y' = |y - c|
-
-    c is the value at which it shows nothing; a rectified current or a pulse counter without direction has :math:`c =
-    0`.
-    """
+    """A sensor that shows the size of its signal and not its sign."""
 
     id = "magnitude-sensor"
     title = "Sensor without a sign"
@@ -382,12 +324,7 @@ class MagnitudeSensor(Effect):
 
 
 class Quantisation(Effect):
-    r"""Quantisation: the reading comes in steps.
-
-    .. math:: y' = \mathrm{lsb} \cdot \operatorname{round}(y / \mathrm{lsb})
-
-    It is bounded noise that the data sheet tells, never the name of what a model lacks: ``nameable`` is False.
-    """
+    """Quantisation: the reading comes in steps."""
 
     id = "quantisation"
     title = "Quantisation"

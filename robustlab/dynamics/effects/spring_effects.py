@@ -27,8 +27,6 @@ def _cubic_residual(force, args):  # type: ignore[no-untyped-def]
 def cubic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     """Parameters p = (k_3,); hardening, the residual has a slope of at least one: -residual(0) bounds the root, and so
     does the force that takes the mass to the mirror image of its start, where the spring has done no work.
-
-    A softening spring goes beyond that bound; twice the bound holds it as long as the step resolves the motion.
     """
     args = (seen[Q0], seen[Q], seen[GQ], p[0])
     bound = -_cubic_residual(0.0, args)
@@ -45,18 +43,9 @@ def cubic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class CubicStiffness(Effect):
-    r"""Cubic stiffness: a spring that hardens (or softens) away from the position's zero.
+    """Cubic stiffness: a spring that hardens (or softens) away from the position's zero."""
 
-    .. math:: f = -k_3\, q^3
-
-    Over a step from :math:`q_0` to :math:`q_1` the force is :math:`-\tfrac{k_3}{4}(q_1^3 + q_1^2 q_0 + q_1 q_0^2 +
-    q_0^3)`, whose work is exactly the difference of the potential :math:`k_3 q^4 / 4` (a discrete gradient): the step
-    neither makes nor loses energy.
-
-    References
-    ----------
-    Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear Science 6 (1996).
-    """
+    # Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear Science 6 (1996).
 
     id = "cubic-stiffness"
     title = "Cubic stiffness"
@@ -120,21 +109,7 @@ def stop_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class EndStop(Effect):
-    r"""End stops: springs with damping beyond the limits of the travel, which push and never pull.
-
-    For the upper stop, with the depth :math:`\delta = q - q_\max`,
-
-    .. math:: f = -\max(0,\ k_c\, \delta + d_c\, v) \quad (\delta > 0), \qquad f = 0 \quad (\delta \le 0)
-
-    and its mirror image at the lower one. Both limits lie within the travel that a record reaches: one that no motion
-    presses on is no parameter of it (`OneSidedSpring` is a stop on one side).
-
-    Over a step the spring's force is the one whose work is exactly the difference of its potential :math:`k_c
-    \max(\delta, 0)^2 / 2`, so that an undamped stop returns what it took even where a step is too long to see the
-    contact; the damping acts at the change of the depth over the step. A damper that stops the motion within less than
-    a step would ring: there it acts at the end velocity for the share of the way in contact, the two weighted by 1 and
-    :math:`(d_c g_v / 2)^4`.
-    """
+    """End stops: springs with damping beyond the limits of the travel, which push and never pull."""
 
     id = "end-stop"
     title = "End stop"
@@ -206,15 +181,7 @@ STARTS = ((0.02, 1.0), (0.003, 5.0), (0.3, 0.03))
 
 
 class OneSidedSpring(Effect):
-    r"""A spring with a damper that a joint meets beyond one position: a stop on one side, free play before a spring.
-
-    .. math::
-        f = -\max(0,\ |k| (q - q_0) + d v) \quad (q > q_0,\ k > 0), \qquad
-        f = \max(0,\ |k| (q_0 - q) - d v) \quad (q < q_0,\ k < 0)
-
-    and nothing on the other side of :math:`q_0`. It pushes and never pulls: the contact and its step are those of
-    `EndStop`, with the other stop out of reach.
-    """
+    """A spring with a damper that a joint meets beyond one position: a stop on one side, free play before a spring."""
 
     id = "one-sided-spring"
     title = "Spring or stop on one side"
@@ -327,26 +294,10 @@ def hysteretic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class BoucWen(Effect):
-    r"""Hysteretic spring: a force that lags behind the displacement and yields, at any speed (Bouc, Wen).
+    """Hysteretic spring: a force that lags behind the displacement and yields, at any speed (Bouc, Wen)."""
 
-    .. math::
-        f = -F_y z, \qquad q_y \dot z = v - b\, |v|\, z - (1 - b)\, v\, |z|, \qquad \rho = 2 b - 1
-
-    that is :math:`q_y \dot z = v (1 - |z|)` while z grows in size, and :math:`v (1 + \rho |z|)` while it falls: the
-    spring is stiffer by :math:`1 + \rho |z|` on its way back. With :math:`\rho = 0` it comes back along a straight line
-    of the stiffness :math:`F_y / q_y`, with :math:`\rho = 1` it is Dahl's friction
-    (`Presliding`); no :math:`\rho \ge 0` gives back more than it took. The exponent n
-    is 1.
-
-    Over a stretch in one direction z is exactly known (two exponentials of the way), and so is its mean over it. The
-    force of a step is that mean; where the velocity turns within the step there are two stretches, for which it is
-    taken to run linearly.
-
-    References
-    ----------
-    Wen, *Method for random vibration of hysteretic systems*, J. Engineering Mechanics 102 (1976); Ikhouane, Rodellar,
-    *On the hysteretic Bouc-Wen model*, Nonlinear Dynamics 42 (2005), normalised form.
-    """
+    # Wen, *Method for random vibration of hysteretic systems*, J. Engineering Mechanics 102 (1976); Ikhouane, Rodellar,
+    # *On the hysteretic Bouc-Wen model*, Nonlinear Dynamics 42 (2005), normalised form.
 
     id = "bouc-wen"
     title = "Hysteretic spring"
@@ -451,29 +402,11 @@ def flank_frequency(share: float) -> float:
 
 
 class Backlash(Effect):
-    r"""Backlash: a gap between the drive and its load, who push each other at its flanks and never pull.
+    """Backlash: a gap between the drive and its load, who push each other at its flanks and never pull."""
 
-    With e the depth by which :math:`\delta` has left the gap, :math:`|\delta| \le g/2`, and :math:`m = s (1 - s) J`,
-
-    .. math::
-        F = -m\,(\omega^2 e + 2 \zeta \omega \dot e) \operatorname{sgn} \delta, \qquad F \operatorname{sgn}\delta \le 0,
-        \qquad \omega = 2 \pi f, \quad \zeta = 0.2
-
-    f is the frequency of the two inertias on the closed flank. The damping of the flank is that of an impact which
-    gives back about half of the speed. See `robustlab.dynamics.ports.load_side` for the two sides. At a joint of a
-    nonlinear plant the load bears its weight and what the other joints ask of it: the gap opens only where the drive
-    outruns it, and a load that never reaches the other flank tells the gap from below alone.
-
-    Over a step the flank's force is :math:`\frac{\omega^2}{2} (e_1^2 - e_0^2) / |\delta_1 - \delta_0| + 2 \zeta \omega
-    (e_1 - e_0)/h` (a discrete gradient): what the spring stores is what it takes from the inertias, wherever within the
-    step the flank is met or left, and no contact creates energy at any length of step.
-
-    References
-    ----------
-    Nordin, Galic, Gutman, New models for backlash and gear play, Int. J. Adaptive Control and Signal Processing 11
-    (1997) 49-63; Greenspan, Discrete numerical methods in physics and engineering (1974) for the exact balance of
-    energy.
-    """
+    # Nordin, Galic, Gutman, New models for backlash and gear play, Int. J. Adaptive Control and Signal Processing 11
+    # (1997) 49-63; Greenspan, Discrete numerical methods in physics and engineering (1974) for the exact balance of
+    # energy.
 
     id = "backlash"
     title = "Backlash"
@@ -524,15 +457,7 @@ LOWEST = 10.0
 
 
 class FlexibleCoupling(Effect):
-    r"""Flexible coupling: the joint's inertia is two, with a spring and a damper between them.
-
-    .. math::
-        F = -k \delta - c \dot\delta, \qquad k = \omega^2 m, \quad c = 2 \zeta \omega m, \quad
-        \omega = 2 \pi f, \quad m = s (1 - s) J
-
-    f is the natural frequency of the two inertias against each other with nothing else attached
-    (`robustlab.dynamics.ports.load_side`).
-    """
+    """Flexible coupling: the joint's inertia is two, with a spring and a damper between them."""
 
     id = "flexible-coupling"
     title = "Flexible coupling"

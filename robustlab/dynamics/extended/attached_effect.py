@@ -1,10 +1,5 @@
-r"""An effect at its place, with numbers, and what it is there: a gain of its signal, a sector, a delay, a bound; and a
+"""An effect at its place, with numbers, and what it is there: a gain of its signal, a sector, a delay, a bound; and a
 force law seen at one instant: its force at a velocity, its band at rest, its slopes.
-
-The laws answer for the end of a step (`robustlab.dynamics.ports.law_kernel`). Here they are asked for the step in
-which the velocity does not change: with the compliance g and the velocity :math:`v - g f` without the law's force, the
-one that brings about v itself is f, a fixed point that does not depend on g or on the length of the step. They are
-asked outside of time (`ANY_TIME`), where a force that only depends on it answers with its mean.
 """
 
 from __future__ import annotations
@@ -94,27 +89,15 @@ def is_set_valued(law: Law, q: float) -> bool:
 
 
 def holding_force(law: Law, q: float, acceleration: float, mobility: float) -> float:
-    """Force at a port at rest: the one that keeps it there if the law has it, else that of the motion that begins.
-
-    ``acceleration``: of the port without this force. ``mobility``: acceleration per unit of the force.
-    """
+    """Force at a port at rest: the one that keeps it there if the law has it, else that of the motion that begins."""
     h = INSTANT
     seen = [q, 0.0, q, h * acceleration, 0.0, h * mobility, h, ANY_TIME]
     return _asked(law, seen, np.zeros(max(1, law.memory)))[0]
 
 
 def slopes(law: Law, q: float, v: float) -> tuple[float, float]:
-    r"""``(df/dq, df/dv)`` at a position and velocity, by central differences of the law's force.
-
-    Compiled laws have no complex step. In position and at a velocity other than zero the differences are extrapolated
-    (Ridders), exact for polynomials to about ten digits; at rest the difference over ``+-1e-6`` is taken, so that a
-    drag :math:`c v |v|` has the slope ``1e-6 c`` and not zero. A law with memory has at rest the slopes of its
-    presliding.
-
-    References
-    ----------
-    Ridders, "Accurate computation of F'(x) and F'(x)F''(x)", Advances in Engineering Software 4 (1982).
-    """
+    """``(df/dq, df/dv)`` at a position and velocity, by central differences of the law's force."""
+    # Ridders, "Accurate computation of F'(x) and F'(x)F''(x)", Advances in Engineering Software 4 (1982).
 
     def at(position: float, velocity: float) -> float:
         if velocity == 0.0:
@@ -134,10 +117,7 @@ def slopes(law: Law, q: float, v: float) -> tuple[float, float]:
 
 
 def _presliding(law: Law, q: float) -> tuple[float, float]:
-    """The same for a law with memory at rest: what resists two displacements far below sliding, slow and quick.
-
-    From one to the next the force grows by the stiffness, be it that of the mean over the way or that of its end.
-    """
+    """The same for a law with memory at rest: what resists two displacements far below sliding, slow and quick."""
 
     def resisting(h: float, z: Array) -> tuple[float, Array]:
         v, force, after = DISPLACEMENT / h, 0.0, z
@@ -385,10 +365,7 @@ def _parameters(effect: Effect, site: Site) -> tuple[EffectParameter, ...]:
 def attach(
     key: str, given: Mapping[str, Any], plant: AnyPlant, model: PortModel, taken: Iterable[AttachedEffect] = ()
 ) -> AttachedEffect:
-    """The effect named by ``key`` (``"id"`` or ``"id@site"``) with the given values at its only, or named, site.
-
-    ``given``: name -> value, or (value, standard deviation). ``taken``: effects that the plant has already.
-    """
+    """The effect named by ``key`` (``"id"`` or ``"id@site"``) with the given values at its only, or named, site."""
     from robustlab.dynamics.effects.catalogue import effect as named
 
     name, _, place = key.partition("@")

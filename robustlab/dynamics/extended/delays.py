@@ -1,10 +1,6 @@
-r"""Delays that come with their signals' effects: rational ones, and a block for what these miss; lags of first order.
-
-References
-----------
-Wang, Lundström, Skogestad, "Representation of uncertain time delays in the H-infinity framework", Int. J. Control 59
-(1994).
-"""
+"""Delays that come with their signals' effects: rational ones, and a block for what these miss; lags of first order."""
+# Wang, Lundström, Skogestad, "Representation of uncertain time delays in the H-infinity framework", Int. J. Control 59
+# (1994).
 
 from __future__ import annotations
 
@@ -79,10 +75,7 @@ def lagged(model: StateSpaceModel, lags: Mapping[int, float]) -> StateSpaceModel
 
 
 def lag_block(time: float, spread: float, name: str) -> UncertainModel:
-    r"""All lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s, exactly.
-
-    With the block in :math:`w = \delta z,\ z = \dot x`: :math:`T_0 \dot x = u - x - \Delta T\, w`.
-    """
+    """All lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s, exactly."""
     if not 0.0 <= spread < time:
         raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")
     a = -1.0 / time
@@ -93,15 +86,7 @@ def lag_block(time: float, spread: float, name: str) -> UncertainModel:
 
 
 def delay_block(delay: float, spread: float, pade: int, name: str, origin: str = "") -> UncertainModel:
-    r"""All delays from ``delay - spread`` (at least 0) to ``delay + spread`` as :math:`P + w \Delta`.
-
-    .. math:: |w(j\omega)| \ge \max_{d} |e^{-j \omega d} - P(j\omega)| \quad \text{for all } \omega
-
-    That is proved for all frequencies: see `robustlab.delays.pade.error_weight`. :math:`\Delta` is stable: the error
-    is, and the weight's zeros lie in the left half plane, or at s = 0, where the error has as many.
-
-    ``delay``, ``spread``: in s; the delay positive. ``pade``: order of P. ``name``, ``origin``: of the block.
-    """
+    r"""All delays from ``delay - spread`` (at least 0) to ``delay + spread`` as :math:`P + w \Delta`."""
     if not 0 < delay < np.inf or not 0 <= spread < np.inf:
         raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
     n = checked_order(pade, "delay_block", 1)

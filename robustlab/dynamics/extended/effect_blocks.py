@@ -1,28 +1,7 @@
-r"""Effects become uncertainty: the linear model of a plant with effects, and a block for all that it is not.
-
-==========================  ==========================================================================================
-what                        becomes
-==========================  ==========================================================================================
-tolerance of a parameter    a real parameter with its range; so do fitted gains, springs and dampers, by their std
-force law                   a real parameter (a gain between the ends of its sector) or an input of size one (a bounded
-                            force), or both: see `robustlab.dynamics.extended.force_blocks`
-sector at an input, output  a real parameter at that signal
-delay                       Padé approximation P and one dynamic block, :math:`P + w \Delta`, with
-                            :math:`|w(j\omega)| \ge |e^{-j\omega d} - P(j\omega)|` proved for all d within its std
-                            and all frequencies
-lag of an input             a state, and a real parameter with its range where a fit has determined it
-bounded error               an input of its own, scaled so that its signal is at most one: quantisation as noise of half
-                            a step, a constant load, a bias
-==========================  ==========================================================================================
-
-Every block says where it comes from and for which motions it holds (``origin``). What none of these holds is listed
-with a reason.
-
-References
-----------
-Gelb, Vander Velde, *Multiple-Input Describing Functions* (1968), chapter 2; Wang, Lundström, Skogestad, "Representation
-of uncertain time delays in the H-infinity framework", Int. J. Control 59 (1994); Březina 2010, section 4.2.
-"""
+"""Effects become uncertainty: the linear model of a plant with effects, and a block for all that it is not."""
+# Gelb, Vander Velde, *Multiple-Input Describing Functions* (1968), chapter 2; Wang, Lundström, Skogestad,
+# "Representation of uncertain time delays in the H-infinity framework", Int. J. Control 59 (1994); Březina 2010,
+# section 4.2.
 
 from __future__ import annotations
 
@@ -148,22 +127,7 @@ def effect_blocks(
     unnamed: tuple[float, str] | None = None,
     tied: Sequence[tuple[str, tuple[str, ...]]] = (),
 ) -> EffectBlocks:
-    """The uncertain model of a plant with or without effects.
-
-    ``plant``: `LinearPlant` or `ExtendedPlant`.
-    ``outputs``: outputs to keep, all where left out.
-    ``sigmas``: half width of the range of a fitted value in its standard deviations.
-    ``amplitude``: name of a joint, position state, input or output -> amplitude of its signal at which the effects
-    there are described, or (least, largest) amplitude. Needed for a force that grows with the motion, and for a
-    driver's or sensor's sector. For dry friction the least that matters: the gain of its describing function is 4 Fc /
-    (pi amplitude) there and falls from there on.
-    ``dry``: what becomes of bounded forces such as dry friction: ``"load"`` an input, exact at every speed; ``"gain"``
-    a gain with the range of its describing function; ``"both"``. Where left out, a gain where an amplitude is given,
-    else an input.
-    ``pade``: order of the Padé approximation of delays, 1..8.
-    ``unnamed``: bound and origin of a force at the first joint that nothing explains; none where left out.
-    ``tied``: groups of parameters that move together, as `robustlab.dynamics.linear_plant.tied_plant` takes them.
-    """
+    """The uncertain model of a plant with or without effects."""
     width = float(real_array("sigmas", sigmas, 0, "effect_blocks"))
     checks.number("effect_blocks: sigmas", width, "0 or more", at_least=0)
     checks.whole("effect_blocks: pade", pade, 1, 8)
@@ -313,10 +277,7 @@ def _told(uncertain: UncertainModel, plant: LinearPlant) -> UncertainModel:
 
 
 def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: int) -> tuple[UncertainModel, list[str]]:
-    """The forces of the sectors closed over what they see: ``f = -r delta s``; the middle is in the plant already.
-
-    Also the names of the blocks that hold by harmonic balance only.
-    """
+    """The forces of the sectors closed over what they see: ``f = -r delta s``; the middle is in the plant already."""
     k = len(sectors)
     if not k:
         return whole, []

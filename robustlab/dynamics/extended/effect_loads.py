@@ -2,10 +2,6 @@ r"""Effects as loads: the linear part of a plant, driven by bounded signals that
 
 .. math::
     \dot x = A x + B\,(u + d) + \sum_j b_j f_j, \qquad |f_j| \le F_j, \quad |d| \le d_{max}
-
-This is no approximation: f and d are what the laws and drivers do, whatever the motion. A design may take them for
-disturbances of known size at known places; along a record they are known signals (`EffectLoads.along`), so that what is
-left for an uncertainty to explain is only what the named effects do not.
 """
 
 from __future__ import annotations
@@ -57,11 +53,7 @@ class EffectLoads:
     acts: tuple[tuple[AttachedEffect, Port | int], ...] = ()
 
     def along(self, record: Record) -> Record:
-        """The record with the loads as further inputs, as the plant with its effects makes them under its inputs.
-
-        The plant is simulated from the first sample, at rest: with the smallest state that shows the outputs measured
-        there. A load is its mean over each sample, so that the linear part under it goes through the same states.
-        """
+        """The record with the loads as further inputs, as the plant with its effects makes them under its inputs."""
         if not self.loads:
             return record
         signals = self._signals(record, *self._motion(record))
@@ -174,10 +166,7 @@ def _law_along(law: Law, port: Port, states: Array) -> Array:
 
 
 def resting_start(plant: LinearPlant | ExtendedPlant, record: Record) -> tuple[Array, Array]:
-    """A record's clock (n,), and the smallest state of the plant alone that shows the outputs measured first.
-
-    Time stamps are rounded; a uniform clock itself is not.
-    """
+    """A record's clock (n,), and the smallest state of the plant alone that shows the outputs measured first."""
     extended = isinstance(plant, ExtendedPlant)
     own = plant.model.own if extended else len(plant.states)
     C = plant.model.C if extended else plant.state_space().C
@@ -189,22 +178,7 @@ def resting_start(plant: LinearPlant | ExtendedPlant, record: Record) -> tuple[A
 
 
 def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = (), margin: float = 1.0) -> EffectLoads:
-    """A plant with effects as its linear part with bounded loads.
-
-    ``plant``: `LinearPlant` (then there are no loads) or `ExtendedPlant`. Linear effects stay in the linear part; force
-    laws and drivers become loads; known noise of the sensors (quantisation) is left to the noise bounds.
-    ``sigmas``: half width of the range of a fitted value in its standard deviations; a load's bound takes it on top.
-    ``records``: where a force has no bound whatever the motion (quadratic drag), it takes the largest value along these
-    records; its origin says so. A load is no feedback: that such a force could destabilise a loop is not in the set.
-    ``margin``: that largest value counts so many times: another record may move a little faster.
-
-    Examples
-    --------
-    >>> from robustlab.dynamics import plant
-    >>> axis = with_effects(plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}})
-    >>> [(load.name, load.bound, load.unit) for load in effect_loads(axis).loads]
-    [('load v: coulomb-friction', 20.0, 'N')]
-    """
+    """A plant with effects as its linear part with bounded loads."""
     if isinstance(plant, LinearPlant):
         return EffectLoads(plant, plant.uncertain(), ())
     if not isinstance(plant, ExtendedPlant):
@@ -234,13 +208,7 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
 def loaded_model(
     plant: ExtendedNonlinearPlant, at: Trim, sigmas: float = 2.0
 ) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
-    """A nonlinear plant with effects at rest as its linear model with bounded loads, and these loads.
-
-    ``at``: a rest of the plant.
-    ``sigmas``: half width of the range of a fitted value in its standard deviations; a load's bound takes it on top.
-    Returns: the linear model at the rest (`robustlab.linearise`); its inputs are the loads, each over its bound, so
-    that they are at most one, then the plant's.
-    """
+    """A nonlinear plant with effects at rest as its linear model with bounded loads, and these loads."""
     linear, ports = plant.linear_model(at), plant.about(at.x, plant.mapped_input(at.u)).model.ports
     loads, columns = [], []
     for e in plant.effects:

@@ -2,23 +2,6 @@ r"""The equations of a plant with effects: rates, rest, and the linear model abo
 
 .. math::
     \dot x = A x + B\,m(u) + \sum_j b_j f_j, \qquad y = s(C x + D\,m(u)), \qquad f_j \in F_j(q_j, v_j)
-
-with the input maps m, the sensors s, and force laws that may be set-valued at rest (dry friction). A, B and the ports
-already carry what the effects change in the linear equations; their further states stand at the end of x. Of a
-nonlinear plant the first terms are its own f(x, m(u)) and h(x, m(u)), and A, B, C, D, b_j their slopes at the point.
-
-What is time-dependent or remembers (delays, heating, hysteresis) is exact in `simulate` only. ``derivative`` and
-``output`` take delays as absent, laws with memory as settled, and a law that is set-valued at rest with the force that
-holds its joint wherever it can.
-
-The linear model, in deviations from a point, is
-
-.. math:: A = A_0 + \sum_j b_j \Bigl(\frac{\partial f_j}{\partial v} c_j^T + \frac{\partial f_j}{\partial q} p_j^T\Bigr)
-
-Slopes of force laws, inputs and sensors are local ones. Dry friction at rest has none: it is left out, and
-`ExtendedEquations.left_out` says so with its footprint; with an amplitude of the speed it is the middle of its sector
-there. A map without any gain at the point (inside a dead band, beyond a limit) would leave no model at all: it has the
-gain 1 there.
 """
 
 from __future__ import annotations
@@ -45,8 +28,7 @@ from robustlab.dynamics.extended.attached_effect import (
 from robustlab.dynamics.extended.delays import HIGHEST_PADE, delayed, lagged
 from robustlab.dynamics.extended.nonlinear_steps import About, somewhere
 from robustlab.dynamics.extended.simulator import Simulator
-from robustlab.dynamics.held_point import REST_PASSES, STILL
-from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
+from robustlab.dynamics.plant_contract import REST_PASSES, STILL, NonlinearPlant, SteppedPlant, Trim
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
@@ -223,13 +205,7 @@ class ExtendedEquations(SteppedPlant):
         return np.append(x, np.zeros(len(self.states) - len(x))) if len(x) == self.model.own else x
 
     def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
-        """States and outputs at equally spaced times, the inputs held between them.
-
-        Raises
-        ------
-        InputError
-            Unequal steps of the clock, a start at which a state that an effect has added is not zero.
-        """
+        """States and outputs at equally spaced times, the inputs held between them."""
         steps = np.diff(t)
         dt = float(steps.mean()) if len(steps) else NOMINAL_STEP
         if len(steps) and np.abs(steps - dt).max() > CLOCK_JITTER * dt:
@@ -251,26 +227,7 @@ class ExtendedEquations(SteppedPlant):
     # --- rest --------------------------------------------------------------------------------------------------------
 
     def equilibrium(self, **where: Any) -> HoldingTrim:
-        """Rest with the named inputs, outputs or states at the given values; the others as small as they can be.
-
-        Newton steps on all that is free, each the shortest that solves the linearised equations, so that inputs and
-        positions that nothing asks for stay at zero. Forces that hold their joint take part by being what they must be:
-        where they suffice the equations are fulfilled, and where they do not, the step leads to the edge of what they
-        can hold.
-
-        Parameters
-        ----------
-        where
-            Name of an input, output or state -> value. A name that is both output and state means the state. Of a
-            nonlinear plant also what its own rest may be asked for (a pose); the search begins at its own rest.
-
-        Raises
-        ------
-        InputError
-            An unknown name, a value that is no number.
-        NoTrustworthyNumber
-            No rest there: the input moves the plant against all that could hold it.
-        """
+        """Rest with the named inputs, outputs or states at the given values; the others as small as they can be."""
         x, u, residual = self._rest(where)
         holding = []
         for (e, law, port), force in zip(self.laws, self.forces(x, u), strict=True):
@@ -372,25 +329,7 @@ class ExtendedEquations(SteppedPlant):
         *,
         stand_in: Mapping[int, Array] | None = None,
     ) -> StateSpaceModel:
-        """What `robustlab.linearise` gives: A, B, C, D with the operating point.
-
-        Parameters
-        ----------
-        at
-            A trim, an operating point or (x, u), at rest or not; left out: the trim with nothing given.
-        amplitude
-            Name of a site -> amplitude of its speed or signal: effects there that have a sector are taken as its
-            middle.
-        pade
-            Order of the Padé approximation of delays; 0 leaves them and the lags of inputs out.
-        stand_in
-            Index of a law -> row (n_x,) with which it is ``f = -row x`` here, whatever its slope or sector.
-
-        Raises
-        ------
-        InputError
-            An amplitude at a place without an effect, or not positive; an order outside 0..8.
-        """
+        """What `robustlab.linearise` gives: A, B, C, D with the operating point."""
         x, u, amplitude = self._asked_point(at, amplitude, pade)
         (model, _, _), _, forces = self._forced(x, u)
         a, acting = model.A.copy(), dict[str, float]()

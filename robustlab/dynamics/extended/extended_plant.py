@@ -1,16 +1,4 @@
-r"""A plant with effects, as a plant of its own; of a linear one the linear part with its tolerances as an exact LFT.
-
-Tolerances are those of the plant's parameters, and ``sigmas`` standard deviations of the effects that a fit has
-determined, where these are linear:
-
-- a misjudged parameter (s times the nominal one): the tolerance of s takes the place of the members' own, which move
-  together;
-- a spring or a damper at a joint: one delta;
-- a gain of an input or of a sensor: one delta at that signal.
-
-Force laws stand in with their slopes at the point, without tolerance, and a coupling's own parameters stay nominal.
-The equations are in `robustlab.dynamics.extended.extended_equations`.
-"""
+"""A plant with effects, as a plant of its own; of a linear one the linear part with its tolerances as an exact LFT."""
 
 from __future__ import annotations
 
@@ -67,11 +55,9 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         object.__setattr__(self, "changed", scaled(self.plant, self.effects))
 
     def about(self, x: Array, seen: Array) -> About:
-        """Rates, outputs and slopes of the plant at the point."""
         return point_model(self.changed, self.effects, x, seen)
 
     def turning(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
-        """By differences of the exact models about the point, extrapolated."""
         own, n = len(self.plant.states), len(self.states)
         rows = carried(self.plant, self.effects)
         at = rows @ x
@@ -94,15 +80,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
     def motion(
         self, u: Array, dt: float, t0: float, x0: Array, step: float | None, hold: Literal["zoh", "foh"] = "zoh"
     ) -> tuple[Array, Array]:
-        """States and outputs, by `robustlab.dynamics.extended.nonlinear_steps`.
-
-        The inputs are held from sample to sample, or go straight to the next one (not for a plant with effects on its
-        inputs, which are given for held ones).
-
-        Without a step the steps are halved, from 1 ms or the samples', until the states at the samples change by no
-        more than `HALVED` (1e-4), in root mean square, of the largest state of the same unit. What is left
-        then is a third of that or less.
-        """
         if hold == "foh" and any(e.site.kind == "input" for e in self.effects):
             raise InputError(
                 f"{self.name}: simulate", "inputs that are not held, with an effect on one", "hold = 'zoh'"
@@ -147,7 +124,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         return float(max(shares, default=0.0))
 
     def nearby(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
-        """The rest of the plant without force laws, and what is asked; a pose that is asked for holds the positions."""
         signals = {s.name for s in (*self.states, *self.inputs, *self.outputs)}
         given = {name: value for name, value in where.items() if name in signals}
         other = {name: value for name, value in where.items() if name not in signals}
@@ -188,12 +164,10 @@ class ExtendedPlant(ExtendedEquations):
     plant: LinearPlant
 
     def about(self, x: Array, seen: Array) -> About:
-        """The same model everywhere."""
         model = self.model
         return About(model, model.A @ x + model.B @ seen, model.C @ x + model.D @ seen)
 
     def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
-        """States and outputs, by `Simulator`."""
         parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
         held = np.repeat(u, parts, axis=0)
         run = Simulator(self.plant, [(e.effect, e.site) for e in self.effects], held, dt / parts, t0)
@@ -202,17 +176,12 @@ class ExtendedPlant(ExtendedEquations):
         return motion.states[0, ::parts], motion.outputs[0, ::parts]
 
     def to_model(self) -> StateSpaceModel:
-        """The linear model at the rest with the smallest inputs; functions that take a model call it."""
         return self.linear_model()
 
     def uncertain(  # pyright: ignore[reportIncompatibleMethodOverride]  (effects, not trims, are what it is asked about)
         self, outputs: Sequence[str] | None = None, sigmas: float = 2.0
     ) -> UncertainModel:
-        """All models within the tolerances, as an exact LFT; `left_out` has what they do not cover.
-
-        ``outputs``: outputs to keep, all where left out. ``sigmas``: half width of the range of a fitted value in its
-        standard deviations.
-        """
+        """All models within the tolerances, as an exact LFT; `left_out` has what they do not cover."""
         width = float(real_array("sigmas", sigmas, 0, "uncertain"))
         number("uncertain: sigmas", width, "0 or more", at_least=0)
         linear = self.linear_model()
@@ -370,10 +339,7 @@ def _scaled_values(plant: ExtendedPlant) -> dict[str, float]:
 
 
 def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> dict[str, tuple[Parameter, Array]]:
-    """Fitted springs and dampers at joints: parameter, and the entries of F per unit of it.
-
-    They are told by what they do: without a law or a state of their own, and A affine in the value.
-    """
+    """Fitted springs and dampers at joints: parameter, and the entries of F per unit of it."""
     found: dict[str, tuple[Parameter, Array]] = {}
     inertia = _structure(plant, linear)(_scaled_values(plant))[0]
     for e in plant.effects:
@@ -400,11 +366,7 @@ def _changed(plant: ExtendedPlant, e: AttachedEffect, values: Mapping[str, float
 
 
 def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mapping[str, float]], list[Array]]:
-    r"""E, F, G, C, D of all states at any parameter values, less a constant part of F.
-
-    A split joint keeps the share 1 - s of its inertia, and its relative motion follows
-    :math:`\ddot\delta - \dot v = (\text{constant entries})\,(\delta, \dot\delta)`, whatever the inertia.
-    """
+    """E, F, G, C, D of all states at any parameter values, less a constant part of F."""
     base, own, size = plant.plant, plant.model.own, len(plant.states)
     inertia = base.matrices(_scaled_values(plant))[0]
     split: list[tuple[int, int, float]] = []  # joint, its relative position, the load's share
@@ -433,11 +395,7 @@ def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mappi
 def _with_signal_gains(
     inner: UncertainModel, plant: ExtendedPlant, into: Array, out: Array, width: float
 ) -> UncertainModel:
-    r"""Gains at inputs and outputs around the model; fitted ones as :math:`s + r \delta`.
-
-    With the model's channels in front, u enters as ``into u + R_i w_i`` with ``z_i = S_i u``, and
-    ``y = out y_0 + w_o`` with ``z_o = R_o y_0``.
-    """
+    r"""Gains at inputs and outputs around the model; fitted ones as :math:`s + r \delta`."""
     m, n_u, n_y = inner.M, len(plant.inputs), len(plant.outputs)
     q, p = m.n_inputs - n_u, m.n_outputs - n_y
     fitted = {

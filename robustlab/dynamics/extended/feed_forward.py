@@ -1,18 +1,4 @@
-r"""Feed-forward of named effects: the input that a motion needs because of them, told from its reference.
-
-A force law at a joint, with the force g of one unit of the input there, is met by
-
-.. math::
-    u_{ff}(q_r, v_r) = -\frac{1}{g} \sum_j f_j(q_r, v_r)
-    = \sum_w \bigl(c_w \cos k_w q_r + s_w \sin k_w q_r\bigr)
-    + \sum_d \bigl(\ell_d + b_d\, e^{-(v_r / v_d)^2}\bigr) \operatorname{sgn} v_r
-
-with waves for cogging, gravity of a pendulum and constant loads (k = 0), and dry friction as it is while sliding. It is
-no feedback: the loop's poles stay where they are. At the reference it is exact where the effects are; where the motion
-is off by e, a wave leaves at most :math:`k \sqrt{c^2 + s^2}\,|e|` of itself. At standstill, :math:`v_r = 0`, dry
-friction is anything within its band: nothing is asked for. Where the joint turns later than its reference, the law has
-the wrong sign until it does.
-"""
+"""Feed-forward of named effects: the input that a motion needs because of them, told from its reference."""
 
 from __future__ import annotations
 
@@ -51,20 +37,7 @@ class DryLevel(NamedTuple):
 
 @dataclass(frozen=True)
 class FeedForward:
-    """An input as a function of the reference's position and speed.
-
-    Attributes
-    ----------
-    input, position
-        The input that it is added to, and the output whose reference it sees.
-    waves, dry
-        What it is the sum of, in units of the input.
-    of
-        The effects that it stands for, in words.
-    left
-        How much larger the effects' force may be within the intervals of their fitted values, in units of the input;
-        of dry friction what the law leaves at most while joint and reference go the same way. 0: no interval is known.
-    """
+    """An input as a function of the reference's position and speed."""
 
     input: Signal
     position: Signal
@@ -74,14 +47,7 @@ class FeedForward:
     left: float = 0.0
 
     def __call__(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """The input at positions q and speeds v of the reference, both of one shape, (n,) or ().
-
-        Examples
-        --------
-        >>> friction = FeedForward(Signal("i", "A"), Signal("phi", "rad"), (), (DryLevel(0.4),))
-        >>> friction([0.0, 1.0, 2.0], [-3.0, 0.0, 3.0]).tolist()
-        [-0.4, 0.0, 0.4]
-        """
+        """The input at positions q and speeds v of the reference, both of one shape, (n,) or ()."""
         at, speed = (real_array(name, x, np.ndim(x), "feed-forward") for name, x in (("q", q), ("v", v)))
         if at.shape != speed.shape:
             raise InputError("feed-forward", f"positions {at.shape}, speeds {speed.shape}", "one shape")
@@ -128,23 +94,7 @@ _AGAINST: Mapping[str, Callable[[Values], tuple[list[Wave], list[DryLevel]]]] = 
 
 
 def feed_forward(plant: Any, sigmas: float = 2.0) -> FeedForward:
-    """The feed-forward of a plant's named effects, such as those of ``rl.discover(...).model``.
-
-    ``plant``: with effects (`robustlab.with_effects`); its force laws sit at one joint, whose position is an output,
-    and one of its inputs acts there alone. It may be nonlinear (a leg of the Stewart platform) where that input acts at
-    the joint alike in every pose.
-    ``sigmas``: half width of the interval of a fitted value in its standard deviations.
-
-    Linear effects (a wrong inertia, a spring) are the feedback controller's, and left alone.
-
-    Examples
-    --------
-    >>> from robustlab.dynamics import plant
-    >>> from robustlab.dynamics.extended.extended_plant import with_effects
-    >>> axis = with_effects(plant("servo-axis", gain=2.0), {"coulomb-friction": {"Fc": 20.0}})
-    >>> float(feed_forward(axis)(0.1, 0.05)), feed_forward(axis).input.name
-    (10.0, 'u')
-    """
+    """The feed-forward of a plant's named effects, such as those of ``rl.discover(...).model``."""
     where = f"feed-forward of {getattr(plant, 'name', type(plant).__name__)}"
     laws = [(e, port) for e, _, port in getattr(plant, "laws", ())]
     known = [(e, port) for e, port in laws if e.effect.id in _AGAINST]

@@ -1,24 +1,4 @@
-r"""What stands in a linear set for the force laws of a plant: gains with a range, and bounded forces.
-
-With s the speed, current or position that a law sees, and T the net force at its joint,
-
-==================  =========================================================================  =======================
-law                 stands in as                                                               holds for
-==================  =========================================================================  =======================
-bounded             input of size F: :math:`|f| \le F` (``dry="load"``)                        every motion
-bounded             gain :math:`f = -k s`, k from its describing function (``dry="gain"``)     oscillations of the
-                                                                                               stated amplitudes
-opposing a speed    both: :math:`f = -k s + e,\ |e| \le F` (``dry="both"``)                    every motion with
-                                                                                               :math:`k |s| \le 2 F`
-sector of s         gain :math:`f = -k s`, k between the ends of the sector                    :math:`|s|` up to the
-                                                                                               amplitude
-share of T          gain :math:`f = k T, |k| \le 1 - \eta`                                     every motion
-==================  =========================================================================  =======================
-
-The gain of dry friction grows without bound as the speed goes to zero: no sector holds it there. As a bounded force it
-is exact at any speed, standstill included: for stable loops it costs performance, never stability. Its describing
-function :math:`4 F_c / (\pi a)` says what damping it brings to an oscillation of amplitude a, and no more than that.
-"""
+"""What stands in a linear set for the force laws of a plant: gains with a range, and bounded forces."""
 
 from __future__ import annotations
 
@@ -46,10 +26,7 @@ Dry = Literal["gain", "load", "both"]
 
 @dataclass(frozen=True, eq=False)
 class ForceSector:
-    """A law as a gain: ``f = -k s`` with k in [low, high]; of the signal ``force`` ``f = k T``.
-
-    ``valid`` says in words for which motions that holds; ``approximate`` is True where it is harmonic balance.
-    """
+    """A law as a gain: ``f = -k s`` with k in [low, high]; of the signal ``force`` ``f = k T``."""
 
     effect: AttachedEffect
     port: Port
@@ -113,14 +90,7 @@ class ForceParts:
 def force_parts(
     plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: Dry | None = None, width: float = 2.0
 ) -> ForceParts:
-    """Choose for every force law what stands in for it.
-
-    ``amplitude``: name of a joint or current, or of a position state -> amplitude of that signal, or (least, largest)
-    amplitude.
-    ``dry``: for laws with a bounded force; where left out, ``gain`` where an amplitude is given, else ``load``.
-    ``both`` of a law that sees a position is ``load``.
-    ``width``: half width of the range of fitted values in standard deviations: ranges and bounds hold for all of them.
-    """
+    """Choose for every force law what stands in for it."""
     sectors: list[ForceSector] = []
     bounded: list[tuple[NoiseInput, Port]] = []
     left: dict[str, str] = {}
@@ -249,11 +219,7 @@ def _sector(e: AttachedEffect, port: Port, seen: Footprint, amplitude: Amplitude
 def force_columns(
     plant_matrices: Sequence[Array], ports: Sequence[Port], sectors: Sequence[ForceSector]
 ) -> tuple[Array, Array, Array]:
-    """Columns of G for a force at each port; rows of C and of D (over u and those forces) for what the sectors see.
-
-    Of E, F, G in descriptor form at any parameter values: the net force at a joint with its own inertia is its
-    equation of motion, ``T = (F x + G u)`` there, without the sector's own force.
-    """
+    """Columns of G for a force at each port; rows of C and of D (over u and those forces) for what the sectors see."""
     e, f, g = plant_matrices
     push = e @ np.array([p.force for p in ports]).T if ports else np.zeros((len(f), 0))
     c, d = np.zeros((len(sectors), len(f))), np.zeros((len(sectors), g.shape[1] + len(ports)))

@@ -1,24 +1,7 @@
-r"""A nonlinear plant with effects about one point, and in steps: linear about its own motion, found by iteration.
-
-With a motion :math:`\bar x(t)` that was guessed, and :math:`A` the plant's own slopes in the middle of each step,
-
-.. math::
-    \dot x = A x + [f(\bar x, u) - A \bar x] + \sum_j b_j f_j
-
-is linear: its exponential is exact, the bracket is a line through its values at the two Gauss points of the step, and
-the laws answer as for a linear plant (`robustlab.dynamics.ports.law_kernel`), with the compliance :math:`M^{-1}` at the
-middle of the step. Where the motion that comes out is the one that went in, it is that of the nonlinear plant, fourth
-order in the step between the events of dry friction, contacts and the input. The iteration is Newton's (waveform
-relaxation): its error is squared by each pass, so that the last change shows that it has arrived. It is done in
-blocks of steps, the first guess of which is the linear plant about the block's start; a block that does not come to
-rest is halved.
-
-References
-----------
-Hochbruck, Ostermann, "Exponential integrators", Acta Numerica 19 (2010) 209-286; Lelarasmee, Ruehli,
-Sangiovanni-Vincentelli, "The waveform relaxation method for time-domain analysis of large scale integrated circuits",
-IEEE Trans. CAD 1 (1982) 131-145.
-"""
+"""A nonlinear plant with effects about one point, and in steps: linear about its own motion, found by iteration."""
+# Hochbruck, Ostermann, "Exponential integrators", Acta Numerica 19 (2010) 209-286; Lelarasmee, Ruehli, Sangiovanni-
+# Vincentelli, "The waveform relaxation method for time-domain analysis of large scale integrated circuits", IEEE Trans.
+# CAD 1 (1982) 131-145.
 
 from __future__ import annotations
 
@@ -31,6 +14,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
+from robustlab.dynamics.extended.simulator import Windows, step_laws
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
 from robustlab.dynamics.ports.motion_model import Course, exponentials_and_ramps, local_port_model
 from robustlab.dynamics.ports.port_model import PortModel
@@ -63,10 +47,7 @@ def with_linear_parts(model: PortModel, effects: Iterable[AttachedEffect]) -> Po
 
 
 def carried(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> Array:
-    """Rows (n_own, n_x) by which the states, those of effects included, tell the plant's as its load has them.
-
-    Where an effect splits a joint, its bodies are where the load is: the joint's states less the relative ones.
-    """
+    """Rows (n_own, n_x) by which the states, those of effects included, tell the plant's as its load has them."""
     names, split = [s.name for s in plant.states], [e.site.name for e in effects if e.effect.structural]
     rows = np.eye(len(names), len(names) + 2 * len(split))
     for k, joint in enumerate(split):
@@ -78,10 +59,7 @@ def carried(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> Array:
 
 
 def point_model(plant: NonlinearPlant, effects: Sequence[AttachedEffect], x: Array, u: Array) -> About:
-    """About the state x, those of the effects included, and what the plant sees of the inputs.
-
-    ``plant``: as `scaled` gives it.
-    """
+    """About the state x, those of the effects included, and what the plant sees of the inputs."""
     at = carried(plant, effects) @ x
     model, entering, local = _about(plant, effects, at, u)
     rates = model.A @ x + model.B @ u + entering @ (local.rates[0] - local.A[0] @ at - local.B[0] @ u)
@@ -89,8 +67,8 @@ def point_model(plant: NonlinearPlant, effects: Sequence[AttachedEffect], x: Arr
 
 
 def somewhere(plant: NonlinearPlant, effects: Sequence[AttachedEffect]) -> PortModel:
-    """The model about a point at which the plant has one and nothing is zero by symmetry: all states near 0.1; else
-    its rest, or zero.
+    """The model about a point at which the plant has one and nothing is zero by symmetry: all states near 0.1; else its
+    rest, or zero.
     """
     changed = scaled(plant, effects)
     n, u = len(plant.states), np.zeros(len(plant.inputs))
@@ -137,11 +115,7 @@ class Drive:
 def march(
     plant: NonlinearPlant, effects: Sequence[AttachedEffect], drive: Drive, x0: Array, guess: Array | None = None
 ) -> Array:
-    """States (n, n_x) at the beginnings of the steps.
-
-    ``plant``: with the values that its parameters have under the effects. ``x0``: the plant's states and those of the
-    effects, (n_x,). ``guess``: a motion (n, n_x) near to the one that is looked for, as from longer steps.
-    """
+    """States (n, n_x) at the beginnings of the steps."""
     laws = [law for e in effects for law in e.laws()]
     memory = np.zeros((len(laws), max([1, *(law.memory for law in laws)])))
     last = len(drive.mean) - 1
@@ -216,11 +190,7 @@ class _Block:
         return None, PASSES
 
     def _passed(self, start: Array, motion: Array, stride: int) -> tuple[Array, Array]:
-        """States (count + 1, n_x) of the plant taken as linear about a motion of that shape, and its largest rates.
-
-        One linear model stands for ``stride`` steps. What the effects add to the equations, and how forces enter, goes
-        on from the middle of each step by first and second differences.
-        """
+        """States (count + 1, n_x) of the plant taken as linear about a motion of that shape, and its largest rates."""
         h, count, n_u, own = self.drive.h, self.count, self.mean.shape[1], len(self.plant.states)
         course = Course(self.plant, motion, self.mean, h)
         steps = np.arange(count)
@@ -263,30 +233,12 @@ class _Block:
 
     def _stepped(self, start: Array, memory: Array, length: int) -> Array:
         """States (length, n_x) at the beginnings of so many steps; the memory is carried to the end of the last."""
-        from robustlab.dynamics.ports import law_kernel as kernel
-
         (phi, push, drift), ports, stride = self._table
-        n, n_laws = phi.shape[-1], len(self.laws)
-        velocity, position = np.zeros((n_laws, n)), np.zeros((n_laws, n))
-        parameters = np.zeros((n_laws, max([1, *(len(law.parameters) for law in self.laws)])))
-        for j, law in enumerate(self.laws):
-            port = ports[law.port]
-            velocity[j] = port.velocity
-            if port.position is not None:
-                position[j] = port.position
-            parameters[j, : len(law.parameters)] = law.parameters
         no_input = np.zeros((*phi.shape[:3], 0))
-        held = kernel.HeldSteps(
-            phi, no_input, push, velocity, position, np.ascontiguousarray(drift[:, :length]), stride
-        )
-        addresses = np.array([law.function.address for law in self.laws], dtype=np.uintp)
-        states, forces = np.empty((1, length, n)), np.zeros((1, length, n_laws))
-        run = kernel.Run(
-            np.zeros((self.at + length, 0)), self.drive.h, self.drive.t0, 1,
-            np.array([self.at], dtype=np.int64), length, start[None].copy(), n, True,
-        )  # fmt: skip
-        kernel.step_windows(addresses, parameters, memory, *held, *run, states, forces)
-        return states[0]
+        table = phi, no_input, push, np.ascontiguousarray(drift[:, :length]), stride
+        inputs = np.zeros((self.at + length, 0)), self.drive.h, self.drive.t0, 1
+        window = Windows(np.array([self.at], dtype=np.int64), length)
+        return step_laws(self.laws, ports, table, inputs, window, start[None].copy(), phi.shape[-1], True, memory)[0][0]
 
     def _remember(self, start: Array) -> None:
         if any(law.memory for law in self.laws):

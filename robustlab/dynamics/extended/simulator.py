@@ -1,25 +1,5 @@
-r"""Simulation of a plant with effects, in windows that start anew or in one run.
-
-A linear plant is exact; a nonlinear one is linear about a recorded motion (`robustlab.dynamics.ports.motion_model`). An
-input between its samples, shifted in time, is what the steps see of it. A sampled input is one polynomial per sample
-interval, with :math:`\theta = (t - t_k)/\Delta t \in [0, 1)`:
-
-.. math:: u(t_k + \theta\,\Delta t) = \sum_m c_{km}\, \theta^m
-
-``"zoh"``: held, :math:`c_{k0} = u_k`; ``"linear"``: the straight line to the next sample; ``"smooth"``: the spline of
-degree five through the samples, for inputs that were band-limited before they were sampled. A sine of 8 samples a
-period keeps :math:`\operatorname{sinc}^2(1/8) = 0.95` of its amplitude as straight lines, and 0.99999 as that spline.
-Before its first and after its last sample the input stands still.
-
-Over a step of the simulation the input counts by its mean m and its first moment, those of the line
-:math:`m + s (2\tau/h - 1)`; whatever lies within the step (an edge, a kink) has both exactly, so that the response is
-third order in the step and smooth in the shift. The line is given by its values at a quarter and at three quarters of
-the step, which are the means of its halves.
-
-References
-----------
-Unser, Splines: a perfect fit for signal and image processing, IEEE Signal Processing Magazine 16 (1999) 22-38.
-"""
+"""Simulation of a plant with effects, in windows that start anew or in one run."""
+# Unser, Splines: a perfect fit for signal and image processing, IEEE Signal Processing Magazine 16 (1999) 22-38.
 
 from __future__ import annotations
 
@@ -45,22 +25,18 @@ from robustlab.dynamics.ports.motion_model import (
     motion_model,
     with_factors,
 )
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.errors import InputError, unknown_name
 
-# Matrix exponentials and models that a simulator keeps.
-KEPT = 64
+# Matrix exponentials and models that are kept.
+KEPT = 512
 
 Hold = Literal["zoh", "linear", "smooth"]
 DEGREE = 5
 
 
 class SampledInput:
-    """One input of a record.
-
-    ``samples``: shape (n,).
-    ``hold``: what it is between them.
-    """
+    """One input of a record."""
 
     def __init__(self, samples: Array, hold: Hold = "zoh") -> None:
         if hold not in get_args(Hold):
@@ -70,7 +46,6 @@ class SampledInput:
         pieces = samples[:, None] if hold == "zoh" else _pieces(samples, 1 if hold == "linear" else DEGREE)
         still = np.zeros((1, pieces.shape[1]))
         still[0, 0] = samples[0]
-        self._kept: dict[tuple[int, float], Array] = {}
         self._pieces = np.vstack([still, pieces])  # row k + 1: the interval after sample k; row 0: before the first
 
     def steps(self, sub: int, shift: float = 0.0) -> Array:
@@ -84,16 +59,6 @@ class SampledInput:
             if across.any():
                 found[:, r] += self._after(first + 1) @ across
         return found.reshape(-1, 2)
-
-    def steps_kept(self, sub: int, shift: float) -> Array:
-        """`steps`, kept: of several inputs mostly one is shifted anew."""
-        key = sub, shift
-        found = self._kept.get(key)
-        if found is None:
-            if len(self._kept) > KEPT_SHIFTS:
-                self._kept.clear()
-            found = self._kept[key] = self.steps(sub, shift)
-        return found
 
     def samples(self, shift: float = 0.0) -> Array:
         """The shifted input at the samples, (n,)."""
@@ -123,11 +88,7 @@ def _pieces(samples: Array, degree: int) -> Array:
 
 
 def _weights(a: float, w: float, terms: int) -> tuple[Array, Array]:
-    r"""Weights (terms, 2) with which a step from :math:`\theta = a` of width w sees two neighbouring intervals.
-
-    Of each power :math:`\theta^m` the mean :math:`\frac1w \int \theta^m d\theta` and the slope
-    :math:`\frac{6}{w^2} \int (\theta - c)\, \theta^m d\theta` about the step's middle c.
-    """
+    r"""Weights (terms, 2) with which a step from :math:`\theta = a` of width w sees two neighbouring intervals."""
     m = np.arange(terms)
 
     def seen(low: float, high: float, middle: float) -> Array:
@@ -143,7 +104,6 @@ def _weights(a: float, w: float, terms: int) -> tuple[Array, Array]:
 
 KEPT_SIGNALS = 256  # sampled inputs of all records
 KEPT_INPUTS = 8  # sets of shifted inputs that a simulator keeps
-KEPT_SHIFTS = 16  # shifts of one of them
 KEPT_MOTIONS = 24  # parameter values about a motion that a simulator keeps
 POINTS = 60  # of a motion that stand for it where a plant's places are asked for
 STEPS_A_PERIOD = 20  # of the plant's fastest oscillation
@@ -165,14 +125,12 @@ class Motion:
     states: Array
     outputs: Array
     forces: Array
+    about: MotionModel | None  # the nonlinear plant about its motion
+    model: PortModel  # the equations with effects that it was done with
 
 
 class _Table(NamedTuple):
-    """The plant in steps, before the laws: for the whole step, its first and its second half, n_points of each.
-
-    phi (3, n_points, n, n), psi (half a step; n_points, n, n), gamma_u (3, n_points, n, columns of u), drift
-    (3, n_steps, n), empty for a linear plant, and the stride of the points in steps.
-    """
+    """The plant in steps, before the laws: for the whole step, its first and its second half, n_points of each."""
 
     phi: Array
     psi: Array
@@ -183,11 +141,7 @@ class _Table(NamedTuple):
 
 @lru_cache(maxsize=64)
 def stepping(plant: LinearPlant, dt: float) -> int:
-    """Steps a sample that simulations of the plant share, whatever its effects: 20 a period of its fastest oscillation.
-
-    On a resonance of 9 samples a period a cubic spring of a third of the plant's own is then right to 1e-4 of the
-    amplitude after 20 periods. At least 2, at most 16.
-    """
+    """Steps a sample that all simulations of the plant share: 20 a period of its fastest oscillation."""
     poles = np.linalg.eigvals(port_model(plant).A)
     fastest = float(np.abs(poles.imag).max(initial=0.0))
     steps = math.ceil(STEPS_A_PERIOD * fastest * dt / (2.0 * math.pi) - 1e-9)
@@ -195,31 +149,7 @@ def stepping(plant: LinearPlant, dt: float) -> int:
 
 
 class Simulator:
-    """One plant with effects at their sites, over one recorded input.
-
-    Parameters
-    ----------
-    plant
-        The plant; all its outputs are simulated.
-    effects
-        Pairs of effect and site.
-    u
-        Samples of the inputs, shape (n, n_u).
-    dt
-        Sample time in s.
-    t0
-        Time of the first sample (effects that depend on time count from the beginning of the run at t = 0).
-    sub
-        Steps a sample, the same whatever the effects; None: `stepping`.
-    hold
-        What each input is between its samples, (n_u,): ``"zoh"``, ``"linear"`` or ``"smooth"``
-        (`robustlab.dynamics.extended.simulator`); None: all held.
-
-    rough
-        Steps are made once, not a second time in halves: a third of the time, and second order at best.
-    motion
-        Of a nonlinear plant: the states (n, n_x) at the samples about which it is linear.
-    """
+    """One plant with effects at their sites, over one recorded input."""
 
     def __init__(
         self,
@@ -249,8 +179,6 @@ class Simulator:
             raise InputError("simulation: hold", f"{len(holds)} of them", f"one for each of {len(plant.inputs)} inputs")
         self._inputs = [_kept_input(column.tobytes(), kind) for column, kind in zip(u.T, holds, strict=True)]
         self._steps: dict[tuple[float, ...], Array] = {}
-        self._exponentials: dict[bytes, tuple[Array, Array, Array]] = {}
-        self._models: dict[tuple[tuple[str, float], ...], PortModel] = {}
 
     def about(self, motion: Array | None) -> Simulator:
         """The same simulator of a nonlinear plant about another motion."""
@@ -268,29 +196,7 @@ class Simulator:
         shift: Sequence[float] | None = None,
         near: tuple[Mapping[str, float], Sequence[Mapping[str, float]]] | None = None,
     ) -> Motion:
-        """Simulate all windows.
-
-        ``factors``: plant parameter -> factor of the nominal value.
-        ``values``: parameters of each effect.
-        ``x0``: plant states at the window starts, (n_windows, n_plant). States of effects start at zero and are carried
-        over from window to window. Further rows are further runs through all windows, each as if it were alone.
-        ``windows``: where they lie.
-        ``shift``: time in s by which the plant sees each input later than the record says, (n_u,); negative: earlier.
-        ``near``: of a nonlinear plant: factors and values near by whose matrices along the motion may stand for those
-        of these (`robustlab.dynamics.ports.motion_model.with_factors`); the linear one is always exact.
-        """
-        return self.run_along(factors, values, x0, windows, shift, near)[0]
-
-    def run_along(
-        self,
-        factors: Mapping[str, float],
-        values: Sequence[Mapping[str, float]],
-        x0: Array,
-        windows: Windows,
-        shift: Sequence[float] | None = None,
-        near: tuple[Mapping[str, float], Sequence[Mapping[str, float]]] | None = None,
-    ) -> tuple[Motion, MotionModel | None, PortModel]:
-        """`run`, with the nonlinear plant about its motion and the equations with effects that it was done with."""
+        """Simulate all windows."""
         about = self._about(factors, values, windows, near) if self._course else None
         model = self._with_effects(about.model, values) if about else self.model(factors, values)
         late = self._late(values, shift)
@@ -303,7 +209,7 @@ class Simulator:
             u = np.column_stack(self._mapped(u, values, self.dt))[windows.starts[:, None] + np.arange(windows.length)]
         runs = np.split(states, len(states) // len(windows.starts)) if len(windows.starts) else [states]
         outputs = np.concatenate([self._shown(self.plain_outputs(run, about, model, u), values) for run in runs])
-        return Motion(states, outputs, forces), about, model
+        return Motion(states, outputs, forces, about, model)
 
     def _shown(self, outputs: Array, values: Sequence[Mapping[str, float]]) -> Array:
         """Outputs of one run after what effects do to them, in place."""
@@ -333,15 +239,9 @@ class Simulator:
         if self._course is not None:
             places = np.unique(np.linspace(0, len(self._course.x) - 2, POINTS).astype(np.int64))
             return self._with_effects(self._about(factors, values, Windows(places, 1)).model, values)
+        assert isinstance(self.plant, LinearPlant)
         total = self._total(factors, values)
-        key = tuple(sorted(total.items()))
-        model = self._models.get(key)
-        if model is None:
-            if len(self._models) > KEPT:
-                self._models.clear()
-            assert isinstance(self.plant, LinearPlant)
-            model = self._models[key] = port_model(self.plant, total)
-        return self._with_effects(model, values)
+        return self._with_effects(_kept_port_model(self.plant, tuple(sorted(total.items()))), values)
 
     def _total(self, factors: Mapping[str, float], values: Sequence[Mapping[str, float]]) -> dict[str, float]:
         """Factors of the plant's parameters, those of the effects included."""
@@ -395,16 +295,12 @@ class Simulator:
         return tuple(late)
 
     def _seen(self, values: Sequence[Mapping[str, float]], late: tuple[float, ...]) -> Array:
-        """Inputs as the plant sees them in each step, (n * sub, n_u).
-
-        Where they do not stand still within the steps, these are the means of the first halves of the steps, and n_u
-        further columns those of the second.
-        """
+        """Inputs as the plant sees them in each step, (n * sub, n_u)."""
         steps = self._steps.get(late)
         if steps is None:
             if len(self._steps) > KEPT_INPUTS:
                 self._steps.clear()
-            halves = [s.steps_kept(self.sub, d / self.dt) for s, d in zip(self._inputs, late, strict=True)]
+            halves = [_kept_halves(s, self.sub, d / self.dt) for s, d in zip(self._inputs, late, strict=True)]
             steps = self._steps[late] = np.hstack([np.column_stack([h[:, k] for h in halves]) for k in (0, 1)])
             if all(s.hold == "zoh" for s in self._inputs) and not any(late):
                 steps = self._steps[late] = np.ascontiguousarray(steps[:, : len(late)])
@@ -429,34 +325,16 @@ class Simulator:
     def _step(
         self, model: PortModel, laws: Sequence[Law], u: Array, start: Array, windows: Windows, about: MotionModel | None
     ) -> tuple[Array, Array]:
-        from robustlab.dynamics.ports import law_kernel as kernel
-
-        table = self._table(model, u.shape[1], about)
-        m, n, n_laws = *table.phi.shape[1:3], len(laws)
-        push, velocity, position = np.zeros((m, n_laws, n)), np.zeros((n_laws, n)), np.zeros((n_laws, n))
-        parameters = np.zeros((n_laws, max([1, *(len(law.parameters) for law in laws)])))
-        memory = np.zeros((n_laws, max([1, *(law.memory for law in laws)])))
+        phi, psi, gamma_u, drift, stride = self._table(model, u.shape[1], about)
+        push = np.zeros((phi.shape[1], len(laws), phi.shape[-1]))
         for j, law in enumerate(laws):
-            port = model.ports[law.port]
-            push[:, j], velocity[j] = (table.psi @ port.force[..., None])[..., 0], port.velocity
-            if port.position is not None:
-                position[j] = port.position
-            parameters[j, : len(law.parameters)] = law.parameters
-        whole = push @ np.swapaxes(table.phi[1], 1, 2) + push
-        steps = kernel.HeldSteps(
-            table.phi, table.gamma_u, np.array([whole, push, push]), velocity, position, table.drift, table.stride
-        )
-        addresses = np.array([law.function.address for law in laws], dtype=np.uintp)
-        count = len(start)
-        states = np.empty((count, windows.length, n))
-        forces = np.zeros((count, windows.length, n_laws))
+            push[:, j] = (psi @ model.ports[law.port].force[..., None])[..., 0]
+        whole = push @ np.swapaxes(phi[1], 1, 2) + push
         # Of a nonlinear plant windows need not follow each other, and a load that hangs is at rest in none by itself.
-        own = model.own if about is None else n
-        run = kernel.Run(
-            u, self.dt / self.sub, self.t0, self.sub, windows.starts, windows.length, start, own, not self.rough
-        )
-        kernel.step_windows(addresses, parameters, memory, *steps, *run, states, forces)
-        return states, forces
+        own = model.own if about is None else phi.shape[-1]
+        table = phi, gamma_u, np.array([whole, push, push]), drift, stride
+        inputs = u, self.dt / self.sub, self.t0, self.sub
+        return step_laws(laws, model.ports, table, inputs, windows, start, own, not self.rough)
 
     def _start(
         self, model: PortModel, values: Sequence[Mapping[str, float]], u: Array, x0: Array, windows: Windows,
@@ -486,26 +364,63 @@ class Simulator:
         """The plant in steps, for inputs of so many columns."""
         h, n_u = self.dt / self.sub, len(self._inputs)
         if about is None:
-            table = _in_steps(model.B, *self._exponential(model.A, 0.5 * h), columns > n_u)
+            table = _in_steps(model.B, *_kept_exponential(model.A.tobytes(), 0.5 * h), columns > n_u)
             nothing = np.zeros((3, 0, len(model.A)))
             return _Table(table[0][:, None], table[1][None], table[2][:, None], nothing, 1)
         make = _kept_along if model is about.model else _table_along  # kept where no effect changes the plant
         return make(about, model, h, n_u, columns > n_u)
 
-    def _exponential(self, a: Array, h: float) -> tuple[Array, Array, Array]:
-        """`exponential` of the present model, kept."""
-        key = a.tobytes()
-        if key not in self._exponentials:
-            if len(self._exponentials) > KEPT:
-                self._exponentials.clear()
-            self._exponentials[key] = exponential(a, h)
-        return self._exponentials[key]
+
+def step_laws(
+    laws: Sequence[Law], ports: Mapping[str, Port], table: tuple[Array, Array, Array, Array, int],
+    inputs: tuple[Array, float, float, int], windows: Windows, x0: Array, own: int, halves: bool,
+    memory: Array | None = None,
+) -> tuple[Array, Array]:  # fmt: skip
+    """States and forces in the windows: phi, gamma_u, push, drift and stride of `step_windows`; u, h, t0 and sub."""
+    from robustlab.dynamics.ports.law_kernel import step_windows
+
+    (phi, gamma_u, push, drift, stride), n_laws = table, len(laws)
+    n = phi.shape[-1]
+    velocity, position = np.zeros((n_laws, n)), np.zeros((n_laws, n))
+    parameters = np.zeros((n_laws, max([1, *(len(law.parameters) for law in laws)])))
+    for j, law in enumerate(laws):
+        port = ports[law.port]
+        velocity[j] = port.velocity
+        if port.position is not None:
+            position[j] = port.position
+        parameters[j, : len(law.parameters)] = law.parameters
+    if memory is None:
+        memory = np.zeros((n_laws, max([1, *(law.memory for law in laws)])))
+    addresses = np.array([law.function.address for law in laws], dtype=np.uintp)
+    states, forces = np.empty((len(x0), windows.length, n)), np.zeros((len(x0), windows.length, n_laws))
+    step_windows(
+        addresses, parameters, memory, phi, gamma_u, push, velocity, position, drift, stride, *inputs,
+        windows.starts, windows.length, x0, own, halves, states, forces,
+    )  # fmt: skip
+    return states, forces
 
 
 @lru_cache(maxsize=KEPT_SIGNALS)
 def _kept_input(samples: bytes, hold: Hold) -> SampledInput:
     """`SampledInput`, one for all simulators of a record."""
     return SampledInput(np.frombuffer(samples), hold)
+
+
+@lru_cache(maxsize=4 * KEPT_SIGNALS)
+def _kept_halves(signal: SampledInput, sub: int, shift: float) -> Array:
+    """Its steps: of several inputs mostly one is shifted anew."""
+    return signal.steps(sub, shift)
+
+
+@lru_cache(maxsize=KEPT)
+def _kept_port_model(plant: LinearPlant, factors: tuple[tuple[str, float], ...]) -> PortModel:
+    return port_model(plant, dict(factors))
+
+
+@lru_cache(maxsize=KEPT)
+def _kept_exponential(a: bytes, h: float) -> tuple[Array, Array, Array]:
+    n = math.isqrt(len(a) // 8)
+    return exponential(np.frombuffer(a).reshape(n, n), h)
 
 
 @lru_cache(maxsize=32)

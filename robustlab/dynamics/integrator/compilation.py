@@ -13,12 +13,7 @@ PATIENCE = 6.0
 
 
 def compiled(module: Path, name: str, leaves: tuple[str | Path, ...], text: str) -> ModuleType:
-    """The module of kernels in the file ``module`` with the dotted ``name``.
-
-    ``leaves``: files of the functions and coefficients that its kernels are built from. The compiler looks only at a
-    kernel's own file for changes: where a leaf is newer, what it has kept is thrown away. ``text``: said on stderr
-    while it compiles.
-    """
+    """The module of kernels in the file ``module`` with the dotted ``name``."""
     newest = max(Path(leaf).stat().st_mtime for leaf in (*leaves, Path(__file__).with_name("steps.py")))
     for index in (module.parent / "__pycache__").glob(f"{module.stem}.*.nbi"):
         if index.stat().st_mtime < newest:

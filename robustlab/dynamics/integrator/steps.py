@@ -1,22 +1,10 @@
 # pyright: reportMissingParameterType=false
 # (the compiler infers the types of the leaves)
-"""Steps of the explicit Runge-Kutta pair DOP853 under inputs that are piecewise polynomials of time; to be compiled in.
-
-A kernel that is built from these supplies the rates of its own equations. The coefficients, of order 8(5, 3) with the
-dense output of order 7, are those of scipy. They stand in a module of it that is not part of its public interface: what
-is taken from it is checked here by shape, and by a test against published values and the order conditions.
-
-Compiled functions are a `leaf` inside others, or an `entry` with its signatures and its code kept on disk.
-No fast arithmetic, not even contraction to fused multiply-adds: a leaf stands in the code of several entries, optimised
-differently, and which of these copies is called depends on whether an entry was just compiled or read from disk. With
-IEEE arithmetic as written all copies give the same bits, the first run on a machine those of every later one; it costs
-6 to 10 % of the time.
-
-References
-----------
-Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", Springer 1993, section II.10 (their code DOP853,
-whose coefficients scipy carries).
-"""
+"""The Runge-Kutta pair DOP853 under inputs that are piecewise polynomials of time; to be compiled into an entry."""
+# Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", Springer 1993, section II.10 (their code DOP853,
+# whose coefficients, of order 8(5, 3) with dense output of order 7, scipy carries in a module that is not public).
+# No fast arithmetic, not even contraction to fused multiply-adds: a leaf stands in the code of several entries, and
+# with IEEE arithmetic as written all copies give the same bits, the first run on a machine those of every later one.
 
 from __future__ import annotations
 
@@ -24,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import overload
 
 from robustlab.errors import EnvironmentFault
 
@@ -36,28 +25,62 @@ def entry(*signatures):
     return njit(list(signatures), cache=True, **_options)
 
 
+# What a machine must answer, by the type of its NamedTuple: code that takes functions as arguments is never kept on
+# disk, code that is chosen by type is.
+def rates(z, u, machine, dz):
+    """Rates dz (n,) at the state z under the inputs u."""
+    raise NotImplementedError
+
+
+def observe(z, machine, x):
+    """What is observed of the state, into x; False where the machine cannot be."""
+    raise NotImplementedError
+
+
+def scaled(rtol, z, end, machine, first, scale):
+    """The size of the error that a step from z to end may have, into scale."""
+    raise NotImplementedError
+
+
+def answers(kind, rates_of, observe_of, scaled_of):
+    """Let machines of this kind answer with these functions."""
+
+    def is_one(machine):
+        return getattr(machine, "instance_class", None) is kind
+
+    def rates_typed(z, u, machine, dz):
+        return rates_of if is_one(machine) else None
+
+    def observe_typed(z, machine, x):
+        return observe_of if is_one(machine) else None
+
+    def scaled_typed(rtol, z, end, machine, first, scale):
+        return scaled_of if is_one(machine) else None
+
+    for stub, typed in ((rates, rates_typed), (observe, observe_typed), (scaled, scaled_typed)):
+        overload(stub, jit_options=_options)(typed)
+
+
 try:
     from scipy.integrate._ivp import dop853_coefficients as table
-    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D  # noqa: F401  # pyright: ignore[reportUnusedImport]
+    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D  # pyright: ignore[reportUnusedImport]
 except ImportError as error:
     raise EnvironmentFault(
         "DOP853", f"scipy no longer has its coefficients where they were ({error})", "scipy < 1.18"
     ) from error
 
-
 # Stages 0..11 make the step, stage 12 is its end, 13..15 serve the dense output.
 STAGES_EXTENDED = 16
 TABLE = table.__file__
-SHAPES = {"A": (16, 16), "B": (12,), "C": (16,), "D": (4, 16), "E3": (13,), "E5": (13,)}
 
-for name, shape in SHAPES.items():
+for name, shape in {"A": (16, 16), "B": (12,), "C": (16,), "D": (4, 16), "E3": (13,), "E5": (13,)}.items():
     if getattr(table, name).shape != shape:
         raise EnvironmentFault("DOP853", f"scipy's {name} has the shape {getattr(table, name).shape}", f"{shape}")
-
 
 SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 EXPONENT = -1.0 / 8.0
 MAX_STEPS = 1_000_000
+DONE, LEFT, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2, 3
 
 
 class Inputs(NamedTuple):
@@ -69,30 +92,24 @@ class Inputs(NamedTuple):
 
 
 @leaf
-def input_within(t, k, inputs, u):
-    """Input (n_u,) at t by the polynomial of interval k into u."""
-    s = t - inputs.clock[k]
-    for i in range(u.shape[0]):
-        value = 0.0
-        for j in range(5, -1, -1):
-            value = value * s + inputs.polynomials[k, j, i]
-        u[i] = value
-
-
-@leaf
-def input_between(t, span, k, inputs, u):
+def _input_between(t, span, k, inputs, u):
     """Input at t, read from the intervals of the span (first, one past the last): at a break the near side counts."""
     first, following = span
     while k > first and t < inputs.clock[k]:
         k -= 1
     while k < following - 1 and t > inputs.clock[k + 1]:
         k += 1
-    input_within(t, k, inputs, u)
+    s = t - inputs.clock[k]
+    for i in range(u.shape[0]):
+        value = 0.0
+        for j in range(5, -1, -1):
+            value = value * s + inputs.polynomials[k, j, i]
+        u[i] = value
     return k
 
 
 @leaf
-def norm(a, scale):
+def _norm(a, scale):
     """Root mean square of a / scale, both (n,)."""
     total = 0.0
     for i in range(a.shape[0]):
@@ -101,8 +118,8 @@ def norm(a, scale):
 
 
 @leaf
-def stage_point(s, z, h, stages, at):
-    """Point z + h sum_j A[s, j] stages[j] into at."""
+def _stage(s, machine, z, t, h, span, k, inputs, u, at, stages):
+    """The rates of stage s of a step of length h from z at t, into its row."""
     n = z.shape[0]
     for i in range(n):
         at[i] = 0.0
@@ -113,20 +130,13 @@ def stage_point(s, z, h, stages, at):
                 at[i] += weight * stages[j, i]
     for i in range(n):
         at[i] = z[i] + h * at[i]
+    k = _input_between(t + C[s] * h, span, k, inputs, u)
+    rates(at, u, machine, stages[s])
+    return k
 
 
 @leaf
-def step_end(z, h, stages, end):
-    """The step's end z + h sum_j B[j] stages[j] into end."""
-    for i in range(z.shape[0]):
-        total = 0.0
-        for j in range(12):
-            total += B[j] * stages[j, i]
-        end[i] = z[i] + h * total
-
-
-@leaf
-def polynomial(z, end, h, stages, f):
+def _polynomial(z, end, h, stages, f):
     """Coefficients (7, n) of the dense output of a step."""
     for i in range(z.shape[0]):
         change = end[i] - z[i]
@@ -141,8 +151,8 @@ def polynomial(z, end, h, stages, f):
 
 
 @leaf
-def dense(z, f, share, out):
-    """State at the share 0 .. 1 of a step from z with the coefficients of `polynomial`, into out."""
+def _dense(z, f, share, out):
+    """State at the share 0 .. 1 of a step from z with the coefficients of `_polynomial`, into out."""
     for i in range(z.shape[0]):
         value = 0.0
         for row in range(6, -1, -1):
@@ -152,7 +162,7 @@ def dense(z, f, share, out):
 
 
 @leaf
-def error_of(h, stages, scale):
+def _error(h, stages, scale):
     """Error of a step of length h with the stages (13.., n), as a share of the scale (n,): below 1 it is accepted."""
     n = scale.shape[0]
     e5, e3 = 0.0, 0.0
@@ -169,33 +179,90 @@ def error_of(h, stages, scale):
 
 
 @leaf
-def piece_end(piece, last, broken):
-    """Sample up to which the inputs of ``piece`` are smooth."""
-    end = piece + 1
-    while end < last and not broken[end]:
-        end += 1
-    return end
+def _not_finite(stages, found):
+    """The first state whose rate is not finite in one of the 13 stages; ``found`` where all are."""
+    for s in range(13):
+        for i in range(stages.shape[1]):
+            if not np.isfinite(stages[s, i]):
+                return i
+    return found
 
 
 @leaf
-def first_step(z, rates, scale):
-    """Length of the first step (s), from the size of the states beside that of their rates."""
-    h = 0.01 * norm(z, scale) / max(norm(rates, scale), 1e-12)
-    return min(max(h, 1e-6), 1e-2)
-
-
-@leaf
-def shorter(step, error):
-    """Length after a step that was refused."""
-    if not np.isfinite(error):
-        error = 1e12
-    return step * max(SMALLEST, SAFETY * error**EXPONENT)
-
-
-@leaf
-def next_step(h, step, error, ends):
-    """Length after a step that was taken; one that was cut to end with its piece says nothing where it would shrink."""
-    growth = LARGEST
-    if error > 0.0:
-        growth = min(LARGEST, SAFETY * error**EXPONENT)
-    return step * max(growth, SMALLEST) if not ends or growth * step < h else h
+def integrated(start, inputs, machine, rtol, z_at, x_at):
+    """States z and what is observed of them at the times of the inputs: (outcome, time reached, state not finite)."""
+    clock, polynomials, broken = inputs
+    n, last = start.shape[0], clock.shape[0] - 1
+    stages, at, end, scale, u = np.zeros((16, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(polynomials.shape[2])
+    z, x, f = start.copy(), np.empty(n), np.empty((7, n))
+    t, sample, evaluations, h, culprit = clock[0], 1, 0, 0.0, -1
+    z_at[0] = z
+    if not observe(z, machine, x_at[0]):
+        return LEFT, t, culprit
+    piece = 0
+    while piece < last:  # it begins anew only where the inputs break
+        following = piece + 1
+        while following < last and not broken[following]:
+            following += 1
+        stop = clock[following]
+        span = (piece, following)
+        _input_between(t, (piece, piece + 1), piece, inputs, u)
+        rates(z, u, machine, stages[0])
+        evaluations += 1
+        if h == 0.0:
+            scaled(rtol, z, z, machine, True, scale)
+            h = min(max(0.01 * _norm(z, scale) / max(_norm(stages[0], scale), 1e-12), 1e-6), 1e-2)
+        while t < stop:
+            if evaluations > 12 * MAX_STEPS:
+                return TOO_MANY_STEPS, t, culprit
+            step, ends = h, False
+            if t + 1.001 * step >= stop:
+                step, ends = stop - t, True
+            k = piece
+            for s in range(1, 12):
+                k = _stage(s, machine, z, t, step, span, k, inputs, u, at, stages)
+            for i in range(n):
+                total = 0.0
+                for j in range(12):
+                    total += B[j] * stages[j, i]
+                end[i] = z[i] + step * total
+            _input_between(t + step, span, k, inputs, u)
+            rates(end, u, machine, stages[12])
+            evaluations += 12
+            scaled(rtol, z, end, machine, False, scale)
+            error = _error(step, stages, scale)
+            if not error < 1.0:
+                if not np.isfinite(error):
+                    culprit, error = _not_finite(stages, culprit), 1e12
+                h = step * max(SMALLEST, SAFETY * error**EXPONENT)
+                if h < 1e-14 * max(1.0, abs(t)):
+                    return NOT_FINITE, t, culprit
+                continue
+            t_end = stop if ends else t + step
+            if sample <= last and clock[sample] < t_end:
+                k = piece
+                for s in range(13, 16):
+                    k = _stage(s, machine, z, t, step, span, k, inputs, u, at, stages)
+                evaluations += 3
+                _polynomial(z, end, step, stages, f)
+                while sample <= last and clock[sample] < t_end:
+                    _dense(z, f, (clock[sample] - t) / step, z_at[sample])
+                    if not observe(z_at[sample], machine, x_at[sample]):
+                        return LEFT, clock[sample], culprit
+                    sample += 1
+            if sample <= last and clock[sample] == t_end:
+                z_at[sample] = end
+                inside = observe(end, machine, x_at[sample])
+                sample += 1
+            else:
+                inside = observe(end, machine, x)
+            if not inside:
+                return LEFT, t_end, culprit
+            for i in range(n):
+                z[i], stages[0, i] = end[i], stages[12, i]
+            t = t_end
+            growth = min(LARGEST, SAFETY * error**EXPONENT) if error > 0.0 else LARGEST
+            # A step that was cut to end with its piece says nothing where it would shrink.
+            h = step * max(growth, SMALLEST) if not ends or growth * step < h else h
+        piece = following
+    return DONE, t, culprit

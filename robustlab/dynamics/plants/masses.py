@@ -23,22 +23,9 @@ SERVO_AXIS = (
 
 
 def servo_axis(**given: Any) -> LinearPlant:
-    r"""Linear servo axis: a drive that pushes a carriage against viscous friction.
-
-    .. math:: \dot q = v, \qquad M \dot v = g u - F_v v
-
-    Default values are the published linear part of the EMPS benchmark (a Maxon motor driving a ball screw); its dry
-    friction and offset are left out on purpose: this is the nominal model that measurements are compared with.
-
-    Plant with input u [V], outputs and states q [m], v [m/s].
-
-    ``given``: ``M Fv gain``, each as a value or ``(value, relative tolerance)``.
-
-    References
-    ----------
-    Janot, Gautier, Brunot, "Data set and reference models of EMPS", Workshop on Nonlinear System Identification
-    Benchmarks (2019).
-    """
+    """Linear servo axis: a drive that pushes a carriage against viscous friction."""
+    # Janot, Gautier, Brunot, "Data set and reference models of EMPS", Workshop on Nonlinear System Identification
+    # Benchmarks (2019).
     states = (Signal("q", "m"), Signal("v", "m/s"))
     return LinearPlant(
         "servo-axis",
@@ -65,16 +52,7 @@ TWO_MASS = (
 
 
 def two_mass(**given: Any) -> LinearPlant:
-    r"""Two inertias on a shaft, coupled by a spring and a damper; the torque acts on the first.
-
-    .. math::
-        J_1 \ddot\varphi_1 = \tau - c (\dot\varphi_1 - \dot\varphi_2) - k (\varphi_1 - \varphi_2), \qquad
-        J_2 \ddot\varphi_2 = c (\dot\varphi_1 - \dot\varphi_2) + k (\varphi_1 - \varphi_2)
-
-    Plant with input torque [N m], outputs phi1, phi2 [rad], states phi1, phi2, omega1, omega2.
-
-    ``given``: ``J1 J2 c k``, each as a value or ``(value, relative tolerance)``.
-    """
+    """Two inertias on a shaft, coupled by a spring and a damper; the torque acts on the first."""
     angles = (Signal("phi1", "rad"), Signal("phi2", "rad"))
     return LinearPlant(
         "two-mass",
@@ -104,20 +82,7 @@ MASS_SPRING_DAMPER = (
 
 
 def mass_spring_damper(**given: Any) -> LinearPlant:
-    r"""Masses in a row: mass 1 hangs on a wall by spring and damper 1, mass j on mass j - 1 by spring and damper j.
-
-    .. math::
-        m_j \ddot q_j = f_j - k_j (q_j - q_{j-1}) - c_j (\dot q_j - \dot q_{j-1})
-                        + k_{j+1} (q_{j+1} - q_j) + c_{j+1} (\dot q_{j+1} - \dot q_j), \qquad q_0 = 0
-
-    The last mass is free on its other side. One mass has the signals f, q, v and the parameters m, c, k; a chain of n
-    has f1..fn, q1..qn, v1..vn and m1..mn, c1..cn, k1..kn.
-
-    Plant with a force f [N] on each mass, outputs and states q [m] and v [m/s] of each mass.
-
-    ``given``: ``m c k``, each a value, a tuple ``(value, relative tolerance)``, or a list of those, one for each mass.
-    Lists must be equally long; what is no list counts for every mass of the chain.
-    """
+    """Masses in a row: mass 1 hangs on a wall by spring and damper 1, mass j on mass j - 1 by spring and damper j."""
     names = tuple(p.name for p in MASS_SPRING_DAMPER)
     for name in given:
         if name not in names:

@@ -31,21 +31,8 @@ STATES = (Signal("phi", "rad"), Signal("omega", "rad/s"), Signal("i", "A"))
 
 
 def dc_motor(**given: Any) -> LinearPlant:
-    r"""Permanent-magnet DC motor; default values are the thesis' Maxon RE 35.
-
-    .. math::
-        \dot\varphi = \omega, \qquad
-        J \dot\omega = K_m i - K_f \omega, \qquad
-        L \frac{di}{dt} = u - R i - K_b \omega
-
-    Plant with input u [V], outputs and states phi [rad], omega [rad/s], i [A].
-
-    ``given``: ``R L Km Kb Kf J``, each as a value or ``(value, relative tolerance)``.
-
-    References
-    ----------
-    Březina 2010, eqs 7.3-7.5 (states omega and i; the angle is added here).
-    """
+    """Permanent-magnet DC motor; default values are the thesis' Maxon RE 35."""
+    # Březina 2010, eqs 7.3-7.5 (states omega and i; the angle is added here).
     parameters = overridden(DC_MOTOR, given, "dc-motor")
     return LinearPlant("dc-motor", parameters, (Signal("u", "V"),), STATES, STATES, equations=_dc_motor)
 
@@ -74,23 +61,8 @@ BRUSHLESS_MOTOR = (
 
 
 def brushless_motor(**given: Any) -> LinearPlant:
-    r"""Brushless motor under current control: the drive sets the torque-making (q) current.
-
-    .. math:: \dot\varphi = \omega, \qquad J \dot\omega = K_t i - K_f \omega
-
-    The drive's current loop is taken to be so fast that the current is an input; the measured current serves as well as
-    the one that was asked for. Default values are those published with measurements of an unloaded hobby motor of seven
-    pole pairs on an ODrive; friction and cogging are left out on purpose: this is the nominal model that measurements
-    are compared with.
-
-    Plant with input i [A], outputs and states phi [rad], omega [rad/s].
-
-    ``given``: ``J Kf Kt``, each as a value or ``(value, relative tolerance)``.
-
-    References
-    ----------
-    Gerry Chen, measurements of cogging and friction of a brushless motor, github.com/gchenfc.
-    """
+    """Brushless motor under current control: the drive sets the torque-making (q) current."""
+    # Gerry Chen, measurements of cogging and friction of a brushless motor, github.com/gchenfc.
     states = (Signal("phi", "rad"), Signal("omega", "rad/s"))
     return LinearPlant(
         "brushless-motor",
@@ -126,34 +98,8 @@ LINEAR_ACTUATOR = (
 
 
 def linear_actuator(**given: Any) -> LinearPlant:
-    r"""Linear actuator on its test jig: DC motor, gears, ball screw, cart; default values: the thesis' leg.
-
-    Angle, speed and current are the motor's own; everything behind it is reflected to its shaft by :math:`n` motor
-    turns per turn of the nut and :math:`h` metres of travel per radian of the motor:
-
-    .. math::
-        \dot\varphi = \omega, \qquad
-        \bigl(J + J_\mathrm{nut} / n^2 + (m_\mathrm{screw} + m_\mathrm{cart})\, h^2\bigr) \dot\omega
-        = K_m i - K_f \omega, \qquad L \frac{di}{dt} = u - R i - K_b \omega, \qquad h = \frac{\mathrm{lead}}{2 \pi n}
-
-    The nut turns, the screw and the cart slide, the wheels of the gear are massless, the axis lies level (no gravity),
-    and the only friction is the motor's viscous one; dry friction is added by `rl.with_effects`.
-
-    Plant with input u [V], outputs and states phi [rad], omega [rad/s], i [A], all of the motor.
-
-    ``given``: ``R L Km Kb Kf J J_nut m_screw m_cart``, each as a value or ``(value, relative tolerance)``; ``ratio``
-    and ``lead`` as values (tooth counts and a ground thread are exact).
-
-    Examples
-    --------
-    >>> actuator = linear_actuator(m_cart=(2.0, 0.1))
-    >>> round(float(actuator.state_space().A[1, 2]))  # rad/s2 per ampere
-    6970
-
-    References
-    ----------
-    Březina 2010, section 7.2 (gears, motor) and chapter 11 (jig; eq. 11.1 is `cart_travel`).
-    """
+    """Linear actuator on its test jig: DC motor, gears, ball screw, cart; default values: the thesis' leg."""
+    # Březina 2010, section 7.2 (gears, motor) and chapter 11 (jig; eq. 11.1 is `cart_travel`).
     return LinearPlant(
         "linear-actuator",
         overridden(LINEAR_ACTUATOR, given, "linear-actuator"),
@@ -166,13 +112,7 @@ def linear_actuator(**given: Any) -> LinearPlant:
 
 
 def cart_travel(plant: LinearPlant, phi: ArrayLike) -> Array:
-    r"""Travel of the cart in m at the motor angles phi (n,) in rad: :math:`q = h \varphi` (eq. 11.1).
-
-    Examples
-    --------
-    >>> cart_travel(linear_actuator(), [2 * math.pi * 4.8 * 41 / 21]).round(12).tolist()
-    [0.004]
-    """
+    r"""Travel of the cart in m at the motor angles phi (n,) in rad: :math:`q = h \varphi` (eq. 11.1)."""
     return np.asarray(_travel_per_radian(plant.values) * real_array("phi", phi, 1, plant.name))
 
 

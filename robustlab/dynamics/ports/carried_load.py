@@ -1,22 +1,4 @@
-r"""A joint of a nonlinear plant, split into its drive and the load that it carries, about points of a motion.
-
-With M the mass matrix of the joints, :math:`b = M^{-1} e_j`, :math:`J = 1/(e_j^T b)`, and the drive's part
-:math:`(1 - s) J` of that inertia, the machine behind the gap has the mass matrix :math:`M - (1 - s) J e_j e_j^T`. It
-bears all forces of the plant but the drive's own: weight, what the other joints' motions ask of it, springs. With a the
-accelerations that the whole plant would have in the load's position (the joint's position and velocity less
-:math:`\delta, \dot\delta`), D the drive's own force and F what the load does to the drive,
-
-.. math::
-    (1 - s) J \dot v_1 = D(v_1) + F, \qquad
-    \dot v_{load} = a + \frac{1 - s}{s} J b\, a_j - \frac{b}{s}\,(D(v_2) + F)
-
-(Sherman, Morrison for the smaller mass matrix). With no more than one body this is `with_load_side` with what pulls at
-the joint pulling at the load. The drive's own force is that of the inputs and currents at the joint, and its viscous
-friction as far as a parameter with that role tells it; laws at the joint act on the drive, too.
-
-The drive's inertia does not follow the pose: it is the share :math:`1 - s` of J at the plant's start (its home), and s
-along a motion follows from it.
-"""
+"""A joint of a nonlinear plant, split into its drive and the load that it carries, about points of a motion."""
 
 from __future__ import annotations
 
@@ -38,8 +20,6 @@ LEAST_SHARE = 1e-4  # of the load, where a pose leaves it less inertia than the 
 def with_carried_load(model: PortModel, joint: str, share: float, relative: str) -> PortModel:
     """The model with the load behind the joint, not yet connected; ports as of
     `robustlab.dynamics.ports.load_side.with_load_side`.
-
-    ``share``: s at the plant's start, the load's share of the inertia there.
     """
     port = model.ports[joint]
     places = {n: int(np.argmax(p.velocity)) for n, p in model.ports.items() if p.kind == "joint"}
@@ -79,11 +59,7 @@ def with_carried_load(model: PortModel, joint: str, share: float, relative: str)
 
 
 def shares_behind(plant: NonlinearPlant, joint: str) -> tuple[float, ...]:
-    """Smallest and largest share of a joint's inertia that hangs behind its drive, where a parameter is the drive's.
-
-    A drive's inertia is the joint's alone, in every pose: what half of the parameter takes away stands in one entry of
-    the mass matrix. Where several do that (a rotor, the first link of an arm) each may be it; none where none does.
-    """
+    """Smallest and largest share of a joint's inertia that hangs behind its drive, where a parameter is the drive's."""
     names = [s.name for s in plant.states]
     joints = [(k, names.index(p.name)) for k, p in enumerate(plant.port_places) if p.kind == "joint"]
     rows, columns = np.array([k for _, k in joints]), np.array([k for k, _ in joints])

@@ -1,42 +1,12 @@
-r"""The compiled stepping of a plant with force laws at its ports: linear, or linear about a motion.
-
-Over a step of length h the forces are held (the plant itself is exact):
-
-.. math::
-    x^+ = \Phi x + \Gamma_u u + c + \sum_j \Gamma_j f_j, \qquad \Gamma_j = \int_0^h e^{A s} b_j\, ds
-
-Of a nonlinear plant, linear about a motion, the matrices differ from row to row of a table, and c is what its own rates
-along that motion add; of a linear one there is one row, and c = 0.
-
-Each law answers with a force that fits the motion *at the end of the step that this very force brings about*: it is
-given the motion at the port without it, ``q, v``, and the port's compliance ``gq = p^T Gamma, gv = c^T Gamma``, so that
-the motion with it is ``q + gq f, v + gv f``. A set-valued law (dry friction, a contact) solves its own inclusion in
-closed form: Coulomb's law sticks with the velocity exactly zero. Several laws are swept (Gauss-Seidel, relaxed after
-Aitken where they approach each other slowly) until they agree.
-
-That is second order in h. Every step is done at once and in two halves, and the states are extrapolated
-(Richardson): :math:`x = x_{h/2} + (x_{h/2} - x_h) / 3`, fourth order where the forces are smooth. A step too long
-for a stiff law, where its halves bring about other forces than the whole, keeps the halves alone: extrapolated, they
-would gain energy.
-
-A law answers with one force for the whole step. The mean of the true force over the step makes that second order in the
-step length; the force at the end alone would be first order, and a reversal would come up to a step early. Within the
-step the velocity is taken to run linearly from its start to its end. Several laws share bracketed roots and dry
-friction that turns within the step. Compiled laws are cached by the date of their own file: after a change here, touch
-the files that use it.
-
-References
-----------
-Acary, Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems* (2008), chapters 9 and 10 (time stepping);
-Hairer, Norsett, Wanner, *Solving Ordinary Differential Equations I* (1993), section II.4 (extrapolation); Irons, Tuck,
-*A version of the Aitken accelerator for computer iteration* (1969).
-"""
+"""The compiled stepping of a plant with force laws at its ports: linear, or linear about a motion."""
+# Acary, Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems* (2008), chapters 9 and 10 (time stepping);
+# Hairer, Norsett, Wanner, *Solving Ordinary Differential Equations I* (1993), section II.4 (extrapolation); Irons,
+# Tuck, *A version of the Aitken accelerator for computer iteration* (1969).
 
 # pyright: reportMissingParameterType=false, reportUnnecessaryTypeIgnoreComment=false, reportCallIssue=false
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -60,50 +30,8 @@ UNRESOLVED = 0.1  # share of the forces by which a step and its halves differ wh
 
 
 def law(function):  # type: ignore[no-untyped-def]
-    """Compile ``function(p, z, z_next, seen) -> force``.
-
-    p are the law's parameters, z its memory at the start of the step (never to be written), z_next the memory at the
-    end, seen the vector described above. All four are addresses: they are indexed, and have no length.
-    """
+    """Compile ``function(p, z, z_next, seen) -> force``."""
     return nb.cfunc(LAW_SIGNATURE, cache=True)(function)
-
-
-class HeldSteps(NamedTuple):
-    """The plant over a whole step, its first and its second half, with the forces held; n states.
-
-    phi (3, m, n, n), gamma_u (3, m, n, columns of u), gamma_f (3, m, n_laws, n); what each law sees: velocity, position
-    (n_laws, n). m = 1 for a linear plant. About a motion row (w, j) holds over ``stride`` steps of window w, and drift
-    (3, steps of all windows, n) is what its rates add in each; otherwise drift is empty.
-    """
-
-    phi: Any
-    gamma_u: Any
-    gamma_f: Any
-    velocity: Any
-    position: Any
-    drift: Any
-    stride: Any
-
-
-class Run(NamedTuple):
-    """What is simulated: inputs, window starts and lengths.
-
-    u (n_samples * sub, columns of gamma_u), steps of h seconds from the time t0, ``sub`` of them a sample; first
-    samples of the windows (n_windows,), each ``length`` samples long, and their initial states x0 (n_windows, n). Of
-    these the first ``own`` belong to the plant; those of effects are used in the first window and carried over
-    afterwards. Further rows of x0 are further runs through all windows, which know nothing of each other. Without
-    ``halves`` each step is made once, whole.
-    """
-
-    u: Any
-    h: Any
-    t0: Any
-    sub: Any
-    starts: Any
-    length: Any
-    x0: Any
-    own: Any
-    halves: Any
 
 
 @intrinsic
@@ -118,11 +46,7 @@ def _at(_typing, address):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def _answer(_typing, address, p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """What the law at an address answers with.
-
-    By its address any law can be called by the one compiled kernel; as values, functions would need one for each number
-    of laws, and a look through their types at every call.
-    """
+    """What the law at an address answers with."""
 
     def call(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         number = context.get_value_type(types.float64)
@@ -134,10 +58,7 @@ def _answer(_typing, address, p, z, z_next, seen):  # type: ignore[no-untyped-de
 
 @nb.njit("void(f8[:,:,::1], f8[:,:,::1], i8[::1], f8[:,::1], f8[:,:,::1])", cache=True, nogil=True)
 def drifts(entering, phi, points, rates, drift):  # type: ignore[no-untyped-def]
-    """What rates (n_steps, k) along a motion add in each step, in its halves and as a whole: drift (3, n_steps, n).
-
-    entering (m, n, k) and phi (m, n, n) of half a step, of which ``points`` (n_steps,) tells the row of each step.
-    """
+    """What rates (n_steps, k) along a motion add in each step, in its halves and as a whole: drift (3, n_steps, n)."""
     n, k = entering.shape[1:]
     for s in range(rates.shape[0]):
         at = points[s]
@@ -162,10 +83,14 @@ def step_windows(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Simulate windows one after the other; with more rows of x0 than windows, all of them several times.
 
-    laws (n_laws,), their addresses; parameters (n_laws, n_p), memory (n_laws, n_z; changed in place) of the laws; the
-    entries of `HeldSteps`; those of `Run`; states (rows of x0, length, n) and forces (rows of x0, length, n_laws; their
-    means over the sample before) are written.
+    The plant over a whole step, its first and its second half, with the forces held: phi (3, m, n, n), gamma_u (3, m,
+    n, columns of u), gamma_f (3, m, n_laws, n); what each law sees: velocity, position (n_laws, n). About a motion row
+    (w, j) holds over ``stride`` steps of window w, and drift (3, steps of all windows, n) is what its rates add in
+    each; of a linear plant m = 1 and drift is empty. ``own``: leading states that x0 sets after the first window.
     """
+    # x+ = phi x + gamma_u u + drift + sum_j gamma_f f_j. Each law answers with the force that fits the motion at the
+    # end of the step that this very force brings about. Every step is made at once and in two halves and extrapolated:
+    # fourth order where the forces are smooth. Several laws are swept (Gauss-Seidel, relaxed after Aitken).
     n, n_u, n_z = phi.shape[2], gamma_u.shape[3], memory.shape[1]
     n_laws = forces.shape[2]
     x = np.zeros((4, n))  # at the start, after a whole step, in its middle, after two halves
@@ -297,11 +222,7 @@ def step_windows(  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True, nogil=True)
 def _relaxed(f, before, moved, relaxed, sweep):  # type: ignore[no-untyped-def]
-    """Forces f further along the way that a sweep moved them (Aitken's relaxation of Irons and Tuck), and how far.
-
-    Two stiff laws at one port give way to each other by little in a sweep, always in one direction. The first sweeps
-    and the last ones stay as they are: those mostly suffice, and these end what the relaxation does not.
-    """
+    """Forces f further along the way that a sweep moved them (Aitken's relaxation of Irons and Tuck), and how far."""
     along, apart, now, last = 0.0, 0.0, 0.0, 0.0
     for j in range(len(f)):
         step = f[j] - before[j]
@@ -354,16 +275,7 @@ SERIES_BELOW = 1e-3  # of the Stribeck velocity: there the difference of two err
 
 @nb.njit(cache=True)
 def bracket(low, r_low, high, r_high):  # type: ignore[no-untyped-def]
-    """Bracket of a root of r(x) with r(low) <= 0 <= r(high), x and r of one unit; closed where an end fails that.
-
-    The search is a loop in each law, since compiled functions that take functions cannot be kept on disk::
-
-        b = bracket(low, r(low), high, r(high))
-        while is_open(b):
-            x = guess(b)
-            b = narrowed(b, x, r(x))
-        root = b[0]
-    """
+    """Bracket of a root of r(x) with r(low) <= 0 <= r(high), x and r of one unit; closed where an end fails that."""
     if r_low >= 0.0:
         return low, 0.0, low, 0.0, 0.0, 0.0
     if r_high <= 0.0:
@@ -389,10 +301,7 @@ def guess(b):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True)
 def narrowed(b, x, r):  # type: ignore[no-untyped-def]
-    """The bracket after r was found at x; the end that stays is weighted down if it stayed before (Illinois).
-
-    The count of looks carries the sign of the end that moved last. A residual within rounding closes the bracket.
-    """
+    """The bracket after r was found at x; the end that stays is weighted down if it stayed before (Illinois)."""
     low, r_low, high, r_high, count, rounding = b
     looks = abs(count) + 1.0
     if not abs(r) > rounding or looks > MOST_LOOKS:
@@ -414,12 +323,7 @@ def stribeck_mean(start, end, width):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True)
 def _slide(start, free, compliance, level, rise, width):  # type: ignore[no-untyped-def]
-    """End velocity >= 0 of a body that slides forward from ``start`` >= 0; -1 where it stops on the way.
-
-    The residual is the excess of the end velocity over the one that the mean friction on the way to it brings about.
-    The motion is monotone within the step, so that its root lies on that side of the start to which the body is
-    accelerated there.
-    """
+    """End velocity >= 0 of a body that slides forward from ``start`` >= 0; -1 where it stops on the way."""
     fall, swing = compliance * level, compliance * rise
     if rise == 0.0 or min(start, free - fall) > FAR * width:
         return free - fall if free >= fall else -1.0
@@ -440,12 +344,7 @@ def _slide(start, free, compliance, level, rise, width):  # type: ignore[no-unty
 
 @nb.njit(cache=True)
 def dry_mean_force(v0, v_free, compliance, level, rise, width):  # type: ignore[no-untyped-def]
-    r"""Mean force of dry friction :math:`-(F + \Delta F e^{-(v/v_s)^2}) \operatorname{sgn} v` over a step.
-
-    v0 is the velocity at the start of the step, v_free that at its end without the friction, ``compliance`` the change
-    of the end velocity per unit of force. A body that stops within the step sticks, with the end velocity exactly zero,
-    if :math:`F + \Delta F` holds what drives it; otherwise it slides on the other way for the rest of the step.
-    """
+    r"""Mean force of dry friction :math:`-(F + \Delta F e^{-(v/v_s)^2}) \operatorname{sgn} v` over a step."""
     sign = 1.0 if v0 > 0.0 or (v0 == 0.0 and v_free > 0.0) else -1.0
     start, free = sign * v0, sign * v_free
     drive = free - start  # change of velocity over the step without friction

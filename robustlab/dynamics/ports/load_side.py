@@ -1,16 +1,4 @@
-r"""A joint split in two, the drive and the load behind it, with a gap or a coupling between them.
-
-The drive is the joint that is measured.
-
-.. math::
-    (1 - s) J\,\dot v_1 = F_1 + F, \qquad s J\,\dot v_2 = F_2 - F, \qquad
-    \delta = q_1 - q_2, \quad \dot\delta = v_1 - v_2
-
-Of a linear plant all that acts on the joint, friction included, acts on the drive: :math:`F_1`; of a nonlinear one what
-the joint carries acts on the load (`robustlab.dynamics.ports.carried_load`). F is what the load does to the drive. The
-further states are relative, :math:`\delta, \dot\delta`; they may be carried over where the joint's own starts anew.
-J is the inertia that a force meets at the joint while every other velocity is held by nothing but its own equation.
-"""
+"""A joint split in two, the drive and the load behind it, with a gap or a coupling between them."""
 
 from __future__ import annotations
 
@@ -26,15 +14,7 @@ from robustlab.errors import InputError
 
 
 def with_load_side(model: PortModel, joint: str, share: float, relative: str, where: str) -> PortModel:
-    r"""The model with the joint's load behind it, not yet connected: no force between the two.
-
-    Two ports are added. ``<joint>.load`` is the load: a force on it, its velocity and position.
-    ``<joint>.<relative>`` sees :math:`\delta` and its rate; its force is divided by the reduced inertia
-    :math:`s (1 - s) J`, so that a unit of it accelerates :math:`\delta` by one.
-
-    ``share``: s, the load's share of the joint's inertia, between 0 and 1. ``relative``: name of the relative port:
-    ``"twist"`` or ``"gap"``. ``where``: what messages call the effect.
-    """
+    """The model with the joint's load behind it, not yet connected: no force between the two."""
     port = model.ports.get(joint)
     if port is None or port.kind != "joint":
         joints = ", ".join(p.name for p in model.ports.values() if p.kind == "joint")
@@ -70,11 +50,7 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
 
 
 def _with_less_inertia(model: PortModel, port: Port, share: float) -> PortModel:
-    r"""The equations with :math:`(1 - s) J` at the joint.
-
-    :math:`(E - s J e e^T)^{-1} = (I + \frac{s}{1 - s} \frac{b}{c^T b} c^T) E^{-1}` with :math:`b = E^{-1} e`
-    (Sherman, Morrison); for a joint with an inertia of its own it divides one row by 1 - s.
-    """
+    """The equations with :math:`(1 - s) J` at the joint."""
     pulled = (port.inertia[..., None] * port.force)[..., :, None] * port.velocity
     change = np.eye(len(port.velocity)) + share / (1.0 - share) * pulled
     ports = {name: replace(p, force=(change @ p.force[..., None])[..., 0]) for name, p in model.ports.items()}

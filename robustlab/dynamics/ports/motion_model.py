@@ -1,15 +1,4 @@
-r"""A nonlinear plant as a linear one about a recorded motion.
-
-About a motion :math:`(\bar x(t), \bar u(t))`, which need not be one of the plant's own,
-
-.. math::
-    \dot x = A(t)\,x + B(t)\,u + \underbrace{f(\bar x, \bar u) - A \bar x - B \bar u}_{\text{rates}}
-             + \sum_j b_j(t)\,F_j, \qquad y = C x + D u + (h(\bar x, \bar u) - C \bar x - D \bar u)
-
-is right to second order in :math:`x - \bar x`: with a motion told by measurements, the closer a hypothesis is to the
-machine, the more exact its simulation. Matrices stand for a few steps each (they multiply what deviates from the
-motion, and forces), the rates are taken in every step.
-"""
+"""A nonlinear plant as a linear one about a recorded motion."""
 
 from __future__ import annotations
 
@@ -96,10 +85,7 @@ class MotionModel:
 
 
 def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, length: int, sub: int) -> MotionModel:
-    """The plant about windows of ``length`` samples from the samples ``starts``, in ``sub`` steps a sample.
-
-    ``factors``: plant parameter -> factor of its reference.
-    """
+    """The plant about windows of ``length`` samples from the samples ``starts``, in ``sub`` steps a sample."""
     plant, values = course.plant, _values(course.plant, factors)
     steps, stride = length * sub, course.stride * sub
     points = -(-steps // stride)
@@ -118,10 +104,7 @@ def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, 
 
 
 def with_factors(about: MotionModel, course: Course, factors: Mapping[str, float]) -> MotionModel:
-    """The same matrices with what other parameter values change of the rates and outputs along the motion.
-
-    What the plant does to a deviation stays: for derivatives over parameters, at a part of the cost.
-    """
+    """The same matrices with what other parameter values change of the rates and outputs along the motion."""
     values = _values(course.plant, factors)
     rates = course.plant.rates_along(*about.at, values) - about.own
     outputs = course.plant.outputs_along(*about.at, values) - about.shown
@@ -158,11 +141,7 @@ def local_port_model(plant: NonlinearPlant, local: LocalModels, values: Mapping[
 
 @lru_cache(maxsize=256)
 def _at_home(plant: NonlinearPlant, values: tuple[tuple[str, float], ...]) -> dict[str, tuple[float, float]]:
-    """Of each joint the inertia where the plant starts, and its viscous friction by the parameters of that role.
-
-    Empty where the plant has no model at its start. The friction is what these parameters change of the force that the
-    joint's own velocity makes there.
-    """
+    """Of each joint the inertia where the plant starts, and its viscous friction by the parameters of that role."""
     given, x, u = dict(values), plant.start[None], np.zeros((1, len(plant.inputs)))
     viscous = [n for n, p in plant.parameters.items() if p.role == "viscous-friction" and given[n]]
     try:
@@ -181,15 +160,8 @@ def _at_home(plant: NonlinearPlant, values: tuple[tuple[str, float], ...]) -> di
 
 
 def exponentials(a: Array, h: float) -> tuple[Array, Array]:
-    r"""``exp(A h)`` and :math:`\int_0^h e^{A s} ds` of A (m, n, n).
-
-    By their series, after halving until :math:`\|A h\|` is small, and doubling back:
-    :math:`\varphi_1(2 z) = (\varphi_0 + 1) \varphi_1 / 2`.
-
-    References
-    ----------
-    Hochbruck, Ostermann, "Exponential integrators", Acta Numerica 19 (2010).
-    """
+    r"""``exp(A h)`` and :math:`\int_0^h e^{A s} ds` of A (m, n, n)."""
+    # Hochbruck, Ostermann, "Exponential integrators", Acta Numerica 19 (2010).
     z, doublings = _halved(a, h)
     first = _series(z, 1)
     zeroth = np.eye(a.shape[-1]) + z @ first
@@ -200,10 +172,7 @@ def exponentials(a: Array, h: float) -> tuple[Array, Array]:
 
 
 def exponentials_and_ramps(a: Array, h: float) -> tuple[Array, Array, Array]:
-    r"""`exponentials`, and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1) ds`.
-
-    With :math:`\varphi_2(2 z) = (\varphi_1^2 + 2 \varphi_2) / 4`.
-    """
+    r"""`exponentials`, and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1) ds`."""
     z, doublings = _halved(a, h)
     one, second = np.eye(a.shape[-1]), _series(z, 2)
     first = one + z @ second

@@ -2,10 +2,6 @@ r"""A linear plant with its ports: the places where effects push and where their
 
 .. math::
     \dot x = A x + B u + \sum_j b_j f_j, \qquad v_j = c_j^T x, \qquad q_j = p_j^T x, \qquad y = C x + D u
-
-A *joint* is a velocity state with the position state that integrates it; its force direction is the column of
-:math:`E^{-1}` that belongs to its equation of motion, so that f is a force in N or a torque in N m. A *current* port is
-a current state; f is a voltage there.
 """
 
 from __future__ import annotations
@@ -101,10 +97,7 @@ class PortModel:
         return replace(self, ports={**self.ports, port.name: port})
 
     def widened(self, rows: Array) -> PortModel:
-        """The model with further states ``z' = rows @ [x; z]``; ``rows`` has shape (extra, n_x + extra).
-
-        Inputs and outputs do not touch the new states; ports get a zero force on them.
-        """
+        """The model with further states ``z' = rows @ [x; z]``; ``rows`` has shape (extra, n_x + extra)."""
         extra, many = len(rows), self.A.shape[:-2]
         below = np.broadcast_to(rows, (*many, *rows.shape))
         still = np.zeros((*many, extra, self.B.shape[-1]))
@@ -120,8 +113,6 @@ class PortModel:
 def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -> PortModel:
     """The plant's matrices and ports with some parameters at ``factors`` (name -> factor) of their reference: of the
     nominal value, or of one unit where that is 0.
-
-    Velocity states are those with the unit rad/s or m/s, current states those with the unit A.
     """
     values = dict(plant.values)
     for name, factor in (factors or {}).items():
@@ -180,13 +171,7 @@ def _rows(plant: LinearPlant, name: str) -> frozenset[int]:
 
 
 def parameter_groups(plant: AnyPlant) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
-    """Parameters that a misjudgement of one physical quantity changes together: (role, label, names).
-
-    Those of one role that stand in the same equations belong together (the inertias of a drive train); torque constant
-    and back-EMF constant are one quantity in SI units. In a nonlinear plant the masses of two bodies act differently in
-    every equation: there each parameter is one of its own. Coordinates of one role (`COORDINATES`) belong together,
-    zero or not. Other parameters with the value zero, and those without a role, are left out.
-    """
+    """Parameters that a misjudgement of one physical quantity changes together: (role, label, names)."""
     groups: dict[tuple[str, frozenset[int] | str], list[str]] = {}
     for name, parameter in plant.parameters.items():
         if parameter.role and (parameter.value or parameter.role in COORDINATES):
@@ -199,13 +184,7 @@ def parameter_groups(plant: AnyPlant) -> tuple[tuple[str, str, tuple[str, ...]],
 
 
 def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects") -> LinearPlant:
-    """The plant itself, or a bare continuous model as a plant whose gains and dampings are parameters.
-
-    A model's parameters are ``gain_<input>`` (1, role input-gain), and for each velocity state v ``inertia_<v>`` and
-    ``damping_<v>``. The inertia J is read off the matrices where their units tell it; then the damping is
-    :math:`-J A_{vv}`, and a force at the joint is in N or N m. Elsewhere J is 1 without a unit, and a force is one per
-    inertia, in N/kg or N m/(kg m2).
-    """
+    """The plant itself, or a bare continuous model as a plant whose gains and dampings are parameters."""
     if isinstance(plant, LinearPlant):
         return plant
     if not isinstance(plant, StateSpaceModel):
@@ -241,12 +220,7 @@ def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects"
 
 
 def _inertia_told(model: StateSpaceModel, velocity: int) -> float | None:
-    r"""Inertia of a velocity state of a bare model, where an input is its force or a motor drives it; else None.
-
-    A force u that acts on nothing else: :math:`\dot v = u / J + \dots`. A motor, whose constant K is one in torque and
-    back-EMF: :math:`L \dot i = u - K v - \dots`, :math:`J \dot v = K i + \dots`, so
-    :math:`J = -A_{iv} / (B_{iu} A_{vi})`.
-    """
+    """Inertia of a velocity state of a bare model, where an input is its force or a motor drives it; else None."""
     unit = model.states[velocity].unit
     speeds = [k for k, s in enumerate(model.states) if s.unit in SPEED_UNITS]
     for j, signal in enumerate(model.inputs):

@@ -1,156 +1,34 @@
-r"""The machine in numbers: published parameters, points and axes of the legs, constants of the equations of motion.
-
-Legs 1..6 go round counter-clockwise. The base points stand in pairs at -30, 90, 210 degrees, the platform points
-in pairs at 30, 150, 270 degrees, so that each leg leans from one pair to the next:
-
-.. math::
-    b_i = r_b (\cos, \sin)(\beta_i), \quad \beta = \{-30 + \alpha_b,\; 90 - \alpha_b,\; 90 + \alpha_b, \dots\}, \qquad
-    p_i = r_p (\cos, \sin)(\pi_i), \quad \pi = \{30 - \alpha_p,\; 30 + \alpha_p,\; \dots\}
-
-The universal joint of leg i turns first about the axis :math:`x^*_i = (m_i - b_i)/|m_i - b_i|` through the bearing
-point :math:`m_i = r_m (\cos, \sin)(\beta_i \mp \alpha_m)`, :math:`z = z_m`.
-
-References
-----------
-Březina 2010, eqs 6.1, 6.2, App. A and B (with the misprints of b6, m2 and m3 corrected).
-"""
+"""The machine in numbers: published parameters, points and axes of the legs, constants of the equations of motion."""
+# Březina 2010, eqs 6.1, 6.2, App. A and B (with the misprints of b6, m2 and m3 corrected).
 
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.parameters import Parameter, Sign
+from robustlab.dynamics.parameters import Parameter
 from robustlab.errors import InputError, did_you_mean
 from robustlab.shown import Shown
 
 Preset = Literal["thesis", "physical"]
 PRESETS = ("thesis", "physical")
 
-_A = "Březina 2010, App. A"
-_B = "Březina 2010, App. B"
-_FIT = "fitted to the holding torque 0.8701e-3 N m of section 8.2; not printed in the text"
-_DISC = "uniform disc of 3.167 kg, radius 190 mm, height 10 mm; not printed in the text"
 _SHEET = "Březina 2010, App. A and section 7.2 (Maxon RE 35, order number 273754)"
 
-_LEVEL = "a level base"
-_CENTRED = "a disc about its middle"
 
-_PLATFORM_MASS = 3.167
-_DISC_ACROSS = _PLATFORM_MASS * (3 * 0.190**2 + 0.010**2) / 12
-_DISC_ALONG = _PLATFORM_MASS * 0.190**2 / 2
-
-
-def _body(prefix: str, words: str, mass: float, inertia: tuple[float, float, float]) -> tuple[Parameter, ...]:
-    """Mass and principal inertias about the centre of gravity, in the leg's axes I, J, K."""
-    axes = zip(("I", "J", "K"), inertia, strict=True)
-    return (
-        Parameter(f"{prefix}_mass", mass, "kg", 0.0, _A, f"mass of the {words}", "nonnegative"),
-        *(
-            Parameter(
-                f"{prefix}_{axis}",
-                value,
-                "kg m2",
-                0.0,
-                _A,
-                f"inertia of the {words} about its {axis} axis",
-                "nonnegative",
-            )
-            for axis, value in axes
-        ),
-    )
-
-
-_GEOMETRY = (
-    Parameter("r_b", 0.17502, "m", 0.0, _B, "radius of the base points", "positive"),
-    Parameter("alpha_b", math.radians(10.84), "rad", 0.0, _B, "base points: angle from the middle of their pair"),
-    Parameter("r_p", 0.190, "m", 0.0, _B, "radius of the platform points", "positive"),
-    Parameter("alpha_p", math.radians(6.47), "rad", 0.0, _B, "platform points: angle from the middle of their pair"),
-    Parameter("r_m", 0.17611, "m", 0.0, _B, "radius of the bearing points", "positive"),
-    Parameter("alpha_m", math.radians(5.52), "rad", 0.0, _B, "bearing points: angle from their base points"),
-    Parameter("z_m", 0.0169, "m", 0.0, _B, "height of the bearing points over the base points"),
-    Parameter("c", 0.010, "m", 0.0, _A, "distance of the joint's two axes; 0: plain joint", "nonnegative"),
-    Parameter("z_home", 0.1262, "m", 0.0, _B, "height of the home pose, where the nut angles are zero", "positive"),
-    *(
-        Parameter(f"offset_{i}", 0.0, "rad", 0.0, "by definition", f"angle that nut {i} reads at home, where it is 0")
-        for i in range(1, 7)
-    ),
-    Parameter("L_min", 0.1590, "m", 0.0, "Březina 2010, section 6.1.1", "shortest actuator", "positive"),
-    Parameter(
-        "L_max", 0.1881, "m", 0.0, "Březina 2010, section 6.1.1 (188 mm; z = 0.1462 m needs 188.06)",
-        "longest actuator",
-        "positive",
-    ),
-)  # fmt: skip
-
-_DRIVE = (
-    Parameter("lead", 0.004, "m", 0.0, _A, "travel of the screw per turn of the nut", "positive"),
-    Parameter("ratio", 4.8 * 41 / 21, "rad/rad", 0.0, "Březina 2010, section 6.1.1", "motor turns per nut turn",
-              "positive"),
-    Parameter("gravity", 9.81, "m/s2", 0.0, "standard", "acceleration of gravity, along -z of a level base"),
-    Parameter("tilt_x", 0.0, "rad", 0.0, _LEVEL, "tilt of the base about its own x axis, on top of tilt_y",
-              role="gravity-direction"),
-    Parameter("tilt_y", 0.0, "rad", 0.0, _LEVEL, "tilt of the base about the level y axis", role="gravity-direction"),
-)  # fmt: skip
-
-_ALONG: tuple[tuple[str, float, str, Sign], ...] = (
-    ("link_cg", 0.06309, "lower link: centre of gravity from the second joint axis", "any"),
-    ("nut_at", 0.08412, "where the nut begins, from the second joint axis", "any"),
-    ("nut_cg", 0.004, "nut: centre of gravity from where it begins", "any"),
-    ("screw_cg", 0.07414, "ball screw: centre of gravity from the platform point, towards the base", "any"),
-    ("motor_x", 0.03, "motor body: offset from the leg's axis along I", "any"),
-    ("motor_at", 0.1041, "where the motor body begins, from the second joint axis", "any"),
-    ("motor_cg", 0.1087 / 2, "motor body: centre of gravity from where it begins; negative points to the base", "any"),
-)
-
-_BODIES = (
-    Parameter("platform_mass", _PLATFORM_MASS, "kg", 0.0, _FIT, "mass of the platform", "positive", "inertia"),
-    Parameter("platform_x", _DISC_ACROSS, "kg m2", 0.0, _DISC, "inertia of the platform about its x axis", "positive"),
-    Parameter("platform_y", _DISC_ACROSS, "kg m2", 0.0, _DISC, "inertia of the platform about its y axis", "positive"),
-    Parameter("platform_z", _DISC_ALONG, "kg m2", 0.0, _DISC, "inertia of the platform about its z axis", "positive"),
-    *(
-        Parameter(
-            f"platform_c{a}",
-            0.0,
-            "m",
-            0.0,
-            _CENTRED,
-            f"platform: centre of gravity from its origin along {a}",
-            role="centre-of-mass",
-        )
-        for a in "xyz"
-    ),
-    *_body("link", "lower link", 0.435, (5.07492e-4, 4.99276e-4, 1.31934e-4)),
-    *_body("nut", "screw nut", 0.125, (1.9318e-5, 1.9312e-5, 2.2071e-5)),
-    *_body("screw", "ball screw", 0.112, (1.93005e-4, 1.92973e-4, 1.996e-6)),
-    *_body("motor", "motor body", 0.34, (3.73333e-4, 3.73325e-4, 6.4002e-5)),
-    *(Parameter(name, value, "m", 0.0, _A, words, sign) for name, value, words, sign in _ALONG),
-    Parameter(
-        "rotor_J",
-        0.0,
-        "kg m2",
-        0.0,
-        "left out by the thesis (eqs 7.3, 7.4)",
-        "inertia of the motor's rotor",
-        "nonnegative",
-        "inertia",
-    ),
-)
-
-_MOTOR = (
-    Parameter("R", 2.07, "ohm", 0.0, _SHEET, "terminal resistance", "positive", "resistance"),
-    Parameter("L", 0.62e-3, "H", 0.0, _SHEET, "terminal inductance", "positive", "inductance"),
-    Parameter("Km", 0.052, "N m/A", 0.0, _SHEET, "torque constant", "positive", "torque-constant"),
-    Parameter("Kb", 0.052, "V s/rad", 0.0, _SHEET, "back-EMF constant", "nonnegative", "torque-constant"),
-    Parameter("Kf", 4.8e-5, "N m s/rad", 0.35, f"{_SHEET}; cover: section 10.1.1", "viscous friction", "nonnegative",
-              "viscous-friction"),
-)  # fmt: skip
+@cache
+def _published() -> dict[str, tuple[Parameter, ...]]:
+    """Parameters of the machine and of its motors."""
+    table = tomllib.loads(Path(__file__).with_name("parameters.toml").read_text(encoding="utf-8"))
+    return {part: tuple(Parameter(name, **given) for name, given in rows.items()) for part, rows in table.items()}
 
 
 def machine_parameters(preset: str, motors: bool) -> tuple[Parameter, ...]:
@@ -160,7 +38,7 @@ def machine_parameters(preset: str, motors: bool) -> tuple[Parameter, ...]:
         raise InputError("stewart-platform: preset", f"{preset!r}", " or ".join(map(repr, PRESETS)), hint)
     if not isinstance(motors, bool):
         raise InputError("stewart-platform: motors", f"{motors!r}", "True or False")
-    parameters = (*_GEOMETRY, *_DRIVE, *_BODIES, *(_MOTOR if motors else ()))
+    parameters = (*_published()["machine"], *(_published()["motors"] if motors else ()))
     if preset == "thesis":
         return parameters
     rotor = {"value": 7.2e-6, "source": _SHEET}
@@ -253,14 +131,7 @@ def _assembly(base: Array, axis: Array, top: Array, c: float) -> tuple[Array, Ar
 
 
 def constants(p: Mapping[str, Any]) -> Array:
-    """What the equations of motion need besides the legs' geometry, in the order of `CONSTANTS`.
-
-    The parameters may be arrays of one shape (n,), for n machines at once; then the result is (n, 34), else (34,).
-    ``m0 m1 m2`` are the sums of m, m zeta, m zeta^2 over link, nut and motor body, zeta their height along the leg;
-    ``x1 x2 xz`` the motor body's m eta, m eta^2, m zeta eta, eta its offset along I. ``leg_I leg_J leg_K`` are the
-    inertias of link, screw and motor body, ``rotor`` is the rotor's, felt as a mass at the screw. ``up`` is the unit
-    vector against gravity in the frame of the base, :math:`R_x(t_x)^T R_y(t_y)^T e_z`.
-    """
+    """What the equations of motion need besides the legs' geometry, in the order of `CONSTANTS`."""
     link, nut, motor = p["link_mass"], p["nut_mass"], p["motor_mass"]
     at_link, at_nut, at_motor = p["link_cg"], p["nut_at"] + p["nut_cg"], p["motor_at"] + p["motor_cg"]
     turns, x = 2 * np.pi / p["lead"], p["motor_x"]

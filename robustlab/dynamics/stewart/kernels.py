@@ -1,27 +1,6 @@
 # pyright: reportMissingParameterType=false
 # (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
-r"""Compiled equations of the Stewart platform.
-
-Each leg is a function of its platform point s alone. With x the first joint axis, y the unit vector from it towards the
-platform point, z = x x y the second joint axis, and the shifted joint centre d = b + c y:
-
-.. math::
-    s = d + L K, \quad K = \cos\beta\, x + \sin\beta\, y, \quad N = z \times K, \quad r = c + L \sin\beta,
-
-    \dot\theta = z \cdot \dot s / r, \quad \dot\beta = N \cdot \dot s / L, \quad \dot L = K \cdot \dot s,
-
-    \ddot\theta = (z \cdot \ddot s - 2 \dot r \dot\theta)/r, \quad
-    \ddot\beta = (N \cdot \ddot s + r \dot\theta^2 \cos\beta - 2 \dot L \dot\beta)/L, \quad
-    \ddot L = K \cdot \ddot s + r \dot\theta^2 \sin\beta + L \dot\beta^2 .
-
-Its kinetic energy in (theta, beta, L) does not depend on theta; its 3 x 3 mass matrix, Coriolis terms and gravity are
-written out in `_leg_forces` and gathered in the platform's twist by the rows :math:`g_a = (P_a, \rho \times P_a)`,
-P = (z/r, N/L, K).
-
-All functions take any of float64 and complex128 for the pose and the twist, so that an imaginary step of 1e-40 gives
-derivatives to the last digit: nothing is subtracted. All kernels live in this one file, since the compiler's cache is
-renewed when the file changes and not when another one does.
-"""
+"""Compiled equations of the Stewart platform."""
 
 from __future__ import annotations
 
@@ -212,24 +191,6 @@ def jacobians(poses, legs, c, lengths, matrices):
         lengths_and_jacobian(poses[k], legs, c, lengths[k], matrices[k])
 
 
-@entry("void(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8[:,::1])")
-def length_bias(poses, twists, legs, c, bias):
-    """d2L/dt2 at zero acceleration of the platform, (n, 6): the quadratic part of the acceleration Jacobian."""
-    for j in range(poses.shape[0]):
-        q, v = poses[j], twists[j]
-        rotation = _rotation(q)
-        w = (v[3], v[4], v[5])
-        for i in range(6):
-            rho = _arm(rotation, legs, i)
-            _, z, k, n, _, sb, r, length, over_r, over_l = _leg_axes(
-                legs, i, c, q[0] + rho[0], q[1] + rho[1], q[2] + rho[2]
-            )
-            turn = _cross(w, rho)
-            rate = (v[0] + turn[0], v[1] + turn[1], v[2] + turn[2])
-            swing, tilt = _dot(z, rate) * over_r, _dot(n, rate) * over_l
-            bias[j, i] = _dot(k, _cross(w, turn)) + r * swing * swing * sb + length * tilt * tilt
-
-
 # --- direct kinematics -----------------------------------------------------------------------------------------------
 
 
@@ -245,10 +206,7 @@ def _miss(q, legs, c, target):
 
 @leaf
 def _newton(q, target, legs, c, limit, lengths, jacobian, step):
-    """Damped Newton from q (overwritten); returns the number of steps, -1 where the Jacobian is singular.
-
-    A step is halved until the miss shrinks; it ends when the miss no longer does, which is at the rounding of L.
-    """
+    """Damped Newton from q (overwritten); returns the number of steps, -1 where the Jacobian is singular."""
     radius = np.sqrt(legs[0, 6] ** 2 + legs[0, 7] ** 2 + legs[0, 8] ** 2)
     trial, miss = np.empty(6), _miss(q, legs, c, target)
     for iteration in range(limit):
@@ -286,11 +244,7 @@ def _newton(q, target, legs, c, limit, lengths, jacobian, step):
 
 @leaf
 def _certificate(q, target, legs, c, lengths, jacobian, unit):
-    """Newton-Kantorovich at q in the coordinates (T, r_p angles); returns (h, radius, miss).
-
-    The second derivative of a length along a unit direction is at most 4/L + 3/r_p (see `direct_kinematics`) as long as
-    r > c. To the first step's bound the rounding of L, at most 1e-15 m a leg, is added.
-    """
+    """Newton-Kantorovich at q in the coordinates (T, r_p angles); returns (h, radius, miss)."""
     arm = np.sqrt(legs[0, 6] ** 2 + legs[0, 7] ** 2 + legs[0, 8] ** 2)
     lengths_and_jacobian(q, legs, c, lengths, jacobian)
     rotation, shortest, miss = _rotation(q), np.inf, 0.0
@@ -415,10 +369,7 @@ def _platform_terms(rotation, w, p, mass, force):
 
 @leaf
 def equations_of_motion(q, v, legs, p, motion):
-    """Equations of motion in the twist V = (v, w), with the nut angles beside them.
-
-    mass dV/dt + force = jacobian^T (nut torques); dphi/dt = jacobian V; d2phi/dt2 = jacobian dV/dt + bias.
-    """
+    """Equations of motion in the twist V = (v, w), with the nut angles beside them."""
     mass, force, jacobian, bias, phi = motion
     turns = p[TURNS]
     rotation = _rotation(q)
@@ -518,11 +469,7 @@ def trim_torques(poses, legs, constants, phi, torques):
 
 @entry("b1(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1])")
 def linearisations(poses, twists, torques, legs, constants, stiffness, damping, gain):
-    """d(phidd)/d(phi, dphi, torque), each (n, 6, 6), at fixed torques; False at a singular pose.
-
-    With phidd = F(q, V), phi = Phi(q), dphi = J(q) V:  damping = F_V J^-1,
-    stiffness = (F_q - damping (J V)_q) Phi_q^-1.
-    """
+    """d(phidd)/d(phi, dphi, torque), each (n, 6, 6), at fixed torques; False at a singular pose."""
     mass, force, jacobian = np.empty((6, 6), np.complex128), np.empty(6, np.complex128), np.empty((6, 6), np.complex128)
     bias, phi = np.empty(6, np.complex128), np.empty(6, np.complex128)
     motion = Motion(mass, force, jacobian, bias, phi)

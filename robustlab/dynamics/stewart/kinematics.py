@@ -1,37 +1,12 @@
-r"""Kinematics of the Stewart platform: lengths and Jacobians in closed form, poses by Newton's method with a proof;
-its workspace and singularities; the compiled kernels, loaded on first use.
+r"""Kinematics of the Stewart platform: lengths and Jacobians in closed form, poses by Newton's method with a proof; its
+workspace and singularities; the compiled kernels, loaded on first use.
 
 .. math::
     L_i = |p_{T,i} - d_i|, \quad p_T = T + R p, \quad d = b + c\,y^*, \qquad
     \dot L = K \cdot v + (\rho \times K) \cdot \omega, \qquad \rho = R p,
-
-    \ddot L = J \dot V + K \cdot \omega \times (\omega \times \rho) + r \dot\theta^2 \sin\beta + L \dot\beta^2
-
-with :math:`V = (v, \omega)` the platform's twist in the base frame at the origin T of the platform frame,
-:math:`\dot\theta = z \cdot \dot s / r` and :math:`\dot\beta = N \cdot \dot s / L` (see
-`robustlab.dynamics.stewart.kernels`). A pose is (tx, ty, tz, ax, ay, az) in m and rad, R = Rz(az) Ry(ay) Rx(ax).
-
-The way back, from lengths to a pose: in the coordinates :math:`x = (T, r_p\,(a_x, a_y, a_z))` the Newton-Kantorovich
-theorem holds at the end of the iteration. With :math:`\beta \ge \|L'(x)^{-1}\|`, :math:`\eta = \beta |L(x) - L^\star|`
-and a Lipschitz constant gamma of :math:`L'`,
-
-.. math:: h = \beta \gamma \eta \le 1/2 \quad\Rightarrow\quad
-          \text{one and only one pose with lengths } L^\star \text{ within } \frac{2\eta}{1 + \sqrt{1 - 2h}} .
-
-gamma is known in closed form. The Hessian of a length in its platform point s is
-:math:`N N^T / L + z z^T \sin\beta / r`, of norm at most 1/L (since :math:`r = c + L \sin\beta`). Along a unit direction
-of x the point moves with :math:`|s'| \le 2` and :math:`|s''| \le 3/r_p`, so that
-:math:`|L_i''| \le 4/L_{min} + 3/r_p` and :math:`\gamma = \sqrt 6 (4/L_{min} + 3/r_p)`. The rounding of the computed
-lengths is added to the miss.
-
-The singularity measure is the smallest singular value of the Jacobian in :math:`(v, r_p\,\omega)`, which makes all its
-entries pure numbers: 1/measure bounds how far the platform can give way per unit error of the lengths.
-
-References
-----------
-Březina 2010, eqs 6.3, 6.4 (plain joint), 6.5-6.8 (shifted joint).
-Kantorovich, Akilov, "Functional Analysis", 2nd ed., Pergamon 1982, chapter XVIII.
 """
+# Březina 2010, eqs 6.3, 6.4 (plain joint), 6.5-6.8 (shifted joint). Kantorovich, Akilov, "Functional Analysis", 2nd
+# ed., Pergamon 1982, chapter XVIII.
 
 from __future__ import annotations
 
@@ -87,10 +62,7 @@ def poses_array(value: ArrayLike, name: str = "pose", where: str = "stewart-plat
 
 
 def inverse_kinematics(geometry: Geometry, poses: ArrayLike, joint: Joint = "shifted") -> Array:
-    """Actuator lengths in m at the poses (6,) or (n, 6), of the same shape.
-
-    ``joint``: ``"shifted"``: the joint's axes are c apart (eqs 6.5-6.8). ``"simple"``: they meet (eqs 6.3, 6.4).
-    """
+    """Actuator lengths in m at the poses (6,) or (n, 6), of the same shape."""
     array, one = poses_array(poses)
     if joint not in ("shifted", "simple"):
         raise InputError("inverse_kinematics: joint", f"{joint!r}", "'shifted' or 'simple'")
@@ -110,44 +82,6 @@ def velocity_jacobian(geometry: Geometry, poses: ArrayLike) -> Array:
     matrices = np.empty((len(array), 6, 6))
     kernels().jacobians(array, geometry.legs, geometry.c, np.empty_like(array), matrices)
     return matrices[0] if one else matrices
-
-
-def acceleration_bias(geometry: Geometry, poses: ArrayLike, twists: ArrayLike) -> Array:
-    """d2L/dt2 at dV/dt = 0, so that d2L/dt2 = J dV/dt + bias; shape of the poses, (6,) or (n, 6)."""
-    array, one = poses_array(poses)
-    rates, _ = poses_array(twists, "twist")
-    if rates.shape != array.shape:
-        raise InputError("acceleration_bias", f"{len(rates)} twists", f"{len(array)}, one for each pose")
-    bias = np.empty_like(array)
-    kernels().length_bias(array, rates, geometry.legs, geometry.c, bias)
-    return bias[0] if one else bias
-
-
-def rotation(pose: ArrayLike) -> Array:
-    """R = Rz(az) Ry(ay) Rx(ax) of a pose, shape (3, 3)."""
-    _, _, _, ax, ay, az = np.asarray(pose, dtype=np.float64)
-    (cx, cy, cz), (sx, sy, sz) = np.cos([ax, ay, az]), np.sin([ax, ay, az])
-    return np.array(
-        [
-            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-            [-sy, cy * sx, cy * cx],
-        ]
-    )
-
-
-def twist(pose: ArrayLike, rates: ArrayLike) -> Array:
-    """(v, omega) at the rates of the pose's six coordinates, shape (6,)."""
-    _, _, _, _, ay, az = np.asarray(pose, dtype=np.float64)
-    rate = np.asarray(rates, dtype=np.float64)
-    turn = np.array(
-        [
-            [np.cos(az) * np.cos(ay), -np.sin(az), 0.0],
-            [np.sin(az) * np.cos(ay), np.cos(az), 0.0],
-            [-np.sin(ay), 0.0, 1.0],
-        ]
-    )
-    return np.concatenate([rate[:3], turn @ rate[3:]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +107,6 @@ class DirectPoses:
 
     @property
     def status(self) -> Status:
-        """CERTIFIED where every pose is proved, else INCONCLUSIVE."""
         return Status.CERTIFIED if self.proved.all() else Status.INCONCLUSIVE
 
     def to_json(self) -> dict[str, Any]:
@@ -182,13 +115,7 @@ class DirectPoses:
 
 
 def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike | None = None) -> DirectPoses:
-    """Poses at which the actuators have these lengths.
-
-    ``lengths``: in m, shape (6,) or (n, 6).
-    ``start``: pose (6,) or poses (n, 6) to start from, for example the last known ones; home where left out.
-    Returns: where a length is out of reach, ``proved`` is False; nothing is raised, so that one bad row spoils no
-    other.
-    """
+    """Poses at which the actuators have these lengths."""
     target, _ = poses_array(lengths, "lengths")
     if (target <= 0).any():
         k, i = np.argwhere(target <= 0)[0]
@@ -209,36 +136,11 @@ def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike |
     return DirectPoses(poses, target, proved, facts[:, 1], facts[:, 2], facts[:, 3], facts[:, 0].astype(np.int64))
 
 
-def assembly_poses(geometry: Geometry, lengths: ArrayLike, seeds: ArrayLike) -> DirectPoses:
-    """All different poses with one set of lengths (6,) that Newton's method reaches from the seeds (n, 6).
-
-    A Stewart platform can be put together in several ways with the same lengths; seeds from a grid over (and beyond)
-    the workspace find those that lie there. Only proved poses are kept; it is no proof that there are no more.
-    """
-    target, _ = poses_array(lengths, "lengths")
-    starts, _ = poses_array(seeds, "seeds")
-    found = direct_kinematics(geometry, np.repeat(target[:1], len(starts), axis=0), starts)
-    kept: list[int] = []
-    for k in np.flatnonzero(found.proved & (np.abs(found.poses[:, 4]) < np.pi / 2)):
-        pose = np.concatenate([found.poses[k, :3], np.exp(1j * found.poses[k, 3:])])
-        others = [np.concatenate([found.poses[j, :3], np.exp(1j * found.poses[j, 3:])]) for j in kept]
-        if all(np.abs(pose - other).max() > 1e-7 for other in others):
-            kept.append(int(k))
-    if not kept:
-        raise NoTrustworthyNumber(
-            "assembly_poses", f"none of {len(starts)} seeds led to a proved pose", None, "check the lengths, in m"
-        )
-    names = ("poses", "lengths", "proved", "h", "radius", "residual", "iterations")
-    return DirectPoses(*(getattr(found, name)[kept] for name in names))
-
-
 COORDINATES = ("tx", "ty", "tz", "ax", "ay", "az")
 # Lengths this little beyond a limit are within it: the rounding of a published limit pose.
 SLACK = 1e-9
 # Below this measure a pose counts as singular: six digits of the torques are gone.
 SINGULAR = 1e-6
-# Half widths of a box about home that holds the workspace, in m and rad: found by two million random poses.
-REACH = (0.024, 0.024, 0.02, 0.14, 0.14, 0.10)
 
 
 def inside(geometry: Geometry, poses: ArrayLike) -> NDArray[np.bool_]:
@@ -292,17 +194,6 @@ def real_array_of_one(pose: ArrayLike, where: str) -> Array:
     if not one:
         raise InputError(where, f"{len(array)} poses", "one pose (tx, ty, tz, ax, ay, az)")
     return array[0]
-
-
-def workspace_grid(geometry: Geometry, points: int = 5, reach: ArrayLike = REACH) -> Array:
-    """Poses (n, 6) within the workspace, from a grid of points^6 about home with the given half widths in m and rad.
-
-    The default half widths just cover the workspace of the published machine; 11 points give 13 240 poses.
-    """
-    half = real_array_of_one(reach, "workspace_grid: reach")
-    axes = [np.linspace(-width, width, points) for width in half]
-    grid = geometry.home + np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 6)
-    return grid[inside(geometry, grid)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,20 +3,14 @@ r"""The Stewart platform as a plant: six motors turn six nuts, the nuts move the
 .. math::
     M(\varphi)\,\ddot\varphi + b(\varphi, \dot\varphi) = k\,\tau, \qquad
     \text{with motors:}\quad \tau = K_m i - K_f k \dot\varphi, \quad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
-
-States (phi_1..6, phidot_1..6), with motors also (i_1..6); the nut angles are zero at home (but for the
-parameters ``offset_1..6``) and grow with extension.
-
-References
-----------
-Březina 2010, sections 6.1, 7.1, 7.2, 8.1. The reading of what the text leaves open is in ``docs/stewart.md``.
 """
+# Březina 2010, sections 6.1, 7.1, 7.2, 8.1. The reading of what the text leaves open is in ``docs/stewart.md``.
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,7 +19,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor
 from robustlab.dynamics.parameters import overridden
-from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PortPlace, Trim
+from robustlab.dynamics.plant_contract import InputSignal, LocalModels, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.stewart.geometry import (
     CONSTANTS,
     Geometry,
@@ -35,17 +29,18 @@ from robustlab.dynamics.stewart.geometry import (
     machine_parameters,
 )
 from robustlab.dynamics.stewart.kinematics import (
-    LIMIT,
+    SINGULAR,
     SLACK,
     check_pose,
     direct_kinematics,
     kernels,
     motion_kernels,
     poses_array,
+    real_array_of_one,
+    singularity,
 )
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
-from robustlab.shown import AllFields
 from robustlab.statespace import Signal, real_array
 
 NAME = "stewart-platform"
@@ -90,25 +85,6 @@ def torques(values: Mapping[str, float], x: Array, u: Array) -> Array:
     return values["Km"] * x[:, 12:] - values["Kf"] * values["ratio"] * x[:, 6:12]
 
 
-def accelerations(geometry: Geometry, constants: Array, x: Array, torque: Array) -> Array:
-    """Of the nuts, (n, 6)."""
-    poses, twists = motion(geometry, x)
-    phi, rates, found = np.empty_like(poses), np.empty_like(poses), np.empty_like(poses)
-    numbers = np.array(np.broadcast_to(constants, (len(x), len(constants))), order="C")
-    kernels().forward_dynamics(poses, twists, torque, geometry.legs, numbers, phi, rates, found)
-    return found
-
-
-def derivatives(geometry: Geometry, constants: Array, x: Array, torque: Array) -> tuple[Array, Array, Array]:
-    """Derivatives of the nuts' accelerations over nut angles, rates and motor torques, (n, 6, 6) each."""
-    poses, twists = motion(geometry, x)
-    numbers = np.array(np.broadcast_to(constants, (len(x), len(constants))), order="C")
-    stiffness, damping, gain = np.empty((3, len(x), 6, 6))
-    if not kernels().linearisations(poses, twists, torque, geometry.legs, numbers, stiffness, damping, gain):
-        raise NoTrustworthyNumber(NAME, "singular pose along the motion: no linear model in nut coordinates")
-    return stiffness, damping, gain
-
-
 _NUMBERS = range(1, 7)
 # A trim's residual beyond this share of what gravity alone would do is more than rounding.
 ROUNDING = 1e-9
@@ -120,18 +96,7 @@ _SHAPE = (
 
 
 def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: Any) -> StewartPlatform:
-    """Plant with six motor torques [N m] as inputs, or six voltages [V] with the motors attached.
-
-    ``preset``: ``"thesis"``: without the rotors' inertia, as the thesis has it. ``"physical"``: with it. ``motors``:
-    true: 18 states, voltages as inputs. False: 12 states, motor torques as inputs. ``given``: parameters, each as a
-    value or ``(value, relative tolerance)``.
-
-    Examples
-    --------
-    >>> machine = stewart_platform(platform_mass=3.3)
-    >>> len(machine.states), machine.inputs[0]
-    (12, Signal(name='torque_1', unit='N m'))
-    """
+    """Plant with six motor torques [N m] as inputs, or six voltages [V] with the motors attached."""
     parameters = overridden(machine_parameters(preset, motors), given, "stewart-platform")
     angles = tuple(Signal(f"phi_{i}", "rad") for i in _NUMBERS)
     rates = tuple(Signal(f"phidot_{i}", "rad/s") for i in _NUMBERS)
@@ -143,7 +108,7 @@ def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: A
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StewartPlatform(NonlinearPlant):
+class StewartPlatform(PlantAlong):
     """A Stewart platform; made by `stewart_platform`."""
 
     # preset, motors: as given
@@ -161,29 +126,13 @@ class StewartPlatform(NonlinearPlant):
         self.constants.setflags(write=False)
 
     def with_parameters(self, **given: Any) -> StewartPlatform:
-        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
         parameters = overridden(self.parameters.values(), given, self.name)
         return StewartPlatform(self.name, parameters, self.inputs, self.outputs, self.states, self.preset, self.motors)
-
-    @cached_property
-    def _numbers(self) -> Array:
-        return np.array(self.constants[None])  # writable, as the kernels ask for
 
     # --- poses -------------------------------------------------------------------------------------------------------
 
     def poses(self, phi: ArrayLike, start: ArrayLike | None = None) -> Array:
-        """Poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`.
-
-        Parameters
-        ----------
-        start
-            Pose to start from, home where left out.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            Nut angles that no pose could be proved to have, by row.
-        """
+        """Poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`."""
         angles, one = poses_array(phi, "phi")
         lengths = self.geometry.home_lengths + angles / self.geometry.turns
         if (lengths <= 0).any():
@@ -197,73 +146,12 @@ class StewartPlatform(NonlinearPlant):
             )
         return found.poses[0] if one else found.poses
 
-    def _motion(self, x: Array) -> tuple[Array, Array]:
-        """Pose and twist (1, 6) of a state."""
-        g, code = self.geometry, kernels()
-        pose, facts = np.empty((1, 6)), np.empty((1, 4))
-        lengths = (g.home_lengths + x[:6] / g.turns)[None]
-        code.direct_poses(lengths, np.array(g.home[None]), g.legs, g.c, LIMIT, pose, facts)
-        if not (facts[0, 0] >= 0 and facts[0, 1] <= 0.5):
-            raise NoTrustworthyNumber(self.name, f"no pose has the nut angles {x[:6].round(3).tolist()}")
-        if not x[6:12].any():
-            return pose, np.zeros((1, 6))
-        matrix = np.empty((1, 6, 6))
-        code.jacobians(pose, g.legs, g.c, lengths, matrix)
-        return pose, np.linalg.solve(g.turns * matrix[0], x[6:12])[None]
-
-    def _torque(self, x: Array, u: Array) -> Array:
-        """Motor torques (6,)."""
-        if not self.motors:
-            return u
-        p = self.values
-        return p["Km"] * x[12:] - p["Kf"] * p["ratio"] * x[6:12]
-
     # --- the contract of a plant -------------------------------------------------------------------------------------
 
-    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, force = self.point(x, u)
-        return self._rates(state, force, *self._motion(state))
-
-    def _rates(self, state: Array, force: Array, pose: Array, twist: Array) -> Array:
-        torque = np.array(self._torque(state, force)[None])
-        phi, rates, accelerations = np.empty((1, 6)), np.empty((1, 6)), np.empty((1, 6))
-        kernels().forward_dynamics(pose, twist, torque, self.geometry.legs, self._numbers, phi, rates, accelerations)
-        if not self.motors:
-            return np.concatenate([state[6:12], accelerations[0]])
-        p = self.values
-        current = (force - p["R"] * state[12:] - p["Kb"] * p["ratio"] * state[6:12]) / p["L"]
-        return np.concatenate([state[6:12], accelerations[0], current])
-
-    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, _ = self.point(x, u)
-        return state[:12].copy()
-
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
-        """Nut angles and rates (n, 12) along a trajectory."""
         return x[:, :12]
 
-    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        state, force = self.point(x, u)
-        return self._jacobians(state, force, *self._motion(state))
-
-    def jacobians_at(self, trim: Trim) -> tuple[Array, Array, Array, Array]:
-        """A, B, C, D at a trim of this plant, whose pose is known."""
-        if trim.pose is None:
-            return self.jacobians(trim.x, trim.u)
-        return self._jacobians(*self.point(trim.x, trim.u), np.array(trim.pose[None]), np.zeros((1, 6)))
-
-    def _jacobians(self, state: Array, force: Array, pose: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
-        torque = np.array(self._torque(state, force)[None])
-        stiffness, damping, gain = np.empty((1, 6, 6)), np.empty((1, 6, 6)), np.empty((1, 6, 6))
-        if not kernels().linearisations(
-            pose, twist, torque, self.geometry.legs, self._numbers, stiffness, damping, gain
-        ):
-            raise NoTrustworthyNumber(self.name, "singular pose: no linear model in nut coordinates")
-        a, b = _assembled(stiffness, damping, gain, self._numbers, self.motors)
-        return a[0], b[0], np.eye(12, len(self.states)), np.zeros((12, 6))
-
     def check_reach(self, t: Array, x: Array) -> None:
-        """The actuators must be within their range."""
         lengths = self.geometry.home_lengths + x[:, :6] / self.geometry.turns
         low, high = self.geometry.limits
         beyond = ((lengths < low - SLACK) | (lengths > high + SLACK)).any(axis=1)
@@ -286,24 +174,46 @@ class StewartPlatform(NonlinearPlant):
         return places(self.motors)
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
-        """The plant about points x (n, 12 or 18), u (n, 6), at the parameter values."""
         shape, numbers, p = self._at(values)
-        torque = torques(p, x, u)
-        parts = derivatives(shape, numbers, x, torque)
-        a, b = _assembled(*parts, np.broadcast_to(numbers, (len(x), len(numbers))), self.motors)
+        return self._local(motion(shape, x), shape, numbers, p, x, u)
+
+    def jacobians_at(self, trim: Trim) -> tuple[Array, Array, Array, Array]:
+        if trim.pose is None:
+            return self.jacobians(trim.x, trim.u)
+        x, u = self.point(trim.x, trim.u)
+        at = np.array(trim.pose[None]), np.zeros((1, 6))
+        local = self._local(at, *self._at(None), x[None], u[None])
+        return local.A[0], local.B[0], local.C[0], local.D[0]
+
+    def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
+        shape, numbers, p = self._at(values)
+        return self._rates(motion(shape, x), shape, numbers, p, x, u)
+
+    def _local(
+        self, at: tuple[Array, Array], shape: Geometry, numbers: Array, p: Mapping[str, float], x: Array, u: Array
+    ) -> LocalModels:
+        """The local models with the poses and twists known."""
         n, size = len(x), len(self.states)
+        every = np.array(np.broadcast_to(numbers, (n, len(numbers))), order="C")
+        stiffness, damping, gain = np.empty((3, n, 6, 6))
+        if not kernels().linearisations(*at, torques(p, x, u), shape.legs, every, stiffness, damping, gain):
+            raise NoTrustworthyNumber(self.name, "singular pose: no linear model in nut coordinates")
+        a, b = _assembled(stiffness, damping, gain, every, self.motors)
         push = np.zeros((n, size, len(self.port_places)))
-        push[:, 6:12, :6] = parts[2] / p["ratio"]
+        push[:, 6:12, :6] = gain / p["ratio"]
         if self.motors:
             push[:, 12:, 6:] = np.eye(6) / p["L"]
         c = np.broadcast_to(np.eye(12, size), (n, 12, size))
-        d = np.zeros((n, 12, 6))
-        return LocalModels(self.rates_along(x, u, values), self.outputs_along(x, u), a, b, c, d, push)
+        rates = self._rates(at, shape, numbers, p, x, u)
+        return LocalModels(rates, self.outputs_along(x, u), a, b, c, np.zeros((n, 12, 6)), push)
 
-    def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
-        """Rates (n, 12 or 18) of the states."""
-        shape, numbers, p = self._at(values)
-        found = accelerations(shape, numbers, x, torques(p, x, u))
+    def _rates(
+        self, at: tuple[Array, Array], shape: Geometry, numbers: Array, p: Mapping[str, float], x: Array, u: Array
+    ) -> Array:
+        """The rates with the poses and twists known."""
+        phi, rates, found = np.empty((3, len(x), 6))
+        every = np.array(np.broadcast_to(numbers, (len(x), len(numbers))), order="C")
+        kernels().forward_dynamics(*at, torques(p, x, u), shape.legs, every, phi, rates, found)
         if not self.motors:
             return np.hstack([x[:, 6:12], found])
         current = (u - p["R"] * x[:, 12:] - p["Kb"] * p["ratio"] * x[:, 6:12]) / p["L"]
@@ -318,15 +228,6 @@ class StewartPlatform(NonlinearPlant):
         return self.geometry if same else geometry(values), constants(values), values
 
     def equilibrium(self, pose: ArrayLike | None = None, phi: ArrayLike | None = None, **unknown: Any) -> Trim:
-        """Rest at a pose (tx, ty, tz, ax, ay, az), or at nut angles phi (6,); at home where neither is given.
-
-        Raises
-        ------
-        InputError
-            Both given, a pose out of the workspace, NaN.
-        NoTrustworthyNumber
-            A singular pose, nut angles that no pose has.
-        """
         if unknown:
             raise InputError(f"{self.name}: trim", f"{next(iter(unknown))!r}", "pose or phi")
         if pose is not None and phi is not None:
@@ -334,14 +235,15 @@ class StewartPlatform(NonlinearPlant):
         if phi is not None:
             pose = self.poses(real_array("phi", phi, 1, self.name))
         at = check_pose(self.geometry, self.geometry.home if pose is None else pose, self.name)
-        angles, torques = np.empty((1, 6)), np.empty((1, 6))
-        if not kernels().trim_torques(at[None], self.geometry.legs, self._numbers, angles, torques):
+        angles, held = np.empty((1, 6)), np.empty((1, 6))
+        if not kernels().trim_torques(at[None], self.geometry.legs, np.array(self.constants[None]), angles, held):
             raise NoTrustworthyNumber(self.name, "singular pose: the actuators cannot hold the platform there")
-        x, u = np.concatenate([angles[0], np.zeros(6)]), torques[0]
+        x, u = np.concatenate([angles[0], np.zeros(6)]), held[0]
         if self.motors:
             p = self.values
             x, u = np.concatenate([x, u / p["Km"]]), p["R"] * u / p["Km"]
-        residual = float(np.abs(self._rates(x, u, at[None], np.zeros((1, 6)))).max())
+        rest = at[None], np.zeros((1, 6))
+        residual = float(np.abs(self._rates(rest, *self._at(None), x[None], u[None])).max())
         # free fall accelerates a nut by about turns * gravity
         still = residual <= ROUNDING * max(self.geometry.turns * abs(self.values["gravity"]), 1.0)
         status = Status.CONVERGED if still else Status.INACCURATE
@@ -350,15 +252,6 @@ class StewartPlatform(NonlinearPlant):
     def trimmed_descriptor(
         self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
     ) -> TrimmedDescriptor:
-        r"""The platform at a pose as a function of its parameters.
-
-        .. math:: M(p)\,\ddot\varphi = K(p)\,\varphi + k\,\tau, \qquad
-            \tau = K_m i - K_f k \dot\varphi, \qquad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
-
-        The pose is held; the holding torques, which shape K, follow. M and K are affine in masses and inertias, and
-        polynomials of the places of the centres of gravity. Whether the inertias are those of a rigid body is not
-        asked: a box of tolerances has corners at which they are not.
-        """
         if hold is not None:
             raise InputError(f"{self.name}: hold", f"{', '.join(hold)}", "None: the pose is held")
         pose = self.poses(trim.x[:6]) if trim.pose is None else trim.pose
@@ -373,27 +266,51 @@ class StewartPlatform(NonlinearPlant):
         return TrimmedDescriptor(matrices, f"the pose is held, the {follow} follow")
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
-        """States (n, 12) or (n, 18) at the times of the signal; compiled.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            An actuator reaches the end of its range, or the integrator gives up; the message names the time.
-        """
-        pose, twist = self._motion(x0)
+        pose, twist = motion(self.geometry, x0[None])
         start = np.concatenate([pose[0], twist[0], x0[12:]])
         states, z = np.empty((len(signal.t), len(x0))), np.empty((len(signal.t), len(x0)))
         code = motion_kernels()
         low, high = self.geometry.limits
         inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken)
-        machine = code.Machine(self.geometry.legs, self._numbers[0], self.motors, low - SLACK, high + SLACK)
+        machine = code.machine(self.geometry.legs, np.array(self.constants), self.motors, low - SLACK, high + SLACK)
         outcome, time, _ = code.integrate(start, inputs, machine, rtol, z, states)
-        if outcome == code.LEFT_WORKSPACE:
+        if outcome == code.LEFT:
             raise self._beyond(time)
         if outcome != code.DONE:
             words = "the step became too small" if outcome == code.NOT_FINITE else "too many steps"
             raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}")
         return states
+
+
+def _equations(legs: Array, numbers: Array, pose: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
+    """Mass matrix, forces, nut Jacobian and bias in the platform's twist."""
+    mass, force, jacobian, bias = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
+    kernels().equations(pose, twist, legs, np.array(numbers), mass, force, jacobian, bias, np.empty(6))
+    return mass, force, jacobian, bias
+
+
+def _nut_to_twist(plant: StewartPlatform, pose: Array) -> Array:
+    """J^-1 of ``V = J^-1 dphi/dt``, (6, 6)."""
+    smallest, largest = singularity(plant.geometry, pose)
+    if not smallest > SINGULAR * largest:
+        raise NoTrustworthyNumber(plant.name, f"singular pose: smallest singular value {smallest:.3g}")
+    return np.linalg.inv(_equations(plant.geometry.legs, plant.constants, pose, np.zeros(6))[2])
+
+
+def mass_matrix(plant: StewartPlatform, pose: ArrayLike) -> Array:
+    """M in kg m2 at the nuts, shape (6, 6)."""
+    array = real_array_of_one(pose, plant.name)
+    inverse = _nut_to_twist(plant, array)
+    mass = _equations(plant.geometry.legs, plant.constants, array, np.zeros(6))[0]
+    return np.asarray(inverse.T @ mass @ inverse, dtype=np.float64)
+
+
+def bias_torque(plant: StewartPlatform, pose: ArrayLike, phidot: ArrayLike) -> Array:
+    """Torques b in N m at the nuts: gravity and velocity terms at the nut rates phidot (6,)."""
+    array, rates = real_array_of_one(pose, plant.name), real_array("phidot", phidot, 1, plant.name)
+    inverse = _nut_to_twist(plant, array)
+    mass, force, _, bias = _equations(plant.geometry.legs, plant.constants, array, inverse @ rates)
+    return inverse.T @ (force - mass @ (inverse @ bias))
 
 
 def _mass_and_stiffness(pose: Array, shape: Geometry, numbers: Array, where: str) -> tuple[Array, Array]:
@@ -407,9 +324,7 @@ def _mass_and_stiffness(pose: Array, shape: Geometry, numbers: Array, where: str
         and code.linearisations(at, twist, torque, legs, numbers[None], slopes, damping, gain)
     ):
         raise NoTrustworthyNumber(where, "singular pose: no linear model in nut coordinates")
-    mass, jacobian = np.empty((6, 6)), np.empty((6, 6))
-    force, bias = np.empty(6), np.empty(6)
-    code.equations(at[0], twist[0], legs, numbers, mass, force, jacobian, bias, phi[0])
+    mass, _, jacobian, _ = _equations(legs, numbers, at[0], twist[0])
     inverse = np.linalg.inv(jacobian)
     nuts = inverse.T @ mass @ inverse
     return nuts, nuts @ slopes[0]
@@ -429,54 +344,6 @@ def _descriptor(mass: Array, stiffness: Array, p: Mapping[str, float], motors: b
         g[6:12] = k * one
     made[n:, :12] = np.eye(12)
     return made
-
-
-# --- many linear models at once --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class LinearModels(AllFields):
-    """Linear models at n trimmed poses of n machines: A (n, n_x, n_x), B (n, n_x, 6), trims x (n, n_x), u (n, 6)."""
-
-    A: Array
-    B: Array
-    x: Array
-    u: Array
-
-
-def linear_models(
-    plant: StewartPlatform, poses: ArrayLike, parameters: Mapping[str, ArrayLike] | None = None
-) -> LinearModels:
-    """Linear models at the poses (n, 6), each at its own values of the named parameters (n,).
-
-    What `robustlab.dynamics.linearise` does for one pose of one machine, for many in one compiled call. The poses are
-    not checked against the workspace.
-    """
-    array, _ = poses_array(poses)
-    n, values = len(array), dict[str, Any](plant.values)
-    for name, given in (parameters or {}).items():
-        if name not in values or name in _SHAPE:
-            found = "it shapes the legs" if name in _SHAPE else "no such parameter"
-            raise InputError(f"linear_models: {name}", found, "a mass, inertia, place or motor parameter")
-        values[name] = real_array(name, given, 1, "linear_models")
-        if len(values[name]) != n:
-            raise InputError(f"linear_models: {name}", f"{len(values[name])} values", f"{n}, one for each pose")
-        plant.with_parameters(**{name: float(values[name].min())})  # signs and inertias, at the smallest value
-    numbers = np.array(np.broadcast_to(constants(values), (n, len(plant.constants))), order="C")
-    legs, code = plant.geometry.legs, kernels()
-    phi, torque = np.empty((n, 6)), np.empty((n, 6))
-    stiffness, damping, gain = np.empty((n, 6, 6)), np.empty((n, 6, 6)), np.empty((n, 6, 6))
-    if not (
-        code.trim_torques(array, legs, numbers, phi, torque)
-        and code.linearisations(array, np.zeros((n, 6)), torque, legs, numbers, stiffness, damping, gain)
-    ):
-        raise NoTrustworthyNumber("linear_models", "singular pose among those given")
-    a, b = _assembled(stiffness, damping, gain, numbers, plant.motors)
-    x, u = np.hstack([phi, np.zeros((n, 6))]), torque
-    if plant.motors:
-        km, r = np.broadcast_to(values["Km"], n)[:, None], np.broadcast_to(values["R"], n)[:, None]
-        x, u = np.hstack([x, torque / km]), r * torque / km
-    return LinearModels(a, b, x, u)
 
 
 def _assembled(stiffness: Array, damping: Array, gain: Array, numbers: Array, motors: bool) -> tuple[Array, Array]:

@@ -5,7 +5,6 @@ r"""Equations of a plant of one's own, written with CasADi.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from typing import Any, get_args
 
@@ -508,7 +507,6 @@ def _listed(names: Any) -> str:
     return ", ".join(repr(n) for n in names) or "none"
 
 
-@functools.cache
 def _casadi(where: str) -> Any:
     try:
         import casadi

@@ -1,13 +1,6 @@
 r"""Nonlinear plants whose equations are tapes: what `robustlab.dynamics.symbolic.equations.PlantEquations` makes.
 
 .. math:: \dot x = f(x, u, p), \qquad y = h(x, u, p)
-
-Points at which a nonlinear plant stays, with some of its states, inputs and outputs held,
-
-.. math:: f(x, u) = 0, \qquad x_i = \bar x_i, \quad u_j = \bar u_j, \quad h_k(x, u) = \bar y_k
-
-are found by Newton's method with the exact Jacobian, in steps of least length, each shortened until the residual falls;
-where the plant rests at many points, then along them to the one nearest to the start.
 """
 
 from __future__ import annotations
@@ -17,11 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, Indices, Mask
 from robustlab.dynamics.parameters import overridden
-from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PortPlace, Trim
+from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.symbolic.tape import Tape, tape_kernels
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
 from robustlab.result import Status
@@ -40,14 +32,8 @@ class Equations:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SymbolicPlant(NonlinearPlant):
-    """A plant of one's own; made by `robustlab.dynamics.symbolic.equations.PlantEquations`.
-
-    Raises
-    ------
-    InputError
-        Tapes of other sizes than the signals and parameters.
-    """
+class SymbolicPlant(PlantAlong):
+    """A plant of one's own; made by `robustlab.dynamics.symbolic.equations.PlantEquations`."""
 
     equations: Equations  # its tapes
 
@@ -72,49 +58,19 @@ class SymbolicPlant(NonlinearPlant):
         return self.equations.places
 
     def with_parameters(self, **given: Any) -> SymbolicPlant:
-        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
         made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
         made.traced(self.provenance)
         return made
 
     # --- the contract of a plant -------------------------------------------------------------------------------------
 
-    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, force = self.point(x, u)
-        return self._evaluated(self.equations.rates, state[None], force[None])[0]
-
-    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        state, force = self.point(x, u)
-        return self.outputs_along(state[None], force[None])[0]
-
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
-        """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u), at the parameter values of `local_models`."""
         return self._evaluated(self.equations.outputs, x, u, values, first=len(self.states))
 
     def rates_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
-        """Rates (n, n_x) along a trajectory, at the parameter values of `local_models`."""
         return self._evaluated(self.equations.rates, x, u, values)
 
-    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        state, force = self.point(x, u)
-        local = self.local_models(state[None], force[None])
-        return local.A[0], local.B[0], local.C[0], local.D[0]
-
     def local_models(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> LocalModels:
-        """The plant about the points x (n, n_x), u (n, n_u).
-
-        Parameters
-        ----------
-        values
-            Parameter -> value, or values (n,), one for each point; the plant's own where left out.
-
-        Raises
-        ------
-        InputError
-            An unknown parameter, or arrays of other shapes.
-        NoTrustworthyNumber
-            A point at which an equation or a slope of one has no finite value; the message names both.
-        """
         n, n_x, n_u, n_y, n_p = (len(x), *map(len, (self.states, self.inputs, self.outputs, self.equations.places)))
         found = self._evaluated(self.equations.models, x, u, values)
         shapes = ((n_x,), (n_y,), (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u), (n_x, n_p))
@@ -123,44 +79,14 @@ class SymbolicPlant(NonlinearPlant):
         return LocalModels(*(part.reshape(n, *shape) for part, shape in zip(parts, shapes, strict=True)))
 
     def equilibrium(self, **where: Any) -> Trim:
-        """State and input at which the plant stays, with the given states, inputs and outputs held by name.
-
-        What is left open is found by Newton's method from zero, or from the state and input in ``start=(x, u)``; of
-        many points at which the plant may rest, the one nearest to there (each number in its own unit). A name that a
-        state or input has holds that, not an output of the same name.
-
-        Raises
-        ------
-        InputError
-            A name that is no state, input or output, with the closest one; no number.
-        NoTrustworthyNumber
-            No rest was found there; the message names the equation that is farthest from it.
-
-        Examples
-        --------
-        >>> from robustlab.dynamics.symbolic.equations import PlantEquations
-        >>> p = PlantEquations("pendulum")
-        >>> torque, (a, w) = p.input("torque", "N m"), p.joint("a", "w", "rad")
-        >>> p.motion(0.5, torque - 2.0 * p.parameter("k", 3.0) * a)
-        >>> p.output("a", a, "rad")
-        >>> p.plant().equilibrium(a=0.1).u.round(12)
-        array([0.6])
-        """
         return rest(self, where)
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
-        """States (n, n_x) at the times of the signal, by DOP853 with the local error held at ``rtol``; compiled.
-
-        Raises
-        ------
-        NoTrustworthyNumber
-            An equation has no finite value on the way, or the integrator gives up; the message names the time.
-        """
         code = tape_kernels()
         states = np.empty((len(signal.t), len(x0)))
         inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), np.array(signal.broken))
         values = np.array(list(self.values.values()), dtype=np.float64)
-        outcome, time, _, culprit = code.integrate(
+        outcome, time, culprit = code.integrate(
             self.equations.rates.code, np.array(x0, dtype=np.float64), values, inputs, float(rtol), states
         )
         if outcome == code.DONE:
@@ -224,13 +150,7 @@ def _with_values(plant: SymbolicPlant, given: Mapping[str, Any] | None, n: int) 
 def labels(
     states: Sequence[Signal], inputs: Sequence[Signal], outputs: Sequence[Signal], places: Sequence[PortPlace]
 ) -> list[str]:
-    """One text for each output of the tape of f, h, A, B, C, D and push, row by row.
-
-    Examples
-    --------
-    >>> labels([Signal("x")], [], [Signal("y")], [])
-    ['the rate of x', 'output y', 'the slope of the rate of x by x', 'the slope of output y by x']
-    """
+    """One text for each output of the tape of f, h, A, B, C, D and push, row by row."""
     rates = [f"the rate of {s.name}" for s in states]
     outs = [f"output {s.name}" for s in outputs]
 

@@ -1,8 +1,4 @@
-"""Tapes: functions of real numbers as a list of elementary operations, which a file can hold and a kernel evaluates.
-
-A tape fills a row of numbers: its inputs, its constants, then one result after the other, each of an operation on two
-entries before it. It is data: evaluating one runs no code that came with it.
-"""
+"""Tapes: functions of real numbers as a list of elementary operations, which a file can hold and a kernel evaluates."""
 
 from __future__ import annotations
 
@@ -36,17 +32,7 @@ Source = tuple[str, int]  # "input", "constant" or "result", and its number
 
 @dataclass(frozen=True, eq=False)
 class Tape:
-    """A function from n_in numbers to n_out numbers.
-
-    Examples
-    --------
-    ``y = 2 x0 + x1``:
-
-    >>> tape = Tape(2, np.array([2, 0]), np.array([0, 3]), np.array([2, 1]), np.array([2.0]), np.array([4]))
-    >>> tape(np.array([[1.0, 10.0], [3.0, 0.0]]))
-    array([[12.],
-           [ 6.]])
-    """
+    """A function from n_in numbers to n_out numbers."""
 
     n_in: int  # number of inputs
     # operations, left, right: of each operation its number in `OPERATIONS` and the places of its two arguments (of one
@@ -136,11 +122,7 @@ def _codes() -> dict[int, int]:
 
 
 def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable[[int], str] = str) -> Tape:
-    """The tape of CasADi expressions.
-
-    ``inputs``: column of SX symbols. ``outputs``: column of SX expressions in these symbols and no others. ``n_still``:
-    as of `Tape`. ``where``: what messages call the plant. ``label``: number of an output -> what it is, for messages.
-    """
+    """The tape of CasADi expressions."""
     import casadi as ca
 
     function = ca.Function("f", [inputs], [ca.densify(outputs)])
@@ -188,10 +170,7 @@ def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable
 
 
 def _grouped(steps: list[tuple[int, Source, Source]], n_moving: int) -> list[int]:
-    """The operations in an order in which those come first that no moving input enters, and equal ones in long runs.
-
-    Of what can be done next always the kind of which there is the most.
-    """
+    """The operations in an order in which those come first that no moving input enters, and equal ones in long runs."""
     waits, users = [0] * len(steps), [list[int]() for _ in steps]
     moving = [False] * len(steps)
     for k, (_, *arguments) in enumerate(steps):

@@ -1,10 +1,6 @@
 # pyright: reportMissingParameterType=false
 # (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
-"""Compiled evaluation and simulation of tapes: one kernel for all plants, nothing is compiled for any of them.
-
-A tape fills one row w of numbers: inputs, then constants, then the result of one operation after the other, each on two
-entries before its own. Interpreting costs one jump for each operation, some 2 ns.
-"""
+"""Compiled evaluation and simulation of tapes: one kernel for all plants, nothing is compiled for any of them."""
 
 from __future__ import annotations
 
@@ -14,36 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from robustlab.dynamics.integrator.steps import (
-    MAX_STEPS,
-    C,
-    Inputs,
-    dense,
-    entry,
-    error_of,
-    first_step,
-    input_between,
-    input_within,
-    leaf,
-    next_step,
-    piece_end,
-    polynomial,
-    shorter,
-    stage_point,
-    step_end,
-)
+from robustlab.dynamics.integrator.steps import DONE, NOT_FINITE, Inputs, answers, entry, integrated, leaf  # noqa: F401
 
-DONE, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2
 # The local error of a state is held at rtol times the larger of this and its size, in the state's unit.
 LEAST_SCALE = 1e-2
 
 
 class Code(NamedTuple):
-    """A tape: operations, their arguments (n,), constants (n_c,), and where the outputs stand (n_out,).
-
-    Of the inputs the first ``moving`` change from one evaluation to the next, the others seldom; on these alone are the
-    first ``still`` operations.
-    """
+    """A tape: operations, their arguments (n,), constants (n_c,), and where the outputs stand (n_out,)."""
 
     operations: Any
     left: Any
@@ -146,10 +120,7 @@ def _operate(op, a, b):
 
 @leaf
 def _run(code, start, stop, first, w):
-    """Operations start .. stop - 1 on the row w, in which ``first`` is the place of the first result of all.
-
-    Equal ones stand in runs: one jump for a run, and loops of their own for what there is most of.
-    """
+    """Operations start .. stop - 1 on the row w, in which ``first`` is the place of the first result of all."""
     operations, left, right = code.operations, code.left, code.right
     k = start
     while k < stop:
@@ -203,105 +174,47 @@ def evaluate(code, points, results):
             results[p, j] = w[code.outputs[j]]
 
 
-@leaf
-def _rates(code, first, w, x, u, dx):
-    n = x.shape[0]
+class Plant(NamedTuple):
+    """A tape of rates, the place of its first result, and its row of values."""
+
+    code: Any
+    first: Any
+    w: Any
+
+
+def _rates(z, u, machine, dz):
+    code, first, w = machine
+    n = z.shape[0]
     for i in range(n):
-        w[i] = x[i]
+        w[i] = z[i]
     for i in range(u.shape[0]):
         w[n + i] = u[i]
     _run(code, code.still, code.operations.shape[0], first, w)
     for i in range(n):
-        dx[i] = w[code.outputs[i]]
+        dz[i] = w[code.outputs[i]]
 
 
-@leaf
-def _culprit(stages, found):
-    """The first state whose rate is not finite in one of the 13 stages; ``found`` where all are."""
-    for s in range(13):
-        for i in range(stages.shape[1]):
-            if not np.isfinite(stages[s, i]):
-                return i
-    return found
+def _observe(z, machine, x):
+    return True
 
 
-@entry(
-    types.Tuple((types.int64, types.float64, types.int64, types.int64))(
-        _CODE, _VECTOR, _VECTOR, _INPUTS, types.float64, _MATRIX
-    )
-)
+def _scaled(rtol, z, end, machine, first, scale):
+    for i in range(z.shape[0]):
+        scale[i] = rtol * max(LEAST_SCALE, abs(z[i]), abs(end[i]))
+
+
+answers(Plant, _rates, _observe, _scaled)
+
+_OUTCOME = types.Tuple((types.int64, types.float64, types.int64))
+
+
+@entry(_OUTCOME(_CODE, _VECTOR, _VECTOR, _INPUTS, types.float64, _MATRIX))
 def integrate(code, start, values, inputs, rtol, x_at):
-    """States (n, n_x) at the times of the inputs (n,) under the tape of (x, u, values) -> rates.
-
-    Returns (outcome, time reached, evaluations, state whose rate is not finite or -1). The integrator restarts where
-    the inputs break.
-    """
-    clock, polynomials, broken = inputs
-    n, n_u, last = start.shape[0], polynomials.shape[2], clock.shape[0] - 1
+    """States (n, n_x) at the times of the inputs (n,) under the tape of (x, u, values) -> rates."""
+    n, n_u = start.shape[0], inputs.polynomials.shape[2]
     n_in = n + n_u + values.shape[0]
     w, first = _row(code, n_in), n_in + code.constants.shape[0]
     for i in range(values.shape[0]):
         w[n + n_u + i] = values[i]
     _run(code, 0, code.still, first, w)
-    stages, at, end, scale, u = np.zeros((16, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(n_u)
-    z, f = start.copy(), np.empty((7, n))
-    t, sample, evaluations, h, culprit = clock[0], 1, 0, 0.0, -1
-    x_at[0] = z
-    piece = 0
-    while piece < last:
-        following = piece_end(piece, last, broken)
-        stop = clock[following]
-        span = (piece, following)
-        input_within(t, piece, inputs, u)
-        _rates(code, first, w, z, u, stages[0])
-        evaluations += 1
-        if h == 0.0:
-            for i in range(n):
-                scale[i] = rtol * max(LEAST_SCALE, abs(z[i]))
-            h = first_step(z, stages[0], scale)
-        while t < stop:
-            if evaluations > 12 * MAX_STEPS:
-                return TOO_MANY_STEPS, t, evaluations, culprit
-            step, ends = h, False
-            if t + 1.001 * step >= stop:
-                step, ends = stop - t, True
-            k = piece
-            for s in range(1, 12):
-                stage_point(s, z, step, stages, at)
-                k = input_between(t + C[s] * step, span, k, inputs, u)
-                _rates(code, first, w, at, u, stages[s])
-            step_end(z, step, stages, end)
-            k = input_between(t + step, span, k, inputs, u)
-            _rates(code, first, w, end, u, stages[12])
-            evaluations += 12
-            for i in range(n):
-                scale[i] = rtol * max(LEAST_SCALE, abs(z[i]), abs(end[i]))
-            error = error_of(step, stages, scale)
-            if not error < 1.0:
-                if not np.isfinite(error):
-                    culprit = _culprit(stages, culprit)
-                h = shorter(step, error)
-                if h < 1e-14 * max(1.0, abs(t)):
-                    return NOT_FINITE, t, evaluations, culprit
-                continue
-            t_end = stop if ends else t + step
-            if sample <= last and clock[sample] < t_end:
-                k = piece
-                for s in range(13, 16):
-                    stage_point(s, z, step, stages, at)
-                    k = input_between(t + C[s] * step, span, k, inputs, u)
-                    _rates(code, first, w, at, u, stages[s])
-                evaluations += 3
-                polynomial(z, end, step, stages, f)
-                while sample <= last and clock[sample] < t_end:
-                    dense(z, f, (clock[sample] - t) / step, x_at[sample])
-                    sample += 1
-            if sample <= last and clock[sample] == t_end:
-                x_at[sample] = end
-                sample += 1
-            for i in range(n):
-                z[i], stages[0, i] = end[i], stages[12, i]
-            t = t_end
-            h = next_step(h, step, error, ends)
-        piece = following
-    return DONE, t, evaluations, culprit
+    return integrated(start, inputs, Plant(code, first, w), rtol, x_at, x_at)

@@ -124,7 +124,7 @@ class CascadeStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics.control.controlled_plant import actuator_cascade
-        from robustlab.dynamics.control.controllers import two_layer
+        from robustlab.dynamics.control.platform import two_layer
         from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 
         plant = work.values[self.of]

@@ -121,7 +121,7 @@ class MultichannelPID(Structure):
 
     ``layout="two-layer"``: the I-PD gives reference torques, and below it one torque loop per axis gives the controls;
     measurements r, phi, phidot, torque: :math:`u = \sigma - k_d m,\ \dot\sigma = k_i \xi - k_p m,\ \dot\xi = m_{ref} -
-    m`. Exactly `robustlab.dynamics.control.controllers.two_layer`; continuous time.
+    m`. Exactly `robustlab.dynamics.control.platform.two_layer`; continuous time.
 
     Attributes
     ----------

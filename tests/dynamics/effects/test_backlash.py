@@ -9,10 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.effects.spring_effects import DAMPING
-from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics import DAMPING, Simulator, Site, Windows, effect
 
 BACKLASH = (effect("backlash"), Site("joint", "v"))
 INERTIA = 3e-3

@@ -9,11 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.effects.spring_effects import DAMPING
-from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.ports.carried_load import shares_behind
+from robustlab.dynamics import DAMPING, Simulator, Site, Windows, effect, shares_behind
 from tests.plant_files import maker
 
 ROTOR, LOAD, WEIGHT, DRAG = 6e-4, 3e-5, 0.012, 4e-3  # kg m2, kg m2, N m, N m s/rad

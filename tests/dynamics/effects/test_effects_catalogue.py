@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue, effect
-from robustlab.dynamics.effects.contract import Footprint, Scales
-from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import Footprint, Scales, Simulator, Windows, catalogue, effect, port_model
 from robustlab.errors import InputError
 
 IDS = list(catalogue())

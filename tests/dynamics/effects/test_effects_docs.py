@@ -11,9 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics.effects import catalogue as catalogue_module
-from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Effect, Scales
+from robustlab.dynamics import Effect, Scales, catalogue
 
 TEXT = (Path(__file__).parents[3] / "docs" / "effects.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
@@ -23,7 +21,7 @@ WAYS = ("factors", "extend", "laws", "input", "output")
 @pytest.fixture
 def names(monkeypatch, tmp_path):
     """What the code of the page leaves behind, run from top to bottom with its file in a folder of the user's."""
-    monkeypatch.setattr(catalogue_module, "_ADDED", {})
+    monkeypatch.setattr("robustlab.dynamics.effects.catalogue._ADDED", {})
     monkeypatch.syspath_prepend(tmp_path)
     found = {}
     for block in BLOCKS:

@@ -8,11 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.dynamics import Descriptor, LinearPlant, Parameter
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import Descriptor, LinearPlant, Parameter, Simulator, Site, Windows, effect, port_model
 from robustlab.errors import InputError
 from robustlab.statespace import Signal
 

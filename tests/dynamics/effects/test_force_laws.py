@@ -14,19 +14,7 @@ from scipy.integrate import quad
 from scipy.special import ellipk
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.effects.friction_effects import (
-    asymmetric_force,
-    drag_force,
-    dry_force,
-    presliding_force,
-    stribeck_force,
-    uneven_force,
-)
-from robustlab.dynamics.effects.load_effects import cogging_force
-from robustlab.dynamics.effects.spring_effects import cubic_force, stop_force
-from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics import Simulator, Site, Windows, effect
 
 MASS = 2.0
 
@@ -45,7 +33,7 @@ class Step:
         free_q, free_v = q0 + h * v0 + self.gq * drive, v0 + self.gv * drive
         after = np.array([z])
         seen = np.array([q0, v0, free_q, free_v, self.gq, self.gv, h, time])
-        self.f = _ask(law, np.array(p, dtype=float), np.array([z]), after, seen)
+        self.f = _ask(effect(law).force, np.array(p, dtype=float), np.array([z]), after, seen)
         self.q, self.v, self.z = free_q + self.gq * self.f, free_v + self.gv * self.f, after[0]
         self.velocity_rounding = 1e-13 * (abs(v0) + abs(free_v) + self.gv * abs(self.f))
         self.work = self.f * (self.q - q0)
@@ -61,7 +49,7 @@ asked = settings(max_examples=100)
 @asked
 @given(positive, signed, signed, steps)
 def test_dry_friction_lies_in_its_band_and_never_drives(level, v0, drive, h):
-    s = Step(dry_force, [level], v0=v0, drive=drive, h=h)
+    s = Step("coulomb-friction", [level], v0=v0, drive=drive, h=h)
     rounding = 1e-12 * (abs(v0) / s.gv + abs(drive))
     assert abs(s.f) <= level + rounding
     if abs(s.v) > s.velocity_rounding and s.v * v0 >= 0:
@@ -74,7 +62,7 @@ def test_dry_friction_lies_in_its_band_and_never_drives(level, v0, drive, h):
 @asked
 @given(positive, signed, steps)
 def test_a_resting_mass_stays_exactly_at_rest_below_breakaway_and_leaves_above(level, drive, h):
-    s = Step(dry_force, [level], drive=drive, h=h)
+    s = Step("coulomb-friction", [level], drive=drive, h=h)
     if abs(drive) <= level:
         assert s.v == 0.0
     else:
@@ -96,14 +84,14 @@ def test_dry_friction_within_a_step_is_the_exact_motion_under_a_constant_drive(v
             return v + rate * left
         return 0.0 if v == 0.0 else moved(0.0, left + v / rate)
 
-    s = Step(dry_force, [level], v0=v0, drive=drive, h=h)
+    s = Step("coulomb-friction", [level], v0=v0, drive=drive, h=h)
     assert s.v == pytest.approx(moved(v0, h), rel=1e-9, abs=1e-9 * (abs(v0) + s.gv * (abs(drive) + level)))
 
 
 @asked
 @given(positive, positive, positive, signed, signed, steps)
 def test_stribeck_friction_is_its_mean_over_the_way(level, rise, width, v0, drive, h):
-    s = Step(stribeck_force, [level, rise, width], v0=v0, drive=drive, h=h)
+    s = Step("stribeck-friction", [level, rise, width], v0=v0, drive=drive, h=h)
     scale = (level + rise) * (1 + 1e-9) + 1e-9 * (abs(drive) + abs(v0) / s.gv)
     assert abs(s.f) <= scale
     if v0 * s.v > 0 and abs(s.v) > 1e-9 * abs(v0):  # below, it sticks: the rounding of a stop
@@ -126,7 +114,7 @@ def test_stribeck_friction_is_its_mean_over_the_way(level, rise, width, v0, driv
 @given(positive, positive, signed, st.floats(-1, 1), signed, steps)
 def test_presliding_solves_its_own_equation_and_is_passive(level, stiffness, v0, share, drive, h):
     limit = level / stiffness
-    s = Step(presliding_force, [level, stiffness], v0=v0, drive=drive, h=h, z=share * limit)
+    s = Step("presliding", [level, stiffness], v0=v0, drive=drive, h=h, z=share * limit)
     assert abs(s.z) <= limit * (1 + 1e-9)
     assert abs(s.f) <= level * (1 + 1e-9)
     if v0 * s.v >= 0:
@@ -149,7 +137,7 @@ def test_presliding_solves_its_own_equation_and_is_passive(level, stiffness, v0,
 @given(st.floats(-1e3, 1e3), signed, signed, steps)
 def test_asymmetric_viscous_friction(dFv, v0, drive, h):
     assume(abs(dFv) * h / (2 * MASS) < 0.5)
-    s = Step(asymmetric_force, [dFv], v0=v0, drive=drive, h=h)
+    s = Step("asymmetric-viscous-friction", [dFv], v0=v0, drive=drive, h=h)
     if v0 * s.v >= 0:
         speed = abs(0.5 * (v0 + s.v))
     else:
@@ -161,7 +149,7 @@ def test_asymmetric_viscous_friction(dFv, v0, drive, h):
 @asked
 @given(positive, signed, signed, steps)
 def test_quadratic_drag_solves_its_own_equation_and_brakes(c, v0, drive, h):
-    s = Step(drag_force, [c], v0=v0, drive=drive, h=h)
+    s = Step("quadratic-drag", [c], v0=v0, drive=drive, h=h)
     mean = 0.5 * (v0 + s.v)
     rounding = 1e-12 * (abs(v0) + abs(s.v) + s.gv * (abs(drive) + abs(s.f)))
     assert s.f == pytest.approx(-c * mean * abs(mean), rel=1e-9, abs=3 * c * rounding * (abs(mean) + rounding))
@@ -171,7 +159,7 @@ def test_quadratic_drag_solves_its_own_equation_and_brakes(c, v0, drive, h):
 @asked
 @given(st.floats(0, 10), st.floats(-5, 5), st.floats(-5, 5), st.floats(0.01, 1e3), signed, signed, signed, steps)
 def test_position_dependent_friction_has_the_level_of_its_way(Fc, Pc, Ps, k, q0, v0, drive, h):
-    s = Step(uneven_force, [Fc, Pc, Ps, k], q0=q0, v0=v0, drive=drive, h=h)
+    s = Step("position-dependent-friction", [Fc, Pc, Ps, k], q0=q0, v0=v0, drive=drive, h=h)
     assume(v0 * s.v > 0 and abs(s.v) > 1e-6)
     if abs(s.q - q0) * k > 1e-6:
         level = Fc + (Pc * (np.sin(k * s.q) - np.sin(k * q0)) - Ps * (np.cos(k * s.q) - np.cos(k * q0))) / (
@@ -188,7 +176,7 @@ def test_position_dependent_friction_has_the_level_of_its_way(Fc, Pc, Ps, k, q0,
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.01, 1e4), signed, signed, signed, steps)
 @example(1.0, 0.0, 8.0, 0.0, 0.0, 0.0, 0.01)  # a crest in the middle of the way, where the wave's slope is zero
 def test_cogging_does_the_work_of_its_potential(Ac, As, k, q0, v0, drive, h):
-    s = Step(cogging_force, [Ac, As, k], q0=q0, v0=v0, drive=drive, h=h)
+    s = Step("cogging", [Ac, As, k], q0=q0, v0=v0, drive=drive, h=h)
 
     def potential(q):
         return (-Ac * math.sin(k * q) + As * math.cos(k * q)) / k
@@ -204,7 +192,7 @@ def test_cogging_does_the_work_of_its_potential(Ac, As, k, q0, v0, drive, h):
 @example(10.0**7.546875, 183.0, 0.0, 0.0, 0.01)  # thrown back to the other side within the step
 @example(1e9, 69.0, 0.0, 0.0, 0.01)
 def test_a_cubic_spring_does_the_work_of_its_potential_however_stiff(k3, q0, v0, drive, h):
-    s = Step(cubic_force, [k3], q0=q0, v0=v0, drive=drive, h=h)
+    s = Step("cubic-stiffness", [k3], q0=q0, v0=v0, drive=drive, h=h)
     bound = abs(k3 * (abs(q0) + abs(s.q)) ** 3)
     rounding = 1e-12 * (bound * (abs(q0) + h * abs(v0) + s.gq * (abs(drive) + abs(s.f)))) + 1e-12
     assert s.work == pytest.approx(k3 * (q0**4 - s.q**4) / 4, abs=rounding * 10)
@@ -213,7 +201,7 @@ def test_a_cubic_spring_does_the_work_of_its_potential_however_stiff(k3, q0, v0,
 @asked
 @given(st.floats(-3, 9).map(lambda e: 10.0**e), st.floats(0, 1e3), st.floats(-2, 2), signed, signed, steps)
 def test_a_stop_never_pulls_never_creates_energy_and_lets_go(kc, dc, q0, v0, drive, h):
-    s = Step(stop_force, [-1.0, 1.0, kc, dc], q0=q0, v0=v0, drive=drive, h=h)
+    s = Step("end-stop", [-1.0, 1.0, kc, dc], q0=q0, v0=v0, drive=drive, h=h)
 
     def stored(q):
         return 0.5 * kc * max(abs(q) - 1.0, 0.0) ** 2
@@ -286,7 +274,7 @@ def test_presliding_hysteresis_loop_has_the_area_of_dahls():
     q = a * np.sin(2 * np.pi * np.arange(3 * n) / n)
     z, f = 0.0, []
     for here, there in itertools.pairwise(q):
-        s = Step(presliding_force, [level, stiffness], v0=(there - here) / 1e-3, h=1e-3, z=z, mass=1e12)
+        s = Step("presliding", [level, stiffness], v0=(there - here) / 1e-3, h=1e-3, z=z, mass=1e12)
         z = s.z
         f.append(s.f)
     area = -np.sum((f * np.diff(q))[n : 2 * n])

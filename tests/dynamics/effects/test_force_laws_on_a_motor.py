@@ -7,9 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics import Simulator, Site, Windows, effect
 
 R, L, K, KF, J = 2.07, 6.2e-4, 0.052, 4.8e-5, 7.2e-6
 DT, N = 1e-3, 250

@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows
+from robustlab.dynamics import Simulator, Site, Windows, effect
 
 signals = hnp.arrays(np.float64, st.integers(2, 60), elements=st.floats(-12, 12))
 sizes = st.floats(0.01, 12)

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics import Site, effect
 from robustlab.errors import InputError
 
 Y = np.array([[0.0, 1.0, 2.5], [-1.0, 0.2, 4.0]])

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import Simulator
-from robustlab.dynamics.ports.port_model import linear_plant_of, port_model
+from robustlab.dynamics import Simulator, Site, effect, linear_plant_of, port_model
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 

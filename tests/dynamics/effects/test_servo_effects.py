@@ -13,10 +13,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.ports.port_model import linear_plant_of
+from robustlab.dynamics import Simulator, Site, Windows, effect, linear_plant_of
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.plants.motors import cart_travel, linear_actuator
+from robustlab.dynamics import cart_travel, linear_actuator
 
 RATIO, LEAD = 4.8 * 41 / 21, 0.004
 DRIVE = 0.052**2 + 2.07 * 4.8e-5  # Km Kb + R Kf

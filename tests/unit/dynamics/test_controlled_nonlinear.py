@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.control.controlled_plant import controlled_nonlinear
-from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow_with_torques, torque_loop
+from robustlab.dynamics import SineTrajectory, controlled_nonlinear, follow_with_torques, torque_loop
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.control.controlled_plant import actuator_cascade, controlled_plant
+from robustlab.dynamics import actuator_cascade, controlled_plant
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 

@@ -13,7 +13,7 @@ from scipy.linalg import block_diag, eigvals, expm
 import robustlab as rl
 from robustlab.cli import model as model_app
 from robustlab.cli.ending import main_guard
-from robustlab.dynamics.descriptor_elimination import eliminated
+from robustlab.dynamics import eliminated
 from robustlab.errors import InputError, NoTrustworthyNumber
 
 POINTS = np.array([0.3 + 0.2j, 2.0j, 4.0 - 1.0j, 30.0j])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.control.controlled_plant import controlled_plant, driver_in_loop
+from robustlab.dynamics import controlled_plant, driver_in_loop
 from robustlab.errors import InputError
 
 T = np.linspace(0.0, 2.0, 8001)

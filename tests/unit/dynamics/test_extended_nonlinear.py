@@ -9,11 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Scales
-from robustlab.dynamics.extended import nonlinear_steps
-from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.extended_equations import extended_model
+from robustlab.dynamics import AttachedEffect, Scales, catalogue, extended_model
 
 PLANTS = Path(__file__).parents[3] / "models" / "plants"
 
@@ -305,7 +301,7 @@ def test_memory_time_and_further_states_go_on_from_block_to_block(effects, monke
     rough = rl.with_effects(arm(), effects)
     t, u = drive(200)
     long, _ = rough.stepped(t, u, np.zeros(4 + 2 * ("backlash@w_2" in effects)), 1e-3)
-    monkeypatch.setattr(nonlinear_steps, "FIRST", 7)
-    monkeypatch.setattr(nonlinear_steps, "MOST", 7)
+    monkeypatch.setattr("robustlab.dynamics.extended.nonlinear_steps.FIRST", 7)
+    monkeypatch.setattr("robustlab.dynamics.extended.nonlinear_steps.MOST", 7)
     short, _ = rough.stepped(t, u, np.zeros(4 + 2 * ("backlash@w_2" in effects)), 1e-3)
     assert np.abs(long - short).max() < 1e-6 * np.abs(long).max()

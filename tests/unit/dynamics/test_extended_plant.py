@@ -7,8 +7,7 @@ from scipy.integrate import solve_ivp
 
 import robustlab as rl
 from robustlab.delays.pade import pade
-from robustlab.dynamics.effects.contract import Law
-from robustlab.dynamics.extended.attached_effect import holding_force, is_set_valued, rest_band
+from robustlab.dynamics import Law, holding_force, is_set_valued, rest_band
 
 T = np.arange(2001) * 1e-3
 

@@ -12,8 +12,7 @@ import pytest
 from patience import PATIENCE
 
 import robustlab as rl
-from robustlab.dynamics.extended.attached_effect import rest_band, steady_force
-from robustlab.dynamics.extended.feed_forward import DryLevel, FeedForward, Wave, feed_forward
+from robustlab.dynamics import DryLevel, FeedForward, Wave, feed_forward, rest_band, steady_force
 from robustlab.errors import InputError, UnitMismatch, UsageError
 from robustlab.signals import Signal, Taken
 

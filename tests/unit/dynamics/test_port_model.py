@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.ports.port_model import linear_plant_of, parameter_groups, port_model
+from robustlab.dynamics import Simulator, Windows, linear_plant_of, parameter_groups, port_model
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
 

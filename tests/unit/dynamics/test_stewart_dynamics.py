@@ -4,18 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from platform_energy import kinetic_energy, potential_energy
 
 import robustlab as rl
-from robustlab.dynamics import NonlinearPlant
-from robustlab.dynamics.plant_contract import input_signal
-from robustlab.dynamics.stewart import (
-    bias_torque,
-    kinetic_energy,
-    mass_matrix,
-    potential_energy,
-    trim_torque,
-)
-from robustlab.dynamics.stewart.kinematics import nut_angles
+from robustlab.dynamics import NonlinearPlant, input_signal, stewart
 
 THESIS = rl.plant("stewart-platform")
 PHYSICAL = rl.plant("stewart-platform", preset="physical")
@@ -65,7 +57,7 @@ def test_holding_torque():
 def test_sensitivities(change, inertia, a, case_1, case_2a, case_2b, hold):
     plant = THESIS.with_parameters(**change)
     np.testing.assert_allclose(rl.trim(plant).u, hold, rtol=2e-4)
-    assert mass_matrix(plant, HOME).sum() / 6 == pytest.approx(inertia, rel=3e-4)
+    assert stewart.mass_matrix(plant, HOME).sum() / 6 == pytest.approx(inertia, rel=3e-4)
     A = rl.linearise(plant, at=HOME).A
     assert A[6:, :6].sum() / 6 == pytest.approx(a, abs=6e-3)
     assert 100 * (gain(plant, at(0.1062)) / gain(plant) - 1) == pytest.approx(case_1, abs=1.2e-3)
@@ -93,17 +85,17 @@ def test_holding_torque_is_virtual_work():
     k = THESIS.values["ratio"]
     for pose in random_poses(3):
         dU = central(lambda q: np.array(potential_energy(THESIS, q)), pose, 2e-3)
-        dphi = central(lambda q: nut_angles(THESIS.geometry, q), pose, 2e-3)
-        np.testing.assert_allclose(k * trim_torque(THESIS, pose) @ dphi, dU, rtol=0, atol=1e-9 * np.abs(dU).max())
+        dphi = central(lambda q: stewart.nut_angles(THESIS.geometry, q), pose, 2e-3)
+        np.testing.assert_allclose(k * rl.trim(THESIS, pose=pose).u @ dphi, dU, rtol=0, atol=1e-9 * np.abs(dU).max())
 
 
 def test_velocity_terms_are_lagranges():
     rng = np.random.default_rng(0)
     for pose in random_poses(2):
-        phi, rate = nut_angles(THESIS.geometry, pose), 100 * rng.normal(size=6)
-        dM = central(lambda p, near=pose: mass_matrix(PHYSICAL, PHYSICAL.poses(p, near)), phi, 0.3)
+        phi, rate = stewart.nut_angles(THESIS.geometry, pose), 100 * rng.normal(size=6)
+        dM = central(lambda p, near=pose: stewart.mass_matrix(PHYSICAL, PHYSICAL.poses(p, near)), phi, 0.3)
         expected = np.einsum("ijk,k,j->i", dM, rate, rate) - 0.5 * np.einsum("jki,j,k->i", dM, rate, rate)
-        found = bias_torque(PHYSICAL, pose, rate) - bias_torque(PHYSICAL, pose, np.zeros(6))
+        found = stewart.bias_torque(PHYSICAL, pose, rate) - stewart.bias_torque(PHYSICAL, pose, np.zeros(6))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
 
 
@@ -131,9 +123,12 @@ def test_three_fold_symmetry():
     c, s = np.cos(third), np.sin(third)
     pose = np.array([0.004, -0.002, 0.13, 0.0, 0.0, 0.05])  # yaw alone: R commutes with the turn
     turned = np.array([c * pose[0] - s * pose[1], s * pose[0] + c * pose[1], *pose[2:]])
-    np.testing.assert_allclose(np.roll(trim_torque(THESIS, pose), 2), trim_torque(THESIS, turned), rtol=1e-12)
+    np.testing.assert_allclose(np.roll(rl.trim(THESIS, pose=pose).u, 2), rl.trim(THESIS, pose=turned).u, rtol=1e-12)
     np.testing.assert_allclose(
-        np.roll(mass_matrix(THESIS, pose), (2, 2), (0, 1)), mass_matrix(THESIS, turned), rtol=1e-11, atol=1e-18
+        np.roll(stewart.mass_matrix(THESIS, pose), (2, 2), (0, 1)),
+        stewart.mass_matrix(THESIS, turned),
+        rtol=1e-11,
+        atol=1e-18,
     )
 
 
@@ -177,7 +172,7 @@ def test_trim_by_pose_and_by_angles():
         assert trim.status is rl.Status.CONVERGED
         if motors:
             p = plant.values
-            np.testing.assert_allclose(trim.u / p["R"] * p["Km"], trim_torque(THESIS, pose), rtol=1e-13)
+            np.testing.assert_allclose(trim.u / p["R"] * p["Km"], rl.trim(THESIS, pose=pose).u, rtol=1e-13)
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh", "spline"])

@@ -5,8 +5,7 @@ import own_plants
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.plant_contract import input_signal
-from robustlab.dynamics.ports.port_model import port_model
+from robustlab.dynamics import input_signal, port_model
 
 
 def motor():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from robustlab.dynamics.symbolic.tape import OPERATIONS, Tape, tape_of
+from robustlab.dynamics import OPERATIONS, Tape, tape_of
 from robustlab.errors import InputError
 
 A = np.array([-1.7, -0.4, 0.0, 0.3, 0.9, 1.0, 2.5])

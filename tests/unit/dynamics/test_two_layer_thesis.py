@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.control.controllers import closed_loop, torque_gains, two_layer
-from robustlab.dynamics.control.trajectory_following import SineTrajectory, follow
+from robustlab.dynamics import SineTrajectory, closed_loop, follow, torque_gains, two_layer
 
 MOTOR = {"R": 2.07, "L": 0.62e-3, "Km": 0.052, "Kb": 0.052, "Kf": 4.8e-5}
 SIZE = np.array([5e-3] * 3 + [20e-3] * 3)
@@ -113,9 +112,9 @@ def test_small_motions_are_those_of_the_linear_loop(machines):
     path = SineTrajectory(plant.geometry.home, (0, 0, 1e-6, 0, 0, 0), SIZE * 1e-4, 20.0, 0.1, 0.2)
     run = follow(plant, controller, path, t, rtol=1e-9)
     model = closed_loop(plant, controller)
-    from robustlab.dynamics.stewart import nut_angles
+    from robustlab.dynamics import stewart
 
-    asked = nut_angles(plant.geometry, path.pose(t))
+    asked = stewart.nut_angles(plant.geometry, path.pose(t))
     linear = rl.simulate(model, t, asked, hold="foh")
     for i in range(1, 7):
         size = np.abs(run.phi[:, i - 1]).max()

@@ -9,7 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.dynamics import Descriptor, LinearPlant, Parameter, overridden
+from robustlab.dynamics import (
+    Descriptor,
+    LinearPlant,
+    Parameter,
+    Scales,
+    catalogue,
+    overridden,
+)
 from robustlab.errors import InputError
 from robustlab.identification import (
     Scales,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.extended.effect_loads import effect_loads
+from robustlab.dynamics import effect_loads
 from robustlab.errors import InputError
 
 T = np.arange(400) * 5e-3

@@ -10,9 +10,7 @@ import pytest
 
 import robustlab as rl
 from robustlab import uncertain_from
-from robustlab.dynamics.extended.delays import delay_block
-from robustlab.dynamics.extended.effect_blocks import effect_blocks
-from robustlab.dynamics.extended.effect_loads import effect_loads
+from robustlab.dynamics import delay_block, effect_blocks, effect_loads
 from robustlab.identification import Discovery, ForceCurve, ResidualForce
 
 SERVO = {"M": (95.0, 0.1), "Fv": (200.0, 0.05), "gain": 35.0}

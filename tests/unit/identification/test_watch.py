@@ -64,7 +64,7 @@ def axis():
 
 def others(*kept):
     """Ids of the catalogue but those: a short list is quickly looked through."""
-    from robustlab.dynamics.effects.catalogue import catalogue
+    from robustlab.dynamics import catalogue
 
     return sorted(set(catalogue()) - {*FEW, *kept})
 

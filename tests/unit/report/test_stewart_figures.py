@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics.stewart import condition_map
+from robustlab.dynamics import stewart
 from robustlab.report.figures import save_figure
 from robustlab.thesis.figures import (
     case_figure,
@@ -34,7 +34,7 @@ def test_case_figure_has_nominal_worst_and_all_members():
 
 def test_condition_figure_is_blank_out_of_the_workspace_and_deterministic(tmp_path):
     geometry = rl.plant("stewart-platform").geometry
-    found = condition_map(geometry, ("tx", "ty"), np.linspace(-0.03, 0.03, 7), np.linspace(-0.03, 0.03, 5))
+    found = stewart.condition_map(geometry, ("tx", "ty"), np.linspace(-0.03, 0.03, 7), np.linspace(-0.03, 0.03, 5))
     figure = condition_figure([found])
     shown = figure.axes[0].images[0].get_array()
     np.testing.assert_array_equal(np.ma.getmaskarray(shown), np.isnan(found.condition.T))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from robustlab import frequency_response
-from robustlab.dynamics import Trim
-from robustlab.dynamics.control.controllers import LayeredController, TorqueGains, upper_layer
+from robustlab.dynamics import LayeredController, TorqueGains, Trim, upper_layer
 from robustlab.errors import InputError
 from robustlab.statespace import Signal
 from robustlab.synthesis import PID, Decentralised, FixedOrder, FixedPoles, MultichannelPID, Part, Series, StaticGain

@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab import complementary_weight, control_weight, frequency_response
-from robustlab.dynamics.control.controlled_plant import actuator_cascade
+from robustlab.dynamics import actuator_cascade
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import error_weight, tracking_problem
