@@ -112,7 +112,7 @@ def _code_of(error: BaseException) -> int:
         _say(f"error: {error}")
         return error.exit_code
     if isinstance(error, KeyboardInterrupt) or type(error).__name__ == "Abort":  # the parser's, likewise
-        _say("interrupted")
+        _say(str(error) or "interrupted")
         return EXIT_INTERRUPTED
     if isinstance(error, BrokenPipeError):
         return EXIT_READER_GONE

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note
-from robustlab.cli.generated import add_commands
-from robustlab.cli.members import named
-from robustlab.cli.options import (
-    JsonOption,
-    grouped,
-)
+from robustlab.cli.console import emit, named, note
+from robustlab.cli.generated import AS_JSON, READ, add_commands, taking
 from robustlab.doors.kinds import Numbers, Table
 from robustlab.errors import UsageError
 from robustlab.shown import text_table as table
@@ -24,42 +19,29 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
 
-FileArgument = Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")]
-GroupOption = Annotated[str | None, typer.Option("--group", help="Group of the file that holds the model.")]
-TransposeOption = Annotated[
-    bool, typer.Option("--transpose", help="The file was written column by column: swap A, B, C, D.")
-]
 SHOWN_STATES = 12
 
 
-@dataclass(frozen=True)
-class ReadOptions:
-    """How a file is to be read."""
+def _read(file: str, reading: Mapping[str, Any]) -> Loaded:
+    """What the file holds; what is odd about it as notes."""
+    from robustlab.storage import read
 
-    group: GroupOption = None
-    transpose: TransposeOption = False
-    no_verify: Annotated[bool, typer.Option("--no-verify", help="Load although the content hash does not match.")] = (
-        False
-    )
-
-    def read(self, file: str) -> Loaded:
-        """What the file holds; what is odd about it as notes."""
-        from robustlab.storage import read
-
-        loaded = read(file, **vars(self))
-        for text in loaded.warnings:
-            note(f"warning: {file}: {text}")
-        return loaded
+    loaded = read(file, **reading)
+    for text in loaded.warnings:
+        note(f"warning: {file}: {text}")
+    return loaded
 
 
 @app.command()
-@grouped
-def show(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = False) -> None:
+@taking(*READ["model"], AS_JSON)
+def show(
+    file: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")], as_json: bool, **reading: Any
+) -> None:
     """Print what a file holds.
 
     Example: robustlab model show motor.h5
     """
-    loaded = options.read(file)
+    loaded = _read(file, reading)
     parts = [line for name, thing in _objects(loaded) for line in _describe(name, thing)]
     origin = loaded.provenance
     if origin is not None and (origin.created_by or origin.created):
@@ -78,6 +60,7 @@ def show(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = Fals
 
 
 @app.command()
+@taking(*READ["model"], AS_JSON)
 def convert(
     source: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="IN")],
     target: Annotated[
@@ -87,11 +70,9 @@ def convert(
             metavar="OUT",
         ),
     ],
-    group: GroupOption = None,
-    transpose: TransposeOption = False,
-    prefix: Annotated[str, typer.Option(help="Of the names in a .c file.")] = "controller",
+    prefix: Annotated[str, typer.Option(metavar="NAME", help="Of the names in a .c file.")] = "controller",
     saturation: Annotated[
-        list[str] | None, typer.Option(help="Limits of a control signal in .c, NAME=LOW:HIGH; repeatable.")
+        list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Limits of a control signal in .c; repeatable.")
     ] = None,
     anti_windup: Annotated[
         float | None,
@@ -99,7 +80,8 @@ def convert(
             help="With --saturation in .c: time in s in which the states recover; inf: none.  [default: 10 samples]"
         ),
     ] = None,
-    as_json: JsonOption = False,
+    as_json: bool = False,
+    **reading: Any,
 ) -> None:
     """Write a model in another format: HDF5, MATLAB version 5, JSON; a discrete controller as C99.
 
@@ -107,7 +89,7 @@ def convert(
     """
     from robustlab.provenance import Provenance, file_sha256
 
-    loaded = ReadOptions(group, transpose).read(source)
+    loaded = _read(source, reading)
     if loaded.kind == "pair":
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
     origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
@@ -131,16 +113,6 @@ def _objects(loaded: Loaded) -> list[tuple[str, Any]]:
     if loaded.kind == "pair":
         return list(zip(("nominal: ", "perturbed: "), loaded.object, strict=True))
     return [("", loaded.object)]
-
-
-def _models(loaded: Loaded) -> list[tuple[str, rl.StateSpaceModel]]:
-    from robustlab.dynamics.plant_contract import Plant
-    from robustlab.statespace import as_model
-
-    return [
-        (name, rl.linearise(thing) if isinstance(thing, Plant) else as_model(thing, loaded.path))
-        for name, thing in _objects(loaded)
-    ]
 
 
 def _kind_line(loaded: Loaded) -> str:

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, result_alone
-from robustlab.cli.members import named
+from robustlab.cli.console import emit, named, note, result_alone
 from robustlab.cli.offers import PLANTS, plant_or_file
 from robustlab.cli.options import JsonOption
 from robustlab.doors import reading

@@ -138,7 +138,7 @@ def test_every_command_that_can_take_long_shows_where_it_stands():
 @pytest.mark.parametrize(
     "words",
     [
-        "model margins lag.h5 --classical",
+        "model classical-margins lag.h5",
         "model check lag.h5",
         "model reduce lag.h5 --order 0",
         "mu pole.h5 --frequency 1",

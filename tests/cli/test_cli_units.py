@@ -33,12 +33,12 @@ def block(text, name):
 
 @pytest.mark.parametrize("text", ["Km=5%", "Km=0.05", "Km=5 %"])
 def test_a_tolerance_per_cent(text):
-    found = block(call("uncertain", "build", "--plant", "dc-motor", "--tolerance", text, "--json"), "Km")
+    found = block(call("uncertain", "plant", "dc-motor", "--tolerance", text, "--json"), "Km")
     assert (found["nominal"], found["radius"]) == pytest.approx((0.052, 0.0026), rel=1e-14)
 
 
 def test_a_range_with_units():
-    words = ("uncertain", "build", "--plant", "dc-motor", "--range", "Km=40 mN m/A:0.06 N m/A", "--json")
+    words = ("uncertain", "plant", "dc-motor", "--range", "Km=40 mN m/A:0.06 N m/A", "--json")
     found = block(call(*words), "Km")
     low = found["nominal"] - found.get("below", found["radius"])
     assert (low, found["nominal"] + found["radius"]) == pytest.approx((0.04, 0.06))

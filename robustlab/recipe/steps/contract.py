@@ -99,8 +99,6 @@ class Workspace:
     # Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_file`.
     sources: Mapping[str, Path]
     seed: int  # seed of the recipe
-    # Folder for what outlives an interrupted run, so that the next one can go on with it; it may not exist yet.
-    unfinished: Path
     # Step name -> value of each step that is done; `numbers` alike, what requirements refer to.
     values: dict[str, Any] = field(default_factory=dict)
     numbers: dict[str, Mapping[str, Any]] = field(default_factory=dict)
