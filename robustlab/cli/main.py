@@ -70,7 +70,7 @@ def help_text() -> str:
     return _HEAD + "".join(rows) + _FOOT
 
 
-def run(arguments: Sequence[str]) -> int:
+def run_command(arguments: Sequence[str]) -> int:
     """Run the command that ``arguments`` name; the exit code."""
     if not arguments:
         print(FIRST_WORDS, end="")
@@ -140,7 +140,7 @@ def main() -> None:
             from robustlab.cli.completion import complete
 
             return complete()
-        return run(sys.argv[1:])
+        return run_command(sys.argv[1:])
 
     # What loading makes stays to the end, and then goes all at once: the collector need not look through it.
     gc.set_threshold(YOUNG)

@@ -171,9 +171,7 @@ def test_a_plant_file_at_a_rest_with_what_is_held():
     found = robustlab("uncertain", "plant", file, "--at", "z=1", "--json", code=0).json
     assert found["sampled"] == ["m", "k_t", "remainder"]
     assert found["blocks"][0]["origin"].endswith("held: z, v; what follows: rotor, u")
-    assert (
-        "no rest with what is held" in robustlab("uncertain", "plant", file, "--hold", "z,rotor", code=4).err
-    )
+    assert "no rest with what is held" in robustlab("uncertain", "plant", file, "--hold", "z,rotor", code=4).err
 
 
 @pytest.mark.parametrize("words", [["machine.h5"], ["--plant", "machine.h5"]])

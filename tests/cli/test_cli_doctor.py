@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from shell import robustlab
 
-from robustlab.cli.ending import main_guard
+from robustlab.cli import main_guard
 from robustlab.provenance import library_versions
 
 

@@ -122,7 +122,7 @@ QUICK = {
 
 
 def test_every_command_that_can_take_long_shows_where_it_stands():
-    from robustlab.cli.groups import GROUPS, parser
+    from robustlab.cli import GROUPS, parser
 
     def walk(found, words=()):
         if not hasattr(found, "commands"):

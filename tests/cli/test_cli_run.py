@@ -12,7 +12,7 @@ import pytest
 from shell import robustlab
 
 import robustlab as rl
-from robustlab.recipe.steps.contract import KINDS, Outcome
+from robustlab.recipe import KINDS, Outcome
 
 RECIPE = """\
 schema = "robustlab.recipe/1"
@@ -225,7 +225,7 @@ def test_a_step_that_ends_the_run_is_in_the_report(recipe, monkeypatch, error, c
 KILLED = """
 import os, signal, sys
 from robustlab.cli.main import main
-from robustlab.recipe.steps.contract import KINDS
+from robustlab.recipe import KINDS
 import robustlab.recipe.steps
 KINDS["sample"].run = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 sys.argv = ["robustlab", "run", "small.toml"]

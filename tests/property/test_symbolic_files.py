@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from plant_files import NAMES, maker
 
 import robustlab as rl
-from robustlab.files.tree import Tree
-from robustlab.storage.matrices import Problems
-from robustlab.storage.plants import decode_plant, encode_plant
+from robustlab.files import Tree
+from robustlab.storage import Problems, decode_plant, encode_plant
 
 
 def trees(name="cart_pole", **given):

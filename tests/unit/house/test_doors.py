@@ -11,14 +11,10 @@ import pytest
 
 import robustlab as rl
 from robustlab.cli.generated import _draws, command_of
-from robustlab.doors.declaration import ALL, Door, every_door
-from robustlab.doors.kinds import Choice, Numbers, Table, Thing, Whole
+from robustlab.doors import ALL, Choice, Door, Numbers, Table, Thing, Whole, every_door
 from robustlab.errors import InputError, UsageError
-from robustlab.recipe.keys import keys_of_step
-from robustlab.recipe.steps.contract import KINDS
-from robustlab.recipe.steps.leaves import look_ahead
-from robustlab.report.drawing_table import SETS
-from robustlab.report.drawings import drawings_of
+from robustlab.recipe import KINDS, keys_of_step, look_ahead
+from robustlab.report import SETS, drawings_of
 from robustlab.shown import Shown
 
 DOORS = every_door()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.files.tree import KINDS
+from robustlab.files import KINDS
 from robustlab.synthesis import LPVController
 
 G = rl.ss([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])

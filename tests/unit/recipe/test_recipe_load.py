@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from robustlab.errors import InputError, UsageError
-from robustlab.recipe.load import MAX_BYTES, find_file, load_recipe, parse_recipe
+from robustlab.recipe import MAX_BYTES, find_file, load_recipe, parse_recipe
 
 HEAD = 'schema = "robustlab.recipe/1"\nname = "x"\n'
 MOTOR = '[step.motor]\ndo = "plant"\nplant = "dc-motor"\n'

@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics.stewart import condition_map
-from robustlab.report.figures import save_figure
+from robustlab.report import save_figure
 from robustlab.thesis.figures import (
     case_figure,
     condition_figure,
