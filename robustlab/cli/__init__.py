@@ -3,8 +3,6 @@
 from importlib import import_module
 from typing import Any
 
-# What was typed behind ``robustlab``, for commands that answer with the same command and more; set in `main`.
-TYPED: list[str] = []
 # Name -> the module that has it; imported when it is asked for.
 _WORDS = {
     "main_guard": "ending",

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from robustlab.cli import TYPED
 from robustlab.cli.groups import GROUPS, parser
 
 # One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
@@ -99,7 +98,6 @@ def run_command(arguments: Sequence[str]) -> int:
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     command = parser(name)
-    TYPED[:] = [name, *rest]
 
     # Not command.main(): the parser's own frame turns a reader of stdout that went away into exit code 1.
     def called() -> int | None:

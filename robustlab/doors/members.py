@@ -83,6 +83,8 @@ class Excitation:
             if sines:
                 raise UsageError("sine", "no end time", "t_end")
             return {"t": None, "u": steps or None}
+        if not 0 < t_end < float("inf") or self.points < 2:
+            raise UsageError("t_end", f"{t_end:g} with {self.points} points", "a positive time and at least 2 points")
         t = np.arange(round(t_end / dt) + 1) * dt if dt else np.linspace(0.0, t_end, self.points)
         if self.frequency is None:
             return {"t": t, "u": steps or None}

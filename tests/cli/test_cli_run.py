@@ -102,7 +102,9 @@ def test_a_run_with_all_requirements_met(recipe):
 
 
 def test_a_requirement_that_is_not_met_is_exit_code_1(recipe):
-    assert "NOT MET" in robustlab("run", "small.toml", "--set", "set.tolerances.Kf=0.3", code=1).out
+    assert (
+        "NOT MET" in robustlab("run", "small.toml", "--set", "set.tolerances.Kf=0.3", "--out", "out/small", code=1).out
+    )
     root = ET.parse(recipe / "out/small/junit.xml").getroot()
     assert root.get("failures") == "1"
     assert "✗ not met" in (recipe / "out/small/report.html").read_text(encoding="utf-8")

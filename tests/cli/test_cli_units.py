@@ -67,7 +67,7 @@ tolerances = {{ Km = {km}, Kf = "35%" }}
 
 def test_tolerances_and_units_in_a_recipe(tmp_path):
     (tmp_path / "r.toml").write_text(RECIPE.format(km='"5%"'))
-    call("run", "r.toml", "--set", "set.tolerances.J=10%")
+    call("run", "r.toml", "--set", "set.tolerances.J=10%", "--out", "out/small")
     motor, made = json.loads((tmp_path / "out/small/result.json").read_text())["steps"]
     found = motor["numbers"]["parameters"]
     assert (found["R"]["value"], found["L"]["value"], found["L"]["tolerance"]) == (2.1, pytest.approx(6e-4), 0.1)

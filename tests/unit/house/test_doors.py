@@ -23,14 +23,15 @@ NAMES = [d.function.__name__ for d in DOORS]
 ONE_DOOR: dict[str, str] = {
     "expressions": "a recipe loads the set that the command wrote",
     "cover": "the step takes a plant at several poses, and compares loops with references",
-    "discretise_by_formula": "the step resample",
+    "discretise_by_formula": "one line in Python",
+    **dict.fromkeys(("show", "sample", "campaign", "resume", "stored", "replay"), "of a command alone"),
     **dict.fromkeys(("steady_state", "close_loop"), "one line in Python; shipped recipes use the step"),
-    "robustness_at": "`mu --frequency`, with or without --gain",
 }
 
 
 # Defaults of a door that differ from Python's, and why.
 OTHER_DEFAULTS = {
+    ("sample", "vertices"): "a number, or all",
     **{(name, "starts"): "a command is waited for" for name in ("dk", "fixed_structure")},
 }
 
