@@ -120,5 +120,5 @@ def test_noise_floor_from_a_stated_period_and_from_a_repeated_file():
 
 def test_columns_of_other_names_have_to_be_named():
     words = ("data", "compare", "servo-axis", "run.csv")
-    assert "expected one of t, drive, Q\nhint: name the columns" in robustlab(*words, code=3).err
+    assert "expected one of time, drive, Q\nhint: name the columns" in robustlab(*words, code=3).err
     robustlab(*words, "--inputs", "u=drive", "--outputs", "q=Q", code=0)
