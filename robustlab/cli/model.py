@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, named, note
+from robustlab.cli.console import emit, note
 from robustlab.cli.generated import AS_JSON, READ, add_commands, taking
+from robustlab.cli.plant import parameter_lines, signal_lines
 from robustlab.doors.kinds import Numbers, Table
 from robustlab.errors import UsageError
-from robustlab.shown import text_table as table
 
 if TYPE_CHECKING:
     from robustlab.storage import Loaded
@@ -48,6 +48,7 @@ def show(
         parts.append(
             f"made by {origin.created_by or 'unknown'} on {origin.created or 'an unknown day'} {origin.note}".rstrip()
         )
+    kind = f"{loaded.kind}, {'' if loaded.verified else 'not '}verified by a content hash"
     content = {"nominal": loaded.object[0], "perturbed": loaded.object[1]} if loaded.kind == "pair" else loaded.object
     result = {
         "file": file,
@@ -56,7 +57,7 @@ def show(
         "warnings": loaded.warnings,
         "provenance": origin,
     }
-    emit("model show", {**result, "content": content}, "\n".join([f"{file}: {_kind_line(loaded)}", *parts]), as_json)
+    emit("model show", {**result, "content": content}, "\n".join([f"{file}: {kind}", *parts]), as_json)
 
 
 @app.command()
@@ -106,17 +107,13 @@ def convert(
 add_commands(app, "model", "digital", "models", "robustness")
 
 
-# --- reading and printing --------------------------------------------------------------------------------------------
+# --- printing --------------------------------------------------------------------------------------------------------
 
 
 def _objects(loaded: Loaded) -> list[tuple[str, Any]]:
     if loaded.kind == "pair":
         return list(zip(("nominal: ", "perturbed: "), loaded.object, strict=True))
     return [("", loaded.object)]
-
-
-def _kind_line(loaded: Loaded) -> str:
-    return f"{loaded.kind}, " + ("content hash verified" if loaded.verified else "not verified by a content hash")
 
 
 def _describe(name: str, thing: Any) -> list[str]:
@@ -127,57 +124,16 @@ def _describe(name: str, thing: Any) -> list[str]:
         lengths = ", ".join(f"{t:.6g}" for t in thing.delays.tolist())
         return [repr(thing), f"  delays: {lengths} s", *_describe("between them: ", thing.H)]
     if isinstance(thing, rl.StateSpaceModel):
-        return [f"{name}{thing!r}", *_signal_lines(thing), *_matrix_lines(thing)]
+        large = max(thing.n_states, thing.n_inputs, thing.n_outputs) > SHOWN_STATES
+        matrices = (
+            [f"  matrices larger than {SHOWN_STATES}: --json prints them"] if large else str(thing).splitlines()[1:]
+        )
+        return [f"{name}{thing!r}", *signal_lines(thing), *matrices]
     if isinstance(thing, Plant):
-        return _plant_lines(thing)
+        return [f"plant {thing.name}", *parameter_lines(thing), *signal_lines(thing)]
     if isinstance(thing, rl.Controller):
         gamma = "none" if thing.gamma is None else f"{thing.gamma:.6g}"
         return [f"method {thing.method or 'unknown'}, gamma {gamma} ({thing.status})", *_describe(name, thing.K)]
     if isinstance(thing, rl.UncertainModel):
-        rows = [(b.name, type(b).__name__, f"{b.rows} x {b.cols}", _range(b)) for b in thing.blocks]
-        return [
-            f"{thing!r}",
-            *table(rows, ("block", "kind", "size", "range")).splitlines(),
-            *_describe("nominal: ", thing.nominal),
-        ]
+        return [thing.report(), *_describe("nominal: ", thing.nominal)]
     return [repr(thing)]
-
-
-def _plant_lines(plant: Any) -> list[str]:
-    """Parameters, effects with their parameters, and signals."""
-    rows = [
-        (p.name, f"{p.value:.6g} {p.unit}".strip(), f"+-{p.tolerance_text}" if p.tolerance else "exact", p.source)
-        for p in plant.parameters.values()
-    ]
-    lines = [f"plant {plant.name}", *table(rows, ("parameter", "value", "tolerance", "source")).splitlines()]
-    for e in getattr(plant, "effects", ()):
-        values = e.to_json()["parameters"]
-        lines.append(f"effect {e.effect.title} at {e.site}: {e.effect.equation}")
-        for name, v in values.items():
-            spread = "" if v["std"] is None else f" +- {v['std']:.3g} (one sd)"
-            lines.append(f"  {name} = {v['value']:.6g}{spread} {v['unit']}".rstrip())
-        if e.source:
-            lines.append(f"  from {e.source}")
-    return [*lines, *_signal_lines(plant)]
-
-
-def _range(block: Any) -> str:
-    parameter = block.parameter
-    if parameter is None:
-        return ""
-    if parameter.below is not None:
-        return f"{parameter.nominal:.6g} +{parameter.radius:.6g} -{parameter.below:.6g} {parameter.unit}".rstrip()
-    return f"{parameter.nominal:.6g} +- {parameter.radius:.6g} {parameter.unit}".rstrip()
-
-
-def _signal_lines(model: rl.StateSpaceModel | Any) -> list[str]:
-    def line(word: str, signals: tuple[rl.Signal, ...]) -> str:
-        return f"  {word}: " + ", ".join(named(signals))
-
-    return [line("inputs", model.inputs), line("outputs", model.outputs), line("states", model.states)]
-
-
-def _matrix_lines(model: rl.StateSpaceModel) -> list[str]:
-    if max(model.n_states, model.n_inputs, model.n_outputs) > SHOWN_STATES:
-        return [f"  matrices larger than {SHOWN_STATES}: --json prints them"]
-    return str(model).splitlines()[1:]
