@@ -344,7 +344,7 @@ def _draws(declared: Door) -> bool:
 def _given(p: Parameter, alone: bool) -> Given:
     placed = p.called.option == "*" or (isinstance(p.kind, (Thing, TextFile)) and not p.called.option)
     positional = placed and (p.needed or getattr(p.kind, "positional", False))
-    kind: Any = p.kind.annotation()
+    kind: Any = p.kind.taken
     help_text = p.help if not isinstance(p.kind, Choice) else f"{p.help} One of {', '.join(p.kind.words)}.".strip()
     if positional:
         many = isinstance(p.kind, Thing) and p.kind.many
@@ -370,7 +370,7 @@ def _as_text(p: Parameter) -> Any:
     """The default as the parser would read it."""
     if p.default is None or p.default is REQUIRED:
         return None
-    annotation = p.kind.annotation()
+    annotation = p.kind.taken
     if annotation is str and not isinstance(p.default, str):
         if isinstance(p.default, (list, tuple)):
             return ",".join(f"{value:g}" if isinstance(value, float) else str(value) for value in p.default)
