@@ -7,8 +7,8 @@ import json
 from contextlib import redirect_stderr, redirect_stdout
 from typing import Any, NamedTuple
 
-from robustlab.cli.ending import main_guard
-from robustlab.cli.main import run
+from robustlab.cli import main_guard
+from robustlab.cli import run_command as run
 
 __all__ = ["Ending", "robustlab"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,6 +68,11 @@ def emit(command: str, result: Mapping[str, Any], text: str, as_json: bool) -> N
 def note(text: str) -> None:
     """Print a remark on stderr."""
     print("\n".join(plain_text(line) for line in text.splitlines()), file=sys.stderr)
+
+
+def named(signals: Iterable[rl.Signal]) -> list[str]:
+    """Signals with their units."""
+    return [f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals]
 
 
 def require_trust(status: rl.Status) -> None:

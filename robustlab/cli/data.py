@@ -12,11 +12,21 @@ import typer
 
 import robustlab as rl
 from robustlab.cli.console import FIGURE, SCHEMA, emit, note, save_figures
-from robustlab.cli.generated import DRAWN, OUT, Beyond, add_commands, command_of, options_of, provenance_of
-from robustlab.cli.options import JsonOption, RecordOptions, grouped
-from robustlab.cli.progress import ProgressOptions
+from robustlab.cli.generated import (
+    AS_JSON,
+    PROGRESS,
+    READ,
+    Beyond,
+    add_commands,
+    command_of,
+    options_of,
+    provenance_of,
+    taking,
+)
+from robustlab.cli.options import RecordOptions
+from robustlab.cli.progress import shown
 from robustlab.doors.declaration import COMMANDS
-from robustlab.errors import EXIT_INTERRUPTED, EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, NoTrustworthyNumber
+from robustlab.errors import EXIT_INTERRUPTED, EnvironmentFault
 
 if TYPE_CHECKING:
     from robustlab.identification.naming.discovery_result import Discovery
@@ -33,20 +43,20 @@ add_commands(app, "data", "data")
 
 
 @app.command()
-@grouped
+@taking(*READ["record"], AS_JSON, PROGRESS)
 def convert(
-    *,
     source: Annotated[str, typer.Argument(help="HDF5, MATLAB, CSV or TXT file.", metavar="IN")],
     target: Annotated[str, typer.Argument(help="HDF5 file to write.", metavar="OUT")],
-    options: RecordOptions,
-    progress: ProgressOptions,
-    as_json: JsonOption = False,
+    as_json: bool,
+    progress: str,
+    **reading: Any,
 ) -> None:
     """Write a record as HDF5, format 1.
 
     Example: robustlab data convert run3.csv run3.h5 --inputs u --outputs q --unit q=rad
     """
-    with progress.shown("data convert"):
+    options = RecordOptions(**reading)
+    with shown(progress, "data convert"):
         record = options.read(source, options.inputs)
         rl.save(target, record, provenance_of("data convert", [source], {}))
     emit("data convert", {"from": source, "to": target, "samples": record.n}, f"{target}: {record!r}", as_json)
@@ -63,10 +73,10 @@ class DiscoveryFiles:
     where one is proposed.
     """
 
-    figures: Annotated[str | None, typer.Option("--figure", help=FIGURE)] = None
-    model_out: Annotated[str | None, typer.Option("--model-out", help="HDF5 file for the updated plant.")] = None
+    figures: Annotated[str | None, typer.Option("--figure", metavar="PATH", help=FIGURE)] = None
     folder: Annotated[
-        str | None, typer.Option("--out", "-o", help="Folder for report, result, figures and updated plant.")
+        str | None,
+        typer.Option("--out", "-o", metavar="PATH", help="Folder for report, result, figures and updated plant."),
     ] = None
     details: Annotated[bool, typer.Option("--details", help="Print all that the answer rests on, too.")] = False
 
@@ -75,14 +85,12 @@ def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[st
     """Write what was asked for, and end as the verdict says."""
     result = {"model": options["named"]["model"], **found.to_json()}
     origin, written = provenance_of("data discover", files, values), list[str]()
-    if options["figures"] or options["model_out"] or options["folder"]:
+    if options["figures"] or options["folder"]:
         options["report"]("figures and files")
     if options["figures"]:
         from robustlab.report.discovery import discovery_figures
 
         written += save_figures(discovery_figures(found), options["figures"])
-    if options["model_out"]:
-        written.append(_save_plant(found, Path(options["model_out"]), origin))
     if options["folder"]:
         written += _fill_folder(found, result, Path(options["folder"]), origin)
     for file in written:
@@ -101,12 +109,6 @@ def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[st
 app.command("discover")(command_of(COMMANDS["data discover"], options_of(DiscoveryFiles), _discovered))
 
 
-def _save_plant(found: Discovery, path: Path, origin: Provenance) -> str:
-    if found.model is None:
-        raise NoTrustworthyNumber(str(path), "there is no updated plant to write")
-    return str(rl.save(path, found.model, origin))
-
-
 def _fill_folder(found: Discovery, result: Mapping[str, Any], folder: Path, origin: Provenance) -> list[str]:
     from robustlab.files.atomic import atomic_write
     from robustlab.report.discovery import write_page
@@ -119,7 +121,7 @@ def _fill_folder(found: Discovery, result: Mapping[str, Any], folder: Path, orig
         raise EnvironmentFault(str(folder), f"cannot be made ({reason})", "a folder to write results into") from error
     files = [*map(str, write_page(found, folder, origin))]
     if found.model is not None:
-        files.append(_save_plant(found, folder / PLANT_FILE, origin))
+        files.append(str(rl.save(folder / PLANT_FILE, found.model, origin)))
     if found.next_experiment is not None:
         files.append(str(found.next_experiment.save(folder / EXPERIMENT_FILE)))
     data = {"schema": SCHEMA, "command": "data discover", **plain(result), "provenance": plain(origin.to_json())}
@@ -127,43 +129,3 @@ def _fill_folder(found: Discovery, result: Mapping[str, Any], folder: Path, orig
     target = folder / "result.json"
     atomic_write(target, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return [*files, str(target)]
-
-
-# --- validate: the cheap test beside it, and a bound that is asked for -----------------------------------------------
-
-
-@dataclass(frozen=True)
-class ValidationOptions:
-    """What a command asks beside the bounds of gamma."""
-
-    envelope: Annotated[
-        int | None,
-        typer.Option(
-            help="Beside it the cheap test: the envelope of so many members; 20 for sets of constants.", min=0
-        ),
-    ] = None
-    at_most: Annotated[float | None, typer.Option(help="Exit code 1 where gamma is not shown to be at most this.")] = (
-        None
-    )
-
-
-def _validated(found: Any, values: Mapping[str, Any], options: Mapping[str, Any], files: list[str]) -> Beyond:
-    members, bound = options["envelope"], options["at_most"]
-    if members is None:
-        members = 20 if all(b.kind == "constant" for b in found.blocks.values()) else 0
-    json, text = {}, found.report()
-    if members:
-        from robustlab.identification.comparison.envelope import cover
-
-        options["report"]("envelope")
-        model = values["uncertain"]
-        vertices: Any = "all" if len(model.blocks) <= 6 else 64
-        peak = found.noise_bound if found.noise_norm == "peak" else {}
-        beside = cover(model, values["record"], n=members, vertices=vertices, allowance=peak)
-        json, text = {"cover": beside.to_json(series=False)}, f"{text}\n{beside.headline()}\n{beside.summary()}"
-    if found.status.trustworthy and bound is not None and not found.upper <= bound:
-        return Beyond(json, text, f"gamma is not shown to be at most {bound:g} (exit code 1)", EXIT_REQUIREMENT_NOT_MET)
-    return Beyond(json, text)
-
-
-app.command("validate")(command_of(COMMANDS["data validate"], (*options_of(ValidationOptions), OUT, DRAWN), _validated))

@@ -38,12 +38,10 @@ _MACHINE_FAULTS = {
 # How the loader, numpy and the threading library say that memory is used up.
 _MORE = "more memory, a higher ulimit -v, or a smaller task"
 _NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start new thread", "out of memory")
-# How numba says that neither the package's folder nor the user's cache can be written.
-_NO_CACHE = "no locator available"
 
 
 def ready_streams() -> None:
-    """Give a closed stdin or stderr something to stand on, take SIGTERM for Ctrl-C, and tell a warning in one line.
+    """Take SIGTERM for Ctrl-C, print a warning in one line, and put something in the place of closed streams.
 
     A file that is opened later would otherwise get the number of the closed stream, and be written into by whatever
     complains there.
@@ -112,7 +110,7 @@ def _code_of(error: BaseException) -> int:
         _say(f"error: {error}")
         return error.exit_code
     if isinstance(error, KeyboardInterrupt) or type(error).__name__ == "Abort":  # the parser's, likewise
-        _say("interrupted")
+        _say(str(error) or "interrupted")
         return EXIT_INTERRUPTED
     if isinstance(error, BrokenPipeError):
         return EXIT_READER_GONE
@@ -145,17 +143,12 @@ def _machine_fault(error: BaseException) -> EnvironmentFault | None:
     told = next((sign for sign in _NO_MEMORY if sign in said), None)
     if told and isinstance(error, (ImportError, OSError, RuntimeError)):
         return EnvironmentFault("robustlab", f"not enough memory ({told})", _MORE)
-    if isinstance(error, RuntimeError) and _NO_CACHE in words:
-        found, expected = f"compiled code cannot be kept ({words})", "a package folder or a home that can be written"
-        return EnvironmentFault("robustlab", found, expected, "export NUMBA_CACHE_DIR=/some/folder")
     if isinstance(error, ImportError) and error.name and error.name.split(".")[0] != "robustlab":
         return EnvironmentFault(
             "robustlab", f"{error.name} cannot be loaded ({words})", "a sound installation (robustlab doctor)"
         )
     if not isinstance(error, OSError):
         return None
-    if error.errno == errno.ENOENT and error.filename is None:  # of os.getcwd
-        return EnvironmentFault("robustlab", "the working directory was deleted", "one that exists (cd)")
     if error.errno not in _MACHINE_FAULTS:
         return None
     if error.filename is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from inspect import Parameter as Given
 from inspect import Signature, signature
 from pathlib import Path
@@ -11,25 +11,22 @@ from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 
 import typer
 
+import robustlab as rl
 from robustlab.cli.columns import read_named, signals_of
 from robustlab.cli.console import FIGURE, emit, note, require_trust, result_alone, save_drawing, save_figures
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import RecordOptions
+from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions
 from robustlab.cli.plant import machine
-from robustlab.cli.progress import MODES, ProgressOptions
+from robustlab.cli.progress import shown
 from robustlab.doors.declaration import COMMANDS, REQUIRED, Door, InLoop, Parameter, load_family
 from robustlab.doors.kinds import Choice, Feedback, Flag, Kind, Machine, Pair, RecordFile, Table, TextFile, Thing
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, RobustlabError, UsageError
 from robustlab.shown import text_table
 
 # What every command has beside its own.
-OUT = ("out", str | None, typer.Option("--out", "-o", help="File to write."), None)
-AS_JSON = ("as_json", bool, typer.Option("--json", help="Print one JSON object instead of text."), False)
-PROGRESS = (
-    "progress", str,
-    typer.Option(help="auto: a bar on terminals; json: JSON lines on stderr; none.", autocompletion=one_of(*MODES)),
-    "auto",
-)  # fmt: skip
+OUT = ("out", str | None, typer.Option("--out", "-o", metavar="PATH", help="File to write."), None)
+AS_JSON = ("as_json", *get_args(JsonOption), False)
+PROGRESS = ("progress", *get_args(ProgressOption), "auto")
 Options = tuple[tuple[str, Any, Any, Any], ...]  # name, type, option, default
 
 
@@ -42,30 +39,29 @@ def options_of(group: type) -> Options:
 # How files are read, by `robustlab.doors.kinds.Thing.reading`.
 READ: Mapping[str, Options] = {
     "model": (
-        ("group", str | None, typer.Option("--group", help="Group of the file that holds the model."), None),
+        ("group", str | None, typer.Option("--group", metavar="NAME", help="Group of the file that holds the model."),
+         None),
         ("transpose", bool, typer.Option("--transpose", help="The file was written column by column: swap A, B, C, D."),
          False),
         ("no_verify", bool, typer.Option("--no-verify", help="Load although the content hash does not match."), False),
     ),
-    "plant": (("settings", list[str] | None, typer.Option("--set", help="Parameter of the plant: NAME=VALUE."), None),),
+    "plant": (
+        ("settings", list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Parameter of the plant."),
+         None),
+    ),
     "record": options_of(RecordOptions),
 }  # fmt: skip
 VERBOSE = ("verbose", bool, typer.Option("--verbose", help="A line on stderr for each step of the search."), False)
-DRAWN = ("figure", str | None, typer.Option(help=FIGURE), None)
+DRAWN = ("figure", str | None, typer.Option(metavar="PATH", help=FIGURE), None)
 
 
 def add_commands(app: typer.Typer, group: str, *families: str) -> None:
     """Add to a group's parser the commands that the families of doors declare for it."""
     for family in families:
         load_family(family)
-    found: dict[str, dict[str, Door]] = {}
     for words, declared in COMMANDS.items():
-        plain, dashes, option = words.partition(" --")
-        if plain.split(" ")[0] == group and not declared.own:
-            found.setdefault(plain, {})[dashes.strip() + option] = declared
-    for plain, doors in found.items():
-        main = next(iter(doors.values()))
-        app.command(plain.removeprefix(group).strip() or group)(choosing_command(plain, doors, main))
+        if words.split(" ")[0] == group and not declared.own:
+            app.command(words.removeprefix(group).strip() or group)(command_of(declared))
 
 
 class Beyond(NamedTuple):
@@ -81,109 +77,50 @@ class Beyond(NamedTuple):
 More = Callable[[Any, Mapping[str, Any], Mapping[str, Any], list[str]], Beyond]
 
 
-def command_of(declared: Door, own: Options | None = None, more: More | None = None) -> Callable[..., None]:
+def command_of(declared: Door, private: Options | None = None, more: More | None = None) -> Callable[..., None]:
     """The command of a door, as the parser takes it."""
-    return _parsed(declared.command, {"": declared}, declared, own, more)
-
-
-def _own(name: str, taken: Any, offered: Any, default: Any) -> Given:
-    """An option that is no parameter of the function."""
-    return Given(name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[taken, offered])
-
-
-def choosing_command(words: str, doors: Mapping[str, Door], main: Door) -> Callable[..., None]:
-    """One command for several doors: an option says which is meant."""
-    return _parsed(words, doors, main)
-
-
-def _parsed(
-    words: str, doors: Mapping[str, Door], main: Door, private: Options | None = None, more: More | None = None
-) -> Callable[..., None]:
-    offered: dict[str, Parameter] = {}
-    for declared in doors.values():
-        for p in declared.parameters:
-            if p.called.only != "step":
-                known = offered.setdefault(p.name, p)
-                if known.default != p.default:  # left out, each function has its own
-                    offered[p.name] = replace(known, default=None)
-    for name, p in offered.items():
-        if p.needed and not all(any(q.name == name for q in d.parameters) for d in doors.values()):
-            kind = p.kind if not isinstance(p.kind, Thing) or p.called.option else replace(p.kind, positional=True)
-            offered[name] = replace(p, default=None, kind=kind)
-    words_of = [option.partition("=")[2] for option in doors if "=" in option]
-    if words_of:  # "--kind=h2": the value of an option chooses, the first where none is given
-        chooser = next(iter(doors)).partition("=")[0]
-        offered[_field(chooser)] = Parameter(
-            _field(chooser), Choice(tuple(words_of)), words_of[0], "Which is asked for."
-        )
-    by_option = {option: name for name, p in offered.items() for option in p.options}
-    choosing = {} if words_of else {option: by_option.get(option, _field(option)) for option in doors if option}
-    files = [p for p in offered.values() if isinstance(p.kind, Thing) and p.needed]
-    offers = [_given(p, alone=len(files) == 1) for p in offered.values()]
-    offers += [
-        Given(name, Given.KEYWORD_ONLY, default=False, annotation=Annotated[bool, typer.Option(o, help=doors[o].title)])
-        for o, name in choosing.items()
-        if o not in by_option
-    ]
-    things = [(p.kind, p.called.option) for p in offered.values() if isinstance(p.kind, Thing)]
+    words = declared.command
+    offered = [p for p in declared.parameters if p.called.only != "step"]
+    things = [(p.kind, p.called.option) for p in offered if isinstance(p.kind, Thing)]
+    alone = sum(isinstance(p.kind, (Thing, TextFile)) and p.needed and not p.called.option for p in offered) == 1
     reading = dict.fromkeys(kind.reading for kind, option in things if kind.reading != "model" or not option)
     if any(kind.settings for kind, _ in things):
         reading["plant"] = None
-    written = private if private is not None else (OUT, *([DRAWN] if any(_draws(d) for d in doors.values()) else []))
-    told = [VERBOSE] if any(d.takes_progress and not d.progress for d in doors.values()) else []
+    written = private if private is not None else (OUT, *([DRAWN] if _draws(declared) else []))
+    told = [VERBOSE] if declared.takes_progress and not declared.progress else []
     own = [*(option for kind in reading for option in READ[kind]), *written, *told, AS_JSON, PROGRESS]
-    offers += [_own(*option) for option in own]
 
     def command(**given: Any) -> None:
         shared = {name: given.pop(name) for name, *_ in own}
-        chosen = _chosen(words, doors, offered, choosing, given)
-        answer(words, chosen, {p.name: given[p.name] for p in chosen.parameters if p.name in given}, shared, more)
+        answer(words, declared, given, shared, more)
 
-    offers.sort(key=lambda p: p.default is not Given.empty)
-    command.__signature__ = Signature(offers)
-    command.__annotations__ = {p.name: p.annotation for p in offers}
     command.__name__ = words.replace(" ", "_").replace("-", "_")
-    command.__doc__ = "\n\n".join(
-        filter(None, (main.title, main.more, f"Example: {main.example}" if main.example else ""))
-    )
+    parts = (declared.title, declared.more, f"Example: {declared.example}" if declared.example else "")
+    command.__doc__ = "\n\n".join(filter(None, parts))
+    return _offering(command, [_given(p, alone) for p in offered], own)
+
+
+def taking(*own: tuple[str, Any, Any, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator: a hand-written command takes these options, too, as further keyword arguments."""
+
+    def offered(command: Callable[..., None]) -> Callable[..., None]:
+        known = signature(command, eval_str=True).parameters.values()
+        taken = {name for name, *_ in own}
+        named = [
+            p.replace(kind=Given.KEYWORD_ONLY) for p in known if p.kind is not Given.VAR_KEYWORD and p.name not in taken
+        ]
+        return _offering(command, named, own)
+
+    return offered
+
+
+def _offering(command: Any, offers: Sequence[Given], own: Options | Sequence[Any]) -> Callable[..., None]:
+    """The command with the signature that the parser reads."""
+    options = [Given(n, Given.KEYWORD_ONLY, default=d, annotation=Annotated[taken, o]) for n, taken, o, d in own]
+    every = sorted([*offers, *options], key=lambda p: p.default is not Given.empty)
+    command.__signature__ = Signature(every)
+    command.__annotations__ = {p.name: p.annotation for p in every}
     return command
-
-
-def _chosen(
-    words: str,
-    doors: Mapping[str, Door],
-    offered: Mapping[str, Parameter],
-    choosing: Mapping[str, str],
-    given: dict[str, Any],
-) -> Door:
-    """The door that the options choose; what it does not take is refused, and what it needs is asked for."""
-    by_word = next(iter(doors)).partition("=")[0] if any("=" in option for option in doors) else ""
-    if by_word:
-        word = offered[_field(by_word)].kind.read(by_word, given[_field(by_word)])
-        choosing = {f"{by_word}={word}": _field(by_word)}
-    asked = [option for option, name in choosing.items() if given.get(name) not in (None, False, [])]
-    if len(asked) > 1:
-        raise UsageError(words, " and ".join(asked), "one of them")
-    option = asked[0] if asked else ""
-    chosen = doors[option]
-    taken = {p.name for p in chosen.parameters}
-    for name, p in offered.items():
-        default = None if p.default is REQUIRED else p.default
-        if name not in taken | {_field(by_word)} and given.get(name) not in (None, default, []):
-            others = [o.replace("=", " ") for o, d in doors.items() if o and name in {q.name for q in d.parameters}]
-            expected = f"{p.options[0]} with {' or '.join(others)} only" if others else f"it without {option}"
-            asked_by = f" with {option}".replace("=", " ") if option else ""
-            raise UsageError(words, f"{_called(p)}{asked_by}", expected)
-    for p in chosen.parameters:
-        if p.needed and p.name in offered and given.get(p.name) in (None, []):
-            missing = _called(offered[p.name])
-            raise UsageError(words, f"no {missing}", ", or ".join([missing, *choosing]))
-    return chosen
-
-
-def _called(p: Parameter) -> str:
-    """The option, or the name of an argument."""
-    return p.options[0] if p.called.option or not isinstance(p.kind, Thing) else p.name.upper()
 
 
 def answer(
@@ -194,9 +131,10 @@ def answer(
     out, figure = shared.get("out"), shared.get("figure")
     if out is not None and not Path(out).resolve().parent.is_dir():  # before the work whose result it is for
         raise EnvironmentFault(out, "no such folder", "a folder that exists")
-    with ProgressOptions(shared["progress"]).shown(
-        words, lines=chosen.progress != "", verbose=shared.get("verbose", False), budgets=chosen.progress != "parts"
-    ) as report:
+    with shown(
+        shared["progress"], words, lines=chosen.progress in ("lines", "parts"), verbose=shared.get("verbose", False),
+        budgets=chosen.progress in ("", "lines"),
+    ) as report:  # fmt: skip
         values = _values(chosen, given, shared, files)
         above = _overruled(values, given)
         if chosen.takes_progress:
@@ -212,7 +150,11 @@ def answer(
         if more is not None:
             beyond = more(found[""].result, values, {**shared, "named": given, "report": report}, files)
         said = _note(chosen, given, shared, files)
-        written = [_keep(words, chosen, one.result, values, out, files, given, said) for one in found.values() if out]
+        written = []
+        if out:
+            made = chosen.made_of(found[""].result)
+            rl.save(out, made, provenance_of(words, files, values, given.get("seed"), said))
+            written.append(out)
         rows = [f"written: {file}" for file in written]
         if figure is not None:
             report("figures")
@@ -222,8 +164,8 @@ def answer(
     text = "\n".join(f"{part}: {_text(one)}" if part else _text(one) for part, one in found.items())
     text = above + text.replace("as the controller says", f"as {given.get('controller')} says")
     json = {part: _json(one) for part, one in found.items()}
-    shown = {**(json if len(json) > 1 else json[""]), **({"files": written} if written else {}), **beyond.json}
-    emit(words, shown, "\n".join([text if beyond.text is None else beyond.text, *rows]), shared["as_json"])
+    made = {**(json if len(json) > 1 else json[""]), **({"files": written} if written else {}), **beyond.json}
+    emit(words, made, "\n".join([text if beyond.text is None else beyond.text, *rows]), shared["as_json"])
     if beyond.note:
         note(beyond.note)
     if beyond.exit_code:
@@ -261,7 +203,7 @@ def _text(one: InLoop) -> str:
     tables = [f"{part.title}\n{text_table(part.rows, part.header)}".lstrip() for part in one.parts if part.rows]
     beside = [
         f"{name}  {found}" if isinstance(found, str) else found.report()
-        for name, found in one.beside.items() if isinstance(found, str) or found.facts()
+        for name, found in one.beside.items() if isinstance(found, str) or (hasattr(found, "facts") and found.facts())
     ]  # fmt: skip
     return "\n\n".join([*([f"loop  {one.loop}"] if one.loop else []), one.result.report(), *tables, *beside])
 
@@ -270,7 +212,10 @@ def _json(one: InLoop) -> Mapping[str, Any]:
     """What a result is as JSON, of one with time series all but these; what stands beside it by name."""
     result = one.result
     without = {"series": False} if "series" in signature(result.to_json).parameters else {}
-    beside = {name: found for name, found in one.beside.items() if isinstance(found, str) or hasattr(found, "to_json")}
+    plain = (str, int, float)
+    beside = {
+        name: found for name, found in one.beside.items() if isinstance(found, plain) or hasattr(found, "to_json")
+    }
     return {**result.to_json(**without), **beside, **({"loop": one.loop} if one.loop else {})}
 
 
@@ -289,7 +234,7 @@ def _values(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], f
             value = p.kind.read(p.options[0], given[p.name], units)
         else:
             value = p.kind.read(p.options[0], given[p.name])
-        if not _left_out(chosen, p.name, value):
+        if value is not None or p.needed:  # an option that was not given keeps the function's own default
             found[p.name] = value
     return found
 
@@ -354,23 +299,6 @@ def _note(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], fil
     return ", ".join([*words, *(f"set {text}" for text in shared.get("settings") or ())])
 
 
-def _keep(
-    words: str,
-    chosen: Door,
-    result: Any,
-    values: Mapping[str, Any],
-    out: str,
-    files: list[str],
-    given: Mapping[str, Any],
-    said: str,
-) -> str:
-    """Write what was made or found; its path."""
-    import robustlab as rl
-
-    rl.save(out, chosen.made_of(result), provenance_of(words, files, values, given.get("seed"), said))
-    return out
-
-
 def provenance_of(
     words: str, files: list[str], values: Mapping[str, Any], seed: int | None = None, said: str = ""
 ) -> Any:
@@ -379,11 +307,6 @@ def provenance_of(
 
     code = {file: sha for value in values.values() for file, sha in code_of(value).items()}
     return Provenance.now(words, {f: file_sha256(f) for f in files} | code, seed, said)
-
-
-def _left_out(chosen: Door, name: str, value: Any) -> bool:
-    """An option that was not given keeps the function's own default."""
-    return value is None and any(p.name == name and not p.needed for p in chosen.parameters)
 
 
 def _draw(one: InLoop, figure: str, part: str) -> list[str]:
@@ -418,45 +341,36 @@ def _draws(declared: Door) -> bool:
 # --- options ----------------------------------------------------------------------------------------------------------
 
 
-def _field(option: str) -> str:
-    return option.lstrip("-").replace("-", "_")
-
-
 def _given(p: Parameter, alone: bool) -> Given:
-    positional = isinstance(p.kind, Thing) and not p.called.option and (p.kind.positional or p.needed)
-    kind: Any = p.kind.annotation()
+    placed = p.called.option == "*" or (isinstance(p.kind, (Thing, TextFile)) and not p.called.option)
+    positional = placed and (p.needed or getattr(p.kind, "positional", False))
+    kind: Any = p.kind.taken
     help_text = p.help if not isinstance(p.kind, Choice) else f"{p.help} One of {', '.join(p.kind.words)}.".strip()
     if positional:
-        metavar = "FILE..." if isinstance(p.kind, Thing) and p.kind.many else "FILE" if alone else p.name.upper()
+        many = isinstance(p.kind, Thing) and p.kind.many
+        metavar = "FILE..." if many else "FILE" if alone and p.called.option != "*" else p.name.upper()
         option: Any = typer.Argument(help=help_text, metavar=metavar, autocompletion=_offer(p.kind))
         default: Any = Given.empty if p.needed else None
         taken = kind if p.needed else kind | None
         return Given(p.name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[taken, option])
-    if p.called.option == "*":
-        return Given(p.name, Given.KEYWORD_ONLY, default=None, annotation=Annotated[
-            kind | None, typer.Argument(help=help_text, metavar=f"[{p.kind.metavar}]...")])  # fmt: skip
     option = typer.Option(*p.options, help=help_text, metavar=p.kind.metavar, autocompletion=_offer(p.kind))
     if p.needed:
         return Given(p.name, Given.KEYWORD_ONLY, annotation=Annotated[kind, option])
-    if isinstance(p.kind, Flag):
-        option = typer.Option(*_flag(p), help=help_text)
+    if isinstance(p.kind, Flag):  # ``--certify`` of what is off by default, ``--direct/--no-direct`` of what is on
+        first = p.options[0]
+        flag = (f"{first}/--no-{first.removeprefix('--')}",) if p.default else p.options
+        option = typer.Option(*flag, help=help_text)
     default = _as_text(p)
     if default is None:
         kind = kind | None
     return Given(p.name, Given.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
 
 
-def _flag(p: Parameter) -> tuple[str, ...]:
-    """``--certify`` of what is off by default, ``--direct/--no-direct`` of what is on."""
-    first = p.options[0]
-    return (f"{first}/--no-{first.removeprefix('--')}",) if p.default else p.options
-
-
 def _as_text(p: Parameter) -> Any:
     """The default as the parser would read it."""
     if p.default is None or p.default is REQUIRED:
         return None
-    annotation = p.kind.annotation()
+    annotation = p.kind.taken
     if annotation is str and not isinstance(p.default, str):
         if isinstance(p.default, (list, tuple)):
             return ",".join(f"{value:g}" if isinstance(value, float) else str(value) for value in p.default)

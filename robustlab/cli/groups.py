@@ -9,15 +9,18 @@ from typing import Any
 GROUPS: dict[str, tuple[str | tuple[str, ...], str]] = {
     "plant": ("robustlab.cli.plant", "List plants, show one; start one of your own in a file."),
     "model": ("robustlab.cli.model", "Build, show, check, compare and convert models."),
-    "uncertain": ("robustlab.cli.uncertain", "Build, show and sample uncertain models."),
+    "uncertain": (("sets", "members"), "Build, show and sample uncertain models."),
     "worst-case": (("members",), "Search the worst member of an uncertain model."),
-    "campaign": ("robustlab.cli.campaign", "Run samples and searches of any size, resumable."),
+    "violation-probability": (("members",), "How probable random members violate a limit."),
+    "campaign": (("members",), "Run samples and searches of any size, resumable."),
     "mu": (("robustness",), "Robust stability margin with proved mu bounds."),
+    "worst-gain": (("robustness",), "Proved worst-case gain of an uncertain model."),
+    "performance-margin": (("robustness",), "Robust performance margin of a set."),
     "synth": (("designs", "digital"), "Design a controller and verify its loop."),
     "data": ("robustlab.cli.data", "Check and compare records; name what a model lacks."),
     "run": ("robustlab.cli.run", "Run a recipe: steps, requirements, report."),
-    "recipe": ("robustlab.cli.recipe", "Check a recipe, list the kinds of steps, start a new one."),
-    "report": ("robustlab.cli.report", "Write the report of a finished run again; compare two runs."),
+    "recipe": ("robustlab.cli.recipe", "Check a recipe, list kinds of steps, start a new one."),
+    "report": ("robustlab.cli.report", "Write a finished run's report again; compare two runs."),
     "verify": ("robustlab.cli.verify", "Have results proved once more, from their files alone."),
     "doctor": ("robustlab.cli.doctor", "Say whether this installation can work."),
 }
@@ -35,36 +38,7 @@ def parser(name: str) -> Any:
 
         from robustlab.cli.generated import add_commands
 
-        app = typer.Typer(help=title, no_args_is_help=len(made) > 1, add_completion=False)
+        app = typer.Typer(help=title, no_args_is_help=True, add_completion=False)
         add_commands(app, name, *made)
     app.rich_markup_mode = None  # help as plain text: it is also what the documentation shows
-    return _told(get_command(app))
-
-
-# Option -> how its value is written, where that is not a plain number; of commands made of doors their kinds say it.
-VALUES = {
-    **dict.fromkeys(("--inputs", "--outputs"), "NAME,..."),
-    **dict.fromkeys(("--clock", "--group", "--prefix"), "NAME"),
-    **dict.fromkeys(("--input-value", "--at", "--set", "--tolerance"), "NAME=VALUE"),
-    "--saturation": "NAME=LOW:HIGH",
-    "--unit": "NAME=UNIT",
-    **dict.fromkeys(("--store", "--model-out"), "FILE"),
-    **dict.fromkeys(("--out", "--figure"), "PATH"),
-    **dict.fromkeys(("--kind", "--metric", "--structure", "--progress"), "WORD"),
-    "--limit": "NUMBER",
-    "--vertices": "NUMBER|all",
-    "--blocks": "ROWS",
-    "--cluster": "ADDRESS",
-    "--delimiter": "SIGN",
-    "--decimal": "SIGN",
-}
-
-
-def _told(command: Any) -> Any:
-    """A parser's command, or group of them, whose help says how values are written."""
-    for inner in getattr(command, "commands", {}).values():
-        _told(inner)
-    for parameter in command.params:
-        if parameter.param_type_name == "option" and parameter.metavar is None:
-            parameter.metavar = next((VALUES[o] for o in parameter.opts if o in VALUES), None)
-    return command
+    return get_command(app)

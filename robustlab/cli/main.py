@@ -12,7 +12,6 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from robustlab.cli import TYPED
 from robustlab.cli.groups import GROUPS, parser
 
 # One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
@@ -70,7 +69,7 @@ def help_text() -> str:
     return _HEAD + "".join(rows) + _FOOT
 
 
-def run(arguments: Sequence[str]) -> int:
+def run_command(arguments: Sequence[str]) -> int:
     """Run the command that ``arguments`` name; the exit code."""
     if not arguments:
         print(FIRST_WORDS, end="")
@@ -99,7 +98,6 @@ def run(arguments: Sequence[str]) -> int:
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     command = parser(name)
-    TYPED[:] = [name, *rest]
 
     # Not command.main(): the parser's own frame turns a reader of stdout that went away into exit code 1.
     def called() -> int | None:
@@ -140,7 +138,7 @@ def main() -> None:
             from robustlab.cli.completion import complete
 
             return complete()
-        return run(sys.argv[1:])
+        return run_command(sys.argv[1:])
 
     # What loading makes stays to the end, and then goes all at once: the collector need not look through it.
     gc.set_threshold(YOUNG)

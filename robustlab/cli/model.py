@@ -2,70 +2,53 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import robustlab as rl
 from robustlab.cli.console import emit, note
-from robustlab.cli.generated import add_commands
-from robustlab.cli.members import named
-from robustlab.cli.options import (
-    JsonOption,
-    grouped,
-)
+from robustlab.cli.generated import AS_JSON, READ, add_commands, taking
+from robustlab.cli.plant import parameter_lines, signal_lines
 from robustlab.doors.kinds import Numbers, Table
 from robustlab.errors import UsageError
-from robustlab.shown import text_table as table
 
 if TYPE_CHECKING:
     from robustlab.storage import Loaded
 
 app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
 
-FileArgument = Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")]
-GroupOption = Annotated[str | None, typer.Option("--group", help="Group of the file that holds the model.")]
-TransposeOption = Annotated[
-    bool, typer.Option("--transpose", help="The file was written column by column: swap A, B, C, D.")
-]
 SHOWN_STATES = 12
 
 
-@dataclass(frozen=True)
-class ReadOptions:
-    """How a file is to be read."""
+def _read(file: str, reading: Mapping[str, Any]) -> Loaded:
+    """What the file holds; what is odd about it as notes."""
+    from robustlab.storage import read
 
-    group: GroupOption = None
-    transpose: TransposeOption = False
-    no_verify: Annotated[bool, typer.Option("--no-verify", help="Load although the content hash does not match.")] = (
-        False
-    )
-
-    def read(self, file: str) -> Loaded:
-        """What the file holds; what is odd about it as notes."""
-        from robustlab.storage import read
-
-        loaded = read(file, **vars(self))
-        for text in loaded.warnings:
-            note(f"warning: {file}: {text}")
-        return loaded
+    loaded = read(file, **reading)
+    for text in loaded.warnings:
+        note(f"warning: {file}: {text}")
+    return loaded
 
 
 @app.command()
-@grouped
-def show(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = False) -> None:
+@taking(*READ["model"], AS_JSON)
+def show(
+    file: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")], as_json: bool, **reading: Any
+) -> None:
     """Print what a file holds.
 
     Example: robustlab model show motor.h5
     """
-    loaded = options.read(file)
+    loaded = _read(file, reading)
     parts = [line for name, thing in _objects(loaded) for line in _describe(name, thing)]
     origin = loaded.provenance
     if origin is not None and (origin.created_by or origin.created):
         parts.append(
             f"made by {origin.created_by or 'unknown'} on {origin.created or 'an unknown day'} {origin.note}".rstrip()
         )
+    kind = f"{loaded.kind}, {'' if loaded.verified else 'not '}verified by a content hash"
     content = {"nominal": loaded.object[0], "perturbed": loaded.object[1]} if loaded.kind == "pair" else loaded.object
     result = {
         "file": file,
@@ -74,10 +57,11 @@ def show(*, file: FileArgument, options: ReadOptions, as_json: JsonOption = Fals
         "warnings": loaded.warnings,
         "provenance": origin,
     }
-    emit("model show", {**result, "content": content}, "\n".join([f"{file}: {_kind_line(loaded)}", *parts]), as_json)
+    emit("model show", {**result, "content": content}, "\n".join([f"{file}: {kind}", *parts]), as_json)
 
 
 @app.command()
+@taking(*READ["model"], AS_JSON)
 def convert(
     source: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="IN")],
     target: Annotated[
@@ -87,11 +71,9 @@ def convert(
             metavar="OUT",
         ),
     ],
-    group: GroupOption = None,
-    transpose: TransposeOption = False,
-    prefix: Annotated[str, typer.Option(help="Of the names in a .c file.")] = "controller",
+    prefix: Annotated[str, typer.Option(metavar="NAME", help="Of the names in a .c file.")] = "controller",
     saturation: Annotated[
-        list[str] | None, typer.Option(help="Limits of a control signal in .c, NAME=LOW:HIGH; repeatable.")
+        list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Limits of a control signal in .c; repeatable.")
     ] = None,
     anti_windup: Annotated[
         float | None,
@@ -99,7 +81,8 @@ def convert(
             help="With --saturation in .c: time in s in which the states recover; inf: none.  [default: 10 samples]"
         ),
     ] = None,
-    as_json: JsonOption = False,
+    as_json: bool = False,
+    **reading: Any,
 ) -> None:
     """Write a model in another format: HDF5, MATLAB version 5, JSON; a discrete controller as C99.
 
@@ -107,7 +90,7 @@ def convert(
     """
     from robustlab.provenance import Provenance, file_sha256
 
-    loaded = ReadOptions(group, transpose).read(source)
+    loaded = _read(source, reading)
     if loaded.kind == "pair":
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
     origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
@@ -124,27 +107,13 @@ def convert(
 add_commands(app, "model", "digital", "models", "robustness")
 
 
-# --- reading and printing --------------------------------------------------------------------------------------------
+# --- printing --------------------------------------------------------------------------------------------------------
 
 
 def _objects(loaded: Loaded) -> list[tuple[str, Any]]:
     if loaded.kind == "pair":
         return list(zip(("nominal: ", "perturbed: "), loaded.object, strict=True))
     return [("", loaded.object)]
-
-
-def _models(loaded: Loaded) -> list[tuple[str, rl.StateSpaceModel]]:
-    from robustlab.dynamics.plant_contract import Plant
-    from robustlab.statespace import as_model
-
-    return [
-        (name, rl.linearise(thing) if isinstance(thing, Plant) else as_model(thing, loaded.path))
-        for name, thing in _objects(loaded)
-    ]
-
-
-def _kind_line(loaded: Loaded) -> str:
-    return f"{loaded.kind}, " + ("content hash verified" if loaded.verified else "not verified by a content hash")
 
 
 def _describe(name: str, thing: Any) -> list[str]:
@@ -155,57 +124,16 @@ def _describe(name: str, thing: Any) -> list[str]:
         lengths = ", ".join(f"{t:.6g}" for t in thing.delays.tolist())
         return [repr(thing), f"  delays: {lengths} s", *_describe("between them: ", thing.H)]
     if isinstance(thing, rl.StateSpaceModel):
-        return [f"{name}{thing!r}", *_signal_lines(thing), *_matrix_lines(thing)]
+        large = max(thing.n_states, thing.n_inputs, thing.n_outputs) > SHOWN_STATES
+        matrices = (
+            [f"  matrices larger than {SHOWN_STATES}: --json prints them"] if large else str(thing).splitlines()[1:]
+        )
+        return [f"{name}{thing!r}", *signal_lines(thing), *matrices]
     if isinstance(thing, Plant):
-        return _plant_lines(thing)
+        return [f"plant {thing.name}", *parameter_lines(thing), *signal_lines(thing)]
     if isinstance(thing, rl.Controller):
         gamma = "none" if thing.gamma is None else f"{thing.gamma:.6g}"
         return [f"method {thing.method or 'unknown'}, gamma {gamma} ({thing.status})", *_describe(name, thing.K)]
     if isinstance(thing, rl.UncertainModel):
-        rows = [(b.name, type(b).__name__, f"{b.rows} x {b.cols}", _range(b)) for b in thing.blocks]
-        return [
-            f"{thing!r}",
-            *table(rows, ("block", "kind", "size", "range")).splitlines(),
-            *_describe("nominal: ", thing.nominal),
-        ]
+        return [thing.report(), *_describe("nominal: ", thing.nominal)]
     return [repr(thing)]
-
-
-def _plant_lines(plant: Any) -> list[str]:
-    """Parameters, effects with their parameters, and signals."""
-    rows = [
-        (p.name, f"{p.value:.6g} {p.unit}".strip(), f"+-{p.tolerance_text}" if p.tolerance else "exact", p.source)
-        for p in plant.parameters.values()
-    ]
-    lines = [f"plant {plant.name}", *table(rows, ("parameter", "value", "tolerance", "source")).splitlines()]
-    for e in getattr(plant, "effects", ()):
-        values = e.to_json()["parameters"]
-        lines.append(f"effect {e.effect.title} at {e.site}: {e.effect.equation}")
-        for name, v in values.items():
-            spread = "" if v["std"] is None else f" +- {v['std']:.3g} (one sd)"
-            lines.append(f"  {name} = {v['value']:.6g}{spread} {v['unit']}".rstrip())
-        if e.source:
-            lines.append(f"  from {e.source}")
-    return [*lines, *_signal_lines(plant)]
-
-
-def _range(block: Any) -> str:
-    parameter = block.parameter
-    if parameter is None:
-        return ""
-    if parameter.below is not None:
-        return f"{parameter.nominal:.6g} +{parameter.radius:.6g} -{parameter.below:.6g} {parameter.unit}".rstrip()
-    return f"{parameter.nominal:.6g} +- {parameter.radius:.6g} {parameter.unit}".rstrip()
-
-
-def _signal_lines(model: rl.StateSpaceModel | Any) -> list[str]:
-    def line(word: str, signals: tuple[rl.Signal, ...]) -> str:
-        return f"  {word}: " + ", ".join(named(signals))
-
-    return [line("inputs", model.inputs), line("outputs", model.outputs), line("states", model.states)]
-
-
-def _matrix_lines(model: rl.StateSpaceModel) -> list[str]:
-    if max(model.n_states, model.n_inputs, model.n_outputs) > SHOWN_STATES:
-        return [f"  matrices larger than {SHOWN_STATES}: --json prints them"]
-    return str(model).splitlines()[1:]

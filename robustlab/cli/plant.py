@@ -8,8 +8,7 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import emit, note, result_alone
-from robustlab.cli.members import named
+from robustlab.cli.console import emit, named, note, result_alone
 from robustlab.cli.offers import PLANTS, plant_or_file
 from robustlab.cli.options import JsonOption
 from robustlab.doors import reading
@@ -26,27 +25,15 @@ app = typer.Typer(
 # --- what other commands read ----------------------------------------------------------------------------------------
 
 
-def read_plant(name: str, parameters: Mapping[str, Any]) -> Any:
-    """The same as `robustlab.doors.reading.read_plant`; what a user's code prints goes to stderr."""
-    if reading.runs_code(name):
-        result_alone()
-    return reading.read_plant(name, parameters)
-
-
-def plant_or_model(name: str, settings: list[str]) -> Any:
-    """The same, or the model in a file."""
-    if reading.runs_code(name):
-        result_alone()
-    found = reading.named_plant(name, settings)
-    return rl.load(name) if found is None else found
-
-
 def machine(kind: Machine, name: str, settings: list[str] | None) -> Any:
     """What a command names beside a record: a plant or a model; the set of a plant where an uncertain one is wanted."""
     from robustlab.dynamics.plant_contract import Plant
     from robustlab.provenance import code_of
 
-    found = plant_or_model(name, settings or [])
+    if reading.runs_code(name):
+        result_alone()
+    found = reading.named_plant(name, settings or [])
+    found = rl.load(name) if found is None else found
     if kind.gives[0] != "uncertain":
         return kind.as_wanted(found, name)
     if isinstance(found, Plant):
@@ -133,18 +120,28 @@ def show(
         text = "\n".join(f"{plant}:{name}" for name in names) or f"{plant}: no plant in it"
         emit("plant show", {"file": plant, "plants": list(names)}, text, as_json)
         return
-    made = read_plant(plant, plant_settings(settings))
-    rest = _Rest(made, Table(Number()).read("--at", at) or {})
-    sides = {kind: [{"name": s.name, "unit": s.unit} for s in getattr(made, kind)] for kind in SIDES}
-    parameters = [{**p.to_json(), "sign": p.sign, "role": p.role} for p in made.parameters.values()]
+    if reading.runs_code(plant):
+        result_alone()
+    made = reading.read_plant(plant, plant_settings(settings))
+    given = Table(Number()).read("--at", at) or {}
+    trim, model, problem = _rest(made, given)
+    point = None
+    if trim is not None:
+        sides = {"x": (made.states, trim.x), "u": (made.inputs, trim.u), "y": (made.outputs, trim.y)}
+        values = {k: {s.name: float(v) for s, v in zip(*side, strict=True)} for k, side in sides.items()}
+        point = {"residual": trim.residual, **values}
     result = {
-        "plant": plant, "name": made.name, "made_of": made_of(plant, made), **sides, "joints": _joints(made),
-        "parameters": parameters, **rest.to_json(),
+        "plant": plant, "name": made.name, "made_of": made_of(plant, made),
+        **{kind: [{"name": s.name, "unit": s.unit} for s in getattr(made, kind)] for kind in SIDES},
+        "joints": _joints(made),
+        "parameters": [{**p.to_json(), "sign": p.sign, "role": p.role} for p in made.parameters.values()],
+        "operating_point": point, "poles": None if model is None else model.poles(),
+        "stable": None if model is None else model.is_stable(),
     }  # fmt: skip
-    emit("plant show", result, "\n".join(_text(plant, made, rest)), as_json)
-    if rest.problem is not None:
-        note(f"no operating point: {rest.problem}")
-        raise typer.Exit(rest.problem.exit_code)
+    emit("plant show", result, "\n".join(_text(plant, made, trim, model, problem)), as_json)
+    if problem is not None:
+        note(f"no operating point: {problem}")
+        raise typer.Exit(problem.exit_code)
 
 
 # --- printing --------------------------------------------------------------------------------------------------------
@@ -154,70 +151,43 @@ FEW = 36  # characters of a plant's signals in a list
 ROUNDING = 1e-9  # a pole of this share of the largest is at zero
 
 
-class _Rest:
-    """Where a plant stays, and its poles there; or why there is no such point."""
+def _rest(plant: Any, at: Mapping[str, float]) -> tuple[Any, Any, Any]:
+    """Where a plant stays (None at zero) and its linear model there; or why there is no such point."""
+    from robustlab.dynamics import LinearPlant
 
-    def __init__(self, plant: Any, at: Mapping[str, float]) -> None:
-        from robustlab.dynamics import LinearPlant
+    if isinstance(plant, LinearPlant):
+        if at:
+            raise UsageError("--at", f"{plant.name} is linear", "no --at: its poles are the same everywhere")
+        return None, rl.linearise(plant), None
+    try:
+        trim = rl.trim(plant, **at)
+        return trim, rl.linearise(plant, at=trim), None
+    except NoTrustworthyNumber as error:
+        return None, None, error
+    except InputError as error:
+        if at:  # a name that the user gave
+            raise
+        return None, None, error
 
-        self.plant, self.trim, self.model, self.problem = plant, None, None, None
-        if isinstance(plant, LinearPlant):
-            if at:
-                raise UsageError("--at", f"{plant.name} is linear", "no --at: its poles are the same everywhere")
-            self.model = rl.linearise(plant)
-            return
-        try:
-            self.trim = rl.trim(plant, **at)
-            self.model = rl.linearise(plant, at=self.trim)
-        except NoTrustworthyNumber as error:
-            self.problem = error
-        except InputError as error:
-            if at:  # a name that the user gave
-                raise
-            self.problem = error
 
-    def to_json(self) -> dict[str, Any]:
-        """The operating point by the names of its signals, None at zero; the poles."""
-        point = self.trim and {
-            "residual": self.trim.residual,
-            **{
-                key: {s.name: float(value) for s, value in zip(getattr(self.plant, side), values, strict=True)}
-                for key, side, values in self._vectors()
-            },
-        }
-        poles = None if self.model is None else self.model.poles()
-        stable = None if self.model is None else self.model.is_stable()
-        return {"operating_point": point, "poles": poles, "stable": stable}
-
-    def lines(self) -> list[str]:
-        """The same for reading."""
-        if self.model is None:
-            return [f"operating point: none found ({self.problem.line if self.problem else ''})"]
-        lines = ["operating point: rest at zero"]
-        if self.trim is not None:
-            rows = [
-                (s.name, f"{value:.6g}", s.unit)
-                for _, side, values in self._vectors()[:2]
-                for s, value in zip(getattr(self.plant, side), values, strict=True)
-            ]
-            lines = ["operating point", *table(rows, ("signal", "value", "unit")).splitlines()]
-        poles = sorted(self.model.poles(), key=lambda p: (-p.real, p.imag))
-        still = max(map(abs, poles), default=0.0) * ROUNDING
-        rows = [
-            (
-                f"{p.real:.6g}" + (f"{p.imag:+.6g}j" if p.imag else ""),
-                f"{abs(p):.6g}",
-                f"{-p.real / abs(p):.3g}" if abs(p) > still else "moves freely",
-            )
-            for p in poles
-        ]
-        if rows:
-            lines += ["", *table(rows, ("pole [1/s]", "frequency [rad/s]", "damping")).splitlines()]
-        return [*lines, "NOT stable" if any(p.real > still for p in poles) else "no pole in the right half plane"]
-
-    def _vectors(self) -> list[tuple[str, str, Any]]:
-        assert self.trim is not None
-        return [("x", "states", self.trim.x), ("u", "inputs", self.trim.u), ("y", "outputs", self.trim.y)]
+def _rest_lines(plant: Any, trim: Any, model: Any, problem: Any) -> list[str]:
+    if model is None:
+        return [f"operating point: none found ({problem.line})"]
+    lines = ["operating point: rest at zero"]
+    if trim is not None:
+        sides = (*zip(plant.states, trim.x, strict=True), *zip(plant.inputs, trim.u, strict=True))
+        rows = [(s.name, f"{value:.6g}", s.unit) for s, value in sides]
+        lines = ["operating point", *table(rows, ("signal", "value", "unit")).splitlines()]
+    poles = sorted(model.poles(), key=lambda p: (-p.real, p.imag))
+    still = max(map(abs, poles), default=0.0) * ROUNDING
+    rows = [
+        (f"{p.real:.6g}" + (f"{p.imag:+.6g}j" if p.imag else ""), f"{abs(p):.6g}",
+         f"{-p.real / abs(p):.3g}" if abs(p) > still else "moves freely")
+        for p in poles
+    ]  # fmt: skip
+    if rows:
+        lines += ["", *table(rows, ("pole [1/s]", "frequency [rad/s]", "damping")).splitlines()]
+    return [*lines, "NOT stable" if any(p.real > still for p in poles) else "no pole in the right half plane"]
 
 
 def _few(text: str) -> str:
@@ -242,21 +212,35 @@ def _joints(plant: Any) -> list[dict[str, str]]:
     return [dict(vars(place)) for place in base.port_places] if isinstance(base, NonlinearPlant) else []
 
 
-def _text(given: str, plant: Any, rest: _Rest) -> list[str]:
+def _text(given: str, plant: Any, trim: Any, model: Any, problem: Any) -> list[str]:
     lines = [
         f"plant {plant.name}",
         *(f"  made of {file}, SHA-256 {sha}" for file, sha in made_of(given, plant).items()),
+        *signal_lines(plant),
     ]
-    lines += [f"  {side}: {', '.join(named(getattr(plant, side))) or 'none'}" for side in SIDES]
     joints = [(j["name"], j["unit"], j["position"] or "-") for j in _joints(plant)]
     lines += ["", *table(joints, ("joint", "acts there", "position")).splitlines()] if joints else ["", "no joints"]
+    return [*lines, "", *parameter_lines(plant), "", *_rest_lines(plant, trim, model, problem)]
+
+
+def signal_lines(thing: Any) -> list[str]:
+    """Inputs, outputs and states of a plant or model, a line each."""
+    return [f"  {side}: {', '.join(named(getattr(thing, side))) or 'none'}" for side in SIDES]
+
+
+def parameter_lines(plant: Any) -> list[str]:
+    """Parameters of a plant, and its effects with theirs."""
     rows = [
         (p.name, f"{p.value:.6g} {p.unit}".strip(), f"+-{p.tolerance_text}" if p.tolerance else "exact", p.role or "-",
          p.meaning or "-", p.source or "-")
         for p in plant.parameters.values()
     ]  # fmt: skip
     header = ("parameter", "value", "tolerance", "role", "meaning", "source")
-    lines += ["", *table(rows, header).splitlines()] if rows else []
+    lines = table(rows, header).splitlines() if rows else []
     for e in getattr(plant, "effects", ()):
-        lines.append(f"effect {e.effect.title} at {e.site}")
-    return [*lines, "", *rest.lines()]
+        lines.append(f"effect {e.effect.title} at {e.site}: {e.effect.equation}")
+        for name, v in e.to_json()["parameters"].items():
+            spread = "" if v["std"] is None else f" +- {v['std']:.3g} (one sd)"
+            lines.append(f"  {name} = {v['value']:.6g}{spread} {v['unit']}".rstrip())
+        lines += [f"  from {e.source}"] if e.source else []
+    return lines

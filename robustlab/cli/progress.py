@@ -1,13 +1,8 @@
 """How far a long command is: the one display of all of them, on stderr.
 
-``auto``   on a terminal a line with a bar where the end is known, the time passed and the time to go; it appears after
-           two seconds and vanishes at the end. Elsewhere nothing, but for the lines that some commands always say.
-``json``   an object a line, at every step and every few seconds; its keys are those of `Display.state`.
-``none``   nothing.
-
-Where a command knows its steps, the time to go is in proportion to them. Where only the work is counted that a search
-may do at most, the time to go is an upper estimate and said to be (``at_most``). Where a search has parts whose number
-is not known before its end, the numbers are those of the present one, and said to be (``part``).
+``auto`` is on a terminal a bar with the time passed and to go, which appears after two seconds and vanishes at the end;
+elsewhere nothing, but for the lines that some commands always print. ``json`` is an object a line (`Display.state`), at
+every step and every few seconds. ``none`` is nothing.
 """
 
 from __future__ import annotations
@@ -18,65 +13,47 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from robustlab.cli.console import note
-from robustlab.cli.offers import one_of
 from robustlab.errors import UsageError, plain_text
 
 SCHEMA = "robustlab.progress/1"
 MODES = ("auto", "json", "none")
 PATIENCE = 2.0  # s; what takes less shows nothing on a terminal
 EVERY = 0.25  # s between two looks at where the work stands
-BEAT = 2.0  # s after which a line of JSON comes though nothing new was said
+BEAT = 2.0  # s after which a line of JSON comes without anything new
 SHORT = 0.1  # s; lines of JSON that come thicker are left out, unless the text is new
 
 
-@dataclass(frozen=True)
-class ProgressOptions:
-    """How the state of long work is shown."""
+@contextmanager
+def shown(
+    progress: str, command: str, total: int | None = None, *,
+    lines: bool = False, verbose: bool = False, budgets: bool = True,
+) -> Iterator[Display]:  # fmt: skip
+    """The display for the time of a ``with`` block, in the mode that ``--progress`` names."""
+    from robustlab.budget import listening
 
-    progress: Annotated[
-        str,
-        typer.Option(
-            help="auto: a bar on terminals; json: JSON lines on stderr; none.",
-            autocompletion=one_of(*MODES),
-        ),
-    ] = "auto"
-
-    @contextmanager
-    def shown(
-        self,
-        command: str,
-        total: int | None = None,
-        *,
-        lines: bool = False,
-        verbose: bool = False,
-        budgets: bool = True,
-    ) -> Iterator[Display]:
-        """The display for the time of a ``with`` block."""
-        from robustlab.budget import listening
-
-        if self.progress not in MODES:
-            raise UsageError(f"--progress {self.progress}", "no such mode", f"one of {', '.join(MODES)}")
-        mode = self.progress
-        if mode == "auto":
-            mode = "lines" if verbose else "bar" if sys.stderr.isatty() else "lines" if lines else "none"
-        display = Display(command, mode, total)
-        with listening(display.work if budgets and mode in ("bar", "json") else None), display:
-            yield display
+    if progress not in MODES:
+        raise UsageError(f"--progress {progress}", "no such mode", f"one of {', '.join(MODES)}")
+    mode = progress
+    if mode == "auto":
+        mode = "lines" if verbose else "bar" if sys.stderr.isatty() else "lines" if lines else "none"
+    display = Display(command, mode, total)
+    with listening(display.work if budgets and mode in ("bar", "json") else None), display:
+        yield display
 
 
 class Display:
-    """What a command tells: call it with a text, or tell it steps; it takes care of who sees it."""
+    """Takes texts and counts of a command, and shows them.
+
+    Where a command knows its steps, the time to go is in proportion to them. Of a search that counts the work it may do
+    at most, it is an upper estimate (``at_most``); of one in parts, that of the present part (``part``).
+    """
 
     def __init__(self, command: str, mode: str, total: int | None = None) -> None:
-        self.command, self.mode = command, mode
-        self._text, self._done, self._total, self._at_most = "", 0.0, float(total or 0), False
-        self._part = False
+        self.command, self.mode, self.total = command, mode, float(total or 0)
+        self._text, self._done, self._at_most, self._part = "", 0.0, False, False
         self._kept: list[str] = []  # lines that are to stay above the bar
         self._began = self._base = time.monotonic()
         self._from, self._told = 0.0, 0.0
@@ -106,7 +83,7 @@ class Display:
             self._line()
 
     def done(self, text: str) -> None:
-        """What has been done: a line that stays on a terminal; elsewhere it was told when it began."""
+        """What has been done: a line that stays on a terminal; elsewhere it was printed when it began."""
         if self.mode == "bar":
             self._kept.append(text)
 
@@ -118,15 +95,19 @@ class Display:
         elif self.mode == "json" and time.monotonic() - self._told > SHORT:
             self._line()
 
+    def resumed(self, done: float) -> None:
+        """Steps that were done before this run: no measure of its speed."""
+        self._from = self._done = done
+
     def work(self, done: float, whole: float) -> None:
         """Work that a search has counted, of what it may do at most; a new search begins a new count."""
-        if whole != self._total:
+        if whole != self.total:
             self._base, self._from = time.monotonic(), 0.0
-        self._done, self._total, self._at_most = done, whole, True
+        self._done, self.total, self._at_most = done, whole, True
 
     @property
     def listener(self) -> Display | Callable[[str], None]:
-        """For a search that counts in parts: the display, where it shows numbers, else what takes lines of text."""
+        """For a search that counts in parts: the display where it shows numbers, else what takes lines of text."""
         return self if self.mode in ("bar", "json") else self.__call__
 
     def part(self, done: float, expected: float, text: str) -> None:
@@ -134,24 +115,16 @@ class Display:
         new = done < self._done or expected <= 0 or not self._part
         if new:
             self._base, self._from = time.monotonic(), done
-        self._done, self._total, self._text, self._part = done, expected, text, True
+        self._done, self.total, self._text, self._part = done, expected, text, True
         if new and expected > 0 and self.mode == "json":
             self._line()
 
-    def resumed(self, done: float) -> None:
-        """Steps that were done before this run: no measure of its speed."""
-        self._from = self._done = done
-
-    @property
-    def remaining(self) -> float | None:
+    def _remaining(self) -> float | None:
         """Seconds to go in proportion to what is done; None where nothing is known."""
-        return self._remaining(time.monotonic())
-
-    def _remaining(self, now: float) -> float | None:
         done = self._done - self._from
-        if done <= 0 or self._total < self._done:
+        if done <= 0 or self.total < self._done:
             return None
-        return (now - self._base) * (self._total - self._done) / done
+        return (time.monotonic() - self._base) * (self.total - self._done) / done
 
     def _look(self) -> None:
         """The thread that shows: a bar once the command takes long, or a line of JSON now and then."""
@@ -165,15 +138,14 @@ class Display:
                     self._line()
 
     def state(self, ended: bool = False) -> dict[str, Any]:
-        """Where the command stands, as a line of JSON says it under ``progress``."""
-        now = time.monotonic()
-        remaining = self._remaining(now)
+        """Where the command stands, as a line of JSON has it under ``progress``."""
+        remaining = self._remaining()
         return {
             "command": self.command,
             "text": plain_text(self._text),
-            "elapsed_s": round(now - self._began, 3),
-            "done": self._done if self._total else None,
-            "total": self._total or None,
+            "elapsed_s": round(time.monotonic() - self._began, 3),
+            "done": self._done if self.total else None,
+            "total": self.total or None,
             "remaining_s": None if remaining is None or ended else round(remaining, 3),
             "at_most": self._at_most,
             "part": self._part,
@@ -196,16 +168,13 @@ class Display:
             while True:
                 while self._kept:
                     bar.console.print(plain_text(self._kept.pop(0)), markup=False, highlight=False)
-                told = plain_text(f"{self.command}: {self._text}" if self._text else self.command)
-                bar.update(
-                    task, description=told[-80:], completed=self._done, total=self._total or None, times=self._times()
-                )
+                text = plain_text(f"{self.command}: {self._text}" if self._text else self.command)[-80:]
+                bar.update(task, description=text, completed=self._done, total=self.total or None, times=self._times())
                 if self._over.wait(EVERY):
                     return
 
     def _times(self) -> str:
-        now = time.monotonic()
-        passed, remaining = _duration(now - self._began), self._remaining(now)
+        passed, remaining = _duration(time.monotonic() - self._began), self._remaining()
         if remaining is None:
             return passed
         left = f"{'at most' if self._at_most else 'about'} {_duration(remaining)} to go"

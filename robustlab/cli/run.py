@@ -8,8 +8,8 @@ import typer
 
 from robustlab.cli.console import emit, note, result_alone
 from robustlab.cli.offers import recipe_or_file
-from robustlab.cli.options import ChangesOption, JsonOption, grouped
-from robustlab.cli.progress import ProgressOptions
+from robustlab.cli.options import ChangesOption, JsonOption, ProgressOption
+from robustlab.cli.progress import shown
 from robustlab.errors import UsageError
 from robustlab.shown import text_table as table
 
@@ -22,9 +22,7 @@ app = typer.Typer(help="Run a recipe: steps, requirements, report.", add_complet
 
 
 @app.command()
-@grouped
 def run(
-    *,
     recipe: Annotated[
         str | None,
         typer.Argument(
@@ -40,7 +38,7 @@ def run(
         ),
     ] = None,
     png: Annotated[bool, typer.Option("--png", help="Draw the figures as PNG beside the SVG, too.")] = False,
-    progress: ProgressOptions,
+    progress: ProgressOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
     """Run a recipe, judge its requirements, and write report.html, result.json, junit.xml and the figures.
@@ -72,7 +70,7 @@ def run(
     count = len(loaded.recipe.step)
     begun, since = list[str](), [0.0]
     result_alone()  # a plant of the recipe may be code of the user's
-    with progress.shown("run", count, lines=True, budgets=False) as display:
+    with shown(progress, "run", count, lines=True, budgets=False) as display:
 
         def ended() -> None:
             if begun:

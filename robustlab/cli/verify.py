@@ -8,19 +8,17 @@ from typing import Annotated, Any
 import typer
 
 from robustlab.cli.console import emit
-from robustlab.cli.options import JsonOption, grouped
-from robustlab.cli.progress import ProgressOptions
+from robustlab.cli.options import JsonOption, ProgressOption
+from robustlab.cli.progress import shown
 
 app = typer.Typer(help="Verify files of results.", add_completion=False)
 
 
 @app.command()
-@grouped
 def verify(
-    *,
     files: Annotated[list[str], typer.Argument(help="HDF5 files of results, or folders of runs.", metavar="FILE")],
     effort: Annotated[float, typer.Option("--effort", help="Work allowed, as a multiple of the usual.")] = 1.0,
-    progress: ProgressOptions,
+    progress: ProgressOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
     """Prove what a result says once more, from its file alone: in exact and ball arithmetic, for all frequencies.
@@ -40,7 +38,7 @@ def verify(
         hint = "files of earlier versions hold none; docs/proved.md says which results have them"
         raise InputError(", ".join(files), "no claims", "results that were saved with their evidence", hint)
     found: dict[str, Any] = {}
-    with progress.shown("verify", len(holding), budgets=False) as display:
+    with shown(progress, "verify", len(holding), budgets=False) as display:
         for done, path in enumerate(holding):
             display.step(done, str(path))
             found[str(path)] = rl.verify(path, effort=effort)

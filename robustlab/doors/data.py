@@ -163,7 +163,6 @@ WHOLE, USUAL_DELTA, USUAL_SEARCH = Cut(), Asked(), Search()
     "data validate",
     "validate",
     result="identification.validation.validation_result.Validation",
-    own=True,
     progress="lines",
 )
 def validate(
@@ -182,7 +181,7 @@ def validate(
     """Find the smallest scaling of Delta with which an uncertain model could have produced a record.
 
     Exit code 0: the bounds of gamma are within the precision, or decide whether the set explains the record; 4: they
-    decide nothing, or no Delta of any size explains the record; 1: gamma is not shown to be within --at-most.
+    decide nothing, or no Delta of any size explains the record.
 
     Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
     """

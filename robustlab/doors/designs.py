@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.design_kinds import ByNumber, Weight
-from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Thing, Whole
+from robustlab.doors.kinds import ByNumber, Choice, Flag, Kind, Names, Number, Thing, Weight, Whole
 from robustlab.doors.words import Design, Model, Search, Seed, Signals
 from robustlab.errors import InputError, UsageError
 

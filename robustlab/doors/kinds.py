@@ -7,7 +7,7 @@ heavy is imported here: ``--help`` and TAB must not wait for numerical libraries
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
@@ -16,31 +16,45 @@ from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.units import amount, share
 
 UPDATED_PLANT = "updated-plant.h5"  # in the folder of ``data discover --out``
+Side = Literal["inputs", "outputs", "signals", "parameters", ""]
 
-Given = list[str] | None  # of an option that may be repeated
+
+@contextmanager
+def _as_usage(found: str = "") -> Any:
+    """What is wrong with a word is a fault of the command line."""
+    try:
+        yield
+    except InputError as error:
+        raise UsageError(error.where, f"{found}{error.found}", error.expected) from None
 
 
 @dataclass(frozen=True)
 class Kind:
     """Base: a text as it is given."""
 
-    def annotation(self) -> Any:
-        return str
-
-    @property
-    def metavar(self) -> str | None:
-        return None
+    taken: ClassVar[Any] = str  # what the parser of a command hands over
+    metavar: ClassVar[str | None] = None
 
     def read(self, option: str, given: Any) -> Any:
+        """The value of a command's words."""
         return given
 
     def field(self) -> Any:
+        """What a key of a recipe may hold."""
         from robustlab.doors.vocabulary import Text
 
         return Text
 
     def of_field(self, given: Any) -> Any:
+        """The value of a recipe's key."""
         return given
+
+
+@dataclass(frozen=True)
+class TextFile(Kind):
+    """A file that the function reads."""
+
+    metavar = "FILE"
 
 
 @dataclass(frozen=True)
@@ -53,11 +67,12 @@ class Number(Kind):
     below: float | None = None
     most: float | None = None
 
-    def annotation(self) -> Any:
+    @property
+    def taken(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
         return str if self.unit else float
 
     @property
-    def metavar(self) -> str | None:
+    def metavar(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
         return "FLOAT" if self.unit else None
 
     def read(self, option: str, given: Any) -> Any:
@@ -67,6 +82,16 @@ class Number(Kind):
         from pydantic import Field
 
         return Annotated[float, Field(gt=self.above, ge=self.least, lt=self.below, le=self.most)]
+
+
+@dataclass(frozen=True)
+class Share(Number):
+    """A relative tolerance: ``0.05`` or ``5%``."""
+
+    def field(self) -> Any:
+        from robustlab.doors.vocabulary import PriorTolerance, RelativeTolerance
+
+        return PriorTolerance if self.below is None else RelativeTolerance
 
 
 @dataclass(frozen=True)
@@ -84,7 +109,6 @@ class Quantity(Kind):
         return text if len(parts) == 1 else tuple(parts)
 
     def field(self) -> Any:
-        """A number, or two."""
         from pydantic import Field
 
         number: Any = Annotated[float, Field(ge=self.least)]
@@ -110,29 +134,8 @@ def in_units(where: str, given: Mapping[str, Any] | None, units: Mapping[str, st
             return tuple(amount(f"{where} {name}", one, unit) for one in value)
         return amount(f"{where} {name}", value, unit)
 
-    try:
+    with _as_usage():
         return {name: read(name, value) for name, value in (given or {}).items()}
-    except InputError as error:
-        raise UsageError(error.where, error.found, error.expected) from None
-
-
-@dataclass(frozen=True)
-class Share(Number):
-    """A relative tolerance: ``0.05`` or ``5%``."""
-
-    def field(self) -> Any:
-        from robustlab.doors.vocabulary import PriorTolerance, RelativeTolerance
-
-        return PriorTolerance if self.below is None else RelativeTolerance
-
-
-@dataclass(frozen=True)
-class TextFile(Kind):
-    """A file that the function reads."""
-
-    @property
-    def metavar(self) -> str | None:
-        return "FILE"
 
 
 @dataclass(frozen=True)
@@ -141,9 +144,7 @@ class Whole(Kind):
 
     least: int = 0
     most: int = 1_000_000
-
-    def annotation(self) -> Any:
-        return int
+    taken = int
 
     def field(self) -> Any:
         from pydantic import Field
@@ -155,8 +156,7 @@ class Whole(Kind):
 class Flag(Kind):
     """Yes or no."""
 
-    def annotation(self) -> Any:
-        return bool
+    taken = bool
 
     def field(self) -> Any:
         return bool
@@ -167,16 +167,13 @@ class Choice(Kind):
     """One of several words."""
 
     words: tuple[str, ...]
+    metavar = "WORD"
 
     def read(self, option: str, given: Any) -> Any:
         if given is not None and given not in self.words:
             expected = " or ".join(self.words) if len(self.words) == 2 else f"one of {', '.join(self.words)}"
             raise UsageError(option, repr(given), expected, did_you_mean(given, self.words))
         return given
-
-    @property
-    def metavar(self) -> str | None:
-        return "WORD"
 
     def field(self) -> Any:
         return Literal[self.words]
@@ -186,46 +183,64 @@ class Choice(Kind):
 class Feedback(Kind):
     """The sign of feedback: ``negative`` and ``positive`` of a command, -1 and 1 of a recipe."""
 
-    def read(self, option: str, given: Any) -> Any:
-        if given is None:
-            return None
-        return -1 if Choice(("negative", "positive")).read(option, given) == "negative" else 1
+    metavar = "WORD"
 
-    @property
-    def metavar(self) -> str | None:
-        return "WORD"
+    def read(self, option: str, given: Any) -> Any:
+        given = Choice(("negative", "positive")).read(option, given)
+        return None if given is None else -1 if given == "negative" else 1
 
     def field(self) -> Any:
         return Literal[-1, 1]
 
 
+def _parts(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
 @dataclass(frozen=True)
 class Names(Kind):
-    """Names with commas between them; of signals or parameters of what ``of`` refers to, where a side is said."""
+    """Names with commas between them; of signals or parameters of what ``of`` refers to, where a side is named."""
 
-    side: Literal["inputs", "outputs", "signals", "parameters", ""] = ""
+    side: Side = ""
     of: str = "of"
     one: bool = False  # a single name
     repeated: bool = False  # the option of a command may be repeated
 
-    def annotation(self) -> Any:
+    @property
+    def taken(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
         return list[str] if self.repeated else str
 
     @property
-    def metavar(self) -> str | None:
+    def metavar(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
         return "NAME" if self.one else "NAME,..."
 
     def read(self, option: str, given: Any) -> Any:
         if not given or self.one:
             return given or None
-        texts = given if self.repeated else [given]
-        return [part.strip() for text in texts for part in text.split(",") if part.strip()]
+        return [name for text in (given if self.repeated else [given]) for name in _parts(text)]
 
     def field(self) -> Any:
         from robustlab.doors import vocabulary
 
         taken: Any = vocabulary.Text if self.one else list[vocabulary.Text]
         return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
+
+
+@dataclass(frozen=True)
+class ByNumber(Kind):
+    """Signals by name, or how many of the last ones: ``2`` or ``a,b``."""
+
+    metavar = "NAME,...|NUMBER"
+
+    def read(self, option: str, given: Any) -> Any:
+        return None if given is None else int(given) if given.isdecimal() else _parts(given)
+
+    def field(self) -> Any:
+        from pydantic import Field
+
+        from robustlab.doors.vocabulary import Text
+
+        return Annotated[int, Field(ge=1)] | Annotated[list[Text], Field(min_length=1, max_length=100)]
 
 
 @dataclass(frozen=True)
@@ -237,29 +252,24 @@ class Numbers(Kind):
     words: str = "NUMBER,..."
 
     @property
-    def metavar(self) -> str | None:
+    def metavar(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.words
 
     def read(self, option: str, given: Any) -> Any:
         """``1,10`` or ``2Hz`` as a list; as a tuple where their count is known."""
         if given is None:
             return None
-        parts = given.split(",")
         try:
-            found = [amount(option, part, self.unit) for part in parts]
+            found = [amount(option, part, self.unit) for part in given.split(",")]
         except InputError as error:
             example = "1,10 or 2Hz" if self.unit == "rad/s" else "1,2.5"
-            raise UsageError(
-                option, repr(given), f"numbers{f' in {self.unit}, or with a unit' if self.unit else ''}: {example}"
-            ) from error
-        if self.count is None:
-            return found
-        if len(found) != self.count:
+            words = f"numbers{f' in {self.unit}, or with a unit' if self.unit else ''}: {example}"
+            raise UsageError(option, repr(given), words) from error
+        if self.count is not None and len(found) != self.count:
             raise UsageError(option, repr(given), f"{self.count} numbers, {self.words}")
-        return tuple(found)
+        return self.of_field(found)
 
     def field(self) -> Any:
-        """A list of numbers."""
         from pydantic import Field
 
         number = Annotated[float, Field(ge=0)] if self.unit == "rad/s" else float
@@ -276,37 +286,26 @@ class Table(Kind):
     """Names with a value each: ``NAME=VALUE``, repeatable; a table in a recipe."""
 
     value: Kind = Number()
-    side: Literal["inputs", "outputs", "signals", "parameters", ""] = ""
+    side: Side = ""
     of: str = "of"
     words: str = "NAME=VALUE"
-
-    def annotation(self) -> Any:
-        return list[str]
+    taken = list[str]
 
     @property
-    def metavar(self) -> str | None:
+    def metavar(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.words
 
-    def read(self, option: str, given: Given, units: Mapping[str, str] | None = None) -> Any:
+    def read(self, option: str, given: list[str] | None, units: Mapping[str, str] | None = None) -> Any:
         """The table; None where nothing was given. ``units``: of a name, in which its value may be given too."""
-        if not given:
-            return None
         found: dict[str, Any] = {}
-        for text in given:
-            name, equals, value = (
-                text.partition("=")
-                if isinstance(self.value, Kind) and type(self.value) is Kind
-                else text.rpartition("=")
-            )
+        for text in given or []:
+            name, equals, value = text.partition("=") if type(self.value) is Kind else text.rpartition("=")
             if not (name and equals) or (not value and not isinstance(self.value, Share)):  # a share says what it is
                 raise UsageError(f"{option} {text}", "no name and value", self.words)
             if name in found:
                 raise UsageError(f"{option} {text}", f"{name!r} is given twice", "each name once")
-            try:
-                found[name] = self._value(f"{option} {text}", value, (units or {}).get(name, ""))
-            except InputError as error:
-                raise UsageError(error.where, f"no number after =: {error.found}", error.expected) from None
-        return found
+            found[name] = self._value(f"{option} {text}", value, (units or {}).get(name, ""))
+        return found or None
 
     def _value(self, where: str, text: str, unit: str) -> Any:
         if type(self.value) is Kind:
@@ -314,19 +313,19 @@ class Table(Kind):
         if isinstance(self.value, Quantity):
             return self.value.of_text(where, text)
         if isinstance(self.value, Share):
-            return _as_usage(share, where, text)
+            with _as_usage():
+                return share(where, text)
         unit = getattr(self.value, "unit", "") or unit
-        if isinstance(self.value, Numbers):
-            parts = text.split(":")
-            if len(parts) != 2:
-                raise UsageError(where, "no name and two numbers", self.words)
-            return tuple(amount(where, part, unit) for part in parts)
-        number = amount(where, text, unit)
+        parts = text.split(":") if isinstance(self.value, Numbers) else [text]
+        if isinstance(self.value, Numbers) and len(parts) != 2:
+            raise UsageError(where, "no name and two numbers", self.words)
+        with _as_usage("no number after =: "):
+            found = tuple(amount(where, part, unit) for part in parts)
         if isinstance(self.value, Whole):
-            if not float(number).is_integer():  # nan and inf are none
+            if not float(found[0]).is_integer():  # nan and inf are none
                 raise UsageError(where, "no whole number", self.words)
-            return int(number)
-        return number
+            return int(found[0])
+        return found if isinstance(self.value, Numbers) else found[0]
 
     def field(self) -> Any:
         from robustlab.doors import vocabulary
@@ -338,11 +337,52 @@ class Table(Kind):
         return {name: self.value.of_field(value) for name, value in given.items()} if given else None
 
 
-def _as_usage(read: Callable[[str, str], Any], where: str, text: str) -> Any:
-    try:
-        return read(where, text)
-    except InputError as error:
-        raise UsageError(error.where, error.found, error.expected) from None
+@dataclass(frozen=True)
+class Weight(Kind):
+    """A weight: a number, or what the function ``maker`` of robustlab takes, ``bandwidth=10,error=0.01``."""
+
+    maker: str
+    metavar = "WEIGHT"
+
+    def read(self, option: str, given: Any) -> Any:
+        """The number, or the model that the function makes."""
+        if given is None:
+            return None
+        if "=" not in given:
+            try:
+                return float(given)
+            except ValueError:
+                raise UsageError(option, f"{given.strip()!r}", "a number") from None
+        from inspect import signature
+
+        import robustlab as rl
+
+        known = list(signature(getattr(rl, self.maker)).parameters)
+        found: dict[str, Any] = {}
+        for part in given.split(","):
+            key, _, value = part.partition("=")
+            key = key.strip().replace("-", "_")
+            if key not in known:
+                expected = f"one of {', '.join(known)}"
+                raise UsageError(option, f"unknown word {key!r}", expected, did_you_mean(key, known))
+            with _as_usage():
+                found[key] = amount(f"{option}: {key}", value, "rad/s" if key == "bandwidth" else "")
+        if "order" in found and found["order"].is_integer():
+            found["order"] = int(found["order"])
+        if known[0] not in found:
+            raise UsageError(option, f"{known[0]} is missing", f"at least {known[0]}=NUMBER")
+        return getattr(rl, self.maker)(**found)
+
+    def field(self) -> Any:
+        from robustlab.doors import vocabulary
+
+        return vocabulary.Positive | getattr(vocabulary, "".join(p.capitalize() for p in self.maker.split("_")))
+
+    def of_field(self, given: Any) -> Any:
+        import robustlab as rl
+
+        made = isinstance(given, float) or given is None
+        return given if made else getattr(rl, self.maker)(**given.model_dump())
 
 
 class Pair(NamedTuple):
@@ -364,15 +404,14 @@ class Thing(Kind):
     positional: bool = False
     pair: bool = False
     discovery: bool = False
-    words: tuple[str, ...] = ()
-
     reading: ClassVar[str] = "model"  # which of a command's options say how the file is read
 
-    def annotation(self) -> Any:
+    @property
+    def taken(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
         return list[str] if self.many else str
 
     @property
-    def metavar(self) -> str | None:
+    def metavar(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
         return "PLANT" if self.gives == ("plant",) else "FILE"
 
     def field(self) -> Any:
@@ -384,14 +423,9 @@ class Thing(Kind):
         return float | taken if self.number else taken
 
     def load(self, file: str, remark: Callable[[str], None], settings: Sequence[str] = (), **reading: Any) -> Any:
-        """What stands in a file; ``remark`` hears what is odd about it. Of a file with two models a `Pair`.
-
-        Where a plant is taken, its name will do, too.
-        """
+        """What is in a file, or a plant by its name; warnings go to ``remark``. Of a file with two models a `Pair`."""
         from robustlab.storage import read
 
-        if file in self.words:
-            return file
         if self.number:
             with suppress(ValueError):
                 return float(file)
@@ -420,14 +454,14 @@ class Thing(Kind):
             found = found.K
         if self.model:
             return rl.linearise(found) if isinstance(found, Plant) else as_model(found, where)
+        held = f"holds a {type(found).__name__}"
         if self.gives[0] == "plant" and set(self.gives) <= {"plant", "any"} and not isinstance(found, Plant):
             wanted = "a discovery, or a plant" if self.discovery else "a plant"
-            raise InputError(where, f"holds a {type(found).__name__}", wanted, "robustlab plant list")
+            raise InputError(where, held, wanted, "robustlab plant list")
         if isinstance(found, rl.Record) and "record" not in self.gives:
-            raise InputError(where, "holds a Record", "a model or a plant")
+            raise InputError(where, held, "a model or a plant")
         of_sets = set(self.gives) <= {"uncertain", "any"} and "uncertain" in self.gives
         if of_sets and not isinstance(found, (rl.UncertainModel, rl.UncertainFrequencyData)):
-            held = f"holds a {type(found).__name__}"
             raise InputError(where, held, "an uncertain model", "robustlab uncertain build --help")
         return found
 
@@ -437,12 +471,8 @@ class Machine(Thing):
     """A plant by its name or file, or a model in a file; the option ``--set`` of a command changes the plant."""
 
     gives: tuple[str, ...] = ("plant", "model", "any")
-
     reading: ClassVar[str] = "plant"
-
-    @property
-    def metavar(self) -> str | None:
-        return "MODEL"
+    metavar = "MODEL"
 
 
 @dataclass(frozen=True)
@@ -451,11 +481,9 @@ class RecordFile(Thing):
 
     gives: tuple[str, ...] = ("record", "any")
     remarks: bool = True
-
     reading: ClassVar[str] = "record"
 
     def as_wanted(self, found: Any, where: str) -> Any:
-        """The record."""
         import robustlab as rl
 
         if not isinstance(found, rl.Record):

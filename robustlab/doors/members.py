@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import robustlab as rl
-from robustlab.doors.declaration import Named, door
-from robustlab.doors.kinds import Choice, Kind, Names, Number, Quantity, Table, Whole, in_units
+from robustlab.doors.declaration import InLoop, Named, door
+from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Quantity, Table, TextFile, Whole, in_units
 from robustlab.doors.words import Search, Seed, Uncertain
 from robustlab.errors import InputError, UnitMismatch, UsageError
 
@@ -81,6 +83,8 @@ class Excitation:
             if sines:
                 raise UsageError("sine", "no end time", "t_end")
             return {"t": None, "u": steps or None}
+        if not 0 < t_end < float("inf") or self.points < 2:
+            raise UsageError("t_end", f"{t_end:g} with {self.points} points", "a positive time and at least 2 points")
         t = np.arange(round(t_end / dt) + 1) * dt if dt else np.linspace(0.0, t_end, self.points)
         if self.frequency is None:
             return {"t": t, "u": steps or None}
@@ -94,9 +98,9 @@ class Certainty:
     """How sure a probability is to be."""
 
     probability: Annotated[
-        float | None, Number(above=0, below=1), "With a limit: show P(violation) at most so large; else exit code 1."
+        float | None, Number(above=0, below=1), "Show P(violation) at most so large; else exit code 1."
     ] = None
-    confidence: Annotated[float, Number(above=0, below=1), "With a limit: confidence of all bounds."] = 0.95
+    confidence: Annotated[float, Number(above=0, below=1), "Confidence of all bounds."] = 0.95
 
 
 USUAL, UNDRIVEN, AS_USUAL, USUALLY_SURE = Judged(), Excitation(), Search(), Certainty()
@@ -134,7 +138,7 @@ def worst_case(
     n: Annotated[
         int,
         Whole(1, 100_000),
-        "Points that the search starts from (256); with a limit: samples.",
+        "Points that the search starts from.",
         Named(option="-n,--samples"),
     ] = 256,
     seed: Seed = 0,
@@ -143,8 +147,6 @@ def worst_case(
 ) -> Any:
     """The worst member that a search over all normalised Delta finds, with its Delta; a lower bound, not a guarantee.
 
-    With a limit the probability that random members violate it, with Clopper-Pearson bounds and what matters for it.
-
     Example: robustlab worst-case uncertain.h5 --metric peak-deviation --outputs omega --input-value u=42 --t-end 0.1
     """
     options: dict[str, Any] = {**judged.options, **drive.of(uncertain), **search.options}
@@ -152,14 +154,14 @@ def worst_case(
 
 
 @door(
-    "worst-case --limit",
+    "violation-probability",
     "violation-probability",
     result="worst_case_analysis.statistics.ViolationProbability",
     foretell=_foretold_violation,
 )
 def violation_probability(
     uncertain: Of,
-    limit: Annotated[Any, Quantity(), "Do not search: how probable is it that samples violate this? '0.5 rad'."],
+    limit: Annotated[Any, Quantity(), "How probable is it that samples violate this? '0.5 rad'."],
     judged: Judged = USUAL,
     unit: Annotated[
         str | None, Kind(), "Unit of the limit: that of the metric, else it is refused.", Named(only="step")
@@ -178,6 +180,8 @@ def violation_probability(
     """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds; what matters for it.
 
     The parameters are taken as uniform in their ranges and independent.
+
+    Example: robustlab violation-probability set.h5 --limit "9 rad/s" --outputs omega --input-value u=42 --t-end 0.1
     """
     options: dict[str, Any] = {**judged.options, **drive.of(uncertain)}
     return rl.violation_probability(
@@ -189,3 +193,175 @@ def violation_probability(
 def _check_sine(sines: Any, frequency: float | None) -> None:
     if bool(sines) != (frequency is not None):
         raise UsageError("sine", "one of sine and frequency", "both: sine and frequency belong together")
+
+
+# --- samples and campaigns --------------------------------------------------------------------------------------------
+
+
+@door("uncertain show", result="uncertainty.lft.UncertainModel")
+def show(uncertain: Of) -> Any:
+    """The blocks, signals and nominal stability of an uncertain model.
+
+    Example: robustlab uncertain show uncertain.h5
+    """
+    nominal = uncertain.nominal
+    return InLoop(uncertain, beside={"nominal": nominal, "nominal_spectral_abscissa": nominal.spectral_abscissa()})
+
+
+@door("uncertain sample", result="worst_case_analysis.sampling.Responses")
+def sample(
+    uncertain: Of,
+    n: Annotated[int, Whole(0, 1_000_000), "Number of random samples.", Named(option="-n,--samples")] = 20,
+    seed: Seed = 0,
+    vertices: Annotated[str, Kind(), "Vertices to add: a number, or all."] = "0",
+    drive: Excitation = UNDRIVEN,
+) -> Any:
+    """Time responses of random members and vertices: nominal, envelope, and the sample farthest from nominal.
+
+    Example: robustlab uncertain sample uncertain.h5 -n 20 --seed 1 --vertices all --input-value u=42 --t-end 0.1
+    """
+    from robustlab.dynamics.simulation import default_clock
+
+    if vertices != "all" and not vertices.isdecimal():
+        raise UsageError("--vertices", vertices, "a whole number, or all")
+    driven = drive.of(uncertain)
+    if driven["t"] is None:
+        driven["t"] = default_clock(uncertain.nominal, "uncertain sample")
+    members = rl.sample(uncertain, n, seed, "all" if vertices == "all" else int(vertices))
+    return InLoop(members.respond(**driven), beside={"seed": seed, "vertices": members.vertices})
+
+
+RESULT, STORE = "campaign.campaign_result.CampaignResult", "Store of a campaign (SQLite)."
+Store = Annotated[str, TextFile(), STORE]
+Bound = Annotated[float | None, Number(), "Count how often the metric is worse than this.", Named(option="--limit")]
+
+
+@dataclass(frozen=True)
+class WorkerOptions:
+    """Who computes."""
+
+    workers: Annotated[
+        int | None, Whole(1, 1024), "Processes on this machine; one per processor where left out.",
+        Named(option="--workers,-w"),
+    ] = None  # fmt: skip
+    cluster: Annotated[str | None, Kind(), "Dask scheduler whose workers are used, such as tcp://host:8786."] = None
+
+    def crew(self) -> Any:
+        from robustlab.campaign import Crew
+
+        return Crew(self.workers, self.cluster)
+
+
+@dataclass(frozen=True)
+class Existing:
+    """What becomes of a store that is there already."""
+
+    restart: Annotated[bool, Flag(), "Delete what the store holds and begin anew."] = False
+    fork: Annotated[bool, Flag(), "Keep the store, begin another one beside it."] = False
+
+    def mode(self) -> Any:
+        if self.restart and self.fork:
+            raise UsageError("campaign run", "--restart and --fork", "one of them")
+        return "restart" if self.restart else "fork" if self.fork else "resume"
+
+
+HERE, GO_ON = WorkerOptions(), Existing()
+
+
+@contextmanager
+def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
+    """Takes how many samples were just stored, first those of earlier runs; Ctrl-C says how to go on."""
+    from robustlab.campaign import saved_samples
+
+    saved: list[int] = []
+    progress.total = n
+
+    def advance(stored: int) -> None:
+        saved.append(stored)
+        (progress.step if len(saved) > 1 else progress.resumed)(sum(saved))
+
+    try:
+        yield advance
+    except KeyboardInterrupt:
+        try:
+            done, n = saved_samples(store)
+        except rl.RobustlabError:
+            raise KeyboardInterrupt("interrupted before anything was saved") from None
+        words = f"interrupted: {done} of {n} samples saved; resume with robustlab campaign resume {store}"
+        raise KeyboardInterrupt(words) from None
+
+
+@door("campaign run", result=RESULT, progress="steps")
+def campaign(
+    uncertain: Of,
+    store: Annotated[str, TextFile(), "SQLite file to write; an unfinished one is gone on with.",
+                     Named(option="--store")],
+    judged: Judged = USUAL,
+    drive: Excitation = UNDRIVEN,
+    n: Annotated[int, Whole(1, 10**9), "How many samples, vertices or searches.", Named(option="-n,--samples")] = 1000,
+    kind: Annotated[str, Choice(("samples", "vertices", "search")), "What is drawn."] = "samples",
+    starts: Annotated[int, Whole(1), "For searches: points each one starts from."] = 64,
+    seed: Seed = 0,
+    workers: WorkerOptions = HERE,
+    existing: Existing = GO_ON,
+    limit: Bound = None,
+    progress: Any = None,
+) -> Any:  # fmt: skip
+    """Compute a metric for n members of an uncertain model; the same result however often the run is interrupted.
+
+    A sample that raises is lost alone. Exit code 4: more than 1 % are lost, or the worst sample could not be
+    confirmed.
+
+    Example: robustlab campaign run motor.h5 --outputs omega --input-value u=42 --t-end 0.1 -n 100000 --store m.sqlite
+    """
+    from robustlab.campaign import CampaignSettings, run_campaign
+
+    mode, driven, hold = existing.mode(), drive.of(uncertain), "zoh"
+    u = driven["u"]
+    if drive.sine:  # not a constant: sample by sample
+        u, hold = {name: values.tolist() for name, values in u.items()}, "foh"
+    kind_: Any = kind
+    settings = CampaignSettings(
+        judged.metric, n, kind_, seed, judged.output, judged.from_input, u, drive.t_end, drive.points, hold,
+        starts=starts, band=judged.band,
+    )  # fmt: skip
+    with _counted(progress, store, n) as advance:
+        return run_campaign(
+            uncertain, settings, store, existing=mode, crew=workers.crew(), limit=limit, progress=advance
+        )
+
+
+@door("campaign resume", result=RESULT, progress="steps")
+def resume(store: Store, workers: WorkerOptions = HERE, limit: Bound = None, progress: Any = None) -> Any:
+    """Go on with a campaign where it was interrupted; model and settings are in the store.
+
+    Example: robustlab campaign resume motor.sqlite --workers 2
+    """
+    from robustlab.campaign import resume_campaign, saved_samples
+
+    with _counted(progress, store, saved_samples(store)[1]) as advance:
+        return resume_campaign(store, crew=workers.crew(), limit=limit, progress=advance)
+
+
+@door("campaign show", result=RESULT)
+def stored(store: Store, limit: Bound = None) -> Any:
+    """What a store holds: counts, worst sample, quantiles, lost samples; also while a run writes it.
+
+    Exit code 4 as long as samples are missing.
+
+    Example: robustlab campaign show motor.sqlite --limit 34
+    """
+    from robustlab.campaign import read_campaign
+
+    return read_campaign(store, limit)
+
+
+@door("campaign replay", result="campaign.runs.Replay")
+def replay(store: Store, index: Annotated[int, Whole(0, 10**9), "Number of the sample.", Named(option="*")]) -> Any:
+    """Compute one sample again in this process.
+
+    Example: robustlab campaign replay motor.sqlite 4711
+    """
+    from robustlab.campaign import replay_sample
+
+    return replay_sample(store, index)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Any
 
 import robustlab as rl
@@ -62,15 +62,18 @@ def disk_margin(
     return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
 
 
-@door("model margins --classical", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
+@door("model classical-margins", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
 def classical_margins(
     plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
     around: Loop = NO_LOOP,
     at: At = "output",
 ) -> Any:
-    """Gain, phase and delay margin of each loop alone, with all crossings."""
+    """Gain, phase and delay margin of each loop alone, with all crossings.
+
+    Example: robustlab model classical-margins plant.h5 --controller K.h5
+    """
     if isinstance(plant, rl.UncertainModel):
-        raise UsageError("--classical", "an uncertain plant", "one model")
+        raise UsageError("classical-margins", "an uncertain plant", "one model")
     given: Any = at
     loop, K, sign, words = _loop(plant, around)
     found = rl.classical_margins(loop, K, at=given, sign=sign)
@@ -89,16 +92,6 @@ def _loop(plant: Any, around: Loop) -> tuple[Any, Any, Any, str]:
     return found.plant, None if found.K is None else silenced(found.K, "margins"), found.sign, found.said
 
 
-@dataclass(frozen=True)
-class Told:
-    """What a command is asked to show beside its answer."""
-
-    intervals: Intervals = False
-
-
-NO_TABLE = Told()
-
-
 # --- a set ------------------------------------------------------------------------------------------------------------
 
 
@@ -110,7 +103,7 @@ def _grid(system: Any, drawn: bool) -> Any:
     return default_grid(system.M, 60) if asked else None
 
 
-@door("mu", "robust-stability", result="mu_analysis.axis.margin.Margin")
+@door("mu", "robust-stability", result=f"mu_analysis.axis.margin.Margin, {AT}MarginAt")
 def robust_stability(
     system: OfSet,
     around: Loop = NO_LOOP,
@@ -119,7 +112,7 @@ def robust_stability(
     accuracy: Accuracy | None = None,
     search: Search = USUAL,
     seed: Seed = 0,
-    more: Told = NO_TABLE,
+    intervals: Intervals = False,
     drawn: bool = False,
 ) -> Any:
     """Robust stability margin (1 / mu) over the whole frequency axis, with the critical Delta.
@@ -135,9 +128,8 @@ def robust_stability(
     options: dict[str, Any] = {"omega": _grid(loop, drawn), "tolerance": tolerance, "accuracy": accuracy}
     if frequency is not None or issubclass(type(loop), rl.UncertainFrequencyData):
         del options["omega"]
-        asked = {"--intervals": more.intervals}
-        if refused := next((name for name, given in asked.items() if given), None):
-            raise UsageError("mu", f"{refused} at given frequencies", "the margin, or --gain")
+        if intervals:
+            raise UsageError("mu", "--intervals at given frequencies", "the margin, or worst-gain")
     found: Any = rl.robust_stability(loop, frequency=frequency, **search.options, seed=seed, **options)
     beside: dict[str, Any] = {}
     if drawn and isinstance(found, Margin) and found.delta and loop.outputs:
@@ -145,10 +137,10 @@ def robust_stability(
             beside["replay"] = replay(loop, found)
         except rl.RobustlabError as error:
             return InLoop(found, words, (f"no replay: {error}",), beside)
-    return InLoop(found, words, (), beside, (found.proved_intervals(),) if more.intervals else ())
+    return InLoop(found, words, (), beside, (found.proved_intervals(),) if intervals else ())
 
 
-@door("mu --gain", "worst-gain", result="mu_analysis.axis.worst_gain.WorstCaseGain")
+@door("worst-gain", "worst-gain", result=f"mu_analysis.axis.worst_gain.WorstCaseGain, {AT}GainAt")
 def worst_case_gain(
     system: OfSet,
     around: Loop = NO_LOOP,
@@ -157,10 +149,13 @@ def worst_case_gain(
     tolerance: Tolerance | None = None,
     search: Search = USUAL,
     seed: Seed = 0,
-    more: Told = NO_TABLE,
+    intervals: Intervals = False,
     drawn: bool = False,
 ) -> Any:
-    """Worst-case gain from inputs to outputs."""
+    """Worst-case gain from inputs to outputs over all members, proved and attained, with its Delta.
+
+    Example: robustlab worst-gain motor-uncertain.h5 --outputs omega
+    """
     loop, words = around.around(system, "worst-case gain")
     kept = signals.of(loop)
     at = frequency is not None or isinstance(kept, rl.UncertainFrequencyData)
@@ -168,11 +163,11 @@ def worst_case_gain(
         "omega": _grid(kept, drawn), "tolerance": tolerance, **search.options
     }  # fmt: skip
     found: Any = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
-    tables = (found.proved(),) if more.intervals else ()
+    tables = (found.proved(),) if intervals else ()
     return InLoop(found, words, (), {}, tables)
 
 
-@door("mu --performance", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")
+@door("performance-margin", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")
 def robust_performance(
     system: OfSet,
     around: Loop = NO_LOOP,
@@ -184,7 +179,10 @@ def robust_performance(
     intervals: Intervals = False,
     drawn: bool = False,
 ) -> Any:
-    """Robust performance margin of weighted inputs and outputs."""
+    """Robust performance margin of weighted inputs and outputs.
+
+    Example: robustlab performance-margin loop-uncertain.h5
+    """
     loop, words = around.around(system, "robust performance")
     kept = signals.of(loop)
     found = rl.robust_performance(
@@ -192,19 +190,3 @@ def robust_performance(
         **search.options,
     )  # fmt: skip
     return InLoop(found, words, (), {}, (found.proved_intervals(),) if intervals else ())
-
-
-@door(
-    "", "robustness-at", result="mu_analysis.margins.at_frequencies.MarginAt, mu_analysis.margins.at_frequencies.GainAt"
-)
-def robustness_at(
-    system: OfSet,
-    around: Loop = NO_LOOP,
-    frequency: Frequency = None,
-    what: Annotated[str, Choice(("margin", "gain")), "Stability margin, or largest gain."] = "margin",
-    seed: Seed = 0,
-) -> Any:
-    """Margin, or worst-case gain, at given frequencies; nothing is claimed between them."""
-    loop, words = around.around(system, "robustness at frequencies")
-    asked: Any = rl.robust_stability if what == "margin" else rl.peak_gain
-    return InLoop(asked(loop, frequency=frequency, seed=seed), words)

@@ -33,9 +33,7 @@ NOTHING = "no uncertainty: mu = 0"
     foretell="nominal",
 )
 def elementwise(
-    nominal: Annotated[
-        Any, Thing(ANY, pair=True), "Nominal model; or one file with groups nominal and perturbed, or with a plant."
-    ],
+    nominal: Annotated[Any, Thing(ANY, pair=True), "Nominal model; or one file with groups nominal and perturbed."],
     perturbed: Annotated[
         Any, Thing(ANY, model=True, positional=True), "Maximally perturbed model of the same signals."
     ] = None,
@@ -50,16 +48,11 @@ def elementwise(
 ) -> Any:
     """Uncertain model from a nominal model and the same model perturbed as far as it may go.
 
-    Other options make it of a plant's ranges, of matrices of expressions, of a set of models, or of a discovery.
-
     Example: robustlab uncertain build nominal.h5 perturbed.h5 --structure elements --out uncertain.h5
     """
-    from robustlab.dynamics.plant_contract import Plant as AnyPlant
     from robustlab.uncertainty.built import BuiltModel
     from robustlab.uncertainty.elementwise import elementwise_cover, endpoint_residual, pair_remarks
 
-    if isinstance(nominal, AnyPlant) and perturbed is None:
-        return uncertain(nominal)
     first, second = two_models(nominal, perturbed)
     notes = tuple(f"warning: {remark}" for remark in pair_remarks(first, second))
     if structure == "cover":
@@ -76,12 +69,10 @@ def elementwise(
     return InLoop(found, notes=notes if model.blocks or notes else (NOTHING,))
 
 
-@door("uncertain build --plant", "uncertain", result="uncertainty.built.BuiltModel", gives="uncertain", made="model",
+@door("uncertain plant", "uncertain", result="uncertainty.built.BuiltModel", gives="uncertain", made="model",
       foretell="of")  # fmt: skip
 def uncertain(
-    plant: Annotated[
-        Plant, "Instead of models: a plant: its name, file.py:name, or HDF5 file.", Named(option="--plant", key="of")
-    ],
+    plant: Annotated[Plant, "A plant: its name, file.py:name, or HDF5 file.", Named(key="of")],
     tolerances: Annotated[
         dict[str, Any] | None,
         Table(Share(above=0, below=1), "parameters"),
@@ -106,7 +97,7 @@ def uncertain(
 ) -> Any:
     """Uncertain model of a plant: each parameter varies in a range, or by a share of its value, 0.05 or 5%.
 
-    Example: robustlab uncertain build --plant dc-motor --tolerance Kf=5% --out motor.h5
+    Example: robustlab uncertain plant dc-motor --tolerance Kf=5% --out motor.h5
     """
     from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
     from robustlab.uncertainty.built import BuiltModel
@@ -134,16 +125,14 @@ def uncertain(
     return InLoop(BuiltModel(model, "parameters", None), notes=tuple(notes))
 
 
-@door("uncertain build --expressions", result="uncertainty.built.BuiltModel", gives="uncertain", made="model")
+@door("uncertain expressions", result="uncertainty.built.BuiltModel", gives="uncertain", made="model")
 def expressions(
-    file: Annotated[
-        str,
-        TextFile(),
-        "Instead of models: a TOML file with A, B, C, D in named parameters.",
-        Named(option="--expressions"),
-    ],
+    file: Annotated[str, TextFile(), "TOML file with A, B, C, D in named parameters."],
 ) -> Any:
-    """Uncertain model from matrices of expressions in parameters with ranges."""
+    """Uncertain model from matrices of expressions in parameters with ranges.
+
+    Example: robustlab uncertain expressions springs.toml --out springs.h5
+    """
     from robustlab.storage.expression_files import load_parametric
     from robustlab.uncertainty.built import BuiltModel
 
@@ -152,14 +141,9 @@ def expressions(
     return InLoop(found, notes=() if model.blocks else (NOTHING,))
 
 
-@door("uncertain build --cover", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model")
+@door("uncertain cover", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model")
 def cover(
-    models: Annotated[
-        list[Any],
-        Thing(ANY, model=True, many=True),
-        "Instead: a file of a set of models that is to be covered; at least two times.",
-        Named(option="--cover"),
-    ],
+    models: Annotated[list[Any], Thing(ANY, model=True, many=True), "Files of the models to cover; at least two."],
     form: Annotated[str, Choice(COVERS), "Of the cover."] = "elements",
     rtol: Annotated[
         float, Number(least=0, below=1), "Relative differences up to this are noise; none where left out."
@@ -175,7 +159,10 @@ def cover(
     search: Search = USUAL_SEARCH,
     progress: Any = None,
 ) -> Any:
-    """The smallest uncertain model of a form that holds every one of a set of models, with its conservatism."""
+    """The smallest uncertain model of a form that holds every one of a set of models, with its conservatism.
+
+    Example: robustlab uncertain cover unit1.h5 unit2.h5 unit3.h5 --form pca --out set.h5
+    """
     loop: Any = None
     words = ""
     if feedback is not None and controller is None:
@@ -198,7 +185,7 @@ def _foretold_blocks(step: Any, ahead: Any) -> Any:
 
 
 @door(
-    "uncertain build --discovery",
+    "uncertain discovery",
     "uncertain-from",
     result="dynamics.extended.effect_blocks.EffectBlocks",
     gives="uncertain",
@@ -209,8 +196,8 @@ def uncertain_from(
     discovery: Annotated[
         Any,
         Thing(("plant", "any"), discovery=True),
-        "Instead: folder of data discover --out, or its updated plant.",
-        Named(option="--discovery", key="of"),
+        "Folder of data discover --out, or its updated plant.",
+        Named(key="of"),
     ],
     outputs: Outputs = None,
     amplitude: Annotated[
@@ -231,7 +218,7 @@ def uncertain_from(
 ) -> Any:
     """Uncertain model of what a discovery found and left unexplained; each block says where it comes from.
 
-    Example: robustlab uncertain build --discovery found/ --amplitude v=0.05 --out set.h5
+    Example: robustlab uncertain discovery found/ --amplitude v=0.05 --out set.h5
     """
     named = in_units("amplitude", amplitude, {})
     given: Any = dry
@@ -241,6 +228,3 @@ def uncertain_from(
         if "amplitude" in (error.expected or "") and error.hint:
             raise UsageError("uncertain_from", error.found, "--amplitude NAME=VALUE for it", error.hint) from None
         raise
-
-
-Lengths = dict[str, Any] | None

@@ -1,13 +1,27 @@
-"""Files from outside: untrusted HDF5, MATLAB and text files into plain arrays, and atomic writing.
+"""Files from outside: untrusted HDF5, MATLAB and text files into plain arrays, and atomic writing."""
 
-This room knows nothing of models; `robustlab.storage` maps trees to objects. In the order of reading::
+from importlib import import_module
+from typing import Any
 
-    signature                           what a file is, whether it may be read, how large it may be
-    isolation, reader_process           a child process opens it and sends what it holds
-    hdf5_reader, matlab                 binary formats, brought to one form
-    text_table, document                tables of numbers; JSON and TOML
-    tree                                the form: groups, datasets, attributes; the header and hash of format 1
-    hdf5, atomic                        the front of all trees, and writing them
-    record_source                       what any of these holds of signals and clocks
-    records, frames                     measured records, from any of these, and from tables of pandas
-"""
+# Name -> the module that has it; imported when it is asked for.
+_WORDS = {
+    **dict.fromkeys(("Limits", "content_of", "size_text"), "signature"),
+    "ReaderServer": "isolation",
+    **dict.fromkeys(("read_response", "read_table"), "text_table"),
+    **dict.fromkeys(("read_tree", "write_tree"), "hdf5"),
+    **dict.fromkeys(
+        ("Dataset", "KINDS", "Tree", "Unread", "content_sha256", "link_name", "signal_name", "stamp"), "tree"
+    ),
+    "atomic_write": "atomic",
+    **dict.fromkeys(("MAX_DEPTH", "parse_document"), "document"),
+    **dict.fromkeys(("RecordOptions", "choose"), "records"),
+    **dict.fromkeys(("Channel", "Source"), "record_source"),
+}
+
+__all__ = list(_WORDS)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _WORDS:
+        return getattr(import_module(f"robustlab.files.{_WORDS[name]}"), name)
+    raise AttributeError(f"module 'robustlab.files' has no attribute {name!r}")

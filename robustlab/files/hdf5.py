@@ -26,7 +26,7 @@ def read_tree(path: str | Path, group: str | None = None, limits: Limits | None 
     if kind == "text":
         raise InputError(str(path), "a text file", "an HDF5 or MATLAB file")
     if isolate:
-        tree = read_isolated(kind, path, limits, group)
+        tree = read_isolated(kind, path, limits, **({"group": group} if kind == "hdf5" else {}))
     elif kind == "hdf5":
         from robustlab.files.hdf5_reader import read_hdf5
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -42,7 +41,6 @@ class _Walk:
     file: str
     limits: Limits
     wanted: str | None
-    allow: Callable[[int], None]
     total: int = 0
     objects: int = 0
     groups_seen: set[Any] = field(default_factory=set)
@@ -60,23 +58,14 @@ class _Walk:
         )
 
 
-def read_hdf5(
-    path: str,
-    limits: Limits,
-    group: str | None = None,
-    shown: str | None = None,
-    allow: Callable[[int], None] = lambda _: None,
-) -> Tree:
-    """Read ``path`` into a tree; ``group`` limits the values that are read, everything is walked all the same.
-
-    ``allow`` is called with the bytes in memory of each dataset before it is read.
-    """
+def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | None = None) -> Tree:
+    """Read ``path`` into a tree; ``group`` limits the values that are read, everything is walked all the same."""
     where = shown or path
     try:
         file = h5py.File(path, "r", locking=False)
     except OSError as error:
         raise _not_opened(where, error, path) from None
-    walk = _Walk(where, limits, group.strip("/") if group else None, allow)
+    walk = _Walk(where, limits, group.strip("/") if group else None)
     try:
         with file:
             tree = _group(walk, h5g.open(file.id, b"/"), "/", 0)
@@ -249,7 +238,6 @@ def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str, kind: s
     if walk.total > walk.limits.total:
         walk.problem(path, f"with this dataset {size_text(walk.total)} in all, limit {size_text(walk.limits.total)}")
         return False
-    walk.allow(declared)
     return True
 
 

@@ -1,7 +1,4 @@
-"""What a file is, by its first bytes; whether it may be read at all; and how large what comes from outside may be.
-
-Files of other programs that are not read here are refused with the two lines that make each readable.
-"""
+"""What a file is, by its first bytes; whether it may be read at all; and how large what comes from outside may be."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ import os
 import stat
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from robustlab.errors import InputError, did_you_mean
 
@@ -104,9 +101,8 @@ def content_of(path: str | Path, limits: Limits | None = None) -> Content:
     path = Path(path)
     where = str(path)
     head = require_file(path, limits)
-    refused = refusal(path, _FORMATS)
-    if refused is not None:
-        raise refused
+    if path.suffix.lower() in FOREIGN:
+        raise _refusal(path, path.suffix.lower())
     if _is_hdf5(path, head):
         return "hdf5"
     if head[126:128] in (b"IM", b"MI") and (head[124:126] in (b"\x00\x01", b"\x01\x00")):
@@ -120,9 +116,8 @@ def content_of(path: str | Path, limits: Limits | None = None) -> Content:
             where, "a zip archive (npz, xlsx, ...) is refused: it can hide any amount of data or code", _FORMATS
         )
     if head.startswith(b"\x93NUMPY") or (head[:1] == b"\x80" and head[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")):
-        by_content = REFUSED[".npy" if head.startswith(b"\x93NUMPY") else ".pkl"]
-        found = f"a pickle or npy file is refused: {by_content.why}"
-        raise InputError(where, found, _FORMATS, *told(path, by_content))
+        kind = ".npy" if head.startswith(b"\x93NUMPY") else ".pkl"
+        raise _refusal(path, kind, f"a pickle or npy file is {FOREIGN[kind][0]}")
     if b"\x00" in head:
         word = "UTF-16 text" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "unknown binary format"
         raise InputError(where, f"{word} (first bytes {head[:4].hex(' ')})", _FORMATS + " as UTF-8")
@@ -145,137 +140,41 @@ def _is_hdf5(path: Path, head: bytes) -> bool:
 
 # --- files of other programs ------------------------------------------------------------------------------------------
 
-_CODE = "such files can carry code that runs when they are read"
-_PICKLES = "arrays of objects in such files are pickles, which can carry code"
-_TAGS = "YAML tags can carry code, and it reads 1e-3 as text"
-
-
-class Foreign(NamedTuple):
-    """A kind of file: what it is or why it is refused, the suffix of what the lines write, and the two lines.
-
-    In the lines {file}, {made} and {stem} stand for the file, what is written, and the name without folder and suffix.
-    """
-
-    why: str
-    made: str
-    lines: tuple[str, str]
-    language: str = "Python"
-
-
-_NPZ = Foreign(
-    _PICKLES,
-    ".h5",
-    (
-        "import numpy, robustlab as rl; d = numpy.load({file!r})  # of a model: rl.ss(*(d[k] for k in 'ABCD'))",
-        "rl.save({made!r}, rl.Record(d['t'], {{'u': d['u']}}, {{'y': d['y']}}))",
+_CODE = "refused: such files can carry code that runs when they are read"
+_TABLE = "import pandas; pandas.read_{}({{file!r}}).to_csv({{made!r}})"
+# Suffix -> what is said of such a file, and the line of code that makes one that is read.
+FOREIGN: dict[str, tuple[str, str]] = {
+    ".npz": (_CODE, "d = numpy.load({file!r}); rl.save({made!r}, rl.Record(d['t'], {{'u': d['u']}}, {{'y': d['y']}}))"),
+    ".npy": (_CODE, "numpy.savetxt({made!r}, numpy.load({file!r}), delimiter=',', header='t,u,y', comments='')"),
+    **dict.fromkeys((".pkl", ".pickle"), (f"{_CODE}; open files of your own alone", _TABLE.format("pickle"))),
+    ".joblib": (f"{_CODE}; open files of your own alone", "import joblib; joblib.load({file!r}).to_csv({made!r})"),
+    **dict.fromkeys(
+        (".yaml", ".yml"),
+        ("refused: YAML tags can carry code, and it reads 1e-3 as text",
+         "d = yaml.safe_load(open({file!r})); rl.save({made!r}, rl.ss(d['A'], d['B'], d['C'], d['D']))"),
     ),
-)
-_NPY = Foreign(
-    _PICKLES,
-    ".csv",
-    (
-        "import numpy; d = numpy.load({file!r})  # with columns t, u, y",
-        "numpy.savetxt({made!r}, d, delimiter=',', header='t,u,y', comments='')",
+    **dict.fromkeys((".xlsx", ".xlsm", ".xls", ".ods"), ("not read here: a spreadsheet", _TABLE.format("excel"))),
+    **dict.fromkeys((".feather", ".arrow"), ("not read here: a Feather file", _TABLE.format("feather"))),
+    ".parquet": ("not read here: a Parquet file", _TABLE.format("parquet")),
+    **dict.fromkeys(
+        (".slx", ".mdl"),
+        ("not read here: a Simulink model",
+         "[A, B, C, D] = linmod('{stem}'); save('{stem}.mat', 'A', 'B', 'C', 'D', '-v7')  % in MATLAB"),
     ),
-)
-_PICKLE = Foreign(
-    _CODE,
-    ".csv",
-    (
-        "import pandas; d = pandas.read_pickle({file!r})  # runs what is in it: only files of your own",
-        "d.to_csv({made!r})",
+    ".mcap": ("not read here: a ROS 2 bag", "read_ros2_messages of the package mcap_ros2, numpy.savetxt({made!r})"),
+    ".tdms": ("not read here: a LabVIEW file",
+              "from nptdms import TdmsFile; TdmsFile.read({file!r}).as_dataframe().to_csv({made!r})"),
+    **dict.fromkeys(
+        (".mf4", ".mdf"),
+        ("not read here: an MDF file",
+         "from asammdf import MDF; MDF({file!r}).to_dataframe().to_csv({made!r}, index_label='t')"),
     ),
-)
-_JOBLIB = _PICKLE._replace(
-    lines=(
-        "import joblib; d = joblib.load({file!r})  # runs what is in it: only files of your own",
-        _PICKLE.lines[1],
-    )
-)
-_SHEET = Foreign(
-    "a spreadsheet",
-    ".csv",
-    ("import pandas; d = pandas.read_excel({file!r})", "d.to_csv({made!r}, index=False)"),
-)
-_SIMULINK = Foreign(
-    "a Simulink model",
-    ".mat",
-    ("[A, B, C, D] = linmod('{stem}'); dt = 0;", "save('{made}', 'A', 'B', 'C', 'D', 'dt', '-v7')"),
-    "MATLAB",
-)
-_FEATHER = Foreign(
-    "a Feather file",
-    ".csv",
-    ("import pandas; d = pandas.read_feather({file!r})", "d.to_csv({made!r}, index=False)"),
-)
-_PARQUET = _FEATHER._replace(
-    why="a Parquet file", lines=("import pandas; d = pandas.read_parquet({file!r})", _FEATHER.lines[1])
-)
-_MCAP = Foreign(
-    "a ROS 2 bag",
-    ".csv",
-    (
-        "from mcap_ros2.reader import read_ros2_messages as read; import numpy",
-        (
-            "numpy.savetxt({made!r}, [(m.log_time_ns / 1e9, m.ros_msg.data) for m in read({file!r}, '/TOPIC')], "
-            "delimiter=',', header='t,u', comments='')"
-        ),
-    ),
-)
-_TDMS = Foreign(
-    "a LabVIEW file",
-    ".csv",
-    ("from nptdms import TdmsFile; d = TdmsFile.read({file!r}).as_dataframe()", "d.to_csv({made!r}, index=False)"),
-)
-_MDF = Foreign(
-    "an MDF file",
-    ".csv",
-    ("from asammdf import MDF; d = MDF({file!r}).to_dataframe()", "d.to_csv({made!r}, index_label='t')"),
-)
-_YAML = Foreign(
-    _TAGS,
-    ".h5",
-    (
-        "import yaml, robustlab as rl; d = yaml.safe_load(open({file!r}))",
-        "rl.save({made!r}, rl.ss(d['A'], d['B'], d['C'], d['D']))",
-    ),
-)
-REFUSED = {
-    ".npz": _NPZ,
-    ".npy": _NPY,
-    ".pkl": _PICKLE,
-    ".pickle": _PICKLE,
-    ".joblib": _JOBLIB,
-    ".yaml": _YAML,
-    ".yml": _YAML,
-}  # files that could be read, and are not
-UNREAD = {
-    **dict.fromkeys((".xlsx", ".xlsm", ".xls", ".ods"), _SHEET),
-    **dict.fromkeys((".slx", ".mdl"), _SIMULINK),
-    **dict.fromkeys((".feather", ".arrow"), _FEATHER),
-    ".parquet": _PARQUET,
-    ".mcap": _MCAP,
-    ".tdms": _TDMS,
-    **dict.fromkeys((".mf4", ".mdf"), _MDF),
-}
+}  # fmt: skip
 
 
-def refusal(path: Path, formats: str) -> InputError | None:
-    """What is said of a file by its suffix: that it is not read, and how it can be; None of any other."""
-    suffix = path.suffix.lower()
-    kind = REFUSED.get(suffix) or UNREAD.get(suffix)
-    if kind is None:
-        return None
-    found = (
-        f"{path.suffix} files are refused: {kind.why}" if suffix in REFUSED else f"{kind.why}, which is not read here"
-    )
-    return InputError(str(path), found, formats, *told(path, kind))
-
-
-def told(path: Path, kind: Foreign) -> tuple[str, tuple[str, ...]]:
-    """The hint, and the lines before it."""
-    made = str(path.with_suffix(kind.made))
-    quoted = made.replace("'", "''") if kind.language == "MATLAB" else made
-    lines = [line.format(file=str(path), made=quoted, stem=path.stem.replace("'", "''")) for line in kind.lines]
-    head = f"two lines of {kind.language} make it readable:"
-    return f"then name {made} in its place", (head, *(f"  {line}" for line in lines))
+def _refusal(path: Path, suffix: str, found: str = "") -> InputError:
+    """The error for a file of another program, with the line that converts it."""
+    why, line = FOREIGN[suffix]
+    made = path.with_suffix(".h5" if "rl.save" in line else ".csv")
+    hint = line.format(file=str(path), made=str(made), stem=path.stem.replace("'", "''"))
+    return InputError(str(path), found or f"{suffix} files are {why}", _FORMATS, hint)

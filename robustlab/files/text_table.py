@@ -55,7 +55,7 @@ def read_table(
 
         tree = read_isolated("table", path, limits, delimiter=delimiter, decimal=decimal)
     else:
-        tree = table_tree(path, delimiter, decimal, limits)
+        tree = table_tree(path, limits, delimiter, decimal)
     names, units, values = (tree.datasets[name].values for name in ("names", "units", "values"))
     assert isinstance(names, np.ndarray)
     assert isinstance(units, np.ndarray)
@@ -63,7 +63,7 @@ def read_table(
     return TextTable(tuple(names.tolist()), tuple(units.tolist()), values, bool(tree.attrs["has_header"]))
 
 
-def table_tree(path: str | Path, delimiter: str | None, decimal: str, limits: Limits, shown: str | None = None) -> Tree:
+def table_tree(path: str | Path, limits: Limits, delimiter: str | None, decimal: str, shown: str | None = None) -> Tree:
     """What `read_table` reads, as datasets ``names``, ``units``, ``values``; runs in the reader process."""
     where = shown or str(path)
     if decimal not in (".", ","):

@@ -1,10 +1,23 @@
-"""Recipes: a TOML file of steps and requirements, checked before anything runs, and run to a result and a report.
+"""Recipes: a TOML file of steps and requirements, checked before anything runs, and run to a result and a report."""
 
-In the order of a run::
+from importlib import import_module
+from typing import Any
 
-    shipped                 names of the recipes that come with robustlab; loads nothing
-    load, schema, steps     the file as a checked object, and the files it reads
-    check                   what is wrong with it that can be told before the first step
-    run                     its steps run, its requirements judged, the folder it writes
-    starters                a recipe to start from
-"""
+# Name -> the module that has it; imported when it is asked for.
+_WORDS = {
+    **dict.fromkeys(("MAX_BYTES", "find_file", "load_recipe", "parse_recipe", "recipe_path"), "load"),
+    **dict.fromkeys(("read_result", "run_recipe", "write_report"), "run"),
+    **dict.fromkeys(("Recipe", "Requirement", "json_schema", "judge", "look_up"), "schema"),
+    "look_through": "check",
+    **dict.fromkeys(("keys_of", "keys_of_step"), "keys"),
+    **dict.fromkeys(("Fact", "KINDS", "Outcome", "Step", "Workspace", "step"), "steps.contract"),
+    "look_ahead": "steps.leaves",
+}
+
+__all__ = list(_WORDS)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _WORDS:
+        return getattr(import_module(f"robustlab.recipe.{_WORDS[name]}"), name)
+    raise AttributeError(f"module 'robustlab.recipe' has no attribute {name!r}")

@@ -23,7 +23,7 @@ from robustlab.recipe.schema import Recipe, Requirement, recipe_model
 from robustlab.recipe.shipped import shipped_folder, shipped_recipes
 from robustlab.recipe.steps.contract import KINDS, Step
 from robustlab.recipe.steps.models import LoadStep, PlantStep
-from robustlab.recipe.steps.records import FrequencyResponseStep, RecordStep
+from robustlab.recipe.steps.records import RecordStep
 
 Mark = TypeVar("Mark")
 MAX_BYTES = 1 << 20
@@ -300,10 +300,10 @@ def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:
     if given is None:
         return None
     typed = any(k.removeprefix("step.") == f"{name}.{key}" for k in loaded.overrides)
-    is_measured = isinstance(step, (RecordStep, FrequencyResponseStep))
-    about = step.about if is_measured else ""
+    measured = isinstance(step, RecordStep)
+    about = step.about if measured else ""
     path = _find(f"{loaded.path.name}: step.{name}.{key}", given, loaded.path.parent, typed, about)
-    if not is_measured and not typed:
+    if not measured and not typed:
         _check_inside(loaded.path, f"step.{name}.{key}", given, path)
     return path
 
@@ -317,7 +317,7 @@ def _named_file(step: Step) -> tuple[str, str | None]:
             return "plant", step.plant
         parts = plant_reference(step.plant)
         return "plant", parts and parts[0]
-    return "path", step.path if isinstance(step, (LoadStep, RecordStep, FrequencyResponseStep)) else None
+    return "path", step.path if isinstance(step, (LoadStep, RecordStep)) else None
 
 
 def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path:

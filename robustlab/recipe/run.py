@@ -1,18 +1,8 @@
-"""Running a recipe: its steps in the order written, its requirements judged, everything written to one folder.
+"""Running a recipe: its steps run in the order written, its requirements judged, everything written to one folder.
 
-::
-
-    out/NAME/result.json    everything: requirements, steps, numbers, provenance, the recipe itself
-    out/NAME/report.html    the same for reading
-    out/NAME/junit.xml      the requirements for a CI system
-    out/NAME/figures/       each figure as SVG, with --png as PNG, too
-    out/NAME/evidence/      results with what is needed to check them again, as HDF5
-    out/NAME/*.h5           what save steps wrote
-
-Where nobody says where, each recipe and each choice of settings has a folder of its own.
-
-A report is there from the beginning: first one that says that the run has not finished, which takes the place of an
-earlier run's, and in its place the run's own, however that ends. So no old report can be taken for that of this run.
+``result.json`` has everything, ``report.html`` the same for reading, ``junit.xml`` the requirements for a CI system;
+``figures/`` are SVG (and PNG with --png), ``evidence/`` results that can be checked again, and what save steps wrote.
+From the first moment the report there says that the run has not finished; however it ends, it is then that of this run.
 """
 
 from __future__ import annotations
@@ -20,11 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import shutil
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -40,7 +27,6 @@ from robustlab.errors import (
     NoTrustworthyNumber,
     RobustlabError,
 )
-from robustlab.evidence import Verified
 from robustlab.files.atomic import atomic_write
 from robustlab.files.document import parse_document
 from robustlab.files.signature import require_file
@@ -113,21 +99,6 @@ class RunResult(Shown):
         return int(self.data["exit_code"])
 
 
-@contextmanager
-def _workplace(target: Path, out: str | Path) -> Iterator[Path]:
-    """A hidden folder beside ``target``, where the results lie until the run is through; it vanishes with the run."""
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=f".{target.name}-running-", dir=target.parent))
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise EnvironmentFault(str(out), f"cannot be made ({reason})", "a folder to write results into") from error
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
 @dataclass
 class Ending:
     """How a run ended, or that it has not."""
@@ -143,34 +114,36 @@ def run_recipe(
     report: Callable[[str, str], None] = lambda _name, _kind: None,
     png: bool = False,
 ) -> RunResult:
-    """Run a recipe and write its results into ``out``.
-
-    From the first moment the report there says that the run has not finished. However it ends, also by an error, by
-    Ctrl-C or by a fault of ours, the report is then that of this run: what was done, what failed, what was not run.
-    """
+    """Run a recipe and write its results into ``out``, however it ends; files of an earlier run there are removed."""
     started = time.monotonic()
     target = Path(out).resolve()
     if target.exists() and not target.is_dir():
         raise EnvironmentFault(str(out), "is a file", "a folder to write results into")
-    with _workplace(target, out) as folder:
-        workspace = Workspace(folder, {}, loaded.recipe.seed, target.with_name(f".{target.name}-unfinished"))
-        workspace.png = png
-        steps: list[dict[str, Any]] = []
-        _announce(loaded, workspace, target)
-        ending = Ending(FINISHED)
-        try:
-            workspace.ahead = look_through(loaded)
-            workspace.sources = workspace.ahead.sources
-            workspace.inputs = {f"{name}: {path.name}": file_sha256(path) for name, path in workspace.sources.items()}
-            for entry in _run_steps(loaded, workspace, report):
-                steps.append(entry)
-        except BaseException as error:
-            ending = _ending_of(error)
-            raise
-        finally:
-            data = _result(loaded, workspace, steps, time.monotonic() - started, ending)
-            _write_result(data, folder)
-            _publish(folder, target)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise EnvironmentFault(str(out), f"cannot be made ({reason})", "a folder to write results into") from error
+    work = Workspace(target, {}, loaded.recipe.seed, png=png)
+    steps: list[dict[str, Any]] = []
+    stale = _files_of_previous_run(target)
+    begun = f"begun {Provenance.now('robustlab run').created}"
+    _write_result(_result(loaded, work, steps, 0.0, Ending(RUNNING, begun)), target)
+    for name in stale.difference(REPORT_FILES):
+        (target / name).unlink(missing_ok=True)
+    ending = Ending(FINISHED)
+    try:
+        work.ahead = look_through(loaded)
+        work.sources = work.ahead.sources
+        work.inputs = {f"{name}: {path.name}": file_sha256(path) for name, path in work.sources.items()}
+        for entry in _run_steps(loaded, work, report):
+            steps.append(entry)
+    except BaseException as error:
+        ending = _ending_of(error)
+        raise
+    finally:
+        data = _result(loaded, work, steps, time.monotonic() - started, ending)
+        _write_result(data, target)
     return RunResult(data, target)
 
 
@@ -192,18 +165,6 @@ def _ending_of(error: BaseException) -> Ending:
     return Ending("internal error", words, EXIT_BUG)
 
 
-def _announce(loaded: LoadedRecipe, workspace: Workspace, target: Path) -> None:
-    """Put a report that says that the run has not finished in the place of an earlier one.
-
-    The files of the earlier run are listed as its own: the run that is through removes them.
-    """
-    began = Provenance.now("robustlab run").created
-    data = _result(loaded, workspace, [], 0.0, Ending(RUNNING, f"begun {began}"))
-    data["files"] = sorted({*data["files"], *_files_of_previous_run(target)})
-    target.mkdir(parents=True, exist_ok=True)
-    _write_result(data, target)
-
-
 def _write_result(data: Mapping[str, Any], folder: Path) -> None:
     _write(folder / "result.json", json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False))
     write_report(data, folder)
@@ -216,87 +177,70 @@ def write_report(data: Mapping[str, Any], folder: Path) -> None:
     _write(folder / "junit.xml", xml)
 
 
+def _write(path: Path, text: str) -> None:
+    atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
 # --- steps -----------------------------------------------------------------------------------------------------------
 
 
-def _run_steps(
-    loaded: LoadedRecipe, workspace: Workspace, report: Callable[[str, str], None]
-) -> Iterator[dict[str, Any]]:
+def _run_steps(loaded: LoadedRecipe, work: Workspace, report: Callable[[str, str], None]) -> Iterator[dict[str, Any]]:
     """The entry of each step as it is done; also that of one which ends the run."""
     for name, step in loaded.recipe.step.items():
         report(name, step.kind)
-        missing = [target for _, target, _ in references(step) if target not in workspace.values]
+        missing = [target for _, target, _ in references(step) if target not in work.values]
         if missing:
-            yield _entry(name, step, NOT_RUN, f"it needs step {missing[0]!r}, which gave nothing")
+            yield _entry(name, step, error=f"it needs step {missing[0]!r}, which gave nothing")
             continue
-        workspace.step = name
+        work.step = name
         begun = time.monotonic()
+        entry: dict[str, Any] = {}
         try:
-            outcome = step.run(workspace)
+            outcome = step.run(work)
             if step.verify or loaded.recipe.verify:
-                outcome = verified(outcome, workspace.kept.get(name, []), step.verify)
+                outcome = verified(outcome, work.kept.get(name, []), step.verify)
         except NoTrustworthyNumber as error:
             error.hint = step_hint(error, getattr(step, "do", ""))
-            entry = _entry(name, step, str(Status.FAILED), str(error))
+            entry = _entry(name, step, status=str(Status.FAILED), error=str(error))
         except BaseException as error:
             ending = _ending_of(error)
-            yield {**_entry(name, step, ending.how, ending.message), "seconds": round(time.monotonic() - begun, 3)}
+            seconds = round(time.monotonic() - begun, 3)
+            yield _entry(name, step, status=ending.how, error=ending.message, seconds=seconds)
             if isinstance(error, RobustlabError):
                 raise at_step(error, loaded, name) from error
             raise
         else:
-            workspace.values[name], workspace.numbers[name] = outcome.value, outcome.numbers
-            entry = _done(name, step, outcome, workspace.figures.get(name, []))
+            work.values[name], work.numbers[name] = outcome.value, outcome.numbers
+            status = str(outcome.status) if outcome.status else DONE
+            figures = [{"stem": stem, "caption": caption} for stem, caption in work.figures.get(name, [])]
+            entry = _entry(
+                name, step, status=status, trustworthy=outcome.status is None or outcome.status.trustworthy,
+                summary=outcome.summary, numbers={**plain(outcome.numbers), "status": status},
+                facts=[vars(fact) for fact in outcome.facts], story=[vars(fact) for fact in outcome.story],
+                notes=list(outcome.notes), text=outcome.text, figures=figures,
+            )  # fmt: skip
         yield {**entry, "seconds": round(time.monotonic() - begun, 3)}
 
 
-def _done(name: str, step: Step, outcome: Outcome, figures: list[tuple[str, str]]) -> dict[str, Any]:
-    """The entry of a step that is done."""
-    status = outcome.status
-    return {
-        **_entry(name, step),
-        "status": str(status) if status else DONE,
-        "trustworthy": status is None or status.trustworthy,
-        "summary": outcome.summary,
-        "numbers": {**plain(outcome.numbers), "status": str(status) if status else DONE},
-        "facts": [vars(fact) for fact in outcome.facts],
-        "story": [vars(fact) for fact in outcome.story],
-        "notes": list(outcome.notes),
-        "text": outcome.text,
-        "figures": [{"stem": stem, "caption": caption} for stem, caption in figures],
-    }
-
-
-def _entry(name: str, step: Step, status: str = NOT_RUN, error: str = "") -> dict[str, Any]:
-    """The entry of a step that gave nothing."""
-    return {
-        "name": name,
-        "do": step.kind,
-        "title": step.title,
-        "status": status,
-        "trustworthy": False,
-        "summary": "",
-        "error": error,
-        "numbers": {},
-        "facts": [],
-        "story": [],
-        "notes": [],
-        "text": "",
-        "figures": [],
-        "seconds": 0.0,
-    }
+def _entry(name: str, step: Step, **more: Any) -> dict[str, Any]:
+    """The entry of a step; without more that of one that gave nothing."""
+    empty: dict[str, Any] = {
+        "status": NOT_RUN, "trustworthy": False, "summary": "", "error": "", "numbers": {}, "facts": [], "story": [],
+        "notes": [], "text": "", "figures": [], "seconds": 0.0,
+    }  # fmt: skip
+    return {"name": name, "do": step.kind, "title": step.title, **empty, **more}
 
 
 # --- result ----------------------------------------------------------------------------------------------------------
 
 
 def _result(
-    loaded: LoadedRecipe, workspace: Workspace, steps: list[dict[str, Any]], seconds: float, ending: Ending
+    loaded: LoadedRecipe, work: Workspace, steps: list[dict[str, Any]], seconds: float, ending: Ending
 ) -> dict[str, Any]:
     recipe = loaded.recipe
     over = "the run has not finished" if ending.how == RUNNING else "the run ended before it"
     rest = list(recipe.step.items())[len(steps) :]
-    steps = [*steps, *(_entry(name, step, NOT_RUN, over) for name, step in rest)]
+    steps = [*steps, *(_entry(name, step, error=over) for name, step in rest)]
     numbers = {s["name"]: s["numbers"] for s in steps if not s["error"]}
     missing = {s["name"]: f"step {s['name']!r} gave no number ({s['status']})" for s in steps if s["error"]}
     judgements = [_with_free_run(judge(asked, numbers, missing), recipe, numbers) for asked in recipe.require]
@@ -308,7 +252,6 @@ def _result(
         code = NoTrustworthyNumber.exit_code
     else:
         code = EXIT_OK if all(j.met for j in judgements) else EXIT_REQUIREMENT_NOT_MET
-    provenance = Provenance.now("robustlab run", workspace.inputs, recipe.seed)
     return {
         "schema": "robustlab.result/1",
         "command": "run",
@@ -321,16 +264,19 @@ def _result(
             "title": recipe.title,
             "description": recipe.description,
             "file": loaded.path.name,
-            "origin": recipe_origin(loaded),
-            "sha256": hashlib.sha256(loaded.text.encode()).hexdigest(),
+            "sha256": _digest(loaded),
             "overrides": loaded.overrides,
             "text": loaded.text,
         },
         "seed": recipe.seed,
         "seconds": round(seconds, 3),
-        "provenance": provenance.to_json(),
-        "files": sorted({*workspace.files, *REPORT_FILES}),
+        "provenance": Provenance.now("robustlab run", work.inputs, recipe.seed).to_json(),
+        "files": sorted({*work.files, *REPORT_FILES}),
     }
+
+
+def _digest(loaded: LoadedRecipe) -> str:
+    return hashlib.sha256(loaded.text.encode()).hexdigest()
 
 
 def _with_free_run(judged: Judgement, recipe: Recipe, numbers: Mapping[str, Any]) -> Judgement:
@@ -348,31 +294,6 @@ def _with_free_run(judged: Judgement, recipe: Recipe, numbers: Mapping[str, Any]
     return replace(judged, free_run={"value": free.value, "met": free.met})
 
 
-def recipe_origin(loaded: LoadedRecipe) -> str:
-    """What tells one recipe file from another of the same name: a hash of its place, which names no folder."""
-    return _origin(loaded.path)
-
-
-def _origin(path: Path) -> str:
-    return hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
-
-
-def _write(path: Path, text: str) -> None:
-    atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def _publish(folder: Path, target: Path) -> None:
-    """Move the files of a finished run to their place, ``result.json`` last; remove what only the previous run had."""
-    fresh = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
-    fresh.sort(key=lambda path: path.name == "result.json")
-    stale = _files_of_previous_run(target)
-    for path in fresh:
-        (target / path).parent.mkdir(parents=True, exist_ok=True)
-        (folder / path).replace(target / path)
-    for name in stale - {path.as_posix() for path in fresh}:
-        (target / name).unlink(missing_ok=True)
-
-
 def _files_of_previous_run(target: Path) -> set[str]:
     try:
         listed = read_result(target)["files"]
@@ -382,14 +303,14 @@ def _files_of_previous_run(target: Path) -> set[str]:
 
 
 def read_result(folder: str | Path) -> dict[str, Any]:
-    """Content of ``result.json`` of a finished run."""
+    """Content of ``result.json`` of a run."""
     path = Path(folder) / "result.json"
+    where = str(path)
     try:
         require_file(path)
         raw = path.read_bytes()
     except OSError as error:
-        raise InputError(str(path), f"not readable: {error}", "the JSON that robustlab run wrote") from None
-    where = str(path)
+        raise InputError(where, f"not readable: {error}", "the JSON that robustlab run wrote") from None
     data = parse_document("json", raw, where)
     if not isinstance(data, dict) or data.get("schema") != "robustlab.result/1" or data.get("command") != "run":
         raise InputError(where, "not the result of a run", "the result.json that robustlab run wrote")
@@ -398,10 +319,9 @@ def read_result(folder: str | Path) -> dict[str, Any]:
 
 
 def _check_parts(data: Any, parts: Any, at: str, where: str) -> None:
-    """``data`` against a pattern: types, tables of patterns, or a list with the pattern of every entry."""
+    """Check ``data`` against a pattern: types, tables of patterns, or a list with the pattern of every entry."""
     kind: Any = type(parts) if isinstance(parts, (dict, list)) else parts
-    fits: bool = isinstance(data, kind)
-    if not fits or (kind is NUMBER and str(data) in ("True", "False")):  # a bool is an int to Python
+    if not isinstance(data, kind) or (kind is NUMBER and isinstance(data, bool)):
         raise InputError(where, f"{at or 'result'} is missing or has another form", "the JSON that robustlab run wrote")
     for key, part in parts.items() if isinstance(parts, dict) else ():
         _check_parts(data.get(key), part, f"{at}.{key}".lstrip("."), where)
@@ -409,83 +329,46 @@ def _check_parts(data: Any, parts: Any, at: str, where: str) -> None:
         _check_parts(item, parts[0], f"{at}.{i}", where)
 
 
-LONGEST_SLUG = 40  # characters; longer settings are told by their hash
+LONGEST_SLUG = 40  # characters; longer settings are named by their hash
 
 
 def default_folder(loaded: LoadedRecipe, root: str | Path = "out") -> Path:
-    """The folder of this recipe with these settings below ``root``.
-
-    ``NAME`` where it is free or holds an earlier run of the same recipe file with the same settings; else ``NAME`` and
-    the settings, as in ``first-light-seed-7``; else ``NAME`` and a hash. So no other recipe's and no other setting's
-    report is overwritten, and the same command comes back to the same folder.
-    """
-    name, root = loaded.recipe.name, Path(root)
-    changes = sorted(loaded.overrides.items())
-    mark = hashlib.sha256(repr((recipe_origin(loaded), changes)).encode()).hexdigest()[:8]
+    """``NAME`` below ``root``; with changed settings ``NAME`` and these, as ``first-light-seed-7``, or their hash."""
+    name, changes = loaded.recipe.name, sorted(loaded.overrides.items())
+    if not changes:
+        return Path(root) / name
     slug = "-".join(re.sub(r"[^A-Za-z0-9.]+", "-", f"{key}-{value}").strip("-.") for key, value in changes)
-    names = [name]
-    if slug and len(slug) <= LONGEST_SLUG:
-        names.append(f"{name}-{slug}")
-    for candidate in names:
-        folder = root / candidate
-        earlier = _earlier(folder)
-        if not folder.is_symlink() and (earlier is None or _same(earlier, loaded)):
-            return folder
-    return root / f"{name}-{mark}"
+    mark = hashlib.sha256(repr(changes).encode()).hexdigest()[:8]
+    return Path(root) / f"{name}-{slug if 0 < len(slug) <= LONGEST_SLUG else mark}"
 
 
 def replaced(folder: Path, loaded: LoadedRecipe) -> str:
     """What a run into ``folder`` replaces, in words; empty where nothing, or the same recipe with the same settings."""
-    earlier = _earlier(folder)
-    if not earlier:
-        return ""
-    recipe = earlier["recipe"]
-    if _same(earlier, loaded) and recipe["sha256"] == hashlib.sha256(loaded.text.encode()).hexdigest():
-        return ""
-    settings = ", ".join(f"{key}={value}" for key, value in recipe["overrides"].items()) or "no changed settings"
-    what = "an earlier text of the recipe" if _same(earlier, loaded) else f"recipe {recipe['name']} with {settings}"
-    return f"{folder} held the report of {what}; this run replaced it"
-
-
-def _earlier(folder: Path) -> Mapping[str, Any] | None:
-    """The result that lies there; None without one; an empty table where it is not readable, and so somebody else's."""
-    if not (folder / "result.json").exists():
-        return None
     try:
-        return read_result(folder)
+        earlier = read_result(folder)["recipe"]
     except InputError:
-        return {}
-
-
-def _same(earlier: Mapping[str, Any], loaded: LoadedRecipe) -> bool:
-    recipe = earlier.get("recipe", {})
-    origin = recipe.get("origin", "")
-    return recipe.get("overrides") == loaded.overrides and origin in ("", recipe_origin(loaded))
+        return ""
+    if earlier["sha256"] == _digest(loaded) and earlier["overrides"] == loaded.overrides:
+        return ""
+    settings = ", ".join(f"{key}={value}" for key, value in earlier["overrides"].items()) or "no changed settings"
+    return f"{folder} held the report of another recipe {earlier['name']} with {settings}; this run replaced it"
 
 
 def verified(outcome: Outcome, files: Sequence[Path], asked: bool) -> Outcome:
     """The outcome with what became of its claims; its status is no better than theirs."""
+    own = [] if outcome.status is None else [outcome.status]
     found = [rl.verify(path) for path in files if claims_in_file(path)]
     if not found:
         if not asked:
             return outcome
         note = "Nothing of this step can be verified: what it found holds no claims."
-        return replace(outcome, status=_with(outcome, [rl.Status.INCONCLUSIVE]), notes=(*outcome.notes, note))
+        return replace(outcome, status=least_trusted([*own, Status.INCONCLUSIVE]), notes=(*outcome.notes, note))
     facts = [
-        Fact(_label(one), text, "verify")
+        Fact("Proved independently" if one.proved else "Refuted" if one.refuted else "Not proved independently", text,
+             "verify")
         for one in found
         for text in (one.headline(), *(f"{label}: {said}" for label, said in one.facts() if said and label != "proved"))
-    ]
+    ]  # fmt: skip
     numbers = {**outcome.numbers, "verified": all(one.proved for one in found)}
-    status = _with(outcome, [one.status for one in found])
+    status = least_trusted([*own, *(one.status for one in found)])
     return replace(outcome, facts=(*outcome.facts, *facts), numbers=numbers, status=status)
-
-
-def _label(one: Verified) -> str:
-    return "Proved independently" if one.proved else "Refuted" if one.refuted else "Not proved independently"
-
-
-def _with(outcome: Outcome, statuses: Sequence[rl.Status]) -> rl.Status:
-    """What is proved does not become better trusted than it was."""
-    own = [] if outcome.status is None else [outcome.status]
-    return least_trusted([*own, *statuses])

@@ -86,9 +86,12 @@ SETS: Mapping[str, str] = {
     "Discovery": "discovery.discovery_figures",
     "Validation": "set_figures.validation_figures",
     "EnvelopeCoverage": "set_figures.envelope_figures",
+    "Responses": "result_figures.band_figures",
 }
 # Class -> what a file of such a figure begins with in a folder, where its name is that of a signal alone.
-PREFIXES: Mapping[str, str] = {"Validation": "validation-", "EnvelopeCoverage": "envelope-"}
+PREFIXES: Mapping[str, str] = dict.fromkeys(("EnvelopeCoverage", "Responses"), "envelope-") | {
+    "Validation": "validation-"
+}
 
 CAPTIONS: Mapping[str, str] = {
     "robustness_figures.mu_figure": "Bounds of μ over frequency. The proved margin is the inverse of the highest "
@@ -136,6 +139,7 @@ CAPTIONS: Mapping[str, str] = {
     "smallest Delta; below, what each of them leaves, in the noise bound.",
     "set_figures.envelope_figures": "{}: the record, and below it the record minus the nominal model, in the envelope "
     "of all members.",
+    "result_figures.band_figures": "{}: nominal, members and their envelope.",
     "design_figures.performance_picture": "μ of robust performance; thin lines: proved at all frequencies. "
     "Below 1 every member meets the requirement.",
     "design_figures.runs_picture": "The errors and the controls under each controller, and the limits.",

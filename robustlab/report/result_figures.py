@@ -71,6 +71,11 @@ def band_figure(found: Responses, output: str | None = None) -> Figure:
     return response_figure(found.t, found.y[:, :, k], found.nominal[:, k], envelope, output=found.outputs[k])
 
 
+def band_figures(found: Responses) -> dict[str, Figure]:
+    """A figure for each output."""
+    return {s.name: band_figure(found, s.name) for s in found.outputs}
+
+
 def disk_figure(found: DiskMargins | DiskBounds) -> Figure:
     """Changes of gain and phase that leave the loop stable: inside of each curve, in that loop and in all at once."""
     every: Mapping[str, DiskBounds] = {"disk margin": found}

@@ -1,10 +1,22 @@
-"""Storage: format 1 and plain files to models, records and results, and back.
+"""Storage: format 1 and plain files to models, records and results, and back."""
 
-`interchange` decides which object a file holds, `codecs` knows what reads and writes each kind; `matrices` has what
-they share. `pairs` compares two models, `controller_export` writes controllers for other programs, `expression_files`
-reads parametric models.
-"""
+from importlib import import_module
+from typing import Any
 
-from robustlab.storage.interchange import Loaded, load, load_pair, read, save
+# Name -> the module that has it; imported when it is asked for.
+_WORDS = {
+    **dict.fromkeys(("Loaded", "load", "load_pair", "read", "save"), "interchange"),
+    "c_source": "controller_export",
+    "load_parametric": "expression_files",
+    "Problems": "matrices",
+    "check_pair": "pairs",
+    **dict.fromkeys(("decode_plant", "encode_plant"), "plants"),
+}
 
-__all__ = ["Loaded", "load", "load_pair", "read", "save"]
+__all__ = list(_WORDS)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _WORDS:
+        return getattr(import_module(f"robustlab.storage.{_WORDS[name]}"), name)
+    raise AttributeError(f"module 'robustlab.storage' has no attribute {name!r}")

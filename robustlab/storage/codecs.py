@@ -1,84 +1,295 @@
-"""Which function writes an object of a class, and which reads a file of a kind: one table, each imported where met.
+"""What writes an object of a class and what reads a file of a kind; each imports its class where it is met.
 
-What a file holds is known by its kind, what an object is by the names of its class and of those beneath it: neither
-needs the class itself. So a process loads what it reads and writes, and nothing beside it.
+What a file holds is known by its kind, what an object is by the names of its class and of those beneath it: so a
+process loads what it reads and writes, and nothing else.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from robustlab.files.tree import Tree
-from robustlab.storage.matrices import Problems
+import numpy as np
+
+from robustlab.errors import InputError
+from robustlab.files.signature import Limits
+from robustlab.files.tree import Tree, Unread
+from robustlab.result import Status
+from robustlab.storage.matrices import (
+    Problems,
+    decode_model,
+    decode_signals,
+    decode_state_space,
+    encode_model,
+    encode_signals,
+    entries,
+    find_children,
+    real_attribute,
+)
+
+if TYPE_CHECKING:
+    from robustlab.record import Record
 
 
-@dataclass(frozen=True)
-class Codec:
+class Codec(NamedTuple):
     """One kind of file of format 1, and the class whose objects it holds."""
 
     kind: str
-    # Where the class, and the two functions of this room, are: a module's path and a name in it.
-    type: str
-    encode: str  # (tree, object)
-    decode: str  # (tree, problems, transpose) -> object; `transpose` is for matrices in groups of their own
-
-    def write(self, tree: Tree, obj: Any) -> None:
-        """Put an object into a tree. Raises InputError: what the format has no place for."""
-        _found(f"storage.{self.encode}")(tree, obj)
-
-    def read(self, tree: Tree, problems: Problems, transpose: bool = False) -> Any:
-        return _found(f"storage.{self.decode}")(tree, problems, transpose)
-
-
-CODECS = (
-    Codec("state-space", "statespace.StateSpaceModel", "matrices.encode_model", "matrices.decode_state_space"),
-    Codec(
-        "uncertain",
-        "uncertainty.lft.UncertainModel",
-        "uncertain_models.encode_uncertain",
-        "uncertain_models.decode_uncertain",
-    ),
-    Codec("delayed", "delays.model.DelayedModel", "delayed_models.encode_delayed", "delayed_models.decode_delayed"),
-    Codec(
-        "frequency-data",
-        "uncertainty.frequency_responses.UncertainFrequencyData",
-        "frequency_data.encode_frequency_data",
-        "frequency_data.decode_frequency_data",
-    ),
-    Codec(
-        "lpv",
-        "synthesis.scheduling.parameter_varying.LPVModel",
-        "scheduled_models.encode_lpv",
-        "scheduled_models.decode_lpv",
-    ),
-    Codec(
-        "lpv-controller",
-        "synthesis.scheduling.parameter_varying.LPVController",
-        "scheduled_models.encode_lpv_controller",
-        "scheduled_models.decode_lpv_controller",
-    ),
-    Codec(
-        "controller",
-        "synthesis.problem.controller.Controller",
-        "controllers.encode_controller",
-        "controllers.decode_controller",
-    ),
-    Codec("record", "record.Record", "records.encode_record", "records.decode_record"),
-    Codec("plant", "dynamics.plant_contract.Plant", "plants.encode_plant", "plants.decode_plant"),
-    Codec("result", "result.Result", "results.encode_result", "results.decode_result"),
-)
-BY_KIND = {codec.kind: codec for codec in CODECS}
-_BY_TYPE = {f"robustlab.{codec.type}": codec for codec in CODECS}
+    type: str  # of the class: its module's path below `robustlab` and its name
+    write: Callable[[Tree, Any], None]
+    read: Callable[[Tree, Problems, bool], Any]  # the bool: matrices of a plain file are to be transposed
 
 
 def codec_of(obj: Any) -> Codec | None:
     """The codec of an object's class, or of the nearest one that it inherits from; None where files know none."""
-    names = (f"{cls.__module__}.{cls.__qualname__}" for cls in type(obj).__mro__)
-    return next((_BY_TYPE[name] for name in names if name in _BY_TYPE), None)
+    names = (f"{cls.__module__}.{cls.__qualname__}".removeprefix("robustlab.") for cls in type(obj).__mro__)
+    by_type = {codec.type: codec for codec in BY_KIND.values()}
+    return next((by_type[name] for name in names if name in by_type), None)
 
 
-def _found(place: str) -> Any:
-    module, name = place.rsplit(".", 1)
-    return getattr(import_module(f"robustlab.{module}"), name)
+def _later(module: str, kind: str) -> tuple[Callable[..., None], Callable[..., Any]]:
+    """What writes and reads a kind, in a module of its own, imported where it is met."""
+
+    def called(way: str, *given: Any) -> Any:
+        return getattr(import_module(f"robustlab.storage.{module}"), f"{way}_{kind}")(*given)
+
+    return partial(called, "encode"), partial(called, "decode")
+
+
+@contextmanager
+def _in_file(problems: Problems) -> Any:
+    """What a constructor refuses is a finding about the file."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(problems.file, f"{error.where}: {error.found}", error.expected, error.hint) from None
+
+
+# --- models with delays, frequency responses --------------------------------------------------------------------------
+
+
+def _encode_delayed(tree: Tree, model: Any) -> None:
+    """Group ``H`` as a state-space model, dataset ``delays`` in s: those of its first inputs and outputs."""
+    encode_model(tree.group("H"), model.H)
+    tree.put("delays", np.asarray(model.delays, dtype=np.float64))
+
+
+def _decode_delayed(tree: Tree, problems: Problems, transpose: bool) -> Any:
+    from robustlab.delays.model import DelayedModel
+
+    find_children(tree, ("H",), problems, kind="group")
+    find_children(tree, ("delays",), problems, kind="dataset")
+    model = decode_model(tree.groups["H"], problems, transpose) if "H" in tree.groups else None
+    lengths = entries(tree, "delays", "fi", problems) if "delays" in tree.datasets else None
+    problems.raise_any()
+    assert model is not None
+    with _in_file(problems):
+        return DelayedModel(model, np.array(lengths, dtype=np.float64))
+
+
+def _encode_frequency_data(tree: Tree, data: Any) -> None:
+    """Datasets ``omega`` and ``M``, group ``blocks`` as of an uncertain model, ``signals``."""
+    from robustlab.storage.uncertain_models import encode_blocks
+
+    tree.put("omega", np.asarray(data.omega, dtype=np.float64))
+    tree.put("M", np.asarray(data.M, dtype=np.complex128))
+    encode_blocks(tree, data.blocks)
+    encode_signals(tree, ((), data.inputs, data.outputs))
+
+
+def _decode_frequency_data(tree: Tree, problems: Problems, _transpose: bool) -> Any:
+    from robustlab.storage.uncertain_models import decode_blocks
+    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
+
+    find_children(tree, ("omega", "M"), problems, kind="dataset")
+    find_children(tree, ("blocks",), problems, kind="group")
+    omega = entries(tree, "omega", "fi", problems) if "omega" in tree.datasets else None
+    values = tree.datasets["M"].values if "M" in tree.datasets else None
+    if isinstance(values, Unread) or (values is not None and values.dtype.kind not in "fic"):
+        problems.add(f"{tree.child_path('M')} is not readable as complex numbers")
+    blocks = decode_blocks(tree.groups["blocks"], problems) if "blocks" in tree.groups else ()
+    _, inputs, outputs = decode_signals(tree, problems)
+    problems.raise_any()
+    assert omega is not None
+    assert isinstance(values, np.ndarray)
+    with _in_file(problems):
+        return UncertainFrequencyData(omega, values, blocks, inputs, outputs)
+
+
+# --- controllers ------------------------------------------------------------------------------------------------------
+
+
+def _encode_controller(tree: Tree, controller: Any) -> None:
+    """K as a state-space model; ``gamma``, ``status``, ``method`` as attributes; the claims of its design."""
+    from robustlab.evidence import claims_of
+    from robustlab.storage.results import encode_claims
+
+    encode_model(tree, controller.K)
+    _put_design(tree, controller)
+    claims = claims_of(controller.design)
+    own = {f"K_{letter}": getattr(controller.K, letter) for letter in "ABCD"}
+    if any(all(np.array_equal(claim.numbers.get(name, np.nan), X) for name, X in own.items()) for claim in claims):
+        encode_claims(tree, claims)
+
+
+def _decode_controller(tree: Tree, problems: Problems, transpose: bool) -> Any:
+    from robustlab.synthesis.problem.controller import Controller
+
+    model = decode_model(tree, problems, transpose)
+    design = _design(tree, problems)
+    problems.raise_any()
+    assert model is not None
+    return Controller(model, *design)
+
+
+def _put_design(tree: Tree, controller: Any) -> None:
+    tree.attrs.update(status=controller.status.value, method=controller.method)
+    if controller.gamma is not None:
+        tree.attrs["gamma"] = controller.gamma
+
+
+def _design(tree: Tree, problems: Problems) -> tuple[float | None, Status, str]:
+    """``gamma``, ``status`` and ``method`` from the attributes."""
+    gamma = real_attribute(tree, "gamma", problems)
+    text = str(np.asarray(tree.attrs.get("status", Status.INCONCLUSIVE.value)))
+    if text not in list(Status):
+        problems.add(f"attribute status is {text!r}, expected one of {', '.join(s.value for s in Status)}")
+        text = Status.INCONCLUSIVE
+    return gamma, Status(text), str(np.asarray(tree.attrs.get("method", "")))
+
+
+# --- models and controllers over a grid of parameters -----------------------------------------------------------------
+
+COLUMNS = (("name", "U"), ("unit", "U"), ("rate", "fi"), ("count", "i"), ("points", "fi"))
+
+
+def _encode_lpv(tree: Tree, model: Any) -> None:
+    """Stacked ``matrices`` [A B; C D] over the grid, ``deviation`` over its cells, parameters and signals."""
+    tree.put("matrices", model.matrices)
+    tree.put("deviation", model.deviation)
+    tree.attrs.update(states=model.n_states, known=model.known)
+    group = tree.group("parameters")
+    group.put("name", np.array([p.name for p in model.parameters], dtype=np.str_))
+    group.put("unit", np.array([p.unit for p in model.parameters], dtype=np.str_))
+    group.put("rate", np.array([p.rate for p in model.parameters]))
+    group.put("count", np.array([len(p.points) for p in model.parameters]))
+    group.put("points", np.concatenate([p.points for p in model.parameters]))
+    encode_signals(tree, (model.states, model.inputs, model.outputs))
+
+
+def _decode_lpv(tree: Tree, problems: Problems, _transpose: bool = False) -> Any:
+    find_children(tree, ("matrices", "deviation"), problems, kind="dataset")
+    find_children(tree, ("parameters", "signals"), problems, kind="group")
+    problems.raise_any()
+    arrays: dict[str, Any] = {}
+    for name in ("matrices", "deviation"):
+        values = tree.datasets[name].values
+        if isinstance(values, Unread) or values.dtype.kind not in "fi" or values.ndim < 3 or not _finite(values):
+            problems.add(f"{tree.child_path(name)}: expected finite real numbers, three dimensions or more")
+        else:
+            arrays[name] = values.astype(np.float64)
+    group = tree.groups["parameters"]
+    find_children(group, [name for name, _ in COLUMNS], problems, kind="dataset")
+    columns = {n: entries(group, n, kinds, problems) for n, kinds in COLUMNS if n in group.datasets}
+    sides = [side or [] for side in decode_signals(tree, problems)]
+    problems.raise_any()
+    try:
+        return _lpv_model(arrays, columns, sides, tree)
+    except (InputError, ValueError, KeyError, IndexError) as error:
+        said = error.line if isinstance(error, InputError) else str(error)
+        raise InputError(problems.file, f"no LPV model: {said}", "what kind lpv of format 1 says") from None
+
+
+def _finite(values: Any) -> bool:
+    return bool(np.isfinite(values).all())
+
+
+def _lpv_model(arrays: dict[str, Any], columns: dict[str, Any], sides: list[Any], tree: Tree) -> Any:
+    from robustlab.synthesis.scheduling.parameter_varying import LPVModel, SchedulingParameter
+
+    ends, given = np.cumsum(columns["count"]), len(columns["points"])
+    if not len(ends) or ends[-1] != given:
+        raise InputError("parameters", f"{given} points", f"{sum(columns['count'])}, as count says")
+    points = np.split(np.asarray(columns["points"], float), ends[:-1])
+    parameters = tuple(
+        SchedulingParameter(name, tuple(values), rate, unit)
+        for name, unit, rate, values in zip(columns["name"], columns["unit"], columns["rate"], points, strict=True)
+    )
+    states, inputs, outputs = sides
+    n, matrices = int(np.asarray(tree.attrs["states"])), arrays["matrices"]
+    expected = (*(len(p.points) for p in parameters), n + len(outputs), n + len(inputs))
+    if matrices.shape != expected or len(states) != n:
+        raise InputError("matrices", f"shape {matrices.shape}", f"{expected}")
+    known = str(np.asarray(tree.attrs["known"]))
+    return LPVModel.of(parameters, matrices, n, inputs, outputs, states, arrays["deviation"], known)
+
+
+def _encode_lpv_controller(tree: Tree, controller: Any) -> None:
+    """As an LPV model, with the attributes of kind ``controller`` as well."""
+    _encode_lpv(tree, controller.K)
+    _put_design(tree, controller)
+
+
+def _decode_lpv_controller(tree: Tree, problems: Problems, _transpose: bool) -> Any:
+    from robustlab.synthesis.scheduling.scheduled_controller import LPVController
+
+    model, design = _decode_lpv(tree, problems), _design(tree, problems)
+    problems.raise_any()
+    return LPVController(model, *design)
+
+
+# --- records ----------------------------------------------------------------------------------------------------------
+
+
+def _encode_record(tree: Tree, record: Any) -> None:
+    """Dataset ``t``, one dataset for each signal in groups ``inputs`` and ``outputs``."""
+    from robustlab.files.records import encode_record
+
+    encode_record(tree, {key: getattr(record, key) for key in ("t", "inputs", "outputs", "units", "name", "meaning")})
+
+
+def _decode_record(tree: Tree, _problems: Problems, _transpose: bool) -> Record:
+    from robustlab.files.records import decode_record
+
+    return _record(decode_record(tree, tree.file), tree.file)
+
+
+def record_from(path: str | Path, group: str | None, limits: Limits | None, isolate: bool) -> Record:
+    """The record in a file without header; see `robustlab.files.records.read_record`."""
+    from robustlab.files.records import RecordOptions, read_record
+
+    return _record(read_record(path, RecordOptions(group), limits, isolate), str(path))
+
+
+def _record(keywords: dict[str, Any], where: str) -> Record:
+    from robustlab.record import Record
+
+    name = keywords.pop("name")
+    try:
+        return Record(**keywords, name=name)
+    except InputError as error:
+        found = f"{error.where.removeprefix(name).lstrip(': ')} {error.found}".strip()
+        raise InputError(where, found, error.expected, error.hint) from None
+
+
+BY_KIND = {
+    codec.kind: codec
+    for codec in (
+        Codec("state-space", "statespace.StateSpaceModel", encode_model, decode_state_space),
+        Codec("uncertain", "uncertainty.lft.UncertainModel", *_later("uncertain_models", "uncertain")),
+        Codec("delayed", "delays.model.DelayedModel", _encode_delayed, _decode_delayed),
+        Codec("frequency-data", "uncertainty.frequency_responses.UncertainFrequencyData", _encode_frequency_data,
+              _decode_frequency_data),
+        Codec("lpv", "synthesis.scheduling.parameter_varying.LPVModel", _encode_lpv, _decode_lpv),
+        Codec("lpv-controller", "synthesis.scheduling.scheduled_controller.LPVController", _encode_lpv_controller,
+              _decode_lpv_controller),
+        Codec("controller", "synthesis.problem.controller.Controller", _encode_controller, _decode_controller),
+        Codec("record", "record.Record", _encode_record, _decode_record),
+        Codec("plant", "dynamics.plant_contract.Plant", *_later("plants", "plant")),
+        Codec("result", "result.Result", *_later("results", "result")),
+    )
+}  # fmt: skip

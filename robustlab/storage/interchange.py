@@ -21,7 +21,7 @@ from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamp
 from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced, code_of
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.storage.codecs import BY_KIND, codec_of
+from robustlab.storage.codecs import BY_KIND, codec_of, record_from
 from robustlab.storage.matrices import NAMES, Problems, decode_state_space
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def load_pair(
     """The nominal and the perturbed model of one file with groups ``nominal`` and ``perturbed``, A B C D in each."""
     from robustlab.storage.pairs import decode_pair
 
-    tree = _tree(path, None, limits, isolate)
+    tree = read_tree(path, None, limits, isolate)
     return decode_pair(tree, Problems(str(path)), transpose)
 
 
@@ -157,10 +157,8 @@ def read(
     where = str(path)
     content = content_of(path, limits)
     if content == "text":
-        from robustlab.storage.records import record_from
-
         return Loaded(record_from(path, group, limits, isolate), "record", where, False)
-    tree = _tree(path, group, limits, isolate)
+    tree = read_tree(path, group, limits, isolate)
     problems = Problems(where)
     if is_stamped(tree) and group is None:
         kind, found = check_header(tree, no_verify)
@@ -182,10 +180,6 @@ def read(
     return Loaded(thing, kind, where, False, (*problems.notes, *_unit_warnings(kind, thing)))
 
 
-def _tree(path: str | Path, group: str | None, limits: Limits | None, isolate: bool) -> Tree:
-    return read_tree(path, group, limits, isolate)
-
-
 def _plain(
     node: Tree, problems: Problems, group: str | None, *, transpose: bool, limits: Limits | None, isolate: bool
 ) -> tuple[str, Any]:
@@ -196,11 +190,11 @@ def _plain(
 
         if looks_like_a_pair(node):
             return "pair", decode_pair(node, problems, transpose)
-    if len(matrices) < 2:
-        from robustlab.storage.records import looks_like_a_record, record_from
+    from robustlab.files.record_source import CLOCK_NAMES
 
-        if looks_like_a_record(node):
-            return "record", record_from(problems.file, group, limits, isolate)
+    clocked = any(name in node.datasets for name in CLOCK_NAMES) or {"inputs", "outputs"} & set(node.groups)
+    if len(matrices) < 2 and clocked:
+        return "record", record_from(problems.file, group, limits, isolate)
     if not matrices and node.groups:
         problems.hint = f"groups here: {', '.join(list(node.groups)[:8])}; choose one, group=..."
     return "state-space", decode_state_space(node, problems, transpose)

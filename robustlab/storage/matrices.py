@@ -287,6 +287,17 @@ def sample_time(node: Tree, problems: Problems) -> float | None:
     return None
 
 
+def real_attribute(node: Tree, name: str, problems: Problems) -> float | None:
+    """An attribute that is one real number; None where there is none."""
+    if name not in node.attrs:
+        return None
+    value = np.asarray(node.attrs[name])
+    if value.dtype.kind in "fi" and value.size == 1:
+        return float(value.flat[0])
+    problems.add(f"attribute {name} is not one real number")
+    return None
+
+
 def decode_signals(node: Tree, problems: Problems) -> tuple[list[Signal] | None, ...]:
     """States, inputs, outputs from ``signals/``, or from the variables that a MATLAB export has."""
     result: list[list[Signal] | None] = []

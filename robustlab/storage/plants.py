@@ -5,22 +5,22 @@ Equations of nonlinear plants of somebody's own are rows of numbers, in which th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeGuard, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, PortPlace
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.files.tree import Tree, Unread, text_attr, type_name
+from robustlab.files.tree import Tree, text_attr
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import Problems, decode_model, encode_model, entries, find_children
 from robustlab.uncertainty.blocks import Sign
 
 if TYPE_CHECKING:
-    from robustlab.dynamics.linear_plant import LinearPlant
     from robustlab.dynamics.parameters import Parameter
-    from robustlab.dynamics.symbolic.symbolic_plant import Equations, SymbolicPlant
+    from robustlab.dynamics.symbolic.symbolic_plant import Equations
     from robustlab.dynamics.symbolic.tape import Tape
 
 TAPES = ("rates", "outputs", "models")
@@ -46,24 +46,14 @@ def decode_equations(tree: Tree, n_moving: int, n_parameters: int, problems: Pro
 
     find_children(tree, (*TAPES, "places"), problems, kind="group")
     problems.raise_any()
-    for name in TAPES:
-        find_children(tree.groups[name], ROWS, problems, kind="dataset")
-    find_children(tree.groups["places"], PLACE, problems, kind="dataset")
-    problems.raise_any()
     places = _places(tree.groups["places"], problems)
     tapes: list[Tape] = []
     for name in TAPES:
         group = tree.groups[name]
-        rows = {row: group.datasets[row].values for row in ROWS}
-        for row, values in rows.items():
-            kinds = "fi" if row == "constants" else "i"
-            wrong = isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size)
-            if isinstance(values, Unread) or wrong or values.ndim != 1:
-                shape = "" if wrong else f" of shape {values.shape}"
-                expected = "a row of numbers" if row == "constants" else "a row of integers"
-                problems.add(f"{group.child_path(row)} is {type_name(values)}{shape}, expected {expected}")
+        columns = {row: "fi" if row == "constants" else "i" for row in ROWS}
+        rows = _columns(group, columns, problems, one_length=False)
         problems.raise_any()
-        numbers: Any = {row: np.asarray(v, float if row == "constants" else int) for row, v in rows.items()}
+        numbers: Any = {row: np.array(v, float if row == "constants" else int) for row, v in rows.items()}
         try:
             tapes.append(Tape(n_moving + n_parameters, **numbers, n_still=n_parameters))
         except InputError as error:
@@ -75,13 +65,9 @@ def decode_equations(tree: Tree, n_moving: int, n_parameters: int, problems: Pro
 
 
 def _places(group: Tree, problems: Problems) -> tuple[PortPlace, ...]:
-    columns = [entries(group, field, "U", problems) for field in PLACE]
+    columns = _columns(group, dict.fromkeys(PLACE, "U"), problems)
     problems.raise_any()
-    lengths = {len(column or []) for column in columns}
-    if len(lengths) > 1:
-        problems.add(f"{group.path}: columns of {', '.join(map(str, sorted(lengths)))} entries, expected one length")
-        problems.raise_any()
-    places = tuple(PortPlace(*row) for row in zip(*(column or [] for column in columns), strict=True))
+    places = tuple(PortPlace(*row) for row in zip(*columns.values(), strict=True))
     for place in places:
         if place.kind not in KINDS:
             problems.add(f"{group.child_path('kind')}: {place.kind!r}, expected one of {', '.join(KINDS)}")
@@ -91,10 +77,27 @@ def _places(group: Tree, problems: Problems) -> tuple[PortPlace, ...]:
     return places
 
 
+def _columns(
+    group: Tree, kinds: Mapping[str, str], problems: Problems, one_length: bool = True
+) -> dict[str, list[Any]]:
+    """Datasets by their names, of texts or numbers as ``kinds`` says; of one length."""
+    find_children(group, list(kinds), problems, kind="dataset")
+    found = {name: entries(group, name, of, problems) for name, of in kinds.items() if name in group.datasets}
+    columns = {name: values for name, values in found.items() if values is not None}
+    for name in columns:
+        if (shape := group.datasets[name].values.shape) and len(shape) > 1:
+            problems.add(f"{group.child_path(name)} is of shape {shape}, expected one row")
+    lengths = {len(values) for values in columns.values()}
+    if one_length and len(lengths) > 1:
+        problems.add(f"{group.path}: columns of {', '.join(map(str, sorted(lengths)))} entries, expected one length")
+    return columns
+
+
 # Of a plant whose equations are stored: what its parameters may be is not known elsewhere.
 MORE_TEXTS = ("sign", "role")
 MATRICES = ("E", "F", "G", "C", "D")
 TEXTS, NUMBERS = ("name", "unit", "source", "meaning"), ("value", "tolerance")
+PARAMETERS = dict.fromkeys(TEXTS, "U") | dict.fromkeys(NUMBERS, "fi")
 # Name of a bare model that stands as a plant; its matrices are stored with it.
 BARE = "model"
 # Entries of the stored linear model and of the rebuilt plant's agree to this share of the largest.
@@ -107,8 +110,10 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
 
     base = obj.plant if isinstance(obj, ExtendedEquations) else obj
     own = not _is_rebuilt(base)
-    equations = base.affine_equations() if own and _is_linear(base) else None
-    tapes = base.equations if own and _is_symbolic(base) else None
+    # Without methods of its own a plant is its parameters, signals and equations.
+    kind, of = type(base).__name__, getattr(base, "affine_equations", None)
+    equations = of() if own and of is not None and kind == "LinearPlant" else None
+    tapes = getattr(base, "equations", None) if own and kind == "SymbolicPlant" else None
     if own and equations is None and tapes is None:
         raise InputError(
             f"{base.name}: save",
@@ -169,32 +174,19 @@ def _options(base: Plant) -> dict[str, Any]:
     return {name: value for name in ("preset", "motors") if (value := getattr(base, name, None)) is not None}
 
 
-def _is_linear(base: Plant) -> TypeGuard[LinearPlant]:
-    """True for a linear plant without methods of its own: its parameters, signals and equations are all there is."""
-    from robustlab.dynamics.linear_plant import LinearPlant
-
-    return type(base) is LinearPlant
-
-
-def _is_symbolic(base: Plant) -> TypeGuard[SymbolicPlant]:
-    """True for a plant whose equations are tapes, without methods of its own."""
-    from robustlab.dynamics.symbolic.symbolic_plant import SymbolicPlant
-
-    return type(base) is SymbolicPlant
-
-
 def _is_rebuilt(base: Plant) -> bool:
     """True where name, options and parameters make the same plant again."""
     from robustlab.dynamics import builtin_plant, plant_names
     from robustlab.dynamics.linear_plant import LinearPlant
+    from robustlab.dynamics.ports.port_model import linear_plant_of
 
     if base.name == BARE and isinstance(base, LinearPlant):
-        again: Any = _with_parameters(_bare_plant(_bare_model(base)), base.parameters)
+        again: Any = replace(linear_plant_of(_bare_model(base)), parameters=dict(base.parameters))
     elif base.name in plant_names():
         again = builtin_plant(base.name, **_options(base))
         if list(again.parameters) != list(base.parameters) or type(again) is not type(base):
             return False
-        again = _with_parameters(again, base.parameters)
+        again = replace(again, parameters=dict(base.parameters))
     else:
         return False
     signals = all(getattr(again, kind) == getattr(base, kind) for kind in ("inputs", "outputs", "states"))
@@ -204,10 +196,6 @@ def _is_rebuilt(base: Plant) -> bool:
     return signals
 
 
-def _with_parameters(plant: Any, parameters: Any) -> Any:
-    return replace(plant, parameters=dict(parameters))
-
-
 def _bare_model(base: Any) -> StateSpaceModel:
     """The model from which a bare plant was made: that of gains and inertias of 1."""
     units = {name: 1.0 for name in base.parameters if name.startswith(("gain_", "inertia_"))}
@@ -215,12 +203,6 @@ def _bare_model(base: Any) -> StateSpaceModel:
     return StateSpaceModel(
         np.linalg.solve(e, f), np.linalg.solve(e, g), c, d, 0.0, base.inputs, base.outputs, base.states
     )
-
-
-def _bare_plant(model: StateSpaceModel) -> Any:
-    from robustlab.dynamics.ports.port_model import linear_plant_of
-
-    return linear_plant_of(model)
 
 
 def _linear(obj: Plant, point: Any = None) -> StateSpaceModel:
@@ -296,7 +278,7 @@ def _own_parameters(group: Tree, problems: Problems) -> dict[str, Parameter]:
     """Parameters with all that is said of them; what is wrong is in ``problems``."""
     from robustlab.dynamics.parameters import Parameter, Role
 
-    columns = _columns(group, problems, MORE_TEXTS)
+    columns = _columns(group, PARAMETERS | dict.fromkeys(MORE_TEXTS, "U"), problems)
     for field, choices in (("sign", get_args(Sign)), ("role", get_args(Role))):
         for found in columns.get(field, ()):
             if found not in choices:
@@ -319,7 +301,7 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
         problems.add(f"{group.path}: attribute name is missing or no text")
     find_children(group, ("parameters", "base") if name == BARE else ("parameters",), problems, kind="group")
     problems.raise_any()
-    columns = _columns(group.groups["parameters"], problems)
+    columns = _columns(group.groups["parameters"], PARAMETERS, problems)
     model = decode_model(group.groups["base"], problems) if name == BARE and "base" in group.groups else None
     problems.raise_any()
     assert name is not None
@@ -327,7 +309,9 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
     values, tolerances = columns["value"], columns["tolerance"]
     given: dict[str, Any] = dict(zip(columns["name"], zip(values, tolerances, strict=True), strict=True))
     if model is not None:
-        base = _bare_plant(model)
+        from robustlab.dynamics.ports.port_model import linear_plant_of
+
+        base = linear_plant_of(model)
         made = base.with_parameters(**{n: v for n, (v, _) in given.items()})
     else:
         made = builtin_plant(name, **options, **given)
@@ -338,22 +322,7 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
     for k, n in enumerate(columns["name"]):
         about = {field: columns[field][k] for field in ("value", "tolerance", "unit", "source", "meaning")}
         stored[n] = replace(made.parameters[n], **about)
-    return _with_parameters(made, {n: stored[n] for n in made.parameters})
-
-
-def _columns(group: Tree, problems: Problems, more: tuple[str, ...] = ()) -> dict[str, list[Any]]:
-    """Datasets of one length, texts or numbers by their names."""
-    find_children(group, (*TEXTS, *NUMBERS, *more), problems, kind="dataset")
-    columns: dict[str, list[Any]] = {}
-    for field in (*TEXTS, *NUMBERS, *more):
-        if field in group.datasets:
-            values = entries(group, field, "fi" if field in NUMBERS else "U", problems)
-            if values is not None:
-                columns[field] = values
-    lengths = {len(values) for values in columns.values()}
-    if len(lengths) > 1:
-        problems.add(f"{group.path}: columns of {', '.join(map(str, sorted(lengths)))} entries, expected one length")
-    return columns
+    return replace(made, parameters={n: stored[n] for n in made.parameters})
 
 
 def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
@@ -372,15 +341,8 @@ def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
         for name, value in attrs.items():
             if value is None:
                 problems.add(f"{one.path}: attribute {name} is missing or no text")
-        find_children(one, ("name", "value"), problems, kind="dataset")
-        problems.raise_any()
-        columns = {
-            name: entries(one, name, "U" if name == "name" else "fi", problems) or []
-            for name in ("name", "value", "std")
-            if name in one.datasets
-        }
-        if len({len(values) for values in columns.values()}) > 1:
-            problems.add(f"{one.path}: name, value and std differ in length")
+        kinds = {"name": "U", "value": "fi", **({"std": "fi"} if "std" in one.datasets else {})}
+        columns = _columns(one, kinds, problems)
         problems.raise_any()
         known = effect(str(attrs["id"]))
         std = {n: s for n, s in zip(columns["name"], columns.get("std", []), strict=False) if not np.isnan(s)}

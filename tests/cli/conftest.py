@@ -5,8 +5,7 @@ from collections.abc import Mapping
 import pytest
 
 from robustlab.errors import InputError
-from robustlab.recipe import run
-from robustlab.recipe.steps.leaves import look_ahead
+from robustlab.recipe import look_ahead, run
 
 
 def undeclared(numbers, leaves, path):

@@ -36,7 +36,7 @@ def test_no_time_ends_in_exit_code_4(limit):
 
 def test_worst_gain_with_its_figure(folder):
     """1 / (s + 1 + 0.2 delta): 1.25 at delta = -1."""
-    found = robustlab("mu", "pole.h5", "--gain", "--json", "--figure", "gain.svg", code=0).json
+    found = robustlab("worst-gain", "pole.h5", "--json", "--figure", "gain.svg", code=0).json
     assert (found["type"], found["lower"]) == ("WorstCaseGain", pytest.approx(1.25, rel=1e-9))
     assert (folder / "gain.png").stat().st_size > 5000
 
@@ -65,9 +65,9 @@ def test_a_stored_controller_is_positive_feedback():
 
 def test_classical_margins():
     rl.save("L.h5", rl.StateSpaceModel([[0, 1, 0], [0, 0, 1], [0, -2, -3]], [[0], [0], [1]], [[3, 0, 0]], [[0]]))
-    found = robustlab("model", "margins", "L.h5", "--classical", "--json", code=0).json
+    found = robustlab("model", "classical-margins", "L.h5", "--json", code=0).json
     assert found["channels"]["y1"]["gain_margin"][1] == pytest.approx(2)
-    assert "unstable" in robustlab("model", "margins", "unstable.h5", "--classical", "--feedback", "positive").out
+    assert "unstable" in robustlab("model", "classical-margins", "unstable.h5", "--feedback", "positive").out
 
 
 def test_worst_case_as_json_and_file():
@@ -86,13 +86,25 @@ def test_other_metrics(metric):
 
 
 def test_probability_of_a_violation(folder):
-    robustlab("uncertain", "build", "--plant", "dc-motor", "--tolerance", "Kf=0.35", "--out", "kf.h5", code=0)
+    robustlab("uncertain", "plant", "dc-motor", "--tolerance", "Kf=0.35", "--out", "kf.h5", code=0)
     drive = ("--outputs", "omega", "--input-value", "u=42", "--t-end", "0.1", "--seed", "3")
-    words = ("worst-case", "kf.h5", "--limit", "9.3 rad/s", "-n", "500", "--figure", "f/", "--out", "p.h5", "--json")
+    words = (
+        "violation-probability",
+        "kf.h5",
+        "--limit",
+        "9.3 rad/s",
+        "-n",
+        "500",
+        "--figure",
+        "f/",
+        "--out",
+        "p.h5",
+        "--json",
+    )
     found = robustlab(*words, *drive, code=0).json
     assert found["lower"] < found["probability"] < found["upper"] < 0.1
     assert len(list((folder / "f").iterdir())) == 4
     assert rl.load("p.h5").data["violations"] == found["violations"]
-    shown = robustlab("worst-case", "kf.h5", "--limit", "12", "--probability", "0.05", *drive, code=0).out
+    shown = robustlab("violation-probability", "kf.h5", "--limit", "12", "--probability", "0.05", *drive, code=0).out
     assert "without a unit" in shown
-    robustlab("worst-case", "kf.h5", "--limit", "2 rad/s", "--probability", "0.05", *drive, code=1)
+    robustlab("violation-probability", "kf.h5", "--limit", "2 rad/s", "--probability", "0.05", *drive, code=1)

@@ -68,34 +68,3 @@ def test_refusals(folder, words, code, text, monkeypatch):
     found, out, err = robustlab("campaign", *words)
     assert (found, out) == (code, "")
     assert text in err
-
-
-def test_the_recipe_of_the_page(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    recipe = re.search(r"```toml\n(.*?)```", PAGE, re.S).group(1)
-    Path("motor.toml").write_text(
-        recipe.replace("n = 2000", "n = 1900").replace("workers = 2", "workers = 1"), encoding="utf-8"
-    )
-    # As if a run had been interrupted: the store of the unfinished campaign is gone on with.
-    from robustlab.campaign import runs
-
-    def interrupted(*_args, **_options):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(runs, "compute_missing", interrupted)
-        code, _, err = robustlab("run", "motor.toml")
-    assert (code, err.splitlines()[-1]) == (130, "interrupted")
-    (unfinished,) = Path("out/.motor-campaign-unfinished").glob("deviation-*.sqlite")
-    inode = unfinished.stat().st_ino
-    code, out, _ = robustlab("run", "motor.toml")
-    assert code == 0
-    assert "1 of 1 requirements met" in out
-    kept = Path("out/motor-campaign/evidence/deviation.sqlite")
-    assert kept.stat().st_ino == inode
-    assert not Path("out/.motor-campaign-unfinished").exists()
-    step = json.loads(Path("out/motor-campaign/result.json").read_text(encoding="utf-8"))["steps"][-1]
-    assert (step["status"], step["numbers"]["done"], step["numbers"]["lost"]) == ("converged", 1900, 0)
-    assert [figure["stem"] for figure in step["figures"]] == ["deviation-exceedance", "deviation-delta"]
-    code, out, _ = robustlab("campaign", "show", str(kept))
-    assert step["numbers"]["digest"] in out

@@ -11,10 +11,8 @@ from typing import get_args, get_type_hints
 
 import pytest
 
-from robustlab.cli.groups import GROUPS, parser
-from robustlab.cli.offers import PLANTS
-from robustlab.doors.members import METRICS
-from robustlab.doors.sets import COVERS
+from robustlab.cli import GROUPS, PLANTS, parser
+from robustlab.doors import COVERS, METRICS
 
 HEAVY = {"numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "jinja2"}  # typer itself takes pydantic
 SCRIPTS = Path(sys.executable).parent

@@ -87,7 +87,7 @@ def test_margins_say_the_loop(run):
     assert (data["feedback"], data["loop"]) == ("positive", "u = K y, as the controller says")
     at = run("model", "margins", "nominal.h5", "-k", "ncf.h5", "--frequency", "1")
     assert "as asked" not in at  # nobody asked: the file says it
-    classical = run("model", "margins", "nominal.h5", "-k", "ncf.h5", "--classical")
+    classical = run("model", "classical-margins", "nominal.h5", "-k", "ncf.h5")
     assert "u = K y, as ncf.h5 says" in classical
     assert classical.rstrip().endswith("feedback  positive")
 

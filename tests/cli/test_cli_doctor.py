@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from shell import robustlab
 
-from robustlab.cli.ending import main_guard
 from robustlab.provenance import library_versions
 
 
@@ -42,13 +40,3 @@ def test_doctor_says_where_cvxpy_lacks_clarabel(monkeypatch):
     monkeypatch.setattr(cvxpy.Problem, "solve", unsolved)
     out = robustlab("doctor", code=5).out
     assert "missing: EnvironmentFault: cvxpy: The solver CLARABEL is not installed." in out
-
-
-def test_no_place_for_compiled_code_is_one_line_and_5(capsys):
-    # A function of a file that is nowhere: numba finds no folder that it can write, and says it in its own words.
-    names: dict[str, object] = {}
-    exec(compile("def function(x):\n    return x\n", "/nowhere/at_all.py", "exec"), names)
-    assert main_guard(lambda: njit(cache=True)(names["function"])) == 5
-    first, hint = capsys.readouterr().err.splitlines()
-    assert first.startswith("error: robustlab: compiled code cannot be kept (cannot cache function 'function'")
-    assert "NUMBA_CACHE_DIR" in hint

@@ -7,9 +7,8 @@ import sys
 
 import pytest
 
-from robustlab.cli.ending import main_guard
-from robustlab.cli.groups import GROUPS, parser
-from robustlab.cli.main import help_text, run
+from robustlab.cli import GROUPS, help_text, main_guard, parser
+from robustlab.cli import run_command as run
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.shown import text_table as table
 
@@ -18,9 +17,9 @@ HEAVY = ["numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "pydantic",
 
 LAZY = """
 import sys
-from robustlab.cli.main import run
+from robustlab.cli import run_command as run
 print(run(["--help"]), "typer" in sys.modules)
-from robustlab.cli.groups import GROUPS
+from robustlab.cli import GROUPS
 print([run([group, "--help"]) for group in GROUPS].count(0) - len(GROUPS), file=sys.stderr)
 print(*{m.split(".")[0] for m in sys.modules}, file=sys.stderr)
 """

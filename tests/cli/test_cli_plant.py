@@ -74,7 +74,7 @@ def digest(path="axis.py"):
 
 def test_model_build_and_uncertain_build_keep_the_hash(folder):
     robustlab("model", "build", "axis.py:axis", "--set", "M=96", "--out", "m.h5", code=0)
-    robustlab("uncertain", "build", "--plant", "axis.py:axis", "--tolerance", "M=0.2", "--out", "u.h5", code=0)
+    robustlab("uncertain", "plant", "axis.py:axis", "--tolerance", "M=0.2", "--out", "u.h5", code=0)
     model, uncertain = rl.load("m.h5"), rl.load("u.h5")
     assert model.B[1, 0] == 35.0 / 96.0
     assert [(b.name, b.parameter.radius) for b in uncertain.blocks] == [("M", 19.0), ("Fv", pytest.approx(20.3))]

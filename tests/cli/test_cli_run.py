@@ -12,7 +12,7 @@ import pytest
 from shell import robustlab
 
 import robustlab as rl
-from robustlab.recipe.steps.contract import KINDS, Outcome
+from robustlab.recipe import KINDS, Outcome
 
 RECIPE = """\
 schema = "robustlab.recipe/1"
@@ -102,7 +102,9 @@ def test_a_run_with_all_requirements_met(recipe):
 
 
 def test_a_requirement_that_is_not_met_is_exit_code_1(recipe):
-    assert "NOT MET" in robustlab("run", "small.toml", "--set", "set.tolerances.Kf=0.3", code=1).out
+    assert (
+        "NOT MET" in robustlab("run", "small.toml", "--set", "set.tolerances.Kf=0.3", "--out", "out/small", code=1).out
+    )
     root = ET.parse(recipe / "out/small/junit.xml").getroot()
     assert root.get("failures") == "1"
     assert "✗ not met" in (recipe / "out/small/report.html").read_text(encoding="utf-8")
@@ -225,7 +227,7 @@ def test_a_step_that_ends_the_run_is_in_the_report(recipe, monkeypatch, error, c
 KILLED = """
 import os, signal, sys
 from robustlab.cli.main import main
-from robustlab.recipe.steps.contract import KINDS
+from robustlab.recipe import KINDS
 import robustlab.recipe.steps
 KINDS["sample"].run = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 sys.argv = ["robustlab", "run", "small.toml"]

@@ -33,12 +33,12 @@ def block(text, name):
 
 @pytest.mark.parametrize("text", ["Km=5%", "Km=0.05", "Km=5 %"])
 def test_a_tolerance_per_cent(text):
-    found = block(call("uncertain", "build", "--plant", "dc-motor", "--tolerance", text, "--json"), "Km")
+    found = block(call("uncertain", "plant", "dc-motor", "--tolerance", text, "--json"), "Km")
     assert (found["nominal"], found["radius"]) == pytest.approx((0.052, 0.0026), rel=1e-14)
 
 
 def test_a_range_with_units():
-    words = ("uncertain", "build", "--plant", "dc-motor", "--range", "Km=40 mN m/A:0.06 N m/A", "--json")
+    words = ("uncertain", "plant", "dc-motor", "--range", "Km=40 mN m/A:0.06 N m/A", "--json")
     found = block(call(*words), "Km")
     low = found["nominal"] - found.get("below", found["radius"])
     assert (low, found["nominal"] + found["radius"]) == pytest.approx((0.04, 0.06))
@@ -67,7 +67,7 @@ tolerances = {{ Km = {km}, Kf = "35%" }}
 
 def test_tolerances_and_units_in_a_recipe(tmp_path):
     (tmp_path / "r.toml").write_text(RECIPE.format(km='"5%"'))
-    call("run", "r.toml", "--set", "set.tolerances.J=10%")
+    call("run", "r.toml", "--set", "set.tolerances.J=10%", "--out", "out/small")
     motor, made = json.loads((tmp_path / "out/small/result.json").read_text())["steps"]
     found = motor["numbers"]["parameters"]
     assert (found["R"]["value"], found["L"]["value"], found["L"]["tolerance"]) == (2.1, pytest.approx(6e-4), 0.1)

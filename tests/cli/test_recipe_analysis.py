@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.recipe.load import load_recipe
-from robustlab.recipe.run import run_recipe
-from robustlab.recipe.steps.contract import KINDS
+from robustlab.recipe import KINDS, load_recipe, run_recipe
 
 ROOT = Path(__file__).parents[2]
 FILES = ("g", "h", "p", "k", "set", "r")

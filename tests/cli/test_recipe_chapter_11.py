@@ -11,8 +11,7 @@ import pytest
 import robustlab as rl
 from robustlab.dynamics import catalogue
 from robustlab.errors import InputError
-from robustlab.recipe.load import load_recipe, parse_recipe, recipe_path
-from robustlab.recipe.run import run_recipe
+from robustlab.recipe import load_recipe, parse_recipe, recipe_path, run_recipe
 
 ROOT = Path(__file__).parents[2]
 HEAD = 'schema = "robustlab.recipe/1"\nname = "r"\n[step.motor]\ndo = "plant"\nplant = "dc-motor"\n'

@@ -10,7 +10,7 @@ import pytest
 from shell import robustlab
 
 import robustlab as rl
-from robustlab.recipe.steps.contract import KINDS
+from robustlab.recipe import KINDS
 
 ROOT = Path(__file__).parents[2]
 HEAD = 'schema = "robustlab.recipe/1"\nname = "r"\n'

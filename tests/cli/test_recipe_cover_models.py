@@ -6,8 +6,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe.load import load_recipe, parse_recipe
-from robustlab.recipe.run import run_recipe
+from robustlab.recipe import load_recipe, parse_recipe, run_recipe
 
 HEAD = """schema = "robustlab.recipe/1"
 name = "units"

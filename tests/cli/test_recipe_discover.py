@@ -14,8 +14,7 @@ import robustlab as rl
 from robustlab.dynamics import catalogue
 from robustlab.errors import InputError
 from robustlab.identification.record_check import Finding
-from robustlab.recipe.load import load_recipe, parse_recipe
-from robustlab.recipe.run import run_recipe
+from robustlab.recipe import load_recipe, parse_recipe, run_recipe
 
 PAGE = (Path(__file__).parents[2] / "docs" / "discover.md").read_text(encoding="utf-8")
 HEAD = """schema = "robustlab.recipe/1"

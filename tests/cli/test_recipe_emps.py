@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 import robustlab as rl
-from robustlab.recipe.load import load_recipe, recipe_path
-from robustlab.recipe.run import run_recipe
+from robustlab.recipe import load_recipe, recipe_path, run_recipe
 
 ROOT = Path(__file__).parents[2]
 EMPS = ROOT.parent / "shared" / "data" / "emps.h5"

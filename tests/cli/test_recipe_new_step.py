@@ -7,13 +7,10 @@ from typing import ClassVar, Literal
 import pytest
 from pydantic import Field
 
-from robustlab.doors.vocabulary import Positive, ToModel
+from robustlab.doors import Positive, ToModel
 from robustlab.errors import InputError
-from robustlab.recipe.load import load_recipe, parse_recipe
-from robustlab.recipe.run import run_recipe
-from robustlab.recipe.schema import json_schema
+from robustlab.recipe import Fact, Outcome, Step, Workspace, json_schema, load_recipe, parse_recipe, run_recipe, step
 from robustlab.recipe.steps import contract
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, step
 
 RECIPE = """\
 schema = "robustlab.recipe/1"

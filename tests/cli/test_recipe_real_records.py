@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.recipe.load import load_recipe, recipe_path
-from robustlab.recipe.run import run_recipe
+from robustlab.recipe import load_recipe, recipe_path, run_recipe
 
 ROOT = Path(__file__).parents[2]
 DATA = Path(__file__).parents[3] / "shared" / "data"

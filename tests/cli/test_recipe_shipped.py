@@ -11,8 +11,7 @@ import pytest
 from shell import robustlab
 
 import robustlab as rl
-from robustlab.recipe.load import load_recipe, recipe_path
-from robustlab.recipe.run import run_recipe
+from robustlab.recipe import load_recipe, recipe_path, run_recipe
 
 ROOT = Path(__file__).parents[2]
 EMPS = Path(__file__).parents[3] / "shared" / "data" / "emps.h5"

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.recipe.load import load_recipe
-from robustlab.recipe.run import run_recipe
+from robustlab.recipe import load_recipe, run_recipe
 
 RECIPE = """
 schema = "robustlab.recipe/1"

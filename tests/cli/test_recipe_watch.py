@@ -7,8 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics import catalogue
-from robustlab.recipe.load import load_recipe
-from robustlab.recipe.run import run_recipe
+from robustlab.recipe import load_recipe, run_recipe
 
 FEW = ("coulomb-friction", "constant-load", "quadratic-drag")
 DT, PIECE = 0.002, 1000

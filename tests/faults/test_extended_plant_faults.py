@@ -152,7 +152,7 @@ def drop(place, name):
         (put("effects/0", "value", np.array([np.nan])), "NaN"),
         (put("effects/0", "value", np.array([-1.0])), "no negative friction level"),
         (put("effects/0", "value", np.array(["much"])), "expected real numbers"),
-        (put("effects/0", "value", np.array([1.0, 2.0])), "differ in length"),
+        (put("effects/0", "value", np.array([1.0, 2.0])), "expected one length"),
         (put("effects/0", "std", np.array([-1.0])), "standard deviation"),
         (put("effects/0", "name", np.array(["F_c"])), "no such parameter"),
         (drop("effects", "0"), "numbered from 0"),

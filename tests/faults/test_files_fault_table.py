@@ -14,8 +14,8 @@ import pytest
 import scipy.io
 
 import robustlab as rl
+from robustlab.cli import main_guard
 from robustlab.cli.data import app as data_app
-from robustlab.cli.ending import main_guard
 from robustlab.cli.model import app as model_app
 from robustlab.files import hdf5
 

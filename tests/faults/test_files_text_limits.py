@@ -14,12 +14,9 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.files.document import MAX_DEPTH, parse_document
-from robustlab.files.hdf5 import read_tree
-from robustlab.files.signature import Limits
-from robustlab.recipe.load import load_recipe
-from robustlab.recipe.run import read_result
-from robustlab.storage.expression_files import load_parametric
+from robustlab.files import MAX_DEPTH, Limits, parse_document, read_tree
+from robustlab.recipe import load_recipe, read_result
+from robustlab.storage import load_parametric
 
 HOSTILE = {
     "a number of 5000 digits": "9" * 5000,

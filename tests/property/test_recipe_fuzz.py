@@ -12,8 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from robustlab.errors import InputError, UsageError
-from robustlab.recipe.load import parse_recipe
-from robustlab.recipe.schema import Recipe
+from robustlab.recipe import Recipe, parse_recipe
 
 FIRST_LIGHT = (Path(__file__).parents[2] / "recipes" / "first-light.toml").read_text(encoding="utf-8")
 LINES = FIRST_LIGHT.splitlines()

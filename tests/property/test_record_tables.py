@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.clocks import summarise_clock
-from robustlab.files.record_source import Channel, Source
-from robustlab.files.records import RecordOptions, choose
+from robustlab.files import Channel, RecordOptions, Source, choose
 
 NUMBERS = st.floats(-1e300, 1e300, allow_nan=False)
 NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\x00", exclude_categories=("Cc", "Cs")), min_size=1)

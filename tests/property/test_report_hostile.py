@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from robustlab.report.html import junit_xml, render
+from robustlab.report import junit_xml, render
 
 ATTACKS = [
     "<script>alert(1)</script>",

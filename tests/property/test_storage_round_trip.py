@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.files.tree import link_name, signal_name
+from robustlab.files import link_name, signal_name
 from robustlab.result import Result, Status
 from robustlab.statespace import OperatingPoint
 from robustlab.storage import read

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from plant_files import NAMES, maker
 
 import robustlab as rl
-from robustlab.files.tree import Tree
-from robustlab.storage.matrices import Problems
-from robustlab.storage.plants import decode_plant, encode_plant
+from robustlab.files import Tree
+from robustlab.storage import Problems, decode_plant, encode_plant
 
 
 def trees(name="cart_pole", **given):
@@ -110,9 +109,9 @@ LIES = [
     (changed(f"{T}/models/constants", 0, np.nan), "/plant/tapes/models/constants: entry 0 is no finite number"),
     (changed(f"{T}/models/constants", 0, np.inf), "/plant/tapes/models/constants: entry 0 is no finite number"),
     (replaced(f"{T}/rates/left", np.zeros(3, int)), "/plant/tapes/rates: 3 and .* arguments"),
-    (replaced(f"{T}/rates/left", np.zeros((3, 3), int)), r"/plant/tapes/rates/left is int64 of shape \(3, 3\)"),
-    (replaced(f"{T}/rates/left", np.zeros(28)), "/plant/tapes/rates/left is .*float64.*, expected a row of integers"),
-    (replaced(f"{T}/rates/constants", ["a"]), "/plant/tapes/rates/constants is .*, expected a row of numbers"),
+    (replaced(f"{T}/rates/left", np.zeros((3, 3), int)), r"/plant/tapes/rates/left is of shape \(3, 3\)"),
+    (replaced(f"{T}/rates/left", np.zeros(28)), "/plant/tapes/rates/left has dtype float64"),
+    (replaced(f"{T}/rates/constants", ["a"]), "/plant/tapes/rates/constants has dtype .*, expected real numbers"),
     (replaced(f"{T}/rates/outputs", np.zeros(3, int)), "tape of rates: 12 inputs and 3 outputs, expected 12 and 4"),
     (replaced(f"{T}/models/outputs", np.zeros(0, int)), "tape of models: 12 inputs and 0 outputs"),
     (dropped(f"{T}/rates"), "missing /plant/tapes/rates"),

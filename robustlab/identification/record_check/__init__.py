@@ -2,7 +2,6 @@
 
 suitability       `check_record` summarises it, `suitability` says whether an effect may be named from it
 channel_identity  channels with another sign, unit or name than the model's
-column_mapping    which column is which signal, by name and unit
 resampling        missing samples, jitter, two clocks: brought on one uniform clock
 """
 

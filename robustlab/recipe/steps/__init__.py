@@ -10,10 +10,7 @@ from pathlib import Path
 
 # The order of the kinds in the schema, and so a file imports only from those before it at its top; files that are not
 # named here come last.
-ORDER = (
-    "models", "covers", "worst_case", "robustness", "design", "state_designs", "scheduling", "digital",
-    "control", "records", "validation",
-)  # fmt: skip
+ORDER = ("models", "covers", "samples", "digital", "control", "records", "validation")
 
 _found = sorted(path.stem for path in Path(__file__).parent.glob("[!_]*.py"))
 for _name in sorted(_found, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER)):

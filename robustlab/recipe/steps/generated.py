@@ -173,7 +173,7 @@ def _thing(kind: Thing, given: Any, work: Workspace) -> Any:
         return [kind.as_wanted(work.values[name], f"step {name!r}") for name in given]
     if kind.discovery and given in work.discoveries:
         return work.discoveries[given]
-    if isinstance(given, str) and given not in kind.words:
+    if isinstance(given, str):
         return kind.as_wanted(work.values[given], f"step {given!r}")
     return given
 

@@ -4,43 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.doors.vocabulary import (
-    FileName,
-    NumberOrPair,
-    Text,
-    ToAnything,
-    ToOneModel,
-    ToSaved,
-)
-from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import (
-    Ahead,
-    Fact,
-    Foretold,
-    Outcome,
-    Step,
-    Workspace,
-    quantity,
-    step,
-)
+from robustlab.doors.vocabulary import FileName, NumberOrPair, Text, ToAnything, ToSaved
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
 
-# What is left of a model, and of an uncertain one.
 MODEL: dict[str, Any] = {
     "states": "1", "inputs": [str], "outputs": [str], "spectral_abscissa": float, "poles": list,
 }  # fmt: skip
-RANK = {"rank": "1", "states": "1", "full": bool}
-UNCERTAIN: dict[str, Any] = {"blocks": [str], "channels": "1", "states": "1", "sampled": [str]}
-
-
-def same_signals(self: Any, ahead: Ahead) -> Foretold:
-    """What steps foretell that change a model and not its signals."""
-    return ahead[self.of].select(None)
 
 
 @step
@@ -156,7 +131,8 @@ class SaveStep(Step):
     of: ToAnything
     file: FileName
 
-    foretell = same_signals
+    def foretell(self, ahead: Ahead) -> Foretold:
+        return ahead[self.of].select(None)
 
     def run(self, work: Workspace) -> Outcome:
         import h5py
@@ -180,36 +156,6 @@ class SaveStep(Step):
             {"sha256": digest},
             (Fact("SHA-256 of the content", digest),),
         )
-
-
-@step
-class ResampleStep(Step):
-    """A model with another sample time: a continuous one discretised, a discrete one resampled or made continuous.
-
-    The digital form of a controller, judged in its loop, is the step `discretise`.
-    """
-
-    gives: ClassVar[str] = "model"
-    leaves: ClassVar[Any] = {**MODEL, "dt": "s"}
-    do: Literal["resample"]
-    of: ToOneModel
-    dt: Annotated[float, Field(ge=0)] = Field(description="Sample time in s; 0: continuous.")
-    method: Literal["zoh", "tustin"] = "zoh"
-
-    foretell = same_signals
-
-    def run(self, work: Workspace) -> Outcome:
-        from robustlab.statespace import as_model
-
-        model = as_model(work.values[self.of], self.of)
-        if not model.is_discrete:
-            if not self.dt:
-                raise InputError("dt", f"0, and {self.of} is continuous", "a sample time in s")
-            made = rl.discretise(model, self.dt, self.method)
-        else:
-            made = rl.d2d(model, self.dt, self.method) if self.dt else rl.d2c(model, self.method)
-        summary = f"{self.of} with a sample time of {self.dt:g} s." if self.dt else f"{self.of} in continuous time."
-        return Outcome(made, summary, {**_model_numbers(made), "dt": made.dt}, _model_facts(made))
 
 
 def _model_numbers(model: Any) -> dict[str, Any]:

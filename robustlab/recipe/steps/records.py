@@ -1,16 +1,15 @@
-"""Steps on measurements: reading records and frequency responses, joining, comparing, naming what a model lacks."""
+"""Steps on measurements: reading and joining records, comparing, naming what a model lacks."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field
 
 import robustlab as rl
 from robustlab.doors.declaration import InLoop
-from robustlab.doors.vocabulary import Positive, Text, ToModel, ToRecord
+from robustlab.doors.vocabulary import Positive, Text, ToRecord
 from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
 from robustlab.recipe.steps.generated import BASES, DoorStep
 
@@ -53,54 +52,6 @@ class RecordStep(Step):
         if self.simulated:
             work.simulated.add(work.step)
         return _as_record(found, f"Record {path.name} read ({work.origin(work.step)}).", notes)
-
-
-@step
-class FrequencyResponseStep(Step):
-    """Frequency-response data: measured, from a table in a text file, or a model at frequencies.
-
-    The table has the frequency first, "f [Hz]" or "omega [rad/s]"; then for each channel "y from u real" and "y from u
-    imag", or "... magnitude" and "... phase [deg]", and "... radius" where the error is known to be below it.
-    """
-
-    gives: ClassVar[str] = "any"
-    leaves: ClassVar[Any] = {"omega": ["rad/s"], "gain": [float], "peak": float, "peak_frequency": "rad/s"}
-    do: Literal["frequency-response"]
-    path: Text | None = Field(None, description="The table; its file may lie anywhere.")
-    units: dict[str, str] = Field({}, description='Units that its header leaves out: { f = "Hz" }.')
-    about: Text = Field("", description="What was measured; shown where the file is absent.")
-    of: ToModel | None = Field(None, description="In place of path: a model, or an uncertain one.")
-    frequency: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)] | None = Field(
-        None, description="rad/s, increasing; with of."
-    )
-
-    @model_validator(mode="after")
-    def _one_source(self) -> Self:
-        if (self.path is None) == (self.of is None) or (self.of is None) != (self.frequency is None):
-            raise PydanticCustomError("one_source", "expected either path, or of with frequency")
-        return self
-
-    def run(self, work: Workspace) -> Outcome:
-        import numpy as np
-
-        from robustlab.report.result_figures import measured_response_figure
-
-        if self.of is not None and self.frequency is not None:
-            found = rl.frequency_data(work.values[self.of], self.frequency)
-        else:
-            found = rl.UncertainFrequencyData.read(work.sources[work.step], units=self.units)
-        gain = np.linalg.svd(found.nominal, compute_uv=False)[:, 0]
-        at = int(np.argmax(gain))
-        numbers = {
-            "omega": found.omega,
-            "gain": gain,
-            "peak": float(gain[at]),
-            "peak_frequency": float(found.omega[at]),
-        }
-        work.draw(measured_response_figure(found), "response", "Nominal response, of the first input.")
-        facts = tuple(Fact(label, text) for label, text in found.facts() if text)
-        notes = (" ".join(self.about.split()),) if self.about else ()
-        return Outcome(found, f"Frequency response at {len(gain)} frequencies.", numbers, facts, notes=notes)
 
 
 @step

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.ending import main_guard
-from robustlab.cli.main import run
+from robustlab.cli import main_guard
+from robustlab.cli import run_command as run
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import robustlab as rl
-from robustlab.recipe.schema import json_schema
+from robustlab.recipe import json_schema
 
 reference_pages = import_module("reference_pages")
 

@@ -11,7 +11,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import EnvironmentFault, UsageError
-from robustlab.files.atomic import atomic_write
+from robustlab.files import atomic_write
 
 OLD, NEW = b"old content", b"new content"
 

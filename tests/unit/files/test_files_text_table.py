@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from robustlab.errors import InputError
-from robustlab.files.text_table import read_table
+from robustlab.files import read_table
 from robustlab.record import Record
 
 VALUES = [[0.0, 1.5, -2.0], [0.1, 2.5, 3e-3], [0.2, 3.5, 1e4]]

@@ -11,7 +11,7 @@ import robustlab as rl
 from robustlab.closing import closing, fed_back, wired
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.signals import law
-from robustlab.storage.controller_export import c_source
+from robustlab.storage import c_source
 from robustlab.synthesis import tracking_loop, with_law
 
 PLANT = rl.StateSpaceModel(

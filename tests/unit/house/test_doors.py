@@ -11,14 +11,10 @@ import pytest
 
 import robustlab as rl
 from robustlab.cli.generated import _draws, command_of
-from robustlab.doors.declaration import ALL, Door, every_door
-from robustlab.doors.kinds import Choice, Numbers, Table, Thing, Whole
+from robustlab.doors import ALL, Choice, Door, Numbers, Table, Thing, Whole, every_door
 from robustlab.errors import InputError, UsageError
-from robustlab.recipe.keys import keys_of_step
-from robustlab.recipe.steps.contract import KINDS
-from robustlab.recipe.steps.leaves import look_ahead
-from robustlab.report.drawing_table import SETS
-from robustlab.report.drawings import drawings_of
+from robustlab.recipe import KINDS, keys_of_step, look_ahead
+from robustlab.report import SETS, drawings_of
 from robustlab.shown import Shown
 
 DOORS = every_door()
@@ -27,14 +23,15 @@ NAMES = [d.function.__name__ for d in DOORS]
 ONE_DOOR: dict[str, str] = {
     "expressions": "a recipe loads the set that the command wrote",
     "cover": "the step takes a plant at several poses, and compares loops with references",
-    "discretise_by_formula": "the step resample",
+    "discretise_by_formula": "one line in Python",
+    **dict.fromkeys(("show", "sample", "campaign", "resume", "stored", "replay"), "of a command alone"),
     **dict.fromkeys(("steady_state", "close_loop"), "one line in Python; shipped recipes use the step"),
-    "robustness_at": "`mu --frequency`, with or without --gain",
 }
 
 
 # Defaults of a door that differ from Python's, and why.
 OTHER_DEFAULTS = {
+    ("sample", "vertices"): "a number, or all",
     **{(name, "starts"): "a command is waited for" for name in ("dk", "fixed_structure")},
 }
 

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 import robustlab as rl
-from robustlab.cli import main
-from robustlab.cli.ending import main_guard
-from robustlab.doors.declaration import COMMANDS, STEPS, reading_option
+from robustlab.cli import main, main_guard
+from robustlab.doors import COMMANDS, STEPS, reading_option
 from robustlab.errors import rewritten
 from robustlab.recipe import steps  # loads the registry
 
@@ -91,13 +90,13 @@ def test_which_input_steps_is_said_in_each_interface(tmp_path, monkeypatch, caps
     with pytest.raises(rl.InputError, match=r"hint: say which input steps: u=\{'r': 1\.0\}"):
         rl.worst_case(loop, "peak-deviation", output="y")
     call = ["worst-case", "loop.h5", "--metric", "peak-deviation", "--outputs", "y", "--t-end", "6"]
-    assert main_guard(lambda: main.run(call)) == 3
+    assert main_guard(lambda: main.run_command(call)) == 3
     assert "hint: say which input steps: --input-value r=1.0\n" in capsys.readouterr().err
-    assert main.run([*call, "--input-value", "r=1.0"]) == 0
+    assert main.run_command([*call, "--input-value", "r=1.0"]) == 0
     step = 'of = "set"\nmetric = "peak-deviation"\noutput = "y"\nt_end = 6.0\n'
     Path("r.toml").write_text(
         'schema = "robustlab.recipe/1"\nname = "r"\n[step.set]\ndo = "load"\npath = "loop.h5"\n'
         f'[step.worst]\ndo = "worst-case"\n{step}'
     )
-    assert main_guard(lambda: main.run(["run", "r.toml", "--out", "o"])) == 3
+    assert main_guard(lambda: main.run_command(["run", "r.toml", "--out", "o"])) == 3
     assert "hint: say which input steps: input = { r = 1.0 }" in capsys.readouterr().err

@@ -119,8 +119,8 @@ effort = 0.0002
 def test_a_recipe_is_the_same_under_load():
     found = same_under_load(f"""
 import contextlib, io, json, os, tempfile
-from robustlab.cli.ending import main_guard
-from robustlab.cli.main import run
+from robustlab.cli import main_guard
+from robustlab.cli import run_command as run
 with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
     os.chdir(folder)
     open("loop.toml", "w").write({RECIPE!r})

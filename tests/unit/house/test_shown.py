@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 import robustlab as rl
 from robustlab.errors import DependencyMissing, InputError
 from robustlab.files import record_source
-from robustlab.report.drawings import DRAWINGS
+from robustlab.report import DRAWINGS
 from robustlab.result import Status
 from robustlab.shown import LINES, Shown
 from robustlab.tables import Tabular

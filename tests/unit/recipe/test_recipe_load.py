@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from robustlab.errors import InputError, UsageError
-from robustlab.recipe.load import MAX_BYTES, find_file, load_recipe, parse_recipe
+from robustlab.recipe import MAX_BYTES, find_file, load_recipe, parse_recipe
 
 HEAD = 'schema = "robustlab.recipe/1"\nname = "x"\n'
 MOTOR = '[step.motor]\ndo = "plant"\nplant = "dc-motor"\n'
@@ -149,7 +149,7 @@ def test_overrides_reach_top_level_keys_steps_and_requirements():
     ("step", "told"),
     [
         ('do = "record"\nfile = "a.csv"', "file: unknown key (did you mean path?)"),
-        ('do = "robustness-at"\nof = "m"\nomega = [1.0]', "omega: unknown key (did you mean frequency?)"),
+        ('do = "robust-stability"\nof = "m"\nomega = [1.0]', "omega: unknown key (did you mean frequency?)"),
     ],
 )
 def test_a_key_that_others_call_so_is_answered(step, told):

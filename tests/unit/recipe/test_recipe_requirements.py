@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from robustlab.errors import InputError
-from robustlab.recipe.schema import Requirement, judge, look_up
+from robustlab.recipe import Requirement, judge, look_up
 
 NUMBERS = {
     "gap": {

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
+from robustlab.report import save_figure
 from robustlab.report.comparison_figures import comparison_figures
-from robustlab.report.figures import save_figure
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.mu_analysis import Margin
-from robustlab.report.figures import save_figure
-from robustlab.report.robustness_figures import mu_figure, response_figure
+from robustlab.report import mu_figure, response_figure, save_figure
 
 T = np.linspace(0.0, 1.0, 101)
 

@@ -12,9 +12,8 @@ import pytest
 from check_report import Tags
 
 from robustlab.errors import InputError
-from robustlab.recipe.run import read_result
-from robustlab.report.figures import new_figure, save_figure
-from robustlab.report.html import in_words, render, verdict
+from robustlab.recipe import read_result
+from robustlab.report import in_words, new_figure, render, save_figure, verdict
 
 REQUIREMENT = {
     "text": "fast enough", "that": "a.x", "condition": "at least 1", "value": 2.0, "met": True, "why_not": "",

@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics import stewart
-from robustlab.report.figures import save_figure
+from robustlab.report import save_figure
 from robustlab.thesis.figures import (
     case_figure,
     condition_figure,

@@ -13,7 +13,7 @@ from patience import PATIENCE
 import robustlab as rl
 from robustlab import discretise
 from robustlab.errors import InputError
-from robustlab.storage.controller_export import c_source
+from robustlab.storage import c_source
 from robustlab.synthesis import back_calculation
 
 CC = shutil.which("cc")

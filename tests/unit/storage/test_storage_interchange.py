@@ -8,8 +8,7 @@ import robustlab as rl
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.provenance import NOT_VERIFIED
 from robustlab.statespace import StateSpaceModel
-from robustlab.storage import load_pair, read, save
-from robustlab.storage.pairs import check_pair
+from robustlab.storage import check_pair, load_pair, read, save
 
 A, B, C, D = np.diag([-1.0, -2.0]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
 

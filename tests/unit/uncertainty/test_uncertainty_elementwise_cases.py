@@ -178,5 +178,5 @@ def test_a_doubtful_pair_is_warned_of(pole, gain, remark, tmp_path, capsys):
     files = [str(tmp_path / name) for name in ("nominal.h5", "perturbed.h5", "set.h5")]
     rl.save(files[0], nominal)
     rl.save(files[1], perturbed)
-    assert main.run(["uncertain", "build", *files[:2], "--out", files[2]]) == 0
+    assert main.run_command(["uncertain", "build", *files[:2], "--out", files[2]]) == 0
     assert re.search(f"warning: {remark}", capsys.readouterr().err)
