@@ -124,9 +124,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         put(self, "states", signals(states, a.shape[0], "x", f"{where}: states"))
         put(self, "operating_point", _checked_operating_point(operating_point, a, d, where))
 
-    def _in_states(
-        self, A: Array, B: Array, C: Array, D: Array | None = None, *, rate: float = 1.0
-    ) -> StateSpaceModel:
+    def _in_states(self, A: Array, B: Array, C: Array, D: Array | None = None, *, rate: float = 1.0) -> StateSpaceModel:
         """In as many other states and the time unit ``1 / rate``, with known poles; nothing is checked or copied."""
         model = object.__new__(type(self))
         known = vars(self).get("_poles")

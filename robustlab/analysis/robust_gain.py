@@ -15,7 +15,6 @@ from robustlab.result import Bracket, Status
 from robustlab.shown import Facts, Part, bracket, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.verification.claim import Claim
 
 LARGEST = 2.0**20  # sets more than this many times as large as given are not looked at
 STEPS = 20  # worst-case gains at most; 1 % takes about 5
@@ -53,12 +52,6 @@ class RobustGain(Bracket):
         "lower": "1", "upper": "1", "frequency": "rad/s", "delta": {"*": ...}, "level": float,
     }  # fmt: skip
     unsaved: ClassVar[tuple[str, ...]] = ("proof",)
-
-    def claims(self) -> list[Claim]:
-        """What `robustlab.verify` proves: the gain of the set ``lower`` times as large."""
-        from robustlab.evidence.axis import gain_claims
-
-        return gain_claims(self.proof) if self.proof is not None else []
 
     def headline(self) -> str:
         kept = "proved for the whole set" if self.lower >= 1 else "not proved for the whole set"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robustlab.analysis.robust_gain import RobustGain
 from robustlab.evidence.delays import weight_claims
 from robustlab.mu_analysis.axis.axis_model import model_frequency
 from robustlab.mu_analysis.axis.intervals import Piece
@@ -107,6 +108,11 @@ def gain_claims(found: WorstCaseGain) -> list[Claim]:
     else:
         claim = Claim("worst-gain", {**numbers, **interval_scalings(found.proof, at)})
     return [claim, *weight_claims(blocks)]
+
+
+def robust_gain_claims(found: RobustGain) -> list[Claim]:
+    """That no member of the set ``lower`` times as large has a larger gain."""
+    return gain_claims(found.proof) if found.proof is not None else []
 
 
 def _symmetric(blocks: Sequence[Block]) -> bool:

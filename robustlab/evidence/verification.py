@@ -20,6 +20,7 @@ CLAIMS: Mapping[str, str] = {
     "MuBounds": "evidence.axis.mu_claims",
     "Margin": "evidence.axis.margin_claims",
     "WorstCaseGain": "evidence.axis.gain_claims",
+    "RobustGain": "evidence.axis.robust_gain_claims",
     "HinfSynthesis": "evidence.designs.hinf_claims",
     "NcfSynthesis": "evidence.designs.ncf_claims",
     "H2Synthesis": "evidence.designs.h2_claims",

@@ -235,7 +235,7 @@ def _encode_lpv_controller(tree: Tree, controller: Any) -> None:
 
 
 def _decode_lpv_controller(tree: Tree, problems: Problems, _transpose: bool) -> Any:
-    from robustlab.synthesis.scheduling.scheduled_controller import LPVController
+    from robustlab.synthesis.scheduling.parameter_varying import LPVController
 
     model, design = _decode_lpv(tree, problems), _design(tree, problems)
     problems.raise_any()
@@ -285,7 +285,7 @@ BY_KIND = {
         Codec("frequency-data", "uncertainty.frequency_responses.UncertainFrequencyData", _encode_frequency_data,
               _decode_frequency_data),
         Codec("lpv", "synthesis.scheduling.parameter_varying.LPVModel", _encode_lpv, _decode_lpv),
-        Codec("lpv-controller", "synthesis.scheduling.scheduled_controller.LPVController", _encode_lpv_controller,
+        Codec("lpv-controller", "synthesis.scheduling.parameter_varying.LPVController", _encode_lpv_controller,
               _decode_lpv_controller),
         Codec("controller", "synthesis.problem.controller.Controller", _encode_controller, _decode_controller),
         Codec("record", "record.Record", _encode_record, _decode_record),

@@ -14,7 +14,6 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.reduction.balancing import triangular_root
 
 SHORT = 1e-3  # doubling starts where |A| h is below this; smaller: more doublings
 DOUBLINGS = 12  # at least so many: the error of the start falls by 4 in each
@@ -175,7 +174,7 @@ def _assembled(
 
 def _compressed(rows: AnyArray) -> AnyArray:
     """Rows with the same Gram matrix, no more than columns."""
-    return rows if len(rows) <= rows.shape[1] else triangular_root(rows)
+    return rows if len(rows) <= rows.shape[1] else np.linalg.qr(rows, mode="r")
 
 
 # --- one interval -----------------------------------------------------------------------------------------------------

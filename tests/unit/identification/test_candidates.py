@@ -19,9 +19,7 @@ from robustlab.dynamics import (
 )
 from robustlab.errors import InputError
 from robustlab.identification import (
-    Scales,
     candidates,
-    catalogue,
     nuisance_parameters,
     ports_of,
     prepare,
