@@ -304,7 +304,7 @@ def _trial(
         allowed = CANCELLED * max(np.abs(D11).max(initial=0.0), np.abs(K.D).max(initial=0.0))
         if np.abs(loop.D).max(initial=0.0) > allowed:  # more than rounding of the cancellation
             return None
-        loop = loop._in_states(1.0, loop.A, loop.B, loop.C, np.zeros_like(loop.D))
+        loop = loop._in_states(loop.A, loop.B, loop.C, np.zeros_like(loop.D))
     norm, out, into = h2_by_channels(loop)
     if not np.isfinite(norm.value):
         return None
