@@ -26,7 +26,7 @@ _WORDS = {
     "discover": "naming.discovery",
     "Discovery": "naming.discovery_result",
     "watch": "monitoring.watch",
-    "Watch": "monitoring.watch_result",
+    "Watch": "monitoring.watch",
     "check_record": "record_check.suitability",
     "suitability": "record_check.suitability",
     "join_clocks": "record_check.resampling",
