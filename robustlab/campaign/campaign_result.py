@@ -1,9 +1,4 @@
-"""What a store says about its campaign: counts, the worst sample, quantiles, what was lost.
-
-The samples are streamed: memory does not grow with their number. They are independent draws, so order statistics and
-counts have exact confidence bounds whatever the distribution. Lost samples have no value; the bounds take them for the
-worst, which is the safe side.
-"""
+"""What a store says about its campaign; samples are streamed, and lost ones count as the worst."""
 
 from __future__ import annotations
 

@@ -1,17 +1,8 @@
-"""Every number that the thesis prints (``numbers.toml``), beside ours, computed from nothing but parameters.
+"""Every number that the thesis prints (``numbers.toml``; Březina 2010), beside ours, from nothing but parameters.
 
-The key of a row begins with the number of the item; ``status`` says what to expect:
-
-- R: reproduced; our value must agree within ``tolerance``, or keep to the bound.
-- F: fitted; a value that the text does not print was chosen so that this row agrees. It is no reproduction.
-- P: reproduced in part, or only under the reading that ``why`` states.
-- N: not reproducible from the text, for the reason in ``why``.
-
-A row without a published value states what the thesis left out.
-
-References
-----------
-Březina 2010; the place is given with each row.
+The key of a row begins with the number of the item. Its status: R, reproduced within ``tolerance`` or the bound. F,
+fitted: a value that the text does not print was chosen so that it agrees. P, reproduced in part, or under the reading
+in ``why``. N, not reproducible for the reason in ``why``. Without a published value: what the thesis left out.
 """
 
 from __future__ import annotations
@@ -135,19 +126,7 @@ def _cell(value: float | None) -> str:
 
 
 def published_numbers() -> PublishedNumbers:
-    """Compute every row; a few seconds.
-
-    Returns
-    -------
-    PublishedNumbers
-        Rows of items 1-29 and the runs behind them.
-
-    Examples
-    --------
-    >>> found = published_numbers()  # doctest: +SKIP
-    >>> found.rows["7"].published, found.disagreeing  # doctest: +SKIP
-    (0.0008701, [])
-    """
+    """All rows of items 1-29, and the runs behind them; a few seconds."""
     plant = stewart_platform()
     sines = {
         "0.1 N m at 2 Hz": sine_run(plant, 0.1, 2.0, 0.078, 781),

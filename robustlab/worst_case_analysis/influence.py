@@ -1,17 +1,6 @@
-r"""What matters in a metric of random members: influence of each real parameter.
+r"""What matters in a metric of random members: first-order (Sobol') shares of its variance from given data.
 
-First-order (Sobol') index of parameter k, the share of the variance that it explains by itself,
-
-.. math:: S_k = \frac{\mathrm{Var}(E[y | \delta_k])}{\mathrm{Var}(y)},
-
-from given data: the samples are put into bins of equal count along :math:`\delta_k`, and the variance between bins is
-corrected for what noise alone would give (Hays' omega squared). Standardised rank regression coefficients give the
-direction and the strength of monotone effects.
-
-References
-----------
-Plischke, Borgonovo, Smith, "Global sensitivity measures from given data", Eur. J. Oper. Res. 226 (2013); Saltelli,
-Marivoet, "Non-parametric statistics in sensitivity analysis", Reliab. Eng. Syst. Saf. 28 (1990).
+Plischke, Borgonovo, Smith, Eur. J. Oper. Res. 226 (2013); directions by rank regression: Saltelli, Marivoet (1990).
 """
 
 from __future__ import annotations

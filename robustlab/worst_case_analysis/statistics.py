@@ -1,17 +1,7 @@
-r"""Statistics of samples: probability that a limit is violated, how many samples show it; quantiles.
+r"""Statistics of samples: Clopper-Pearson bounds of a probability, how many samples show it, quantiles.
 
-Of k violations among n independent samples, the Clopper-Pearson bounds of the probability p at confidence c are
-
-.. math:: F^{-1}_{Beta}\!\left(\tfrac{1-c}{2}; k, n - k + 1\right) \le p \le
-          F^{-1}_{Beta}\!\left(\tfrac{1+c}{2}; k + 1, n - k\right)
-
-They hold for the distribution that was sampled: every parameter uniform in its range, independent of the others. They
-say nothing about the worst case: what has probability zero may still exist.
-
-References
-----------
-Clopper, Pearson, Biometrika 26 (1934); Tempo, Bai, Dabbene, "Probabilistic robustness analysis: explicit bounds for the
-minimum number of samples", Systems & Control Letters 30 (1997); David, Nagaraja, *Order Statistics* (2003), 7.1.
+They hold for parameters uniform in their ranges and independent, and say nothing about the worst case (Clopper, Pearson
+1934; Tempo, Bai, Dabbene 1997; David, Nagaraja, *Order Statistics*, 2003, 7.1).
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""`compare`: how well a plant or model reproduces a measured record, and where it does not.
-
-Two simulations of the recorded input are judged. The *free run* starts from the measured state at the start of the
-record and runs to its end. The *windowed* simulation starts anew in every window from the state that suits the window
-best, so that a model with an integrator is judged by its faults and not by the drift they add up to.
-"""
+"""`compare`: how well a plant or model reproduces a record in free run and in windows, and where it does not."""
 
 from __future__ import annotations
 

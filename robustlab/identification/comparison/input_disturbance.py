@@ -1,8 +1,6 @@
-"""Equivalent disturbance: what would have to be added at an input or a joint for the model to follow the record.
+"""Equivalent disturbance: the random walk at one input or joint with which the model follows the record best.
 
-At one place at a time a Kalman smoother finds the random walk d(t) that suits the record best. Added to the model it is
-judged by the windows: the share of their squared error that goes. Over the speed, d shows a friction that the model
-lacks as a friction curve with its sign turned round.
+Over the speed it shows a friction that the model lacks as a friction curve with its sign turned round.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Where an error lives: in time, in speed and position, in frequency; and the gap of a model in multiples of the noise.
-
-Where a record repeats, the gap is set against its noise floor: 1 is a model as good as the noise allows. What would
-have to be added, and where, is in `robustlab.identification.comparison.input_disturbance`.
-"""
+"""Where an error lives: in time, in speed and position, in frequency; and the gap in multiples of the noise."""
 
 from __future__ import annotations
 
@@ -105,11 +101,9 @@ def time_shares(error: ArrayLike, edges: ArrayLike) -> Array:
 
 
 def motion_of(record: Record, speed: str | None, position: str | None, window: int) -> Motion:
-    """Speed and position of a record.
+    """Speed and position of a record: as named, else the first outputs in such units.
 
-    The speed is the named output, else the first output in a unit of speed; failing that the derivative of the
-    position by a Savitzky-Golay filter of order 3 over about a tenth of the window (5 samples at least). The position
-    is the named output, else the first one in a unit of length or angle.
+    Failing that the speed is the derivative of the position by a Savitzky-Golay filter over a tenth of the window.
     """
     position = position or _first_in(record, POSITION_UNITS)
     speed = speed or _first_in(record, SPEED_UNITS)

@@ -1,9 +1,4 @@
-"""`watch`: detect when a model stops explaining a running log, with a bounded rate of false alarms.
-
-The first piece gives the model's parameters within their tolerances. Every piece is cut into windows that start anew
-from their best-fitting state, so that gaps, restarts and drift do no harm.
-After an alarm `discover` reports what the plant lacks in the pieces since the change.
-"""
+"""`watch`: detect when a model stops explaining a running log, with a bounded rate of false alarms."""
 
 from __future__ import annotations
 
@@ -429,10 +424,8 @@ def _about(parameter: EffectParameter, value: float, std: float) -> EffectParame
 def faithful_windows(problem: Problem, fit: Fit, spread: Array) -> tuple[Problem, Fit]:
     """The piece, and the model in it, without the windows in which the simulation is not to be trusted that far.
 
-    Where a force is about that at which a contact breaks away, what is known of the parameters changes the motion
-    otherwise than linear, and a breakaway within a step is told no better than the step. ``spread`` (k, m): steps of
-    the standardised parameters, each tried to both sides. A window stays where neither what is even in such a step,
-    nor steps of half the length, change its residuals, starts free, by more than `MOST_BENT`.
+    Left out: where what is even in the steps ``spread`` (k, m) of the parameters, or halved time steps, change the
+    residuals, starts free, by more than `MOST_BENT`: a contact about to break away.
     """
     (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
     free = _free(problem, fit, residual)

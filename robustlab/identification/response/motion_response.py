@@ -1,13 +1,4 @@
-r"""A nonlinear plant's response to a record in windows, linear about the recorded motion.
-
-With the plant about a motion (`robustlab.dynamics.ports.motion_model`) each window has
-
-.. math:: y(t_k) = y_u(t_k) + S(t_k)\,(x_0 - \bar x_0) + \sum_j h_j(t_k)
-
-with the outputs :math:`y_u` from the motion's own state at its start, the free response S, and the answers h to forces
-at the joints. Unlike a linear plant's, S is another one in each window. All windows of one length go side by
-side.
-"""
+r"""A nonlinear plant's response to a record in windows, linear about the recorded motion; all windows side by side."""
 
 from __future__ import annotations
 

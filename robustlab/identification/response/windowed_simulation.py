@@ -1,12 +1,7 @@
 r"""Simulation in windows, each from its own least-squares initial state, and the residual that such windows leave.
 
-The *recursive residual* predicts sample k of an output with the state fitted to its samples in the window before k,
-
-.. math:: w_k = \frac{y_k - y_{u,k} - s_k^T \hat x_{k-1}}{\sqrt{1 + s_k^T P_{k-1} s_k}}, \qquad
-          P_{k-1} = \Big(\sum_{j<k} s_j s_j^T\Big)^{-1},
-
-which is white with the variance of the noise where the model is right, for every window length (Brown, Durbin, Evans
-1975).
+The recursive residual predicts each sample from the state fitted to those before it in its window; it is white with the
+variance of the noise where the model is right (Brown, Durbin, Evans 1975).
 """
 
 from __future__ import annotations
@@ -179,11 +174,9 @@ def windowed_simulation(response: Response, whole: Stretch, length: int) -> Wind
 
 
 def recursive_residual(free: Array, error: Array) -> Array:
-    """Recursive residual of one output in windows that share one free response, shape (n, n_windows).
+    """Recursive residual (n, n_windows) of one output in windows that share one free response (n, n_x).
 
-    ``free``: free response of this output, shape (n, n_x). ``error``: measured minus simulated output from any one
-    initial state, shape (n, n_windows); the residual is the same for all. A window that ends earlier than the others
-    ends in NaN.
+    ``error``: measured minus simulated output from any one initial state. A window that ends earlier ends in NaN.
     """
     from robustlab.identification.response.recursion_kernel import predict
 

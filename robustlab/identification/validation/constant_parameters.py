@@ -1,8 +1,7 @@
 r"""Smallest constant real parameters that explain a record, by descent: an upper bound of the smallest size.
 
-For fixed :math:`\delta` the noise is affine in the free states: windows with free starts are fits
-:math:`e_i - F_i \xi_i` of a few unknowns each, by least squares (rms bounds) or in the largest deviation (peak bounds,
-a linear programme by exchange). The dual gives weights of a few samples that witness against :math:`\delta`.
+For fixed delta the noise is affine in the free states: least squares (rms bounds), or a linear programme by exchange
+(peak bounds), whose dual weighs a few samples that witness against delta.
 """
 
 from __future__ import annotations

@@ -1,14 +1,7 @@
-r"""Validation in the frequency domain, line by line: cone programmes from above, multipliers from below.
+r"""Validation line by line: cone programmes with tangents of |z|^2 from above, multipliers from below.
 
-A block of size gamma explains w from z if :math:`|w_k|^2 \le \gamma^2 |z_k|^2`, kept by the second-order cone
-:math:`|w_k|^2 \le g\, \epsilon_k`, :math:`g = \gamma^2`, with the tangent :math:`\epsilon_k = 2 \operatorname{Re} \bar
-z^c_k z_k - |z^c_k|^2 \le |z_k|^2`, repeated around the last z. From below, for any :math:`D_{ik}, \Lambda \ge 0`
-
-.. math:: L = \sum_{ik} D_{ik} (\gamma_i^2 |z_{ik}|^2 - |w_{ik}|^2) + \sum_j \Lambda_j
-              \Bigl(r_j^2 - \sum_k \omega_k |n_{jk}|^2\Bigr) \ge 0
-
-at every explanation, so :math:`\max_w L < 0`, one small Hermitian system a line, disproves gamma (Smith and Doyle 1992;
-exact with at most three such forms: Huang and Zhang 2007, theorem 2.1).
+At every explanation L = sum D (gamma^2 |z|^2 - |w|^2) + sum Lambda (r^2 - |n|^2) >= 0, so max_w L < 0, one small
+Hermitian system a line, disproves gamma (Smith, Doyle 1992; Huang, Zhang 2007, theorem 2.1).
 """
 
 from __future__ import annotations

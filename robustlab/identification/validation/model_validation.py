@@ -1,12 +1,6 @@
 r"""Could this uncertain model have produced this record? The smallest scaling of Delta for which it could.
 
-.. math:: \gamma^* = \min \gamma \quad \text{s.t.} \quad y = F_u(M, \Delta) u + n, \quad \|\Delta_i\| \le \gamma,
-          \quad n \text{ within its bound}
-
-References
-----------
-Poolla, Khargonekar, Tikku, Krause, Nagpal, "A time-domain approach to model validation", IEEE TAC 39 (1994) 951-959.
-Smith and Doyle, "Model validation: a connection between robust control and identification", IEEE TAC 37 (1992) 942-952.
+In time: Poolla et al., IEEE TAC 39 (1994) 951-959. Over frequency: Smith, Doyle, IEEE TAC 37 (1992) 942-952.
 """
 
 from __future__ import annotations

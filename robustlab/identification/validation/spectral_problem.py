@@ -1,13 +1,7 @@
-r"""Uncertain model and data line by line: the affine maps of a validation in the frequency domain.
+r"""Model and data line by line: z = z0 + M11 w, n = e - M21 w, with e the gap of the nominal response over the noise.
 
-.. math::
-
-    z_k = z^0_k + M_{11}(\omega_k) w_k, \qquad n_k = e_k - M_{21}(\omega_k) w_k
-
-with e the measurement minus the nominal response, e and n over the noise bound. A causal stable time-invariant Delta of
-norm gamma with given values at given frequencies exists whenever each value is at most gamma, so every line is a
-problem of its own, tied to the others by the noise bound alone. Of a record whole periods in steady state are judged;
-what does not repeat is known noise, taken off the bound (Smith and Doyle, IEEE TAC 37, 1992, 942-952).
+A causal stable time-invariant Delta of norm gamma exists whenever its value at each line is at most gamma. Of a record
+whole periods in steady state are judged; what does not repeat is known noise (Smith, Doyle, IEEE TAC 37, 1992).
 """
 
 from __future__ import annotations
