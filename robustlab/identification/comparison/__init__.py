@@ -6,8 +6,8 @@ from typing import Any
 _WORDS = {
     **dict.fromkeys(("arbitrary_bla", "held_response", "periodic_bla"), "best_linear_approximation"),
     "compare": "comparison",
-    **dict.fromkeys(("bins", "directions", "motion_of", "spectrum", "speed_edges", "time_shares"), "localisation"),
-    "position_edges": "localisation",
+    **dict.fromkeys(("bins", "directions", "motion_of", "spectrum", "speed_edges", "time_shares"), "error_analysis"),
+    "position_edges": "error_analysis",
     "cover": "envelope",
     **dict.fromkeys(("NoiseFloor", "noise_floor", "period_of"), "repeats"),
     **dict.fromkeys(("autocorrelation", "even_odd", "input_correlation", "whiteness"), "residual_tests"),

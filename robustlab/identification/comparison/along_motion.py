@@ -20,20 +20,18 @@ from robustlab.identification.comparison.comparison_result import POSE, Comparis
 from robustlab.identification.comparison.error_analysis import (
     FreeRun,
     Linearisation,
+    Motion,
     even_odd_test,
     kept,
     localised,
+    motion_of,
+    noise_gaps,
     noise_of,
+    repeated,
     samples_of,
     title,
 )
 from robustlab.identification.comparison.input_disturbance import joint_disturbances
-from robustlab.identification.comparison.localisation import (
-    Motion,
-    motion_of,
-    noise_gaps,
-    repeated,
-)
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.hypotheses.prepared_record import window_length

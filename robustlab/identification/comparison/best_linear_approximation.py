@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError
-from robustlab.identification.comparison.localisation import log_bands, uniform_samples, welch_segments
+from robustlab.identification.comparison.error_analysis import log_bands, uniform_samples, welch_segments
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel

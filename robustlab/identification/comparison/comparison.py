@@ -23,22 +23,20 @@ from robustlab.identification.comparison.best_linear_approximation import (
 from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.error_analysis import (
     FreeRun,
+    Motion,
     even_odd_test,
     excitation,
     kept,
     localised,
-    noise_of,
-    samples_of,
-    title,
-)
-from robustlab.identification.comparison.input_disturbance import input_disturbances
-from robustlab.identification.comparison.localisation import (
-    Motion,
     motion_of,
     noise_gaps,
+    noise_of,
     repeated,
+    samples_of,
+    title,
     windowed_error,
 )
+from robustlab.identification.comparison.input_disturbance import input_disturbances
 from robustlab.identification.comparison.repeats import NoiseFloor
 from robustlab.identification.comparison.residual_tests import judged_lines
 from robustlab.identification.record_check.suitability import channel_warnings

@@ -15,7 +15,7 @@ from robustlab.arrays import Array, Indices, Mask
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.localisation import REST, Bin, Motion, bins, speed_edges, windowed_error
+from robustlab.identification.comparison.error_analysis import REST, Bin, Motion, bins, speed_edges, windowed_error
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.identification.response.motion_response import MotionResponse, fit_windows
 from robustlab.identification.response.response import Response, Stretch

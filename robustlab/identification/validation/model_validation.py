@@ -15,9 +15,8 @@ from robustlab.budget import MILLION, one_thread, search_budget
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.identification.validation.cone_programme import Search
-from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
+from robustlab.identification.validation.frequency_domain import FrequencyData, fits_frequency_domain, validate_by_lines
 from robustlab.identification.validation.sampled_problem import NoiseNorm, prepared
-from robustlab.identification.validation.spectral_problem import FrequencyData
 from robustlab.identification.validation.time_domain import validate_by_samples
 from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record
