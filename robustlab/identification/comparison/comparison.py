@@ -34,7 +34,6 @@ from robustlab.identification.comparison.error_analysis import (
     repeated,
     samples_of,
     title,
-    windowed_error,
 )
 from robustlab.identification.comparison.input_disturbance import input_disturbances
 from robustlab.identification.comparison.repeats import NoiseFloor
@@ -157,7 +156,7 @@ def compare(
     noise, noise_reason = noise_of(record, others, outputs, period)
     rms = {name: (gap.rms, gap.windowed_rms) for name, gap in found["outputs"].items()}
     stretches = repeated(noise, whole, [response.stretch(r) for r in others]) if noise else []
-    errors = [windowed_error(response, s, length) for s in stretches]
+    errors = [s.y - windowed_simulation(response, s, length).y for s in stretches]
     linear, linear_reason = _linear(record, response, whole, noise)
     return Comparison(
         status=Status.CONVERGED,

@@ -20,8 +20,8 @@ from robustlab.identification.comparison.residual_tests import (
     input_correlation,
     whiteness,
 )
-from robustlab.identification.response.response import Response, Stretch
-from robustlab.identification.response.windowed_simulation import WindowedSimulation, fit_state, window_edges
+from robustlab.identification.response.response import Stretch
+from robustlab.identification.response.windowed_simulation import WindowedSimulation
 from robustlab.record import Record
 from robustlab.result import Evidence
 from robustlab.statespace import Signal
@@ -282,17 +282,6 @@ def noise_gaps(
         free, windowed = (100.0 * value / std if std else None for value in rms[name])
         result[name] = NoiseGap(std, free, windowed, floor.excess(errors[:, :, k]))
     return result
-
-
-def windowed_error(response: Response, part: Stretch, length: int) -> Array:
-    """Measured minus windowed simulation of one repeat, shape (samples, n_y)."""
-    edges = window_edges(len(part.t), length)
-    free = response.free_response(part.t[: int(np.diff(edges).max())])
-    error = np.empty_like(part.y)
-    for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        window = part.cut(a, b)
-        error[a:b] = window.y - fit_state(response, window, free[: b - a]).y
-    return error
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,11 @@ from robustlab.arrays import Array, Indices, Mask
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.error_analysis import REST, Bin, Motion, bins, speed_edges, windowed_error
+from robustlab.identification.comparison.error_analysis import REST, Bin, Motion, bins, speed_edges
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.identification.response.motion_response import MotionResponse, fit_windows
 from robustlab.identification.response.response import Response, Stretch
+from robustlab.identification.response.windowed_simulation import windowed_simulation
 from robustlab.result import Evidence
 from robustlab.shown import Each
 from robustlab.statespace import StateSpaceModel
@@ -103,7 +104,7 @@ def input_disturbances(
         d = smoothed.d[:, 0]
         alone = StateSpaceModel(model.A, push[:, None], model.C, np.zeros((len(noise), 1)), 0.0, ["d"], model.outputs)
         pushed = Stretch(whole.t, {"d": d}, error, whole.weight)
-        left = windowed_error(Response(alone, response.outputs, ()), pushed, length)
+        left = error - windowed_simulation(Response(alone, response.outputs, ()), pushed, length).y
         errors = [e / smoothed.noise_std for e in (error, left)]
         found[key] = _disturbance(place, unit, smoothed, 0, motion, response.output_names, *errors)
     return found
