@@ -36,7 +36,8 @@ class Quantile(NamedTuple):
     bound: float  # infinite where there are too few samples
 
 
-class Violation(NamedTuple):
+@dataclass(frozen=True)
+class Violation:
     """How often the metric is worse than a limit; a lost sample counts as worse.
 
     ``lower`` and ``upper`` are Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples
@@ -50,7 +51,8 @@ class Violation(NamedTuple):
     upper: float
 
 
-class LostSample(NamedTuple):
+@dataclass(frozen=True)
+class LostSample:
     """A sample without a value: its index, why, and its Delta."""
 
     index: int
@@ -258,8 +260,8 @@ class CampaignResult(Tabular, Shown):
         return {
             **vars(self),
             "quantiles": [q._asdict() for q in self.quantiles],
-            "violation": self.violation._asdict() if self.violation else None,
-            "lost_samples": [sample._asdict() for sample in self.lost_samples],
+            "violation": vars(self.violation) if self.violation else None,
+            "lost_samples": [vars(sample) for sample in self.lost_samples],
         }
 
 

@@ -140,11 +140,12 @@ def published_numbers() -> PublishedNumbers:
         **_geometry(plant), **_states(plant), **_motor(), **_jig(), **_sines(plant, sines), **_cases(varied),
         **_tracking(tracking), "25": lowest_stable_pole(thesis), "25-rotor": lowest_stable_pole(physical),
     }  # fmt: skip
-    table = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    table: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
     rows = {}
     for key, row in table.items():
         row["why"] = row.get("why", "").format(**found)
-        rows[key] = PublishedNumber(key=key, ours=found.get(key), **{"published": None, **row})
+        row.setdefault("published", None)
+        rows[key] = PublishedNumber(key=key, ours=found.get(key), **row)
     return PublishedNumbers(rows, sines, varied, tracking)
 
 

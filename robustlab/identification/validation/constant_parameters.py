@@ -285,9 +285,9 @@ def _linear_move(
     spare = sparse.csr_matrix((np.ones(n), (np.arange(n), np.full(n, m + 1))), moved.shape)
     here, limit = (np.concatenate([x[rows] for x, rows in zip(part, taken, strict=True)]) for part in (noise, limits))
     room, signs = np.where(scaled, 0.0, 1.0), np.where(scaled, -1.0, 0.0)
-    box = sparse.csr_matrix((2 * m, moved.shape[1])).tolil()
-    box[:, :m], box[:, m] = np.vstack([np.eye(m), -np.eye(m)]), np.concatenate([signs, signs])[:, None]
-    matrix = sparse.vstack([moved - spare, -moved - spare, box])
+    box = np.zeros((2 * m, moved.shape[1]))
+    box[:, :m], box[:, m] = np.vstack([np.eye(m), -np.eye(m)]), np.concatenate([signs, signs])
+    matrix = sparse.vstack([moved - spare, -moved - spare, sparse.csr_matrix(box)])
     right = np.concatenate([limit - here, limit + here, room - delta, room + delta])
     cost = np.zeros(moved.shape[1])
     cost[m], cost[m + 1] = 1.0, 1e4
