@@ -1,9 +1,4 @@
-"""What a store says about its campaign: counts, the worst sample, quantiles, what was lost.
-
-The samples are streamed: memory does not grow with their number. They are independent draws, so order statistics and
-counts have exact confidence bounds whatever the distribution. Lost samples have no value; the bounds take them for the
-worst, which is the safe side.
-"""
+"""What a store says about its campaign; samples are streamed, and lost ones count as the worst."""
 
 from __future__ import annotations
 
@@ -11,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,61 +28,53 @@ LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 
 
-@dataclass(frozen=True)
-class Quantile:
-    """The value than which a share of the samples is not worse."""
+class Quantile(NamedTuple):
+    """A share, the value that is not worse, and what the set's own quantile is not worse than at CONFIDENCE."""
 
-    share: float  # for example 0.99
+    share: float
     value: float  # the order statistic with number `ceil(share n)`, counted from the best
-    # The set's own quantile is not worse than this at CONFIDENCE; infinite where there are too few samples.
-    bound: float
+    bound: float  # infinite where there are too few samples
 
 
 @dataclass(frozen=True)
 class Violation:
-    """How often the metric is worse than a limit."""
+    """How often the metric is worse than a limit; a lost sample counts as worse.
 
-    limit: float  # the limit
-    # count, of: samples worse than it and samples in all; a lost sample counts as worse
+    ``lower`` and ``upper`` are Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples
+    count for neither side's favour.
+    """
+
+    limit: float
     count: int
     of: int
-    # lower, upper: Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples count for
-    # neither side's favour: not as worse for the lower, as worse for the upper
     lower: float
     upper: float
 
 
-def probability_bounds(k: int, n: int) -> tuple[float, float]:
-    """Clopper-Pearson bounds of a probability from k successes in n trials, each one-sided at CONFIDENCE.
+@dataclass(frozen=True)
+class LostSample:
+    """A sample without a value: its index, why, and its Delta."""
 
-    Examples
-    --------
-    >>> low, high = probability_bounds(0, 299)
-    >>> low, round(high, 4)
-    (0.0, 0.01)
-    """
+    index: int
+    reason: str
+    delta: Mapping[str, Any]
+
+
+def _probability_bounds(k: int, n: int) -> tuple[float, float]:
+    """Clopper-Pearson bounds of a probability from k successes in n trials, each one-sided at CONFIDENCE."""
     return clopper_pearson(k, n, 2.0 * CONFIDENCE - 1.0)
 
 
-def quantiles(store: Store, sense: int, done: int, lost: int) -> tuple[Quantile, ...]:
-    """Quantiles of all samples with their upper confidence bounds, where the samples allow them.
-
-    The share counts all samples, the lost ones as worse than any value.
-    """
-    n = done + lost
-    # Where fewer than one sample is expected above a share, the worst sample says as much.
-    shares = [share for share in SHARES if n * (1.0 - share) >= 1.0 or share <= 0.5]
-    plan = [(share, max(1, math.ceil(share * n)), _upper_rank(n, share)) for share in shares]
-    ranks = [rank for _, *both in plan for rank in both]
-    values = _at_ranks(store.sorted_values(sense), ranks, sense)
-    return tuple(Quantile(share, values[rank], values[upper]) for share, rank, upper in plan)
-
-
-def _upper_rank(n: int, share: float) -> int:
-    """Rank whose value bounds a quantile from above: the smallest r with P(Binomial(n, share) < r) >= CONFIDENCE."""
+def _quantiles(store: Store, sense: int, n: int) -> tuple[Quantile, ...]:
+    """Quantiles of all samples, lost ones as worse than any value, where the samples allow them."""
     from scipy.stats import binom
 
-    return int(binom.ppf(CONFIDENCE, n, share)) + 1
+    # Where fewer than one sample is expected above a share, the worst sample says as much.
+    shares = [share for share in SHARES if n * (1.0 - share) >= 1.0 or share <= 0.5]
+    # A rank bounds a quantile from above from the smallest r on with P(Binomial(n, share) < r) >= CONFIDENCE.
+    plan = [(s, max(1, math.ceil(s * n)), int(binom.ppf(CONFIDENCE, n, s)) + 1) for s in shares]
+    values = _at_ranks(store.sorted_values(sense), [rank for _, *both in plan for rank in both], sense)
+    return tuple(Quantile(share, values[rank], values[upper]) for share, rank, upper in plan)
 
 
 def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict[int, float]:
@@ -97,14 +84,6 @@ def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict
         if i in found:
             found[i] = value
     return found
-
-
-def share_beyond(store: Store, sense: int, limit: float, done: int, lost: int) -> Violation:
-    """How many samples are worse than ``limit``, and bounds of the probability that a member of the set is."""
-    above, n = store.beyond(sense, limit), done + lost
-    lower = probability_bounds(above, n)[0]
-    upper = probability_bounds(above + lost, n)[1]
-    return Violation(limit, above + lost, n, lower, upper)
 
 
 def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int = 200) -> tuple[Array, Array, Array]:
@@ -124,15 +103,6 @@ def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int
     above = n - np.array([rank for _, rank in pairs], dtype=np.float64)
     upper = np.ones(len(above)) if not n else betaincinv(above + 1, np.maximum(n - above, 1e-9), CONFIDENCE)
     return values, above / max(n, 1), np.asarray(upper, dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class LostSample:
-    """A sample without a value: its index, why, and its Delta."""
-
-    index: int
-    reason: str
-    delta: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -163,7 +133,7 @@ class CampaignResult(Tabular, Shown):
     nominal
         The metric at Delta = 0.
     quantiles
-        See `robustlab.campaign.campaign_result.quantiles`; for samples only, and only where all of them are there.
+        For samples only, and only where all of them are there.
     unseen
         Largest probability, at 95 % confidence, of a member worse than the worst sample; NaN where not sampled.
     violation
@@ -287,19 +257,16 @@ class CampaignResult(Tabular, Shown):
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain types."""
-        data = vars(self).copy()
-        data["quantiles"] = [vars(q).copy() for q in self.quantiles]
-        data["violation"] = vars(self.violation).copy() if self.violation else None
-        data["lost_samples"] = [vars(sample).copy() for sample in self.lost_samples]
-        return data
+        return {
+            **vars(self),
+            "quantiles": [q._asdict() for q in self.quantiles],
+            "violation": vars(self.violation) if self.violation else None,
+            "lost_samples": [vars(sample) for sample in self.lost_samples],
+        }
 
 
 def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) -> CampaignResult:
-    """Read a store once through.
-
-    ``limit``: count how often the metric is worse than it.
-    Raises InputError: the rows of a finished campaign are not what they were when it ended.
-    """
+    """Read a store once through; an InputError says that the rows of a finished campaign were changed."""
     settings, blocks = evaluator.settings, evaluator.uncertain.blocks
     counts, facts, worst = store.counts(), store.facts(), store.worst(evaluator.sense)
     complete = counts.done + counts.lost >= settings.n
@@ -307,8 +274,13 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
     if facts and complete and facts["digest"] != digest:
         raise InputError(store.where, "its rows were changed after the campaign ended (the digest differs)")
     delta = decoded(blocks, worst.numbers) if worst else {}
-    sampled = settings.kind == "samples" and counts.done > 0
-    unseen = probability_bounds(counts.lost, counts.done + counts.lost)[1] if sampled else math.nan
+    sampled, n = settings.kind == "samples" and counts.done > 0, counts.done + counts.lost
+    unseen = _probability_bounds(counts.lost, n)[1] if sampled else math.nan
+    violation = None
+    if limit is not None and counts.done:
+        above = store.beyond(evaluator.sense, limit)
+        worse = above + counts.lost
+        violation = Violation(limit, worse, n, _probability_bounds(above, n)[0], _probability_bounds(worse, n)[1])
     return CampaignResult(
         _status(complete, facts, worst is not None),
         store.where,
@@ -328,11 +300,9 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         evaluator.location,
         float(facts.get("again", math.nan)),
         float(facts.get("nominal", math.nan)),
-        quantiles(store, evaluator.sense, counts.done, counts.lost) if sampled and complete else (),
+        _quantiles(store, evaluator.sense, n) if sampled and complete else (),
         unseen,
-        share_beyond(store, evaluator.sense, limit, counts.done, counts.lost)
-        if limit is not None and counts.done
-        else None,
+        violation,
         tuple(LostSample(row.index, row.reason, decoded(blocks, row.numbers)) for row in store.lost(SHOWN_LOST)),
         digest,
         store.seconds(),

@@ -1,8 +1,6 @@
 """The value of sample i: a pure function of uncertain model, settings and i.
 
-Samples are computed in tiles of fixed borders (a whole tile even where it reaches beyond n), because members that are
-computed together share their scaling: with other neighbours the last digit of a value could change. So the answer
-depends neither on the number of workers nor on n nor on where an earlier run was interrupted.
+Samples are computed in tiles of fixed borders: members that are computed together share their scaling.
 """
 
 from __future__ import annotations
@@ -63,14 +61,7 @@ class Rows:
 
 
 class Evaluator:
-    """Computes the samples of one campaign.
-
-    ``uncertain``: the set of models.
-    ``settings``: what to compute.
-
-    Raises UsageError, InputError, NoTrustworthyNumber: what the metric refuses: unknown names, complex blocks in time,
-    an unstable nominal model.
-    """
+    """Computes the samples of one campaign."""
 
     def __init__(self, uncertain: UncertainModel, settings: CampaignSettings) -> None:
         self.uncertain, self.settings = uncertain, settings

@@ -51,22 +51,12 @@ def run_campaign(
 ) -> CampaignResult:
     """Compute all samples of a campaign in worker processes, each stored as it comes; or go on with one.
 
-    The same model, settings and code give the same samples, whatever the workers and however often a run is killed.
-    A sample that raises is lost alone and stays in the store with its Delta and the reason; where a worker process
-    ends, the run ends, and a later one goes on with the store.
+    The same model, settings and code give the same samples, whatever the workers and however often a run is killed. A
+    sample that raises is lost alone; where a worker process ends, the run ends, and a later one goes on with the store.
 
-    ``uncertain``: the set of models.
-    ``settings``: what to compute.
-    ``store``: SQLite file; one that belongs to the same campaign is gone on with.
-    ``crew``: who computes: worker processes on this machine or on others.
     ``existing``: what to do where ``store`` holds another campaign: ``"resume"`` refuses, ``"restart"`` deletes it,
-    ``"fork"`` leaves it and writes to ``NAME-2.sqlite``, ``NAME-3.sqlite``, ...
-    ``limit``: count how often the metric is worse than it.
+    ``"fork"`` leaves it and writes to ``NAME-2.sqlite``, ... ``limit``: count how often the metric is worse than it.
     ``progress``: called with the number of samples that were just stored, once at the start with those that were there.
-    Returns: what the store holds at the end.
-    Raises InputError: the store belongs to another campaign (what changed is said), is damaged, or is none.
-    NoTrustworthyNumber: more than 1 % of the samples are lost; an unstable nominal model. EnvironmentFault: the store
-    cannot be written or is locked by another process; workers cannot be started or reached.
     """
     evaluator = Evaluator(uncertain, settings)
     identity, path = Identity.of(uncertain, settings), Path(store)

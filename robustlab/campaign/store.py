@@ -1,8 +1,6 @@
-"""The store of a campaign: one SQLite file, one row per sample, in write-ahead mode.
+"""The store of a campaign: one SQLite file, a row a sample, each piece of work written in one transaction.
 
-A piece of work is written in one transaction: after ``kill -9`` or a power cut each row is there whole or not at all.
-Only the process that holds the lock writes, one of the operating system, which a dead process cannot keep; anyone may
-read meanwhile.
+Only the process that holds the operating system's lock writes; anyone may read meanwhile.
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ def discover(
     )  # fmt: skip
 
 
-@door("data watch", "watch", result="identification.monitoring.watch_result.Watch", progress="lines")
+@door("data watch", "watch", result="identification.monitoring.watch.Watch", progress="lines")
 def watch(
     model: Annotated[Plant, Named(key="of")],
     records: Annotated[list[Any], RecordFile(many=True), "The log: one record, or its pieces in their order."],

@@ -60,7 +60,7 @@ _WORDS = {
     "judged": "hypotheses.unnamed_force",
     "unnamed_force": "hypotheses.unnamed_force",
     "watch": "monitoring.watch",
-    "Watch": "monitoring.watch_result",
+    "Watch": "monitoring.watch",
     "check_record": "record_check.suitability",
     "suitability": "record_check.suitability",
     "join_clocks": "record_check.resampling",

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.identification.comparison.comparison_result import Comparison
-from robustlab.identification.comparison.localisation import Bin, DirectionError
+from robustlab.identification.comparison.error_analysis import Bin, DirectionError
 from robustlab.report.figures import (
     COLOURS,
     axis_label,

@@ -31,8 +31,7 @@ from robustlab.report.figures import (
     zero_line,
 )
 from robustlab.tables import Tabular
-from robustlab.worst_case_analysis.influence import Influence
-from robustlab.worst_case_analysis.statistics import ViolationProbability
+from robustlab.worst_case_analysis.statistics import Influence, ViolationProbability
 
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin, WorstCaseGain

@@ -1,17 +1,8 @@
-"""Every number that the thesis prints (``numbers.toml``), beside ours, computed from nothing but parameters.
+"""Every number that the thesis prints (``numbers.toml``; Březina 2010), beside ours, from nothing but parameters.
 
-The key of a row begins with the number of the item; ``status`` says what to expect:
-
-- R: reproduced; our value must agree within ``tolerance``, or keep to the bound.
-- F: fitted; a value that the text does not print was chosen so that this row agrees. It is no reproduction.
-- P: reproduced in part, or only under the reading that ``why`` states.
-- N: not reproducible from the text, for the reason in ``why``.
-
-A row without a published value states what the thesis left out.
-
-References
-----------
-Březina 2010; the place is given with each row.
+The key of a row begins with the number of the item. Its status: R, reproduced within ``tolerance`` or the bound. F,
+fitted: a value that the text does not print was chosen so that it agrees. P, reproduced in part, or under the reading
+in ``why``. N, not reproducible for the reason in ``why``. Without a published value: what the thesis left out.
 """
 
 from __future__ import annotations
@@ -135,19 +126,7 @@ def _cell(value: float | None) -> str:
 
 
 def published_numbers() -> PublishedNumbers:
-    """Compute every row; a few seconds.
-
-    Returns
-    -------
-    PublishedNumbers
-        Rows of items 1-29 and the runs behind them.
-
-    Examples
-    --------
-    >>> found = published_numbers()  # doctest: +SKIP
-    >>> found.rows["7"].published, found.disagreeing  # doctest: +SKIP
-    (0.0008701, [])
-    """
+    """All rows of items 1-29, and the runs behind them; a few seconds."""
     plant = stewart_platform()
     sines = {
         "0.1 N m at 2 Hz": sine_run(plant, 0.1, 2.0, 0.078, 781),
@@ -161,11 +140,12 @@ def published_numbers() -> PublishedNumbers:
         **_geometry(plant), **_states(plant), **_motor(), **_jig(), **_sines(plant, sines), **_cases(varied),
         **_tracking(tracking), "25": lowest_stable_pole(thesis), "25-rotor": lowest_stable_pole(physical),
     }  # fmt: skip
-    table = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    table: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
     rows = {}
     for key, row in table.items():
         row["why"] = row.get("why", "").format(**found)
-        rows[key] = PublishedNumber(key=key, ours=found.get(key), **{"published": None, **row})
+        row.setdefault("published", None)
+        rows[key] = PublishedNumber(key=key, ours=found.get(key), **row)
     return PublishedNumbers(rows, sines, varied, tracking)
 
 

@@ -1,9 +1,4 @@
-"""The simulated experiments of the thesis: a sine of torque on all motors, perturbed machines, the controlled machine.
-
-References
-----------
-Březina 2010, sections 8.2.1 (linear against nonlinear), 9.1.3 (tracking), 10.3.1 (cases 1, 2a, 2b, 2c).
-"""
+"""The simulated experiments of the thesis (Březina 2010, 8.2.1, 9.1.3, 10.3.1)."""
 
 from __future__ import annotations
 

@@ -3,10 +3,10 @@
 Whatever this room finds is attained by a Delta that it returns; none of it proves that nothing is worse.
 """
 
-from robustlab.worst_case_analysis.influence import Influence
 from robustlab.worst_case_analysis.metrics import METRICS, MetricBatch, MetricRequest
 from robustlab.worst_case_analysis.sampling import Responses, Samples, sample
 from robustlab.worst_case_analysis.statistics import (
+    Influence,
     Quantile,
     ViolationProbability,
     clopper_pearson,

@@ -1,12 +1,7 @@
-r"""Members of an uncertain model, many at once: random Deltas and vertices, matrices, poles, time responses and gains.
+r"""Members of an uncertain model, many at once: random Deltas and vertices, matrices, poles, responses and gains.
 
-Sample i depends on the seed and on i alone. A Delta is given by its coordinates, one number for a real scalar, real and
-imaginary parts of the entries of other blocks; with :math:`S = \begin{bmatrix} A & B \\ C & D \end{bmatrix}`
-
-.. math:: S_k = M_{22} + M_{21} \Delta_k (I - D_{11} \Delta_k)^{-1} M_{12}
-
-which for real scalars with D11 = 0 is :math:`S_0 + \sum_j c_j L_j R_j`. A response is driven by an `Excitation`, a
-uniform clock and the samples of every input.
+Sample i depends on the seed and on i alone. A Delta is given by its coordinates: one number for a real scalar, real and
+imaginary parts of the entries of other blocks.
 """
 
 from __future__ import annotations
@@ -60,13 +55,10 @@ class Excitation:
 def excitation(
     inputs: Sequence[Signal], dt: float, t: ArrayLike, u: Mapping[str, ArrayLike] | ArrayLike | None, where: str
 ) -> Excitation:
-    """The clock and the inputs as arrays.
+    """The clock (uniform, of the models' ``dt``) and the inputs as arrays.
 
-    ``inputs``, ``dt``: inputs and sample time of the models that are driven.
-    ``t``: times in s, shape (n_t,), with one step; for a discrete model its ``dt``.
-    ``u``: name -> number or samples (n_t,), inputs left out are zero; or an array (n_t,) for a single input, or (n_t,
-    n_u); None for a unit step on the only input.
-    Raises InputError: a clock that is not uniform, unknown inputs, wrong lengths, several inputs and no ``u``.
+    ``u``: name -> number or samples (n_t,), inputs left out are zero; or an array (n_t,), or (n_t, n_u);
+    None for a unit step on the only input.
     """
     clock = real_array("t", t, 1, where)
     if len(clock) < 2:
@@ -126,14 +118,9 @@ def is_count(value: Any, least: int) -> bool:
 
 
 class Deltas(Sequence[Mapping[str, Any]]):
-    """The Deltas of n random samples and of vertices after them, as a sequence of mappings of block names to values.
+    """The Deltas of n random samples and of vertices after them, as a sequence of mappings; none of them is kept.
 
-    None of them is kept: a million samples take no memory.
-
-    ``blocks``: structure of Delta.
-    ``n``: number of random samples; sample i is drawn from ``SeedSequence(seed, spawn_key=(i,))``.
-    ``signs``: vertices (n_v, k) of the k real scalars; complex and full blocks are put on their boundary there, at
-    random.
+    ``signs``: vertices (n_v, k) of the k real scalars; complex and full blocks are on their boundary there, at random.
     """
 
     def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array) -> None:
@@ -201,15 +188,7 @@ def decoded(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
 def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary: bool = False) -> dict[str, Any]:
     """Delta of one sample: it depends on the blocks, the seed and the sample's index, and on nothing else.
 
-    ``boundary``: complex scalars and full blocks on their boundary, as at vertices (drawn apart from the samples
-    inside).
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import RealScalar
-    >>> block = RealScalar("pole")
-    >>> delta_of_sample([block], 7, 1)["pole"] == delta_of_sample([block], 7, 1)["pole"]
-    True
+    ``boundary``: complex scalars and full blocks on their boundary, as at vertices (drawn apart from those inside).
     """
     key = (index, 1) if boundary else (index,)
     rng = _generator(seed, *key)
@@ -376,14 +355,9 @@ def state_scale(a: Array) -> Array:
 
 
 def time_responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold = "zoh") -> Array:
-    r"""Outputs of all (real) members for one input on a uniform clock, shape (k, n_t, n_y).
+    """Outputs (k, n_t, n_y) of all (real) members for one input on a uniform clock, exact for a held or a linear input.
 
-    .. math:: x_{j+1} = \Phi x_j + \Gamma u_j + \Gamma_1 (u_{j+1} - u_j)
-
-    exact for an input that is piecewise constant (``hold = "zoh"``, without the last term) or linear (``"foh"``).
-    A member that outgrows double precision gives infinite or NaN samples.
-
-    ``x0``: initial state, shape (n_x,).
+    A member that outgrows double precision gives infinite or NaN samples. ``x0``: initial state, shape (n_x,).
     """
     h, u = drive.h, drive.u
     k, n_t = len(ensemble), len(u)
@@ -418,11 +392,9 @@ def _recursion(phi: Array, forced: Array, x0: Array) -> Array:
 def transitions(
     ensemble: Ensemble, h: float, hold: Hold, used: NDArray[np.intp] | slice = slice(None)
 ) -> tuple[Array, Array, Array]:
-    r"""Matrices of ``x_{j+1} = \Phi x_j + \Gamma u_j + \Gamma_1 (u_{j+1} - u_j)`` for every member.
+    """Phi (k, n_x, n_x), Gamma and Gamma_1 (k, n_x, n_u): x_{j+1} = Phi x_j + Gamma u_j + Gamma_1 (u_{j+1} - u_j).
 
-    Shapes (k, n_x, n_x), (k, n_x, n_u) and (k, n_x, n_u); the last is zero for ``hold = "zoh"``.
-
-    ``used``: the inputs that are wanted; n_u counts them only.
+    Gamma_1 is zero for ``hold = "zoh"``; ``used``: the inputs that are wanted.
     """
     from scipy.linalg import expm
 
@@ -453,10 +425,8 @@ def transitions(
 def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
     """Largest singular value over frequency and where it was found, both of shape (k,); ``inf`` where unstable.
 
-    A grid search with each member's own resonances in the grid and a zoom on its highest point: quick, and never above
-    the H-infinity norm, which `robustlab.norms.hinf_norm` brackets.
-
-    ``grid``: frequencies in rad/s, shape (n_omega,); mirrored for complex members, whose gain is not even in frequency.
+    A grid with each member's own resonances and a zoom on its highest point: never above the H-infinity norm. Mirrored
+    for complex members, whose gain is not even in frequency.
     """
     k, n, n_u = ensemble.B.shape
     if n == 0:

@@ -175,12 +175,9 @@ def need_stable(nominal: StateSpaceModel, what: str) -> None:
 
 
 def _gramians(ensemble: Ensemble) -> Array:
-    r"""Return the controllability Gramians of stable members, shape (k, n_x, n_x).
+    """Controllability Gramians of stable members, (k, n_x, n_x), by doubling (Smith, SIAM J. Appl. Math. 16, 1968).
 
-    .. math:: A P + P A^T + B B^T = 0 \quad\text{or}\quad A P A^T - P + B B^T = 0
-
-    A continuous equation is made discrete by the Cayley map, :math:`A_d = (p I + A)(p I - A)^{-1}`, and
-    :math:`P = \sum_j A_d^j Q A_d^{jT}` is summed by doubling (Smith, SIAM J. Appl. Math. 16, 1968).
+    A continuous equation is made discrete by the Cayley map, A_d = (p I + A)(p I - A)^-1.
     """
     a, n = ensemble.A, ensemble.A.shape[1]
     q = ensemble.B @ ensemble.B.transpose(0, 2, 1)
@@ -665,25 +662,8 @@ def _of_a_response(uncertain: UncertainModel, request: MetricRequest, where: str
 class MetricBatch:
     """Values of a metric at samples ``first .. first + count - 1``; can be pickled and sent to another process.
 
-    Sample i is that of ``sample(uncertain, n, seed)``, and its value is the same to the last bit in whatever batch it
-    is computed.
-
-    Attributes
-    ----------
-    uncertain
-        The set.
-    request
-        The metric and its signals and times.
-    seed
-        Seed of the samples.
-
-    Examples
-    --------
-    >>> from robustlab import RealScalar
-    >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
-    >>> batch = MetricBatch(UncertainModel(M, [RealScalar("pole")]), MetricRequest("spectral-abscissa"), 1)
-    >>> bool((batch(0, 7)[5:] == batch(5, 2)).all())
-    True
+    Sample i is that of ``sample(uncertain, n, seed)``, and its value is the same to the last bit in whatever batch
+    it is computed.
     """
 
     uncertain: UncertainModel

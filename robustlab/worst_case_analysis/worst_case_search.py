@@ -1,8 +1,4 @@
-"""Search for the worst member of an uncertain model: centre, vertices, Sobol points, then local searches from the best.
-
-Where the set is real and the metric is smooth, local searches climb along gradients by difference quotients (jumps to
-the vertex that the gradient points to, then a quasi-Newton method in the box); a compass search finishes, or does it
-all.
+"""Search for the worst member: centre, vertices, Sobol points, then climbs along difference quotients or by compass.
 
 A search attains what it reports; it proves no bound. Guaranteed bounds are `robustlab.mu_analysis`' business.
 """

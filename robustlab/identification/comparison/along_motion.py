@@ -1,10 +1,7 @@
-r"""`compare` for a nonlinear plant: windows linear about the recorded motion, a free run as far as it goes.
+"""`compare` for a nonlinear plant: windows linear about the motion that the sensors tell, a free run as far as it is.
 
-The motion is told by the sensors (`robustlab.identification.hypotheses.motion_smoother`). An unstable plant, which a
-controller held when the record was made, leaves it as :math:`e^{t / \tau}` whatever its start: so the windows are short
-enough for its own instability, and each has its own start. What the linearisation is worth is told by the plant itself,
-simulated from the same starts. By place the errors are sorted along the motion of the joint that each output and input
-belongs to.
+What the linearisation is worth is told by the plant itself, simulated from the same starts. By place the errors are
+sorted along the motion of the joint that each output belongs to.
 """
 
 from __future__ import annotations
@@ -23,20 +20,18 @@ from robustlab.identification.comparison.comparison_result import POSE, Comparis
 from robustlab.identification.comparison.error_analysis import (
     FreeRun,
     Linearisation,
+    Motion,
     even_odd_test,
     kept,
     localised,
+    motion_of,
+    noise_gaps,
     noise_of,
+    repeated,
     samples_of,
     title,
 )
 from robustlab.identification.comparison.input_disturbance import joint_disturbances
-from robustlab.identification.comparison.localisation import (
-    Motion,
-    motion_of,
-    noise_gaps,
-    repeated,
-)
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.hypotheses.prepared_record import window_length

@@ -1,9 +1,7 @@
-r"""Best linear approximation :math:`S_{yu} S_{uu}^{-1}` of a measured system, and the model's response.
+r"""Best linear approximation of a measured system, line by line or by Welch's H1, and the model's response.
 
-*Periodic data* give it line by line, :math:`\bar Y_k / \bar U_k`, in closed loop too, with the noise variance from the
-scatter of the periods, and the total one from the scatter over realisations or, of one, from line to line about a local
-parabola; what the total exceeds the noise by are nonlinear distortions. *Other data* give Welch's H1 estimate, biased
-in closed loop (Pintelon and Schoukens, *System Identification*, 2012, sections 2.7, 4.3 and 7.2).
+Noise from the scatter of the periods, distortions from that of realisations or of neighbouring lines (Pintelon,
+Schoukens, *System Identification*, 2012, sections 2.7, 4.3 and 7.2).
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError
-from robustlab.identification.comparison.localisation import log_bands, uniform_samples, welch_segments
+from robustlab.identification.comparison.error_analysis import log_bands, uniform_samples, welch_segments
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
@@ -149,15 +147,10 @@ def periodic_bla(
 def arbitrary_bla(
     t: Array, inputs: Mapping[str, Array], y: Array, model: StateSpaceModel
 ) -> dict[str, BestLinearApproximation]:
-    r"""H1 estimate from each input to one output by Welch's method (Hann window, half overlap).
+    """H1 estimate from each input to one output by Welch's method (Hann window, half overlap).
 
-    .. math:: \hat G = \hat S_{yu} \hat S_{uu}^{-1}, \qquad \mathrm{var}\, \hat G_j = \frac{1 - \gamma^2}{m - n_u} \hat
-              S_{yy} (\hat S_{uu}^{-1})_{jj}
-
-    with the multiple coherence :math:`\gamma^2` and m effective averages.
-
-    ``t``, ``inputs``, ``y``: clock (n,), the inputs by name in the model's order, and one output (n,). A clock that is
-    not uniform is interpolated to its mean step. ``model``: model from these inputs to this output.
+    var G_j = (1 - coherence^2) / (m - n_u) S_yy (S_uu^-1)_jj with m effective averages. ``model``: from these inputs.
+    A clock that is not uniform is interpolated to its mean step.
     """
     from scipy.signal import csd
 
@@ -205,13 +198,7 @@ def arbitrary_bla(
 
 
 def held_response(model: StateSpaceModel, f: Array, dt: float) -> ComplexArray:
-    r"""Response of a model whose input is held between samples and whose output is sampled, (n_f, n_y, n_u).
-
-    .. math:: G(e^{j \omega \Delta t}) = C (e^{j \omega \Delta t} I - e^{A \Delta t})^{-1}
-              \int_0^{\Delta t} e^{A s} ds B + D
-
-    Frequencies in Hz, below 1 / (2 dt). A pole on a frequency raises `NoTrustworthyNumber`.
-    """
+    """Response (n_f, n_y, n_u) at f in Hz of a model with an input held between samples and a sampled output."""
     omega = 2.0 * np.pi * np.asarray(f, dtype=np.float64)
     if model.is_discrete or not model.n_states:
         return frequency_response(model, omega)

@@ -1,9 +1,4 @@
-"""`compare`: how well a plant or model reproduces a measured record, and where it does not.
-
-Two simulations of the recorded input are judged. The *free run* starts from the measured state at the start of the
-record and runs to its end. The *windowed* simulation starts anew in every window from the state that suits the window
-best, so that a model with an integrator is judged by its faults and not by the drift they add up to.
-"""
+"""`compare`: how well a plant or model reproduces a record in free run and in windows, and where it does not."""
 
 from __future__ import annotations
 
@@ -28,22 +23,19 @@ from robustlab.identification.comparison.best_linear_approximation import (
 from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.error_analysis import (
     FreeRun,
+    Motion,
     even_odd_test,
     excitation,
     kept,
     localised,
+    motion_of,
+    noise_gaps,
     noise_of,
+    repeated,
     samples_of,
     title,
 )
 from robustlab.identification.comparison.input_disturbance import input_disturbances
-from robustlab.identification.comparison.localisation import (
-    Motion,
-    motion_of,
-    noise_gaps,
-    repeated,
-    windowed_error,
-)
 from robustlab.identification.comparison.repeats import NoiseFloor
 from robustlab.identification.comparison.residual_tests import judged_lines
 from robustlab.identification.record_check.suitability import channel_warnings
@@ -164,7 +156,7 @@ def compare(
     noise, noise_reason = noise_of(record, others, outputs, period)
     rms = {name: (gap.rms, gap.windowed_rms) for name, gap in found["outputs"].items()}
     stretches = repeated(noise, whole, [response.stretch(r) for r in others]) if noise else []
-    errors = [windowed_error(response, s, length) for s in stretches]
+    errors = [s.y - windowed_simulation(response, s, length).y for s in stretches]
     linear, linear_reason = _linear(record, response, whole, noise)
     return Comparison(
         status=Status.CONVERGED,

@@ -11,20 +11,18 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.identification.comparison.best_linear_approximation import BestLinearApproximation
 from robustlab.identification.comparison.error_analysis import (
+    Bin,
+    DirectionError,
     FreeRun,
     Linearisation,
+    Motion,
+    NoiseGap,
     OutputGap,
     ResidualTests,
+    Spectrum,
     WindowErrors,
 )
 from robustlab.identification.comparison.input_disturbance import InputDisturbance, located
-from robustlab.identification.comparison.localisation import (
-    Bin,
-    DirectionError,
-    Motion,
-    NoiseGap,
-    Spectrum,
-)
 from robustlab.identification.comparison.repeats import NoiseFloor
 from robustlab.identification.comparison.residual_tests import EvenOdd
 from robustlab.identification.response.windowed_simulation import InitialState

@@ -1,11 +1,6 @@
 r"""Does an uncertain model cover a record? The envelope of its members under the recorded input, against the record.
 
-For members :math:`\Delta_k` (random ones and vertices) and the nominal one, all from the same initial state,
-
-.. math:: \underline y(t) = \min_k y(t; \Delta_k), \qquad \overline y(t) = \max_k y(t; \Delta_k)
-
-and a sample of the record lies inside where :math:`\underline y - a \le y \le \overline y + a` with the allowance a of
-the sensor. Covered is not explained: a set that is wide enough covers anything.
+Covered is not explained: a set that is wide enough covers anything.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Equivalent disturbance: what would have to be added at an input or a joint for the model to follow the record.
+"""Equivalent disturbance: the random walk at one input or joint with which the model follows the record best.
 
-At one place at a time a Kalman smoother finds the random walk d(t) that suits the record best. Added to the model it is
-judged by the windows: the share of their squared error that goes. Over the speed, d shows a friction that the model
-lacks as a friction curve with its sign turned round.
+Over the speed it shows a friction that the model lacks as a friction curve with its sign turned round.
 """
 
 from __future__ import annotations
@@ -17,10 +15,11 @@ from robustlab.arrays import Array, Indices, Mask
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.localisation import REST, Bin, Motion, bins, speed_edges, windowed_error
+from robustlab.identification.comparison.error_analysis import REST, Bin, Motion, bins, speed_edges
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.identification.response.motion_response import MotionResponse, fit_windows
 from robustlab.identification.response.response import Response, Stretch
+from robustlab.identification.response.windowed_simulation import windowed_simulation
 from robustlab.result import Evidence
 from robustlab.shown import Each
 from robustlab.statespace import StateSpaceModel
@@ -105,7 +104,7 @@ def input_disturbances(
         d = smoothed.d[:, 0]
         alone = StateSpaceModel(model.A, push[:, None], model.C, np.zeros((len(noise), 1)), 0.0, ["d"], model.outputs)
         pushed = Stretch(whole.t, {"d": d}, error, whole.weight)
-        left = windowed_error(Response(alone, response.outputs, ()), pushed, length)
+        left = error - windowed_simulation(Response(alone, response.outputs, ()), pushed, length).y
         errors = [e / smoothed.noise_std for e in (error, left)]
         found[key] = _disturbance(place, unit, smoothed, 0, motion, response.output_names, *errors)
     return found

@@ -1,12 +1,6 @@
-r"""Noise floor without a model, where a record repeats.
+r"""Noise floor without a model, where a record repeats: the scatter of the repeats, and an F test of a residual.
 
-From P repeats of N samples the variance of the noise of a sample, and an F test of what repeats in a residual r:
-
-.. math:: \hat\sigma^2 = \frac{1}{(P - 1) N} \sum_{p,k} (y_{p,k} - \bar y_k)^2, \qquad
-          F = \frac{\frac{1}{N} \sum_k \bar r_k^2}{\hat\sigma_r^2 / P}
-
-The effective number of samples is by Satterthwaite's rule, since noise is coloured and changes along the period. In
-closed loop the *reference* gives the period, or it is stated.
+Noise is coloured and changes along the period: the effective number of samples is by Satterthwaite's rule.
 """
 
 from __future__ import annotations
@@ -124,18 +118,7 @@ class NoiseFloor(Evidence):
 def noise_floor(
     record: Record, *, period: float | None = None, repeats: Sequence[Record] = (), outputs: Sequence[str] | None = None
 ) -> NoiseFloor:
-    """Noise of the outputs of a record, from its own periods or from further records with the same input.
-
-
-    Examples
-    --------
-    >>> t = np.arange(3000) * 0.01
-    >>> u = np.sign(np.sin(2 * np.pi * t / 5.0 + 0.01))
-    >>> y = 2.0 * u + 0.1 * np.random.default_rng(0).standard_normal(3000)
-    >>> floor = noise_floor(Record(t, {"u": u}, {"y": y}))
-    >>> floor.period, floor.count, round(floor.std["y"], 2)
-    (5.0, 6, 0.1)
-    """
+    """Noise of the outputs of a record, from its own periods or from further records with the same input."""
     names = list(record.outputs) if outputs is None else list(outputs)
     for name in names:
         record[name]
@@ -168,9 +151,7 @@ def noise_floor(
 def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
     """Shortest period in samples with which a signal (n,) repeats throughout, or None.
 
-    ``samples``: at least two periods of the signal. ``tolerance``: largest difference between repeats of one phase;
-    left out: one step of the signal's quantisation where it has more than 200 levels, else rounding.
-
+    ``tolerance``: largest difference between repeats of one phase; else a fine quantisation's step, or rounding.
 
     Examples
     --------
@@ -193,15 +174,9 @@ def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
 
 
 def effective_dof(deviation: Array) -> float:
-    r"""Effective number of independent samples in the mean square of one repeat of a noise.
+    """Effective number of independent samples in the mean square of one repeat, from deviations (P, N) of the repeats.
 
-    .. math:: \nu = \frac{(\sum_k S_k)^2}{\sum_k S_k^2} \frac{P}{P - 1} \cdot
-              \frac{(\mathrm{mean}\; v_b)^2}{\mathrm{mean}\; v_b^2}
-
-    with the spectrum S of the deviations, averaged over the repeats, the factor P / (P - 1) for its own scatter, and
-    the variances v of 20 blocks of the period. White noise of constant size: N.
-
-    ``deviation``: deviations of the repeats from their mean, shape (P, N).
+    (sum S)^2 / sum S^2 of their spectrum, with P / (P - 1) for its own scatter, and the variances of 20 blocks.
     """
     count, n = deviation.shape
     power = (np.abs(np.fft.fft(deviation, axis=1)) ** 2).sum(axis=0)

@@ -1,10 +1,7 @@
 """Is a residual white, and independent of the input? Is an output even or odd in its excitation?
 
-The first two test :math:`y = G(u) + e` with white e independent of u, and give the share of the variance that the
-residual's past or the input explains. The third needs a periodic excitation that leaves harmonics out: an even
-nonlinearity puts energy at sums of an even number of excited harmonics, an odd one at sums of an odd number. In closed
-loop the harmonics of the reference count; line 0 is left out; the odd share is a lower bound (Pintelon and Schoukens,
-*System Identification: A Frequency Domain Approach*, 2012, section 4.3).
+The odd share is a lower bound, line 0 is left out, and in closed loop the harmonics of the reference count (Pintelon,
+Schoukens, *System Identification*, 2012, section 4.3).
 """
 
 from __future__ import annotations
@@ -258,9 +255,7 @@ def harmonic_shares(periods: ArrayLike, lines: NDArray[np.int_], kind: NDArray[n
 def judged_lines(excitation: ArrayLike) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
     """Lines of a periodic excitation (count, n) that are excited or quiet, and their kind as in `HarmonicShares`.
 
-    Excited: within 60 dB of the strongest line. Quiet: 90 dB below it, and 220 dB above the
-    highest excited line. Lines
-    between are left out.
+    Excited: within 60 dB of the strongest line. Quiet: 90 dB below it, above the highest excited line 220 dB.
     """
     power = np.abs(np.fft.rfft(np.asarray(excitation, dtype=np.float64).mean(axis=0))) ** 2
     lines = np.arange(1, len(power) - 1)

@@ -1,11 +1,7 @@
-r"""What to measure next, so that hypotheses which the present records leave open can be told apart (T-optimality).
+r"""What to measure next, so that hypotheses that the present records leave open can be told apart (T-optimality).
 
-For every test signal s, every set of sensors and every pair of open hypotheses, A predicts the outputs from rest and B
-is refitted to them, :math:`d^2 = \min_{z, \xi} V_B(z, \xi; \hat y_A) - \|z_B\|^2`; proposed is :math:`\arg\max_s
-\min_{A \ne B} d_s(A, B)`, and of several that are safe the one with fewest sensors to add, then the shortest. Where B
-contains A only the richer one is taken for the truth. The prior that B pays for the present records is not counted.
-
-Atkinson, Fedorov, "The design of experiments for discriminating between two rival models", Biometrika 62 (1975) 57-70.
+Proposed is the signal whose smallest refit distance over all pairs is largest (Atkinson, Fedorov, Biometrika 62, 1975);
+where B contains A only the richer one is taken for the truth.
 """
 
 from __future__ import annotations
@@ -199,13 +195,7 @@ class Excitation:
 def experiment_menu(
     name: str, unit: str, lowest: float, highest: float, samples: int, dt: float, beat: float, warm: bool = False
 ) -> tuple[Excitation, ...]:
-    """Return test signals of one input between two extremes.
-
-    ``name``, ``unit``, ``lowest``, ``highest``: the input and the range that no signal leaves.
-    ``samples``, ``dt``: length of each signal, and the sample time in s.
-    ``beat``: unit of all periods and dwell times in s: long enough for the plant to settle, short for many changes.
-    ``warm``: also a much longer one that warms the machine up between two equal blocks.
-    """
+    """Test signals of one input within a range; ``beat``: unit of all periods in s; ``warm``: one that heats, too."""
     beat = _rounded(beat, dt)
     middle, half = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
     t = dt * np.arange(samples, dtype=float)

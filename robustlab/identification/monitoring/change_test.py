@@ -1,10 +1,7 @@
-r"""A sequential test that a model's parameters stay what they are, valid at every time (an e-process).
+r"""A sequential test that a model's parameters stay what they are, valid at every time (an e-process; docs/watch.md).
 
-A piece p gives whitened residuals :math:`r_p` and their derivatives :math:`J_p` over the parameters, the starts of its
-windows projected out. While the model holds, :math:`r_p + J_p \zeta \sim N(0, I)` with one unknown :math:`\zeta` for
-all pieces; from piece :math:`\tau` on a parameter moves, at once or growing, or the errors are random with more
-variance, slow ones or all. E mixes the likelihood ratios of all these with :math:`\zeta` integrated out; by Ville's
-inequality it reaches :math:`1/\alpha` with probability :math:`\alpha` at most while the model holds (docs/watch.md).
+E mixes the likelihood ratios of all changes from each piece on, the parameters integrated out; by Ville's inequality it
+reaches 1 / alpha with probability alpha at most while the model holds.
 """
 
 from __future__ import annotations

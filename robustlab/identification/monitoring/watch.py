@@ -1,21 +1,16 @@
-"""`watch`: detect when a model stops explaining a running log, with a bounded rate of false alarms.
-
-The first piece gives the model's parameters within their tolerances. Every piece is cut into windows that start anew
-from their best-fitting state, so that gaps, restarts and drift do no harm.
-After an alarm `discover` reports what the plant lacks in the pieces since the change.
-"""
+"""`watch`: detect when a model stops explaining a running log, with a bounded rate of false alarms."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from robustlab import checks
 from robustlab.arrays import Array, Mask
 from robustlab.budget import one_thread
-from robustlab.checks import number
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import EffectParameter, Scales
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
@@ -33,13 +28,15 @@ from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit
 from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, ports_of, prepare, window_length
 from robustlab.identification.monitoring.change_test import ChangeTest, PieceEquations, onset
-from robustlab.identification.monitoring.watch_result import Watch, WatchedPiece
 from robustlab.identification.naming.discovery import discover, known_plant
+from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.set_search import clock_nuisances, held_inputs
 from robustlab.identification.record_check.resampling import clock_step, uniform
 from robustlab.identification.response.response import with_units
 from robustlab.record import Record
-from robustlab.result import Status
+from robustlab.result import Evidence, Status
+from robustlab.shown import Facts, listed, number
+from robustlab.tables import Table, Tabular
 
 FAR = 2.0  # standard deviations, as the first piece tells the parameters, within which a window has to be linear
 CLEAR = 10.0  # log evidence beyond an alarm, at which the onset is estimated; a later change may not be linear
@@ -48,6 +45,119 @@ MOST_BENT = 1.0  # square of the change of a window's residuals, over the noise 
 MOST_STEPS, FEW = 16, 0.02  # steps a sample; share of the windows that may still change
 SLOW = 6  # cosines in a window, over which unnamed errors are looked for
 OWN_SPREAD = 0.3  # relative: how well a model's effect is known before its first piece, where it does not say
+
+
+@dataclass(frozen=True)
+class WatchedPiece(Evidence):
+    """One piece of the log."""
+
+    # start, stop: its time in the log, s
+    start: float
+    stop: float
+    evidence: float  # log of E after it; the alarm comes at ``-log(false_alarm)``
+    misfit: float  # root mean square of its errors under the model as learned, over the noise
+
+
+@dataclass(frozen=True)
+class Watch(Tabular, Evidence):
+    """Result of `watch`.
+
+    Attributes
+    ----------
+    status
+        CONVERGED: the alarm, or its absence, holds at the stated rate. INCONCLUSIVE: no alarm, but the test could use
+        less than half of the windows.
+    verdict
+        ``"explained"``: no alarm; ``"changed"``: an alarm.
+    false_alarm
+        Probability of an alarm in the whole log while the model explains it, as asked for.
+    alarm
+        Time of the alarm in the log in s, the end of its piece; NaN without one.
+    since, since_lower, since_upper
+        When the change began to show, s, and a 95 % interval for its beginning: beginnings of pieces.
+    found
+        What the plant without its effects lacks in the pieces since the change (`discover`): compare it with the
+        effects and parameters of the model. None without an alarm, and where those pieces are too poor.
+    pieces
+        The pieces in their order.
+    noise
+        Output -> standard deviation of its noise in one sample, as stated.
+    plant, window
+        The model; the length of the windows in s.
+    tested
+        Share of the windows that the test used, 0..1; in the others the model is not linear in what the first piece
+        leaves open of its parameters (a contact about to break away).
+    """
+
+    status: Status
+    verdict: Literal["explained", "changed"]
+    false_alarm: float
+    alarm: float
+    since: float
+    since_lower: float
+    since_upper: float
+    found: Discovery | None
+    pieces: tuple[WatchedPiece, ...]
+    noise: Mapping[str, float]
+    plant: str
+    window: float
+    tested: float
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "verdict": str,
+        "met": bool,
+        **dict.fromkeys(("alarm", "since", "since_lower", "since_upper", "window"), "s"),
+        "evidence": "1",
+        "tested": "1",
+    }
+
+    @property
+    def met(self) -> bool:
+        """Whether the model explains the log from beginning to end."""
+        return self.verdict == "explained"
+
+    @property
+    def evidence(self) -> float:
+        """Largest log of E so far: E is at least 1 / x with probability x at most while the model explains the log."""
+        return max(p.evidence for p in self.pieces)
+
+    def headline(self) -> str:
+        """What was found, in one sentence."""
+        if self.met:
+            return f"{self.plant} explains all of the log, {len(self.pieces)} pieces"
+        since = f"since {span_of(self.since)} ({span_of(self.since_lower)} .. {span_of(self.since_upper)})"
+        if not self.since > self.pieces[0].start:
+            return f"{self.plant} never explained the log: `robustlab data discover` names what it lacks"
+        lacks = f": {self.found.headline()}" if self.found is not None else ""
+        return f"{self.plant} no longer explains the log {since}{lacks}"
+
+    def facts(self) -> Facts:
+        """The verdict, the alarm, what the plant lacks since, and the noise of the test."""
+        return [
+            ("verdict", self.verdict),
+            ("", self.headline()),
+            ("alarm", "" if self.met else f"at {span_of(self.alarm)}"),
+            ("largest log E", f"{self.evidence:.2f}"),
+            ("false alarms", f"in at most {number(100.0 * self.false_alarm)} % of logs that the model explains"),
+            ("noise", f"{listed(f'{name} {number(std)}' for name, std in self.noise.items())} a sample"),
+            ("windows", f"{number(self.window, 's')}, {100.0 * self.tested:.0f} % of them tested"),
+            *(self.found.facts() if self.found is not None else []),
+        ]
+
+    def table(self) -> Table:
+        """A row for each piece."""
+        names = ("stop", "evidence", "misfit")
+        return Table(
+            ("start", [p.start for p in self.pieces]), {n: [getattr(p, n) for p in self.pieces] for n in names}
+        )
+
+
+def span_of(seconds: float) -> str:
+    """A time of a log: ``38.5 s``, ``41.2 min``, ``3.1 h``."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if abs(seconds) >= 2.0 * size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.4g} s"
 
 
 @one_thread()
@@ -111,14 +221,10 @@ def watch(
     Pérez-Ortiz, Lardy, de Heide, Grünwald, *E-statistics, group invariance and anytime-valid testing*, Annals of
     Statistics 52 (2024).
     """
-    number("watch: false_alarm", false_alarm, "a probability between 0 and 1", above=0.0, below=1.0)
+    checks.number("watch: false_alarm", false_alarm, "a probability between 0 and 1", above=0.0, below=1.0)
     for word, value in (("every", every), ("window", window)):
         if value is not None:
-            number(f"watch: {word}", value, "a length in s above 0", above=0.0)
-    if not isinstance(records, Record | Iterable):
-        raise InputError("watch: records", f"a {type(records).__name__}", "a record, or records")
-    if not isinstance(noise, Mapping):
-        raise InputError("watch: noise", f"{noise!r}", "standard deviations by outputs, {...}")
+            checks.number(f"watch: {word}", value, "a length in s above 0", above=0.0)
     plant, attached = _parts_of(model)
     stated = stated_tolerances(plant, tolerances)
     plant = with_absolute_tolerances(plant, stated)
@@ -126,7 +232,7 @@ def watch(
     given = [records] if isinstance(records, Record) else records
     watched: _Watched | None = None
     alarm = -np.log(false_alarm)
-    for piece in _one_clock(_cut(given, every)):
+    for piece in _pieces(given, every):
         if watched is None:
             watched = _Watched(plant, attached, stated, noise, alarm, window, piece)
         watched.add(piece)
@@ -165,11 +271,19 @@ def _parts_of(model: Any) -> tuple[AnyPlant, tuple[AttachedEffect, ...]]:
     return known_plant(model, "watch"), ()
 
 
-def _cut(records: Iterable[Record], every: float | None) -> Iterator[Record]:
-    """The pieces; a rest of less than half a piece belongs to the last one of its record."""
+def _pieces(records: Iterable[Record], every: float | None) -> Iterator[Record]:
+    """The pieces on the clock of the log.
+
+    A rest of less than half a piece belongs to the last one of its record; a record that does not begin after the end
+    of the last follows it at once.
+    """
+    end: float | None = None
     for record in records:
         if not isinstance(record, Record):
             raise InputError("watch", f"a {type(record).__name__}", "records")
+        if end is not None and record.t[0] <= end:
+            record = replace(record, t=record.t - record.t[0] + end + record.dt)
+        end = float(record.t[-1])
         count = 1 if every is None else max(1, round(record.duration / every))
         if every is None or count == 1:
             yield record
@@ -177,16 +291,6 @@ def _cut(records: Iterable[Record], every: float | None) -> Iterator[Record]:
         edges = [*(record.t[0] + every * (np.arange(count) - 1e-9)), np.inf]
         for k in range(count):
             yield replace(record.between(edges[k], edges[k + 1]), name=f"{record.name}, piece {k + 1}")
-
-
-def _one_clock(pieces: Iterable[Record]) -> Iterator[Record]:
-    """The pieces on the clock of the log: one that does not begin after the end of the last follows it at once."""
-    end: float | None = None
-    for piece in pieces:
-        if end is not None and piece.t[0] <= end:
-            piece = replace(piece, t=piece.t - piece.t[0] + end + piece.dt)
-        end = float(piece.t[-1])
-        yield piece
 
 
 class _Watched:
@@ -285,7 +389,7 @@ def _noise_of(names: Sequence[str], stated: Mapping[str, float]) -> dict[str, fl
     for name in names:
         if name not in stated:
             raise InputError("watch: noise", f"none of {name!r}", "one for each recorded output")
-        number(f"watch: noise of {name}", stated[name], "a standard deviation above 0", above=0.0)
+        checks.number(f"watch: noise of {name}", stated[name], "a standard deviation above 0", above=0.0)
     return {name: float(stated[name]) for name in names}
 
 
@@ -319,10 +423,8 @@ def _about(parameter: EffectParameter, value: float, std: float) -> EffectParame
 def faithful_windows(problem: Problem, fit: Fit, spread: Array) -> tuple[Problem, Fit]:
     """The piece, and the model in it, without the windows in which the simulation is not to be trusted that far.
 
-    Where a force is about that at which a contact breaks away, what is known of the parameters changes the motion
-    otherwise than linear, and a breakaway within a step is told no better than the step. ``spread`` (k, m): steps of
-    the standardised parameters, each tried to both sides. A window stays where neither what is even in such a step,
-    nor steps of half the length, change its residuals, starts free, by more than `MOST_BENT`.
+    Left out: where what is even in the steps ``spread`` (k, m) of the parameters, or halved time steps, change the
+    residuals, starts free, by more than `MOST_BENT`: a contact about to break away.
     """
     (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
     free = _free(problem, fit)
@@ -345,7 +447,7 @@ def fine_steps(problem: Problem, fit: Fit) -> Problem:
         (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
         if (_stepped(problem, fit, residual, _free(problem, fit)) > MOST_BENT).mean() <= FEW:
             break
-        problem = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
+        problem = _halved(problem)
     return problem
 
 
@@ -361,10 +463,13 @@ def _beyond_starts(change: Array, free: Array) -> Array:
     return np.asarray((left**2).sum(axis=1))
 
 
+def _halved(problem: Problem) -> Problem:
+    return problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
+
+
 def _stepped(problem: Problem, fit: Fit, residual: Array, free: Array) -> Array:
     """The same of steps of half the length."""
-    halved = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
-    (there,) = problem.whitened(halved.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
+    (there,) = problem.whitened(_halved(problem).errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
     return _beyond_starts(there - residual, free)
 
 

@@ -1,9 +1,4 @@
-"""Is a record what it is taken for?
-
-suitability       `check_record` summarises it, `suitability` says whether an effect may be named from it
-channel_identity  channels with another sign, unit or name than the model's
-resampling        missing samples, jitter, two clocks: brought on one uniform clock
-"""
+"""Is a record what it is taken for: its channels, columns, clock, and is it fit for naming?"""
 
 from robustlab.identification.record_check.channel_identity import derivative_pairs
 from robustlab.identification.record_check.resampling import counted_from, join_clocks, position_datum, uniform

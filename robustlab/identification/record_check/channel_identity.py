@@ -1,15 +1,8 @@
 r"""Is every recorded channel what the model takes it for: its sign, its unit, its name?
 
-Where one output of the model is the derivative of another the record must show the same: over windows, with constant
-and slope projected out, :math:`y_a \approx s\,\kappa \int y_b\,dt` with s = 1. All else is judged by the factors s of
-the responses to the inputs,
-
-.. math:: y_j \approx \sum_i s_{ji}\, G_{ji} u_i + \sum_k c_k\, G_{jk} e_k,
-
-in windows with free start, constant disturbance and constant sensor error, beside what springs, damping and dry
-friction would add that the model may lack (forces e along y, its rate, the rate's sign). A channel is called wrong
-where these explain the output, the inputs' part of it is needed, and s is near -1 or the factor between two units. Of
-a nonlinear plant only where turning a channel takes nearly all of the error away.
+Outputs that are derivatives of one another must show it. All else is judged by the factors s of the inputs' responses,
+:math:`y_j \approx \sum_i s_{ji} G_{ji} u_i`, in windows with free start, constant disturbance and sensor error, beside
+what springs, damping and dry friction would add: s near -1 or the factor of a unit, where the inputs' part is needed.
 """
 
 from __future__ import annotations

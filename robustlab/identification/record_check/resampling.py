@@ -1,8 +1,6 @@
 """Records with missing samples, a jittering clock, or two clocks, brought on one uniform clock; datum of positions.
 
-Inputs are held, outputs go straight between two samples. Where those are further apart than one and a half sample times
-what stands between is marked as not measured. Positions far from zero (a multi-turn encoder) are counted from a point
-within the strokes, angles by whole turns: else an effect over the position has a phase that no fit finds.
+Positions far from zero are counted from a point within the strokes: else an effect over them has a phase no fit finds.
 """
 
 from __future__ import annotations
@@ -114,17 +112,9 @@ def uniform(record: Record, dt: float | None = None) -> UniformRecord:
 def join_clocks(first: Record, second: Record, dt: float | None = None) -> Record:
     """One record from the signals of two loggers whose clocks show the same time at different sample times.
 
-    Without ``dt`` the joint clock is the coarser of the two, from its first to its last stamp that both cover; its own
-    samples are kept as they are, and only those of the finer one are held (inputs) or interpolated (outputs); of two
-    equal sample times, the clock of the record with more outputs is taken. A shift
-    between the clocks is not looked for here: it is a delay, and naming finds it.
-
-    What the clocks are like and what was done stands in the meaning of ``t``.
-
-    ``first``, ``second``: records without a signal in common. ``dt``: sample time of the joint clock in s.
-
-    Raises InputError: a signal in both, times that do not overlap by two samples, missing samples in one of them, a bad
-    ``dt``.
+    Without ``dt`` the joint clock is the coarser of the two, over what both cover; of equal ones that of the one with
+    more outputs. Inputs are held, outputs interpolated; a shift between the clocks is a delay, which naming finds. What
+    was done stands in the meaning of ``t``.
 
     Examples
     --------
@@ -190,14 +180,6 @@ def position_datum(plant: LinearPlant, records: Sequence[Record]) -> dict[str, f
     """Output -> what is to be taken off it in all of the records; empty where no position is far from zero.
 
     A datum is free where the equations are the same at every place: along the one null vector of A that moves outputs.
-
-    Examples
-    --------
-    >>> from robustlab.dynamics import plant
-    >>> t = np.arange(200) * 1e-3
-    >>> far = Record(t, {"u": np.sin(t)}, {"phi": 3000.0 + np.sin(9 * t)}, {"u": "V", "phi": "rad"})
-    >>> round(position_datum(plant("dc-motor"), [far])["phi"] / (2 * np.pi), 9)
-    478.0
     """
     model = plant.state_space()
     _, sigma, right = np.linalg.svd(model.A)

@@ -1,28 +1,7 @@
-"""Is a record fit for naming a missing effect? Everything that is not, by name, before a single effect is fitted.
+"""Is a record fit for naming a missing effect? Everything that is not, by name, before an effect is fitted.
 
 A record that shows too little, or a channel with the wrong sign, unit or name, would still be "explained" by some
-effect of the catalogue: an invented one. So `suitability` looks first, and `Suitability.require` stops there.
-
-======================  =====  ===============================================================================
-kind                    fatal  what was found
-======================  =====  ===============================================================================
-``too-short``           mostly the record is shorter than a period of the model's slowest oscillation; not fatal: than
-                               its slowest time constant (integrators aside), of a model that does not oscillate
-``unexcited``           mostly no input moves, or no output leaves its noise; not fatal where an output still moves,
-                               by a free swing or a run-down
-``constant-output``     if all a dead sensor; of a nonlinear plant always fatal
-``sign``                yes    a channel with the other sign (`robustlab.identification.record_check.channel_identity`)
-``unit``                yes    a channel off by the factor between two units
-``swapped-outputs``     yes    two outputs, one the other's derivative, that carry each other's names
-``clipped``             no     an output that stands at the end of its range
-``gaps``                no     missing samples
-``jitter``              no     a clock that is not uniform
-``quantisation``        no     an encoder's step, found from the samples
-``motion``              yes    of a nonlinear plant: a position that is not recorded, a motion that it cannot have
-======================  =====  ===============================================================================
-
-What the samples say of themselves (constant and clipped channels, the clock, units) `check_record` tells of any record,
-without a model.
+effect of the catalogue: an invented one. What the samples say of themselves `check_record` tells of any record.
 """
 
 from __future__ import annotations
@@ -68,13 +47,7 @@ class ChannelSummary:
 
 @dataclass(frozen=True)
 class RecordCheck(Evidence):
-    """What is in a record and what is odd about it, each remark with the channel it concerns.
-
-    Attributes
-    ----------
-    suitability
-        With a model: whether the record is fit for naming what that lacks.
-    """
+    """What is in a record and what is odd about it; with a model, whether it is fit for naming what that lacks."""
 
     record: Record
     channels: tuple[ChannelSummary, ...]
@@ -226,7 +199,9 @@ FEWEST_DIFFERENCES = 10
 class Finding(Evidence):
     """One thing about a record that matters for naming."""
 
-    kind: str  # one of the kinds in the module's table
+    # too-short, unexcited, constant-output, sign, unit, swapped-outputs, motion: may be fatal; clipped, gaps, jitter,
+    # quantisation: never
+    kind: str
     channel: str  # signal, or ``"t"`` for the clock; two signals are separated by a comma
     # found, expected, hint: in words: what was found, what would have been right, what to do
     found: str
@@ -290,26 +265,10 @@ class Suitability(Evidence):
 
 
 def suitability(plant: Any, record: Record) -> Suitability:
-    """Judge a record before naming; see the module's table for what is looked for.
+    """Judge a record before naming; ``require()`` of the answer stops at fatal findings.
 
-    Parameters
-    ----------
-    plant
-        A plant or linear model. Of a nonlinear plant the positions of all joints must be recorded, and of its channels
-        the signs are judged.
-    record
-        With every input of the plant, and at least one of its outputs.
-
-    Returns
-    -------
-    Suitability
-        Call ``require()`` on it to stop at fatal findings.
-
-    Raises
-    ------
-    InputError, UnitMismatch
-        The record lacks an input or has no output in common with the plant, or states other units; see
-        `robustlab.identification.response.response.response_of`.
+    ``plant``: a plant or linear model, with all of its inputs in the record; of a nonlinear plant the positions of all
+    joints, too. What the two state of signals and units has to fit.
 
     Examples
     --------

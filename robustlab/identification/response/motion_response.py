@@ -1,18 +1,9 @@
-r"""A nonlinear plant's response to a record in windows, linear about the recorded motion.
-
-With the plant about a motion (`robustlab.dynamics.ports.motion_model`) each window has
-
-.. math:: y(t_k) = y_u(t_k) + S(t_k)\,(x_0 - \bar x_0) + \sum_j h_j(t_k)
-
-with the outputs :math:`y_u` from the motion's own state at its start, the free response S, and the answers h to forces
-at the joints. Unlike a linear plant's, S is another one in each window. All windows of one length go side by
-side.
-"""
+r"""A nonlinear plant's response to a record in windows, linear about the recorded motion; all windows side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,11 +13,12 @@ from robustlab.dynamics.ports.motion_model import Course, exponentials, motion_m
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.response.response import Stretch
 from robustlab.identification.response.windowed_simulation import (
-    RANK_TOLERANCE,
+    FitOfWindows,
     InitialState,
     StateFit,
     WindowedSimulation,
     consistent_start,
+    fit_starts,
     recursive_residual,
     window_edges,
 )
@@ -45,19 +37,6 @@ class WindowResponses:
     x0: Array  # the motion's states at the starts, (n_windows, n_x)
     free: Array  # outputs per unit more of each state at the start, (n_windows, length, n_y, n_x)
     pushed: Array  # outputs by each of the added forces alone, (n_windows, length, n_y, n_forces)
-
-
-@dataclass(frozen=True, eq=False)
-class FitOfWindows:
-    """Least-squares fits of the states at the starts of windows."""
-
-    # x0, std, rank: states (n_windows, n_x), their standard deviations for white errors, and how many directions of
-    # each are told
-    x0: Array
-    std: Array
-    rank: Indices
-    left: Array  # what they leave of the weighted errors, (n_windows, length * n_y)
-    basis: Array  # orthonormal basis of what they can do to these, padded with zeros, (n_windows, length * n_y, n_x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,26 +111,9 @@ class MotionResponse:
 
 
 def fit_windows(windows: WindowResponses, error: Array, weight: Array) -> FitOfWindows:
-    """States at the starts that suit the windows best, by weighted least squares.
-
-    ``error``, ``weight``: as of `MotionResponse.errors`, and the factor of each output's error (n_y,).
-    """
-    count, n_x = windows.x0.shape
-    lhs = (windows.free * weight[:, None]).reshape(count, -1, n_x)
-    rhs = (error * weight).reshape(count, -1)
-    scale = np.linalg.norm(lhs, axis=1)
-    scale[scale == 0] = 1.0
-    left, sigma, right = np.linalg.svd(lhs / scale[:, None], full_matrices=False)
-    known = sigma > RANK_TOLERANCE * sigma[:, :1]
-    basis = left * known[:, None]
-    inverse = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=known)
-    coordinates = np.einsum("wmk,wm->wk", basis, rhs)
-    x0 = np.einsum("wkn,wk->wn", right, coordinates * inverse) / scale
-    rest = rhs - np.einsum("wmk,wk->wm", basis, coordinates)
-    rank = known.sum(axis=1)
-    variance = (rest**2).sum(axis=1) / np.maximum(1, rhs.shape[1] - rank)
-    std = np.sqrt(variance[:, None] * ((right * inverse[:, :, None]) ** 2).sum(axis=1)) / scale
-    return FitOfWindows(windows.x0 + x0, std, rank, rest, basis)
+    """States at the starts that suit the windows best; ``error``: as of `MotionResponse.errors`."""
+    found = fit_starts(windows.free, error, weight)
+    return replace(found, x0=windows.x0 + found.x0)
 
 
 def start_along(response: MotionResponse, longest: int) -> InitialState:

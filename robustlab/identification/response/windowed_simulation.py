@@ -1,12 +1,7 @@
 r"""Simulation in windows, each from its own least-squares initial state, and the residual that such windows leave.
 
-The *recursive residual* predicts sample k of an output with the state fitted to its samples in the window before k,
-
-.. math:: w_k = \frac{y_k - y_{u,k} - s_k^T \hat x_{k-1}}{\sqrt{1 + s_k^T P_{k-1} s_k}}, \qquad
-          P_{k-1} = \Big(\sum_{j<k} s_j s_j^T\Big)^{-1},
-
-which is white with the variance of the noise where the model is right, for every window length (Brown, Durbin, Evans
-1975).
+The recursive residual predicts each sample from the state fitted to those before it in its window; it is white with the
+variance of the noise where the model is right (Brown, Durbin, Evans 1975).
 """
 
 from __future__ import annotations
@@ -18,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Indices
 from robustlab.identification.response.response import Response, Stretch
 from robustlab.result import Evidence
 
@@ -70,8 +65,8 @@ def fit_state(response: Response, stretch: Stretch, free: Array | None = None) -
     """Initial state of a stretch; ``free`` is the free response over its clock, where it is known already."""
     forced = response.simulate(stretch.t, stretch.u, np.zeros(response.n_states))
     free = response.free_response(stretch.t) if free is None else free
-    x0, std, rank = weighted_least_squares(free, stretch.y - forced, stretch.weight)
-    return StateFit(x0, std, rank, forced + free @ x0)
+    found = fit_starts(free[None], (stretch.y - forced)[None], stretch.weight)
+    return StateFit(found.x0[0], found.std[0], int(found.rank[0]), forced + free @ found.x0[0])
 
 
 def starting_state(response: Response, whole: Stretch, longest: int) -> InitialState:
@@ -106,24 +101,41 @@ def consistent_start(
     return InitialState(fit.x0, fit.std, names, n, float(t[n - 1] - t[0]), fit.rank)
 
 
-def weighted_least_squares(free: Array, error: Array, weight: Array) -> tuple[Array, Array, int]:
-    """Weighted least-squares state, its standard deviation for white errors, and the rank."""
-    n_x = free.shape[2]
-    if not n_x:
-        return np.zeros(0), np.zeros(0), 0
-    lhs = (free * weight[:, None]).reshape(-1, n_x)
-    rhs = (error * weight).ravel()
-    scale = np.linalg.norm(lhs, axis=0)
+@dataclass(frozen=True, eq=False)
+class FitOfWindows:
+    """Least-squares fits of the states at the starts of windows."""
+
+    # x0, std, rank: states (n_windows, n_x), their standard deviations for white errors, and how many directions of
+    # each are told
+    x0: Array
+    std: Array
+    rank: Indices
+    left: Array  # what they leave of the weighted errors, (n_windows, length * n_y)
+    basis: Array  # orthonormal basis of what they can do to these, padded with zeros, (n_windows, length * n_y, n_x)
+
+
+def fit_starts(free: Array, error: Array, weight: Array) -> FitOfWindows:
+    """States at the starts of windows side by side, by weighted least squares.
+
+    ``free``: outputs per unit of each state (n_windows, length, n_y, n_x). ``error``: (n_windows, length, n_y).
+    ``weight``: factor of each output's error, (n_y,).
+    """
+    count, n_x = len(free), free.shape[-1]
+    lhs = (free * weight[:, None]).reshape(count, error[0].size, n_x)
+    rhs = (error * weight).reshape(count, -1)
+    scale = np.linalg.norm(lhs, axis=1)
     scale[scale == 0] = 1.0
-    left, sigma, right = np.linalg.svd(lhs / scale, full_matrices=False)
-    rank = int((sigma > RANK_TOLERANCE * sigma[0]).sum()) if sigma[0] > 0 else 0
-    left, sigma, right = left[:, :rank], sigma[:rank], right[:rank]
-    coordinates = left.T @ rhs
-    x0 = right.T @ (coordinates / sigma) / scale
-    spare = max(1, len(rhs) - rank)
-    variance = max(0.0, float(rhs @ rhs - coordinates @ coordinates)) / spare
-    std = np.sqrt(variance * ((right / sigma[:, None]) ** 2).sum(axis=0)) / scale
-    return x0, std, rank
+    left, sigma, right = np.linalg.svd(lhs / scale[:, None], full_matrices=False)
+    known = sigma > RANK_TOLERANCE * sigma[:, :1]
+    basis = left * known[:, None]
+    inverse = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=known)
+    coordinates = np.einsum("wmk,wm->wk", basis, rhs)
+    x0 = np.einsum("wkn,wk->wn", right, coordinates * inverse) / scale
+    rest = rhs - np.einsum("wmk,wk->wm", basis, coordinates)
+    rank = known.sum(axis=1)
+    variance = (rest**2).sum(axis=1) / np.maximum(1, rhs.shape[1] - rank)
+    std = np.sqrt(variance[:, None] * ((right * inverse[:, :, None]) ** 2).sum(axis=1)) / scale
+    return FitOfWindows(x0, std, rank, rest, basis)
 
 
 @dataclass(frozen=True)
@@ -179,11 +191,9 @@ def windowed_simulation(response: Response, whole: Stretch, length: int) -> Wind
 
 
 def recursive_residual(free: Array, error: Array) -> Array:
-    """Recursive residual of one output in windows that share one free response, shape (n, n_windows).
+    """Recursive residual (n, n_windows) of one output in windows that share one free response (n, n_x).
 
-    ``free``: free response of this output, shape (n, n_x). ``error``: measured minus simulated output from any one
-    initial state, shape (n, n_windows); the residual is the same for all. A window that ends earlier than the others
-    ends in NaN.
+    ``error``: measured minus simulated output from any one initial state. A window that ends earlier ends in NaN.
     """
     from robustlab.identification.response.recursion_kernel import predict
 

@@ -1,8 +1,7 @@
 r"""Smallest constant real parameters that explain a record, by descent: an upper bound of the smallest size.
 
-For fixed :math:`\delta` the noise is affine in the free states: windows with free starts are fits
-:math:`e_i - F_i \xi_i` of a few unknowns each, by least squares (rms bounds) or in the largest deviation (peak bounds,
-a linear programme by exchange). The dual gives weights of a few samples that witness against :math:`\delta`.
+For fixed delta the noise is affine in the free states: least squares (rms bounds), or a linear programme by exchange
+(peak bounds), whose dual weighs a few samples that witness against delta.
 """
 
 from __future__ import annotations
@@ -286,9 +285,9 @@ def _linear_move(
     spare = sparse.csr_matrix((np.ones(n), (np.arange(n), np.full(n, m + 1))), moved.shape)
     here, limit = (np.concatenate([x[rows] for x, rows in zip(part, taken, strict=True)]) for part in (noise, limits))
     room, signs = np.where(scaled, 0.0, 1.0), np.where(scaled, -1.0, 0.0)
-    box = sparse.csr_matrix((2 * m, moved.shape[1])).tolil()
-    box[:, :m], box[:, m] = np.vstack([np.eye(m), -np.eye(m)]), np.concatenate([signs, signs])[:, None]
-    matrix = sparse.vstack([moved - spare, -moved - spare, box])
+    box = np.zeros((2 * m, moved.shape[1]))
+    box[:, :m], box[:, m] = np.vstack([np.eye(m), -np.eye(m)]), np.concatenate([signs, signs])
+    matrix = sparse.vstack([moved - spare, -moved - spare, sparse.csr_matrix(box)])
     right = np.concatenate([limit - here, limit + here, room - delta, room + delta])
     cost = np.zeros(moved.shape[1])
     cost[m], cost[m + 1] = 1.0, 1e4

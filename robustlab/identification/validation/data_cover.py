@@ -1,10 +1,4 @@
-r"""The smallest unmodelled dynamics at the inputs with which a plant could have produced its records.
-
-.. math:: y = F_u(M, \delta)\,[\ell;\ (I + r \Delta)\, u] + n, \qquad \|\Delta\| \le 1, \quad n \text{ within its bound}
-
-with the tolerances :math:`\delta` and the loads :math:`\ell` of the plant's effects, known along a record. The radius
-r, a share of the input, is sought at nominal parameters: the set with their tolerances is larger.
-"""
+r"""The smallest unmodelled dynamics r Delta at the inputs with which a plant could have produced its records."""
 
 from __future__ import annotations
 

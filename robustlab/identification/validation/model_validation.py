@@ -1,12 +1,6 @@
 r"""Could this uncertain model have produced this record? The smallest scaling of Delta for which it could.
 
-.. math:: \gamma^* = \min \gamma \quad \text{s.t.} \quad y = F_u(M, \Delta) u + n, \quad \|\Delta_i\| \le \gamma,
-          \quad n \text{ within its bound}
-
-References
-----------
-Poolla, Khargonekar, Tikku, Krause, Nagpal, "A time-domain approach to model validation", IEEE TAC 39 (1994) 951-959.
-Smith and Doyle, "Model validation: a connection between robust control and identification", IEEE TAC 37 (1992) 942-952.
+In time: Poolla et al., IEEE TAC 39 (1994) 951-959. Over frequency: Smith, Doyle, IEEE TAC 37 (1992) 942-952.
 """
 
 from __future__ import annotations
@@ -21,9 +15,8 @@ from robustlab.budget import MILLION, one_thread, search_budget
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.identification.validation.cone_programme import Search
-from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
+from robustlab.identification.validation.frequency_domain import FrequencyData, fits_frequency_domain, validate_by_lines
 from robustlab.identification.validation.sampled_problem import NoiseNorm, prepared
-from robustlab.identification.validation.spectral_problem import FrequencyData
 from robustlab.identification.validation.time_domain import validate_by_samples
 from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record

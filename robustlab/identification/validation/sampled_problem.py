@@ -1,15 +1,7 @@
-r"""Uncertain model and record as a validation sees them: sampled, matched by names, in units of the noise bounds.
+r"""Model and record as a validation sees them: sampled, matched by names, in units of the noise bounds.
 
-With :math:`w = \Delta z` unknown, everything else is affine in the states and in w:
-
-.. math::
-
-    x_{t+1} = A x_t + B w_t, \qquad z_t = z^0_t + C_1 x_t + D_{11} w_t, \qquad n_t = e_t - C_2 x_t - D_{21} w_t
-
-x is what the initial state and w add to the response to the recorded inputs; e is the record minus that response and n
-is the noise, both divided by the noise bound. At the start of a window the state may jump within the subspace that the
-recorded outputs show: fewer equations of motion, hence a weaker test, never a wrong one. States that the outputs do not
-show (those of a weight) start at rest: a free one could make z, and with it the allowed w, as large as one likes.
+With w = Delta z unknown, states, z and noise are affine in w and in the starts. At the start of a window the state may
+jump within what the outputs show; states that they do not show start at rest: a free one could make any w allowed.
 """
 
 from __future__ import annotations

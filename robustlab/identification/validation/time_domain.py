@@ -1,9 +1,6 @@
-r"""Validation in the time domain, sample by sample: constants, systems, and both together.
+"""Validation sample by sample: systems from both sides by cone programmes, constants by descent.
 
-Systems are causal and may vary in time: cone programmes bound them from both sides. Constants are found by descent.
-From below every constant of a discrete model is allowed to be a time-varying system of the same size, a larger set,
-whose multipliers disprove a gamma; of a continuous model there is no lower bound. Where constants and systems stand
-side by side, the upper bound keeps the constants at nominal.
+From below a constant of a discrete model counts as a time-varying system of the same size, a larger set.
 """
 
 from __future__ import annotations

@@ -1,31 +1,7 @@
-r"""Smallest causal time-varying contractions that explain a record: cone programmes from above, multipliers from below.
+r"""Smallest causal time-varying contractions that explain a record (Poolla et al., IEEE TAC 39, 1994, theorem 3.3).
 
-A causal operator of norm gamma with :math:`w = \Delta z` exists if and only if
-
-.. math:: \sum_{t \le T} |w_t|^2 \le \gamma^2 \sum_{t \le T} |z_t|^2 \qquad \text{for all } T.
-
-With :math:`g = \gamma^2` the left side divided by g is jointly convex in (w, g). Where z is known the problem is a
-second-order cone programme, solved once. Where z depends on w, its energy is replaced by its tangent at the last z,
-which lies below it: each solution satisfies the true condition, and gamma falls from one to the next (convex-concave
-procedure).
-
-The lower bound is checked by one backward recursion and nothing else. Suppose blocks of size gamma_i explain the
-record. Then for non-increasing :math:`D_{i,t} \ge 0` and :math:`\lambda_{j,t} \ge 0`
-
-.. math:: L(w, x_0) = \sum_{i,t} D_{i,t} (\gamma_i^2 |z_{i,t}|^2 - |w_{i,t}|^2)
-                    + \sum_j \Lambda_j(n_j) \ge 0
-
-at the w and x_0 that do it, where :math:`\Lambda_j = \sum_t \lambda_{j,t} (1 - n_{j,t}^2)` for peak bounds and
-:math:`\lambda_j (r_j^2 - \sum_t n_{j,t}^2)` for rms bounds. So :math:`\max L < 0` proves that they do not. L is
-quadratic and the model a recursion, hence the maximum is one backward sweep of dynamic programming. With the
-multipliers of the last programme the bound is exact where L is concave at the optimum, and one from a relaxation
-otherwise.
-
-References
-----------
-Poolla, Khargonekar, Tikku, Krause, Nagpal, "A time-domain approach to model validation", IEEE TAC 39 (1994), theorem
-3.3 (time-varying Delta); the multipliers are those of its dual. Yuille and Rangarajan, "The concave-convex procedure",
-Neural Computation 15 (2003).
+Cone programmes bound gamma from above, convex-concave where z depends on w; multipliers D, lambda >= 0 from below: the
+maximum of L = sum D (gamma^2 |z|^2 - |w|^2) + Lambda(n) over w and starts is one backward sweep, and negative a proof.
 """
 
 from __future__ import annotations

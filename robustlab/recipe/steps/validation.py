@@ -35,7 +35,7 @@ class PublishedNumbersStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.thesis import published_numbers as compute
-        from robustlab.thesis.pictures import case_picture, pictures_of_numbers
+        from robustlab.thesis.figures import case_picture, pictures_of_numbers
 
         found = compute()
         work.keep(found)
@@ -80,7 +80,7 @@ class ThesisCaseStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics.stewart.stewart_platform import stewart_platform
-        from robustlab.thesis.pictures import case_picture
+        from robustlab.thesis.figures import case_picture
         from robustlab.thesis.runs import cases
 
         (case,) = [c for c in cases(stewart_platform()) if c.name == self.case]
