@@ -1,54 +1,51 @@
-"""D-K iteration, direct minimisation and D-G-K beside dkpy: certified peaks of mu, orders and CPU time.
+"""D-K iteration and reduction of controllers: certified peaks of mu, orders and CPU time.
 
-    python benchmarks/dk.py [--no-peer | --default]
+    python benchmarks/dk.py --what default|machines|column|mixed|reduction|models
 
-Problem 1 is the distillation column of Skogestad and Postlethwaite, section 8.12. Published: 1.0144 after D-K
-iteration, "optimal" 0.974. dkpy (https://github.com/decargroup/dkpy, when installed) is run on it with fit orders 4, 4,
-4 on 61 frequencies, H-infinity steps by slycot and mu by LMIs. Its controller is then judged like ours: mu on the whole
-axis, by rl.robust_stability.
-
-Problem 2 is an oscillator x'' = -(1 + 0.5 delta) x - 0.02 x' + u + 0.1 d with y = x + 0.1 n, z = [x; u] and a real
-delta; problem 3 two unit masses with a spring 1 + 0.5 delta and a damper 0.02 between them, u on the first, 0.05 d on
-the second, whose position is measured with noise 0.05 n, z = 0.5 [x2; u].
+default, column: the distillation column of Skogestad and Postlethwaite, *Multivariable Feedback Control* (2005),
+section 8.12. Published: 1.0144 after D-K iteration, "optimal" 0.974. Each controller is judged by mu on the whole axis,
+by rl.robust_stability. machines: actuator and platform of recipes/robust-machine.toml. mixed: real blocks as complex
+ones and as what they are, on an oscillator x'' = -(1 + 0.5 delta) x - 0.02 x' + u + 0.1 d with y = x + 0.1 n,
+z = [x; u], and on two unit masses with a spring 1 + 0.5 delta and a damper 0.02 between them, u on the first, 0.05 d on
+the second, whose position is measured with noise 0.05 n, z = 0.5 [x2; u]. reduction: the column's controller to lower
+orders. models: chains of masses (force to position of the first) by every method, beside control.balred.
 """
 
 from __future__ import annotations
 
-import argparse
-import warnings
 from pathlib import Path
+from typing import Any
 
+import control
 import numpy as np
-from harness import timed
+from harness import heading, options, timed
 
 import robustlab as rl
-from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
+from robustlab.synthesis import GeneralizedPlant
 
-BLOCKS = [FullBlock("u", 2, 2), FullBlock("p", 2, 2)]  # of the column
+BLOCKS = [rl.FullBlock("u", 2, 2), rl.FullBlock("p", 2, 2)]  # of the column
 
 
-def distillation() -> StateSpaceModel:
+def distillation() -> rl.StateSpaceModel:
     """wI = (s + 0.2)/(0.5 s + 1), wP = (s/2 + 0.05)/s with a pole at -1e-6, G = G0 / (75 s + 1), y = -(G u + w)."""
     gain, eye, zero, eps = np.array([[87.8, -86.4], [108.2, -109.6]]), np.eye(2), np.zeros((2, 2)), 1e-5
     A = np.block([[-eye / 75, zero, zero], [zero, -2 * eye, zero], [gain, zero, -eps / 10 * eye]])
     B = np.block([[eye / 75, zero, eye / 75], [zero, zero, 2 * eye], [zero, eye, zero]])
     C = np.block([[zero, -1.8 * eye, zero], [0.5 * gain, zero, 0.05 * (1 - eps) * eye], [-gain, zero, zero]])
     D = np.block([[zero, zero, 2 * eye], [zero, 0.5 * eye, zero], [zero, -eye, zero]])
-    return StateSpaceModel(A, B, C, D)
+    return rl.StateSpaceModel(A, B, C, D)
 
 
-def oscillator() -> StateSpaceModel:
+def oscillator() -> rl.StateSpaceModel:
     """Problem 2."""
     D = np.zeros((4, 4))
     D[2, 3], D[3, 2] = 1.0, 0.1
-    return StateSpaceModel(
+    return rl.StateSpaceModel(
         [[0, 1], [-1, -0.02]], [[0, 0, 0, 0], [-1, 0.1, 0, 1]], [[0.5, 0], [1, 0], [0, 0], [1, 0]], D
     )
 
 
-def two_masses() -> StateSpaceModel:
+def two_masses() -> rl.StateSpaceModel:
     """Problem 3."""
     c = 0.02
     A = [[0, 0, 1, 0], [0, 0, 0, 1], [-1, 1, -c, c], [1, -1, c, -c]]
@@ -56,10 +53,10 @@ def two_masses() -> StateSpaceModel:
     C = [[0.5, -0.5, 0, 0], [0, 0.5, 0, 0], [0, 0, 0, 0], [0, 1, 0, 0]]
     D = np.zeros((4, 4))
     D[2, 3], D[3, 2] = 0.5, 0.05
-    return StateSpaceModel(A, B, C, D)
+    return rl.StateSpaceModel(A, B, C, D)
 
 
-def whole_axis(plant: StateSpaceModel, K: StateSpaceModel, blocks: list, n: int) -> tuple[float, float]:
+def whole_axis(plant: rl.StateSpaceModel, K: rl.StateSpaceModel, blocks: list, n: int) -> tuple[float, float]:
     """Bounds of the peak of mu of the loop, by the margin's own proof."""
     loop = rl.UncertainModel(GeneralizedPlant(plant, n, n).close(K), blocks)
     margin = rl.robust_stability(loop)
@@ -69,7 +66,9 @@ def whole_axis(plant: StateSpaceModel, K: StateSpaceModel, blocks: list, n: int)
 def default() -> None:
     """The call as a user makes it, on the column: level, order, time; then the lowest order within 1 % of it."""
     plant, blocks = distillation(), BLOCKS
-    rl.dk(oscillator(), [ComplexScalar("k"), FullBlock("p", 2, 2)], 1, 1, effort=0.02)  # compiled kernels are not timed
+    rl.dk(
+        oscillator(), [rl.ComplexScalar("k"), rl.FullBlock("p", 2, 2)], 1, 1, effort=0.02
+    )  # compiled kernels are not timed
     design, cpu = timed(rl.dk, plant, blocks, 2, 2)
     print(f"  default: gamma {design.gamma:.6f} {design.status.value} ({design.K.n_states} states), CPU {cpu:.1f} s")
     print(f"    {design.why}")
@@ -85,25 +84,24 @@ def default() -> None:
 def machines() -> None:
     """Actuator and platform of recipes/robust-machine.toml: what D-K gains over H-infinity, and why not more."""
     from robustlab.synthesis.specifications.tracking_problem import tracking_problem
-    from robustlab.synthesis.specifications.weight_design import control_weight, error_weight
-    from robustlab.uncertainty.elementwise import elementwise_cover
+    from robustlab.synthesis.specifications.weight_design import error_weight
 
     motor = rl.plant("linear-actuator")
     shares = {"R": 0.10, "L": 0.10, "Km": 0.05, "Kb": 0.05, "Kf": 0.35, "J": 0.10}
     motor = motor.with_parameters(**{name: (motor.values[name], share) for name, share in shares.items()})
     actuator = tracking_problem(
         motor.uncertain(), ["phi"], ["phi", "omega", "i"],
-        W1=error_weight(0.04, 1.0, 1e-3), W2=control_weight(42.0, 1000.0, 10.0),
+        W1=error_weight(0.04, 1.0, 1e-3), W2=rl.control_weight(42.0, 1000.0, 10.0),
         reference=73.603, reference_bandwidth=np.pi, disturbance=4.2,
         noise={"phi_ref": 0.01, "phi": 0.01, "omega": 1.0, "i": 0.02},
     )  # fmt: skip
     models = Path(__file__).parents[1] / "models"
-    cover = elementwise_cover(rl.load(models / "platform_nominal.h5"), rl.load(models / "platform_low.h5"))
+    cover = rl.elementwise(rl.load(models / "platform_nominal.h5"), rl.load(models / "platform_low.h5"))
     angles, rates = [f"phi_{i}" for i in range(1, 7)], [f"phidot_{i}" for i in range(1, 7)]
     sizes = dict.fromkeys([*angles, *(f"{name}_ref" for name in angles)], 1e-3) | dict.fromkeys(rates, 1.0)
     platform = tracking_problem(
         cover, angles, angles + rates,
-        W1=error_weight(0.04, 1.0, 1e-3), W2=control_weight(0.0977, 1000.0, 10.0),
+        W1=error_weight(0.04, 1.0, 1e-3), W2=rl.control_weight(0.0977, 1000.0, 10.0),
         reference=7.854, reference_bandwidth=np.pi, disturbance=1e-3, noise=sizes,
     )  # fmt: skip
     for name, problem, options in (
@@ -131,45 +129,10 @@ def column() -> None:
         )
 
 
-def peer() -> None:
-    """D-K iteration of dkpy on the column."""
-    try:
-        import control
-        import dkpy
-    except ImportError:
-        print("  dkpy is not installed")
-        return
-    plant, blocks = distillation(), BLOCKS
-    iteration = dkpy.DkIterListOrder(
-        controller_synthesis=dkpy.HinfSynSlicot(),
-        structured_singular_value=dkpy.SsvLmiBisection(
-            bisection_atol=1e-5, bisection_rtol=1e-5, max_iterations=1000, lmi_strictness=1e-7, n_jobs=1,
-            solver_params={"solver": "CLARABEL"},
-        ),
-        d_scale_fit=dkpy.DScaleFitSlicot(),
-        fit_orders=[4, 4, 4],
-    )  # fmt: skip
-    P = control.ss(plant.A, plant.B, plant.C, plant.D)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found, cpu = timed(iteration.synthesize, P, 2, 2, np.logspace(-3, 3, 61), [[2, 2], [2, 2]])
-    except BaseException as error:  # noqa: BLE001  a solver's panic is no Exception
-        print(f"  dkpy: {type(error).__name__}: {error}")
-        return
-    K, claim = found[0], float(np.max(found[2]))
-    try:
-        low, high = whole_axis(plant, StateSpaceModel.from_control(K), blocks, 2)
-        truth = f"mu on the whole axis [{low:.4f}, {high:.4f}]"
-    except rl.NoTrustworthyNumber as error:
-        truth = str(error)
-    print(f"  dkpy: claims {claim:.4f} on its grid ({K.nstates} states); {truth}, CPU {cpu:.1f} s", flush=True)
-
-
 def mixed() -> None:
     """Real blocks as complex ones, and as what they are."""
     for name, plant in (("oscillator", oscillator()), ("two masses", two_masses())):
-        blocks = [RealScalar("k"), FullBlock("p", 2, 2)]
+        blocks = [rl.RealScalar("k"), rl.FullBlock("p", 2, 2)]
         found = []
         for real in (False, True):
             design, cpu = timed(rl.dk, plant, blocks, 1, 1, mixed=real, max_order=12, order_rel=0.0, effort=2.5)
@@ -183,20 +146,58 @@ def mixed() -> None:
         print(f"  {name}: certified mixed mu {1 - found[1] / found[0]:.1%} below complex D-K", flush=True)
 
 
+def reduction() -> None:
+    """The column's controller at each loss and order, certified at all frequencies."""
+    design = rl.dk(distillation(), BLOCKS, 2, 2)
+    print(f"  full controller: gamma {design.gamma:.5f}, {design.K.n_states} states")
+    for how in ({"loss": 1e-3}, {"loss": 1e-2}, {"order": 10}, {"order": 8}, {"order": 6}):
+        small, cpu = timed(rl.reduce_controller, design, **how)
+        print(
+            f"  {how}: {small.K.n_states} states, gamma {small.original_gamma:.5f} -> {small.gamma:.5f}, "
+            f"loss {small.loss:.4%}, {small.status}, CPU {cpu:.1f} s",
+            flush=True,
+        )
+
+
+def models() -> None:
+    """Errors of each method on chains of masses, and CPU times beside `control.balred`."""
+    low, high = 0.2, 1.0
+    ways: dict[str, dict[str, Any]] = {
+        "truncation": {},
+        "residualisation": {"method": "residualisation"},
+        "hankel": {"method": "hankel"},
+        "stochastic": {"method": "stochastic", "floor": 0.01},
+        "band": {"band": (low, high)},
+    }
+    print("states  order  method           error     promised  any omega  in band   status     CPU ms")
+    for masses in (4, 10, 30):
+        chain = rl.linearise(rl.plant("mass-spring-damper", m=[1.0] * masses, c=[0.1] * masses, k=[1.0] * masses))
+        G = chain.select(["f1"], ["q1"])
+        order = G.n_states // 2
+        for name, options in ways.items():
+            found, cpu = timed(rl.reduce_model, G, order, **options)
+            own = f"{found.error.upper:8.3g}  {found.bound:8.3g}"
+            print(row(G, order, name, own, gap_of(G, found.model, low, high), str(found.status), cpu))
+        theirs, cpu = timed(control.balred, G.to_control(), order)
+        small = rl.StateSpaceModel.from_control(theirs).renamed(G.inputs, G.outputs)
+        print(row(G, order, "control.balred", f"{'-':>8s}  {'-':>8s}", gap_of(G, small, low, high), "", cpu))
+
+
+def row(G: rl.StateSpaceModel, order: int, name: str, own: str, seen: str, status: str, cpu: float) -> str:
+    return f"{G.n_states:6d}  {order:5d}  {name:15s}  {own}  {seen}  {status:9s}  {1e3 * cpu:7.1f}"
+
+
+def gap_of(G: rl.StateSpaceModel, small: rl.StateSpaceModel, low: float, high: float) -> str:
+    """Proved size of the difference at all frequencies, and in a band."""
+    gap = G - small
+    return f"{rl.peak_gain(gap).upper:9.3g}  {rl.peak_gain(gap, band=(low, high)).upper:8.3g}"
+
+
+PARTS = {
+    "default": default, "machines": machines, "column": column, "mixed": mixed, "reduction": reduction, "models": models,
+}  # fmt: skip
+
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--no-peer", action="store_true")
-    parser.add_argument("--default", action="store_true", help="only the default call on the column, and the machines")
-    options = parser.parse_args()
-    print("default call")
-    default()
-    print("machines")
-    machines()
-    if options.default:
-        raise SystemExit
-    print("distillation column")
-    column()
-    if not options.no_peer:
-        peer()
-    print("real blocks")
-    mixed()
+    what = options(__doc__, what=tuple(PARTS)).what
+    print(heading("numpy", "scipy", "slycot", "control"))
+    PARTS[what]()

@@ -1,8 +1,8 @@
-"""What `rl.verify` proves of what robustlab found: ``python benchmarks/verify.py hinf|mu|axis|recipes``.
+"""What `rl.verify` proves of what robustlab found: ``python benchmarks/verify.py --what hinf|mu|axis|recipes``.
 
     hinf     designs on the COMPleib plants, smallest gamma and the default, up to 60 states
     mu       both bounds of the matrices of benchmarks/mu.py
-    axis     margins and worst-case gains of the models of benchmarks/mu_axis.py, published cases
+    axis     margins and worst-case gains of the models of benchmarks/mu.py, published cases
     recipes  the evidence of runs: folders of runs behind the word (``robustlab run``)
 
 A line a case: CPU seconds of the analysis or the design, of the evidence, of the check; what became of each claim. Of
@@ -11,7 +11,6 @@ a design the analysis is the norm of its loop.
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -20,21 +19,21 @@ from typing import Any
 
 import mu_models
 import numpy as np
-from harness import compleib, heading, timed
-from mu import CASES, random_stack
-from mu_axis import CHAINS, CLASSES, model, with_performance
+from compleib import DATA, plants
+from harness import heading, options, timed
+from mu import CASES, CHAINS, CLASSES, model, random_stack, with_performance
 
 import robustlab as rl
 from robustlab.budget import one_thread
 from robustlab.evidence import claims_of
-from robustlab.verification.checker import check
+from robustlab.verification import check
 
 Case = tuple[str, Callable[[], Any]]
 
 
-def designs(most: int) -> Iterator[Case]:
+def designs(most: int, data: str) -> Iterator[Case]:
     """A design of each plant, as close to the optimum as it comes, and the default."""
-    for name, P, about in compleib(most=most):
+    for name, P, about in plants(most=most, data=Path(data)):
         plant = rl.StateSpaceModel(*P.values()), int(about["ny"]), int(about["nu"])
         for said, rel in (("tight", 1.0), ("default", 1.05)):
             yield f"{name} n={about['n']} {said}", partial(rl.hinf, *plant, gamma_rel=rel)
@@ -120,21 +119,18 @@ def recipes(folder: str) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=("hinf", "mu", "axis", "recipes"))
-    parser.add_argument("folders", nargs="*")
-    parser.add_argument("--most-states", type=int, default=60)
-    parser.add_argument("--seeds", type=int, default=2)
-    given = parser.parse_args()
+    what = ("hinf", "mu", "axis", "recipes")
+    given = options(__doc__, "*", what=what, most_states=60, seeds=2, data=str(DATA))
     print(heading("numpy", "scipy", "python-flint"))
-    if given.part == "recipes":
-        for folder in given.folders:
+    if given.what == "recipes":
+        for folder in given.names:
             told, seconds = timed(recipes, folder)
             print(f"{Path(folder).name:28s} {told}; {seconds:.1f} s", flush=True)
         return
     cases = {
-        "hinf": lambda: designs(given.most_states), "mu": lambda: matrices(3), "axis": lambda: axis(range(given.seeds))
-    }[given.part]()  # fmt: skip
+        "hinf": lambda: designs(given.most_states, given.data), "mu": lambda: matrices(3),
+        "axis": lambda: axis(range(given.seeds)),
+    }[given.what]()  # fmt: skip
     print(f"{'':52s} {'found':>8s} {'claims':>6s} {'checked':>7s}  CPU seconds; what became of each claim (tests)")
     tally = Tally()
     with one_thread():
