@@ -1,11 +1,10 @@
 """D-K iteration and reduction of controllers: certified peaks of mu, orders and CPU time.
 
-    python benchmarks/dk.py --what default|machines|column|mixed|reduction|models
+    python benchmarks/dk.py --what default|column|mixed|reduction|models
 
 default, column: the distillation column of Skogestad and Postlethwaite, *Multivariable Feedback Control* (2005),
 section 8.12. Published: 1.0144 after D-K iteration, "optimal" 0.974. Each controller is judged by mu on the whole axis,
-by rl.robust_stability. machines: actuator and platform of recipes/robust-machine.toml. mixed: real blocks as complex
-ones and as what they are, on an oscillator x'' = -(1 + 0.5 delta) x - 0.02 x' + u + 0.1 d with y = x + 0.1 n,
+by rl.robust_stability. mixed: real blocks as complex ones and as what they are, on an oscillator x'' = -(1 + 0.5 delta) x - 0.02 x' + u + 0.1 d with y = x + 0.1 n,
 z = [x; u], and on two unit masses with a spring 1 + 0.5 delta and a damper 0.02 between them, u on the first, 0.05 d on
 the second, whose position is measured with noise 0.05 n, z = 0.5 [x2; u]. reduction: the column's controller to lower
 orders. models: chains of masses (force to position of the first) by every method, beside control.balred.
@@ -13,7 +12,6 @@ orders. models: chains of masses (force to position of the first) by every metho
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import control
@@ -81,45 +79,12 @@ def default() -> None:
     )
 
 
-def machines() -> None:
-    """Actuator and platform of recipes/robust-machine.toml: what D-K gains over H-infinity, and why not more."""
-    from robustlab.synthesis.specifications.tracking_problem import tracking_problem
-    from robustlab.synthesis.specifications.weight_design import error_weight
-
-    motor = rl.plant("linear-actuator")
-    shares = {"R": 0.10, "L": 0.10, "Km": 0.05, "Kb": 0.05, "Kf": 0.35, "J": 0.10}
-    motor = motor.with_parameters(**{name: (motor.values[name], share) for name, share in shares.items()})
-    actuator = tracking_problem(
-        motor.uncertain(), ["phi"], ["phi", "omega", "i"],
-        W1=error_weight(0.04, 1.0, 1e-3), W2=rl.control_weight(42.0, 1000.0, 10.0),
-        reference=73.603, reference_bandwidth=np.pi, disturbance=4.2,
-        noise={"phi_ref": 0.01, "phi": 0.01, "omega": 1.0, "i": 0.02},
-    )  # fmt: skip
-    models = Path(__file__).parents[1] / "models"
-    cover = rl.elementwise(rl.load(models / "platform_nominal.h5"), rl.load(models / "platform_low.h5"))
-    angles, rates = [f"phi_{i}" for i in range(1, 7)], [f"phidot_{i}" for i in range(1, 7)]
-    sizes = dict.fromkeys([*angles, *(f"{name}_ref" for name in angles)], 1e-3) | dict.fromkeys(rates, 1.0)
-    platform = tracking_problem(
-        cover, angles, angles + rates,
-        W1=error_weight(0.04, 1.0, 1e-3), W2=rl.control_weight(0.0977, 1000.0, 10.0),
-        reference=7.854, reference_bandwidth=np.pi, disturbance=1e-3, noise=sizes,
-    )  # fmt: skip
-    for name, problem, options in (
-        ("actuator", actuator, {"order_rel": 0.15, "effort": 0.25}),
-        ("platform", platform, {"order_rel": 0.3, "effort": 0.4, "max_order": 36}),
-    ):
-        nominal = rl.hinf(problem.nominal, gamma_rel=1.1)
-        design, cpu = timed(rl.dk, problem.plant, K0=nominal, **options)
-        print(f"  {name}: gamma {design.gamma:.4f} ({design.K.n_states} states), CPU {cpu:.1f} s; {design.why}")
-        print(f"    {design.lower_bound.value:.4f}: {design.lower_bound.known}", flush=True)
-
-
 def column() -> None:
     """Classical D-K iteration alone, and with direct minimisation, for several largest orders."""
     plant, blocks = distillation(), BLOCKS
     for direct, order in ((False, 26), (True, 10), (True, 14), (True, 18), (True, 22)):
-        options = {"max_order": order, "order_rel": 0.0, "effort": 2.5, "progress": None}
-        design, cpu = timed(rl.dk, plant, blocks, 2, 2, direct=direct, **options)
+        how = {"max_order": order, "order_rel": 0.0, "effort": 2.5, "progress": None}
+        design, cpu = timed(rl.dk, plant, blocks, 2, 2, direct=direct, **how)
         first = min((s.gamma for s in design.history if s.stage != "direct"), default=np.nan)
         low, high = whole_axis(plant, design.K, blocks, 2)
         print(
@@ -174,8 +139,8 @@ def models() -> None:
         chain = rl.linearise(rl.plant("mass-spring-damper", m=[1.0] * masses, c=[0.1] * masses, k=[1.0] * masses))
         G = chain.select(["f1"], ["q1"])
         order = G.n_states // 2
-        for name, options in ways.items():
-            found, cpu = timed(rl.reduce_model, G, order, **options)
+        for name, how in ways.items():
+            found, cpu = timed(rl.reduce_model, G, order, **how)
             own = f"{found.error.upper:8.3g}  {found.bound:8.3g}"
             print(row(G, order, name, own, gap_of(G, found.model, low, high), str(found.status), cpu))
         theirs, cpu = timed(control.balred, G.to_control(), order)
@@ -194,7 +159,7 @@ def gap_of(G: rl.StateSpaceModel, small: rl.StateSpaceModel, low: float, high: f
 
 
 PARTS = {
-    "default": default, "machines": machines, "column": column, "mixed": mixed, "reduction": reduction, "models": models,
+    "default": default, "column": column, "mixed": mixed, "reduction": reduction, "models": models,
 }  # fmt: skip
 
 if __name__ == "__main__":
