@@ -4,10 +4,11 @@
 
 default, column: the distillation column of Skogestad and Postlethwaite, *Multivariable Feedback Control* (2005),
 section 8.12. Published: 1.0144 after D-K iteration, "optimal" 0.974. Each controller is judged by mu on the whole axis,
-by rl.robust_stability. mixed: real blocks as complex ones and as what they are, on an oscillator x'' = -(1 + 0.5 delta) x - 0.02 x' + u + 0.1 d with y = x + 0.1 n,
-z = [x; u], and on two unit masses with a spring 1 + 0.5 delta and a damper 0.02 between them, u on the first, 0.05 d on
-the second, whose position is measured with noise 0.05 n, z = 0.5 [x2; u]. reduction: the column's controller to lower
-orders. models: chains of masses (force to position of the first) by every method, beside control.balred.
+by rl.robust_stability. mixed: real blocks as complex ones and as what they are, on an oscillator
+x'' = -(1 + 0.5 delta) x - 0.02 x' + u + 0.1 d with y = x + 0.1 n, z = [x; u], and on two unit masses with a spring
+1 + 0.5 delta and a damper 0.02 between them, u on the first, 0.05 d on the second, whose position is measured with
+noise 0.05 n, z = 0.5 [x2; u]. reduction: the column's controller to lower orders. models: chains of masses (force to
+position of the first) by every method, beside control.balred.
 """
 
 from __future__ import annotations

@@ -2,13 +2,13 @@
 
     python benchmarks/verify_attack.py --mutants 100000 --seed 1 [--minutes M] [--workers N]
 
-Needs mpmath. `verify_claims` makes true claims of every kind (models of 0 to 4 states, some 8) with the library's own
-evidence, `verify_mutants` changes them, `verify_judge` judges what was proved or refuted by rationals and 60 digits,
+`verify_claims` makes true claims of every kind (models of 0 to 4 states, some 8) with the library's own
+evidence, `verify_mutants` changes them, `verify_judge` judges what was proved or refuted in rationals and balls,
 with nothing of the checker. What is not proved needs no judge. Found wrong are:
 
 false         proved, and a counterexample is known; or refuted, and rationals say that it is true
 unjustified   proved, and the evidence does not carry it: a gap, a wrong structure, a form that is not definite
-unconfirmed   a Delta was proved to exist, or to refute, and Newton's steps in 60 digits did not find it
+unconfirmed   a Delta was proved to exist, or to refute, and Newton's steps in balls did not find it
 crash         an exception out of `check`
 
 A piece of work is a chunk of about a thousand mutants; chunk c of a seed needs no other one. Results go to
@@ -41,8 +41,8 @@ from verify_judge import judge
 from verify_mutants import mutant
 
 import robustlab as rl
-from robustlab.verification import Claim, Outcome
-from robustlab.verification.checker import KINDS, check
+from robustlab.verification import Claim, Outcome, check
+from robustlab.verification.checker import KINDS
 
 RESULTS = Path(__file__).parent / "results" / "verify_attack.txt"
 EFFORT = 400  # units of work that a check may take
@@ -152,7 +152,7 @@ def main() -> int:
     options = parser.parse_args()
     counts, seconds = campaign(options)
     done = sum(c["mutants"] for c in counts.values())
-    lines = [heading("numpy", "python-flint", "mpmath"),
+    lines = [heading("numpy", "python-flint"),
              f"# {done} claims in {seconds / 60:.1f} min, {done / seconds:.0f} a second", *table(counts)]  # fmt: skip
     print("\n".join(lines))
     if options.kinds is None:
