@@ -1,23 +1,22 @@
 """Bounds of mu beside their peers, margins and worst-case gains: tightness and CPU time of what is proved.
 
-    python benchmarks/mu.py --what matrices|chains|classes|published [--count 20] [--seeds 5]
+    python benchmarks/mu.py --what matrices|chains|published [--count 20]
 
 matrices: both bounds of `rl.mu` beside raw slycot.ab13md (no repeated and no rectangular blocks) and the D-G inequality
 in cvxpy with Clarabel by bisection, which knows every kind of block and whose optimum is the measure of tightness; slow
-peers get the first matrices of the batch only. chains: the lightly damped models, to 5 %. classes: random models, to
-1 %. published: margins whose truth is known.
+peers get the first matrices of the batch only. chains: the lightly damped models, to 5 %. published: margins from
+the literature.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import mu_models
 import numpy as np
 import slycot
-from harness import heading, middle_and_most, options, timed
+from harness import heading, options, timed
 
 import robustlab as rl
 from robustlab.budget import one_thread
@@ -138,53 +137,6 @@ def matrices(count: int) -> None:
         print(line(*case, count), flush=True)
 
 
-CLASSES = {
-    "12 states, 12 real": (12, 12, 1, (0.05, 0.7)),
-    "12 states, 24 real": (12, 24, 1, (0.05, 0.7)),
-    "12 states, 24 real each twice": (12, 24, 2, (0.05, 0.7)),
-    "24 states, 12 real, damping 0.002 .. 0.02": (24, 12, 1, (0.002, 0.02)),
-}
-
-
-def model(states: int, count: int, repeats: int, damping: tuple[float, float], seed: int) -> rl.UncertainModel:
-    """Random stable model with ``count`` real parameters, each ``repeats`` times."""
-    blocks = [rl.RealScalar(f"d{i}", repeats) for i in range(count)]
-    made, blocks = mu_models.random_model(states, blocks, damping, seed)
-    return rl.UncertainModel(made, blocks)
-
-
-def with_performance(uncertain: rl.UncertainModel, size: float, seed: int) -> rl.UncertainModel:
-    """The set of this size with two inputs and two outputs added."""
-    M, rng = uncertain.M, np.random.default_rng(seed)
-    n, q, p = M.n_states, M.n_inputs, M.n_outputs
-    B = np.hstack([M.B * size, rng.standard_normal((n, 2))])
-    C = np.vstack([M.C, rng.standard_normal((2, n))])
-    D = np.zeros((p + 2, q + 2))
-    D[:p, :q] = M.D * size
-    return rl.UncertainModel(rl.StateSpaceModel(M.A, B, C, D), uncertain.blocks)
-
-
-def by_class(seeds: range, widths: tuple[int, ...], measure: Callable[[rl.UncertainModel, int], Any]) -> None:
-    """One line per class: median and largest of what is measured of each model."""
-    for name, given in CLASSES.items():
-        rows = [measure(model(*given, seed), seed) for seed in seeds]
-        cells = (middle_and_most(column) for column in zip(*rows, strict=True))
-        print(f"{name:44s} " + " ".join(f"{c:>{w}s}" for c, w in zip(cells, widths, strict=True)), flush=True)
-
-
-def margins(seeds: range, tolerance: float) -> None:
-    """Gap with D, G alone and after branch and bound, CPU seconds."""
-
-    def measure(uncertain: rl.UncertainModel, _: int) -> tuple[float, float, float]:
-        alone = rl.robust_stability(uncertain, tolerance=np.inf)
-        margin, spent = timed(rl.robust_stability, uncertain, tolerance=tolerance)
-        return 100 * alone.gap, 100 * margin.gap, spent
-
-    print(f"\nrobust_stability(tolerance={tolerance:g}), {len(seeds)} models a class")
-    print(f"{'class':44s} {'D-G gap %: median  max':>24s} {'gap %: median  max':>22s} {'CPU s: median  max':>22s}")
-    by_class(seeds, (24, 22, 22), measure)
-
-
 CHAINS = ((12, 1, 0), (12, 2, 0), (12, 3, 0), (18, 2, 0), (18, 3, 0), (24, 2, 0), (24, 4, 0), (24, 6, 0))
 MOTOR = {"R": 0.1, "L": 0.1, "Km": 0.05, "Kb": 0.05, "Kf": 0.35}
 # Not looked at while the search was made: other dampings and numbers of repeats, graphs, the platform's motors.
@@ -215,24 +167,10 @@ def chains(tolerance: float) -> None:
         print(f"{name:44s} {ends:>20s} {100 * margin.gap:8.2f} {spent:8.1f}", flush=True)
 
 
-def gains(seeds: range) -> None:
-    """Worst-case gain of the same models at half their margin."""
-
-    def measure(uncertain: rl.UncertainModel, seed: int) -> tuple[float, float]:
-        size = 0.5 * rl.robust_stability(uncertain, tolerance=np.inf).lower
-        worst, spent = timed(rl.peak_gain, with_performance(uncertain, size, seed))
-        return 100 * worst.gap, spent
-
-    print(f"\nworst_case_gain at half the margin, 2 x 2 performance channels, {len(seeds)} models a class")
-    print(f"{'class':44s} {'gap %: median  max':>22s} {'CPU s: median  max':>22s}")
-    by_class(seeds, (22, 22), measure)
-
-
 def published() -> None:
-    made, blocks = mu_models.two_mass()
-    margin = rl.robust_stability(rl.UncertainModel(made, blocks))
-    ends = f"{margin.lower:.6f} .. {margin.upper:.6f} at {margin.frequency:.3f} rad/s"
-    print(f"\ntwo-mass (MathWorks; truth 2.88636): {ends}")
+    for name, made in mu_models.PUBLISHED.items():
+        margin = rl.robust_stability(rl.UncertainModel(*made()))
+        print(f"{name}: {margin.lower:.6f} .. {margin.upper:.6f} at {margin.frequency:.3f} rad/s")
     lag = rl.StateSpaceModel([[-1.0]], [[-0.5, 1.0]], [[-1.0], [1.0]], [[-0.5, 1.0], [0.0, 0.0]])
     tau = rl.RealScalar("tau", parameter=rl.ParameterRange(1.0, 0.5, "s", below=0.25))
     margin = rl.robust_stability(rl.UncertainModel(lag, [tau]))
@@ -240,18 +178,14 @@ def published() -> None:
 
 
 def main() -> None:
-    what = ("matrices", "chains", "classes", "published")
-    given = options(__doc__, what=what, count=20, seeds=5, tolerance=0.01)
+    given = options(__doc__, what=("matrices", "chains", "published"), count=20)
     print(heading("numpy", "scipy", "slycot", "cvxpy-base", "clarabel", "numba"))
-    rl.robust_stability(model(4, 2, 1, (0.05, 0.7), 0))  # compiled kernels are not timed
+    rl.robust_stability(rl.UncertainModel(*mu_models.two_mass()))  # compiled kernels are not timed
     rl.mu(np.array([[0, 2], [1, 1j]]), [[-1, 0]] * 2)
     if given.what == "matrices":
         matrices(given.count)
     elif given.what == "chains":
         chains(0.05)
-    elif given.what == "classes":
-        margins(range(given.seeds), given.tolerance)
-        gains(range(given.seeds))
     else:
         published()
 
