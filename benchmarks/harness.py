@@ -80,10 +80,10 @@ def in_child(arguments: Sequence[str], text: str, limit: float = 0.0, *, wall: f
     except subprocess.TimeoutExpired:
         os.killpg(child.pid, signal.SIGKILL)
         out, errors = child.communicate()
-    if child.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return {"refused": "no return", "cpu": limit}
     lines = [line for line in out.splitlines() if line.startswith("{")]
-    if child.returncode or not lines:
+    if not lines and child.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return {"refused": "no return", "cpu": limit}
+    if not lines:
         last = (errors.strip().splitlines() or ["no message"])[-1]
         return {"refused": f"died ({child.returncode}): {last[:120]}", "cpu": float("nan")}
     return json.loads(lines[-1])
