@@ -21,7 +21,6 @@ from harness import heading, options, timed
 import robustlab as rl
 from robustlab.budget import one_thread
 from robustlab.evidence import claims_of
-from robustlab.uncertainty.blocks import as_blocks, structure_size
 from robustlab.verification import Outcome, check
 
 # name, rows of mussv, matrices for cvxpy
@@ -41,7 +40,7 @@ class Inequality:
     def __init__(self, blocks) -> None:
         import cvxpy as cp
 
-        q, p = structure_size(blocks)
+        q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
         self.shape, constraints = (p, q), []
         d_w, d_z, g = [], [], []
         for b in blocks:
@@ -91,10 +90,13 @@ def _diagonal(cp, parts):
 
 def random_stack(rows, count: int) -> tuple[np.ndarray, list]:
     """Random complex matrices for rows of mussv, and their blocks."""
-    blocks = as_blocks(rows)
-    q, p = structure_size(blocks)
+    blocks = [
+        rl.RealScalar(f"d{i}", -r) if r < 0 else rl.FullBlock(f"d{i}", r, c) if c else rl.ComplexScalar(f"d{i}", r)
+        for i, (r, c) in enumerate(rows)
+    ]
+    q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
     rng = np.random.default_rng(len(rows) * 100 + q)
-    return rng.standard_normal((count, p, q)) + 1j * rng.standard_normal((count, p, q)), list(blocks)
+    return rng.standard_normal((count, p, q)) + 1j * rng.standard_normal((count, p, q)), blocks
 
 
 def ab13md(blocks):
