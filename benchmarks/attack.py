@@ -9,13 +9,14 @@ gain anywhere (P and K evaluated on their own) exceeds gamma by 1e-3, an H2 norm
 inside a proved ball, a gain above the proved one or a lower one that is not attained (1e-5). Crashes and hangs (more
 CPU time than LIMIT) are listed beside them.
 
-How to run: a campaign in pieces, each of which may be stopped and started again (cases in the file are skipped)::
+How to run: a campaign in pieces, each of which may be stopped and started again (cases in the file are skipped);
+functions may be named::
 
     nice -n 10 python benchmarks/attack.py --seed 1 --first 0 --count 1000 --out attack-1.jsonl
     nice -n 10 python benchmarks/attack.py --seed 2 --first 0 --count 1000 --out attack-2.jsonl
     python benchmarks/attack.py --summary attack-1.jsonl attack-2.jsonl > benchmarks/results/attack.txt
 
-One case, with all that came out: ``python benchmarks/attack.py --seed 1 --case 17``; its plant, in Python with
+One case, with all that came out of it: ``python benchmarks/attack.py --seed 1 --case 17``; its plant, in Python with
 benchmarks/ on the path: ``attack_cases.make_case(1, 17).data``.
 """
 
@@ -25,7 +26,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import json
 import re
 import resource
@@ -34,8 +34,6 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Iterable
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +42,7 @@ from attack_cases import FAMILIES, FUNCTIONS, Case, make_case
 from attack_verdicts import judge
 from exact_delta import Part, assembled, count
 from exact_loops import Model
-from harness import append, heading, json_lines, limit_cpu, timed
+from harness import append, heading, in_child, json_lines, limit_cpu, options, timed
 
 # CPU seconds that a call may take before it counts as hung, and that its judge may.
 LIMIT, JUDGE_LIMIT = 120, 300
@@ -172,80 +170,40 @@ def _asked(case: Case) -> tuple[dict[str, Any] | None, Record]:
         return None, {"outcome": "crash", "said": f"{type(error).__name__} {error} ({at})"}
 
 
-def _work(pipe: Connection, limit: int, judge_limit: int) -> None:
-    """Cases until the pipe closes, each under its limit of CPU time: the kernel ends a call that takes more."""
+def in_this_process(seed: int, index: int, limit: int) -> Record:
+    """One case under limits of CPU time; what is known when the judge begins is printed as a line of its own."""
 
-    def judged(record: Record) -> None:
-        pipe.send(("judging", record))
-        limit_cpu(judge_limit)
+    def judging(record: Record) -> None:
+        print(json.dumps(record | {"outcome": "judge failed", "said": "ended"}, default=float), flush=True)
+        limit_cpu(JUDGE_LIMIT)
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    while (task := pipe.recv()) is not None:
-        limit_cpu(limit)
-        try:
-            record = run_case(make_case(*task), judged)
-        except Exception as error:  # noqa: BLE001 - a fault of the judge is not one of what it judges
-            record = {"outcome": "judge failed", "said": "".join(traceback.format_exception(error)[-4:])}
-        pipe.send(("done", record))
-
-
-class Worker:
-    """A process that takes cases one by one and is replaced where one of them ends it."""
-
-    def __init__(self, limit: int = LIMIT) -> None:
-        self.limit = limit
-        self._start()
-
-    def _start(self) -> None:
-        self.pipe, far = get_context("spawn").Pipe()
-        self.process = get_context("spawn").Process(target=_work, args=(far, self.limit, JUDGE_LIMIT))
-        self.process.start()
-        far.close()
-
-    def run(self, seed: int, index: int) -> Record:
-        """The record of one case, also where it never came back."""
-        case = make_case(seed, index)
-        known: Record = {"seed": seed, "index": index, "function": case.function, "family": case.family}
-        self.pipe.send((seed, index))
-        judging: Record | None = None
-        while True:
-            try:
-                if not self.pipe.poll(20 * (self.limit + JUDGE_LIMIT)):  # asleep: no CPU time, no answer
-                    self.process.kill()
-                kind, record = self.pipe.recv()
-            except EOFError:
-                self.process.join()
-                code = self.process.exitcode
-                self._start()
-                if judging is not None:
-                    return known | judging | {"outcome": "judge failed", "said": f"ended with {code}"}
-                hung = code in (-24, -9)  # SIGXCPU
-                said = f"more than {self.limit} s of CPU time" if hung else f"the process ended with {code}"
-                return known | {"outcome": "hang" if hung else "crash", "said": said, "cpu": float(self.limit)}
-            if kind == "done":
-                return known | record
-            judging = record
-
-    def close(self) -> None:
-        self.pipe.send(None)
-        self.process.join()
-
-
-def attack(seed: int, first: int, number: int, out: Path, only: tuple[str, ...] = ()) -> None:
-    """Run cases first .. first + number - 1 of a seed that are not in the file yet; append a line for each."""
-    known = {(r["seed"], r["index"]) for r in read([out])}
-    worker = Worker()
+    limit_cpu(limit)
     try:
-        for index in range(first, first + number):
-            function = FUNCTIONS[index % len(FUNCTIONS)]
-            if (seed, index) in known or (only and function not in only):
-                continue
-            record = worker.run(seed, index)
-            append(out, record)
-            if record["outcome"] not in ("held", "refused", "not certified"):
-                print(line_of(record), flush=True)
-    finally:
-        worker.close()
+        return run_case(make_case(seed, index), judging)
+    except Exception as error:  # noqa: BLE001 - a fault of the judge is not one of what it judges
+        return {"outcome": "judge failed", "said": "".join(traceback.format_exception(error)[-4:])}
+
+
+def attack(seed: int, first: int, number: int, out: Path, only: tuple[str, ...] = (), limit: int = LIMIT) -> None:
+    """Run cases first .. first + number - 1 of a seed that are not in the file yet; append a line for each.
+
+    Each has a process of its own: the kernel ends a call that takes more than its limit of CPU time.
+    """
+    known = {(r["seed"], r["index"]) for r in read([out])}
+    for index in range(first, first + number):
+        function = FUNCTIONS[index % len(FUNCTIONS)]
+        if (seed, index) in known or (only and function not in only):
+            continue
+        command = [__file__, "--seed", str(seed), "--case", str(index), "--limit", str(limit)]
+        record = in_child(command, "", limit, wall=20 * (limit + JUDGE_LIMIT))  # asleep: no CPU time, no answer
+        if "refused" in record:
+            record = {"outcome": "hang" if record["refused"] == "no return" else "crash", "said": record["refused"]}
+        family = FAMILIES[index // len(FUNCTIONS) % len(FAMILIES)]
+        record = {"seed": seed, "index": index, "function": function, "family": family} | record
+        append(out, record)
+        if record["outcome"] not in ("held", "refused", "not certified"):
+            print(line_of(record), flush=True)
 
 
 def read(files: Iterable[Path]) -> list[Record]:
@@ -295,26 +253,18 @@ def _kind(text: str) -> str:
     return re.sub(r"(#[^a-zA-Z(]*){2,}", "# ", text)[:150]
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main() -> int:
     """The command line; exit code 1 where a certificate is false."""
-    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=80)
-    parser.add_argument("--out", type=Path, default=Path("attack.jsonl"))
-    parser.add_argument("--only", action="append", default=[], choices=FUNCTIONS, help="this function; may be repeated")
-    parser.add_argument("--case", type=int, help="run this case here and print all of it")
-    parser.add_argument("--summary", type=Path, nargs="+", help="print the table of these files")
-    options = parser.parse_args(arguments)
-    if options.summary:
-        records = read(options.summary)
+    given = options(__doc__, "*", seed=1, first=0, count=80, out="attack.jsonl", case=-1, limit=LIMIT, summary=False)
+    if given.summary:
+        records = read([Path(name) for name in given.names])
         print(heading("robustlab", "numpy", "scipy", "slycot", "python-flint") + "\n\n" + summary(records))
         return int(any(r["outcome"] == "false" for r in records))
-    if options.case is not None:
-        record = run_case(make_case(options.seed, options.case))
-        print(json.dumps(record, indent=1, default=float))
+    if given.case >= 0:
+        record = in_this_process(given.seed, given.case, given.limit)
+        print(json.dumps(record, default=float))
         return int(record["outcome"] == "false")
-    attack(options.seed, options.first, options.count, options.out, tuple(options.only))
+    attack(given.seed, given.first, given.count, Path(given.out), tuple(given.names), given.limit)
     return 0
 
 

@@ -9,10 +9,7 @@ library does, and uses nothing of it. Wrong and vouched for (status converged or
 - a zero that is missing, unless random relative changes of the entries by 3e-14 move it by 1 %; a value off by 1e-9 of
   every zero at which P(s), rows and columns brought to size one, keeps its rank by more than 1e-12;
 - a crossing that is missing, one too many, or off by 1e-9, by roots in balls, and by signs of |L| - 1 evaluated between
-  them; an infinite or too large margin;
-- of those who ask for zeros: a limit that lacks a zero on the right; a discrete model by matched poles and zeros whose
-  zeros are others; an error that passes a cover's weight where the crossing points say that it is below; an inverse
-  form of a cover that was not refused though its error is unstable.
+  them; an infinite or too large margin.
 """
 
 from __future__ import annotations
@@ -21,7 +18,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable
@@ -32,7 +28,7 @@ from typing import Any
 import numpy as np
 import zeros_judge as judge
 from flint import acb
-from harness import append, json_lines, timed
+from harness import append, json_lines, options, timed
 
 import robustlab as rl
 
@@ -395,20 +391,11 @@ def summary(files: list[Path]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--what", choices=CASES, default="zeros")
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=1000)
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--case", type=int)
-    parser.add_argument("--summary", type=Path, nargs="+")
-    given = parser.parse_args()
+    given = options(__doc__, "*", what=tuple(CASES), first=0, count=1000, out="attack_zeros.jsonl", summary=False)
     if given.summary:
-        print(summary(given.summary))
-    elif given.case is not None:
-        print(CASES[given.what](given.case))
+        print(summary([Path(name) for name in given.names]))
     else:
-        run(given.what, given.first, given.count, given.out)
+        run(given.what, given.first, given.count, Path(given.out))
 
 
 if __name__ == "__main__":

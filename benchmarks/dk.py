@@ -1,65 +1,34 @@
-"""D-K iteration, direct minimisation and D-G-K beside dkpy: certified peaks of mu, orders and CPU time.
+"""D-K iteration and reduction of controllers: certified peaks of mu, orders and CPU time.
 
-    python benchmarks/dk.py [--no-peer | --default]
+    python benchmarks/dk.py --what default|column|reduction
 
-Problem 1 is the distillation column of Skogestad and Postlethwaite, section 8.12. Published: 1.0144 after D-K
-iteration, "optimal" 0.974. dkpy (https://github.com/decargroup/dkpy, when installed) is run on it with fit orders 4, 4,
-4 on 61 frequencies, H-infinity steps by slycot and mu by LMIs. Its controller is then judged like ours: mu on the whole
-axis, by rl.robust_stability.
-
-Problem 2 is an oscillator x'' = -(1 + 0.5 delta) x - 0.02 x' + u + 0.1 d with y = x + 0.1 n, z = [x; u] and a real
-delta; problem 3 two unit masses with a spring 1 + 0.5 delta and a damper 0.02 between them, u on the first, 0.05 d on
-the second, whose position is measured with noise 0.05 n, z = 0.5 [x2; u].
+default, column: the distillation column of Skogestad and Postlethwaite, *Multivariable Feedback Control* (2005),
+section 8.12. Published: 1.0144 after D-K iteration, "optimal" 0.974. Each controller is judged by mu on the whole axis,
+by rl.robust_stability. reduction: the column's controller to lower orders.
 """
 
 from __future__ import annotations
 
-import argparse
-import warnings
-from pathlib import Path
-
 import numpy as np
-from harness import timed
+from harness import heading, options, timed
 
 import robustlab as rl
-from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import GeneralizedPlant
-from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, RealScalar
 
-BLOCKS = [FullBlock("u", 2, 2), FullBlock("p", 2, 2)]  # of the column
+BLOCKS = [rl.FullBlock("u", 2, 2), rl.FullBlock("p", 2, 2)]  # of the column
 
 
-def distillation() -> StateSpaceModel:
+def distillation() -> rl.StateSpaceModel:
     """wI = (s + 0.2)/(0.5 s + 1), wP = (s/2 + 0.05)/s with a pole at -1e-6, G = G0 / (75 s + 1), y = -(G u + w)."""
     gain, eye, zero, eps = np.array([[87.8, -86.4], [108.2, -109.6]]), np.eye(2), np.zeros((2, 2)), 1e-5
     A = np.block([[-eye / 75, zero, zero], [zero, -2 * eye, zero], [gain, zero, -eps / 10 * eye]])
     B = np.block([[eye / 75, zero, eye / 75], [zero, zero, 2 * eye], [zero, eye, zero]])
     C = np.block([[zero, -1.8 * eye, zero], [0.5 * gain, zero, 0.05 * (1 - eps) * eye], [-gain, zero, zero]])
     D = np.block([[zero, zero, 2 * eye], [zero, 0.5 * eye, zero], [zero, -eye, zero]])
-    return StateSpaceModel(A, B, C, D)
+    return rl.StateSpaceModel(A, B, C, D)
 
 
-def oscillator() -> StateSpaceModel:
-    """Problem 2."""
-    D = np.zeros((4, 4))
-    D[2, 3], D[3, 2] = 1.0, 0.1
-    return StateSpaceModel(
-        [[0, 1], [-1, -0.02]], [[0, 0, 0, 0], [-1, 0.1, 0, 1]], [[0.5, 0], [1, 0], [0, 0], [1, 0]], D
-    )
-
-
-def two_masses() -> StateSpaceModel:
-    """Problem 3."""
-    c = 0.02
-    A = [[0, 0, 1, 0], [0, 0, 0, 1], [-1, 1, -c, c], [1, -1, c, -c]]
-    B = [[0, 0, 0, 0], [0, 0, 0, 0], [-1, 0, 0, 1], [1, 0.05, 0, 0]]
-    C = [[0.5, -0.5, 0, 0], [0, 0.5, 0, 0], [0, 0, 0, 0], [0, 1, 0, 0]]
-    D = np.zeros((4, 4))
-    D[2, 3], D[3, 2] = 0.5, 0.05
-    return StateSpaceModel(A, B, C, D)
-
-
-def whole_axis(plant: StateSpaceModel, K: StateSpaceModel, blocks: list, n: int) -> tuple[float, float]:
+def whole_axis(plant: rl.StateSpaceModel, K: rl.StateSpaceModel, blocks: list, n: int) -> tuple[float, float]:
     """Bounds of the peak of mu of the loop, by the margin's own proof."""
     loop = rl.UncertainModel(GeneralizedPlant(plant, n, n).close(K), blocks)
     margin = rl.robust_stability(loop)
@@ -69,7 +38,7 @@ def whole_axis(plant: StateSpaceModel, K: StateSpaceModel, blocks: list, n: int)
 def default() -> None:
     """The call as a user makes it, on the column: level, order, time; then the lowest order within 1 % of it."""
     plant, blocks = distillation(), BLOCKS
-    rl.dk(oscillator(), [ComplexScalar("k"), FullBlock("p", 2, 2)], 1, 1, effort=0.02)  # compiled kernels are not timed
+    rl.dk(plant, blocks, 2, 2, effort=0.02)  # compiled kernels are not timed
     design, cpu = timed(rl.dk, plant, blocks, 2, 2)
     print(f"  default: gamma {design.gamma:.6f} {design.status.value} ({design.K.n_states} states), CPU {cpu:.1f} s")
     print(f"    {design.why}")
@@ -82,46 +51,12 @@ def default() -> None:
     )
 
 
-def machines() -> None:
-    """Actuator and platform of recipes/robust-machine.toml: what D-K gains over H-infinity, and why not more."""
-    from robustlab import control_weight
-    from robustlab.synthesis import error_weight, tracking_problem
-    from robustlab.uncertainty.elementwise import elementwise_cover
-
-    motor = rl.plant("linear-actuator")
-    shares = {"R": 0.10, "L": 0.10, "Km": 0.05, "Kb": 0.05, "Kf": 0.35, "J": 0.10}
-    motor = motor.with_parameters(**{name: (motor.values[name], share) for name, share in shares.items()})
-    actuator = tracking_problem(
-        motor.uncertain(), ["phi"], ["phi", "omega", "i"],
-        W1=error_weight(0.04, 1.0, 1e-3), W2=control_weight(42.0, 1000.0, 10.0),
-        reference=73.603, reference_bandwidth=np.pi, disturbance=4.2,
-        noise={"phi_ref": 0.01, "phi": 0.01, "omega": 1.0, "i": 0.02},
-    )  # fmt: skip
-    models = Path(__file__).parents[1] / "models"
-    cover = elementwise_cover(rl.load(models / "platform_nominal.h5"), rl.load(models / "platform_low.h5"))
-    angles, rates = [f"phi_{i}" for i in range(1, 7)], [f"phidot_{i}" for i in range(1, 7)]
-    sizes = dict.fromkeys([*angles, *(f"{name}_ref" for name in angles)], 1e-3) | dict.fromkeys(rates, 1.0)
-    platform = tracking_problem(
-        cover, angles, angles + rates,
-        W1=error_weight(0.04, 1.0, 1e-3), W2=control_weight(0.0977, 1000.0, 10.0),
-        reference=7.854, reference_bandwidth=np.pi, disturbance=1e-3, noise=sizes,
-    )  # fmt: skip
-    for name, problem, options in (
-        ("actuator", actuator, {"order_rel": 0.15, "effort": 0.25}),
-        ("platform", platform, {"order_rel": 0.3, "effort": 0.4, "max_order": 36}),
-    ):
-        nominal = rl.hinf(problem.nominal, gamma_rel=1.1)
-        design, cpu = timed(rl.dk, problem.plant, K0=nominal, **options)
-        print(f"  {name}: gamma {design.gamma:.4f} ({design.K.n_states} states), CPU {cpu:.1f} s; {design.why}")
-        print(f"    {design.lower_bound.value:.4f}: {design.lower_bound.known}", flush=True)
-
-
 def column() -> None:
     """Classical D-K iteration alone, and with direct minimisation, for several largest orders."""
     plant, blocks = distillation(), BLOCKS
     for direct, order in ((False, 26), (True, 10), (True, 14), (True, 18), (True, 22)):
-        options = {"max_order": order, "order_rel": 0.0, "effort": 2.5, "progress": None}
-        design, cpu = timed(rl.dk, plant, blocks, 2, 2, direct=direct, **options)
+        how = {"max_order": order, "order_rel": 0.0, "effort": 2.5, "progress": None}
+        design, cpu = timed(rl.dk, plant, blocks, 2, 2, direct=direct, **how)
         first = min((s.gamma for s in design.history if s.stage != "direct"), default=np.nan)
         low, high = whole_axis(plant, design.K, blocks, 2)
         print(
@@ -131,72 +66,22 @@ def column() -> None:
         )
 
 
-def peer() -> None:
-    """D-K iteration of dkpy on the column."""
-    try:
-        import control
-        import dkpy
-    except ImportError:
-        print("  dkpy is not installed")
-        return
-    plant, blocks = distillation(), BLOCKS
-    iteration = dkpy.DkIterListOrder(
-        controller_synthesis=dkpy.HinfSynSlicot(),
-        structured_singular_value=dkpy.SsvLmiBisection(
-            bisection_atol=1e-5, bisection_rtol=1e-5, max_iterations=1000, lmi_strictness=1e-7, n_jobs=1,
-            solver_params={"solver": "CLARABEL"},
-        ),
-        d_scale_fit=dkpy.DScaleFitSlicot(),
-        fit_orders=[4, 4, 4],
-    )  # fmt: skip
-    P = control.ss(plant.A, plant.B, plant.C, plant.D)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found, cpu = timed(iteration.synthesize, P, 2, 2, np.logspace(-3, 3, 61), [[2, 2], [2, 2]])
-    except BaseException as error:  # noqa: BLE001  a solver's panic is no Exception
-        print(f"  dkpy: {type(error).__name__}: {error}")
-        return
-    K, claim = found[0], float(np.max(found[2]))
-    try:
-        low, high = whole_axis(plant, StateSpaceModel.from_control(K), blocks, 2)
-        truth = f"mu on the whole axis [{low:.4f}, {high:.4f}]"
-    except rl.NoTrustworthyNumber as error:
-        truth = str(error)
-    print(f"  dkpy: claims {claim:.4f} on its grid ({K.nstates} states); {truth}, CPU {cpu:.1f} s", flush=True)
+def reduction() -> None:
+    """The column's controller at each loss and order, certified at all frequencies."""
+    design = rl.dk(distillation(), BLOCKS, 2, 2)
+    print(f"  full controller: gamma {design.gamma:.5f}, {design.K.n_states} states")
+    for how in ({"loss": 1e-3}, {"loss": 1e-2}, {"order": 10}, {"order": 8}, {"order": 6}):
+        small, cpu = timed(rl.reduce_controller, design, **how)
+        print(
+            f"  {how}: {small.K.n_states} states, gamma {small.original_gamma:.5f} -> {small.gamma:.5f}, "
+            f"loss {small.loss:.4%}, {small.status}, CPU {cpu:.1f} s",
+            flush=True,
+        )
 
 
-def mixed() -> None:
-    """Real blocks as complex ones, and as what they are."""
-    for name, plant in (("oscillator", oscillator()), ("two masses", two_masses())):
-        blocks = [RealScalar("k"), FullBlock("p", 2, 2)]
-        found = []
-        for real in (False, True):
-            design, cpu = timed(rl.dk, plant, blocks, 1, 1, mixed=real, max_order=12, order_rel=0.0, effort=2.5)
-            low, high = whole_axis(plant, design.K, blocks, 1)
-            found.append(design.gamma)
-            print(
-                f"  {name}, {'D-G-K      ' if real else 'complex D-K'}: gamma {design.gamma:.4f} ({design.K.n_states} "
-                f"states), mixed mu by the margin's own proof [{low:.4f}, {high:.4f}], CPU {cpu:.1f} s",
-                flush=True,
-            )
-        print(f"  {name}: certified mixed mu {1 - found[1] / found[0]:.1%} below complex D-K", flush=True)
-
+PARTS = {"default": default, "column": column, "reduction": reduction}
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--no-peer", action="store_true")
-    parser.add_argument("--default", action="store_true", help="only the default call on the column, and the machines")
-    options = parser.parse_args()
-    print("default call")
-    default()
-    print("machines")
-    machines()
-    if options.default:
-        raise SystemExit
-    print("distillation column")
-    column()
-    if not options.no_peer:
-        peer()
-    print("real blocks")
-    mixed()
+    what = options(__doc__, what=tuple(PARTS)).what
+    print(heading("numpy", "scipy", "slycot"))
+    PARTS[what]()

@@ -10,8 +10,19 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from exact_loops import Model, adjoint, exact, eye, is_positive, is_stable, system, upper_closed, with_precision
-from flint import acb, acb_mat, arb
+from exact_loops import (
+    Model,
+    System,
+    adjoint,
+    exact,
+    eye,
+    is_positive,
+    is_stable,
+    system,
+    upper_closed,
+    with_precision,
+)
+from flint import acb, acb_mat, arb, arb_mat
 
 Matrix = np.ndarray
 # How far from a singular Delta a returned one may lie, relative to its own size.
@@ -107,7 +118,7 @@ def structure_holds(parts: Sequence[Part], delta: Matrix) -> bool:
 
 
 def scalings_fit(parts: Sequence[Part], Dw: Matrix, Dz: Matrix, G: Matrix) -> bool:
-    """``D Delta = Delta D_z`` for every Delta, and G is Hermitian and belongs to real blocks only: bit by bit."""
+    """``D Delta = Delta D_z`` for every Delta, D, D_z, G Hermitian, G of real blocks only: bit by bit."""
     rest_w, rest_z, rest_g = (np.array(m, dtype=complex) for m in (Dw, Dz, G))
     for b, (w, z) in zip(parts, slices(parts), strict=True):
         first, second, g = Dw[w, w], Dz[z, z], rest_g[w, z]
@@ -116,7 +127,7 @@ def scalings_fit(parts: Sequence[Part], Dw: Matrix, Dz: Matrix, G: Matrix) -> bo
             fits = np.array_equal(first, d * np.eye(b.rows)) and np.array_equal(second, d * np.eye(b.cols))
         else:
             fits = np.array_equal(first, second)
-        if not fits:
+        if not fits or not np.array_equal(first, first.conj().T):
             return False
         if b.kind == "real":
             if not np.array_equal(g, g.conj().T):
@@ -126,14 +137,17 @@ def scalings_fit(parts: Sequence[Part], Dw: Matrix, Dz: Matrix, G: Matrix) -> bo
     return not (rest_w.any() or rest_z.any() or rest_g.any())
 
 
-def proves(M: Any, Dw: Matrix, Dz: Matrix, G: Matrix, beta: float) -> bool:
-    """``M^* D_z M + j (G M - M^* G^*) < beta^2 D`` and ``D > 0``, proved in balls; M an array or in balls."""
+def proves(M: Any, Dw: Matrix, Dz: Matrix, G: Matrix, beta: Any) -> bool:
+    """``M^* D_z M + j (G M - M^* G^*) < L D L`` and ``D > 0``, proved in balls; M an array, or what gives it in balls.
+
+    L is beta times the unit matrix, or beta has a level for each row of D.
+    """
 
     def test() -> bool | None:
         m = acb_mat(exact(M)) if isinstance(M, np.ndarray) else M()
         supply = acb_mat(exact(G + 0j)) * m
-        D = acb_mat(exact(Dw + 0j))
-        slack = D * acb(arb(float(beta)) ** 2)
+        D, L = acb_mat(exact(Dw + 0j)), acb_mat(exact(np.diag(np.broadcast_to(beta, len(Dw)).astype(complex))))
+        slack = L * D * L
         slack -= adjoint(m) * acb_mat(exact(Dz + 0j)) * m + (supply - adjoint(supply)) * acb(0, 1)
         return True if is_positive(slack) and is_positive(D) else None
 
@@ -144,13 +158,23 @@ def distance_to_singular(M: Matrix, parts: Sequence[Part], delta: Matrix) -> tup
     """Change of Delta that Newton's method in 200 digits needs to make ``I - M Delta`` singular, over Delta's norm, and
     the Delta that it ends at; inf if it fails.
     """
-    norm = block_norm(parts, delta)
-    answer = with_precision(lambda: _newton(M, parts, delta, norm))
+    norm, plain = block_norm(parts, delta), [p._replace(below=1.0) for p in parts]
+
+    def test() -> tuple[float, Matrix] | None:
+        if (now := singular_next_to(M, parts, delta)) is None:
+            return None
+        end, change = (
+            np.array([[complex(v) for v in row] for row in m.tolist()]) for m in (now, now - acb_mat(exact(delta + 0j)))
+        )
+        return block_norm(plain, change) / norm, end
+
+    answer = with_precision(test)
     return answer if answer is not None else (float("inf"), delta)
 
 
-def _newton(M: Matrix, parts: Sequence[Part], delta: Matrix, norm: float) -> tuple[float, Matrix] | None:
-    directions = []
+def singular_next_to(M: Any, parts: Sequence[Part], delta: Matrix) -> acb_mat | None:
+    """The Delta, to 20 digits and more, at which Newton's method ends that makes ``I - M Delta`` singular, or None."""
+    norm, directions = block_norm(parts, delta), []
     for b, (w, z) in zip(parts, slices(parts), strict=True):
         entries = [(r, c) for r in range(w.start, w.stop) for c in range(z.start, z.stop)]
         if b.kind == "full":
@@ -158,24 +182,19 @@ def _newton(M: Matrix, parts: Sequence[Part], delta: Matrix, norm: float) -> tup
         else:
             diagonal = [(w.start + i, z.start + i) for i in range(b.rows)]
             directions += [(diagonal, f) for f in ((1,) if b.kind == "real" else (1, 1j))]
-    m, now = acb_mat(exact(M + 0j)), acb_mat(exact(delta + 0j))
+    m = acb_mat(exact(M + 0j)) if isinstance(M, np.ndarray) else M()
+    now = acb_mat(exact(delta + 0j))
     unit = acb_mat(eye(m.nrows()))
-
-    def moved() -> tuple[float, Matrix]:
-        end = np.array([[complex(v) for v in row] for row in now.tolist()])
-        change = np.array([[complex(v) for v in row] for row in (now - acb_mat(exact(delta + 0j))).tolist()])
-        plain = [p._replace(below=1.0) for p in parts]
-        return block_norm(plain, change) / norm, end
 
     for _ in range(80):  # a double zero, as of a Jordan block, is halved only
         loop = unit - m * now
         try:
             near = (loop + unit * acb("1e-90")).inv()
         except ZeroDivisionError:
-            return moved()
+            return now
         table, largest = near.tolist(), max(abs(v).mid() for v in near.entries())
         if not largest.is_finite():
-            return moved()
+            return now
         # The inverse is nearly x y: x and y are the null directions, sharpened by one more product with it.
         u, _, vh = np.linalg.svd(np.array([[complex((v / largest).mid()) for v in row] for row in table]))
         x, y = _normalised(near * acb_mat(exact(u[:, :1]))), _normalised(acb_mat(exact(vh[:1])) * near)
@@ -184,7 +203,7 @@ def _newton(M: Matrix, parts: Sequence[Part], delta: Matrix, norm: float) -> tup
         gains = [sum((yM[r] * xs[c] for r, c in entries), acb(0)) * acb(complex(f)) for entries, f in directions]
         scale = sum((abs(v).mid() for v in gains), arb(0))
         if abs(residual).mid() <= arb("1e-20") * arb(norm) * scale:
-            return moved()
+            return now
         g = [(v.real.mid(), v.imag.mid()) for v in gains]
         a = sum((p * p for p, _ in g), arb(0))
         b = sum((p * q for p, q in g), arb(0))
@@ -277,13 +296,16 @@ def singular_inside(M: Matrix, parts: Sequence[Part], radius: float, rng: np.ran
     return None
 
 
-def member_is_stable(model: Model, delta: Matrix) -> bool:
-    """Whether the model closed by Delta is well-posed and surely stable."""
+def member_is_stable(model: Any, delta: Matrix, factor: float = 1.0) -> bool:
+    """Whether the model (or a System of it in rationals) closed by a multiple of Delta is well-posed, surely stable."""
 
     def test() -> bool | None:
         q, p = delta.shape
-        channels = system(Model(model.A, model.B[:, :q], model.C[:p], model.D[:p, :q], model.dt))
-        loop = upper_closed(channels, exact(delta if np.imag(delta).any() else np.real(delta)))
+        if isinstance(model, Model):
+            channels = system(Model(model.A, model.B[:, :q], model.C[:p], model.D[:p, :q], model.dt))
+        else:
+            channels = System(*map(arb_mat, model[:4]), model.discrete)
+        loop = upper_closed(channels, exact(delta if np.imag(delta).any() else np.real(delta)) * arb(factor))
         return is_stable(loop.A, loop.discrete)
 
     return bool(with_precision(test))

@@ -366,8 +366,8 @@ def h2_norm(G: System) -> arb | None:
 
 
 def response(model: Model, omega: Any) -> Matrix:
-    """The model at ``s = j omega``, or ``z = exp(j omega dt)``; omega may be a ball or infinite."""
-    A, B, C, D = (acb_mat(exact(m)) for m in model[:4])
+    """The model at ``s = j omega`` or ``exp(j omega dt)``; floats or rationals; omega may be a ball, or infinite."""
+    A, B, C, D = (acb_mat(m if isinstance(m, (fmpq_mat, acb_mat)) else exact(m)) for m in model[:4])
     n = A.nrows()
     if not n or (not isinstance(omega, arb) and omega == np.inf):
         return D

@@ -1,4 +1,4 @@
-"""Spoiled files for every reader: each mutant must be read or refused in one clear line, quickly and in little memory.
+"""Spoiled binary files and tables: each mutant must be read or refused in one clear line, quickly, in little memory.
 
     python benchmarks/fuzz.py 500            # mutants of each kind of file; the figures go to stdout
 
@@ -28,7 +28,7 @@ import tempfile
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -37,21 +37,16 @@ import h5py
 import numpy as np
 import scipy.io
 import scipy.sparse
-from fuzz_edits import BYTES, STRUCTURAL, TEXT, Edit, hdf5_object, json_node, matlab_variables
+from fuzz_edits import BYTES, STRUCTURAL, Edit, hdf5_object, matlab_variables
 from harness import heading
 
 import robustlab as rl
 from robustlab.dynamics import Descriptor, LinearPlant, Parameter
 from robustlab.errors import RobustlabError
 from robustlab.files.tree import Tree, content_sha256
-from robustlab.recipe.check import look_through
-from robustlab.recipe.load import load_recipe
-from robustlab.recipe.run import read_result, write_report
 from robustlab.result import Result
 from robustlab.storage import interchange
-from robustlab.storage.expression_files import load_parametric
 
-ROOT = Path(__file__).parents[1]
 FAULTS = ("traceback", "hang", "memory", "silent", "unclear")
 SECONDS, WALL, MEMORY, BATCH = 5, 300, 1 << 30, 25
 ADDRESS_SPACE = 4096 << 20  # as robustlab.files.reader_process
@@ -87,20 +82,6 @@ def read_stored(path: Path, isolate: bool) -> tuple[Any, bool]:
     return loaded.object, loaded.verified
 
 
-def read_report(path: Path, isolate: bool) -> tuple[Any, bool]:
-    """``robustlab report``: read, and written again as a page."""
-    data = read_result(path.parent)
-    write_report(data, path.parent)
-    return data, False
-
-
-def read_recipe(path: Path, isolate: bool) -> tuple[Any, bool]:
-    """``robustlab recipe check``."""
-    loaded = load_recipe(path)
-    look_through(loaded)
-    return loaded, False
-
-
 def digest(thing: Any) -> str:
     """Hash of all numbers and names of an object that came from a file."""
     tree = Tree()
@@ -134,9 +115,6 @@ def readers(folder: Path) -> list[Reader]:
     def hdf5(name: str, *seeds: tuple[str, bytes], hashed: bool = False) -> Reader:
         return Reader(name, seeds, read_stored, (*BYTES, *[hdf5_object] * 4), hashed)
 
-    def text(name: str, file: str, seeds: Iterable[bytes], read: Any, *more: Edit) -> Reader:
-        return Reader(name, tuple((file, raw) for raw in seeds), read, (*TEXT, *more))
-
     def pair(file: Any) -> None:
         file.update({f"{g}/{n}": v for g in ("nominal", "perturbed") for n, v in MATRICES.items()})
 
@@ -145,17 +123,12 @@ def readers(folder: Path) -> list[Reader]:
         rl.save(folder / "x.h5", thing)
         found.append(hdf5(f"HDF5 {kind}", ("x.h5", (folder / "x.h5").read_bytes()), hashed=True))
     matlab = tuple(("x.mat", _matlab5(compressed)) for compressed in (True, False))
-    recipes = ((ROOT / "recipes" / f"{n}.toml").read_bytes() for n in RECIPES)
-    expressions = ((ROOT / "models" / "springs.toml").read_bytes(), EXPRESSIONS.encode())
     return [
         *found,
         hdf5("HDF5 plain", ("x.h5", _plain()), ("x.h5", _image(pair))),
         hdf5("MATLAB 7.3", ("x.mat", _matlab73())),
         Reader("MATLAB 5", matlab, read_stored, (*BYTES, *BYTES, matlab_variables)),
-        text("CSV", "x.csv", map(str.encode, TABLES), read_stored),
-        text("result.json", "result.json", [json.dumps(RESULT, indent=1).encode()], read_report, *[json_node] * 6),
-        text("TOML recipe", "x.toml", recipes, read_recipe),
-        text("TOML expressions", "x.toml", expressions, lambda path, _: (load_parametric(path), False)),
+        Reader("CSV", tuple(("x.csv", table.encode()) for table in TABLES), read_stored, BYTES),
     ]
 
 
@@ -164,32 +137,7 @@ TABLES = (
     "# t u q\n" + "".join(f"{0.1 * i:.1f} {i}  {i * i / 7:.6g}\n" for i in range(40)),
     "t;u;q\n" + "".join(f"{i};{i}.5;1e-{i}\n" for i in range(20)),
 )
-RECIPES = ("motor-models", "platform-models", "thesis-worst-cases")  # they read no files
-EXPRESSIONS = """
-A = [["-(k1 + k2)/m", "c*k1/(m + 2*k2)"], [1, "-1/(1/k1 + 1/k2)"]]
-B = [["1/m"], [0.5]]
-C = [["k1**2", 0]]
-D = [[0]]
-states = ["v", ["x", "m"]]
-[parameters]
-m = [3.0, 0.4]
-k1 = [2.0, 1.4, 3.0]
-k2 = {nominal = 1.0, low = 0.8, high = 1.5, unit = "N/m"}
-c = 9.81
-"""
 TANK = lambda p: Descriptor(E=[[p["area"]]], F=[[-0.1]], G=[[1.0]], C=[[1.0]])  # noqa: E731
-RESULT: dict[str, Any] = {
-    "schema": "robustlab.result/1", "command": "run", "exit_code": 0, "seed": 7, "seconds": 1.25,
-    "requirements": [{"text": "fast", "that": "a.x", "condition": "at least 1", "value": 2.0, "met": True,
-                      "why_not": ""}],
-    "steps": [{"name": "a", "do": "plant", "title": "A", "status": "certified", "summary": "Did it.", "error": "",
-               "trustworthy": True, "numbers": {"x": 2.0, "y": [1, 2]}, "notes": ["mind"], "text": "a\n  b",
-               "figures": [], "facts": [{"label": "speed", "value": "2 rad/s", "source": ""}], "seconds": 0.1}],
-    "recipe": {"name": "r", "title": "", "description": "One.\n\nTwo.", "file": "r.toml", "sha256": "ab12",
-               "overrides": {"seed": "7"}, "text": "name = 1"},
-    "provenance": {"created": "2026-01-01", "inputs": {"m.h5": "cd34"}, "versions": {"numpy": "2.0"}},
-    "files": ["report.html"],
-}  # fmt: skip
 MATRICES = {"A": [[0.0, 1.0], [-2.0, -3.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "D": [[0.0]]}
 
 

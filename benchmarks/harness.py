@@ -1,7 +1,8 @@
-"""What the benchmarks share: a heading, CPU time, calls in a child under a limit of CPU time, JSON lines, COMPleib."""
+"""What the benchmarks share: options, a heading, CPU time, calls in a child under a limit of CPU time, JSON lines."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import platform
@@ -18,7 +19,23 @@ from typing import Any
 
 import numpy as np
 
-COMPLEIB = Path(__file__).parents[2] / "shared" / "data" / "compleib.h5"
+
+def options(description: str | None, names: Sequence[str] | str = (), **defaults: Any) -> argparse.Namespace:
+    """What the command line gives: ``names`` (of these, or any with "*") and ``--key VALUE`` of the default's type.
+
+    A default of False makes a flag, a tuple of words a choice of which the first is the default.
+    """
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    if names:
+        parser.add_argument("names", nargs="*", choices=None if names == "*" else [*names, []])
+    for key, default in defaults.items():
+        how: dict[str, Any] = {"type": type(default), "default": default}
+        if default is False:
+            how = {"action": "store_true"}
+        elif isinstance(default, tuple):
+            how = {"choices": default, "default": default[0]}
+        parser.add_argument(f"--{key.replace('_', '-')}", **how)
+    return parser.parse_args()
 
 
 def heading(*packages: str) -> str:
@@ -63,10 +80,10 @@ def in_child(arguments: Sequence[str], text: str, limit: float = 0.0, *, wall: f
     except subprocess.TimeoutExpired:
         os.killpg(child.pid, signal.SIGKILL)
         out, errors = child.communicate()
-    if child.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return {"refused": "no return", "cpu": limit}
     lines = [line for line in out.splitlines() if line.startswith("{")]
-    if child.returncode or not lines:
+    if not lines and child.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return {"refused": "no return", "cpu": limit}
+    if not lines:
         last = (errors.strip().splitlines() or ["no message"])[-1]
         return {"refused": f"died ({child.returncode}): {last[:120]}", "cpu": float("nan")}
     return json.loads(lines[-1])
@@ -84,28 +101,3 @@ def append(path: Path, record: dict[str, Any]) -> None:
     """Add a record to a file of JSON lines."""
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(record, default=float) + "\n")
-
-
-def compleib(
-    names: Sequence[str] = (), most: float = np.inf, data: Path = COMPLEIB
-) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
-    """Name, A B C D (w before u, z before y) and facts of the stabilisable plants: these, or up to a size."""
-    import h5py
-
-    found = []
-    with h5py.File(data) as file:
-        table: Any = file
-        for name in sorted(names or table, key=lambda k: (table[k].attrs["n"], k)):
-            m, about = {key: table[name][key][()] for key in table[name]}, dict(table[name].attrs)
-            if about["stabilisable"] and (names or about["n"] <= most):
-                D = np.block([[m["D11"], m["D12"]], [m["D21"], np.zeros((about["ny"], about["nu"]))]])
-                P = {"A": m["A"], "B": np.hstack([m["B1"], m["B"]]), "C": np.vstack([m["C1"], m["C"]]), "D": D}
-                found.append((name, P, about))
-    return found
-
-
-def over_best(norm: float, best: float, zero: bool) -> float:
-    """The norm over the best known; where the infimum looks like zero, 1 up to 1e-2 and inf above."""
-    if zero:
-        return 1.0 if norm <= 1e-2 else np.inf
-    return norm / best

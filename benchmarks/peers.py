@@ -8,7 +8,6 @@ returns its evidence with the number (bracket, second path, verified loop, certi
 
 from __future__ import annotations
 
-import argparse
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -17,7 +16,7 @@ from functools import partial
 import control
 import numpy as np
 import slycot
-from harness import heading
+from harness import heading, options
 
 import robustlab as rl
 from robustlab.budget import one_thread
@@ -88,18 +87,15 @@ def fastest(calls: tuple[Callable[[], object], ...], repeats: int, patience: flo
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="CPU time beside the peers.")
-    parser.add_argument("names", nargs="*", help="beginnings of comparisons; all where none are given")
-    parser.add_argument("--repeats", type=int, default=15)
-    options = parser.parse_args()
+    given = options(__doc__, "*", repeats=15)
     print(heading("robustlab", "numpy", "scipy", "slycot", "control"))
     print(f"\n{'ours / peer':44s} {'size':>4s} {'ours ms':>9s} {'peer ms':>9s} {'ratio':>7s}")
     warnings.simplefilter("ignore")
     with one_thread():
         for name, n, ours, peer in sorted(cases(), key=lambda case: case[0]):
-            if options.names and not any(name.startswith(wanted) for wanted in options.names):
+            if given.names and not any(name.startswith(wanted) for wanted in given.names):
                 continue
-            own, other = fastest((ours, peer), options.repeats)
+            own, other = fastest((ours, peer), given.repeats)
             print(f"{name:44s} {n:4d} {own:9.2f} {other:9.2f} {own / other:7.1f}", flush=True)
 
 

@@ -1,14 +1,14 @@
 """Mutants of true claims put to the checker `robustlab.verification.checker.check`; each answer that decides is judged.
 
-    python benchmarks/verify_attack.py --mutants 100000 --seed 1 [--minutes M] [--workers N]
+    python benchmarks/verify_attack.py --mutants 100000 --seed 1 [--minutes M] [--workers N] [--keep FOLDER] [KIND ...]
 
-Needs mpmath. `verify_claims` makes true claims of every kind (models of 0 to 4 states, some 8) with the library's own
-evidence, `verify_mutants` changes them, `verify_judge` judges what was proved or refuted by rationals and 60 digits,
+`verify_claims` makes true claims of every kind (models of 0 to 4 states, some 8) with the library's own
+evidence, `verify_mutants` changes them, `verify_judge` judges what was proved or refuted in rationals and balls,
 with nothing of the checker. What is not proved needs no judge. Found wrong are:
 
 false         proved, and a counterexample is known; or refuted, and rationals say that it is true
 unjustified   proved, and the evidence does not carry it: a gap, a wrong structure, a form that is not definite
-unconfirmed   a Delta was proved to exist, or to refute, and Newton's steps in 60 digits did not find it
+unconfirmed   a Delta was proved to exist, or to refute, and Newton's steps in balls did not find it
 crash         an exception out of `check`
 
 A piece of work is a chunk of about a thousand mutants; chunk c of a seed needs no other one. Results go to
@@ -21,7 +21,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import pickle
 import sys
 import time
@@ -35,14 +34,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import heading
+from harness import heading, options
 from verify_claims import MAKERS
 from verify_judge import judge
 from verify_mutants import mutant
 
 import robustlab as rl
-from robustlab.verification import Claim, Outcome
-from robustlab.verification.checker import KINDS, check
+from robustlab.verification import Claim, Outcome, check
 
 RESULTS = Path(__file__).parent / "results" / "verify_attack.txt"
 EFFORT = 400  # units of work that a check may take
@@ -109,12 +107,15 @@ def chunk_of(task: tuple[int, int, Path | None, Sequence[str]]) -> list[Row]:
     return list(answers(*task))
 
 
-def campaign(options: argparse.Namespace) -> tuple[dict[str, Counter[str]], float]:
+def campaign(given: Any) -> tuple[dict[str, Counter[str]], float]:
     """Counts by kind, and the seconds that it took."""
     start, done, reported = time.perf_counter(), 0, 0
-    counts: dict[str, Counter[str]] = defaultdict(Counter, {kind: Counter() for kind in KINDS})
-    tasks = ((options.seed, c, options.keep, options.kinds or tuple(PLAN)) for c in range(options.first, sys.maxsize))
-    with get_context("spawn").Pool(options.workers) if options.workers > 1 else nullcontext() as pool:
+    counts: dict[str, Counter[str]] = defaultdict(Counter, {kind: Counter() for kind in PLAN})
+    tasks = (
+        (given.seed, c, Path(given.keep) if given.keep else None, given.names or tuple(PLAN))
+        for c in range(given.first, sys.maxsize)
+    )
+    with get_context("spawn").Pool(given.workers) if given.workers > 1 else nullcontext() as pool:
         for rows in pool.imap(chunk_of, tasks) if pool else map(chunk_of, tasks):
             for kind, answer, wrong, _ in rows:
                 counts[kind].update({"mutants", answer, wrong} - {""})
@@ -123,7 +124,7 @@ def campaign(options: argparse.Namespace) -> tuple[dict[str, Counter[str]], floa
             if done // 10000 > reported:
                 reported = done // 10000
                 print(f"{done} mutants, {done / spent:.0f} a second", flush=True)
-            if done >= options.mutants or (options.minutes and spent > 60 * options.minutes):
+            if done >= given.mutants or (given.minutes and spent > 60 * given.minutes):
                 break
     return counts, time.perf_counter() - start
 
@@ -139,23 +140,13 @@ def table(counts: dict[str, Counter[str]]) -> list[str]:
 
 def main() -> int:
     """Run, print and write; 1 where something wrong was found in a checker without planted faults."""
-    parser = argparse.ArgumentParser(description="A mutation campaign against the checker of claims.")
-    parser.add_argument("--mutants", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--first", type=int, default=0, help="first chunk")
-    parser.add_argument("--minutes", type=float, default=0.0, help="stop after so long")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument(
-        "--kinds", nargs="+", choices=list(PLAN), help="claims of these kinds alone; nothing is written"
-    )
-    parser.add_argument("--keep", type=Path, help="folder for what is found wrong")
-    options = parser.parse_args()
-    counts, seconds = campaign(options)
+    given = options(__doc__, list(PLAN), mutants=100_000, seed=1, first=0, minutes=0.0, workers=1, keep="")
+    counts, seconds = campaign(given)
     done = sum(c["mutants"] for c in counts.values())
-    lines = [heading("numpy", "python-flint", "mpmath"),
+    lines = [heading("numpy", "python-flint"),
              f"# {done} claims in {seconds / 60:.1f} min, {done / seconds:.0f} a second", *table(counts)]  # fmt: skip
     print("\n".join(lines))
-    if options.kinds is None:
+    if not given.names:
         RESULTS.write_text("\n".join(lines) + "\n")
     return int(any(count[word] for count in counts.values() for word in WRONG))
 

@@ -14,12 +14,12 @@ import numpy as np
 
 import robustlab as rl
 from robustlab.evidence import claims_of
-from robustlab.mu_analysis.axis.worst_gain import worst_case_gain
+from robustlab.mu_analysis import worst_case_gain
 from robustlab.mu_analysis.matrix.box import Box, box_matrices, box_model
 from robustlab.norms.bounded_real import norm_matrix
 from robustlab.norms.claims import band_scalings, gramian_claims
 from robustlab.norms.numbers import loop_numbers, matrices
-from robustlab.uncertainty.blocks import Block, ParameterRange, delta_matrix
+from robustlab.uncertainty.blocks import delta_matrix
 
 Rng = np.random.Generator
 Numbers = dict[str, Any]
@@ -208,14 +208,14 @@ def structure(rng: Rng) -> tuple[list[list[int]], int, int]:
     return rows, sum(row[1] for row in rows), sum(row[2] for row in rows)
 
 
-def blocks_of(rows: Any, rng: Rng | None = None) -> list[Block]:
+def blocks_of(rows: Any, rng: Rng | None = None) -> list[Any]:
     """The library's blocks; with ``rng`` some real ones have a range that is not symmetric."""
-    made: list[Block] = []
+    made: list[Any] = []
     for i, (kind, r, c) in enumerate(rows):
         name = f"b{i}"
         if kind == 0 and rng is not None and rng.random() < 0.7:
             below = 0.5 * float(rng.choice([0.5, 0.25, 0.75, 0.3]))
-            made.append(rl.RealScalar(name, r, ParameterRange(1.0, 0.5, "", below=below)))
+            made.append(rl.RealScalar(name, r, rl.ParameterRange(1.0, 0.5, "", below=below)))
         else:
             made.append(rl.RealScalar(name, r) if kind == 0 else rl.ComplexScalar(name, r) if kind == 1
                         else rl.FullBlock(name, r, c))  # fmt: skip

@@ -10,7 +10,6 @@ comparison with the claims alone has to find it. ``provenance``, which no hash c
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 import time
@@ -20,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import heading
+from harness import heading, options
 
 import robustlab as rl
 from robustlab.files.hdf5 import read_tree, write_tree
@@ -136,10 +135,7 @@ def mutant(rng: Rng, tree: Tree) -> tuple[str, Tree]:
 
 def main() -> int:
     """Run and write; 1 where a mutant was accepted."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--mutants", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    given, known, prove = parser.parse_args(), {}, checker.check
+    given, known, prove = options(__doc__, mutants=10_000, seed=1), {}, checker.check
 
     def once(claim: Any, *, effort: int = checker.EFFORT) -> Any:
         """The claims are the same in all mutants of a file: each is proved once."""

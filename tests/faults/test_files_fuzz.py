@@ -18,8 +18,7 @@ def every(tmp_path_factory):
 NAMES = [
     *(f"HDF5 {kind}" for kind in ("state-space", "uncertain", "delayed", "frequency-data", "controller", "record")),
     *(f"HDF5 {kind}" for kind in ("result", "plant", "own plant")),
-    *("HDF5 plain", "MATLAB 7.3", "MATLAB 5", "CSV", "result.json", "TOML recipe"),
-    "TOML expressions",
+    *("HDF5 plain", "MATLAB 7.3", "MATLAB 5", "CSV"),
 ]
 
 
