@@ -34,7 +34,6 @@ _WORDS = {
     "smooth_motion": "hypotheses.motion_smoother",
     "candidates": "hypotheses.candidates",
     "catalogue": "hypotheses.candidates",
-    "Scales": "hypotheses.candidates",
     "nuisance_parameters": "hypotheses.candidates",
     "stated_tolerances": "hypotheses.candidates",
     "with_absolute_tolerances": "hypotheses.candidates",
