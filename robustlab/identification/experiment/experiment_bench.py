@@ -13,8 +13,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, predicted, refit_distance
-from robustlab.identification.hypotheses.normal_equations import NoiseModel
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem, predicted, refit_distance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.record import Record
 

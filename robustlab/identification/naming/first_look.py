@@ -16,8 +16,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
-from robustlab.identification.hypotheses.normal_equations import Linearised
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Linearised, Problem
 
 FIRST = 4
 FIRST_WINDOWS = 12  # that the first round looks at, and the second: more judge better and take more time

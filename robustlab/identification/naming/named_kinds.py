@@ -24,7 +24,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
-from robustlab.identification.naming.discovery_result import EffectValue, KindMember, NamedKind, wave_amplitude
+from robustlab.identification.naming.discovery_parts import EffectValue, KindMember, NamedKind, wave_amplitude
 from robustlab.identification.naming.posterior import Posterior, Weighed
 
 MOST_MEMBERS = 4  # of a kind that its quantities are asked of: those of the smallest share would move no digit

@@ -18,7 +18,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError, told_as
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
-from robustlab.identification.naming.discovery_result import INTERVAL, Discovery, NamedKind
+from robustlab.identification.naming.discovery_parts import INTERVAL, NamedKind
 
 ONE_FACTOR = "scaled by one factor"
 SIGMAS = 2.0  # standard deviations that a refitted parameter's tolerance covers
@@ -162,7 +162,7 @@ def uncertain_from(
     >>> blocks.origins["coulomb-friction@omega"].split("; ")[1]
     'harmonic balance, for oscillations of amplitude 10 rad/s and more'
     """
-    if not isinstance(found, Discovery):
+    if not hasattr(found, "residual_force"):
         tied = fitted_together(found)
         return effect_blocks(found, outputs, sigmas=sigmas, amplitude=amplitude, dry=dry, pade=pade, tied=tied)
     if found.model is None:
@@ -181,7 +181,7 @@ def uncertain_from(
     )  # fmt: skip
 
 
-def _speeds(found: Discovery) -> dict[str, Amplitude]:
+def _speeds(found: Any) -> dict[str, Amplitude]:
     """Largest speed along the records, for the only joint that has effects."""
     curve = None if found.residual_force is None else found.residual_force.curves.get("speed")
     joints = {e.site.name for e in getattr(found.model, "effects", ()) if e.site.kind == "joint"}
