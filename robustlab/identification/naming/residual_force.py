@@ -465,10 +465,10 @@ def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
     least = LINE_WORTH * float(data.weight @ data.d**2)
     found: list[dict[str, float | str]] = []
     while len(found) < MOST_LINES:
-        sure = [line for p in places if (line := _strongest(data, p, signs, len(places)))]
+        sure = [best for p in places if (best := _strongest(data, p, signs, len(places)))]
         if not sure:
             break
-        power, p, place, at = max(sure, key=lambda line: line[0])
+        power, p, place, at = max(sure, key=lambda best: best[0])
         if power < least:
             break
         step = 1.0 / (float(np.ptp(place.x)) * OVERSAMPLING)

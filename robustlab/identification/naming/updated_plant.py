@@ -38,7 +38,7 @@ def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[Named
         for name, factor in changed.items():
             factors[name] = factors.get(name, 1.0) * factor
         if not changed:
-            each = zip(candidate.parameters, fit.z[place], fit.std[place], strict=True)
+            each = zip(candidate.parameters, fit.z[place].tolist(), fit.std[place].tolist(), strict=True)
             std = {p.name: 0.5 * abs(p.prior.value(z + s) - p.prior.value(z - s)) for p, z, s in each}
             first = candidate.parameters[0]
             std[first.name] = max(std[first.name], abs(own[first.name]) * _spread_of(kinds, candidate))
@@ -64,7 +64,7 @@ def _spreads(problem: Problem, fit: Fit) -> dict[str, float]:
         found.update(dict.fromkeys(nuisance.names, nuisance.spread * float(s)))
     for candidate, own in problem.slices(fit.hypothesis):
         if candidate.site.kind == "parameter":
-            z, s = fit.z[own.start], fit.std[own.start]
+            z, s = float(fit.z[own.start]), float(fit.std[own.start])
             prior = candidate.parameters[0].prior
             relative = 0.5 * abs(prior.value(z + s) - prior.value(z - s)) / abs(prior.value(z))
             for name in candidate.effect.factors(problem.plant, candidate.site, candidate.values(fit.z[own])):
