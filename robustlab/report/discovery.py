@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.identification.naming.discovery_result import LINEAR, Discovery, Gap, SetProbability, overall
-from robustlab.identification.naming.discovery_text import chance, with_interval
+from robustlab.identification.naming.discovery_parts import LINEAR, Gap, SetProbability, chance, overall, with_interval
+from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.residual_force import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.report.drawings import caption_of

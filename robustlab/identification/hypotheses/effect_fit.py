@@ -19,16 +19,16 @@ from robustlab.dynamics.extended.simulator import Hold, Simulator, Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.normal_equations import Linearised, NoiseModel, Prior, damped, sandwich
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 
+WILD = 1e6  # errors beyond this many standard deviations count as this
 FARTHEST = 8.0  # standardised parameters are kept within this of their priors
 RELATIVE = 1e-5  # fall of V, over V, below which a fit stops: smaller, more iterations in flat valleys
 # Of the diagonal. A stretched resistance and inertia leave nearly the same errors: along such a valley J^T J is a
 # millionth of its diagonal, and a damping above that creeps.
 DAMPING = 1e-4
 LEAST_DAMPING = 1e-10
-BEND = 0.1  # of a step, at which its curvature is measured
+BEND = 0.1  # of a step, at which its curvature is measured; straight steps named one of 12 blind cases wrongly
 MOST_BENT = 0.75  # share of a step that its correction may be: larger follows sharper valleys
 TRIES = 8  # damped steps before a fit gives up
 HOPE = 2.0  # times the expected fall of V that a fit may still fall by: smaller gives up sooner
@@ -187,6 +187,127 @@ class _Place(NamedTuple):
     residual: Sequence[Array]
     cost: float
     around: Array
+
+
+# --- noise, prior and the normal equations, each window's start eliminated (Björck, 1996, section 9.3) ----------------
+
+
+class Reduced(NamedTuple):
+    """Normal equations over z after the starts are eliminated, and the step of the starts: -(offset + slope dz)."""
+
+    hessian: Array
+    gradient: Array
+    offset: Array  # (n_windows, n_x)
+    slope: Array  # (n_windows, n_x, n_z)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Products of the derivatives J over z and X over the starts of one record, window by window."""
+
+    jj: Array  # J^T J summed, (n_z, n_z)
+    jr: Array  # J^T r summed, (n_z,)
+    xx: Array  # X^T X + 1, (n_windows, n_x, n_x)
+    xj: Array  # X^T J, (n_windows, n_x, n_z)
+    xr: Array  # X^T r + xi, (n_windows, n_x)
+    scores: Array  # J^T r of each window, (n_windows, n_z)
+    j: Array  # (n_windows, n_points, n_z)
+    x: Array  # (n_windows, n_points, n_x)
+
+    @classmethod
+    def of(cls, residual: Array, j: Array, x: Array, xi: Array) -> Linearised:
+        """From the residuals (n_windows, n_points) and their derivatives; xi (n_windows, n_x)."""
+        xt = np.swapaxes(x, 1, 2)
+        flat = j.reshape(residual.size, j.shape[2])  # a size of its own: there may be no parameter at all
+        return cls(
+            flat.T @ flat, flat.T @ residual.ravel(), xt @ x + np.eye(x.shape[2]), xt @ j,
+            (xt @ residual[:, :, None])[:, :, 0] + xi, np.einsum("wmz,wm->wz", j, residual), j, x,
+        )  # fmt: skip
+
+    def along(self, dz: Array, dxi: Array) -> Array:
+        """Change of the residuals along a step, were they linear."""
+        return self.j @ dz + (self.x @ dxi[:, :, None])[:, :, 0]
+
+    def with_residual(self, residual: Array, xi: Array | None = None) -> Linearised:
+        """The same derivatives with other residuals, at the starts xi; without any, of a change of the residuals."""
+        scores = np.einsum("wmz,wm->wz", self.j, residual)
+        xr = (np.swapaxes(self.x, 1, 2) @ residual[:, :, None])[:, :, 0]
+        return replace(self, jr=scores.sum(axis=0), xr=xr if xi is None else xr + xi, scores=scores)
+
+    @property
+    def diagonal(self) -> Array:
+        """Of J^T J."""
+        return np.diag(self.jj)
+
+    def reduced(self, damping: float) -> Reduced:
+        """The starts eliminated, their own equations damped by ``damping`` times their diagonal."""
+        n_x = self.xx.shape[1]
+        inner = self.xx + damping * self.xx * np.eye(n_x)
+        right = np.concatenate([self.xr[:, :, None], self.xj], axis=2)
+        try:
+            both = np.asarray(np.linalg.solve(inner, right), dtype=float)
+        except np.linalg.LinAlgError:  # a part of the start that no sample of its window shows: it stays as it is
+            both = np.linalg.pinv(inner, hermitian=True) @ right
+        offset, slope = both[:, :, 0], both[:, :, 1:]
+        hessian = self.jj - np.einsum("wxi,wxj->ij", self.xj, slope)
+        gradient = self.jr - np.einsum("wxi,wx->i", self.xj, offset)
+        return Reduced(0.5 * (hessian + hessian.T), gradient, offset, slope)
+
+
+def damped(reduced: Sequence[Reduced], parts: Sequence[Linearised], damping: float, precision: Array) -> Array:
+    """Hessian of V / 2 over z with the precision of the prior and the damping."""
+    hessian = precision + sum(r.hessian for r in reduced)
+    own = np.diag(precision) + sum(p.diagonal for p in parts)
+    hessian[np.diag_indices(len(hessian))] += damping * own
+    return hessian
+
+
+def sandwich(parts: Sequence[Linearised], hessian: Array) -> Array:
+    """Covariance of z from the scatter of the windows' gradients, starts eliminated: it holds under any noise."""
+    scores = np.concatenate([p.scores - np.einsum("wxz,wx->wz", p.xj, p.reduced(0.0).offset) for p in parts])
+    inverse = np.linalg.pinv(hessian)
+    count = len(scores)
+    return inverse @ (scores.T @ scores) @ inverse * (count / max(1, count - 1))
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) of each output."""
+
+    # excess: factor of the variance above that of the errors themselves, which hang together (`noise.careful`).
+
+    std: Array
+    ar: Array
+    excess: float = 1.0
+
+    def whitened(self, errors: Array) -> Array:
+        """Residuals (n_windows, n_points * n_y) of unit variance from averaged errors; missing points are zero."""
+        order = len(self.ar)
+        e = errors[:, order:].copy()
+        for lag in range(order):
+            e -= self.ar[lag] * errors[:, order - lag - 1 : errors.shape[1] - lag - 1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            scaled = np.nan_to_num(e / self.std, copy=False, nan=0.0, posinf=WILD, neginf=-WILD)
+        return np.clip(scaled, -WILD, WILD).reshape(len(e), e.shape[1] * e.shape[2])  # there may be no window at all
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Normal prior of the standardised parameters: mean (n,) and precision, the inverse of the covariance, (n, n)."""
+
+    mean: Array
+    precision: Array
+
+    def cost(self, z: Array) -> float:
+        """Its share of V."""
+        return float((z - self.mean) @ self.precision @ (z - self.mean))
+
+    def gradient(self, z: Array) -> Array:
+        """Of its share of V / 2."""
+        return self.precision @ (z - self.mean)
+
+
+# --- the fit ---------------------------------------------------------------------------------------------------------
 
 
 class Problem:

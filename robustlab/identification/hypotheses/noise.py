@@ -11,8 +11,7 @@ from scipy.stats import t as student
 
 from robustlab.arrays import Array
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem
-from robustlab.identification.hypotheses.normal_equations import NoiseModel, Prior
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Prior, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import AS_LARGE
 

@@ -363,7 +363,7 @@ class FittedWindows:
 
     def _levels_of(self, f: float, columns: Sequence[Array], sizes: Sequence[float] | Array) -> list[NoiseLevel]:
         """Random forces of one bandwidth, with these columns."""
-        mixed = [self._mixed(r, c) for r, c in zip(self.records, columns, strict=True)]
+        mixed = [self._mixed(r, c, r.gram) for r, c in zip(self.records, columns, strict=True)]
         turned = [root @ rows for (root, _), (_, rows) in zip(self.roots[f], mixed, strict=True)]
         found = []
         for size in sizes:
@@ -377,16 +377,16 @@ class FittedWindows:
             found.append(self._level(float(size), f, np.concatenate(grams), np.concatenate(logdets)))
         return found
 
-    def _mixed(self, record: ForceResponse, columns: Array) -> tuple[Array, Array]:
-        """Products of the columns, starts, parameters and errors of each window; and those with the segments."""
+    def _mixed(self, record: ForceResponse, columns: Array, gram: Array) -> tuple[Array, Array]:
+        """Products of the starts, columns, parameters and errors of each window; and those with the segments."""
         s, n_x = record.pulses, record.xi.shape[1]
-        n = record.gram.shape[1]
+        n = gram.shape[1]
         k = columns.shape[2]
         mix = np.zeros((len(columns), n, k + n - s))
         mix[:, record.own, :k] = columns
         order = [*range(n - 1 - n_x, n - 1), *range(s, n - 1 - n_x), n - 1]  # starts, parameters, errors
         mix[:, order, k + np.arange(n - s)] = 1.0
-        rows = record.gram @ mix
+        rows = gram @ mix
         # starts go first, so that they are eliminated first
         gram = np.swapaxes(mix, 1, 2) @ rows
         first = [*range(k, k + n_x), *range(k), *range(k + n_x, gram.shape[1])]
@@ -413,10 +413,7 @@ class FittedWindows:
         found = []
         for k, record in enumerate(self.records):
             s, gram = record.segments, self._within_noise(k, self.alone.size)
-            n, n_x = gram.shape[1], record.xi.shape[1]
-            own = range(n)[record.own]
-            first = [*range(n - 1 - n_x, n - 1), *own, *range(record.pulses, n - 1 - n_x), n - 1]
-            g, _ = _without_start(gram[:, first][:, :, first], record)
+            g, _ = _without_start(self._mixed(record, np.broadcast_to(np.eye(s), (len(gram), s, s)), gram)[0], record)
             found.append((g, g[:, :s, -1]))
         # the parameters are eliminated approximately: at their best for the errors, not for each force
         n_z = len(self.z)

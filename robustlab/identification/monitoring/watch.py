@@ -24,8 +24,15 @@ from robustlab.identification.hypotheses.candidates import (
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, FitPlan, Hypothesis, Problem
-from robustlab.identification.hypotheses.normal_equations import NoiseModel
+from robustlab.identification.hypotheses.effect_fit import (
+    Candidate,
+    Clock,
+    Fit,
+    FitPlan,
+    Hypothesis,
+    NoiseModel,
+    Problem,
+)
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, ports_of, prepare, window_length
 from robustlab.identification.monitoring.change_test import ChangeTest, PieceEquations, onset
 from robustlab.identification.naming.discovery import discover, known_plant

@@ -24,9 +24,8 @@ from robustlab.identification.hypotheses.effect_fit import (
 )
 from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
 from robustlab.identification.hypotheses.prepared_record import start_std
-from robustlab.identification.naming.discovery_result import (
+from robustlab.identification.naming.discovery_parts import (
     INTERVAL,
-    Discovery,
     EffectValue,
     InputClock,
     NamedEffect,
@@ -37,6 +36,7 @@ from robustlab.identification.naming.discovery_result import (
     Verdict,
     overall,
 )
+from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.held_out import (
     Gaps,
     Matter,

@@ -16,8 +16,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Problem
-from robustlab.identification.hypotheses.normal_equations import Linearised
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Linearised, Problem
 
 FIRST = 4
 FIRST_WINDOWS = 12  # that the first round looks at, and the second: more judge better and take more time
@@ -175,28 +174,22 @@ def promising(
     # nothing is kept.
     noise = base.noise
     jobs = [start for candidate in pool for start in _starts(problem, base, candidate, known)]
-    rough = replace(problem.clock, rough=True)
-    few, few_starts, few_ceiling = _thinned(problem, base, best, FIRST_WINDOWS)
-    some, some_starts, some_ceiling = _thinned(problem, base, best, SECOND_WINDOWS)
-    few, some = few.under(rough), some.under(rough)
-    few_base = few.fit(base.hypothesis, noise, base.z, few_starts, FitPlan(1))
-    some_base = some.fit(base.hypothesis, noise, base.z, some_starts, FitPlan(1))
+    few, few_base, few_far = _look(problem, base, best, FIRST_WINDOWS)
+    some, some_base, some_far = _look(problem, base, best, SECOND_WINDOWS)
     if isinstance(problem.plant, NonlinearPlant):  # many joints, and every moved parameter costs its matrices anew
         jobs = best_scored(few, few_base, jobs, MOST_SCORED, workers, said)
     borrowed = few.derivatives(few_base, len(problem.nuisances))
     # A few windows show a small part of what all of them may bring.
     rough_fall, least = tuning.ROUGH / noise.excess, tuning.PROMISING / noise.excess
-    some_far = some_ceiling
-    few_ceiling = min(few_ceiling, few_base.cost - 2.0 * least)
-    some_ceiling = min(some_ceiling, some_base.cost - 2.0 * least)
+    ends = min(few_far, few_base.cost - 2.0 * least), min(some_far, some_base.cost - 2.0 * least)
 
     def first(job: Start) -> tuple[Start, Fit]:
-        plan = FitPlan(FIRST, rough_fall, draft=True, ceiling=few_ceiling)
+        plan = FitPlan(FIRST, rough_fall, draft=True, ceiling=ends[0])
         return job, few.fit(job.hypothesis, noise, job.z, few_base.starts, plan, borrowed)
 
     def second(entry: tuple[Start, Fit]) -> tuple[Start, Fit]:
         job, fit = entry
-        plan = FitPlan(tuning.SECOND, rough_fall, draft=True, ceiling=some_ceiling)
+        plan = FitPlan(tuning.SECOND, rough_fall, draft=True, ceiling=ends[1])
         return job, some.fit(fit.hypothesis, noise, fit.z, _carried(fit, few, some, some_base), plan)
 
     looked = []
@@ -298,19 +291,19 @@ def extended(
     return hypothesis, np.array([*z, *candidate.standardised(start)])
 
 
-def _thinned(problem: Problem, fit: Fit, best: Fit, wanted: int) -> tuple[Problem, list[Array], float]:
-    """Windows for a short look, the fitted starts there, and a V beyond which nothing there can come near the best."""
+def _look(problem: Problem, base: Fit, best: Fit, wanted: int) -> tuple[Problem, Fit, float]:
+    """Windows for a short look, the set fitted there, and a V beyond which nothing there can come near the best."""
     # Half are those that the fit explains worst, since an effect may act in few windows (a stop); half lie evenly.
-    count = sum(len(c) for c in problem.chosen)
-    far = 2.0 * tuning.FAR_BEHIND
-    if count < 2 * wanted:
-        return problem, list(fit.starts), best.cost + far
-    taken = np.zeros(count, dtype=bool)
-    taken[:: round(2 * count / wanted)] = True
-    worst = [k for k in np.argsort(-fit.window_cost) if not taken[k]]
-    taken[worst[: max(1, wanted - int(taken.sum()))]] = True
-    ends = np.cumsum([len(c) for c in problem.chosen])[:-1]
-    masks = np.split(taken, ends)
-    chosen = [c[m] for c, m in zip(problem.chosen, masks, strict=True)]
-    ceiling = float(best.window_cost[taken].sum() + best.z @ best.z) + far
-    return problem.on(problem.records, chosen), [x[m] for x, m in zip(fit.starts, masks, strict=True)], ceiling
+    count, far = sum(len(c) for c in problem.chosen), 2.0 * tuning.FAR_BEHIND
+    look, starts, cost = problem, list(base.starts), best.cost
+    if count >= 2 * wanted:
+        taken = np.zeros(count, dtype=bool)
+        taken[:: round(2 * count / wanted)] = True
+        worst = [k for k in np.argsort(-base.window_cost) if not taken[k]]
+        taken[worst[: max(1, wanted - int(taken.sum()))]] = True
+        masks = np.split(taken, np.cumsum([len(c) for c in problem.chosen])[:-1])
+        look = problem.on(problem.records, [c[m] for c, m in zip(problem.chosen, masks, strict=True)])
+        starts = [x[m] for x, m in zip(base.starts, masks, strict=True)]
+        cost = float(best.window_cost[taken].sum() + best.z @ best.z)
+    look = look.under(replace(look.clock, rough=True))
+    return look, look.fit(base.hypothesis, base.noise, base.z, starts, FitPlan(1)), cost + far

@@ -9,7 +9,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -24,7 +24,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
-from robustlab.identification.naming.discovery_result import EffectValue, KindMember, NamedKind, wave_amplitude
+from robustlab.identification.naming.discovery_parts import EffectValue, KindMember, NamedKind, wave_amplitude
 from robustlab.identification.naming.posterior import Posterior, Weighed
 
 MOST_MEMBERS = 4  # of a kind that its quantities are asked of: those of the smallest share would move no digit
@@ -196,7 +196,9 @@ def _quantile(parts: Sequence[tuple[float, Told]], q: float) -> float:
     weight, value = (np.array(x) for x in zip(*((w, t.value) for w, t in parts), strict=True))
     std = np.maximum([t.std for _, t in parts], 1e-12 * np.abs(value) + 1e-300)
     ends = float((value - 9.0 * std).min()), float((value + 9.0 * std).max())
-    return float(brentq(lambda x: float(weight @ ndtr((x - value) / std)) - q, *ends, xtol=1e-300, rtol=1e-12))
+    close: Any = {"xtol": 1e-300, "rtol": 1e-12}
+    root: Any = brentq(lambda x: float(weight @ ndtr((x - value) / std)) - q, *ends, **close)
+    return float(root)
 
 
 # --- quantities: from the parameters, or from the force f along the records' motion, with speed v and position q ------

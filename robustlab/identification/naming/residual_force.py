@@ -22,9 +22,8 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
 from robustlab.identification.hypotheses.motion_smoother import lacking_forces
-from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
@@ -466,10 +465,10 @@ def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
     least = LINE_WORTH * float(data.weight @ data.d**2)
     found: list[dict[str, float | str]] = []
     while len(found) < MOST_LINES:
-        sure = [line for p in places if (line := _strongest(data, p, signs, len(places)))]
+        sure = [best for p in places if (best := _strongest(data, p, signs, len(places)))]
         if not sure:
             break
-        power, p, place, at = max(sure, key=lambda line: line[0])
+        power, p, place, at = max(sure, key=lambda best: best[0])
         if power < least:
             break
         step = 1.0 / (float(np.ptp(place.x)) * OVERSAMPLING)

@@ -21,6 +21,7 @@ from robustlab.identification.hypotheses.effect_fit import (
     Fit,
     FitPlan,
     Hypothesis,
+    NoiseModel,
     Nuisance,
     Problem,
     refit_distance,
@@ -35,7 +36,6 @@ from robustlab.identification.hypotheses.noise import (
     predictive,
     whitening,
 )
-from robustlab.identification.hypotheses.normal_equations import NoiseModel
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
 from robustlab.identification.naming.first_look import Start, akin, extended, may_follow, promising, stretched, without
 from robustlab.identification.naming.held_out import strained

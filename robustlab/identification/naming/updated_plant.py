@@ -18,7 +18,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError, told_as
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
-from robustlab.identification.naming.discovery_result import INTERVAL, Discovery, NamedKind
+from robustlab.identification.naming.discovery_parts import INTERVAL, NamedKind
 
 ONE_FACTOR = "scaled by one factor"
 SIGMAS = 2.0  # standard deviations that a refitted parameter's tolerance covers
@@ -38,7 +38,7 @@ def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[Named
         for name, factor in changed.items():
             factors[name] = factors.get(name, 1.0) * factor
         if not changed:
-            each = zip(candidate.parameters, fit.z[place], fit.std[place], strict=True)
+            each = zip(candidate.parameters, fit.z[place].tolist(), fit.std[place].tolist(), strict=True)
             std = {p.name: 0.5 * abs(p.prior.value(z + s) - p.prior.value(z - s)) for p, z, s in each}
             first = candidate.parameters[0]
             std[first.name] = max(std[first.name], abs(own[first.name]) * _spread_of(kinds, candidate))
@@ -64,7 +64,7 @@ def _spreads(problem: Problem, fit: Fit) -> dict[str, float]:
         found.update(dict.fromkeys(nuisance.names, nuisance.spread * float(s)))
     for candidate, own in problem.slices(fit.hypothesis):
         if candidate.site.kind == "parameter":
-            z, s = fit.z[own.start], fit.std[own.start]
+            z, s = float(fit.z[own.start]), float(fit.std[own.start])
             prior = candidate.parameters[0].prior
             relative = 0.5 * abs(prior.value(z + s) - prior.value(z - s)) / abs(prior.value(z))
             for name in candidate.effect.factors(problem.plant, candidate.site, candidate.values(fit.z[own])):
@@ -162,7 +162,7 @@ def uncertain_from(
     >>> blocks.origins["coulomb-friction@omega"].split("; ")[1]
     'harmonic balance, for oscillations of amplitude 10 rad/s and more'
     """
-    if not isinstance(found, Discovery):
+    if not hasattr(found, "residual_force"):
         tied = fitted_together(found)
         return effect_blocks(found, outputs, sigmas=sigmas, amplitude=amplitude, dry=dry, pade=pade, tied=tied)
     if found.model is None:
@@ -181,7 +181,7 @@ def uncertain_from(
     )  # fmt: skip
 
 
-def _speeds(found: Discovery) -> dict[str, Amplitude]:
+def _speeds(found: Any) -> dict[str, Amplitude]:
     """Largest speed along the records, for the only joint that has effects."""
     curve = None if found.residual_force is None else found.residual_force.curves.get("speed")
     joints = {e.site.name for e in getattr(found.model, "effects", ()) if e.site.kind == "joint"}

@@ -1,12 +1,10 @@
-"""Priors, refitted nominal parameters, and which effects are tried where, by what plants and signals are made of."""
+"""Refitted nominal parameters, and which effects are tried where, by what plants and signals are made of."""
 
 import math
 from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.dynamics import (
@@ -29,27 +27,6 @@ from robustlab.identification import (
     window_length,
     with_absolute_tolerances,
 )
-
-# --- priors ----------------------------------------------------------------------------------------------------------
-
-
-scales = st.builds(
-    Scales,
-    force=st.floats(1e-4, 1e3), speed=st.floats(1e-3, 1e3), position=st.floats(1e-3, 1e3), inertia=st.floats(1e-6, 1e2),
-    input=st.floats(0.01, 100.0), output=st.floats(1e-3, 1e3), current=st.floats(0.01, 50.0),
-    dt=st.floats(1e-4, 1e-2), duration=st.floats(1.0, 100.0), orders=st.tuples(st.floats(1.0, 500.0)),
-)  # fmt: skip
-
-
-@settings(max_examples=20)
-@given(seen=scales, z=st.floats(-3.0, 3.0))
-@pytest.mark.parametrize("name", list(catalogue()))
-def test_priors_of_the_catalogue_turn_back(name, seen, z):
-    for parameter in catalogue()[name].parameters(seen):
-        value = parameter.prior.value(z)
-        assert math.isfinite(value)
-        assert parameter.prior.standardised(value) == pytest.approx(z, abs=1e-6)
-
 
 # --- nominal parameters that are refitted ----------------------------------------------------------------------------
 

@@ -1,34 +1,201 @@
-"""The words of a `Discovery`: its headline, its facts, and the tables that it rests on."""
+"""What a discovery consists of: values with intervals, named effects, gaps, sets with probabilities; and its words."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
 
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.identification.naming.discovery_result import (
-    SURE,
-    Discovery,
-    EffectValue,
-    Gap,
-    InputClock,
-    NamedEffect,
-    NamedKind,
-    NominalValue,
-    Rival,
-    SetProbability,
-    overall,
-    wave_amplitude,
-)
+from robustlab.result import Evidence
 from robustlab.shown import Facts, Part, listed, number
 
+LINEAR = "linear about the recorded motion"  # said of the records of such runs
+Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
+INTERVAL = 1.96  # standard deviations of a 95 % interval
+SURE = 0.95  # probability of what is named
+WAVES = (("Ac", "As"), ("Pc", "Ps"), ("c", "s"))  # cosine and sine part of what is periodic in the position
 SHOWN_SETS = 6  # in the facts
 SHOWN_SEARCH = 12  # most probable sets of the search
 MODELS = ("nominal", "refitted", "updated")
 
 
-def headline_of(d: Discovery) -> str:
+@dataclass(frozen=True)
+class EffectValue(Evidence):
+    """One fitted parameter of an effect: value, unit, 95 % interval (posterior, given the effect), and meaning."""
+
+    name: str
+    value: float
+    unit: str
+    lower: float
+    upper: float
+    meaning: str
+
+
+@dataclass(frozen=True)
+class NominalValue(Evidence):
+    """One refitted nominal parameter with its 95 % interval, and the tolerance it was given (0: held fixed)."""
+
+    # assumed: the plant states no tolerance; beyond: the value left it. Absolute where the nominal value is 0.
+
+    name: str
+    nominal: float
+    value: float
+    unit: str
+    lower: float
+    upper: float
+    tolerance: float
+    assumed: bool
+    beyond: bool = False
+
+
+@dataclass(frozen=True)
+class Rival(Evidence):
+    """An effect that these records cannot separate from a named one."""
+
+    # name, title, site: the rival
+    name: str
+    title: str
+    site: str
+    # id of the named effect whose place it could take; "none" where nothing was named, but this effect is about as
+    # probable as none: the tolerances of other parameters may hide it
+    instead_of: str
+    # refit distance d in standard deviations of the noise: how far the rival's best fit stays from what the named
+    # effect predicts for these very records. d < 3 cannot be told apart. Of a rival of "none" it is how far the bare
+    # model stays from what the rival predicts.
+    distance: float
+    evidence: float  # log evidence relative to the named effect (negative: behind)
+    probability: float  # of the most probable set that has it in that place
+    parameters: tuple[EffectValue, ...]  # as it was fitted
+
+
+@dataclass(frozen=True)
+class NamedEffect(Evidence):
+    """One effect that the records show."""
+
+    name: str  # id in the catalogue
+    # title, equation, site: in words; as a formula; where it sits
+    title: str
+    equation: str
+    site: str
+    parameters: tuple[EffectValue, ...]  # fitted values with intervals
+    confidence: float  # its probability: that of all sets of effects that contain it, 0..1
+    evidence: float  # log evidence over the model without it
+    rivals: tuple[str, ...]  # ids that these records cannot separate from it; empty where the name is unique
+    # windowed error on held-out data in percent of the range with all names but this one, refitted; NaN if not known
+    error_without: float = math.nan
+
+
+@dataclass(frozen=True)
+class KindMember(Evidence):
+    """An effect that a kind may be: id, title, site, and its share of the kind's probability, 0..1."""
+
+    name: str
+    title: str
+    site: str
+    share: float
+
+
+@dataclass(frozen=True)
+class NamedKind(Evidence):
+    """What the records are sure of at one place."""
+
+    # kind, title, place: id in the tree of kinds (`robustlab.dynamics.effects.kinds`), in words, and where
+    kind: str
+    title: str
+    place: str
+    probability: float  # of all sets that have a member of it there, 0..1
+    values: tuple[EffectValue, ...]  # what every member can be asked for, with 95 % intervals over all members
+    members: tuple[KindMember, ...]  # the effects that it may be, the most probable first
+    form: str  # how to tell the members apart, as an instruction
+    # whether more than noise is left beside it: that may be what its best form differs from the true one by
+    misfit: bool = False
+
+    quantities: ClassVar[Mapping[str, Any]] = {"probability": "1"}
+
+    @property
+    def words(self) -> str:
+        """What and where: ``dry friction at omega``, ``a lateness from u to q``."""
+        return f"{self.title} {'from' if ' to ' in self.place else 'at'} {self.place}"
+
+    @property
+    def settled(self) -> bool:
+        """Whether one member alone has 95 % of it, and nothing is left that another could be told by."""
+        return [m.share >= SURE for m in self.members if m.share > 1.0 - SURE] == [True] and not self.misfit
+
+    @property
+    def open_form(self) -> str:
+        """Why the form is not told: several members at once, a misfit beside it, or records that do not settle it."""
+        if sum(m.share >= SURE for m in self.members) > 1:
+            return "more than one at once"
+        return "not settled beside what remains" if self.misfit else "not settled"
+
+
+def wave_amplitude(values: Mapping[str, float]) -> float | None:
+    """Amplitude of an effect that is periodic, from its cosine and sine part; None of any other."""
+    pair = next(((c, s) for c, s in WAVES if c in values and s in values), None)
+    return math.hypot(values[pair[0]], values[pair[1]]) if pair else None
+
+
+@dataclass(frozen=True)
+class Gap(Evidence):
+    """Simulation error (RMS) of one output: in windows, or in one run from the record's start."""
+
+    # output, unit, range: the output, its unit, its measured range on that data
+    output: str
+    unit: str
+    range: float
+    # nominal, refitted, updated: RMS of these models; infinite where the simulation diverges
+    nominal: float
+    refitted: float
+    updated: float
+
+    quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("range", "nominal", "refitted", "updated"), "*")
+
+
+def overall(gaps: Mapping[str, Gap], model: str) -> float:
+    """RMS over the outputs of the error of ``nominal``, ``refitted`` or ``updated`` in percent of the range."""
+    shares = [getattr(g, model) / (g.range or 1.0) for g in gaps.values()]
+    return 100.0 * math.sqrt(sum(share**2 for share in shares) / len(shares)) if shares else math.nan
+
+
+@dataclass(frozen=True)
+class SetProbability(Evidence):
+    """A set of effects and how probable it is among all that the search visited."""
+
+    effects: tuple[str, ...]  # its effects with their places, ``"coulomb-friction@omega"``; empty: nothing is missing
+    names: tuple[str, ...]  # their ids in the catalogue
+    probability: float  # of this set, 0..1; over all visited sets it sums to one
+    evidence: float  # log evidence, prior of the set included, relative to the most probable one
+    # refit distance from the most probable set in standard deviations of the noise (3 tell); NaN where not asked
+    distance: float = math.nan
+    unnamed: str = ""  # the unnamed force that belongs to it (``"force over speed"``), empty where none does
+
+
+@dataclass(frozen=True)
+class InputClock(Evidence):
+    """What an input does between its samples, and by how much its clock is late against the outputs', in s."""
+
+    input: str
+    hold: Literal["held", "linear", "smooth"]
+    shift: float
+    std: float
+
+
+@dataclass(frozen=True)
+class SearchEntry(Evidence):
+    """One set that the search visited, in its order: effects with places, log evidence, what became of it."""
+
+    effects: tuple[str, ...]
+    evidence: float
+    decision: str
+
+
+# --- words ------------------------------------------------------------------------------------------------------------
+
+
+def headline_of(d: Any) -> str:
     """The verdict in one sentence that a person understands."""
     early = "Interrupted; by then: " if d.interrupted else ""
     change = f"error on held-out data {_three_errors(d.gaps, d.effects)}"
@@ -55,7 +222,7 @@ def headline_of(d: Discovery) -> str:
     return f"{early}{d.plant} lacks something{beyond} that no effect of the catalogue explains ({change})"
 
 
-def facts_of(d: Discovery) -> Facts:
+def facts_of(d: Any) -> Facts:
     """Verdict, effects with intervals, what the records leave open, errors, what remains, what to do next."""
     found = [("verdict", d.verdict if d.complete else f"{d.verdict}, incomplete: structure remains")]
     for kind in d.kinds:
@@ -90,7 +257,7 @@ def facts_of(d: Discovery) -> Facts:
     ]
 
 
-def details_of(d: Discovery) -> list[Part]:
+def details_of(d: Any) -> list[Part]:
     """Evidence of the effects, refitted parameters, inputs between their samples, next experiment, findings, search."""
     best = sorted(d.search, key=lambda e: -e.evidence)[:SHOWN_SEARCH]
     without = {e.name: percent(e.error_without) if math.isfinite(e.error_without) else "" for e in d.effects}
@@ -131,7 +298,7 @@ def chance(probability: float) -> str:
     return "< 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
 
 
-def _sure_words(d: Discovery) -> list[str]:
+def _sure_words(d: Any) -> list[str]:
     """What is sure, in words: a kind by its size where its form is not settled, else the effects; else the best set."""
     if not d.kinds:
         return [e.title for e in d.effects]
@@ -163,11 +330,11 @@ def _three_errors(gaps: Mapping[str, Gap], named: Iterable[NamedEffect] | None =
     return f"{given} of the range as given, {refitted} refitted, {updated} {them}"
 
 
-def _what_shows(d: Discovery) -> str:
+def _what_shows(d: Any) -> str:
     return "matters" if d.also_detectable else "these records show"
 
 
-def _choices(d: Discovery) -> str:
+def _choices(d: Any) -> str:
     """What all sets of the collection have, then what they differ in: ``A and either B or C``."""
     sets = [(*p.effects, p.unnamed) if p.unnamed else p.effects for p in d.collection]
     common = [e for e in (sets[0] if sets else ()) if all(e in other for other in sets)]
@@ -223,7 +390,7 @@ def _sizes(g: Gap) -> str:
     return f"rms {size(g.nominal)} -> {size(g.refitted)} -> {size(g.updated)}"
 
 
-def _remaining(d: Discovery) -> str:
+def _remaining(d: Any) -> str:
     if d.complete:
         return "nothing systematic was found"
     told = "the named effects do not explain everything" if d.effects else "unexplained"
@@ -259,7 +426,7 @@ def _clock(c: InputClock) -> str:
     return f"{between}; {late}"
 
 
-def _next(d: Discovery) -> str:
+def _next(d: Any) -> str:
     """One line on what to do with the answer."""
     if d.next_experiment is not None:
         return f"measure what tells them apart: {d.next_experiment.description}"
