@@ -13,7 +13,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget
-from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+from robustlab.synthesis.problem.partition import PlantMatrices, Realisation, dual
 
 # Steps of the solver: three times what it ever needed.
 STEPS = 200
@@ -82,7 +82,7 @@ def projection(
     conditions = [cp.bmat([[R, coupling * np.eye(n)], [coupling * np.eye(n), S]]) >> 0]
     conditions += [LARGEST * np.eye(n) - X >> 0 for X in (R, S)]
     for p in plants:
-        conditions += [_outer(q, X, gamma, margin) for q, X in ((_dual(p), R), (p, S))]
+        conditions += [_outer(q, X, gamma, margin) for q, X in ((dual(p), R), (p, S))]
     if level is not None:
         conditions += [last >= 0] if widest else [last == 0]
     cost = last if level is None else -last if widest else cp.trace(R) + cp.trace(S)
@@ -90,10 +90,6 @@ def projection(
     if failed:
         return None, None, failed
     return float(last.value) if level is None else level, (R.value, S.value), ""
-
-
-def _dual(p: PlantMatrices) -> PlantMatrices:
-    return PlantMatrices(p.A.T, p.C1.T, p.C2.T, p.B1.T, p.B2.T, p.D11.T, p.D21.T, p.D12.T)
 
 
 def _outer(p: PlantMatrices, S: Any, gamma: Any, margin: Any) -> Any:
