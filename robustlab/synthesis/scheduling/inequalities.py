@@ -46,6 +46,11 @@ def least(cost: Any, conditions: Sequence[Any], budget: Budget) -> str:
     return "" if sound else f"the LMI solver says {problem.status}"
 
 
+def value_of(variable: Any) -> AnyArray:
+    """What the solver found for a variable."""
+    return np.asarray(variable.value)
+
+
 def bounded_real(top: Any, C: Array, D: Array, gamma: Any) -> Any:
     """``[top_A, top_B, C^T; ., -gamma I, D^T; ., ., -gamma I]`` with ``top = [top_A, top_B]``, top_A symmetric."""
     import cvxpy as cp
@@ -89,7 +94,7 @@ def projection(
     failed = least(cost, conditions, budget)
     if failed:
         return None, None, failed
-    return float(last.value) if level is None else level, (R.value, S.value), ""
+    return float(value_of(last)) if level is None else level, (value_of(R), value_of(S)), ""
 
 
 def _outer(p: PlantMatrices, S: Any, gamma: Any, margin: Any) -> Any:
@@ -145,7 +150,7 @@ def reconstructed(p: PlantMatrices, X: AnyArray, gamma: float, budget: Budget) -
     unit = equal_rows(np.block([[a + a.T, b, c.T], [b.T, -gamma * np.eye(m), d.T], [c, d, -gamma * np.eye(q)]]))
     if least(-margin, [-(np.diag(unit) @ whole @ np.diag(unit)) - margin * np.eye(len(unit)) >> 0], budget):
         return None
-    return Realisation(*_quarters(np.array(K.value), n))
+    return Realisation(*_quarters(value_of(K), n))
 
 
 def _quarters(matrix: Any, n: int) -> tuple[Any, Any, Any, Any]:
