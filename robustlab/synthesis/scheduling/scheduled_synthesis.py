@@ -292,7 +292,7 @@ def _state_units(K: Array, n: int) -> Array:
     """Units of the n states in which their rows and columns are alike in size, all points as one."""
     size = np.abs(K).sum(axis=0)
     whole = np.zeros((sum(size.shape) - n,) * 2)
-    whole[:n, : size.shape[1]], whole[size.shape[1] :, :n] = size[:n], size[n:]
+    whole[:n, : size.shape[1]], whole[size.shape[1] :, :n] = size[:n], size[n:, :n]
     return balancing_factors(whole)[:n]
 
 
