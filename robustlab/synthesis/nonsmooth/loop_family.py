@@ -152,7 +152,7 @@ class LoopFamily:
         a, b, c, d = member.loop
         m, found = b.shape[1], list[tuple[float, AnyArray]]()
         dynamic = (np.isfinite(omegas) | self.discrete) & bool(len(a))
-        parts = list[tuple[AnyArray, AnyArray, AnyArray]]()
+        parts = list[tuple[Any, Any, Any]]()
         if dynamic.any():
             points = np.array([resolvent_point(omega, self.discrete) for omega in omegas[dynamic]])
             try:
