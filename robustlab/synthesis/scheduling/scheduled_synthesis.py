@@ -16,7 +16,6 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.shown import Facts, number
 from robustlab.signals import Taken
 from robustlab.statespace import Signal
@@ -38,6 +37,8 @@ COUPLINGS = (1.5, 1.05)
 # small, and how many times its gamma they may cost at the first start, and at the second.
 ADDED = tuple(10.0 ** (-0.5 * k) for k in range(17))
 COSTS = (30.0, 3.0)
+# Rounds over the states of a controller, at most, until their units stand.
+SWEEPS = 30
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -289,11 +290,21 @@ class _Task:
 
 
 def _state_units(K: Array, n: int) -> Array:
-    """Units of the n states in which their rows and columns are alike in size, all points as one."""
-    size = np.abs(K).sum(axis=0)
-    whole = np.zeros((sum(size.shape) - n,) * 2)
-    whole[:n, : size.shape[1]], whole[size.shape[1] :, :n] = size[:n], size[n:, :n]
-    return balancing_factors(whole)[:n]
+    """Units of the n states in which their rows and columns are alike in size, all points as one (Osborne 1960)."""
+    size, units = np.abs(K).sum(axis=0), np.ones(n)
+    size[range(n), range(n)] = 0.0
+    for _ in range(SWEEPS):
+        before = units.copy()
+        for i in range(n):
+            row, column = size[i].sum(), size[:, i].sum()
+            if row > 0 and column > 0:
+                unit = 2.0 ** np.round(0.5 * np.log2(row / column))
+                size[i] /= unit
+                size[:, i] *= unit
+                units[i] *= unit
+        if np.array_equal(units, before):
+            break
+    return units
 
 
 def _turned(p: PlantMatrices, T: Array) -> PlantMatrices:
