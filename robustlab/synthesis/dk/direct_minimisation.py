@@ -6,13 +6,14 @@ K is eliminated by the two Riccati equations (`riccati_level`). Minimax by seque
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings
-from robustlab.synthesis.dk.riccati_level import Branches, Level
+from robustlab.synthesis.dk.riccati_level import Branches
 from robustlab.synthesis.dk.robust_problem import RobustProblem
 
 DECREASE = 1e-3  # share of the promised decrease that a step has to bring (Armijo)
@@ -28,48 +29,45 @@ SHORT = 10  # steps by which a candidate for a new section is followed ...
 PURSUED = 4  # ... and so many of the steepest candidates
 
 
-class _Objective:
-    """``log beta`` by theta, for scalings of one form, as the largest of several smooth branches."""
-
-    def __init__(self, problem: RobustProblem, scalings: DynamicScalings) -> None:
-        self.budget = problem.budget
-        self.search, self.centre = problem.search(scalings), scalings.parameters()
-
-    def level(self, theta: AnyArray, guess: float) -> Level | None:
-        """The smallest level; None outside the range, or where there is none."""
-        if np.abs(theta - self.centre).max(initial=0.0) > LARGEST_RANGE:
-            return None
-        return self.search.smallest(theta, guess)
-
-
 def minimised(
-    problem: RobustProblem, scalings: DynamicScalings, guess: float, steps: int | None = None
+    problem: RobustProblem, scalings: DynamicScalings, guess: float, steps: int = STEPS
 ) -> tuple[DynamicScalings, float] | None:
     """Scalings of the same form with a smaller level, and that level; None where the start has none."""
-    objective = _Objective(problem, scalings)
-    x = scalings.parameters()
-    level = objective.level(x, guess)
+    # min_d max_i (values_i + slopes_i^T d) + d^T H^-1 d / 2, with H by BFGS updates of the Lagrangian: where two
+    # eigenvalues of X Y meet the level has a kink, and a descent that knows one of them only gets stuck.
+    search, centre = problem.search(scalings), scalings.parameters()
+    x, level = centre, search.smallest(centre, guess)
     if level is None:
         return None
-    local = objective.search.branches(x, level)
+    local = search.branches(x, level)
     start = H = np.eye(len(x)) * FIRST_SCALE
     levels = [float(np.log(level.beta))]
-    for _ in range(STEPS if steps is None else steps):
+    for _ in range(steps):
         if local is None or not len(x) or problem.budget.over:
             break
         multipliers, predicted = _multipliers(local, H)
         direction = -H @ (multipliers @ local.slopes)
         shrink = min(1.0, LARGEST_MOVE / max(float(np.abs(direction).max()), 1e-300))
-        step = _line_search(objective, x, level, shrink * direction, shrink * predicted)
-        if step is None:
+        step, found = shrink, None
+        for _ in range(LINE_STEPS):  # the longest of a falling sequence that reaches a share of the promised decrease
+            if problem.budget.over:
+                break
+            s = step * direction
+            inside = np.abs(x + s - centre).max(initial=0.0) <= LARGEST_RANGE
+            trial = search.smallest(x + s, level.beta) if inside else None
+            if trial is not None and np.log(trial.beta) <= levels[-1] + DECREASE * step * predicted - 1e-9:
+                found = s, trial
+                break
+            step *= 0.35
+        if found is None:
             if H is start:
                 break
             H = start
             continue
-        s, level = step
-        after = objective.search.branches(x + s, level)
+        s, level = found
+        after, first = search.branches(x + s, level), len(levels) == 1
         if after is not None:
-            H = _updated(start if len(levels) == 1 else H, s, _change(local, after, multipliers), len(levels) == 1)
+            H = _updated(start if first else H, s, _change(local, after, multipliers), first)
         x, local = x + s, after
         levels.append(float(np.log(level.beta)))
         if len(levels) > PATIENCE and levels[-1 - PATIENCE] - levels[-1] < STEP_PROGRESS:
@@ -100,21 +98,6 @@ def _multipliers(branches: Branches, H: AnyArray) -> tuple[AnyArray, float]:
     return best, float(best_value)
 
 
-def _line_search(
-    objective: _Objective, x: AnyArray, level: Level, direction: AnyArray, predicted: float
-) -> tuple[AnyArray, Level] | None:
-    """The longest step of a falling sequence that reaches a share of the promised decrease; None where none does."""
-    start, t = float(np.log(level.beta)), 1.0
-    for _ in range(LINE_STEPS):
-        if objective.budget.over:
-            return None
-        found = objective.level(x + t * direction, level.beta)
-        if found is not None and np.log(found.beta) <= start + DECREASE * t * predicted - 1e-9:
-            return t * direction, found
-        t *= 0.35
-    return None
-
-
 def _change(before: Branches, after: Branches, multipliers: AnyArray) -> AnyArray:
     """Change of the slope of the Lagrangian; branches are recognised by their slopes."""
     result = np.zeros(before.slopes.shape[1])
@@ -143,17 +126,19 @@ def grown(
     problem: RobustProblem, scalings: DynamicScalings, level: float, omega: tuple[float, float], max_states: int
 ) -> tuple[DynamicScalings, float] | None:
     """Scalings one section of D or G larger; None where no place for it lowers the level."""
+    # Sections with zero = pole, and sections of G with p = q, leave the level as it is.
     candidates: list[tuple[float, DynamicScalings]] = []
-    for trial in _candidates(scalings, np.linspace(np.log(omega[0]), np.log(omega[1]), PLACES)):
+    places = np.linspace(np.log(omega[0]), np.log(omega[1]), PLACES).tolist()
+    for trial in _candidates(scalings, places):
         if problem.budget.over:
             return None
         if trial.n_states > max_states:
             continue
-        objective = _Objective(problem, trial)
-        reached = objective.level(trial.parameters(), level)
-        local = None if reached is None else objective.search.branches(trial.parameters(), reached)
+        search, x = problem.search(trial), trial.parameters()
+        reached = search.smallest(x, level)
+        local = None if reached is None else search.branches(x, reached)
         if local is not None:
-            _, promised = _multipliers(local, np.eye(local.slopes.shape[1]) * FIRST_SCALE)
+            _, promised = _multipliers(local, np.eye(len(x)) * FIRST_SCALE)
             candidates.append((promised / (trial.n_states - scalings.n_states), trial))
     candidates.sort(key=lambda pair: pair[0])
     best: tuple[DynamicScalings, float] | None = None
@@ -164,14 +149,12 @@ def grown(
     return best
 
 
-def _candidates(scalings: DynamicScalings, places: AnyArray) -> list[DynamicScalings]:
+def _candidates(scalings: DynamicScalings, places: list[float]) -> Iterator[DynamicScalings]:
     """All enlargements by one section of a factor or of a G."""
-    found: list[DynamicScalings] = []
     for i, part in enumerate(scalings.parts):
         for k, factor in enumerate(part.factors):
             for at in places:
-                found.append(scalings.with_part(i, part.with_factor(k, factor.with_section(float(at), float(at)))))
+                yield scalings.with_part(i, part.with_factor(k, factor.with_section(at, at)))
         for k, pair in enumerate(part.g):
             for at in places:
-                found.append(scalings.with_part(i, part.with_pair(k, pair.with_section(float(at), float(at)))))
-    return found
+                yield scalings.with_part(i, part.with_pair(k, pair.with_section(at, at)))

@@ -18,7 +18,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, care
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem
-from robustlab.synthesis.problem.partition import PlantMatrices
+from robustlab.synthesis.problem.partition import PlantMatrices, dual
 from robustlab.synthesis.problem.scaling import Scaling
 
 RESIDUAL = 1e-7  # of a solution after Newton's steps; at 1e-3 levels passed that nothing could prove
@@ -154,7 +154,7 @@ class LevelSearch:
         try:
             p = self._scaled(theta, beta)
             first = self._solution(p)
-            second = None if first is None else self._solution(_dual(p))
+            second = None if first is None else self._solution(dual(p))
         except (InputError, np.linalg.LinAlgError):  # entries overflow
             return None
         if first is None or second is None:
@@ -193,7 +193,7 @@ class LevelSearch:
 
         def value(at: AnyArray, log_beta: float) -> AnyArray:
             q = self._scaled(at, float(np.exp(log_beta)))
-            M_X, M_Y = _form(q, pair.X, gain), _form(_dual(q), pair.Y, gain)
+            M_X, M_Y = _form(q, pair.X, gain), _form(dual(q), pair.Y, gain)
             return np.array([(V_X * M_X).sum() + (V_Y * M_Y).sum() for V_X, V_Y in weights]) / gain**2
 
         return value
@@ -205,10 +205,6 @@ def _root(Y: AnyArray) -> AnyArray:
     back = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     values, vectors = np.linalg.eigh(back[:, None] * Y * back)
     return size[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def _dual(p: PlantMatrices) -> PlantMatrices:
-    return PlantMatrices(p.A.T, p.C1.T, p.C2.T, p.B1.T, p.B2.T, p.D11.T, p.D21.T, p.D12.T)
 
 
 def _quadratic(p: PlantMatrices, gamma: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray, int]:

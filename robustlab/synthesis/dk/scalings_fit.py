@@ -63,51 +63,45 @@ def as_complex(blocks: Sequence[Block]) -> tuple[Block, ...]:
 
 def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, first: AnyArray | None = None) -> MuCurve:
     """The curve of a stable continuous loop on frequencies that follow it."""
+    # Round by round the middles of the intervals in which mu is close to its peak or D changes most.
     grid = default_grid(loop, FIRST_POINTS, 1.0) if first is None else first
     # Every so-many-th frequency first, as far as the budget goes.
     stride = max(1, len(grid) // CHUNK)
     order = np.concatenate([np.arange(start, len(grid), stride) for start in range(stride)])
-    response, bounds = _until(loop, blocks, grid[order], budget)
-    done = order[: len(bounds)]
-    back = np.argsort(done)
-    omega, response, bounds = grid[done[back]], response[back], [bounds[i] for i in back]
+    curve = _extended(None, loop, blocks, grid[order], budget)
     for _ in range(ROUNDS):
         if budget.over:
             break
-        levels = np.array([b.beta for b in bounds])
-        d = np.log(np.array([np.einsum("ii->i", b.Dw).real for b in bounds]))
+        levels, omega, top = curve.levels, curve.omega, max(curve.peak, 1e-300)
+        d = np.log(np.array([np.einsum("ii->i", b.Dw).real for b in curve.bounds]))
         d -= d.mean(axis=1, keepdims=True)
-        height = np.maximum(levels[1:], levels[:-1]) / max(levels.max(), 1e-300)
-        change = np.abs(np.diff(d, axis=0)).max(axis=1) + np.abs(np.diff(levels)) / max(levels.max(), 1e-300)
+        height = np.maximum(levels[1:], levels[:-1]) / top
+        change = np.abs(np.diff(d, axis=0)).max(axis=1) + np.abs(np.diff(levels)) / top
         urgency = height**4 * change * (np.diff(np.log(omega)) > 1e-3)
         chosen = np.argsort(-urgency)[:ADDED]
         chosen = chosen[urgency[chosen] > 0.02]
         if not len(chosen):
             break
-        new = np.sqrt(omega[chosen]) * np.sqrt(omega[chosen + 1])
-        more, found = _until(loop, blocks, new, budget)
-        new = new[: len(found)]
-        order = np.argsort(np.concatenate([omega, new]), kind="stable")
-        omega = np.concatenate([omega, new])[order]
-        response = np.concatenate([response, more])[order]
-        bounds = [[*bounds, *found][i] for i in order]
-    return MuCurve(omega, response, tuple(bounds))
+        curve = _extended(curve, loop, blocks, np.sqrt(omega[chosen]) * np.sqrt(omega[chosen + 1]), budget)
+    return curve
 
 
-def _until(
-    loop: StateSpaceModel, blocks: Sequence[Block], omega: AnyArray, budget: Budget
-) -> tuple[AnyArray, list[UpperBound]]:
-    """Responses and bounds at the first of the frequencies, as far as the budget goes, and at some of them always."""
-    responses: list[AnyArray] = []
-    bounds: list[UpperBound] = []
-    for begin in range(0, len(omega), CHUNK):
-        if bounds and budget.over:
-            break
-        chunk = omega[begin : begin + CHUNK]
+def _extended(
+    curve: MuCurve | None, loop: StateSpaceModel, blocks: Sequence[Block], omega: AnyArray, budget: Budget
+) -> MuCurve:
+    """With the first of these frequencies, as far as the budget goes; some of them always."""
+    responses, bounds = ([], []) if curve is None else ([curve.response], list(curve.bounds))
+    known = np.zeros(0) if curve is None else curve.omega
+    done = 0
+    while done < len(omega) and (not done or not budget.over):
+        chunk = omega[done : done + CHUNK]
         budget.spend(points_work(blocks, len(chunk)) + dense(loop.n_states))
         responses.append(frequency_response(loop, chunk))
         bounds += upper_bounds(responses[-1], blocks, MU_TOLERANCE)
-    return np.concatenate(responses), bounds
+        done += len(chunk)
+    known = np.concatenate([known, omega[:done]])
+    order = np.argsort(known, kind="stable")
+    return MuCurve(known[order], np.concatenate(responses)[order], tuple(bounds[i] for i in order))
 
 
 def fitted_scalings(

@@ -352,7 +352,7 @@ def tune(
     for goal in goals:
         if not isinstance(goal, (Goal, Limit)):
             raise InputError("synth tune: goals", f"{goal!r}", "TrackingGoal, MarginGoal, ..., Damping, Decay, ...")
-    wanted, limits = ([goal for goal in goals if isinstance(goal, kind)] for kind in (Goal, Limit))
+    wanted, limits = [g for g in goals if isinstance(g, Goal)], [g for g in goals if isinstance(g, Limit)]
     if not wanted:
         raise InputError("synth tune: goals", "none", "at least one goal beside the limits")
     check_starts("synth tune", starts)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Mask
+from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
@@ -37,73 +37,48 @@ DISCRETE_POLES = (0.2, 0.8)
 
 
 def informed_starts(problem: DesignProblem, seed: int, progress: Callable[[str], None]) -> list[tuple[str, AnyArray]]:
-    """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws."""
+    """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws.
+
+    At most half of what is left of the budget is used; the full-order design is that of the first plant.
+    """
     law, budget = problem.law, problem.budget
-    if not isinstance(law, AffineLaw) or not _is_given_order(law):
+    if not isinstance(law, AffineLaw) or not law.sizes[0] or len(law.index) != len(law.parameters):
+        return []
+    k = law.sizes[0]
+    free = np.zeros(law.base.shape, dtype=bool)
+    free[law.row, law.column] = True
+    near = np.abs(np.subtract.outer(np.arange(k), np.arange(k))) <= 1
+    if not (free[:k, k:].all() and free[k:, :k].all() and free[:k, :k][near].all()):
         return []
     found: list[tuple[str, AnyArray]] = []
-    if _free(law)[law.sizes[0] :, law.sizes[0] :].any():
-        D = _static_gain(problem, law, seed, progress)
-        if D is not None:
-            found.append(("static", _held(law, _extended(problem, law, D, 0, seed))))
+    if free[k:, k:].any():
+        first = problem.plants[0]
+        static = StaticGain(free[k:, k:]).law(first.measurements, first.controls, problem.dt)
+        alone = DesignProblem(problem.plants, static, problem.objective, (), budget.share(STATIC_SHARE))
+        best = multi_start(alone, [], STATIC_STARTS, seed, lambda line: progress(f"static gain: {line}"))[0]
+        if np.isfinite(best.gamma):
+            found.append(("static", _held(problem, law, static.packed(best.p), 0, seed)))
     part = budget.share(min(FULL_SHARE, FULL_WORK / max(budget.left, 1.0)))
-    K = _reduced(problem.plants[0], law.sizes[0], problem.objective, part)
+    K = _reduced(problem.plants[0], k, problem.objective, part)
     if K is not None:
         around, q = law_around(K)
-        found.append(("reduced", _held(law, _extended(problem, law, around.packed(q), K.n_states, seed))))
+        found.append(("reduced", _held(problem, law, around.packed(q), K.n_states, seed)))
     return found
 
 
-def _free(law: AffineLaw) -> Mask:
-    """Which entries of the packed matrices are parameters."""
-    free = np.zeros(law.base.shape, dtype=bool)
-    free[law.row, law.column] = True
-    return free
-
-
-def _is_given_order(law: AffineLaw) -> bool:
-    """All of B_K, C_K and at least the tridiagonal part of A_K are parameters, one for each entry."""
-    k = law.sizes[0]
-    if not k or len(law.index) != len(law.parameters):
-        return False
-    free = _free(law)
-    near = np.abs(np.subtract.outer(np.arange(k), np.arange(k))) <= 1
-    return bool(free[:k, k:].all() and free[k:, :k].all() and free[:k, :k][near].all())
-
-
-def _held(law: AffineLaw, theta: AnyArray) -> AnyArray:
-    """Parameters whose packed matrices are theta, as far as the law has its entries and bounds."""
-    p = np.zeros(len(law.parameters))
-    p[law.index] = theta[law.row, law.column] / law.weight
-    return np.clip(p, [q.low for q in law.parameters], [q.high for q in law.parameters])
-
-
-def _static_gain(problem: DesignProblem, law: AffineLaw, seed: int, progress: Callable[[str], None]) -> AnyArray | None:
-    """The best static gain with the law's free entries of D_K; None where none stabilises all plants."""
-    k, plants = law.sizes[0], problem.plants
-    static = StaticGain(_free(law)[k:, k:]).law(plants[0].measurements, plants[0].controls, problem.dt)
-    part = problem.budget.share(STATIC_SHARE)
-    alone = DesignProblem(plants, static, problem.objective, (), part)
-
-    def say(line: str) -> None:
-        progress(f"static gain: {line}")
-
-    best = multi_start(alone, [], STATIC_STARTS, seed, say)[0]
-    return static.packed(best.p) if np.isfinite(best.gamma) else None
-
-
-def _extended(problem: DesignProblem, law: AffineLaw, theta: AnyArray, order: int, seed: int) -> AnyArray:
-    """Packed matrices of a controller of a lower order with further stable states that act on nothing yet."""
+def _held(problem: DesignProblem, law: AffineLaw, theta: AnyArray, order: int, seed: int) -> AnyArray:
+    """Parameters of a controller of a lower order with further stable states that act on nothing yet, in bounds."""
     k, n_u, n_y = law.sizes
-    more = k - order
-    rng = np.random.default_rng(seed)
+    more, rng = k - order, np.random.default_rng(seed)
     poles = np.linspace(*DISCRETE_POLES, more) if problem.dt else -problem.scaling.rate * np.geomspace(*POLES, more)
     full = np.zeros((k + n_u, k + n_y))
     full[:order, :order], full[:order, k:] = theta[:order, :order], theta[:order, order:]
     full[k:, :order], full[k:, k:] = theta[order:, :order], theta[order:, order:]
     full[range(order, k), range(order, k)] = poles
     full[order:k, k:] = problem.scaling.rate * rng.standard_normal((more, n_y)) * problem.scaling.y
-    return full
+    p = np.zeros(len(law.parameters))
+    p[law.index] = full[law.row, law.column] / law.weight
+    return np.clip(p, [q.low for q in law.parameters], [q.high for q in law.parameters])
 
 
 def _reduced(plant: GeneralizedPlant, order: int, objective: str, budget: Budget) -> StateSpaceModel | None:

@@ -93,7 +93,8 @@ class AffineBuilder:
         """The finished law."""
         table = np.array(self.entries, dtype=float).reshape(-1, 4)
         sizes = self.n_states, self.n_controls, self.n_measurements
-        return AffineLaw(tuple(self.parameters), sizes, self.base, *table[:, :3].astype(int).T, table[:, 3])
+        index, row, column = table[:, :3].astype(int).T
+        return AffineLaw(tuple(self.parameters), sizes, self.base, index, row, column, table[:, 3])
 
 
 @dataclass(frozen=True, eq=False)

@@ -152,7 +152,7 @@ class LoopFamily:
         a, b, c, d = member.loop
         m, found = b.shape[1], list[tuple[float, AnyArray]]()
         dynamic = (np.isfinite(omegas) | self.discrete) & bool(len(a))
-        parts = [(d[None], self.D12[None], self.D21[None])] if not dynamic.all() else []
+        parts = list[tuple[Any, Any, Any]]()
         if dynamic.any():
             points = np.array([resolvent_point(omega, self.discrete) for omega in omegas[dynamic]])
             try:
@@ -160,7 +160,9 @@ class LoopFamily:
             except np.linalg.LinAlgError:
                 return []
             by_w = x[:, :, :m]
-            parts.insert(0, (c @ by_w + d, self.D12 + c @ x[:, :, m:], self.D21 + self.C @ by_w))
+            parts.append((c @ by_w + d, self.D12 + c @ x[:, :, m:], self.D21 + self.C @ by_w))
+        if not dynamic.all():
+            parts.append((d[None], self.D12[None], self.D21[None]))
         for gain, rows, columns in parts:
             if not np.isfinite(gain).all():
                 return []

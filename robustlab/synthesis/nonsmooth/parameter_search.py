@@ -50,7 +50,7 @@ MODES_WELL_APART = 1e6
 MANY = 700
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Start:
     """What became of one start."""
 
@@ -60,9 +60,20 @@ class Start:
     gamma: float  # norm at its end, in the plant's units, before verification; inf where it was never stable
     p: AnyArray  # its parameters
     values: tuple[float, ...]  # norms on the way
+    v: AnyArray | None = None  # its search variables, and the inverse Hessian, with which a descent goes on
+    inverse: AnyArray | None = None
+    stands: bool = False  # whether a descent gains nothing more
 
     def to_json(self) -> dict[str, Any]:
         return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "values")}
+
+    def lower(self, problem: DesignProblem, v: AnyArray, norms: Sequence[float]) -> Start:
+        """Moved to these variables on the way of these scaled norms, where it ends lower; else itself."""
+        values = tuple(x / problem.gain for x in norms)
+        if not values[-1] < self.gamma:
+            return self
+        p = problem.parameters(v)[0]
+        return replace(self, gamma=values[-1], p=p, values=(*self.values, *values), v=v, inverse=None)
 
 
 def multi_start(
@@ -73,7 +84,7 @@ def multi_start(
     progress: Callable[[str], None],
 ) -> list[Start]:
     """All starts, the best ones polished; best first."""
-    field: list[_Runner] = []
+    field: list[Start] = []
     total = len(given) + 1 + starts
     for i in range(total):
         if problem.late() and field:
@@ -86,26 +97,15 @@ def multi_start(
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i - len(given),)))
             kind, v = "random", _random(problem, rng, (i - len(given)) % 2 == 0)
         field.append(_entered(problem, kind, v))
-        best = min(runner.start.gamma for runner in field)
+        best = min(start.gamma for start in field)
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
-        progress(f"start {i + 1} of {total}: norm {field[-1].start.gamma:.6g}, {text}")
+        progress(f"start {i + 1} of {total}: norm {field[-1].gamma:.6g}, {text}")
     for steps, keep in ROUNDS:
         field = _distinct_first(field)
-        field = [_further(problem, r, steps) if i < keep else r for i, r in enumerate(field)]
-    found = [r.start for r in _distinct_first(field)]
-    followed = [_followed(problem, s) if i < FOLLOWED else s for i, s in enumerate(found)]
-    return _best_polished(problem, sorted(followed, key=lambda s: s.gamma), progress)
-
-
-@dataclass(frozen=True)
-class _Runner:
-    """A start on its way down: its variables, scaled norm, and the descent's inverse Hessian to go on with."""
-
-    start: Start
-    v: AnyArray
-    value: float
-    inverse: AnyArray | None = None
-    stands: bool = False
+        field = [_further(problem, start, steps) if i < keep else start for i, start in enumerate(field)]
+    field = _distinct_first(field)
+    field = [_followed(problem, start) if i < FOLLOWED else start for i, start in enumerate(field)]
+    return _best_polished(problem, sorted(field, key=lambda s: s.gamma), progress)
 
 
 def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> AnyArray:
@@ -118,62 +118,60 @@ def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> A
     return problem.centre + draw * np.select([centred, bounded], [0.5, 0.3], spread)
 
 
-def _entered(problem: DesignProblem, kind: str, v: AnyArray) -> _Runner:
+def _entered(problem: DesignProblem, kind: str, v: AnyArray) -> Start:
     """A start made stable; with limits, or where it is not a random one, taken along the central path."""
     v, instability = stabilised(problem, v)
+    start = Start(kind, instability, np.inf, problem.parameters(v)[0], (), stands=True)
     if instability >= STABLE:
-        return _Runner(Start(kind, instability, np.inf, problem.parameters(v)[0], ()), v, np.inf, stands=True)
-    value = problem.norm(v)[0]
-    values = [value]
+        return start
+    values = [problem.norm(v)[0]]
     if kind != "random" or problem.limits:
         v, values = central_path(problem, v)
-        value = min(values)
     gammas = tuple(x / problem.gain for x in values)
-    start = Start(kind, instability, value / problem.gain, problem.parameters(v)[0], gammas)
-    return _further(problem, _Runner(start, v, value), ROUNDS[0][0])
+    start = replace(start, gamma=min(gammas), p=problem.parameters(v)[0], values=gammas, v=v, stands=False)
+    return _further(problem, start, ROUNDS[0][0])
 
 
-def _further(problem: DesignProblem, runner: _Runner, steps: int) -> _Runner:
+def _goes_on(problem: DesignProblem, start: Start) -> bool:
+    return bool(np.isfinite(start.gamma)) and start.gamma != 0 and not problem.late()
+
+
+def _further(problem: DesignProblem, start: Start, steps: int) -> Start:
     """A start some steps further down the norm."""
-    if runner.stands or not np.isfinite(runner.value) or runner.value == 0 or problem.late():
-        return runner
-    found = _bfgs(problem, problem.norm, runner.v, max_steps=steps, rtol=ROUND_RTOL, inverse=runner.inverse)
-    if found is None or not found.value < runner.value:
-        return replace(runner, stands=True)
-    p, gamma = problem.parameters(found.x)[0], found.value / problem.gain
-    start = replace(runner.start, gamma=gamma, p=p, values=(*runner.start.values, gamma))
-    return _Runner(start, found.x, found.value, found.inverse, found.steps < steps)
+    if start.stands or start.v is None or not _goes_on(problem, start):
+        return start
+    found = _bfgs(problem, problem.norm, start.v, max_steps=steps, rtol=ROUND_RTOL, inverse=start.inverse)
+    lower = start if found is None else start.lower(problem, found.x, [found.value])
+    if found is None or lower is start:
+        return replace(start, stands=True)
+    return replace(lower, inverse=found.inverse, stands=found.steps < steps)
 
 
-def _distinct_first(field: list[_Runner]) -> list[_Runner]:
+def _distinct_first(field: list[Start]) -> list[Start]:
     """By norm, but those that ended where a better one has ended come last."""
-    first: list[_Runner] = []
-    again: list[_Runner] = []
-    for runner in sorted(field, key=lambda r: r.value):
-        known = any(abs(r.value - runner.value) <= SAME * runner.value for r in first if np.isfinite(runner.value))
-        (again if known else first).append(runner)
+    first: list[Start] = []
+    again: list[Start] = []
+    for start in sorted(field, key=lambda s: s.gamma):
+        known = any(abs(s.gamma - start.gamma) <= SAME * start.gamma for s in first if np.isfinite(start.gamma))
+        (again if known else first).append(start)
     return first + again
 
 
 def _followed(problem: DesignProblem, start: Start) -> Start:
     """A start taken along the path from where it is, and down the norm itself."""
-    if not np.isfinite(start.gamma) or start.gamma == 0 or problem.late():
+    if not _goes_on(problem, start):
         return start
     v, values = central_path(problem, problem.variables(start.p), BARRIER_CLOSER)
     v, value = _descended(problem, v)
-    norms = (*start.values, *(x / problem.gain for x in (*values[1:], value)))
-    gamma = value / problem.gain
-    if not gamma < start.gamma:
-        return start
-    return Start(start.kind, start.instability, gamma, problem.parameters(v)[0], norms)
+    return start.lower(problem, v, [*values[1:], value])
 
 
 def _best_polished(problem: DesignProblem, found: list[Start], progress: Callable[[str], None]) -> list[Start]:
     done: list[Start] = []
     ends: list[float] = []  # norms of the starts that were polished, before it: one of each optimum is enough
     for start in found:
-        new = np.isfinite(start.gamma) and all(abs(end - start.gamma) > SAME * start.gamma for end in ends)
-        if len(ends) == POLISHED or not new or start.gamma == 0 or problem.late():
+        new = all(abs(end - start.gamma) > SAME * start.gamma for end in ends) and _goes_on(problem, start)
+        if len(ends) == POLISHED or not new:
             done.append(start)
             continue
         ends.append(start.gamma)
@@ -181,7 +179,7 @@ def _best_polished(problem: DesignProblem, found: list[Start], progress: Callabl
         gamma = value / problem.gain
         if gamma < start.gamma:
             progress(f"polished: norm {start.gamma:.6g} -> {gamma:.6g}")
-        done.append(Start(start.kind, start.instability, gamma, p, (*start.values, gamma)))
+        done.append(replace(start, gamma=gamma, p=p, values=(*start.values, gamma)))
     return sorted(done, key=lambda s: s.gamma)
 
 

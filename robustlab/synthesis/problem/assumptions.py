@@ -10,7 +10,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import is_moderate, refuse_overflow
-from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
+from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, dual
 
 # sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to
 # order one).
@@ -49,12 +49,9 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
                 kind = "unstable" if pole.real > AXIS * size else "marginal"
                 faults.append(f"{kind} mode s = {_text(pole * rate)} rad/s (mostly state {states[state]}) {text}")
     if faults:
-        raise NoTrustworthyNumber(
-            where,
-            f"no stabilising controller exists: {faults[0]}",
-            hint="add an actuator or a sensor for it; rl.minimal takes out what is hidden from all signals",
-            more=tuple(dict.fromkeys(faults[1:])),
-        )
+        hint = "add an actuator or a sensor for it; rl.minimal takes out what is hidden from all signals"
+        found = f"no stabilising controller exists: {faults[0]}"
+        raise NoTrustworthyNumber(where, found, hint=hint, more=tuple(dict.fromkeys(faults[1:])))
 
 
 def _like(matrix: AnyArray, axis: int, size: float) -> AnyArray:
@@ -89,21 +86,13 @@ def broken_assumptions(p: PlantMatrices, plant: GeneralizedPlant, rate: float = 
         for name in _free_channels(p.D21.T, measurements, "measurement")
     ]
     states = plant.model.state_names
-    sides = (
-        (p.A, p.B2, p.C1, p.D12, "can go on undamped without any performance output showing it"),
-        (
-            p.A.T,
-            p.C2.T,
-            p.B1.T,
-            p.D21.T,
-            "can go on undamped without any disturbance driving it through the measurements",
-        ),
-    )
-    for A, B, C, D, text in sides:
-        for omega, state in _axis_zeros(A, B, C, D):
-            found.append(
-                f"zero on the axis at {_rounded(omega * rate)} rad/s: a motion mostly of {states[state]} {text}"
-            )
+    text = ("performance output showing it", "disturbance driving it through the measurements")
+    for side, what in zip((p, dual(p)), text, strict=True):
+        found += [
+            f"zero on the axis at {_rounded(omega * rate)} rad/s: a motion mostly of {states[state]} can go on "
+            f"undamped without any {what}"
+            for omega, state in _axis_zeros(side.A, side.B2, side.C1, side.D12)
+        ]
     return tuple(found)
 
 

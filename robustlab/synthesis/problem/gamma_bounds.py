@@ -13,7 +13,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.linear_analysis.magnitude import LARGEST
-from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices
+from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, dual
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
 # Points of the right half plane: radii and angles of a polar grid. More: a little higher bounds.
@@ -108,13 +108,11 @@ def _at_zeros(p: PlantMatrices, scaling: Scaling) -> tuple[complex, float]:
     """The right half plane zero of P12 or P21, where square, that costs most, and its bound, in the plant's units."""
     q = scaling.apply(p)
     best: tuple[complex, float] = (0j, 0.0)
-    for A, B1, B2, C1, D11, D12 in ((q.A, q.B1, q.B2, q.C1, q.D11, q.D12),
-                                    (q.A.T, q.C1.T, q.C2.T, q.B1.T, q.D11.T, q.D21.T)):  # fmt: skip
-        if C1.shape[0] != B2.shape[1] or not len(A):
+    for side in (q, dual(q)):
+        if len(side.C1) != side.B2.shape[1] or not len(side.A):
             continue
-        B, D = np.hstack([B1, B2]), np.hstack([D11, D12])
-        for zero in _unstable_zeros(A, B2, C1, D12):
-            value = _cost_of_zero(A, B, C1, D, B1.shape[1], zero) / scaling.gain
+        for zero in _unstable_zeros(side.A, side.B2, side.C1, side.D12):
+            value = _cost_of_zero(side, zero) / scaling.gain
             if value > best[1]:
                 best = (zero * scaling.rate, value)
     return best
@@ -132,9 +130,11 @@ def _unstable_zeros(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray) -> list[
     return zeros[kept].tolist()
 
 
-def _cost_of_zero(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, n_w: int, zero: complex) -> float:
+def _cost_of_zero(p: PlantMatrices, zero: complex) -> float:
     """``|v P11|`` at the zero of P12 next to this one, less what rounding makes of both; 0 where P12 is none there."""
-    (P,), (error,) = _responses(A, B, C, D, np.array([zero]))
+    # With v P12 = 0 to rounding, the true zero lies within (|v P12| + e) / |v P12' u|.
+    A, B, C, n_w = p.A, np.hstack([p.B1, p.B2]), p.C1, p.B1.shape[1]
+    (P,), (error,) = _responses(A, B, C, np.hstack([p.D11, p.D12]), np.array([zero]))
     if not (np.isfinite(P).all() and np.isfinite(error).all()):
         return 0.0
     left, sigma, right = np.linalg.svd(P[:, n_w:])

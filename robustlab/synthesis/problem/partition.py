@@ -83,6 +83,11 @@ class PlantMatrices:
         return GeneralizedPlant(self.model(), n_y, n_u)
 
 
+def dual(p: PlantMatrices) -> PlantMatrices:
+    """The transposed plant, in which controls and measurements change places."""
+    return PlantMatrices(p.A.T, p.C1.T, p.C2.T, p.B1.T, p.B2.T, p.D11.T, p.D21.T, p.D12.T)
+
+
 @dataclass(frozen=True, eq=False)
 class GeneralizedPlant(Shown):
     """A model: its last ``n_con`` inputs are the controls u, its last ``n_meas`` outputs the measurements y."""

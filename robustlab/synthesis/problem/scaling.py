@@ -52,39 +52,25 @@ class Scaling:
         t, u, y = _exponent(self.states), _exponent(self.u), _exponent(self.y)[:, None]
         rows = -t[:, None] - k
         with np.errstate(over="ignore", under="ignore"):
-            return PlantMatrices(
-                _signed(p.A, rows + t),
-                np.ldexp(p.B1, rows + w),
-                np.ldexp(p.B2, rows + u),
-                np.ldexp(p.C1, t + z),
-                np.ldexp(p.C2, t + y),
-                np.ldexp(p.D11, w + z),
-                np.ldexp(p.D12, u + z),
-                np.ldexp(p.D21, w + y),
-            )
+            A = times_power(p.A, rows + t)
+            A = np.where((A == 0) & (p.A != 0), np.copysign(TINY, p.A), A)  # a pole keeps its side of the axis
+            others = (p.B1, rows + w), (p.B2, rows + u), (p.C1, t + z), (p.C2, t + y)
+            direct = (p.D11, w + z), (p.D12, u + z), (p.D21, w + y)
+            return PlantMatrices(A, *(np.ldexp(matrix, exponents) for matrix, exponents in (*others, *direct)))
 
-    def controller_to_plant(self, K: Realisation) -> Realisation:
-        """The controller for the plant that belongs to one for the scaled plant."""
-        k, u, y = _exponent(self.rate), _exponent(self.u)[:, None], _exponent(self.y)
+    def controller_to_plant(self, K: Realisation, sign: int = 1) -> Realisation:
+        """The controller for the plant that belongs to one for the scaled plant; the inverse with ``sign=-1``."""
+        k, u, y = sign * _exponent(self.rate), sign * _exponent(self.u)[:, None], sign * _exponent(self.y)
         return Realisation(times_power(K.A, k), times_power(K.B, k + y), times_power(K.C, u), times_power(K.D, u + y))
 
     def controller_from_plant(self, K: Realisation) -> Realisation:
         """Inverse of `controller_to_plant`."""
-        k, u, y = _exponent(self.rate), _exponent(self.u)[:, None], _exponent(self.y)
-        return Realisation(
-            times_power(K.A, -k), times_power(K.B, -k - y), times_power(K.C, -u), times_power(K.D, -u - y)
-        )
+        return self.controller_to_plant(K, -1)
 
 
 def _exponent(factor: AnyArray | float) -> AnyArray:
     """Exponents of factors, which are powers of two."""
     return np.frexp(factor)[1] - 1
-
-
-def _signed(matrix: AnyArray, exponents: AnyArray) -> AnyArray:
-    """The same, without entries that vanish: a pole keeps its side of the axis."""
-    scaled = times_power(matrix, exponents)
-    return np.where((scaled == 0) & (matrix != 0), np.copysign(TINY, matrix), scaled)
 
 
 def _power(x: AnyArray | float) -> AnyArray:
@@ -215,15 +201,15 @@ def equilibrated(p: PlantMatrices, discrete: bool = False) -> Scaling:
     s = _start(p, discrete)
     for _ in range(30):
         before = s
-        s = Scaling(s.rate, _osborne(s.apply(p), s.states, 1), s.u, s.y, s.w, s.z)
+        s = replace(s, states=_osborne(s.apply(p), s.states, 1))
         q = s.apply(p)
         u = _power(np.hypot(np.linalg.norm(q.B2, axis=0), np.linalg.norm(q.D12, axis=0)))
         y = _power(np.hypot(np.linalg.norm(q.C2, axis=1), np.linalg.norm(q.D21, axis=1)))
-        s = Scaling(s.rate, s.states, s.u / u, s.y / y, s.w, s.z)
+        s = replace(s, u=s.u / u, y=s.y / y)
         q = s.apply(p)
         w = float(_power(np.hypot(np.linalg.norm(q.B1), np.linalg.norm(q.D21)) / np.sqrt(max(1, q.B1.shape[1]))))
         z = float(_power(np.hypot(np.linalg.norm(q.C1), np.linalg.norm(q.D12)) / np.sqrt(max(1, q.C1.shape[0]))))
-        s = Scaling(s.rate, s.states, s.u, s.y, s.w / w, s.z / z)
+        s = replace(s, w=s.w / w, z=s.z / z)
         if all(np.array_equal(getattr(s, k), getattr(before, k)) for k in ("states", "u", "y", "w", "z")):
             break
     return s

@@ -15,7 +15,7 @@ from robustlab.norms import PeakGain, hinf_norm
 from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, number
-from robustlab.synthesis.scheduling.inequalities import equal_rows, least
+from robustlab.synthesis.scheduling.inequalities import equal_rows, least, value_of
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
 from robustlab.verification import Claim, Outcome, check
@@ -311,8 +311,8 @@ def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[floa
     failed = least(gamma if level is None else 1e-6 * size - margin, conditions, budget)
     if failed:
         return None, None, failed
-    found = np.array([P[w].value for w in vertices]).reshape(*posed.shape, n, n)
-    return float(gamma.value) if level is None else level, found, ""
+    found = np.array([value_of(P[w]) for w in vertices]).reshape(*posed.shape, n, n)
+    return float(value_of(gamma)) if level is None else level, found, ""
 
 
 def _norms(deviation: Array, n: int) -> tuple[float, float, float, float]:

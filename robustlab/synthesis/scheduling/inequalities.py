@@ -13,7 +13,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget
-from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+from robustlab.synthesis.problem.partition import PlantMatrices, Realisation, dual
 
 # Steps of the solver: three times what it ever needed.
 STEPS = 200
@@ -44,6 +44,11 @@ def least(cost: Any, conditions: Sequence[Any], budget: Budget) -> str:
     found = [variable.value for variable in problem.variables()]
     sound = all(value is not None and np.isfinite(value).all() for value in found)
     return "" if sound else f"the LMI solver says {problem.status}"
+
+
+def value_of(variable: Any) -> AnyArray:
+    """What the solver found for a variable."""
+    return np.asarray(variable.value)
 
 
 def bounded_real(top: Any, C: Array, D: Array, gamma: Any) -> Any:
@@ -82,18 +87,14 @@ def projection(
     conditions = [cp.bmat([[R, coupling * np.eye(n)], [coupling * np.eye(n), S]]) >> 0]
     conditions += [LARGEST * np.eye(n) - X >> 0 for X in (R, S)]
     for p in plants:
-        conditions += [_outer(q, X, gamma, margin) for q, X in ((_dual(p), R), (p, S))]
+        conditions += [_outer(q, X, gamma, margin) for q, X in ((dual(p), R), (p, S))]
     if level is not None:
         conditions += [last >= 0] if widest else [last == 0]
     cost = last if level is None else -last if widest else cp.trace(R) + cp.trace(S)
     failed = least(cost, conditions, budget)
     if failed:
         return None, None, failed
-    return float(last.value) if level is None else level, (R.value, S.value), ""
-
-
-def _dual(p: PlantMatrices) -> PlantMatrices:
-    return PlantMatrices(p.A.T, p.C1.T, p.C2.T, p.B1.T, p.B2.T, p.D11.T, p.D21.T, p.D12.T)
+    return float(value_of(last)) if level is None else level, (value_of(R), value_of(S)), ""
 
 
 def _outer(p: PlantMatrices, S: Any, gamma: Any, margin: Any) -> Any:
@@ -149,7 +150,7 @@ def reconstructed(p: PlantMatrices, X: AnyArray, gamma: float, budget: Budget) -
     unit = equal_rows(np.block([[a + a.T, b, c.T], [b.T, -gamma * np.eye(m), d.T], [c, d, -gamma * np.eye(q)]]))
     if least(-margin, [-(np.diag(unit) @ whole @ np.diag(unit)) - margin * np.eye(len(unit)) >> 0], budget):
         return None
-    return Realisation(*_quarters(np.array(K.value), n))
+    return Realisation(*_quarters(value_of(K), n))
 
 
 def _quarters(matrix: Any, n: int) -> tuple[Any, Any, Any, Any]:

@@ -154,7 +154,7 @@ class Inequality:
         import cvxpy as cp
 
         n, share, matrices = self.n, 1.0 / len(c.pairs), self.model.matrices
-        top = sum(share * (P[w] @ (matrices[v] + c.shift)[:n]) for v, w in c.pairs)
+        top: Any = sum(share * (P[w] @ (matrices[v] + c.shift)[:n]) for v, w in c.pairs)
         drift = top[:, :n] + top[:, :n].T + sum(factor * P[w] for factor, w in c.slopes)
         return bounded_real(cp.hstack([drift, top[:, n:]]), *self._outputs(c), gamma)
 

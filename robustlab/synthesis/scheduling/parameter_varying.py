@@ -292,9 +292,9 @@ class LPVModel(Behaviour, Shown, Traced):
         return f"LPVModel({size} over {', '.join(self.names)}, {self.n_states} states, [{ins}] -> [{outs}])"
 
     def to_json(self) -> dict[str, object]:
+        told: dict[str, object] = {"parameters": [vars(p) for p in self.parameters], "matrices": self.matrices}
         sides = {side: [list(s) for s in getattr(self, side)] for side in ("inputs", "outputs", "states")}
-        parameters = {"parameters": [vars(p) for p in self.parameters], "matrices": self.matrices}
-        return parameters | sides | {"deviation": self.deviation, "known": self.known}
+        return told | sides | {"deviation": self.deviation, "known": self.known}
 
 
 def _require_name(where: str, name: str, known: tuple[str, ...]) -> None:

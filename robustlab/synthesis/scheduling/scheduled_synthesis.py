@@ -37,7 +37,6 @@ COUPLINGS = (1.5, 1.05)
 # small, and how many times its gamma they may cost at the first start, and at the second.
 ADDED = tuple(10.0 ** (-0.5 * k) for k in range(17))
 COSTS = (30.0, 3.0)
-
 # Rounds over the states of a controller, at most, until their units stand.
 SWEEPS = 30
 

@@ -18,7 +18,6 @@ from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.synthesis.problem.design import Synthesis
-from robustlab.synthesis.specifications.weight_design import smallest_gain
 
 POINTS, SPAN = 400, 1e3  # of a picture: frequencies, and how far from the middle pole others still stretch it
 # Which weight of a mixed-sensitivity problem bounds which function.
@@ -72,8 +71,9 @@ class LoopFunctions(Shown):
         weight = self.weights.get(FUNCTIONS[name])
         if weight is None:
             return None
-        with np.errstate(divide="ignore"):
-            return self.gamma / smallest_gain(weight, np.atleast_1d(omega))
+        sigma = np.linalg.svd(frequency_response(weight, omega), compute_uv=False)[:, -1]
+        with np.errstate(divide="ignore"):  # fewer outputs than inputs bound some directions only
+            return self.gamma / (sigma if weight.n_outputs >= weight.n_inputs else 0.0 * sigma)
 
     def is_stable(self) -> bool:
         """True where the loop is internally stable."""
