@@ -124,9 +124,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         put(self, "states", signals(states, a.shape[0], "x", f"{where}: states"))
         put(self, "operating_point", _checked_operating_point(operating_point, a, d, where))
 
-    def _in_states(
-        self, A: Array, B: Array, C: Array, D: Array | None = None, *, rate: float = 1.0
-    ) -> StateSpaceModel:
+    def _in_states(self, A: Array, B: Array, C: Array, D: Array | None = None, *, rate: float = 1.0) -> StateSpaceModel:
         """In as many other states and the time unit ``1 / rate``, with known poles; nothing is checked or copied."""
         model = object.__new__(type(self))
         known = vars(self).get("_poles")
@@ -441,12 +439,6 @@ def inverse(model: Any) -> StateSpaceModel:
     .. math:: G^{-1}: \quad (A - B D^{-1} C, \; B D^{-1}, \; -D^{-1} C, \; D^{-1})
 
     Raises InputError: not square; NoTrustworthyNumber: D is singular: the inverse is not proper.
-
-    Examples
-    --------
-    >>> lead = StateSpaceModel([[-10.0]], [[1.0]], [[-9.0]], [[1.0]])  # (s + 1) / (s + 10)
-    >>> inverse(lead).poles()
-    array([-1.+0.j])
     """
     g = _operand(model, "inverse")
     if g.n_inputs != g.n_outputs:

@@ -33,8 +33,7 @@ from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.upper import compile_kernels
-from robustlab.norms import PeakGain
-from robustlab.norms import unstable_norm
+from robustlab.norms import PeakGain, unstable_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, number
 from robustlab.statespace import StateSpaceModel

@@ -104,7 +104,11 @@ class ReducedModel(Shown):
         }  # fmt: skip
 
     def facts(self) -> Facts:
-        words = {"weighted": "weighted error", "coprime": "error of the coprime factors", "stochastic": "relative error"}
+        words = {
+            "weighted": "weighted error",
+            "coprime": "error of the coprime factors",
+            "stochastic": "relative error",
+        }
         kind = self.method.partition(" ")[0]
         what = words.get(kind, "error")
         bound = "" if not np.isfinite(self.bound) else f"; promised: at most {self.bound:.6g}"
