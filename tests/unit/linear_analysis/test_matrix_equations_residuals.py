@@ -119,5 +119,3 @@ def test_dare_refuses():
     with pytest.raises(NoTrustworthyNumber, match="unit circle"):
         dare([[1.0]], [[1.0]], [[0.0]], [[1.0]])
     assert dare(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((0, 0)), [[1.0]]).gain.shape == (1, 0)
-
-
