@@ -198,6 +198,7 @@ def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[flo
     else:
         omega = _within(np.abs(np.concatenate([poles, poles.imag, peak])), band or (0.0, np.inf))
     gains, error, lower, at, looked = largest_gains(s, omega), 0.0, -1.0, 0.0, False
+    level = np.inf
     for _ in range(LEVELS):
         top = int(np.argmax(gains))
         if gains[top] > lower:
