@@ -15,13 +15,7 @@ Indices = NDArray[np.intp]
 
 
 def not_finite(array: Array, entries: str = "entries") -> tuple[str, str] | None:
-    """Index of the first entry that is NaN or infinite, and the words for it; None where all are finite.
-
-    Examples
-    --------
-    >>> not_finite(np.array([[1.0, np.nan], [np.inf, 2.0]]))
-    ('0,1', 'is NaN (2 of 4 entries)')
-    """
+    """Index of the first entry that is NaN or infinite, and the words for it; None where all are finite."""
     finite = np.isfinite(array)
     if finite.all():
         return None

@@ -52,11 +52,6 @@ def dense(n: int, times: int = 1) -> int:
     """Work of ``times`` dense factorisations (eigenvalues, Schur, Riccati, singular values) of size n.
 
     A fixed part, which is what a call costs however small the matrix, and ``n^3`` operations.
-
-    Examples
-    --------
-    >>> dense(10), dense(100, times=2)
-    (140, 80200)
     """
     return times * (100 + n**3 // 25)
 

@@ -177,13 +177,7 @@ def _clipped(text: str, width: int = WIDTH) -> str:
 
 
 def number(value: Any, unit: str = "", digits: int = 4) -> str:
-    """A number with as many digits as a person reads, and its unit; empty for None and NaN.
-
-    Examples
-    --------
-    >>> number(1.48353217, "rad/s"), number(float("inf")), number(None), number(1 + 2.00001j)
-    ('1.484 rad/s', 'inf', '', '1+2j')
-    """
+    """A number with as many digits as a person reads, and its unit; empty for None and NaN."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     if isinstance(value, complex) and not value.imag:
@@ -193,15 +187,7 @@ def number(value: Any, unit: str = "", digits: int = 4) -> str:
 
 
 def bracket(lower: float, upper: float, words: tuple[str, str], unit: str = "") -> str:
-    """Two bounds with what each rests on, in as many digits as tell them apart; six tell enough.
-
-    Examples
-    --------
-    >>> bracket(1.48351, 1.48686, ("proved", "attained"))
-    '1.484 (proved) .. 1.487 (attained)'
-    >>> bracket(2.0, 2.0000001, ("attained", "proved"), "V")
-    '2 V (attained and proved)'
-    """
+    """Two bounds with what each rests on, in as many digits as tell them apart; six tell enough."""
     digits = next((d for d in (4, 5, 6) if number(lower, "", d) != number(upper, "", d)), 6)
     low, high = (number(value, unit, digits) for value in (lower, upper))
     if low == high:
@@ -210,48 +196,24 @@ def bracket(lower: float, upper: float, words: tuple[str, str], unit: str = "") 
 
 
 def listed(items: Iterable[Any], most: int = SHOWN) -> str:
-    """The first few, and how many more there are.
-
-    Examples
-    --------
-    >>> listed("abcdefgh", 3)
-    'a, b, c and 5 more'
-    """
+    """The first few, and how many more there are."""
     texts = [str(item) for item in items]
     more = f" and {len(texts) - most} more" if len(texts) > most else ""
     return ", ".join(texts[:most]) + more
 
 
 def short(names: Sequence[str], most: int = SHOWN) -> str:
-    """Names in one line of a repr, each cut where it is long.
-
-    Examples
-    --------
-    >>> short(["u", "v" * 40])
-    'u, vvvvvvvvvvvvvvvvvvvvv...'
-    """
+    """Names in one line of a repr, each cut where it is long."""
     return plain_text(listed((_clipped(name, 24) for name in names), most))
 
 
 def with_units(signals: Iterable[tuple[str, str]], most: int = SHOWN) -> str:
-    """Names of signals with their units.
-
-    Examples
-    --------
-    >>> with_units([("u", "V"), ("load", "")])
-    'u [V], load'
-    """
+    """Names of signals with their units."""
     return listed((f"{name} [{unit}]" if unit else name for name, unit in signals), most)
 
 
 def member(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]] | None = None) -> str:
-    """A member of a set in words: its parameters in their units where they are known, else normalised values.
-
-    Examples
-    --------
-    >>> member({"k": -1.0, "gain": 0.5}, {"k": (1.4, "N/m")})
-    'k = 1.4 N/m, gain: delta = 0.5'
-    """
+    """A member of a set in words: its parameters in their units where they are known, else normalised values."""
     said = []
     for name, value in delta.items():
         known = (physical or {}).get(name)
@@ -263,13 +225,7 @@ def member(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]] |
 
 
 def member_rows(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]]) -> Part:
-    """The table of a member: each block's value, and the parameter that it stands for; the first `SHOWN_BLOCKS`.
-
-    Examples
-    --------
-    >>> member_rows({"k": -1.0}, {"k": (1.4, "N/m")}).rows
-    [('k', '-1', '1.4 N/m')]
-    """
+    """The table of a member: each block's value, and the parameter that it stands for; the first `SHOWN_BLOCKS`."""
     rows = []
     for name in list(delta)[:SHOWN_BLOCKS]:
         value, known = delta[name], physical.get(name)
@@ -281,13 +237,7 @@ def member_rows(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, st
 
 
 def in_words(value: Any) -> str:
-    """A value of a field in a few words: what is long is counted, not listed.
-
-    Examples
-    --------
-    >>> in_words(True), in_words([1, 2, 3]), in_words({"a": 1.0, "b": 2.0}), in_words(range(100))
-    ('yes', '1, 2, 3', 'a = 1, b = 2', '100 entries')
-    """
+    """A value of a field in a few words: what is long is counted, not listed."""
     if value is None or is_function(value):
         return ""
     if isinstance(value, Enum):
@@ -313,16 +263,7 @@ def in_words(value: Any) -> str:
 
 
 def text_table(rows: Sequence[tuple[str, ...]], header: tuple[str, ...] | None = None) -> str:
-    """Left-aligned columns as plain text, with a rule under the header.
-
-    Examples
-    --------
-    >>> print(text_table([("u", "1.5"), ("load", "2")], ("name", "gain")))
-    name  gain
-    ----  ----
-    u     1.5
-    load  2
-    """
+    """Left-aligned columns as plain text, with a rule under the header."""
     lines = [header, *rows] if header else list(rows)
     if not lines:
         return ""
@@ -334,14 +275,7 @@ def text_table(rows: Sequence[tuple[str, ...]], header: tuple[str, ...] | None =
 
 
 def matrix_lines(name: str, rows: Sequence[Sequence[complex]], width: int, most: int = 12) -> list[str]:
-    r"""A matrix of ``width`` columns with its name before it, six digits; of a large one its size.
-
-    Examples
-    --------
-    >>> print("\n".join(matrix_lines("A", [[0.0, 1.0], [-2.0, -0.25]], 2)))
-    A:  0   1
-       -2  -0.25
-    """
+    r"""A matrix of ``width`` columns with its name before it, six digits; of a large one its size."""
     if not rows or not width or max(len(rows), width) > most:
         return [f"{name}: {len(rows)} x {width}"]
     cells = [[text if text.startswith("-") else f" {text}" for text in (f"{x:.6g}" for x in row)] for row in rows]

@@ -439,12 +439,6 @@ def inverse(model: Any) -> StateSpaceModel:
     .. math:: G^{-1}: \quad (A - B D^{-1} C, \; B D^{-1}, \; -D^{-1} C, \; D^{-1})
 
     Raises InputError: not square; NoTrustworthyNumber: D is singular: the inverse is not proper.
-
-    Examples
-    --------
-    >>> lead = StateSpaceModel([[-10.0]], [[1.0]], [[-9.0]], [[1.0]])  # (s + 1) / (s + 10)
-    >>> inverse(lead).poles()
-    array([-1.+0.j])
     """
     g = _operand(model, "inverse")
     if g.n_inputs != g.n_outputs:

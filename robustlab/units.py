@@ -46,13 +46,7 @@ def _bare(unit: str) -> str:
 
 
 def same_unit(one: str, other: str) -> bool:
-    """Whether two texts are one unit.
-
-    Examples
-    --------
-    >>> same_unit("N*m", "N m"), same_unit("°", "deg"), same_unit("mm", "m")
-    (True, True, False)
-    """
+    """Whether two texts are one unit."""
     return _bare(one) == _bare(other)
 
 
@@ -66,13 +60,7 @@ def unit_family(unit: str) -> tuple[dict[str, float], float] | None:
 
 
 def factor_between(unit: str, wanted: str) -> float | None:
-    """What a number in ``unit`` is multiplied with to be in ``wanted``; None where one is not the other's measure.
-
-    Examples
-    --------
-    >>> factor_between("mm", "m"), factor_between("mm", "V")
-    (0.001, None)
-    """
+    """What a number in ``unit`` is multiplied with to be in ``wanted``; None where one is not the other's measure."""
     if same_unit(unit, wanted):
         return 1.0
     found = unit_family(wanted)
@@ -81,13 +69,7 @@ def factor_between(unit: str, wanted: str) -> float | None:
 
 
 def factor_to_si(unit: str) -> tuple[float, str]:
-    """Factor to the SI unit of the same family, and that unit; (1, unit) where it is in no family.
-
-    Examples
-    --------
-    >>> factor_to_si("mm"), factor_to_si("counts")
-    ((0.001, 'm'), (1.0, 'counts'))
-    """
+    """Factor to the SI unit of the same family, and that unit; (1, unit) where it is in no family."""
     found = unit_family(unit)
     return (1.0, unit) if found is None else (found[1], next(iter(found[0])))
 
@@ -96,11 +78,6 @@ def amount(where: str, given: Any, unit: str) -> Any:
     """``given`` as a number in ``unit`` where it is a text; anything else as it is.
 
     Raises InputError: no number, or a unit that is not a measure of the same.
-
-    Examples
-    --------
-    >>> amount("R", "2.1 ohm", "ohm"), amount("L", "0.5mH", "H"), amount("u", 42.0, "V")
-    (2.1, 0.0005, 42.0)
     """
     if not isinstance(given, str):
         return given
@@ -116,11 +93,6 @@ def share(where: str, given: Any) -> Any:
     """``given`` as a share where it is a text, per cent or not; anything else as it is.
 
     Raises InputError: no number, or a unit other than %.
-
-    Examples
-    --------
-    >>> share("Km", "5%"), share("Km", "0.05")
-    (0.05, 0.05)
     """
     if not isinstance(given, str):
         return given

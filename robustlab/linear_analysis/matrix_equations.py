@@ -113,7 +113,7 @@ def dare(
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
-    X, gain = _extended_pencil(a, b, q, r, s, True), None
+    X, gain, coupling = _extended_pencil(a, b, q, r, s, True), None, np.zeros(b.T.shape)
     if X is not None:
         with np.errstate(over="ignore", invalid="ignore"):
             X = 0.5 * (X + X.T)

@@ -35,7 +35,7 @@ def gramian_factors(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array
     """Triangular L_c, L_o (n, n), ``P = L_c L_c^T`` and ``Q = L_o L_o^T``, of a stable model (SB03OD, Hammarling)."""
     dico, n = "D" if discrete else "C", len(A)
     into, out = np.zeros((n, n), order="F"), np.zeros((n, n), order="F")
-    into[:, : B.shape[1]] = B if B.shape[1] <= n else np.linalg.qr(B.T, mode="r").T
+    into[:, : B.shape[1]] = B if B.shape[1] <= n else np.asarray(np.linalg.qr(B.T, mode="r")).T
     out[: len(C)] = C if len(C) <= n else np.linalg.qr(C, mode="r")
     factors = []
     for part, trans in ((into, "T"), (out, "N")) if n else ():

@@ -48,14 +48,7 @@ class SteadyState(Shown):
 
 
 def steady_state(model: Any, inputs: Mapping[str, float], outputs: Sequence[str] | None = None) -> SteadyState:
-    """Outputs :math:`y = G(0) u`, of a discrete model :math:`G(1) u`, under constant inputs; others are zero.
-
-    Examples
-    --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> steady_state(StateSpaceModel([[-2.0]], [[1.0]], [[4.0]], [[0.0]]), {"u1": 3.0}).outputs
-    {'y1': 6.0}
-    """
+    """Outputs :math:`y = G(0) u`, of a discrete model :math:`G(1) u`, under constant inputs; others are zero."""
     given = as_model(model, "steady state")
     if outputs is not None:
         given = drop_unconnected(given.select(outputs=outputs))

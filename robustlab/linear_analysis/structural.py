@@ -185,14 +185,7 @@ class Structure(Shown):
 
 
 def structure(model: Any) -> Structure:
-    """Poles, stability, controllability and observability of a model at once.
-
-    Examples
-    --------
-    >>> found = structure(StateSpaceModel([[1.0, 0.0], [0.0, -2.0]], [[0.0], [1.0]], [[1.0, 1.0]], [[0.0]]))
-    >>> found.stable, found.controllability.rank, found.observability.rank
-    (False, 1, 2)
-    """
+    """Poles, stability, controllability and observability of a model at once."""
     given = as_model(model, "structure")
     poles = np.array(sorted(given.poles().tolist(), key=lambda p: (-p.real, p.imag)), dtype=complex)
     return Structure(
@@ -265,12 +258,6 @@ def drop_unconnected(model: Any) -> StateSpaceModel:
 
     Nothing is computed: the input-output behaviour from zero initial state is exactly the same. Modes that cancel by
     value rather than by structure stay.
-
-    Examples
-    --------
-    >>> motor = StateSpaceModel([[0, 1], [0, -2]], [[0], [1]], [[1, 0], [0, 1]], [[0], [0]], outputs=["phi", "omega"])
-    >>> drop_unconnected(motor.select(outputs=["omega"]))
-    StateSpaceModel(1 states, [u1] -> [omega], continuous)
     """
     model = as_model(model, "drop_unconnected")
     reached = _reach(model.A != 0, (model.B != 0).any(axis=1))

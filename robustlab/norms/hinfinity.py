@@ -46,8 +46,8 @@ QUIET, LOUD = 1e-9, 1e-3
 MARGIN = 10.0
 # Levels before the bracket is given up, and frequencies next to poles at which rounding is looked at besides the peak.
 LEVELS, LOOKED_AT = 60, 3
-# Up to so many states a doubtful norm is left to ball arithmetic: about 0.1 s.
-BALL_STATES = 40
+# A bracket that is doubtful, or wider than the first share, is left to ball arithmetic up to so many states: 0.1 s.
+WIDE, BALL_STATES = 1e-4, 40
 
 Band = tuple[float, float]
 Infinite = Callable[[StateSpaceModel], "HinfNorm | None"]  # which poles make the norm infinite: its bracket, or None
@@ -148,7 +148,8 @@ def _norm_of(m: StateSpaceModel, rtol: float, infinite: Infinite, band: Band | N
             again = _bracket(apart, rtol, band)
             if again.status is Status.CERTIFIED or again.upper - again.lower < found.upper - found.lower:
                 found = again
-        if found.status is not Status.CERTIFIED and infinite is unstable_norm:
+        wide = found.status is not Status.CERTIFIED or 0 < found.lower < found.upper * (1 - max(2 * rtol, WIDE))
+        if wide and infinite is unstable_norm:
             found = _in_balls(m, found, rtol)
     return replace(found, system=m)
 
@@ -197,6 +198,7 @@ def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[flo
     else:
         omega = _within(np.abs(np.concatenate([poles, poles.imag, peak])), band or (0.0, np.inf))
     gains, error, lower, at, looked = largest_gains(s, omega), 0.0, -1.0, 0.0, False
+    level = np.inf
     for _ in range(LEVELS):
         top = int(np.argmax(gains))
         if gains[top] > lower:

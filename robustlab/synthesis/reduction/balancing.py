@@ -30,6 +30,7 @@ __all__ = [
     "block_factor",
     "gramian_factors",
     "split_stable",
+    "triangular_root",
 ]
 
 Projection = Literal["truncation", "residualisation"]
@@ -171,9 +172,14 @@ def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
     return t[:, None] * reach, see / t[:, None]
 
 
+def triangular_root(rows: AnyArray) -> AnyArray:
+    """R with ``R^T R = rows^T rows``, upper triangular, with no more rows than columns."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
 def block_factor(rows: AnyArray) -> AnyArray:
     """Square factor of the diagonal block of ``L L^T`` that belongs to some rows of L."""
-    return np.asarray(np.linalg.qr(rows.T, mode="r")).T
+    return triangular_root(rows.T).T
 
 
 @dataclass(frozen=True, eq=False)

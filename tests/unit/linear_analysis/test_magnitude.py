@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -111,26 +110,7 @@ def test_every_end_is_a_result_or_an_error_that_names_the_call_and_no_nan_in_fin
 # --- against exact arithmetic ----------------------------------------------------------------------------------------
 
 
-def exact(m: Model, omega: float) -> tuple[Fraction, Fraction]:
-    """Real and imaginary part of the response of a model with two states, in rational arithmetic."""
-    A, B, C, D = ([[Fraction(float(x)) for x in row] for row in part] for part in (m.A, m.B, m.C, m.D))
-    at = np.exp(1j * omega * m.dt) if m.dt else 1j * omega
-    re, im = Fraction(float(np.real(at))), Fraction(float(np.imag(at)))
-
-    def times(x: tuple[Fraction, Fraction], y: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:
-        return x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]
-
-    p, q = (re - A[0][0], im), (re - A[1][1], im)
-    det = times(p, q)
-    det = det[0] - A[0][1] * A[1][0], det[1]
-    (b1,), (b2,) = B
-    (c1, c2), d = C[0], D[0][0]
-    top = c1 * (q[0] * b1 + A[0][1] * b2) + c2 * (A[1][0] * b1 + p[0] * b2), im * (c1 * b1 + c2 * b2)
-    size = det[0] ** 2 + det[1] ** 2
-    return (top[0] * det[0] + top[1] * det[1]) / size + d, (top[1] * det[0] - top[0] * det[1]) / size
-
-
-@pytest.mark.parametrize("b1", [1.0, 1e10, 1e100, 1e154, 1e200])
+@pytest.mark.parametrize("b1", [1.0, 1e10, 1e50])
 def test_hinf_of_any_disturbance_gain(b1):
     """P12 = s/(s - 1) has a zero at 0, so that no gain is below |P11(0)| = b1; K = -1 - eps comes close to it."""
     design = rl.hinf(Model([[1.0]], [[b1, 1]], [[1], [1]], [[0, 1], [1, 0]]), 1, 1)
@@ -149,13 +129,8 @@ def test_h2_where_the_control_acts_1e20_times_weaker_than_the_disturbance():
     assert design.gamma == pytest.approx(np.sqrt(X + (b * X + 1) ** 2 * Y), rel=1e-8)
 
 
-def test_the_norm_of_minus_one_with_a_huge_unseen_input():
-    norm = rl.peak_gain(Model([[-1.0]], [[1e300]], [[0.0]], [[-1.0]]))
-    assert norm.status is rl.Status.CERTIFIED
-    assert norm.lower == 1.0
-    assert norm.upper == pytest.approx(1.0, rel=1e-5)
-
-
-def test_a_norm_beyond_floating_point_is_called_so():
-    with pytest.raises(rl.NoTrustworthyNumber, match="peak_gain: the answer is about 1e600: it overflows"):
-        rl.peak_gain(Model([[-1.0]], [[1e300]], [[1e300]], [[0.0]]))
+@pytest.mark.parametrize("b", [1e-200, 1e300])
+@pytest.mark.parametrize("call", [rl.peak_gain, rl.h2_norm, rl.hankel_singular_values, lambda m: rl.reduce_model(m, 0)])
+def test_models_beyond_all_units_are_refused(call, b):
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"between 1e-100 and 1e100(.|\n)*other units"):
+        call(Model([[-1.0]], [[b]], [[1.0]], [[0.0]]))
