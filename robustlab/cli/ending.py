@@ -135,7 +135,6 @@ def _user_fault(error: BaseException) -> RobustlabError | None:
 
 
 def _machine_fault(error: BaseException) -> EnvironmentFault | None:
-    """What the machine lacks, where that is what ``error`` says."""
     words = plain_text(next(iter(str(error).strip().splitlines()), ""))
     if isinstance(error, MemoryError):
         return EnvironmentFault("robustlab", f"not enough memory{f' ({words})' if words else ''}", _MORE)
@@ -183,7 +182,6 @@ def _silence() -> None:
 
 
 def _bug_report() -> str:
-    """Write traceback, versions and command to a file; say where."""
     import tempfile
     import traceback
 

@@ -272,13 +272,11 @@ def _parameter(function: Callable[..., Any], name: str, hint: Any, default: Any)
 
 @cache
 def _groups(function: Callable[..., Any]) -> dict[str, Any]:
-    """Parameters that are groups of options, each with its class."""
     hints = get_type_hints(function, include_extras=True)
     return {name: hints[name] for name in inspect.signature(function).parameters if is_dataclass(hints.get(name))}
 
 
 def _fields_of(group: Any) -> list[tuple[str, Any, Any]]:
-    """Name, annotation and default of each option of a group."""
     hints = get_type_hints(group, include_extras=True)
     return [(f.name, hints[f.name], REQUIRED if f.default is MISSING else f.default) for f in fields(group)]
 

@@ -211,7 +211,6 @@ def dk(
 
 
 def _rows(text: str) -> list[list[int]]:
-    """``"-2,0; 2,2"`` as the rows of `robustlab.mu`."""
     rows: list[list[int]] = []
     for part in text.split(";"):
         try:

@@ -110,7 +110,6 @@ def discretise(
 
 
 def _at_rest(plant: Any) -> Any:
-    """The generalised plant at Delta = 0."""
     from robustlab.synthesis.problem.partition import GeneralizedPlant
 
     nominal = rl.UncertainModel(plant.model, plant.blocks).nominal
@@ -181,7 +180,6 @@ Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between th
 
 
 def _foretold_loop(step: Any, ahead: Any) -> Any:
-    """References in; the outputs and the control signals out."""
     inputs, outputs = ahead[step.of].inputs, ahead[step.of].outputs
     if inputs is None or outputs is None:
         return ahead[None]

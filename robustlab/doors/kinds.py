@@ -21,7 +21,6 @@ Side = Literal["inputs", "outputs", "signals", "parameters", ""]
 
 @contextmanager
 def _as_usage(found: str = "") -> Any:
-    """What is wrong with a word is a fault of the command line."""
     try:
         yield
     except InputError as error:

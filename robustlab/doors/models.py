@@ -86,7 +86,6 @@ def linearise(
 
 
 def _place(at: Any, pose: Any) -> dict[str, str]:
-    """Where a model was made, in words."""
     if isinstance(at, dict) and at:
         return {"rest": ", ".join(f"{name} = {value:g}" for name, value in at.items())}
     given = pose if pose is not None else at

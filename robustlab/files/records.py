@@ -436,7 +436,6 @@ def _times(source: Source, names: list[str], n: int, dt: float | None, clock: st
 
 
 def _clock(source: Source, name: str, tell: bool) -> Array:
-    """The named channel in s; where its times count from is told."""
     channel, where = source.channels[name], f"{source.where}: {source.label(name)}"
     if channel.unit not in SECONDS:
         raise InputError(

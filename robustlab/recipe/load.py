@@ -103,7 +103,6 @@ def _checked(data: dict[str, Any], where: str, overrides: dict[str, str] | None)
 
 
 def _fault(error: Any, data: dict[str, Any]) -> str:
-    """One fault as ``dotted.key: what is wrong``."""
     loc = [str(part) for part in error["loc"]]
     is_step = len(loc) >= 3 and loc[0] == "step" and loc[2] in KINDS
     if is_step:
@@ -164,7 +163,6 @@ def _meant(loc: list[str], known: list[str], data: dict[str, Any]) -> str:
 
 
 def _known_keys(loc: tuple[Any, ...]) -> list[str]:
-    """Keys that are allowed beside the unknown one."""
     if loc[0] == "step" and len(loc) == 4:
         return [name for name in KINDS[loc[2]].model_fields if name != "do"]
     if loc[0] == "require":

@@ -97,7 +97,6 @@ def ending_of(result: Mapping[str, Any]) -> Mapping[str, str]:
 
 
 def _unfinished(result: Mapping[str, Any]) -> Verdict:
-    """Of a run that has not come to its end."""
     ending = ending_of(result)
     how, message = ending["how"], ending["message"]
     if how == "running":
@@ -130,7 +129,7 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
     from jinja2 import UndefinedError
 
     try:
-        readable = _with_optional_parts(_readable(result))
+        readable = _readable(result)
         pictures = _pictures(Path(folder), readable)
         return _template().render(
             r=readable,
@@ -172,16 +171,6 @@ def _readable(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_readable(item) for item in value]
     return value
-
-
-def _with_optional_parts(result: Any) -> Any:
-    """Parts that results of earlier versions lack, empty."""
-    for requirement in result["requirements"]:
-        requirement.setdefault("limits", None)
-        requirement.setdefault("unit", "")
-    for step in result["steps"]:
-        step.setdefault("story", [])
-    return result
 
 
 def in_words(value: Any, limits: Sequence[float | None] | None = None) -> str:

@@ -188,7 +188,6 @@ def _template() -> Any:
 
 
 def _terms(from_x: Array, from_u: Array, from_limits: Array | None = None) -> list[tuple[float, str]]:
-    """The terms of a row that are not zero: number and place."""
     rows = (("s->x[{}]", from_x), ("u[{}]", from_u), ("cut{}", np.zeros(0) if from_limits is None else from_limits))
     return [(v, place.format(j)) for place, row in rows for j, v in enumerate(row.tolist()) if v != 0]
 

@@ -69,7 +69,6 @@ class DoorStep(Step):
         return self.leaves
 
     def _records(self) -> list[str]:
-        """Steps that give the records."""
         given = [getattr(self, p.key) for p in objects(self.declared) if isinstance(p.kind, RecordFile)]
         return [name for one in given if one for name in (one if isinstance(one, list) else [one])]
 
@@ -82,7 +81,6 @@ class DoorStep(Step):
         return self.outcome(found, work)
 
     def _values(self, work: Workspace) -> dict[str, Any]:
-        """What the function is given."""
         values: dict[str, Any] = {}
         for p in self.declared.parameters:
             if p.name == "seed":
@@ -164,7 +162,6 @@ def step_of(word: str, declared: Door) -> type[DoorStep]:
 
 
 def _first(declared: Door) -> str:
-    """The key of the object that the question is about."""
     return next((p.key for p in declared.parameters if isinstance(p.kind, Thing)), "")
 
 

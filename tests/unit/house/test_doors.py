@@ -13,7 +13,7 @@ import robustlab as rl
 from robustlab.cli.generated import _draws, command_of
 from robustlab.doors import ALL, Choice, Door, Numbers, Table, Thing, Whole, every_door
 from robustlab.errors import InputError, UsageError
-from robustlab.recipe import KINDS, keys_of_step, look_ahead
+from robustlab.recipe import KINDS, look_ahead
 from robustlab.report import SETS, drawings_of
 from robustlab.shown import Shown
 
@@ -52,10 +52,10 @@ def test_names_defaults_and_help_are_those_of_the_declaration(declared: Door) ->
                 option: Any = offered[p.name].annotation.__metadata__[0]
                 assert option.help.startswith(p.help)
     if declared.step:
-        keys = {key.name: key for key in keys_of_step(declared.step)}
+        keys = KINDS[declared.step].model_fields
         for p in parameters.values():
             if p.name != "seed" and p.called.only != "command":
-                assert keys[p.key].needed == (p.needed or p.called.in_step is ...)
+                assert keys[p.key].is_required() == (p.needed or p.called.in_step is ...)
                 default = p.default if p.called.in_step is None else p.called.in_step
                 if not p.needed and isinstance(default, (int, float, str)):
                     assert keys[p.key].default == default
