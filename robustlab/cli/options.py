@@ -53,8 +53,7 @@ class RecordOptions:
         typer.Option(metavar="NAME,...", help=f"Inputs: u or u,w; beside a model its own if left out. {COLUMN}"),
     ] = None
     outputs: Annotated[
-        str | None,
-        typer.Option(metavar="NAME,...", help="Outputs likewise, q,i=current; all others if left out."),
+        str | None, typer.Option(metavar="NAME,...", help="Outputs likewise, q,i=current; all others if left out.")
     ] = None
     dt: Annotated[float | None, typer.Option(help="Sample time in s.")] = None
     clock: Annotated[str | None, typer.Option(metavar="NAME", help="Signal with the times.")] = None

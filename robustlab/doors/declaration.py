@@ -84,18 +84,17 @@ class Door:
     function: Callable[..., Any]
     command: str  # words behind ``robustlab``; empty where there is none
     step: str  # what a recipe says with ``do``; empty where there is none
-    gives: str  # kind of what later steps get of it
-    made: str  # attribute of the result that is what was made, for ``--out`` and later steps; "" is the result itself
-    result: str  # ``module.Class`` of the result, below ``robustlab``
     title: str  # first paragraph of the docstring
     more: str  # the rest of it
     example: str
+    result: str  # ``module.Class`` of the result, below ``robustlab``; several with commas between them
+    gives: str = "nothing"  # kind of what later steps get of it
+    made: str = ""  # attribute of the result that is what was made, for ``--out`` and later steps; "": the result
     # What is known before a recipe runs: a key whose signals the result keeps (those of ``outputs`` where that is a key
     # too), or a function of the step and of what its predecessors foretell; None: nothing.
     foretell: str | Callable[[Any, Any], Any] | None = None
-    own: bool = False  # the command does more, and is made where its group stands
-    progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts": and the work is counted
-    check: Callable[..., None] | None = None  # of some parameters, by their names: refuses what does not go together
+    own: bool = False  # the command does more, and is made where its group is
+    progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts", "steps": work is counted
 
     @property
     def parameters(self) -> list[Parameter]:
@@ -116,11 +115,6 @@ class Door:
         """The classes that the result may be of."""
         paths = [path.strip().rpartition(".") for path in self.result.split(",")]
         return [getattr(import_module(f"robustlab.{module}"), name) for module, _, name in paths]
-
-    @property
-    def result_class(self) -> Any:
-        """The class of the result; of several the first."""
-        return self.result_classes[0]
 
     @property
     def quantities(self) -> Mapping[str, Any]:
@@ -144,15 +138,8 @@ class Door:
 
         return rewritten(text, written)
 
-    def checked(self, values: Mapping[str, Any]) -> None:
-        """Refuse values that do not go together. Raises InputError, UsageError."""
-        if self.check is not None:
-            given = {p.name: p.default for p in self.parameters} | dict(values)
-            self.check(**{name: given[name] for name in inspect.signature(self.check).parameters})
-
     def __call__(self, **values: Any) -> InLoop:
         """The result with what stands beside it; values of a group's fields are handed on as the group."""
-        self.checked(values)
         for name, group in _groups(self.function).items():
             own = [f.name for f in fields(group) if f.name in values]
             values[name] = group(**{field: values.pop(field) for field in own})
@@ -204,39 +191,14 @@ def _worded(kind: Kind, value: str) -> str:
     return {"-1": "negative", "1": "positive"}.get(value, value) if isinstance(kind, Feedback) else value
 
 
-def door(
-    command: str = "",
-    step: str = "",
-    *,
-    result: str,
-    gives: str = "nothing",
-    made: str = "",
-    foretell: str | Callable[[Any, Any], Any] | None = None,
-    own: bool = False,
-    progress: str = "",
-    check: Callable[..., None] | None = None,
-) -> Callable[[F], F]:
-    """Decorator: the function is what a command and a step of recipes do."""
+def door(command: str = "", step: str = "", **more: Any) -> Callable[[F], F]:
+    """Decorator: the function is what a command and a step of recipes do; ``more`` are further fields of `Door`."""
 
     def declared(function: F) -> F:
         paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
         example = next((p.removeprefix("Example: ") for p in paragraphs if p.startswith("Example: ")), "")
         rest = "\n\n".join(p for p in paragraphs[1:] if not p.startswith("Example: "))
-        found = Door(
-            function,
-            command,
-            step,
-            gives,
-            made,
-            result,
-            paragraphs[0],
-            rest,
-            example,
-            foretell,
-            own,
-            progress,
-            check,
-        )
+        found = Door(function, command, step, paragraphs[0], rest, example, **more)
         if command:
             COMMANDS[command] = found
         if step:

@@ -123,12 +123,7 @@ def _foretold_steady_state(step: Any, ahead: Any) -> Any:
     return replace(ahead[None], leaves={"outputs": {"*": float} if kept is None else dict(kept)})
 
 
-@door(
-    "",
-    "steady-state",
-    result="linear_analysis.steady_state.SteadyState",
-    foretell=_foretold_steady_state,
-)
+@door("", "steady-state", result="linear_analysis.steady_state.SteadyState", foretell=_foretold_steady_state)
 def steady_state(
     model: Annotated[Model, Named(key="of")],
     inputs: Annotated[

@@ -20,15 +20,7 @@ from robustlab.arrays import AnyArray, Array, Mask, not_finite
 from robustlab.clocks import clock_step, common_clock, held, interpolated, summarise_clock
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
-from robustlab.files.record_source import (
-    CLOCK_NAMES,
-    Source,
-    from_text,
-    from_tree,
-    one_of,
-    opaque_class,
-    recipe_of,
-)
+from robustlab.files.record_source import CLOCK_NAMES, Source, from_text, from_tree, one_of, opaque_class, recipe_of
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.tree import Tree, Unread, check_header, is_stamped, link_name, signal_name, text_attr, type_name
 from robustlab.units import factor_to_si, same_unit

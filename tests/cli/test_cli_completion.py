@@ -154,8 +154,8 @@ def test_choices_are_those_of_the_library():
         (("model", "reduce"), "--method", get_args(Reduction)),
         (("synth", "discretise"), "--method", get_args(SampledMethod)),
         (("synth", "reduce"), "--measure", get_args(MeasureName)),
-        (("uncertain", "build"), "--form", COVERS),
-        (("uncertain", "build"), "--dry", get_args(Dry)),
+        (("uncertain", "cover"), "--form", COVERS),
+        (("uncertain", "discovery"), "--dry", get_args(Dry)),
         (("data", "validate"), "--noise-norm", get_args(NoiseNorm)),
         (("campaign", "run"), "--kind", kinds),
     ]:

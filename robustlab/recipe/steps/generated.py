@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, create_model, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, create_model
 
 from robustlab.doors.declaration import STEPS, Door, InLoop, load_family, objects
 from robustlab.doors.kinds import RecordFile, Thing
@@ -37,17 +36,6 @@ class DoorStep(Step):
     """A step that is a door: one function, one result."""
 
     declared: ClassVar[Door]
-
-    @model_validator(mode="after")
-    def _go_together(self) -> Self:
-        try:
-            self.declared.checked(
-                {p.name: getattr(self, p.key) for p in self.declared.parameters if hasattr(self, p.key)}
-            )
-        except (InputError, UsageError) as error:
-            text = f"{error.found}, expected {error.expected}"
-            raise PydanticCustomError("together", "{text}", {"text": text}) from None
-        return self
 
     def foretell(self, ahead: Ahead) -> Foretold:
         """What requirements may refer to, and which signals later steps will see; a record has to fit its model."""
