@@ -115,7 +115,7 @@ def _fault(error: Any, data: dict[str, Any]) -> str:
             known = _known_keys(error["loc"])
             of = f"a step that does {error['loc'][2]} takes" if is_step else "there are"
             listed = f"; {of} {', '.join(known)}" if known else ""
-            return f"{key}: unknown key{_meant(loc, known, data)}{listed}"
+            return f"{key}: unknown key{_suggestion(loc[-1], known)}{listed}"
         case "missing":
             return f"{key}: missing"
         case "union_tag_not_found":
@@ -139,27 +139,6 @@ def _short(value: Any) -> str:
 def _suggestion(name: str, known: list[str]) -> str:
     hint = did_you_mean(name, known)
     return f" ({hint})" if hint else ""
-
-
-# What a key is called elsewhere, and by somebody who guesses -> how it is called here.
-CALLED = {
-    **dict.fromkeys(("file", "filename", "file_name", "source", "data"), "path"),
-    **dict.fromkeys(("omega", "frequencies", "w"), "frequency"),
-    **dict.fromkeys(("model", "on", "input_step", "from"), "of"),
-    **dict.fromkeys(("tolerance", "uncertainty", "ranges"), "tolerances"),
-    **dict.fromkeys(("k", "K", "ctrl"), "controller"),
-}
-
-
-def _meant(loc: list[str], known: list[str], data: dict[str, Any]) -> str:
-    """The key that an unknown one is meant for: the one that others call so, else the nearest that is not there yet."""
-    called = CALLED.get(loc[-1])
-    if called in known:
-        return f" (did you mean {called}?)"
-    table: Any = data
-    for part in loc[:-1]:
-        table = table[int(part)] if isinstance(table, list) else table.get(part, {})
-    return _suggestion(loc[-1], [name for name in known if name not in table]) or _suggestion(loc[-1], known)
 
 
 def _known_keys(loc: tuple[Any, ...]) -> list[str]:

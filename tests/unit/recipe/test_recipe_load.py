@@ -145,18 +145,6 @@ def test_overrides_reach_top_level_keys_steps_and_requirements():
     assert recipe.require[0].equals == "x"
 
 
-@pytest.mark.parametrize(
-    ("step", "told"),
-    [
-        ('do = "record"\nfile = "a.csv"', "file: unknown key (did you mean path?)"),
-        ('do = "robust-stability"\nof = "m"\nomega = [1.0]', "omega: unknown key (did you mean frequency?)"),
-    ],
-)
-def test_a_key_that_others_call_so_is_answered(step, told):
-    """A file was said to be a title."""
-    assert told in faults(f"{HEAD}[step.m]\n{step}\n")
-
-
 @pytest.mark.parametrize("item", ["seed", "=3", ""])
 def test_an_override_without_key_and_value_is_a_usage_error(tmp_path, item):
     path = tmp_path / "r.toml"
