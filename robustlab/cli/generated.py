@@ -12,10 +12,9 @@ from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 import typer
 
 import robustlab as rl
-from robustlab.cli.columns import read_named, signals_of
 from robustlab.cli.console import FIGURE, emit, note, require_trust, result_alone, save_drawing, save_figures
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions
+from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, signals_of
 from robustlab.cli.plant import machine
 from robustlab.cli.progress import shown
 from robustlab.doors.declaration import COMMANDS, REQUIRED, Door, InLoop, Parameter, load_family

@@ -17,8 +17,7 @@ from robustlab.doors.vocabulary import Names
 from robustlab.errors import InputError, RobustlabError, UsageError, rewritten, unknown_name
 from robustlab.recipe.load import MAX_FAULTS_SHOWN, LoadedRecipe, find_file, marked, references
 from robustlab.recipe.schema import Requirement
-from robustlab.recipe.steps.contract import Ahead, Foretold, Step
-from robustlab.recipe.steps.leaves import look_ahead
+from robustlab.recipe.steps.contract import Ahead, Foretold, Step, look_ahead
 from robustlab.units import same_unit
 
 # What a loaded file may hold, and what a step may ask for that takes nothing else.

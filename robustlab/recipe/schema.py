@@ -18,8 +18,7 @@ from pydantic_core import PydanticCustomError
 
 from robustlab.doors.vocabulary import StepName, Strict, Text
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import KINDS, Step
-from robustlab.recipe.steps.leaves import nothing_there
+from robustlab.recipe.steps.contract import KINDS, Step, nothing_there
 
 STEPS: Any = Field(min_length=1, max_length=200, description="Run in the order written.")
 

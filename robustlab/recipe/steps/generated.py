@@ -10,8 +10,17 @@ from pydantic import Field, create_model
 from robustlab.doors.declaration import STEPS, Door, InLoop, load_family, objects
 from robustlab.doors.kinds import RecordFile, Thing
 from robustlab.errors import InputError, UsageError
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, step
-from robustlab.recipe.steps.leaves import with_signals
+from robustlab.recipe.steps.contract import (
+    Ahead,
+    Fact,
+    Foretold,
+    Outcome,
+    Step,
+    Workspace,
+    facts_of,
+    step,
+    with_signals,
+)
 from robustlab.record import Record
 from robustlab.report.drawings import pictures_of
 from robustlab.shown import Shown

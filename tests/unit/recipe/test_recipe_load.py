@@ -66,7 +66,6 @@ def test_all_faults_are_listed_at_once_with_their_keys():
         (HEAD + MOTOR + "parameters = { R = [1.0, 2.0, 3.0] }\n", "step.motor.parameters.R: expected a number"),
         (HEAD + MOTOR + '[step.l]\ndo = "load"\n', "step.l: expected either path or saved"),
         (HEAD + MOTOR + '[step.s]\ndo = "save"\nof = "motor"\nfile = "../m.h5"\n', "step.s.file"),
-        (HEAD + MOTOR + '[step.c]\ndo = "mixsyn"\nof = "motor"\n', "expected at least one of W1, W2, W3"),
     ],
 )
 def test_one_fault(text, expected):
