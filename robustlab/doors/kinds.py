@@ -380,8 +380,9 @@ class Weight(Kind):
     def of_field(self, given: Any) -> Any:
         import robustlab as rl
 
-        made = isinstance(given, float) or given is None
-        return given if made else getattr(rl, self.maker)(**given.model_dump())
+        if given is None or isinstance(given, float):
+            return given
+        return getattr(rl, self.maker)(**given.model_dump())
 
 
 class Pair(NamedTuple):
@@ -471,7 +472,10 @@ class Machine(Thing):
 
     gives: tuple[str, ...] = ("plant", "model", "any")
     reading: ClassVar[str] = "plant"
-    metavar = "MODEL"
+
+    @property
+    def metavar(self) -> str | None:
+        return "MODEL"
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,7 @@ class Step(Strict):
     model_config = ConfigDict(defer_build=True)  # only the union of all kinds needs a validator, see `recipe_model`
 
     gives: ClassVar[str] = "nothing"
-    leaves: ClassVar[Any] = ...  # what requirements may refer to, as `robustlab.recipe.steps.leaves` writes it
+    leaves: ClassVar[Any] = ...  # what requirements may refer to, see `with_signals`
 
     title: Text = Field("", description="What the report calls this step; the step's name where left out.")
     verify: bool = Field(False, description="Have what this step proves proved once more, from the file it writes.")
