@@ -1,11 +1,7 @@
-"""One declaration of a capability for all its doors: `door` marks a function, `DOORS` has them all.
+"""One declaration of a capability: `door` marks a function, from which come a command, a step of recipes and their help.
 
-A door's function has a light signature: each parameter is annotated ``Annotated[type, kind, "help"]`` (those that many
-share are in `robustlab.doors.words`), and the work is imported inside. Options that travel together are the fields of a
-dataclass, which the function takes as one parameter. From it come the command with its options, help
-and completion (`robustlab.cli.generated`), the step of recipes with its checks and its schema
-(`robustlab.recipe.steps.generated`), and the pages of the reference. Adding a capability is: its function, its result
-class, and its door here.
+Each parameter is annotated ``Annotated[type, kind, "help"]``; options that travel together are the fields of a
+dataclass, which the function takes as one parameter. The work is imported inside.
 """
 
 from __future__ import annotations

@@ -462,7 +462,7 @@ class Thing(Kind):
             raise InputError(where, held, "a model or a plant")
         of_sets = set(self.gives) <= {"uncertain", "any"} and "uncertain" in self.gives
         if of_sets and not isinstance(found, (rl.UncertainModel, rl.UncertainFrequencyData)):
-            raise InputError(where, held, "an uncertain model", "robustlab uncertain build --help")
+            raise InputError(where, held, "an uncertain model", "robustlab uncertain --help")
         return found
 
 

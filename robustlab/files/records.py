@@ -1,9 +1,7 @@
 """Measured records from HDF5, MATLAB and text files, as the arguments of `robustlab.record.Record`.
 
-What is done to a record's clock is told in its meaning of ``t``, a line each: stamps that count from the first one, a
-sample time given against what the file's clock says, signals of several clocks brought on one.
-
-In format 1 a record has ``t``, ``inputs/<name>``, ``outputs/<name>``; attributes ``unit``, ``meaning``.
+What is done to a record's clock is in its meaning of ``t``, a line each. In format 1 a record has ``t``,
+``inputs/<name>``, ``outputs/<name>``; attributes ``unit``, ``meaning``.
 """
 
 from __future__ import annotations

@@ -1,9 +1,6 @@
-"""Reading a recipe: TOML to a checked `Recipe`, with every fault named at once by its dotted key.
+"""Reading a recipe: TOML to a checked `Recipe`, with every fault named at once by its dotted key; the files it names.
 
-A recipe comes from outside. It is data only: TOML has no code and no tags, nothing of it is evaluated, and its size is
-limited.
-
-The files around it are found here, too: those it names and may read, and the recipe itself.
+A recipe comes from outside. It is data only: nothing of it is evaluated, and its size is limited.
 """
 
 from __future__ import annotations

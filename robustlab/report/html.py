@@ -1,10 +1,7 @@
 """The report of a run: a self-contained HTML page, and its requirements as JUnit tests for a CI system.
 
-The page opens offline, reaches no network and runs no script.
-
-Every text in it may come from a file of somebody else (names of signals, steps, models). Jinja2 escapes all of it,
-control and bidirectional-override characters are shown as escapes, figures are images in ``data:`` addresses (an SVG in
-an image cannot run anything), and the page's Content-Security-Policy forbids all but its own style and such images.
+Every text in it may come from a file of somebody else: Jinja2 escapes all of it, control and bidirectional-override
+characters are shown as escapes, figures are images in ``data:`` addresses, and no script may run.
 """
 
 from __future__ import annotations
