@@ -1,4 +1,4 @@
-"""One declaration of a capability: `door` marks a function, from which come a command, a step of recipes and their help.
+"""One declaration of a capability: `door` marks a function; a command, a step of recipes and their help come from it.
 
 Each parameter is annotated ``Annotated[type, kind, "help"]``; options that travel together are the fields of a
 dataclass, which the function takes as one parameter. The work is imported inside.
