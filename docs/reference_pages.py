@@ -15,9 +15,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from recipe_keys import keys_of
+
 import robustlab as rl
-from robustlab.recipe.keys import keys_of
-from robustlab.recipe.schema import json_schema
+from robustlab.recipe import json_schema
 
 ROOT = Path(__file__).parents[1]
 

@@ -60,7 +60,7 @@ class Shown:
     """Base of what shows itself; a class says what there is to say in `facts`."""
 
     # Attributes that requirements refer to -> unit ("1" of a pure number), or a pattern of
-    # `robustlab.recipe.steps.leaves`: float where the unit is not known, bool, {"*": float}, a class of parts for its
+    # `robustlab.recipe.steps.contract`: float where the unit is not known, bool, {"*": float}, a class of parts for its
     # fields, whose own quantities say their units, `Each` for what has the names of signals.
     quantities: ClassVar[Mapping[str, Any]] = {}
 

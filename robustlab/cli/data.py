@@ -82,7 +82,6 @@ class DiscoveryFiles:
 
 
 def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[str, Any], files: list[str]) -> Beyond:
-    """Write what was asked for, and end as the verdict says."""
     result = {"model": options["named"]["model"], **found.to_json()}
     origin, written = provenance_of("data discover", files, values), list[str]()
     if options["figures"] or options["folder"]:

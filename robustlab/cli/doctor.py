@@ -21,9 +21,7 @@ _OK = "ok"
 
 
 @app.command()
-def doctor(
-    as_json: JsonOption = False,
-) -> None:
+def doctor(as_json: JsonOption = False) -> None:
     """Try every native library once and print the versions; exit code 5 where something needed is missing.
 
     Example: robustlab doctor

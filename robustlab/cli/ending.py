@@ -1,15 +1,7 @@
-"""How a command ends: every way, of ours or of the machine's, is an exit code and one line on stderr.
+"""How a command ends: an exit code and one line on stderr.
 
-=================================================  ====================================================================
-the command returns, or raises an error of ours    its exit code, see `robustlab.errors`
-Ctrl-C, SIGTERM                                    130, after the same cleaning up
-the reader of stdout went away (``| head -1``)     141, as for a program that SIGPIPE ends; nothing is said
-stdout closed or full, not enough memory           5
-the code of a plant file of the user's raised      3, with its file and line
-anything else                                      70: a bug of ours, with a report file
-=================================================  ====================================================================
-
-This module stands in front of every other import of a command, so it imports nothing that takes time.
+5 where stdout is closed or full or memory is used up, 130 after Ctrl-C and SIGTERM, 141 without a word where the reader
+of stdout went away, 3 where a plant file of the user's raised, 70 with a report file for a bug of ours.
 """
 
 from __future__ import annotations
@@ -135,7 +127,6 @@ def _user_fault(error: BaseException) -> RobustlabError | None:
 
 
 def _machine_fault(error: BaseException) -> EnvironmentFault | None:
-    """What the machine lacks, where that is what ``error`` says."""
     words = plain_text(next(iter(str(error).strip().splitlines()), ""))
     if isinstance(error, MemoryError):
         return EnvironmentFault("robustlab", f"not enough memory{f' ({words})' if words else ''}", _MORE)
@@ -183,7 +174,6 @@ def _silence() -> None:
 
 
 def _bug_report() -> str:
-    """Write traceback, versions and command to a file; say where."""
     import tempfile
     import traceback
 

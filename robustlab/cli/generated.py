@@ -12,10 +12,9 @@ from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 import typer
 
 import robustlab as rl
-from robustlab.cli.columns import read_named, signals_of
 from robustlab.cli.console import FIGURE, emit, note, require_trust, result_alone, save_drawing, save_figures
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions
+from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, signals_of
 from robustlab.cli.plant import machine
 from robustlab.cli.progress import shown
 from robustlab.doors.declaration import COMMANDS, REQUIRED, Door, InLoop, Parameter, load_family
@@ -115,7 +114,6 @@ def taking(*own: tuple[str, Any, Any, Any]) -> Callable[[Callable[..., None]], C
 
 
 def _offering(command: Any, offers: Sequence[Given], own: Options | Sequence[Any]) -> Callable[..., None]:
-    """The command with the signature that the parser reads."""
     options = [Given(n, Given.KEYWORD_ONLY, default=d, annotation=Annotated[taken, o]) for n, taken, o, d in own]
     every = sorted([*offers, *options], key=lambda p: p.default is not Given.empty)
     command.__signature__ = Signature(every)
@@ -256,7 +254,6 @@ def _overruled(found: dict[str, Any], given: Mapping[str, Any]) -> str:
 
 
 def _read(p: Parameter, given: Any, shared: Mapping[str, Any], files: list[str], found: Mapping[str, Any]) -> Any:
-    """What stands in the files that a parameter names."""
     kind: Any = p.kind
     names = [given] if isinstance(given, str) else list(given or [])
     if isinstance(kind, TextFile):
@@ -367,7 +364,6 @@ def _given(p: Parameter, alone: bool) -> Given:
 
 
 def _as_text(p: Parameter) -> Any:
-    """The default as the parser would read it."""
     if p.default is None or p.default is REQUIRED:
         return None
     annotation = p.kind.taken

@@ -54,7 +54,7 @@ robustlab: uncertain models, proved bounds, verified controllers, model against 
 What one can do first:
   robustlab run first-light               a whole design of a motor, with its report
   robustlab plant new mymachine           your own plant, in one file
-  robustlab uncertain build --help        what is uncertain about it
+  robustlab uncertain --help              what is uncertain about it
   robustlab data compare --help           how far a model is off a record
   robustlab recipe new my-project         a commented recipe to start from
 

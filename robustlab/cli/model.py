@@ -23,7 +23,6 @@ SHOWN_STATES = 12
 
 
 def _read(file: str, reading: Mapping[str, Any]) -> Loaded:
-    """What the file holds; what is odd about it as notes."""
     from robustlab.storage import read
 
     loaded = read(file, **reading)
@@ -117,7 +116,6 @@ def _objects(loaded: Loaded) -> list[tuple[str, Any]]:
 
 
 def _describe(name: str, thing: Any) -> list[str]:
-    """A few lines about any object that a file can hold."""
     from robustlab.dynamics.plant_contract import Plant
 
     if isinstance(thing, rl.DelayedModel):

@@ -1,8 +1,6 @@
-"""What the shell is offered for a parameter at TAB: the words of a choice, names of plants and recipes.
+"""What the shell is offered for a parameter at TAB; where that is nothing, the shell offers files.
 
-Each is an ``autocompletion`` of a typer parameter: what was typed so far -> the words that go on from there. Where it
-returns none, the shell offers files, as it does for every parameter without one. A TAB must not wait for numerical
-libraries, so nothing of them is imported here.
+A TAB must not wait for numerical libraries, so nothing of them is imported here.
 """
 
 from __future__ import annotations

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
 import robustlab as rl
 from robustlab.cli.console import note
 from robustlab.cli.offers import one_of, recipe_or_file
-from robustlab.errors import UsageError
+from robustlab.errors import InputError, UsageError
 from robustlab.units import same_unit
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
@@ -53,8 +55,7 @@ class RecordOptions:
         typer.Option(metavar="NAME,...", help=f"Inputs: u or u,w; beside a model its own if left out. {COLUMN}"),
     ] = None
     outputs: Annotated[
-        str | None,
-        typer.Option(metavar="NAME,...", help="Outputs likewise, q,i=current; all others if left out."),
+        str | None, typer.Option(metavar="NAME,...", help="Outputs likewise, q,i=current; all others if left out.")
     ] = None
     dt: Annotated[float | None, typer.Option(help="Sample time in s.")] = None
     clock: Annotated[str | None, typer.Option(metavar="NAME", help="Signal with the times.")] = None
@@ -80,3 +81,39 @@ class RecordOptions:
             for line in record.meaning.get("t", "").splitlines():
                 note(f"{file}: {line}")
         return record
+
+
+HINT = "name the columns: --inputs u=COLUMN,... --outputs q=COLUMN,..."
+
+
+def read_named(options: RecordOptions, system: Any, named: str, files: list[str], remarks: bool) -> rl.Record:
+    """The record that a command names, ``FILE`` or ``FILE#GROUP``; beside a model where there is one.
+
+    ``files`` gets the file. A file whose own name has a # is taken as it is.
+    """
+    from robustlab.statespace import as_model
+
+    file, mark, group = named.rpartition("#")
+    if not mark or Path(named).exists():
+        file, group = named, None
+    files.append(file)
+    if system is None:
+        return options.read(file, options.inputs, group, tell=remarks)
+    model = system if hasattr(system, "inputs") else as_model(system)
+    asked = options.inputs or ",".join(s.name for s in model.inputs)
+    try:
+        record = options.read(file, asked, group, tell=remarks)
+    except InputError as error:
+        if options.inputs is None and error.found.startswith("missing "):
+            error.hint = HINT
+        raise
+    wanted = [s.name for s in model.outputs]
+    if options.outputs is None and wanted and not set(wanted) & set(record.outputs):
+        found = f"no output of the model among {', '.join(record.outputs) or 'none'}"
+        raise InputError(file, found, ", ".join(wanted), HINT)
+    return record
+
+
+def signals_of(system: Any) -> Sequence[rl.Signal]:
+    """All signals of a plant or model; none of anything else."""
+    return [s for side in ("inputs", "outputs", "states") for s in getattr(system, side, ()) if hasattr(s, "unit")]

@@ -182,7 +182,6 @@ class Display:
 
 
 def _duration(seconds: float) -> str:
-    """``38 s``, ``2 min 5 s``, ``3 h 20 min``."""
     minutes, rest = divmod(round(seconds), 60)
     if minutes >= 60:
         return f"{minutes // 60} h {minutes % 60} min"

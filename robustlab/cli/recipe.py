@@ -47,8 +47,8 @@ def steps(
 
     Example: robustlab recipe steps record
     """
-    from robustlab.recipe.keys import keys_of_step
     from robustlab.recipe.load import KINDS
+    from robustlab.recipe.schema import json_schema
 
     what = {word: " ".join((made.__doc__ or "").split("\n\n")[0].split()) for word, made in sorted(KINDS.items())}
     if kind is None:
@@ -59,13 +59,16 @@ def steps(
     if kind not in KINDS:
         hint = did_you_mean(kind, list(KINDS)) or "robustlab recipe steps lists them"
         raise UsageError(f"recipe steps {kind}", "no such kind of step", f"one of {', '.join(what)}", hint)
-    keys = keys_of_step(kind)
+    parts = json_schema()["$defs"].values()
+    (part,) = [p for p in parts if p["properties"].get("do", {}).get("const") == kind]
+    keys = {name: key for name, key in part["properties"].items() if name != "do"}
     rows = [
-        (key.name, "needed" if key.needed else "", key.takes.replace("``", ""), " ".join(key.meaning.split()))
-        for key in keys
-    ]
-    text = f'do = "{kind}": {what[kind]}\n\n{table(rows, ("key", "", "takes", "meaning"))}'
-    emit("recipe steps", {"do": kind, "what": what[kind], "keys": [vars(key) for key in keys]}, text, as_json)
+        (name, "needed" if name in part["required"] else json.dumps(key.get("default")),
+         " ".join(key.get("description", "").split()))
+        for name, key in keys.items()
+    ]  # fmt: skip
+    text = f'do = "{kind}": {what[kind]}\n\n{table(rows, ("key", "default", "meaning"))}'
+    emit("recipe steps", {"do": kind, "what": what[kind], "keys": keys}, text, as_json)
 
 
 @app.command()

@@ -54,7 +54,6 @@ def verify(
 
 
 def _files_in(given: str) -> list[Path]:
-    """A file, or the files of results in the folder of a run."""
     path = Path(given)
     if not path.is_dir():
         return [path]

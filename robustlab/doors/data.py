@@ -159,12 +159,7 @@ class Asked:
 WHOLE, USUAL_DELTA, USUAL_SEARCH = Cut(), Asked(), Search()
 
 
-@door(
-    "data validate",
-    "validate",
-    result="identification.validation.validation_result.Validation",
-    progress="lines",
-)
+@door("data validate", "validate", result="identification.validation.validation_result.Validation", progress="lines")
 def validate(
     uncertain: Annotated[UncertainPlant, Named(key="of")],
     record: Measured,

@@ -1,11 +1,7 @@
-"""One declaration of a capability for all its doors: `door` marks a function, `DOORS` has them all.
+"""One declaration of a capability: `door` marks a function; a command, a step of recipes and their help come from it.
 
-A door's function has a light signature: each parameter is annotated ``Annotated[type, kind, "help"]`` (those that many
-share are in `robustlab.doors.words`), and the work is imported inside. Options that travel together are the fields of a
-dataclass, which the function takes as one parameter. From it come the command with its options, help
-and completion (`robustlab.cli.generated`), the step of recipes with its checks and its schema
-(`robustlab.recipe.steps.generated`), and the pages of the reference. Adding a capability is: its function, its result
-class, and its door here.
+Each parameter is annotated ``Annotated[type, kind, "help"]``; options that travel together are the fields of a
+dataclass, which the function takes as one parameter. The work is imported inside.
 """
 
 from __future__ import annotations
@@ -84,18 +80,17 @@ class Door:
     function: Callable[..., Any]
     command: str  # words behind ``robustlab``; empty where there is none
     step: str  # what a recipe says with ``do``; empty where there is none
-    gives: str  # kind of what later steps get of it
-    made: str  # attribute of the result that is what was made, for ``--out`` and later steps; "" is the result itself
-    result: str  # ``module.Class`` of the result, below ``robustlab``
     title: str  # first paragraph of the docstring
     more: str  # the rest of it
     example: str
+    result: str  # ``module.Class`` of the result, below ``robustlab``; several with commas between them
+    gives: str = "nothing"  # kind of what later steps get of it
+    made: str = ""  # attribute of the result that is what was made, for ``--out`` and later steps; "": the result
     # What is known before a recipe runs: a key whose signals the result keeps (those of ``outputs`` where that is a key
     # too), or a function of the step and of what its predecessors foretell; None: nothing.
     foretell: str | Callable[[Any, Any], Any] | None = None
-    own: bool = False  # the command does more, and is made where its group stands
-    progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts": and the work is counted
-    check: Callable[..., None] | None = None  # of some parameters, by their names: refuses what does not go together
+    own: bool = False  # the command does more, and is made where its group is
+    progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts", "steps": work is counted
 
     @property
     def parameters(self) -> list[Parameter]:
@@ -116,11 +111,6 @@ class Door:
         """The classes that the result may be of."""
         paths = [path.strip().rpartition(".") for path in self.result.split(",")]
         return [getattr(import_module(f"robustlab.{module}"), name) for module, _, name in paths]
-
-    @property
-    def result_class(self) -> Any:
-        """The class of the result; of several the first."""
-        return self.result_classes[0]
 
     @property
     def quantities(self) -> Mapping[str, Any]:
@@ -144,15 +134,8 @@ class Door:
 
         return rewritten(text, written)
 
-    def checked(self, values: Mapping[str, Any]) -> None:
-        """Refuse values that do not go together. Raises InputError, UsageError."""
-        if self.check is not None:
-            given = {p.name: p.default for p in self.parameters} | dict(values)
-            self.check(**{name: given[name] for name in inspect.signature(self.check).parameters})
-
     def __call__(self, **values: Any) -> InLoop:
         """The result with what stands beside it; values of a group's fields are handed on as the group."""
-        self.checked(values)
         for name, group in _groups(self.function).items():
             own = [f.name for f in fields(group) if f.name in values]
             values[name] = group(**{field: values.pop(field) for field in own})
@@ -204,39 +187,14 @@ def _worded(kind: Kind, value: str) -> str:
     return {"-1": "negative", "1": "positive"}.get(value, value) if isinstance(kind, Feedback) else value
 
 
-def door(
-    command: str = "",
-    step: str = "",
-    *,
-    result: str,
-    gives: str = "nothing",
-    made: str = "",
-    foretell: str | Callable[[Any, Any], Any] | None = None,
-    own: bool = False,
-    progress: str = "",
-    check: Callable[..., None] | None = None,
-) -> Callable[[F], F]:
-    """Decorator: the function is what a command and a step of recipes do."""
+def door(command: str = "", step: str = "", **more: Any) -> Callable[[F], F]:
+    """Decorator: the function is what a command and a step of recipes do; ``more`` are further fields of `Door`."""
 
     def declared(function: F) -> F:
         paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
         example = next((p.removeprefix("Example: ") for p in paragraphs if p.startswith("Example: ")), "")
         rest = "\n\n".join(p for p in paragraphs[1:] if not p.startswith("Example: "))
-        found = Door(
-            function,
-            command,
-            step,
-            gives,
-            made,
-            result,
-            paragraphs[0],
-            rest,
-            example,
-            foretell,
-            own,
-            progress,
-            check,
-        )
+        found = Door(function, command, step, paragraphs[0], rest, example, **more)
         if command:
             COMMANDS[command] = found
         if step:
@@ -272,13 +230,11 @@ def _parameter(function: Callable[..., Any], name: str, hint: Any, default: Any)
 
 @cache
 def _groups(function: Callable[..., Any]) -> dict[str, Any]:
-    """Parameters that are groups of options, each with its class."""
     hints = get_type_hints(function, include_extras=True)
     return {name: hints[name] for name in inspect.signature(function).parameters if is_dataclass(hints.get(name))}
 
 
 def _fields_of(group: Any) -> list[tuple[str, Any, Any]]:
-    """Name, annotation and default of each option of a group."""
     hints = get_type_hints(group, include_extras=True)
     return [(f.name, hints[f.name], REQUIRED if f.default is MISSING else f.default) for f in fields(group)]
 

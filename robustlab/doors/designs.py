@@ -211,7 +211,6 @@ def dk(
 
 
 def _rows(text: str) -> list[list[int]]:
-    """``"-2,0; 2,2"`` as the rows of `robustlab.mu`."""
     rows: list[list[int]] = []
     for part in text.split(";"):
         try:
@@ -263,13 +262,7 @@ def fixed_structure(
 # --- plain models -----------------------------------------------------------------------------------------------------
 
 
-def _some_weight(w1: Any, w2: Any, w3: Any) -> None:
-    if w1 is None and w2 is None and w3 is None:
-        raise UsageError("mixsyn", "no weight", "at least one of W1, W2, W3")
-
-
-@door("synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", gives="controller", made="controller",
-      check=_some_weight)  # fmt: skip
+@door("synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")  # fmt: skip
 def mixsyn(
     system: Of,
     w1: Annotated[

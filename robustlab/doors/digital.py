@@ -10,7 +10,7 @@ from robustlab.doors.declaration import InLoop, Named, door
 from robustlab.doors.designs import Channels, Controls, K, Measured, Of, Order, Plant
 from robustlab.doors.kinds import Choice, Number, Thing
 from robustlab.doors.words import SampleTime, Search, Sign
-from robustlab.errors import InputError, UsageError
+from robustlab.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -110,20 +110,14 @@ def discretise(
 
 
 def _at_rest(plant: Any) -> Any:
-    """The generalised plant at Delta = 0."""
     from robustlab.synthesis.problem.partition import GeneralizedPlant
 
     nominal = rl.UncertainModel(plant.model, plant.blocks).nominal
     return GeneralizedPlant(nominal, plant.n_meas, plant.n_con) if plant.blocks else plant
 
 
-def _one_measure(order: int | None, tolerance: float | None) -> None:
-    if (order is None) == (tolerance is None):
-        raise InputError("reduce_model", f"order={order}, tolerance={tolerance}", "one of the two")
-
-
 @door("model reduce", "reduce-model", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
-      made="model", foretell="of", check=_one_measure)  # fmt: skip
+      made="model", foretell="of")  # fmt: skip
 def reduce_model(
     system: Of,
     order: Annotated[Order, "States of the result."] = None,
@@ -180,7 +174,6 @@ Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between th
 
 
 def _foretold_loop(step: Any, ahead: Any) -> Any:
-    """References in; the outputs and the control signals out."""
     inputs, outputs = ahead[step.of].inputs, ahead[step.of].outputs
     if inputs is None or outputs is None:
         return ahead[None]
@@ -193,9 +186,7 @@ def discretise_by_formula(
     system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file.", Named(key="of")],
     dt: SampleTime,
     method: Annotated[
-        str,
-        Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
-        "The formula.",
+        str, Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")), "The formula."
     ] = "tustin",
     prewarp: Annotated[
         float | None, Number("rad/s", above=0), "Of tustin-prewarp: frequency in rad/s where it is exact."

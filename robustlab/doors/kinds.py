@@ -21,7 +21,6 @@ Side = Literal["inputs", "outputs", "signals", "parameters", ""]
 
 @contextmanager
 def _as_usage(found: str = "") -> Any:
-    """What is wrong with a word is a fault of the command line."""
     try:
         yield
     except InputError as error:
@@ -381,8 +380,9 @@ class Weight(Kind):
     def of_field(self, given: Any) -> Any:
         import robustlab as rl
 
-        made = isinstance(given, float) or given is None
-        return given if made else getattr(rl, self.maker)(**given.model_dump())
+        if given is None or isinstance(given, float):
+            return given
+        return getattr(rl, self.maker)(**given.model_dump())
 
 
 class Pair(NamedTuple):
@@ -462,7 +462,7 @@ class Thing(Kind):
             raise InputError(where, held, "a model or a plant")
         of_sets = set(self.gives) <= {"uncertain", "any"} and "uncertain" in self.gives
         if of_sets and not isinstance(found, (rl.UncertainModel, rl.UncertainFrequencyData)):
-            raise InputError(where, held, "an uncertain model", "robustlab uncertain build --help")
+            raise InputError(where, held, "an uncertain model", "robustlab uncertain --help")
         return found
 
 
@@ -472,7 +472,10 @@ class Machine(Thing):
 
     gives: tuple[str, ...] = ("plant", "model", "any")
     reading: ClassVar[str] = "plant"
-    metavar = "MODEL"
+
+    @property
+    def metavar(self) -> str | None:
+        return "MODEL"
 
 
 @dataclass(frozen=True)

@@ -135,12 +135,7 @@ def worst_case(
     uncertain: Of,
     judged: Judged = USUAL,
     drive: Excitation = UNDRIVEN,
-    n: Annotated[
-        int,
-        Whole(1, 100_000),
-        "Points that the search starts from.",
-        Named(option="-n,--samples"),
-    ] = 256,
+    n: Annotated[int, Whole(1, 100_000), "Points that the search starts from.", Named(option="-n,--samples")] = 256,
     seed: Seed = 0,
     search: Search = AS_USUAL,
     workers: Workers = 1,

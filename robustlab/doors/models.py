@@ -86,7 +86,6 @@ def linearise(
 
 
 def _place(at: Any, pose: Any) -> dict[str, str]:
-    """Where a model was made, in words."""
     if isinstance(at, dict) and at:
         return {"rest": ", ".join(f"{name} = {value:g}" for name, value in at.items())}
     given = pose if pose is not None else at
@@ -124,12 +123,7 @@ def _foretold_steady_state(step: Any, ahead: Any) -> Any:
     return replace(ahead[None], leaves={"outputs": {"*": float} if kept is None else dict(kept)})
 
 
-@door(
-    "",
-    "steady-state",
-    result="linear_analysis.steady_state.SteadyState",
-    foretell=_foretold_steady_state,
-)
+@door("", "steady-state", result="linear_analysis.steady_state.SteadyState", foretell=_foretold_steady_state)
 def steady_state(
     model: Annotated[Model, Named(key="of")],
     inputs: Annotated[

@@ -8,16 +8,7 @@ from typing import Annotated, Any
 import robustlab as rl
 from robustlab.doors.declaration import InLoop, Named, door
 from robustlab.doors.kinds import Choice, Flag, Number
-from robustlab.doors.words import (
-    Frequency,
-    Loop,
-    Model,
-    Search,
-    Seed,
-    Signals,
-    System,
-    Uncertain,
-)
+from robustlab.doors.words import Frequency, Loop, Model, Search, Seed, Signals, System, Uncertain
 from robustlab.errors import UsageError
 
 # Words of a sign, as `robustlab.closing` has them; it is not imported here, for numpy's sake.

@@ -126,9 +126,7 @@ def uncertain(
 
 
 @door("uncertain expressions", result="uncertainty.built.BuiltModel", gives="uncertain", made="model")
-def expressions(
-    file: Annotated[str, TextFile(), "TOML file with A, B, C, D in named parameters."],
-) -> Any:
+def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in named parameters."]) -> Any:
     """Uncertain model from matrices of expressions in parameters with ranges.
 
     Example: robustlab uncertain expressions springs.toml --out springs.h5

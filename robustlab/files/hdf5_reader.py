@@ -103,7 +103,6 @@ def _not_opened(where: str, error: OSError, path: str) -> InputError:
 
 
 def _short(error: BaseException) -> str:
-    """HDF5's own words are in the last brackets of its message."""
     text = str(error)
     inner = re.search(r"\((.*)\)", text)
     return (inner.group(1) if inner else text)[:120] or type(error).__name__

@@ -19,7 +19,7 @@ import threading
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 
@@ -77,7 +77,7 @@ def send(stream: BinaryIO, content: dict[str, Any]) -> None:
     stream.flush()
 
 
-def receive(source: bytes | BinaryIO, file: str) -> Tree:
+def receive(source: bytes | IO[bytes], file: str) -> Tree:
     """Inverse of `send_tree`. Raises InputError: the error that was sent; EOFError: no more comes; ValueError and the
     like: nonsense.
     """
@@ -193,7 +193,8 @@ class ReaderServer:
             process.kill()
         for stream in (process.stdin, process.stdout):
             with suppress(OSError):
-                stream and stream.close()
+                if stream is not None:
+                    stream.close()
         if ours:
             process.wait()
         else:

@@ -1,14 +1,7 @@
 """Files of MATLAB (version 5 read and written, version 7.3 in HDF5) brought to one form.
 
-Before a version 5 file is read, the sizes that its variables declare are compared with the limits. What is hidden
-deeper (0.8 MB of zlib can hold gigabytes) meets the limit of the reader process's memory.
-
-MATLAB stores matrices column by column. Version 7.3 files therefore show them transposed to every other HDF5 reader;
-datasets that MATLAB marked (attribute ``MATLAB_class``) are transposed back here.
-
-References
-----------
-MathWorks, *MAT-File Format* (R2024a), chapter 1.
+MATLAB stores matrices column by column: version 7.3 files show them transposed to every other HDF5 reader; datasets
+that MATLAB marked (attribute ``MATLAB_class``) are transposed back here. MathWorks, *MAT-File Format* (R2024a).
 """
 
 from __future__ import annotations

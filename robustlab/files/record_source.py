@@ -104,7 +104,6 @@ def _times(node: Tree) -> tuple[str, AnyArray] | None:
 
 
 def _own(node: Tree, where: str, prefix: str, clock: str, times: AnyArray) -> Iterator[Log]:
-    """The channels of a group that is itself a log."""
     key = f"{prefix or node.path.strip('/')}.{clock}".lstrip(".")
     signals = node.groups.get("signals")
     if signals is not None:

@@ -1,9 +1,7 @@
 """Measured records from HDF5, MATLAB and text files, as the arguments of `robustlab.record.Record`.
 
-What is done to a record's clock is told in its meaning of ``t``, a line each: stamps that count from the first one, a
-sample time given against what the file's clock says, signals of several clocks brought on one.
-
-In format 1 a record has ``t``, ``inputs/<name>``, ``outputs/<name>``; attributes ``unit``, ``meaning``.
+What is done to a record's clock is in its meaning of ``t``, a line each. In format 1 a record has ``t``,
+``inputs/<name>``, ``outputs/<name>``; attributes ``unit``, ``meaning``.
 """
 
 from __future__ import annotations
@@ -20,15 +18,7 @@ from robustlab.arrays import AnyArray, Array, Mask, not_finite
 from robustlab.clocks import clock_step, common_clock, held, interpolated, summarise_clock
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
-from robustlab.files.record_source import (
-    CLOCK_NAMES,
-    Source,
-    from_text,
-    from_tree,
-    one_of,
-    opaque_class,
-    recipe_of,
-)
+from robustlab.files.record_source import CLOCK_NAMES, Source, from_text, from_tree, one_of, opaque_class, recipe_of
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.tree import Tree, Unread, check_header, is_stamped, link_name, signal_name, text_attr, type_name
 from robustlab.units import factor_to_si, same_unit
@@ -436,7 +426,6 @@ def _times(source: Source, names: list[str], n: int, dt: float | None, clock: st
 
 
 def _clock(source: Source, name: str, tell: bool) -> Array:
-    """The named channel in s; where its times count from is told."""
     channel, where = source.channels[name], f"{source.where}: {source.label(name)}"
     if channel.unit not in SECONDS:
         raise InputError(

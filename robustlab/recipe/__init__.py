@@ -9,9 +9,7 @@ _WORDS = {
     **dict.fromkeys(("read_result", "run_recipe", "write_report"), "run"),
     **dict.fromkeys(("Recipe", "Requirement", "json_schema", "judge", "look_up"), "schema"),
     "look_through": "check",
-    **dict.fromkeys(("keys_of", "keys_of_step"), "keys"),
-    **dict.fromkeys(("Fact", "KINDS", "Outcome", "Step", "Workspace", "step"), "steps.contract"),
-    "look_ahead": "steps.leaves",
+    **dict.fromkeys(("Fact", "KINDS", "look_ahead", "Outcome", "Step", "Workspace", "step"), "steps.contract"),
 }
 
 __all__ = list(_WORDS)  # pyright: ignore[reportUnsupportedDunderAll]

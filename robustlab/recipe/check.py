@@ -1,8 +1,6 @@
-"""What of a recipe can be told to be wrong before its first step runs: files, signals, units, and results asked for.
+"""Checks a recipe before its first step runs: files, signals, units, and results asked for.
 
-Each step says what it will give and leave as far as that is known without a computation
-(`robustlab.recipe.steps.contract.Step.foretell`): of a plant of ours and of a file's object all signals, of what is
-made of them mostly those that are kept. What cannot be known before the run is no fault here.
+What cannot be known without a computation is no fault here (`robustlab.recipe.steps.contract.Step.foretell`).
 """
 
 from __future__ import annotations
@@ -17,8 +15,7 @@ from robustlab.doors.vocabulary import Names
 from robustlab.errors import InputError, RobustlabError, UsageError, rewritten, unknown_name
 from robustlab.recipe.load import MAX_FAULTS_SHOWN, LoadedRecipe, find_file, marked, references
 from robustlab.recipe.schema import Requirement
-from robustlab.recipe.steps.contract import Ahead, Foretold, Step
-from robustlab.recipe.steps.leaves import look_ahead
+from robustlab.recipe.steps.contract import Ahead, Foretold, Step, look_ahead
 from robustlab.units import same_unit
 
 # What a loaded file may hold, and what a step may ask for that takes nothing else.

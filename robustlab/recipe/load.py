@@ -1,9 +1,6 @@
-"""Reading a recipe: TOML to a checked `Recipe`, with every fault named at once by its dotted key.
+"""Reading a recipe: TOML to a checked `Recipe`, with every fault named at once by its dotted key; the files it names.
 
-A recipe comes from outside. It is data only: TOML has no code and no tags, nothing of it is evaluated, and its size is
-limited.
-
-The files around it are found here, too: those it names and may read, and the recipe itself.
+A recipe comes from outside. It is data only: nothing of it is evaluated, and its size is limited.
 """
 
 from __future__ import annotations
@@ -103,7 +100,6 @@ def _checked(data: dict[str, Any], where: str, overrides: dict[str, str] | None)
 
 
 def _fault(error: Any, data: dict[str, Any]) -> str:
-    """One fault as ``dotted.key: what is wrong``."""
     loc = [str(part) for part in error["loc"]]
     is_step = len(loc) >= 3 and loc[0] == "step" and loc[2] in KINDS
     if is_step:
@@ -116,7 +112,7 @@ def _fault(error: Any, data: dict[str, Any]) -> str:
             known = _known_keys(error["loc"])
             of = f"a step that does {error['loc'][2]} takes" if is_step else "there are"
             listed = f"; {of} {', '.join(known)}" if known else ""
-            return f"{key}: unknown key{_meant(loc, known, data)}{listed}"
+            return f"{key}: unknown key{_suggestion(loc[-1], known)}{listed}"
         case "missing":
             return f"{key}: missing"
         case "union_tag_not_found":
@@ -142,29 +138,7 @@ def _suggestion(name: str, known: list[str]) -> str:
     return f" ({hint})" if hint else ""
 
 
-# What a key is called elsewhere, and by somebody who guesses -> how it is called here.
-CALLED = {
-    **dict.fromkeys(("file", "filename", "file_name", "source", "data"), "path"),
-    **dict.fromkeys(("omega", "frequencies", "w"), "frequency"),
-    **dict.fromkeys(("model", "on", "input_step", "from"), "of"),
-    **dict.fromkeys(("tolerance", "uncertainty", "ranges"), "tolerances"),
-    **dict.fromkeys(("k", "K", "ctrl"), "controller"),
-}
-
-
-def _meant(loc: list[str], known: list[str], data: dict[str, Any]) -> str:
-    """The key that an unknown one is meant for: the one that others call so, else the nearest that is not there yet."""
-    called = CALLED.get(loc[-1])
-    if called in known:
-        return f" (did you mean {called}?)"
-    table: Any = data
-    for part in loc[:-1]:
-        table = table[int(part)] if isinstance(table, list) else table.get(part, {})
-    return _suggestion(loc[-1], [name for name in known if name not in table]) or _suggestion(loc[-1], known)
-
-
 def _known_keys(loc: tuple[Any, ...]) -> list[str]:
-    """Keys that are allowed beside the unknown one."""
     if loc[0] == "step" and len(loc) == 4:
         return [name for name in KINDS[loc[2]].model_fields if name != "do"]
     if loc[0] == "require":

@@ -148,7 +148,6 @@ def run_recipe(
 
 
 def _ending_of(error: BaseException) -> Ending:
-    """What ended a run before its end."""
     from robustlab.dynamics.plant_file import fault_of_user_code
 
     if isinstance(error, KeyboardInterrupt):

@@ -1,9 +1,4 @@
-"""What a recipe says as a whole (format ``robustlab.recipe/1``); its steps are in `robustlab.recipe.steps`.
-
-``robustlab recipe schema`` prints its JSON Schema, with which an editor completes and checks recipes.
-
-Requirements are judged here: the number that is meant is found, compared, and the outcome said in words.
-"""
+"""A recipe as a whole (format ``robustlab.recipe/1``), its JSON Schema, and how its requirements are judged."""
 
 from __future__ import annotations
 
@@ -18,8 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from robustlab.doors.vocabulary import StepName, Strict, Text
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import KINDS, Step
-from robustlab.recipe.steps.leaves import nothing_there
+from robustlab.recipe.steps.contract import KINDS, Step, nothing_there
 
 STEPS: Any = Field(min_length=1, max_length=200, description="Run in the order written.")
 

@@ -36,6 +36,7 @@ SHOWN_BEYOND = 3.0  # times the highest excited line
 FEWEST_SHOWN = 20  # lines
 BINS_PER_DECADE = 30  # densities are drawn as their means over such bins of frequency
 DECADES = 12  # shown below the largest density
+CYCLE = [COLOURS[key] for key in ("nominal", "good", "worst")]  # of as many inputs
 MEASURED, FREE, WINDOWED = COLOURS["measured"], COLOURS["worst"], COLOURS["nominal"]
 
 
@@ -107,7 +108,6 @@ def where_figure(comparison: Comparison, output: str | None = None) -> Figure:
 
 
 def _where_panels(comparison: Comparison, output: str) -> list[tuple[str, str, tuple[Bin, ...]]]:
-    """Name, unit and bins of every panel below the first."""
     motion = comparison.motions[output]
     panels: list[tuple[str, str, tuple[Bin, ...]]] = []
     if output in comparison.direction:
@@ -128,7 +128,6 @@ def _name_directions(axes: Axes, direction: Mapping[str, DirectionError]) -> Non
 
 
 def _joined(figure: Figure, axes: list[Axes]) -> Axes:
-    """The two axes of the first row as one."""
     grid = axes[0].get_gridspec()
     for panel in axes[:2]:
         panel.remove()
@@ -145,7 +144,6 @@ def _worst_bars(axes: Axes, edges: Array, rms: Array) -> None:
 
 
 def _band_bars(axes: Axes, comparison: Comparison, output: str) -> None:
-    """Share of the free run's squared error, band by band."""
     s = comparison.frequency[output]
     _worst_bars(axes, np.arange(len(s.bands), dtype=float), 100 * s.error_share)
     axes.set_xticks(np.arange(len(s.bands)), [f"{edge:.3g}" for edge in s.bands])
@@ -252,10 +250,10 @@ def spectrum_figure(comparison: Comparison, output: str | None = None) -> Figure
         above.set_title("where in frequency")
         if top > 0:
             above.legend(loc="lower left", ncols=1)
-            above.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
+            logarithmic(above.yaxis)
         most = sorted(s.coherence, key=lambda name: -float(s.coherence[name].mean()))[:MOST_INPUTS]
         drawn = {name: coherence for name, coherence in s.coherence.items() if name in most}
-        for (name, coherence), colour in zip(drawn.items(), _cycle(len(drawn)), strict=True):
+        for (name, coherence), colour in zip(drawn.items(), CYCLE, strict=False):
             label = f"{plain_label(name)} with the error (mean over narrow bands)"
             below.semilogx(*_smoothed(f, coherence[1:]), color=colour, lw=1.2, label=label)
         below.axhline(
@@ -424,12 +422,6 @@ def _smoothed(f: Array, values: Array) -> tuple[Array, Array]:
     return means[0], means[1]
 
 
-def _power_of_ten(value: float, _position: int) -> str:
-    """A tick of a logarithmic axis in plain characters; the house style shows no mathematics."""
-    exponent = round(np.log10(value)) if value > 0 else 0
-    return f"10{str(exponent).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
-
-
 def _bars(axes: Axes, bins: tuple[Bin, ...], unit: str) -> None:
     """RMS per bin as bars and the mean as dots; backward and forward in two colours."""
     for b in bins:
@@ -451,8 +443,3 @@ def _stems(axes: Axes, lags: NDArray[np.int_], values: Array, band: float) -> No
     axes.vlines(lags, 0.0, values, color=COLOURS["nominal"], lw=1.1)
     axes.plot(lags, values, "o", color=COLOURS["nominal"], ms=2.6)
     zero_line(axes)
-
-
-def _cycle(count: int) -> list[str]:
-    colours = [COLOURS[key] for key in ("nominal", "good", "worst", "sample")]
-    return [colours[i % len(colours)] for i in range(count)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -25,11 +25,10 @@ from robustlab.report.figures import (
 
 if TYPE_CHECKING:
     from robustlab.analysis.performance_comparison import PerformanceComparison
-    from robustlab.dynamics.control.controlled_runs import ControlledRuns, TimePanel
-    from robustlab.mu_analysis import Margin
+    from robustlab.dynamics.control.controlled_runs import ControlledRuns
     from robustlab.synthesis.problem.design import Synthesis
     from robustlab.synthesis.specifications.loop_functions import LoopFunctions
-    from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, TrackingProblem
+    from robustlab.synthesis.specifications.tracking_problem import TrackingLoop
 
 # Colour, dashes and width of the designs that a figure compares, in their order; a narrow curve shows on a wide one.
 DESIGNS = (
@@ -92,15 +91,13 @@ def _span(axes: Axes, curves: Sequence[Array], decades: float = 6.0, bounds: Seq
     return low
 
 
-def loop_figure(
-    omega: Array,
-    closed_loop: Array,
-    peak: tuple[float, float],
-    controller: tuple[Array, Sequence[str]],
-    level: str = "γ, verified",
-    heading: str = "weighted closed loop",
-) -> Figure:
+def loop_picture(design: Synthesis) -> Figure:
     """Singular values of the weighted closed loop with the peak marked, and the controller's gains."""
+    from robustlab.synthesis.specifications.loop_functions import loop_curves
+
+    curves = loop_curves(design)
+    omega, closed_loop, peak = curves.omega, curves.closed_loop, curves.peak
+    heading = "closed loop, channels of Δ included" if design.plant.blocks else "weighted closed loop"
     figure, (loop, gains) = new_figure(1, 2, width=9.6, height=3.7)
     with house_style():
         low = _span(loop, [closed_loop[:, 0], np.array([peak[1]])], 4.0)
@@ -110,12 +107,14 @@ def loop_figure(
                 omega, curve, color=COLOURS["nominal" if first else "band"], lw=1.6 if first else 0.8,
                 label="largest" if first else "others" if k == 1 else None, zorder=3 if first else 2,
             )  # fmt: skip
-        loop.axhline(peak[1], color=COLOURS["limit"], ls=(0, (5, 2)), label=f"{plain_label(level)}: {peak[1]:.4g}")
+        loop.axhline(
+            peak[1], color=COLOURS["limit"], ls=(0, (5, 2)), label=f"{plain_label(curves.level)}: {peak[1]:.4g}"
+        )
         if omega[0] <= peak[0] <= omega[-1]:
             loop.plot(peak[0], peak[1], "o", color=COLOURS["worst"], ms=6, label=f"peak, {peak[0]:.4g} rad/s", zorder=4)
-        loop.set_title(plain_label(heading))
+        loop.set_title(heading)
         loop.set_ylabel("singular values")
-        values, names = controller
+        values, names = curves.controller, curves.measurements
         if len(names) <= NAMED:
             _designs(gains, omega, dict(zip(names, values.T, strict=True)))
         else:
@@ -133,17 +132,8 @@ def loop_figure(
 
 
 def performance_picture(found: PerformanceComparison) -> Figure:
-    """Bounds of mu of every controller of a comparison."""
-    return mu_comparison_figure(found.margins)
-
-
-def runs_picture(found: ControlledRuns) -> Figure:
-    """Errors and controls of runs under several controllers."""
-    return runs_figure(found.t, found.panels)
-
-
-def mu_comparison_figure(margins: Mapping[str, Margin], quantity: str = "μ of robust performance") -> Figure:
     """Upper bound of mu over frequency for each design; the level proved for the whole axis as a thin line."""
+    margins = found.margins
     figure, (axes,) = new_figure(1, 1, width=8.0, height=3.8)
     with house_style():
         top = 1.0
@@ -161,15 +151,15 @@ def mu_comparison_figure(margins: Mapping[str, Margin], quantity: str = "μ of r
         axes.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.2, label="1: requirement met by every member")
         omega = next(iter(margins.values())).omega
         frequency_axis(axes, (omega[0], omega[-1]))
-        axes.set(ylim=(0, 1.1 * top), ylabel=quantity)
+        axes.set(ylim=(0, 1.1 * top), ylabel="μ of robust performance")
         legend_below(figure, (axes,), 2)
     return figure
 
 
-def history_figure(
-    mu: Sequence[float], proved: Sequence[float], orders: Sequence[int], stages: Sequence[str]
-) -> Figure:
-    """A search iterate by iterate: mu at single frequencies (NaN: not computed), what was proved, order of K."""
+def history_picture(design: Any) -> Figure:
+    """A D-K search iterate by iterate: mu at single frequencies (NaN: not computed), what was proved, order of K."""
+    mu, proved = [s.mu for s in design.history], [s.gamma for s in design.history]
+    orders, stages = [s.order for s in design.history], [s.stage for s in design.history]
     steps = np.arange(1, len(proved) + 1)
     figure, (level, order) = new_figure(2, 1, width=8.0, height=2.2, sharex=True)
     with house_style():
@@ -192,8 +182,9 @@ def history_figure(
     return figure
 
 
-def runs_figure(t: Array, panels: Sequence[TimePanel]) -> Figure:
+def runs_picture(found: ControlledRuns) -> Figure:
     """Several runs over time, one panel per signal; a limit that is far from all curves is named, not drawn."""
+    t, panels = found.t, found.panels
     figure, axes_list = new_figure(len(panels), 1, width=8.6, height=2.2, sharex=True)
     with house_style():
         for axes, panel in zip(axes_list, panels, strict=True):
@@ -231,46 +222,7 @@ def _cycle(n: int, only: bool = False) -> list[tuple[str, Any, float]]:
 HEADINGS = {"S": "S: relative error", "KS": "K S: control", "T": "T: relative output"}
 
 
-def tracking_panels(
-    problem: TrackingProblem, controllers: Mapping[str, Any], omega: Array, gamma: float | None = None
-) -> list[FunctionPanel]:
-    """S, K S and T of the nominal loop of a tracking problem under each controller."""
-    gains = {name: problem.gains(K, omega) for name, K in controllers.items()}
-    allowed = problem.bounds(omega)
-    units = {s.unit for s in problem.plant.controls}
-    panels = []
-    for function, heading in HEADINGS.items():
-        bound = allowed.get(function)
-        proved = None if bound is None or gamma is None else gamma * bound
-        unit = units.copy().pop() if function == "KS" and len(units) == 1 else ""
-        curves = {name: found[function] for name, found in gains.items()}
-        panels.append(FunctionPanel(heading, curves, bound, proved, unit))
-    return panels
-
-
-# --- all figures of a finished design -------------------------------------------------------------------------------
-
 PICTURE_HEADINGS = {"S": "S: r → error", "T": "T: r → y", "KS": "K S: r → u", "SG": "S G: d → y"}
-
-
-def pictures(design: Synthesis) -> dict[str, Callable[[], Figure]]:
-    """Suffix of the file -> what draws it; the first, without a suffix, is the weighted loop with the controller."""
-    from robustlab.synthesis.dk.dk_design import DKSynthesis
-
-    found: dict[str, Callable[[], Figure]] = {"": lambda: loop_picture(design)}
-    if isinstance(design, DKSynthesis):
-        return found | {"mu": lambda: mu_picture(design), "history": lambda: history_picture(design)}
-    return found | {"functions": lambda: functions_picture(design)}
-
-
-def loop_picture(design: Synthesis) -> Figure:
-    """The weighted closed loop with its peak marked, and the controller."""
-    from robustlab.synthesis.specifications.loop_functions import loop_curves
-
-    curves = loop_curves(design)
-    heading = "closed loop, channels of Δ included" if design.plant.blocks else "weighted closed loop"
-    controller = (curves.controller, curves.measurements)
-    return loop_figure(curves.omega, curves.closed_loop, curves.peak, controller, curves.level, heading)
 
 
 def functions_picture(design: Synthesis) -> Figure:
@@ -285,7 +237,14 @@ def tracking_picture(loop: TrackingLoop) -> Figure:
     from robustlab.synthesis.specifications.loop_functions import frequencies
 
     omega = frequencies(loop.design.closed_loop)
-    panels = tracking_panels(loop.problem, {loop.design.method: loop.design.K}, omega, loop.gamma)
+    gains, allowed = loop.problem.gains(loop.design.K, omega), loop.problem.bounds(omega)
+    units = {s.unit for s in loop.problem.plant.controls}
+    panels = []
+    for function, heading in HEADINGS.items():
+        bound = allowed.get(function)
+        proved = None if bound is None or loop.gamma is None else loop.gamma * bound
+        unit = next(iter(units)) if function == "KS" and len(units) == 1 else ""
+        panels.append(FunctionPanel(heading, {loop.design.method: gains[function]}, bound, proved, unit))
     return functions_figure(omega, panels, loop.gamma)
 
 
@@ -319,10 +278,3 @@ def mu_picture(design: Any) -> Figure:
     loop = UncertainModel(design.closed_loop, [b for b in design.blocks if b.name != "performance"])
     omega = frequencies(design.closed_loop, 160)
     return mu_figure(robust_performance(loop, omega=omega, accuracy=1e-3, tolerance=float("inf")))
-
-
-def history_picture(design: Any) -> Figure:
-    """The search of a D-K design: levels and orders of all iterates."""
-    steps = design.history
-    mu, proved = [s.mu for s in steps], [s.gamma for s in steps]
-    return history_figure(mu, proved, [s.order for s in steps], [s.stage for s in steps])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -168,12 +167,11 @@ def posterior_figure(discovery: Discovery) -> Figure:
     return figure
 
 
-def residual_force_figure(
-    residual: ResidualForce,
-    name: str = "force",
-    before: ResidualForce | None = None,
-) -> Figure:
-    """Residual force over each coordinate; below it, what share of it each explains."""
+def force_of(discovery: Discovery) -> Figure:
+    """The missing force over speed, position, time and input, before and after; what share of it each explains."""
+    residual, before = discovery.residual_force, discovery.missing_force
+    if residual is None or not residual.curves:
+        raise InputError("plot('force')", "no force is known", "a discovery that smoothed the missing force")
     curves = sorted(residual.curves.values(), key=_place)
     earlier = before.curves if before is not None else {}
     rows = math.ceil((len(curves) + 1) / COLUMNS)
@@ -190,7 +188,7 @@ def residual_force_figure(
             panel.set_xlim(float(curve.x.min()) - edge, float(curve.x.max()) + edge)
             panel.set_ylim(low, high)
             panel.set_xlabel(axis_label(curve.coordinate, curve.unit))
-            panel.set_ylabel(axis_label(name, residual.unit))
+            panel.set_ylabel(axis_label("missing force", residual.unit))
         _shares(panels[len(curves)], residual, before)
         for panel in panels[len(curves) + 1 :]:
             panel.set_visible(False)
@@ -357,7 +355,6 @@ def _place(curve: ForceCurve) -> int:
 
 
 def _explains(curve: ForceCurve, earlier: ForceCurve | None) -> str:
-    """What share of the force follows the coordinate."""
     name = plain_label(curve.coordinate)
     if earlier is not None:
         return f"{name}: explains {100 * earlier.share:.0f} % → {100 * curve.share:.0f} %"
@@ -378,16 +375,6 @@ def _shares(panel: Axes, residual: ResidualForce, before: ResidualForce | None) 
     panel.set_xlabel("share of the variance, held-out [%]")
     fell = "" if before is None else f" (rms {before.rms:.3g} → {residual.rms:.3g} {residual.unit})"
     panel.set_title(f"what explains it{fell}")
-
-
-# --- single drawings --------------------------------------------------------------------------------------------------
-
-
-def force_of(discovery: Discovery) -> Figure:
-    """The missing force over speed, position, time and input, before and after."""
-    if discovery.residual_force is None or not discovery.residual_force.curves:
-        raise InputError("plot('force')", "no force is known", "a discovery that smoothed the missing force")
-    return residual_force_figure(discovery.residual_force, "missing force", discovery.missing_force)
 
 
 TONES = {
@@ -446,36 +433,22 @@ def write_page(d: Discovery, folder: Path, provenance: Provenance) -> list[Path]
     page = {
         "verdict": {"tone": tone, "mark": mark, "headline": f"{d.headline()}.", "detail": MEANINGS[d.verdict]},
         "requirements": [],
-        "steps": [_step(d, figures)],
+        "steps": [
+            {
+                "name": "discover", "do": "discover", "title": f"{d.plant} against {', '.join(d.records)}",
+                "status": str(d.status), "trustworthy": d.status.trustworthy, "summary": f"{d.headline()}.",
+                "error": "", "numbers": plain(d.to_json()), "text": d.tables(),
+                "facts": [{"label": label, "value": value, "source": ""} for label, value in d.facts()],
+                "notes": [f.message for f in d.findings],
+                "story": [dict(zip(("label", "value", "source"), part, strict=True)) for part in story(d)],
+                "figures": [{"stem": name, "caption": caption_of(WHOLE, name)} for name in figures],
+            }
+        ],
         "recipe": {
-            "name": "data discover",
-            "title": f"What {d.plant} lacks",
-            "description": "",
-            "text": "",
-            "overrides": {},
+            "name": "data discover", "title": f"What {d.plant} lacks", "description": "", "text": "", "overrides": {},
         },
-        "seconds": d.seconds,
-        "seed": 0,
-        "provenance": provenance.to_json(),
-    }
+        "seconds": d.seconds, "seed": 0, "provenance": provenance.to_json(),
+    }  # fmt: skip
     path = folder / "report.html"
     path.write_text(render(page, folder), encoding="utf-8")
     return [*files, path]
-
-
-def _step(d: Discovery, figures: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "name": "discover",
-        "do": "discover",
-        "title": f"{d.plant} against {', '.join(d.records)}",
-        "status": str(d.status),
-        "trustworthy": d.status.trustworthy,
-        "summary": f"{d.headline()}.",
-        "error": "",
-        "numbers": plain(d.to_json()),
-        "facts": [{"label": label, "value": value, "source": ""} for label, value in d.facts()],
-        "notes": [f.message for f in d.findings],
-        "text": d.tables(),
-        "story": [dict(zip(("label", "value", "source"), part, strict=True)) for part in story(d)],
-        "figures": [{"stem": name, "caption": caption_of(WHOLE, name)} for name in figures],
-    }

@@ -28,7 +28,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "Controller": _MODEL,
     "GeneralizedPlant": _MODEL,
     "Samples": _MODEL,
-    "EffectBlocks": {"blocks": "set_figures.blocks_of"},
+    "EffectBlocks": {"blocks": "set_figures.blocks_figure"},
     "Record": {"signals": "result_figures.record_figure"},
     "FrequencyData": {"bode": "result_figures.measured_response_figure"},
     "ReducedModel": {"sigma": "result_figures.reduction_figure", "hankel": "result_figures.hankel_figure"},

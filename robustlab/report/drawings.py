@@ -98,7 +98,6 @@ def _check_options(where: str, drawing: Callable[..., Any], options: Mapping[str
 
 
 def _discard(figures: list[Figure]) -> None:
-    """A drawing that failed leaves no figure behind."""
     import matplotlib.pyplot as plt
 
     for figure in figures:

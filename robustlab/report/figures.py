@@ -107,7 +107,6 @@ def new_figure(
 
 
 def _in_the_place_of(axes: Axes) -> SubFigure:
-    """A part of the axes' figure where they were."""
     from robustlab.errors import InputError
 
     place, figure = axes.get_subplotspec(), axes.figure

@@ -1,10 +1,7 @@
 """The report of a run: a self-contained HTML page, and its requirements as JUnit tests for a CI system.
 
-The page opens offline, reaches no network and runs no script.
-
-Every text in it may come from a file of somebody else (names of signals, steps, models). Jinja2 escapes all of it,
-control and bidirectional-override characters are shown as escapes, figures are images in ``data:`` addresses (an SVG in
-an image cannot run anything), and the page's Content-Security-Policy forbids all but its own style and such images.
+Every text in it may come from a file of somebody else: Jinja2 escapes all of it, control and bidirectional-override
+characters are shown as escapes, figures are images in ``data:`` addresses, and no script may run.
 """
 
 from __future__ import annotations
@@ -97,7 +94,6 @@ def ending_of(result: Mapping[str, Any]) -> Mapping[str, str]:
 
 
 def _unfinished(result: Mapping[str, Any]) -> Verdict:
-    """Of a run that has not come to its end."""
     ending = ending_of(result)
     how, message = ending["how"], ending["message"]
     if how == "running":
@@ -130,7 +126,7 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
     from jinja2 import UndefinedError
 
     try:
-        readable = _with_optional_parts(_readable(result))
+        readable = _readable(result)
         pictures = _pictures(Path(folder), readable)
         return _template().render(
             r=readable,
@@ -172,16 +168,6 @@ def _readable(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_readable(item) for item in value]
     return value
-
-
-def _with_optional_parts(result: Any) -> Any:
-    """Parts that results of earlier versions lack, empty."""
-    for requirement in result["requirements"]:
-        requirement.setdefault("limits", None)
-        requirement.setdefault("unit", "")
-    for step in result["steps"]:
-        step.setdefault("story", [])
-    return result
 
 
 def in_words(value: Any, limits: Sequence[float | None] | None = None) -> str:

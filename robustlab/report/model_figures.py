@@ -166,7 +166,6 @@ def poles_figure(poles: AnyArray, zeros: AnyArray, dt: float, cloud: AnyArray | 
 
 
 def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> _Drawn:
-    """The model, its members, and of many channels the first ones."""
     if isinstance(shown, Samples):
         whole: Any = shown.uncertain
         members = [whole.evaluate(_real(delta)) for delta in list(shown.deltas)]
@@ -201,7 +200,6 @@ def _frequencies(model: StateSpaceModel | DelayedModel, omega: ArrayLike | None)
 
 
 def _rational(model: StateSpaceModel | DelayedModel) -> StateSpaceModel:
-    """Whose poles say where to look; what is drawn is exact."""
     return model.pade(LOOK) if isinstance(model, DelayedModel) else model
 
 
@@ -269,7 +267,6 @@ def _bottom(panels: Sequence[Axes], model: StateSpaceModel | DelayedModel, label
 
 
 def _close(figure: Figure, panels: Sequence[Axes], drawn: _Drawn) -> None:
-    """Legend where members are drawn, and what was left out."""
     if drawn.members:
         legend_below(figure, panels)
     if drawn.left_out:

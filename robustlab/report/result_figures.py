@@ -31,7 +31,7 @@ from robustlab.report.figures import (
     plain_label,
     zero_line,
 )
-from robustlab.report.robustness_figures import exceedance_figure, response_figure
+from robustlab.report.robustness_figures import response_figure
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.synthesis.sampled.sampled_norm import SampledDataNorm
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
@@ -142,7 +142,21 @@ def campaign_figure(result: CampaignResult) -> Figure:
     finally:
         store.close()
     limit = result.violation.limit if result.violation is not None else None
-    return exceedance_figure(values, share, upper, metric=(result.metric, result.unit), limit=limit)
+    figure, (axes,) = new_figure(height=3.4)
+    seen = share > 0
+    with house_style():
+        if seen.any():
+            axes.step(values[seen], share[seen], where="post", color=COLOURS["nominal"], label="share of the samples")
+        axes.plot(values, upper, color=COLOURS["worst"], ls=(0, (6, 2)), label="probability, at most (95 %)")
+        if len(values):
+            axes.plot(values[-1], upper[-1], "o", color=COLOURS["worst"], ms=5, label="worst sample")
+        if limit is not None:
+            axes.axvline(limit, color=COLOURS["limit"], lw=1.3, label=plain_label(f"limit {limit:g}"))
+        axes.set_xlabel(axis_label(result.metric, result.unit))
+        axes.set_ylabel("probability to be worse")
+        axes.legend(loc="best")
+    logarithmic(axes.yaxis)
+    return figure
 
 
 def mu_bars(bounds: MuBounds) -> Figure:

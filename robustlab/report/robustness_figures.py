@@ -6,7 +6,7 @@ a metric is distributed, what matters for it. The responses are those of figures
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,12 +25,10 @@ from robustlab.report.figures import (
     frequency_axis,
     house_style,
     legend_below,
-    logarithmic,
     new_figure,
     plain_label,
     zero_line,
 )
-from robustlab.tables import Tabular
 from robustlab.worst_case_analysis.statistics import Influence, ViolationProbability
 
 if TYPE_CHECKING:
@@ -98,13 +96,9 @@ def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:
     whole: Any = getattr(found, "simultaneous", found)
     gain = isinstance(found, PeakGain)
     label = "worst-case gain" if gain else "stability margin" if whole is found else "disk margin, all loops at once"
-    return _bounds_at(whole, label, "gain" if gain else "margin")
-
-
-def _bounds_at(found: Tabular, label: str, kind: str) -> Figure:
     figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
-    omega, columns = np.asarray(found.table().index[1]), found.table().columns
-    words = ("proved", "attained by an explicit Δ") if kind == "margin" else ("attained by an explicit Δ", "proved")
+    omega, columns = np.asarray(whole.table().index[1]), whole.table().columns
+    words = ("attained by an explicit Δ", "proved") if gain else ("proved", "attained by an explicit Δ")
     bounds = tuple(np.asarray(columns[name]) for name in ("lower", "upper"))
     with house_style():
         shown = omega > 0
@@ -161,9 +155,11 @@ def _edges(intervals: Sequence[Interval]) -> Array:
     return np.array([min(inner) / 10, max(inner) * (10 if np.inf in ends else 1)])
 
 
-def shares_figure(shares: Mapping[str, float]) -> Figure:
+def margin_shares(margin: Margin) -> Figure:
     """Share of each block in the margin, the largest on top: which range to tighten first."""
-    ranked = sorted(shares.items(), key=lambda pair: -abs(pair[1]))[:SHOWN_BLOCKS]
+    if not margin.shares:
+        raise InputError("plot('shares')", "a margin without shares of its blocks", "one at a simple critical pole")
+    ranked = sorted(margin.shares.items(), key=lambda pair: -abs(pair[1]))[:SHOWN_BLOCKS]
     figure, (axes,) = new_figure(1, 1, width=8.0, height=0.8 + 0.26 * max(len(ranked), 1))
     with house_style():
         names = [plain_label(name if len(name) <= 40 else name[:39] + "…") for name, _ in ranked]
@@ -192,13 +188,6 @@ def replay_figure(replay: CriticalResponse, shown: int = 4) -> Figure:
         panels[-1].set_xlabel("time [s]")
         legend_below(figure, panels[:1], 3)
     return figure
-
-
-def margin_shares(margin: Margin) -> Figure:
-    """Shares of a margin's blocks."""
-    if not margin.shares:
-        raise InputError("plot('shares')", "a margin without shares of its blocks", "one at a simple critical pole")
-    return shares_figure(margin.shares)
 
 
 MAX_CURVES = 60  # more sample curves than this make the file large and show nothing more than the envelope
@@ -346,27 +335,6 @@ def _range(values: np.ndarray, limit: float) -> tuple[float, float]:
     low, high = float(seen.min()), float(seen.max())
     margin = 0.04 * (high - low) or 0.05 * max(abs(high), 1e-12)
     return low - margin, high + margin
-
-
-def exceedance_figure(
-    values: Array, share: Array, upper: Array, *, metric: tuple[str, str], limit: float | None = None
-) -> Figure:
-    """Share of the samples worse than each value, with its upper confidence bound."""
-    figure, (axes,) = new_figure(height=3.4)
-    seen = share > 0
-    with house_style():
-        if seen.any():
-            axes.step(values[seen], share[seen], where="post", color=COLOURS["nominal"], label="share of the samples")
-        axes.plot(values, upper, color=COLOURS["worst"], ls=(0, (6, 2)), label="probability, at most (95 %)")
-        if len(values):
-            axes.plot(values[-1], upper[-1], "o", color=COLOURS["worst"], ms=5, label="worst sample")
-        if limit is not None:
-            axes.axvline(limit, color=COLOURS["limit"], lw=1.3, label=plain_label(f"limit {limit:g}"))
-        axes.set_xlabel(axis_label(*metric))
-        axes.set_ylabel("probability to be worse")
-        axes.legend(loc="best")
-    logarithmic(axes.yaxis)
-    return figure
 
 
 def violation_influence(found: ViolationProbability) -> Figure:

@@ -138,22 +138,14 @@ def _least_tied(deltas: Array) -> tuple[int, int]:
     return int(i), int(j)
 
 
-def blocks_of(made: EffectBlocks) -> Figure:
-    """What each block alone does. Raises InputError: there are no blocks."""
-    figure = blocks_figure(made)
-    if figure is None:
-        raise InputError("EffectBlocks.plot", "a model without blocks", "one with something uncertain in it")
-    return figure
-
-
-def blocks_figure(made: EffectBlocks) -> Figure | None:
+def blocks_figure(made: EffectBlocks) -> Figure:
     """How far each block alone moves the response of the nominal model, of its size, over frequency.
 
-    A real parameter at both of its ends, a dynamic block at the largest gain that it can add. None without blocks.
+    A real parameter at both of its ends, a dynamic block at the largest gain that it can add.
     """
     model = made.model
     if not model.blocks:
-        return None
+        raise InputError("EffectBlocks.plot", "a model without blocks", "one with something uncertain in it")
     q, p = model.delta_shape
     omega = default_grid(model.nominal, 240)
     m = frequency_response(model.M, omega)

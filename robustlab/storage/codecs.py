@@ -62,7 +62,6 @@ def _later(module: str, kind: str) -> tuple[Callable[..., None], Callable[..., A
 
 @contextmanager
 def _in_file(problems: Problems) -> Any:
-    """What a constructor refuses is a finding about the file."""
     try:
         yield
     except InputError as error:
@@ -153,7 +152,6 @@ def _put_design(tree: Tree, controller: Any) -> None:
 
 
 def _design(tree: Tree, problems: Problems) -> tuple[float | None, Status, str]:
-    """``gamma``, ``status`` and ``method`` from the attributes."""
     gamma = real_attribute(tree, "gamma", problems)
     text = str(np.asarray(tree.attrs.get("status", Status.INCONCLUSIVE.value)))
     if text not in list(Status):

@@ -1,17 +1,9 @@
-r"""Controllers for other programs: C99 source, MATLAB; robustlab's own format is `robustlab.storage.save`.
-
-In C99 it is one struct of state, an init and a step function, nothing allocated.
+r"""Controllers as C99 source: one struct of state, an init and a step function, nothing allocated.
 
 .. math:: y_k = C x_k + D u_k, \qquad x_{k+1} = A x_k + B u_k
 
-Where its outputs are limited, back-calculation tells the states what the limits took away
-(`robustlab.synthesis.windup.back_calculation`). Every number is written as a hexadecimal floating constant, which is
-the number itself, with its decimal form beside it in a comment. Sums are written out from left to right, zeros left
-out; with a compiler that keeps to C99's order of additions (no ``-ffast-math``) the step reproduces the model's
-recursion to rounding.
-
-Names of signals are shown in comments, never used as code: what a file may hold as a name must not become code. The
-text itself is the template ``controller.c.j2``.
+Every number is a hexadecimal constant, which is the number itself. Where outputs are limited, back-calculation tells
+the states what the limits took away. Names of signals stand in comments alone: a name must not become code.
 """
 
 from __future__ import annotations
@@ -188,7 +180,6 @@ def _template() -> Any:
 
 
 def _terms(from_x: Array, from_u: Array, from_limits: Array | None = None) -> list[tuple[float, str]]:
-    """The terms of a row that are not zero: number and place."""
     rows = (("s->x[{}]", from_x), ("u[{}]", from_u), ("cut{}", np.zeros(0) if from_limits is None else from_limits))
     return [(v, place.format(j)) for place, row in rows for j, v in enumerate(row.tolist()) if v != 0]
 

@@ -66,7 +66,6 @@ def _read(file: Path) -> dict[str, Any]:
 
 
 def _range(name: str, given: Any) -> Any:
-    """A table as a range; everything else as `parametric` takes it."""
     if not isinstance(given, dict):
         return given
     where = f"parameter {name!r}"

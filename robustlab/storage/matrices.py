@@ -194,7 +194,6 @@ def _descriptor_matrix(node: Tree, problems: Problems, transpose: bool, shape: S
 
 
 def _real(node: Tree, name: str, problems: Problems) -> Array | None:
-    """One matrix, once it is 2-D, real and finite."""
     values, path = node.datasets[name].values, node.child_path(name)
     if isinstance(values, Unread) or values.dtype.kind not in "fi":
         hint = COMPLEX if not isinstance(values, Unread) and values.dtype.kind == "c" else None
@@ -254,7 +253,6 @@ def _fits(shapes: Mapping[str, Shape]) -> bool:
 
 
 def _expected(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
-    """The sizes that most of the matrices agree on."""
     a, b, c, d = (shapes[name] for name in NAMES)
     # A counts first: where it is square it says how many states there are.
     n = a[0] if a[0] == a[1] else Counter([a[0], a[1], b[0], c[1]]).most_common(1)[0][0]

@@ -170,7 +170,6 @@ def decode_plant(tree: Tree, problems: Problems, _transpose: bool = False) -> Pl
 
 
 def _options(base: Plant) -> dict[str, Any]:
-    """What a plant of the registry takes besides parameters."""
     return {name: value for name in ("preset", "motors") if (value := getattr(base, name, None)) is not None}
 
 
@@ -259,7 +258,6 @@ def _from_equations(group: Tree, problems: Problems) -> Plant:
 
 
 def _from_tapes(group: Tree, problems: Problems) -> Plant:
-    """A nonlinear plant of somebody's own."""
     from robustlab.dynamics.symbolic.symbolic_plant import SymbolicPlant
 
     find_children(group, ("parameters", "tapes", "base"), problems, kind="group")
@@ -354,7 +352,6 @@ def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
 
 
 def _check_model(plant: Plant, stored: StateSpaceModel, where: str) -> None:
-    """The linear model in the file must be the plant's own."""
     point = stored.operating_point
     found = _linear(plant, None if point is None else (point.x, point.u))
     for name in "ABCD":

@@ -135,7 +135,6 @@ def _class(name: str) -> type[LoadedResult]:
 
 
 def _attribute(value: Any) -> Any:
-    """Tables of results and of models as what they were."""
     if isinstance(value, list):
         return tuple(map(_attribute, value))
     if not isinstance(value, Mapping):

@@ -116,7 +116,7 @@ def test_a_search_tells_the_work_it_may_take_at_most(models):
 
 # Commands that are done in a second, whatever they are given, or write a line of their own (a platform's equations).
 QUICK = {
-    *("plant list", "plant new", "plant show", "model show", "model convert", "uncertain show", "campaign show"),
+    *("plant list", "plant new", "plant show", "model show", "model convert"),
     *("recipe check", "recipe new", "recipe steps", "recipe schema", "report write", "report compare", "doctor"),
 }
 
@@ -214,7 +214,7 @@ def test_what_earlier_runs_did_is_no_measure_of_speed(monkeypatch):
     monkeypatch.setattr("robustlab.cli.progress.time.monotonic", lambda: now[0])
     display = Display("campaign resume", "none", 100)
     display.resumed(80)
-    assert display.remaining is None
+    assert display._remaining() is None
     now[0] += 7.0
     display.step(90)  # ten in this time, ten to go
-    assert display.remaining == 7.0
+    assert display._remaining() == 7.0

@@ -226,12 +226,11 @@ def test_a_step_that_ends_the_run_is_in_the_report(recipe, monkeypatch, error, c
 
 KILLED = """
 import os, signal, sys
-from robustlab.cli.main import main
+from robustlab.cli import main_guard, run_command
 from robustlab.recipe import KINDS
 import robustlab.recipe.steps
 KINDS["sample"].run = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
-sys.argv = ["robustlab", "run", "small.toml"]
-main()
+main_guard(lambda: run_command(["run", "small.toml"]))
 """
 
 

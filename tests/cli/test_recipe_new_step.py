@@ -9,8 +9,18 @@ from pydantic import Field
 
 from robustlab.doors import Positive, ToModel
 from robustlab.errors import InputError
-from robustlab.recipe import Fact, Outcome, Step, Workspace, json_schema, load_recipe, parse_recipe, run_recipe, step
-from robustlab.recipe.steps import contract
+from robustlab.recipe import (
+    KINDS,
+    Fact,
+    Outcome,
+    Step,
+    Workspace,
+    json_schema,
+    load_recipe,
+    parse_recipe,
+    run_recipe,
+    step,
+)
 
 RECIPE = """\
 schema = "robustlab.recipe/1"
@@ -40,7 +50,7 @@ at_least = 30.0
 @pytest.fixture(autouse=True)
 def dc_gain():
     """The new step, known to this test alone."""
-    before = dict(contract.KINDS)
+    before = dict(KINDS)
 
     @step
     class DcGainStep(Step):
@@ -56,8 +66,8 @@ def dc_gain():
             return Outcome(value, f"Gain of {self.of}.", {"value": value}, (Fact("Gain", f"{value:.4g}"),))
 
     yield
-    contract.KINDS.clear()
-    contract.KINDS.update(before)
+    KINDS.clear()
+    KINDS.update(before)
 
 
 def test_a_recipe_with_it_runs(tmp_path):

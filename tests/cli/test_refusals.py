@@ -108,7 +108,7 @@ REFUSED = [
     ("synth mixsyn p.h5 --w1 peak=2", 2, "bandwidth is missing"),
     ("synth mixsyn p.h5 --w1 bandwidth=fast", 2, "a number in rad/s"),
     ("synth mixsyn p.h5 --w1 bandwidth=-1", 3, "positive"),
-    ("synth mixsyn p.h5", 2, "no weight, expected at least one of W1, W2, W3"),
+    ("synth mixsyn p.h5", 3, "no weight, expected at least one of W1, W2, W3"),
     ("synth h2 p.h5", 2, "channels"),
     (f"synth h2 p.h5 {CHANNELS} --nominal", 3, "an uncertain model"),
     (f"synth h2 p.h5 {CHANNELS} --out nowhere/k.h5", 5, "no such folder"),

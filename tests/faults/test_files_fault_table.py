@@ -14,9 +14,7 @@ import pytest
 import scipy.io
 
 import robustlab as rl
-from robustlab.cli import main_guard
-from robustlab.cli.data import app as data_app
-from robustlab.cli.model import app as model_app
+from robustlab.cli import main_guard, run_command
 from robustlab.files import hdf5
 
 RNG = np.random.default_rng(1)
@@ -369,8 +367,7 @@ def in_process(monkeypatch):
 
 def run(capfd, path, command=CHECK, *options):
     """Exit code and stderr of a command on a file; nothing may come on stdout."""
-    app = {"model": model_app, "data": data_app}[command[0]]
-    code = main_guard(lambda: app([command[1], str(path), *options], standalone_mode=False))
+    code = main_guard(lambda: run_command([*command, str(path), *options]))
     out, err = capfd.readouterr()
     assert out == ""
     return code, err
@@ -435,8 +432,7 @@ def test_row_16_a_transposed_file_is_recognised_and_read_on_request(tmp_path, ca
 
 def test_row_4_no_verify_loads_with_a_warning(tmp_path, capfd):
     path = changed_afterwards(tmp_path)
-    app = model_app
-    assert main_guard(lambda: app(["check", str(path), "--no-verify"], standalone_mode=False)) == 0
+    assert main_guard(lambda: run_command(["model", "check", str(path), "--no-verify"])) == 0
     assert "does not match" in capfd.readouterr().err
     with pytest.warns(UserWarning, match="does not match"):
         assert rl.load(path, no_verify=True).A[0, 0] == 5.0

@@ -109,13 +109,3 @@ def test_a_cone_solver_that_fails(call, monkeypatch, kind, options):
     code, out, err = call(rl.unstructured(LAG, 0.3), wrong, *options)
     assert (code, out) == (4, "")
     assert "the solver" in err
-
-
-def test_the_envelope_stands_beside_a_set_of_constants(call):
-    model = axis()
-    q = rl.simulate(model.evaluate({"c": 0.5}), T, {"f": U})["q"]
-    code, out, _ = call(model, rl.Record(T, {"f": U}, {"q": q}), "--at-rest", bound="q=1e-3")
-    assert code == 0
-    assert "not invalidated at gamma" in out
-    assert "envelope of 22 members" in out
-    assert "envelope" not in call(model, rl.Record(T, {"f": U}, {"q": q}), "--cover", "0", bound="q=1e-3")[1]

@@ -1,9 +1,4 @@
-"""The kinds of steps, one file a field: each class says what a recipe may write and what is then done.
-
-Beside them stand the contract of a step and the words that they share. The classes call the public functions of the
-rooms below, choose the numbers that requirements may address, and draw; no mathematics lives here. A new kind is a
-class marked with `robustlab.recipe.steps.contract.step`, in one of these files or in a new one; nothing else lists it.
-"""
+"""The kinds of steps: classes marked with `contract.step` in the files here, and those made of doors."""
 
 from importlib import import_module
 from pathlib import Path

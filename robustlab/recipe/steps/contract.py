@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 
@@ -12,7 +13,9 @@ from pydantic import ConfigDict, Field
 
 import robustlab as rl
 from robustlab.doors.vocabulary import Strict, Text
-from robustlab.errors import InputError
+from robustlab.errors import InputError, did_you_mean
+from robustlab.result import Evidence
+from robustlab.shown import Each
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,7 +77,7 @@ class Step(Strict):
     model_config = ConfigDict(defer_build=True)  # only the union of all kinds needs a validator, see `recipe_model`
 
     gives: ClassVar[str] = "nothing"
-    leaves: ClassVar[Any] = ...  # what requirements may refer to, as `robustlab.recipe.steps.leaves` writes it
+    leaves: ClassVar[Any] = ...  # what requirements may refer to, see `with_signals`
 
     title: Text = Field("", description="What the report calls this step; the step's name where left out.")
     verify: bool = Field(False, description="Have what this step proves proved once more, from the file it writes.")
@@ -223,3 +226,53 @@ def told(found: Any, value: Any, summary: str, work: Workspace) -> Outcome:
     numbers = {name: number for name, number in found.numbers().items() if number is not None}
     status, notes = getattr(found, "status", None), getattr(found, "notes", ())
     return Outcome(value, summary, numbers, facts_of(found), status, notes, found.tables())
+
+
+# --- names that requirements may refer to ---------------------------------------------------------------------------
+# Nested tables down to a unit: a text is the unit of a number, "1" of a pure one; ``{name: ...}`` a table, where a name
+# with ``*`` is all that match; `Each` a table by signals; a class of parts its fields; below anything else is anything.
+
+
+def with_signals(
+    names: Any, inputs: Mapping[str, str] | None, outputs: Mapping[str, str] | None, unit: str | None = None
+) -> Any:
+    """Return the names with those of the signals in each `Each`, "*" where they are not known; ``unit``: of "*"."""
+    if isinstance(names, Each):
+        known = inputs if names.side == "inputs" else outputs
+        every = {**({"*": ""} if known is None else known), **dict.fromkeys(names.more, "")}
+        return {name: with_signals(names.leaf, inputs, outputs, of) for name, of in every.items()}
+    if isinstance(names, type) and is_dataclass(names):
+        stated = getattr(names, "quantities", {})
+        as_fields = stated or getattr(names, "to_json", None) is Evidence.to_json
+        names = {**{f.name: ... for f in fields(names)}, **stated} if as_fields else ...
+    if isinstance(names, Mapping):
+        return {name: with_signals(below, inputs, outputs, unit) for name, below in names.items()}
+    if isinstance(names, (list, tuple)):
+        return [with_signals(below, inputs, outputs, unit) for below in names]
+    if isinstance(names, str):
+        return unit if names == "*" and unit is not None else names
+    return ...
+
+
+def look_ahead(path: str, leaves: Any) -> Any:
+    """Return the unit at a dotted path below a step's name, "" or ``...`` where it is not known."""
+    step, *parts = path.split(".")
+    here, done = with_signals(leaves, None, None), [step]
+    for part in parts:
+        if isinstance(here, list) and part.isdecimal():
+            here = here[min(int(part), len(here) - 1)]
+            continue
+        if not isinstance(here, dict):
+            return ...
+        name = part if part in here else next((name for name in here if "*" in name and fnmatchcase(part, name)), None)
+        if name is None:
+            raise nothing_there("that", done, part, [name for name in here if name != "*"])
+        here = here[name]
+        done.append(part)
+    return here
+
+
+def nothing_there(where: str, done: Sequence[str], part: str, known: Sequence[str]) -> InputError:
+    """The error for a path that goes on after ``done`` with something that is not there."""
+    expected = f"one of {', '.join(known)}" if known else f"nothing below {'.'.join(done)}"
+    return InputError(where, f"{'.'.join(done)} has no {part!r}", expected, did_you_mean(part, list(known)))

@@ -27,16 +27,7 @@ from robustlab.doors.vocabulary import (
     ToUncertainOrProblem,
 )
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import (
-    Ahead,
-    Fact,
-    Foretold,
-    Outcome,
-    Step,
-    Workspace,
-    step,
-    told,
-)
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, step, told
 
 if TYPE_CHECKING:
     pass

@@ -24,17 +24,7 @@ from robustlab.doors.vocabulary import (
     ToRecord,
 )
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.recipe.steps.contract import (
-    Ahead,
-    Fact,
-    Foretold,
-    Outcome,
-    Step,
-    Workspace,
-    facts_of,
-    quantity,
-    step,
-)
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, quantity, step
 
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import NoiseInput

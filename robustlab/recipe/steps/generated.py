@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, create_model, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, create_model
 
 from robustlab.doors.declaration import STEPS, Door, InLoop, load_family, objects
 from robustlab.doors.kinds import RecordFile, Thing
 from robustlab.errors import InputError, UsageError
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, step
-from robustlab.recipe.steps.leaves import with_signals
+from robustlab.recipe.steps.contract import (
+    Ahead,
+    Fact,
+    Foretold,
+    Outcome,
+    Step,
+    Workspace,
+    facts_of,
+    step,
+    with_signals,
+)
 from robustlab.record import Record
 from robustlab.report.drawings import pictures_of
 from robustlab.shown import Shown
@@ -38,17 +46,6 @@ class DoorStep(Step):
 
     declared: ClassVar[Door]
 
-    @model_validator(mode="after")
-    def _go_together(self) -> Self:
-        try:
-            self.declared.checked(
-                {p.name: getattr(self, p.key) for p in self.declared.parameters if hasattr(self, p.key)}
-            )
-        except (InputError, UsageError) as error:
-            text = f"{error.found}, expected {error.expected}"
-            raise PydanticCustomError("together", "{text}", {"text": text}) from None
-        return self
-
     def foretell(self, ahead: Ahead) -> Foretold:
         """What requirements may refer to, and which signals later steps will see; a record has to fit its model."""
         known = self.declared.foretell
@@ -69,7 +66,6 @@ class DoorStep(Step):
         return self.leaves
 
     def _records(self) -> list[str]:
-        """Steps that give the records."""
         given = [getattr(self, p.key) for p in objects(self.declared) if isinstance(p.kind, RecordFile)]
         return [name for one in given if one for name in (one if isinstance(one, list) else [one])]
 
@@ -82,7 +78,6 @@ class DoorStep(Step):
         return self.outcome(found, work)
 
     def _values(self, work: Workspace) -> dict[str, Any]:
-        """What the function is given."""
         values: dict[str, Any] = {}
         for p in self.declared.parameters:
             if p.name == "seed":
@@ -164,7 +159,6 @@ def step_of(word: str, declared: Door) -> type[DoorStep]:
 
 
 def _first(declared: Door) -> str:
-    """The key of the object that the question is about."""
     return next((p.key for p in declared.parameters if isinstance(p.kind, Thing)), "")
 
 

@@ -105,7 +105,6 @@ class SampleStep(Step):
                 raise unknown_name(f"reference: output {name!r}", "no such signal", name, known)
 
     def _output(self, work: Workspace, responses: Any, k: int) -> tuple[dict[str, Any], list[Fact]]:
-        """Numbers, facts and figure of the k-th output."""
         from robustlab.report.robustness_figures import response_figure
 
         name, unit = responses.outputs[k]
@@ -144,7 +143,6 @@ class SampleStep(Step):
         return Fact("Largest change of a member", f"{found}; published ±{published:g} %")
 
     def _amplitudes(self, inputs: Any) -> str:
-        """What drives, in words."""
         units = dict(inputs)
         parts: list[str] = []
         sine = f"a sine of {self.frequency:g} Hz" if self.frequency else ""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import shown_objects
 
-from robustlab.recipe.steps import contract
 from robustlab.result import plain
 from robustlab.synthesis import Design
 
@@ -25,24 +24,3 @@ def test_what_is_declared_is_there(kind):
     if isinstance(found, Design):
         assert found.headline()
         assert numbers["gamma"] == plain(found.gamma)
-
-
-# Kind of step -> the results that it leaves.
-LEFT = {
-    "mixsyn": ["HinfSynthesis"],
-    "hinf": ["HinfSynthesis"],
-    "h2": ["H2Synthesis"],
-    "ncf": ["NcfSynthesis"],
-    "dk": ["DKSynthesis"],
-    "fixed": ["FixedSynthesis"],
-    "reduce-controller": ["ReducedController"],
-    "reduce-model": ["ReducedModel"],
-}
-
-
-@pytest.mark.parametrize("kind", LEFT)
-def test_a_step_leaves_what_its_result_declares(kind):
-    declared = {}
-    for result in LEFT[kind]:
-        declared |= type(shown_objects.made(result)).quantities
-    assert contract.KINDS[kind].leaves == declared

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.report import save_figure
-from robustlab.report.comparison_figures import comparison_figures
+from robustlab.report import pictures_of, save_figure
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +20,7 @@ def comparison():
 
 @pytest.mark.slow
 def test_all_figures_are_drawn_and_small(comparison, tmp_path):
-    figures = comparison_figures(comparison)
+    figures = {name: picture.figure for name, picture in pictures_of(comparison)}
     assert list(figures) == ["where-q", "time-q", "speed-q", "spectrum-q", "response-q", "residual-q"]
     for name, figure in figures.items():
         svg, png = save_figure(figure, tmp_path, name)

@@ -48,4 +48,5 @@ def test_what_a_block_does_is_the_change_at_its_ends():
     wanted = np.max([np.abs(0.1 * 95 * s / ((1 + k) * 95 * s + 200)) for k in (-0.1, 0.1)], axis=0)
     np.testing.assert_allclose(lines["M"].get_ydata(), 100 * wanted, rtol=1e-6)
     assert set(lines) == {"M", "Fv"}
-    assert blocks_figure(effect_blocks(rl.plant("servo-axis"))) is None
+    with pytest.raises(rl.InputError, match="without blocks"):
+        blocks_figure(effect_blocks(rl.plant("servo-axis")))

@@ -1,4 +1,4 @@
-"""The keys of steps and tables in words, read from the JSON Schema: for the command line and for the reference."""
+"""The keys of steps and tables in words, read from the JSON Schema, for the reference."""
 
 from __future__ import annotations
 
@@ -36,22 +36,12 @@ def keys_of(part: Mapping[str, Any], parts: Mapping[str, Any]) -> list[Key]:
     ]
 
 
-def keys_of_step(kind: str) -> list[Key]:
-    """The keys of a kind of step."""
-    from robustlab.recipe.schema import json_schema
-
-    parts = json_schema()["$defs"]
-    return keys_of(next(p for p in parts.values() if p["properties"].get("do", {}).get("const") == kind), parts)
-
-
 def _meaning(key: Mapping[str, Any]) -> str:
-    """What a key means; said of it, or of what it holds."""
     inner = [*key.get("anyOf", []), *([key["items"]] if "items" in key else [])]
     return key.get("description") or next((found for part in inner if (found := _meaning(part))), "")
 
 
 def _takes(key: Mapping[str, Any], parts: Mapping[str, Any]) -> str:
-    """What a key takes, in words."""
     if "$ref" in key:
         part = parts[key["$ref"].rpartition("/")[2]]
         return "table of " + ", ".join(f"``{name}``" for name in part["properties"])
@@ -78,7 +68,6 @@ def _count(key: Mapping[str, Any]) -> str:
 
 
 def _limits(key: Mapping[str, Any]) -> str:
-    """The bounds of a number."""
     words = {"exclusiveMinimum": "above", "minimum": "from", "maximum": "to", "exclusiveMaximum": "below"}
     said = [f"{word} {key[name]:g}" for name, word in words.items() if name in key]
     return " " + " ".join(said) if said else ""
