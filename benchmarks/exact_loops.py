@@ -74,7 +74,9 @@ def exact(a: Any) -> Matrix:
 
 
 def rational(a: Any) -> fmpq_mat:
-    """The same of real floats, as fractions."""
+    """The same of real floats, as fractions; of fractions themselves."""
+    if isinstance(a, fmpq_mat):
+        return a
     array = np.asarray(a, dtype=float)
     return fmpq_mat(*array.shape, [fmpq(*v.as_integer_ratio()) for v in array.ravel().tolist()])
 

@@ -11,15 +11,10 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from exact_loops import exact, eye, on_the_left, product, rational, solved
-from flint import acb, acb_mat, acb_poly, arb, ctx, fmpq, fmpq_mat, fmpq_poly
+from exact_loops import joined, on_the_left, rational
+from flint import acb, acb_poly, arb, ctx, fmpq, fmpq_mat, fmpq_poly
 
 ctx.prec = 400
-Matrices = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-
-
-def _system(A: Any, B: Any, C: Any, D: Any) -> np.ndarray:
-    return np.block([[np.asarray(A), np.asarray(B)], [np.asarray(C), np.asarray(D)]])
 
 
 def _at(M: fmpq_mat, n: int, s: int) -> fmpq_mat:
@@ -38,10 +33,9 @@ def interpolated(values: list[fmpq]) -> fmpq_poly:
     return p
 
 
-def determinant(M: np.ndarray, n: int) -> fmpq_poly:
-    """``det(M - s E)``, E the identity in the first n rows and columns."""
-    S = rational(M)
-    return interpolated([_at(S, n, s).det() if len(M) else fmpq(1) for s in range(n + 1)])
+def determinant(S: fmpq_mat, n: int) -> fmpq_poly:
+    """``det(S - s E)``, E the identity in the first n rows and columns."""
+    return interpolated([_at(S, n, s).det() if S.nrows() else fmpq(1) for s in range(n + 1)])
 
 
 def roots(p: fmpq_poly) -> list[complex]:
@@ -53,12 +47,16 @@ def roots(p: fmpq_poly) -> list[complex]:
 
 def invariant_zeros(A: Any, B: Any, C: Any, D: Any, seed: int = 0) -> tuple[list[complex], int]:
     """All finite invariant zeros and the normal rank of the transfer matrix."""
-    M, n = _system(A, B, C, D), len(A)
-    S, rng = rational(M), np.random.default_rng(seed)
-    p, m = M.shape[0] - n, M.shape[1] - n
-    rank = max((_at(S, n, int(s)).rank() for s in rng.integers(10**6, 10**9, 3)), default=0) if M.size else 0
+    a, b, c, d = map(rational, (A, B, C, D))
+    S, n, rng = joined([[a, b], [c, d]]), a.nrows(), np.random.default_rng(seed)
+    p, m = d.nrows(), d.ncols()
+    rank = (
+        max((_at(S, n, int(s)).rank() for s in rng.integers(10**6, 10**9, 3)), default=0)
+        if S.nrows() and S.ncols()
+        else 0
+    )
     if rank == n + p == n + m:
-        return roots(determinant(M, n)), rank - n
+        return roots(determinant(S, n)), rank - n
     if rank == 0:
         return [], 0
     shared = fmpq_poly([0])
@@ -74,8 +72,8 @@ def invariant_zeros(A: Any, B: Any, C: Any, D: Any, seed: int = 0) -> tuple[list
 
 def fraction(A: Any, B: Any, C: Any, D: Any) -> tuple[fmpq_poly, fmpq_poly]:
     """Numerator and denominator of one channel, without common factors."""
-    n = len(A)
-    over, under = determinant(_system(A, B, C, D), n), determinant(np.asarray(A, dtype=float).reshape(n, n), n)
+    a, b, c, d = map(rational, (A, B, C, D))
+    over, under = determinant(joined([[a, b], [c, d]]), a.nrows()), determinant(a, a.nrows())
     shared = over.gcd(under)
     return over / shared, under / shared
 
@@ -85,7 +83,7 @@ class Loop:
 
     def __init__(self, A: Any, B: Any, C: Any, D: Any, dt: float = 0.0) -> None:
         self.N, self.D = fraction(A, B, C, D)
-        self.dt, n = dt, len(A)
+        self.dt = dt
         if dt:
             n = max(self.N.degree(), self.D.degree())
             self.N, self.D = (on_the_left(p.coeffs(), fmpq_poly, n) for p in (self.N, self.D))
@@ -132,12 +130,6 @@ class Loop:
         """Whether the loop closed by negative feedback has all its poles on the left."""
         closed = self.N + self.D
         return closed.degree() == max(self.N.degree(), self.D.degree()) and all(z.real < 0 for z in roots(closed))
-
-
-def response(A: Any, B: Any, C: Any, D: Any, s: acb) -> acb_mat:
-    """``C (s - A)^-1 B + D`` in balls."""
-    a, b, c, d = (acb_mat(exact(np.asarray(x, dtype=float))) for x in (A, B, C, D))
-    return d + product(c, solved(acb_mat(eye(len(A))) * s - a, b))
 
 
 def matched(found: list[complex], wanted: list[complex]) -> float:
