@@ -53,7 +53,9 @@ def test_the_leaves_fill_the_set_at_every_frequency(uncertain, margins):
     """A Delta of the proved set lies, at any frequency, in a proved leaf, or in a region its ancestors proved there."""
     rng = np.random.default_rng(1)
     for delta in rng.uniform(-1, 1, (50, 6)) * margins[1].lower:
-        holding = [leaf for leaf in margins[1].proof if (np.abs(delta - leaf.box.centre) <= leaf.box.half + 1e-12).all()]
+        holding = [
+            leaf for leaf in margins[1].proof if (np.abs(delta - leaf.box.centre) <= leaf.box.half + 1e-12).all()
+        ]
         assert holding
         for omega in np.geomspace(0.01, 100, 25):
             M = rl.frequency_response(uncertain.delta_channels, [omega])[0]
