@@ -11,7 +11,8 @@ _NAMES = {
     "delta_values": "blocks", "structure_size": "blocks",
     "STRUCTURES": "elementwise", "elementwise_cover": "elementwise", "endpoint_residual": "elementwise",
     "FORMS": "unstructured", "reduction": "algebra", "coprime_factors": "distances.coprime",
-    "error_sizes": "covering.unstructured_cover",
+    "four_block": "distances.coprime",
+    "error_sizes": "covering.unstructured_cover", "realise_delta": "realised_delta",
     "MatrixPolynomial": "decomposition_tree", "polynomial_lft": "decomposition_tree",
 }  # fmt: skip
 

@@ -30,8 +30,7 @@ from robustlab.uncertainty.upper_lft import balancing_scale, closed_response
 UNCHANGED = 1e-10
 # A difference below this share of the summands is their rounding, where F itself is what is left when they cancel.
 CANCELLED = 1e-13
-# Deltas and frequencies at which a reduced set is compared, and how well channels and responses must agree.
-POINTS = 8
+POINTS = 8  # deltas and frequencies at which a reduced set is compared, and how well channels and responses must agree
 PROVED = 1e-9
 
 

@@ -143,8 +143,7 @@ def test_choices_are_those_of_the_library():
     from robustlab.campaign import CampaignSettings
     from robustlab.dynamics.extended.force_blocks import Dry
     from robustlab.identification.validation.sampled_problem import NoiseNorm
-    from robustlab.mu_analysis.margins.cover import COVER_FORMS
-    from robustlab.mu_analysis.margins.disk_margin import Place
+    from robustlab.mu_analysis import COVER_FORMS, PLACES
     from robustlab.synthesis.problem.performance_measure import MeasureName
     from robustlab.synthesis.reduction.model_reduction import Method as Reduction
     from robustlab.synthesis.sampled.sampled_controller import SampledMethod
@@ -152,7 +151,7 @@ def test_choices_are_those_of_the_library():
     kinds = get_args(get_type_hints(CampaignSettings)["kind"])
     assert set(COVERS) == set(COVER_FORMS)
     for words, option, known in [
-        (("model", "margins"), "--at", get_args(Place)),
+        (("model", "margins"), "--at", PLACES),
         (("model", "reduce"), "--method", get_args(Reduction)),
         (("synth", "discretise"), "--method", get_args(SampledMethod)),
         (("synth", "reduce"), "--measure", get_args(MeasureName)),

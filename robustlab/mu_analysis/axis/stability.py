@@ -51,10 +51,8 @@ ASCENT_SHARE = 0.25  # of the work left, for all of it
 
 __all__ = ["margin_within", "robust_stability"]
 
-# Bounds closer together than this are told apart by rounding alone.
-FINEST = 1e-9
-# Relative to the width of a box, a cover in it comes no closer to the narrower side.
-FINEST_SIDE = 1e-5
+FINEST = 1e-9  # bounds closer together than this are told apart by rounding alone
+FINEST_SIDE = 1e-5  # relative to the width of a box, a cover in it comes no closer to the narrower side
 
 
 @dataclass

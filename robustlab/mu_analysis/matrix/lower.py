@@ -42,8 +42,7 @@ STACK = 4_000_000  # numbers that one stack of paths may hold: memory, not the a
 
 Found = tuple[float, ComplexArray | None]
 
-# Share of its upper bound by which a lower one may be below it and still be the answer.
-ATTAINED = 1e-6
+ATTAINED = 1e-6  # share of its upper bound by which a lower one may be below it and still be the answer
 # A candidate that is changed by more than this share is not one of the structure; then so many rounds of leading back.
 OUTSIDE = 1e-9
 SHRINKING, LEAST_SHRINK, NEWTON_STEPS = 40, 1e-6, 12

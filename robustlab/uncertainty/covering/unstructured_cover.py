@@ -24,13 +24,10 @@ from robustlab.uncertainty.elementwise import check_pair
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import Form, unstructured
 
-# The bound is taken as hypot(bound, this share of its largest value): a weight needs a positive one.
-BOUND_FLOOR = 1e-4
-# Points of a frequency grid between its ends and around resonances.
-GRID_POINTS = 150
+BOUND_FLOOR = 1e-4  # the bound is taken as hypot(bound, this share of its largest value): a weight needs a positive one
+GRID_POINTS = 150  # points of a frequency grid between its ends and around resonances
 EPS = float(np.finfo(float).eps)
-# Points of a circle on which Laurent coefficients around a pole are taken.
-CIRCLE_POINTS = 64
+CIRCLE_POINTS = 64  # points of a circle on which Laurent coefficients around a pole are taken
 
 
 def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[StateSpaceModel, ...]:
@@ -41,8 +38,9 @@ def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[Sta
     if len(found) < 2:
         raise InputError(where, f"{len(found)} model{'s' * (len(found) != 1)}", "at least two models")
     for i, model in enumerate(found[1:], 2):
-        first = found[0] if same_states else _without_states(found[0])
-        other = model if same_states else _without_states(model)
+        first, other = found[0], model
+        if not same_states:
+            first, other = (StateSpaceModel([], [], [], m.D, m.dt, m.inputs, m.outputs) for m in (first, model))
         try:
             check_pair(first, other, "model 1", f"model {i}", where)
         except RobustlabError as error:
@@ -52,10 +50,6 @@ def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[Sta
                 raise InputError(error.where, error.found, error.expected, hint) from None
             raise
     return found
-
-
-def _without_states(model: StateSpaceModel) -> StateSpaceModel:
-    return StateSpaceModel([], [], [], model.D, model.dt, model.inputs, model.outputs)
 
 
 def system_matrices(models: Iterable[StateSpaceModel]) -> Array:
@@ -80,18 +74,13 @@ def matrices_miss(reached: StateSpaceModel, wanted: StateSpaceModel) -> float:
     return worst
 
 
-# Laurent coefficients below this share of the models' size around a point are rounding.
-ANALYTIC = 1e-6
-# A pole this near to the stability boundary, relative to its size, may lie on either side.
-BOUNDARY = 1e-9
-# Poles and zeros this slow, relative to the fastest, are integrators that rounding has moved.
-STILL = 1e-7
+ANALYTIC = 1e-6  # Laurent coefficients below this share of the models' size around a point are rounding
+BOUNDARY = 1e-9  # a pole this near to the stability boundary, relative to its size, may lie on either side
+STILL = 1e-7  # poles and zeros this slow, relative to the fastest, are integrators that rounding has moved
 # Multiples of the grid's ends at which the error must not be larger than the weight, and what a lift may make good.
 BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
-# No resonance at the Nyquist frequency is looked at more closely than this share of that frequency.
-NEAREST = 1e-6
-# Up to here a lift is rounding, or a peak just beside a frequency of the grid.
-LIFT = 1.001
+NEAREST = 1e-6  # no resonance at the Nyquist frequency is looked at more closely than this share of that frequency
+LIFT = 1.001  # up to here a lift is rounding, or a peak just beside a frequency of the grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +151,10 @@ def _around(
         return np.hypot(_bound(models, centre, form, w), floor)
 
     fit = overbound(omega, np.hypot(size, floor), *wanted, exact=exact, dt=centre.dt)
-    fit = _to_the_ends(fit, models, centre, form, wanted[1])
+    beyond = _beyond(fit.omega, centre.dt)  # lifted where the error beyond the grid's ends is a little larger
+    ratio = _bound(models, centre, form, beyond) / np.abs(frequency_response(fit.weight, beyond)[:, 0, 0])
+    if ratio.max() > 1.0:
+        fit = _lifted(fit, float(ratio.max()), wanted[1])
     deltas = _deltas(models, centre, form, fit.weight)
     norms = [hinf_norm(d, 1e-9) for d in deltas]
     proved = bool(norms) and all(n.status.trustworthy and np.isfinite(n.upper) for n in norms)
@@ -177,17 +169,6 @@ def _around(
         sizes = tuple((error_sizes(models, centre, form, fit.omega) / weight).max(axis=1).tolist())
     model = unstructured(centre, fit.weight, form)
     return UnstructuredCover(model, number, fit, sizes, proved, deltas, radius)
-
-
-def _to_the_ends(
-    fit: Overbound, models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, tolerance: float
-) -> Overbound:
-    """The weight, lifted where the error beyond the grid's ends is a little larger."""
-    beyond = _beyond(fit.omega, centre.dt)
-    ratio = float(
-        (_bound(models, centre, form, beyond) / np.abs(frequency_response(fit.weight, beyond)[:, 0, 0])).max()
-    )
-    return fit if ratio <= 1.0 else _lifted(fit, ratio, tolerance)
 
 
 def _beyond(omega: Array, dt: float) -> Array:

@@ -22,8 +22,7 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 
-# How far the factors may be from inner, evaluated at frequencies around the model's poles.
-INNER = 1e-7
+INNER = 1e-7  # how far the factors may be from inner, evaluated at frequencies around the model's poles
 
 
 @dataclass(frozen=True, eq=False)
