@@ -199,7 +199,10 @@ class UncertainModel(TransferMatrix, Shown, Traced):
                 found = f"a model of {system.n_outputs} x {system.n_inputs}"
                 raise InputError(f"delta {b.name!r}", found, f"{shape[0]} x {shape[1]}")
             parts += [system] * count
-        plain = [StateSpaceModel(s.A, s.B, s.C, s.D, s.dt, *_numbered(i, s)) for i, s in enumerate(parts)]
+        plain: list[StateSpaceModel] = []
+        for i, s in enumerate(parts):
+            names = [f"z{i}.{j}" for j in range(s.n_inputs)], [f"w{i}.{j}" for j in range(s.n_outputs)]
+            plain.append(StateSpaceModel(s.A, s.B, s.C, s.D, s.dt, *names))
         return append(*plain)
 
     def named(self, delta: Mapping[str, Any]) -> str:
@@ -548,8 +551,3 @@ def interconnected(
 ) -> UncertainModel:
     """The sets in one interconnection; see `robustlab.uncertainty.interconnection`."""
     return UncertainModel(*wired(join([(g.M, g.blocks) for g in parts], where), wiring, inputs, outputs, where))
-
-
-def _numbered(index: int, system: StateSpaceModel) -> tuple[list[str], list[str]]:
-    """Signal names that no other part of an appended system has."""
-    return [f"z{index}.{j}" for j in range(system.n_inputs)], [f"w{index}.{j}" for j in range(system.n_outputs)]

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
@@ -86,16 +86,12 @@ def _difference(
         a = closed_response(m, d)
         remaining = delta_matrix(left, {name: v for name, v in values.items() if name in known})
         b = closed_response(frequency_response(small, [omega]), remaining)
-        size = max(float(np.abs(a).max(initial=0.0)), 1e-3 * _summands(m[0], d)) or 1.0
+        (q, p), g = d.shape, m[0]  # what is added up to the response: |M22| + |M21| |Delta| |(I - M11 Delta)^-1| |M12|
+        inside = np.abs(d) @ np.abs(np.linalg.inv(np.eye(p) - g[:p, :q] @ d)) @ np.abs(g[:p, q:])
+        summands = float((np.abs(g[p:, q:]) + np.abs(g[p:, :q]) @ inside).max(initial=0.0))
+        size = max(float(np.abs(a).max(initial=0.0)), 1e-3 * summands) or 1.0
         worst = max(worst, float(np.abs(a - b).max(initial=0.0)) / size)
     return worst
-
-
-def _summands(m: AnyArray, d: AnyArray) -> float:
-    """Largest entry of ``|M22| + |M21| |Delta| |(I - M11 Delta)^-1| |M12|``: what is added up to the response."""
-    q, p = d.shape
-    inside = np.abs(d) @ np.abs(np.linalg.inv(np.eye(p) - m[:p, :q] @ d)) @ np.abs(m[:p, q:])
-    return float((np.abs(m[p:, q:]) + np.abs(m[p:, :q]) @ inside).max(initial=0.0))
 
 
 # --- each block alone ------------------------------------------------------------------------------------------------
@@ -285,10 +281,6 @@ def _constant(M: StateSpaceModel) -> Array:
     return np.asarray(np.block([[M.A, M.B], [M.C, M.D]]), dtype=np.float64)
 
 
-def _nonzero(size: Array) -> Array:
-    return np.where(size > 0, size, 1.0)
-
-
 def _powers(size: Array) -> Array:
     """The power of two next to each size; one where the size is zero."""
-    return np.exp2(np.rint(np.log2(_nonzero(size))))
+    return np.exp2(np.rint(np.log2(np.where(size > 0, size, 1.0))))

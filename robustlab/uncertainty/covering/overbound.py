@@ -327,11 +327,18 @@ def _programme(x: Array, square: Array, level: float, near: _Factors) -> _Factor
     for _ in range(WEIGHT_ROUNDS):
         points = np.concatenate([x, extra])
         n, d = _basis(points, near.zeros), _basis(points, near.poles)
-        coefficients = _solved(n, d, square, level, _quotient(x, near) / square, len(x))
+        up, down = (np.log(np.abs(x[:, None] - roots)).sum(axis=1) for roots in (near.zeros, near.poles))
+        coefficients = _solved(n, d, square, level, near.gain * np.exp(up - down) / square, len(x))
         if coefficients is None:
             return None
         parts = [_roots(basis, c) for basis, c in zip((n, d), coefficients, strict=True)]
-        wrong = [r.real for part in parts if part is not None for r in part[0] if _is_positive(r)]
+        wrong = [
+            r.real
+            for part in parts
+            if part is not None
+            for r in part[0]
+            if r.real >= 0 and abs(r.imag) <= 1e-9 * abs(r)
+        ]
         if any(part is None for part in parts):
             return None
         if not wrong:
@@ -339,11 +346,6 @@ def _programme(x: Array, square: Array, level: float, near: _Factors) -> _Factor
             return _Factors(zeros, poles, near.gain * top / bottom) if top > 0 and bottom > 0 else None
         extra = np.concatenate([extra, wrong])
     return None
-
-
-def _quotient(x: Array, near: _Factors) -> Array:
-    up, down = (np.log(np.abs(x[:, None] - roots)).sum(axis=1) for roots in (near.zeros, near.poles))
-    return near.gain * np.exp(up - down)
 
 
 def _solved(n: _Basis, d: _Basis, square: Array, level: float, shape: Array, m: int) -> tuple[Array, Array] | None:
@@ -387,10 +389,6 @@ def _roots(basis: _Basis, coefficients: Array) -> tuple[Any, float] | None:
     if not np.isfinite(values).all() or (values == 0).any():
         return None
     return values, float(sums[0])
-
-
-def _is_positive(root: complex) -> bool:
-    return bool(root.real >= 0 and abs(root.imag) <= 1e-9 * abs(root))
 
 
 def _left(x: Any) -> Any:

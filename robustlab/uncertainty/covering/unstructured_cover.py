@@ -340,20 +340,15 @@ def _pole_that_stays(model: StateSpaceModel, centre: StateSpaceModel, form: Form
         turns = (points - p) / radius
         with np.errstate(all="ignore"):
             error = _error(model, centre, form, points)
-            reference = float(np.abs(error).max() + _own_size(model, centre, form, points))
+            own = 1.0  # the size of what the error is the difference of
+            if form.endswith("additive"):
+                here = _at(centre, points)
+                own = float(np.abs(here if form == "additive" else np.linalg.inv(here)).max())
+            reference = float(np.abs(error).max() + own)
         laurent = [np.abs((error * turns[:, None, None] ** k).mean(axis=0)).max() for k in range(1, 9)]
         if not np.isfinite(reference) or max(laurent) > ANALYTIC * reference:
             return p
     return None
-
-
-def _own_size(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: AnyArray) -> float:
-    """What the error is the difference of."""
-    if form == "additive":
-        return float(np.abs(_at(centre, s)).max())
-    if form == "inverse-additive":
-        return float(np.abs(np.linalg.inv(_at(centre, s))).max())
-    return 1.0
 
 
 # --- the Deltas as systems -------------------------------------------------------------------------------------------
