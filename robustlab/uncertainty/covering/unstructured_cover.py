@@ -116,7 +116,10 @@ def unstructured_cover(
     if nominal is not None:
         candidates = [(None, nominal)]
     else:
-        candidates = [*enumerate(models, 1), *_middle(models)]
+        candidates = [*enumerate(models, 1)]
+        if all(m.state_names == models[0].state_names for m in models):  # the middle of the matrices: number 0
+            stack = system_matrices(models)
+            candidates.append((0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), models[0])))
     omega = _grid(models, [c for _, c in candidates], points)
     best: tuple[float, int | None, StateSpaceModel] | None = None
     refused: NoTrustworthyNumber | None = None
@@ -200,15 +203,6 @@ def _lifted(fit: Overbound, factor: float, tolerance: float) -> Overbound:
     excess, lowest = float(ratio.max()) - 1.0, float(ratio.min()) - 1.0
     status = Status.INACCURATE if factor > LIFT and excess > tolerance else fit.status
     return Overbound(raised, fit.order, excess, lowest, fit.omega, fit.bound, size, status)
-
-
-def _middle(models: tuple[StateSpaceModel, ...]) -> list[tuple[int | None, StateSpaceModel]]:
-    """The middle of the matrices, where they are comparable: number 0."""
-    first = models[0]
-    if any(m.state_names != first.state_names for m in models):
-        return []
-    stack = system_matrices(models)
-    return [(0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), first))]
 
 
 # --- errors by frequency ---------------------------------------------------------------------------------------------
