@@ -86,7 +86,9 @@ def _difference(
         a = closed_response(m, d)
         remaining = delta_matrix(left, {name: v for name, v in values.items() if name in known})
         b = closed_response(frequency_response(small, [omega]), remaining)
-        (q, p), g = d.shape, m[0]  # what is added up to the response: |M22| + |M21| |Delta| |(I - M11 Delta)^-1| |M12|
+        # What is added up to the response: |M22| + |M21| |Delta| |(I - M11 Delta)^-1| |M12|.
+        q, p = d.shape
+        g = m[0]
         inside = np.abs(d) @ np.abs(np.linalg.inv(np.eye(p) - g[:p, :q] @ d)) @ np.abs(g[:p, q:])
         summands = float((np.abs(g[p:, q:]) + np.abs(g[p:, :q]) @ inside).max(initial=0.0))
         size = max(float(np.abs(a).max(initial=0.0)), 1e-3 * summands) or 1.0

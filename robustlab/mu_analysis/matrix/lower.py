@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,8 +222,9 @@ def _within_reach(
 
 def _exact_residual(M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array) -> complex:
     """``y^* (I - M Delta) x`` of the very numbers given, rounded once; for a diagonal Delta."""
-    exact = np.frompyfunc(Fraction, 1, 1)
-    m, d, x_, y_ = ((exact(v.real), exact(v.imag)) for v in (M, np.diagonal(delta), x, np.conj(y)))
+    exact: Any = np.frompyfunc(Fraction, 1, 1)
+    given: tuple[Any, ...] = (M, np.diagonal(delta), x, np.conj(y))
+    m, d, x_, y_ = ((exact(v.real), exact(v.imag)) for v in given)
     moved = d[0] * x_[0] - d[1] * x_[1], d[0] * x_[1] + d[1] * x_[0]
     re, im = x_[0] - m[0] @ moved[0] + m[1] @ moved[1], x_[1] - m[0] @ moved[1] - m[1] @ moved[0]
     return complex(float(y_[0] @ re - y_[1] @ im), float(y_[0] @ im + y_[1] @ re))
