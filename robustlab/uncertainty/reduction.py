@@ -87,10 +87,10 @@ def _difference(
         remaining = delta_matrix(left, {name: v for name, v in values.items() if name in known})
         b = closed_response(frequency_response(small, [omega]), remaining)
         # What is added up to the response: |M22| + |M21| |Delta| |(I - M11 Delta)^-1| |M12|.
-        q, p = d.shape
-        g = m[0]
-        inside = np.abs(d) @ np.abs(np.linalg.inv(np.eye(p) - g[:p, :q] @ d)) @ np.abs(g[:p, q:])
-        summands = float((np.abs(g[p:, q:]) + np.abs(g[p:, :q]) @ inside).max(initial=0.0))
+        cut = d.shape[0]
+        (m11, m12), (m21, m22) = (np.split(rows, [cut], axis=1) for rows in np.split(m[0], [d.shape[1]]))
+        inside = np.abs(d) @ np.abs(np.linalg.inv(np.eye(len(m11)) - m11 @ d)) @ np.abs(m12)
+        summands = float((np.abs(m22) + np.abs(m21) @ inside).max(initial=0.0))
         size = max(float(np.abs(a).max(initial=0.0)), 1e-3 * summands) or 1.0
         worst = max(worst, float(np.abs(a - b).max(initial=0.0)) / size)
     return worst
