@@ -217,7 +217,7 @@ def tracking_loop() -> Any:
 
 
 def critical_response() -> Any:
-    from robustlab.mu_analysis.axis.critical_delta import replay
+    from robustlab.mu_analysis import replay
 
     return replay(loop(), made("Margin"))
 

@@ -1,5 +1,8 @@
 """Structured singular value: bounds for matrices, and margins and worst gains proved over the whole frequency axis."""
 
+from importlib import import_module
+from typing import Any
+
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.stability import robust_stability
 from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, robust_performance, worst_case_gain
@@ -14,3 +17,15 @@ __all__ = [
     "robust_stability",
     "worst_case_gain",
 ]
+
+_MORE = {  # loaded on first use
+    "replay": "axis.critical_delta", "COVER_FORMS": "margins.cover", "DelayAxis": "margins.delay_axis",
+    "PLACES": "margins.disk_margin", "gain_and_phase": "margins.disk_margin", "delta_norm": "matrix.certificate",
+    "level": "matrix.certificate", "proves": "matrix.certificate", "smallest_step": "matrix.minimum_norm",
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MORE:
+        return getattr(import_module(f"robustlab.mu_analysis.{_MORE[name]}"), name)
+    raise AttributeError(f"module 'robustlab.mu_analysis' has no attribute {name!r}")

@@ -10,7 +10,9 @@ _NAMES = {
     "as_blocks": "blocks", "Block": "blocks", "block_slices": "blocks", "delta_matrix": "blocks",
     "delta_values": "blocks", "structure_size": "blocks",
     "STRUCTURES": "elementwise", "elementwise_cover": "elementwise", "endpoint_residual": "elementwise",
-    "FORMS": "unstructured", "reduction": "algebra",
+    "FORMS": "unstructured", "coprime_factors": "distances.coprime",
+    "four_block": "distances.coprime",
+    "error_sizes": "covering.unstructured_cover", "realise_delta": "realised_delta",
     "MatrixPolynomial": "decomposition_tree", "polynomial_lft": "decomposition_tree",
 }  # fmt: skip
 

@@ -88,7 +88,9 @@ def upper(M: Any, K: Any) -> UncertainModel:
     channels (of the model's own signals; its blocks stay).
     """
     m, k = as_uncertain(M, "upper"), as_uncertain(K, "upper")
-    _check_inside("upper", k, m)
+    if len(k.outputs) > len(m.inputs) or len(k.inputs) > len(m.outputs):
+        found = f"{len(k.outputs)} x {len(k.inputs)} closed into {len(m.outputs)} x {len(m.inputs)}"
+        raise InputError("upper", found, "what is closed in must be no larger than the other transposed")
     return star(k, m, len(k.outputs), len(k.inputs))
 
 
@@ -191,12 +193,6 @@ def _sharing(side: Literal["inputs", "outputs"], where: str, systems: Sequence[A
             raise InputError(where, found, "equal numbers")
         same_units(where, zip(shared, own, strict=True))
     return [first, *others]
-
-
-def _check_inside(where: str, inner: UncertainModel, outer: UncertainModel) -> None:
-    if len(inner.outputs) > len(outer.inputs) or len(inner.inputs) > len(outer.outputs):
-        found = f"{len(inner.outputs)} x {len(inner.inputs)} closed into {len(outer.outputs)} x {len(outer.inputs)}"
-        raise InputError(where, found, "what is closed in must be no larger than the other transposed")
 
 
 def centred(uncertain: UncertainModel, level: float = 1.0) -> UncertainModel:

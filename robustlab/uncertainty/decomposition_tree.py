@@ -43,6 +43,11 @@ class ConstantLft:
     d21: Array
     d22: Array
 
+    @property
+    def T(self) -> ConstantLft:
+        """The transposed LFT: a product with the gain at the inputs is one at the outputs."""
+        return ConstantLft(self.names, self.d11.T, self.d21.T, self.d12.T, self.d22.T)
+
     def inverse(self) -> ConstantLft:
         """The LFT of the inverse of a 1 x 1 matrix, not zero at Delta = 0."""
         gain = _floats(np.linalg.inv(self.d22))
@@ -130,22 +135,17 @@ def _taken_out(
     by_row = _row_factors(part, shape[0])
     turned = {m: {(j, i): c for (i, j), c in entries.items()} for m, entries in part.items()}
     by_col = _row_factors(turned, shape[1])
-    r_row, r_col = by_row[0].shape[1], by_col[0].shape[1]
-    if (r_row, _count(by_row[1])) <= (r_col, _count(by_col[1])):
-        factor, below = by_row
-        stacked = {m: dict(entries) for m, entries in rest.items()}
-        for m, entries in below.items():
-            stacked.setdefault(m, {}).update({(shape[0] + i, j): c for (i, j), c in entries.items()})
-        return _Step(variable, inverted, True, factor), stacked, (shape[0] + r_row, shape[1]), r_row
-    factor, beside = by_col
-    stacked = {m: dict(entries) for m, entries in rest.items()}
-    for m, entries in beside.items():
-        stacked.setdefault(m, {}).update({(j, shape[1] + i): c for (i, j), c in entries.items()})
-    return _Step(variable, inverted, False, factor.T), stacked, (shape[0], shape[1] + r_col), r_col
-
-
-def _count(terms: Terms) -> int:
-    return sum(len(entries) for entries in terms.values())
+    (r_row, size_row), (r_col, size_col) = (
+        (factor.shape[1], sum(map(len, terms.values()))) for factor, terms in (by_row, by_col)
+    )
+    rows = (r_row, size_row) <= (r_col, size_col)
+    (factor, shared), (n, m) = by_row if rows else by_col, shape
+    stacked = {monomial: dict(entries) for monomial, entries in rest.items()}
+    for monomial, entries in shared.items():
+        moved = {((n + i, j) if rows else (j, m + i)): c for (i, j), c in entries.items()}
+        stacked.setdefault(monomial, {}).update(moved)
+    r, step = factor.shape[1], _Step(variable, inverted, rows, factor if rows else factor.T)
+    return step, stacked, (n + r, m) if rows else (n, m + r), r
 
 
 def _row_factors(part: Terms, n_rows: int) -> tuple[Array, Terms]:
@@ -199,7 +199,7 @@ def assemble(plan: Plan, gains: Mapping[tuple[str, bool], ConstantLft]) -> Const
     for step in reversed(plan.steps):
         r = step.factor.shape[1] if step.rows else step.factor.shape[0]
         gain = gains[step.variable, step.inverted].repeated(r)
-        lft = _after(lft, gain, step.factor) if step.rows else _before(lft, gain, step.factor)
+        lft = _after(lft, gain, step.factor) if step.rows else _after(lft.T, gain.T, step.factor.T).T
     return lft
 
 
@@ -219,21 +219,6 @@ def _after(inner: ConstantLft, gain: ConstantLft, left: Array) -> ConstantLft:
         np.vstack([inner.d12, gain.d12 @ r_u]),
         np.hstack([n_w + left @ gain.d22 @ r_w, left @ gain.d21]),
         n_u + left @ gain.d22 @ r_u,
-    )
-
-
-def _before(inner: ConstantLft, gain: ConstantLft, right: Array) -> ConstantLft:
-    """``inner @ [I; gain right]``: the last r inputs of inner come through the gain."""
-    n = right.shape[1]
-    z_u, z_s = inner.d12[:, :n], inner.d12[:, n:]
-    y_u, y_s = inner.d22[:, :n], inner.d22[:, n:]
-    old, new = len(inner.names), len(gain.names)
-    return ConstantLft(
-        inner.names + gain.names,
-        np.block([[inner.d11, z_s @ gain.d21], [np.zeros((new, old)), gain.d11]]),
-        np.vstack([z_u + z_s @ gain.d22 @ right, gain.d12 @ right]),
-        np.hstack([inner.d21, y_s @ gain.d21]),
-        y_u + y_s @ gain.d22 @ right,
     )
 
 
@@ -291,7 +276,7 @@ def _expanded(
         nothing = np.zeros((0, 0)), np.zeros((0, n)), np.zeros((m, 0))
         return [], ConstantLft((), *nothing, terms.get(zero, np.zeros((m, n))))
     k = next(v for v in order if v in occurring)
-    quotient = {_lower(e, k): part for e, part in terms.items() if e[k]}
+    quotient = {(*e[:k], e[k] - 1, *e[k + 1 :]): part for e, part in terms.items() if e[k]}
     rest = {zero: np.zeros((m, n))} | {e: part for e, part in terms.items() if not e[k]}
     parts, size = list(quotient.values()), len(quotient)
     left, below = rank_factors(np.hstack(parts), tolerance)
@@ -299,7 +284,7 @@ def _expanded(
     r = min(left.shape[1], right.shape[0])
     if left.shape[1] <= right.shape[0]:
         low = dict(zip(quotient, np.hsplit(below, size), strict=True))
-        stacked = {e: np.vstack([_at(rest, e, (m, n)), _at(low, e, (r, n))]) for e in {**rest, **low}}
+        stacked = {e: np.vstack([rest.get(e, np.zeros((m, n))), low.get(e, np.zeros((r, n)))]) for e in {**rest, **low}}
         names, lft = _expanded(stacked, order, tolerance)
         q = len(names)
         # z = the last r outputs, y += left w
@@ -311,7 +296,7 @@ def _expanded(
             lft.d22[:m],
         )
     wide = dict(zip(quotient, np.vsplit(beside, size), strict=True))
-    stacked = {e: np.hstack([_at(rest, e, (m, n)), _at(wide, e, (m, r))]) for e in {**rest, **wide}}
+    stacked = {e: np.hstack([rest.get(e, np.zeros((m, n))), wide.get(e, np.zeros((m, r)))]) for e in {**rest, **wide}}
     names, lft = _expanded(stacked, order, tolerance)
     q = len(names)
     # z = right xi, w enters by the last r inputs
@@ -322,14 +307,6 @@ def _expanded(
         np.hstack([lft.d22[:, n:], lft.d21]),
         lft.d22[:, :n],
     )
-
-
-def _lower(exponents: Exponents, k: int) -> Exponents:
-    return (*exponents[:k], exponents[k] - 1, *exponents[k + 1 :])
-
-
-def _at(terms: Mapping[Exponents, Array], exponents: Exponents, shape: tuple[int, int]) -> Array:
-    return terms[exponents] if exponents in terms else np.zeros(shape)
 
 
 def rank_factors(matrix: Array, tolerance: float) -> tuple[Array, Array]:

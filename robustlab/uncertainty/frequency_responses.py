@@ -100,10 +100,7 @@ class UncertainFrequencyData(Behaviour, Shown, Traced):
 
     @classmethod
     def read(cls, path: str | Path, name: str = "measured", **options: Any) -> UncertainFrequencyData:
-        """Measured responses from a table in a text file: frequencies first, then columns such as ``y from u real``.
-
-        ``name`` is that of `frequency_data`; ``units`` (column -> unit), ``delimiter`` and ``decimal`` are options.
-        """
+        """Measured responses from a text table: frequencies first, then columns such as ``y from u real``."""
         from robustlab.files.text_table import read_response
 
         table = read_response(path, **options)

@@ -48,14 +48,7 @@ class Wiring(NamedTuple):
 
 def join(parts: Sequence[Part], where: str) -> Joint:
     """All operands side by side, not yet wired."""
-    plain = [
-        StateSpaceModel(
-            m.A, m.B, m.C, m.D, m.dt,
-            [f"w{i}.{j}" for j in range(m.n_inputs)], [f"z{i}.{j}" for j in range(m.n_outputs)], where=where,
-        )
-        for i, (m, _) in enumerate(parts)
-    ]  # fmt: skip
-    model = append(*plain)
+    model = append(*(_plain(m, f"{i}", where=where) for i, (m, _) in enumerate(parts)))
     first_in, first_out = 0, 0
     channels: dict[str, tuple[list[Block], list[int], list[int]]] = {}
     rest_in: list[int] = []
@@ -238,10 +231,12 @@ def _weight(block: Block, given: Any, side: str, read: Callable[[Any, str], Part
     return weight, block.resized(block.rows, shape[0]) if side == "z" else block.resized(shape[1], block.cols)
 
 
-def _plain(system: StateSpaceModel, mark: str, states: list[str]) -> StateSpaceModel:
-    inputs = [f"i{mark}.{k}" for k in range(system.n_inputs)]
-    outputs = [f"o{mark}.{k}" for k in range(system.n_outputs)]
-    return StateSpaceModel(system.A, system.B, system.C, system.D, system.dt, inputs, outputs, states)
+def _plain(
+    m: StateSpaceModel, mark: str, states: list[str] | None = None, where: str = "StateSpaceModel"
+) -> StateSpaceModel:
+    """The model with names of signals that no other part has."""
+    inputs, outputs = [f"i{mark}.{k}" for k in range(m.n_inputs)], [f"o{mark}.{k}" for k in range(m.n_outputs)]
+    return StateSpaceModel(m.A, m.B, m.C, m.D, m.dt, inputs, outputs, states, where=where)
 
 
 def _free(name: str, taken: set[str]) -> str:

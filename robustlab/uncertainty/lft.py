@@ -146,12 +146,16 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         NoTrustworthyNumber
             This Delta makes the model ill-posed; the message names its values.
         """
-        dynamic = {name: value for name, value in delta.items() if isinstance(value, StateSpaceModel)}
-        constant = delta_matrix(self.blocks, {name: v for name, v in delta.items() if name not in dynamic})
+        constant, dynamic = self._split(delta)
         try:
             return self._with_dynamics(constant, dynamic) if dynamic else upper_lft(self.M, constant)
         except NoTrustworthyNumber as error:
             raise NoTrustworthyNumber("evaluate", f"{error.found} ({self.named(delta)})") from None
+
+    def _split(self, delta: Mapping[str, Any]) -> tuple[NDArray[Any], dict[str, StateSpaceModel]]:
+        """Delta of the constant values, and the dynamic ones by name."""
+        dynamic = {name: value for name, value in delta.items() if isinstance(value, StateSpaceModel)}
+        return delta_matrix(self.blocks, {name: v for name, v in delta.items() if name not in dynamic}), dynamic
 
     def _with_dynamics(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
         """The member for a Delta with models in it."""
@@ -166,8 +170,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
 
     def response(self, omega: ArrayLike, delta: Mapping[str, Any]) -> NDArray[np.complex128]:
         """Frequency response of the member for a real, complex or dynamic Delta, shape (n_omega, n_y, n_u)."""
-        dynamic = {name: value for name, value in delta.items() if isinstance(value, StateSpaceModel)}
-        d: NDArray[Any] = delta_matrix(self.blocks, {name: v for name, v in delta.items() if name not in dynamic})
+        d, dynamic = self._split(delta)
         q, p = d.shape
         m = frequency_response(self.M, omega)
         if dynamic:
@@ -196,7 +199,10 @@ class UncertainModel(TransferMatrix, Shown, Traced):
                 found = f"a model of {system.n_outputs} x {system.n_inputs}"
                 raise InputError(f"delta {b.name!r}", found, f"{shape[0]} x {shape[1]}")
             parts += [system] * count
-        plain = [StateSpaceModel(s.A, s.B, s.C, s.D, s.dt, *_numbered(i, s)) for i, s in enumerate(parts)]
+        plain: list[StateSpaceModel] = []
+        for i, s in enumerate(parts):
+            names = [f"z{i}.{j}" for j in range(s.n_inputs)], [f"w{i}.{j}" for j in range(s.n_outputs)]
+            plain.append(StateSpaceModel(s.A, s.B, s.C, s.D, s.dt, *names))
         return append(*plain)
 
     def named(self, delta: Mapping[str, Any]) -> str:
@@ -545,8 +551,3 @@ def interconnected(
 ) -> UncertainModel:
     """The sets in one interconnection; see `robustlab.uncertainty.interconnection`."""
     return UncertainModel(*wired(join([(g.M, g.blocks) for g in parts], where), wiring, inputs, outputs, where))
-
-
-def _numbered(index: int, system: StateSpaceModel) -> tuple[list[str], list[str]]:
-    """Signal names that no other part of an appended system has."""
-    return [f"z{index}.{j}" for j in range(system.n_inputs)], [f"w{index}.{j}" for j in range(system.n_outputs)]

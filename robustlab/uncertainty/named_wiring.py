@@ -73,22 +73,17 @@ def connect(
     >>> loop.poles(), loop.dc_gain().ravel()
     (array([-5.+0.j]), array([0.8, 0.2]))
     """
-    return connected(parts, [f"part {k + 1}" for k in range(len(parts))], inputs, outputs, sums)
-
-
-def connected(
-    parts: Sequence[Any],
-    labels: Sequence[str],
-    inputs: Sequence[str] | str,
-    outputs: Sequence[str] | str,
-    sums: Sequence[str] | str = (),
-) -> StateSpaceModel | UncertainModel:
-    """`connect` with what messages call each part, a file for example."""
     for what, names in (("inputs", inputs), ("outputs", outputs), ("sums", sums)):
         if not isinstance(names, Iterable) or not all(isinstance(name, str) for name in names):
             raise InputError(f"connect: {what}", repr(names), "a text, or a list of texts")
     ins, outs, texts = ([given] if isinstance(given, str) else list(given) for given in (inputs, outputs, sums))
-    given = [_named(part, label) for part, label in zip(parts, labels, strict=True)]
+    given: list[_Part] = []
+    for label, part in ((f"part {k + 1}", part) for k, part in enumerate(parts)):
+        if is_constant(part):
+            hint = 'rl.StateSpaceModel([], [], [], D, inputs=["e"], outputs=["u"]) is a gain with names'
+            found = "a number or a matrix: its signals have no names"
+            raise InputError(f"connect: {label}", found, "a model", hint)
+        given.append(_Part(label, as_uncertain(getattr(part, "K", part), f"connect: {label}")))
     uncertain = any(isinstance(part, UncertainModel) for part in parts)
     wired_parts = [*given, *(_summing(text) for text in texts)]
     if not wired_parts:
@@ -117,14 +112,6 @@ def connected(
 
 
 # --- parts ------------------------------------------------------------------------------------------------------------
-
-
-def _named(part: Any, label: str) -> _Part:
-    where = f"connect: {label}"
-    if is_constant(part):
-        hint = 'rl.StateSpaceModel([], [], [], D, inputs=["e"], outputs=["u"]) is a gain with names'
-        raise InputError(where, "a number or a matrix: its signals have no names", "a model", hint)
-    return _Part(label, as_uncertain(getattr(part, "K", part), where))
 
 
 def _gain(d: Any, inputs: Sequence[str], output: str) -> UncertainModel:
@@ -199,10 +186,6 @@ def _check_names(parts: Sequence[_Part], made: dict[str, str], ins: list[str], o
         if name not in known:
             expected = f"one of {', '.join(known)}"
             raise InputError(f"connect: output {name!r}", "no such signal", expected, did_you_mean(name, known))
-    _check_fed(parts, known)
-
-
-def _check_fed(parts: Sequence[_Part], known: list[str]) -> None:
     unfed = [(part.label, s.name) for part in parts for s in part.model.inputs if s.name not in known]
     if unfed:
         lines = [f"connect: {label}: input {name!r}: nobody feeds it" for label, name in unfed]

@@ -21,8 +21,7 @@ from robustlab.uncertainty.lft import UncertainModel
 # Boxes and vertices in which a zero of a denominator is looked for: fewer refuse more ranges that are good.
 DENOMINATOR_BOXES = 4000
 DENOMINATOR_VERTICES = 4096
-# So many of the smallest decompositions are assembled and reduced; the smallest result is taken.
-DECOMPOSITIONS = 3
+DECOMPOSITIONS = 3  # so many of the smallest decompositions are assembled and reduced; the smallest result is taken
 
 # The LFT must give every entry at random parameter values to this share of the largest value that it takes there.
 EXACT = 1e-9

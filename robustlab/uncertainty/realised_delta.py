@@ -20,14 +20,10 @@ from robustlab.uncertainty.blocks import Block, delta_matrix
 
 # Where only real values exist (omega = 0, the end of the axis), imaginary parts up to this share are rounding.
 REAL = 1e-7
-# A discrete frequency is an end of the axis where omega dt / 2 comes as close as this to 0 or pi / 2.
-END = 1e-9
-# A realised value may miss the wanted one by this share.
-MISSED = 1e-10
-# Phases closer to 0 than this are made of two factors: one would have its pole 1/NEAR away from omega.
-NEAR = 1e-2
-# Singular values below this share of the largest are not realised.
-NOTHING = 1e-14
+END = 1e-9  # a discrete frequency is an end of the axis where omega dt / 2 comes as close as this to 0 or pi / 2
+MISSED = 1e-10  # a realised value may miss the wanted one by this share
+NEAR = 1e-2  # phases closer to 0 than this are made of two factors: one would have its pole 1/NEAR away from omega
+NOTHING = 1e-14  # singular values below this share of the largest are not realised
 
 
 @told_as("realise_delta")

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.statespace import StateSpaceModel
@@ -30,8 +30,7 @@ from robustlab.uncertainty.upper_lft import balancing_scale, closed_response
 UNCHANGED = 1e-10
 # A difference below this share of the summands is their rounding, where F itself is what is left when they cancel.
 CANCELLED = 1e-13
-# Deltas and frequencies at which a reduced set is compared, and how well channels and responses must agree.
-POINTS = 8
+POINTS = 8  # deltas and frequencies at which a reduced set is compared, and how well channels and responses must agree
 PROVED = 1e-9
 
 
@@ -87,16 +86,14 @@ def _difference(
         a = closed_response(m, d)
         remaining = delta_matrix(left, {name: v for name, v in values.items() if name in known})
         b = closed_response(frequency_response(small, [omega]), remaining)
-        size = max(float(np.abs(a).max(initial=0.0)), 1e-3 * _summands(m[0], d)) or 1.0
+        # What is added up to the response: |M22| + |M21| |Delta| |(I - M11 Delta)^-1| |M12|.
+        cut = d.shape[0]
+        (m11, m12), (m21, m22) = (np.split(rows, [cut], axis=1) for rows in np.split(m[0], [d.shape[1]]))
+        inside = np.abs(d) @ np.abs(np.linalg.inv(np.eye(len(m11)) - m11 @ d)) @ np.abs(m12)
+        summands = float((np.abs(m22) + np.abs(m21) @ inside).max(initial=0.0))
+        size = max(float(np.abs(a).max(initial=0.0)), 1e-3 * summands) or 1.0
         worst = max(worst, float(np.abs(a - b).max(initial=0.0)) / size)
     return worst
-
-
-def _summands(m: AnyArray, d: AnyArray) -> float:
-    """Largest entry of ``|M22| + |M21| |Delta| |(I - M11 Delta)^-1| |M12|``: what is added up to the response."""
-    q, p = d.shape
-    inside = np.abs(d) @ np.abs(np.linalg.inv(np.eye(p) - m[:p, :q] @ d)) @ np.abs(m[:p, q:])
-    return float((np.abs(m[p:, q:]) + np.abs(m[p:, :q]) @ inside).max(initial=0.0))
 
 
 # --- each block alone ------------------------------------------------------------------------------------------------
@@ -286,10 +283,6 @@ def _constant(M: StateSpaceModel) -> Array:
     return np.asarray(np.block([[M.A, M.B], [M.C, M.D]]), dtype=np.float64)
 
 
-def _nonzero(size: Array) -> Array:
-    return np.where(size > 0, size, 1.0)
-
-
 def _powers(size: Array) -> Array:
     """The power of two next to each size; one where the size is zero."""
-    return np.exp2(np.rint(np.log2(_nonzero(size))))
+    return np.exp2(np.rint(np.log2(np.where(size > 0, size, 1.0))))

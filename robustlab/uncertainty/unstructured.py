@@ -96,8 +96,10 @@ def unstructured(
     size_out, size_in = (g.n_inputs if at_input else g.n_outputs), (g.n_inputs if from_input else g.n_outputs)
     left = _weight(1.0 if W1 is None else W1, size_out, "outputs", "unstructured: W1")
     right = _weight(W2, size_in, "inputs", "unstructured: W2")
-    dt = _sample_time(g, left, right)
-    M = _interconnection(g, left, right, form, dt, name)
+    times = {m.dt for m in (g, left, right) if m.n_states or m.dt}
+    if len(times) > 1:
+        raise InputError("unstructured", f"sample times {sorted(times)} s (0: continuous)", "one for G and weights")
+    M = _interconnection(g, left, right, form, times.pop() if times else 0.0, name)
     return UncertainModel(M, [FullBlock(name, left.n_inputs, right.n_outputs)], g.operating_point)
 
 
@@ -133,13 +135,6 @@ def _side_by_side(parts: Sequence[StateSpaceModel]) -> StateSpaceModel:
     if any(part.n_inputs != 1 or part.n_outputs != 1 for part in parts):
         raise InputError("unstructured", "a weight of several channels in a list", "one input and one output each")
     return append(*(part.renamed([f"u{i}"], [f"y{i}"]) for i, part in enumerate(parts)))
-
-
-def _sample_time(*models: StateSpaceModel) -> float:
-    times = {m.dt for m in models if m.n_states or m.dt}
-    if len(times) > 1:
-        raise InputError("unstructured", f"sample times {sorted(times)} s (0: continuous)", "one for G and weights")
-    return times.pop() if times else 0.0
 
 
 def _interconnection(

@@ -12,12 +12,9 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.statespace import StateSpaceModel
 
-# I - M11 Delta with a condition number above this has no digits left that could be trusted.
-ILL_POSED = 1e12
-# Passes of balancing.
-PASSES = 20
-# Without a cycle there is no bound on how small a matrix may be scaled: this far, not further.
-LARGEST_EXPONENT = 200.0
+ILL_POSED = 1e12  # I - M11 Delta with a condition number above this has no digits left that could be trusted
+PASSES = 20  # passes of balancing
+LARGEST_EXPONENT = 200.0  # without a cycle there is no bound on how small a matrix may be scaled: this far, not further
 
 
 def is_singular(product: ArrayLike) -> bool:

@@ -11,8 +11,7 @@ from scipy.linalg import block_diag, expm
 import robustlab as rl
 from robustlab import FullBlock, RealScalar
 from robustlab.budget import listening
-from robustlab.mu_analysis.matrix.certificate import delta_norm, proves
-from robustlab.mu_analysis.matrix.minimum_norm import smallest_step
+from robustlab.mu_analysis import delta_norm, proves, smallest_step
 from robustlab.uncertainty import as_blocks, block_slices, structure_size
 
 ROWS = st.sampled_from([[-1, 0], [1, 0], [-2, 0], [2, 0], [1, 2], [2, 1], [2, 2]])

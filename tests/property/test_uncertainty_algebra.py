@@ -11,7 +11,6 @@ from robustlab import ComplexScalar, FullBlock, ParameterRange, RealScalar, Unce
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty import algebra, lft
-from robustlab.uncertainty.algebra import centred
 
 SETTINGS = settings(max_examples=20)
 OMEGA = np.array([0.0, 0.7, 20.0])
@@ -331,7 +330,7 @@ def test_dynamic_values_that_do_not_fit():
 @given(seeds, st.floats(0.1, 1.5), few)
 def test_the_centred_set_has_the_same_members(seed, level, n):
     model = random_set(seed, n, 1, 2, "1")
-    middle = centred(model, level)
+    middle = model.centred(level)
     values = values_for(seed, model)
     span = next(b.parameter for b in middle.blocks if isinstance(b, RealScalar))
     assert (span.below, span.low) == (None, pytest.approx(1.0 - 0.25 * level))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import AnyArray, Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
 from robustlab.linear_analysis.narrow_peaks import modes_apart, narrow_frequencies
@@ -17,6 +17,7 @@ from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
+    "acting",
     "around",
     "check_nominal",
     "continuous",
@@ -28,12 +29,9 @@ __all__ = [
 ]
 
 
-# Entries of M that are larger than this are refused.
-MOST = 1e100
-# Share of the largest part of a Gramian below which a direction counts as hidden where coordinates are chosen.
-HIDDEN = 1e-8
-# Norm of A below which Gramians overflow or vanish.
-TINY = 1e-100
+MOST = 1e100  # entries of M that are larger are refused
+HIDDEN = 1e-8  # share of the largest part of a Gramian below which a direction counts as hidden
+TINY = 1e-100  # norm of A below which Gramians overflow or vanish
 
 
 def check_nominal(uncertain: UncertainModel, where: str) -> None:
@@ -152,20 +150,18 @@ def typical_speed(model: StateSpaceModel) -> float:
     return float(np.median(poles)) if len(poles) else 1.0
 
 
+def acting(model: StateSpaceModel, blocks: Sequence[Block]) -> Mask:
+    """Which states, then blocks, act on which directly, by the zero pattern of A, B, C, D: ``[i, j]``, j on i."""
+    into, out = np.zeros((model.n_inputs, len(blocks))), np.zeros((len(blocks), model.n_outputs))
+    for i, (w, z) in enumerate(block_slices(blocks)):
+        into[w, i] = out[i, z] = 1
+    B, C, D = (model.B != 0) @ into, out @ (model.C != 0), out @ (model.D != 0) @ into
+    return np.block([[model.A != 0, B], [C, D]]) > 0
+
+
 def coupled_blocks(model: StateSpaceModel, blocks: Sequence[Block]) -> list[NDArray[np.intp]]:
-    """Blocks that act on each other in a cycle, by the zero pattern of A, B, C, D; others have mu = 0."""
-    n = model.n_states
-    slices = block_slices(blocks)
-    pick_w = np.zeros((model.n_inputs, len(blocks)))
-    pick_z = np.zeros((len(blocks), model.n_outputs))
-    for i, (w, z) in enumerate(slices):
-        pick_w[w, i] = 1
-        pick_z[i, z] = 1
-    # Nodes: states, then blocks; an edge from j to i where j acts on i directly.
-    acts = (
-        np.block([[model.A != 0, (model.B != 0) @ pick_w], [pick_z @ (model.C != 0), pick_z @ (model.D != 0) @ pick_w]])
-        > 0
-    )
+    """Blocks that act on each other in a cycle; others have mu = 0."""
+    n, acts = model.n_states, acting(model, blocks)
     labels = strong_components(acts)
     groups = [np.flatnonzero(labels[n:] == label) for label in np.unique(labels[n:])]
     return [g for g in groups if len(g) > 1 or acts[n + g[0], n + g[0]] or (labels[:n] == labels[n + g[0]]).any()]

@@ -45,7 +45,9 @@ class Proved:
     proof: tuple[Piece, ...] | tuple[Region, ...] = ()
     boxes: tuple[tuple[Box, Piece], ...] = ()
 
-    def cut(self, problem: _AxisProblem, attained: float, tolerance: float, budget: Budget) -> NDArray[Any] | None:
+    def cut(
+        self, problem: MarginProblem | GainProblem, attained: float, tolerance: float, budget: Budget
+    ) -> NDArray[Any] | None:
         """Close the gap that D, G leave by boxes of the real parameters; the entries of a worse Delta met there."""
         found = tighten(problem, attained, self.level, tolerance, budget)
         if found.upper < self.level:

@@ -79,7 +79,9 @@ def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points:
     mode = right[:, k]
     x0 = np.real(mode) if np.abs(np.real(mode)).max() > 1e-3 else np.imag(mode)
     period = 2 * np.pi / margin.frequency if margin.frequency > 0 else _slowest(uncertain.nominal)
-    t = _times(uncertain.dt, period, periods, points)
+    t = np.linspace(0.0, periods * period, periods * points + 1)
+    if uncertain.dt:
+        t = np.arange(max(round(periods * period / uncertain.dt), 2) + 1) * uncertain.dt
     response = _free(critical, x0, t)
     size = float(np.abs(response[t < period]).max(initial=0.0))
     if not size > 1e-12 * float(np.abs(x0).max()):
@@ -109,12 +111,6 @@ def _slowest(nominal: StateSpaceModel) -> float:
     poles = nominal.poles()
     rates = -np.log(np.abs(poles[np.abs(poles) > 0])) / nominal.dt if nominal.is_discrete else -poles.real
     return float(1 / rates.min()) if len(rates) and rates.min() > 0 else 1.0
-
-
-def _times(dt: float, period: float, periods: int, points: int) -> Array:
-    if dt:
-        return np.arange(max(round(periods * period / dt), 2) + 1) * dt
-    return np.linspace(0.0, periods * period, periods * points + 1)
 
 
 def _free(model: StateSpaceModel, x0: Array, t: Array) -> Array:

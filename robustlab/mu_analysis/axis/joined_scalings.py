@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.linear_analysis.structural import strong_components
-from robustlab.mu_analysis.axis.axis_model import continuous
+from robustlab.mu_analysis.axis.axis_model import acting, continuous
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.upper import UpperBound
@@ -91,12 +91,7 @@ def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Seque
 
 def _depths(model: StateSpaceModel, blocks: Sequence[Block]) -> NDArray[np.int64]:
     """How many parts lie before each block: the longest way by which others act on it and it does not on them."""
-    n = model.n_states
-    into, out = np.zeros((model.n_inputs, len(blocks))), np.zeros((len(blocks), model.n_outputs))
-    for i, (w, z) in enumerate(block_slices(blocks)):
-        into[w, i], out[i, z] = 1, 1
-    B, C, D = (model.B != 0) @ into, out @ (model.C != 0), out @ (model.D != 0) @ into
-    acts = np.block([[model.A != 0, B], [C, D]]) > 0
+    n, acts = model.n_states, acting(model, blocks)
     labels = strong_components(acts)
     count = int(labels.max(initial=-1)) + 1
     edges = np.zeros((count, count), dtype=bool)  # from the second to the first

@@ -19,8 +19,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,19 +50,8 @@ ASCENT_LAST_STEP = 0.01  # ... and at the end
 ASCENTS_OF_MODE = 30  # quasi-Newton steps of one ascent
 ASCENT_HALVINGS = 20  # of the way from the nominal model to an unstable member
 
-__all__ = ["Ascent", "Mode", "ascended", "is_stable_member", "mode_next_to", "shrunk", "smaller_destabilising"]
 
-
-@dataclass(frozen=True)
-class Mode:
-    """A pole of a member, and the derivative of its real part by each real block (n_blocks,); complex blocks: 0."""
-
-    pole: complex
-    slopes: Array
-
-
-@dataclass(frozen=True)
-class Ascent:
+class Ascent(NamedTuple):
     """Entries (n_blocks,) of the member that an ascent ended at, its pole, and how many members were looked at."""
 
     values: Array
@@ -70,8 +59,10 @@ class Ascent:
     looks: int
 
 
-def mode_next_to(model: StateSpaceModel, blocks: Sequence[Block], values: Array, aim: complex) -> Mode | None:
-    """The mode of the member with these entries (n_blocks,) whose pole is next to ``aim``; None: ill-posed."""
+def _mode_next_to(
+    model: StateSpaceModel, blocks: Sequence[Block], values: Array, aim: complex
+) -> tuple[complex, Array] | None:
+    """The pole next to ``aim`` of the member with these entries, and the derivative of its real part by each."""
     delta = centre_matrix(blocks, values)
     a = np.real(perturbed_state_matrix(model, delta.astype(complex)))
     if not np.isfinite(a).all():
@@ -87,7 +78,7 @@ def mode_next_to(model: StateSpaceModel, blocks: Sequence[Block], values: Array,
         (w[sw] * z[sz]).sum().real if b.interval else 0.0
         for b, (sw, sz) in zip(blocks, block_slices(blocks), strict=True)
     ]
-    return Mode(complex(poles[k]), np.array(slopes))
+    return complex(poles[k]), np.array(slopes)
 
 
 def _member_poles(model: StateSpaceModel, blocks: Sequence[Block], values: Array) -> ComplexArray:
@@ -106,29 +97,23 @@ def member_work(model: StateSpaceModel, members: int) -> int:
     return members * dense(model.n_states) // 4
 
 
-def ascended(
-    model: StateSpaceModel,
-    blocks: Sequence[Block],
-    start: Array,
-    size: float,
-    aim: complex,
-) -> Ascent | None:
-    """Where quasi-Newton steps end, in a box of this size, that follow the pole next to the imaginary aim."""
+def ascended(model: StateSpaceModel, blocks: Sequence[Block], start: Array, size: float, aim: complex) -> Ascent | None:
+    """Where quasi-Newton steps from ``start`` end, in a box of this size, that follow the pole next to the aim."""
     from scipy.optimize import minimize
 
-    first = mode_next_to(model, blocks, start, aim)
+    first = _mode_next_to(model, blocks, start, aim)
     if first is None:
         return None
-    unit = max(abs(first.pole.real), 1e-9 * abs(first.pole))
+    unit = max(abs(first[0].real), 1e-9 * abs(first[0]))
     place = aim
 
     def damping(point: Array) -> tuple[float, Array]:
         nonlocal place
-        now = mode_next_to(model, blocks, point * size, place)
+        now = _mode_next_to(model, blocks, point * size, place)
         if now is None:  # as bad as it gets: the line search turns back
             return 1e3, np.zeros(len(point))
-        place = 1j * now.pole.imag
-        return -now.pole.real / unit, -now.slopes * size / unit
+        place = 1j * now[0].imag
+        return -now[0].real / unit, -now[1] * size / unit
 
     bounds = [(float(low), 1.0) for low in lowest(blocks)]
     options = {"maxiter": ASCENTS_OF_MODE}
@@ -136,12 +121,7 @@ def ascended(
     return Ascent(found.x * size, complex(-found.fun * unit, abs(place.imag)), 1 + found.nfev)
 
 
-def shrunk(
-    model: StateSpaceModel,
-    blocks: Sequence[Block],
-    values: Array,
-    budget: Budget,
-) -> Array:
+def shrunk(model: StateSpaceModel, blocks: Sequence[Block], values: Array, budget: Budget) -> Array:
     """Entries (n_blocks,) of the smallest member that the unstable mode of this one leads to, a pole on the axis."""
     delta = centre_matrix(blocks, values).astype(complex)
     search = _Search(model, tuple(blocks), Destabilising(gauge(blocks, values), delta, complex(np.inf)), budget)
@@ -164,13 +144,7 @@ def smaller_destabilising(
 class _Search:
     """The smallest member so far, and the box that the next one is sought in."""
 
-    def __init__(
-        self,
-        model: StateSpaceModel,
-        blocks: tuple[Block, ...],
-        worst: Destabilising,
-        budget: Budget,
-    ) -> None:
+    def __init__(self, model: StateSpaceModel, blocks: tuple[Block, ...], worst: Destabilising, budget: Budget) -> None:
         self.model, self.blocks, self.budget = model, blocks, budget
         self.best, self.low = worst, lowest(blocks)
         self.size, self.all_real = gauge(blocks, block_entries(blocks, worst.delta)), all(b.interval for b in blocks)
@@ -203,7 +177,11 @@ class _Search:
         ascents, starts = 0, []
         if size != self.box:
             self.box, self.led = size, {}
-            starts = self._least_damped(rng) + (self._nominal_modes() if thorough else [])
+            starts = self._least_damped(rng)
+            for mode, aim in enumerate(1j * self.frequencies if thorough else []):  # on the nominal mode's own way out
+                now = _mode_next_to(self.model, self.blocks, np.zeros(len(self.blocks)), aim)
+                slopes = np.zeros(len(self.blocks)) if now is None else now[1]
+                starts.append((mode, ASCENT_FIRST * np.where(slopes < 0, self.low, 1.0)))
         for mode, point in chain(starts, self._thrown(rng)):
             if not self._may_go_on():
                 break
@@ -217,15 +195,6 @@ class _Search:
     def _may_go_on(self) -> bool:
         """Work is left. That it may end here is no news, for the search ends somewhere; a clock that ended it is."""
         return self.budget.left > 0 and not (self.budget.seconds_left <= 0 and self.budget.over)
-
-    def _nominal_modes(self) -> list[tuple[int, Array]]:
-        """Each mode of the nominal model, at a point of the unit set on its own way out."""
-        starts = []
-        for mode, aim in enumerate(1j * self.frequencies):
-            now = mode_next_to(self.model, self.blocks, np.zeros(len(self.blocks)), aim)
-            slopes = np.zeros(len(self.blocks)) if now is None else now.slopes
-            starts.append((mode, ASCENT_FIRST * np.where(slopes < 0, self.low, 1.0)))
-        return starts
 
     def _least_damped(self, rng: np.random.Generator) -> list[tuple[int, Array]]:
         """Of random corners and points, those that damp a mode least: of the least damped modes, and of some others."""
@@ -271,9 +240,8 @@ class _Search:
         return poles[np.argsort(poles.imag)]
 
     def _ascent(self, start: Array, size: float, aim: complex) -> Ascent | None:
-        """`ascended` inside the box of this size, counted."""
         found = ascended(self.model, self.blocks, start, size, aim)
-        self._count(1 if found is None else found.looks)
+        self.budget.spend(member_work(self.model, 1 if found is None else found.looks))
         return found
 
     def follow(self, values: Array) -> None:
@@ -308,14 +276,10 @@ class _Search:
         stable, unstable = 0.0, 1.0
         for _ in range(ASCENT_HALVINGS):
             middle = (stable + unstable) / 2
-            self._count()
-            beyond = not is_stable_member(self.model, self.blocks, middle * values)
+            beyond = not (self._poles(middle * values).real < 0).all()
             stable, unstable = (stable, middle) if beyond else (middle, unstable)
         return unstable * values
 
     def _poles(self, values: Array) -> ComplexArray:
-        self._count()
+        self.budget.spend(member_work(self.model, 1))
         return _member_poles(self.model, self.blocks, values)
-
-    def _count(self, members: int = 1) -> None:
-        self.budget.spend(member_work(self.model, members))

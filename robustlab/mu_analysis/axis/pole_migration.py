@@ -224,10 +224,10 @@ def _loop_eigenvalue(model: StateSpaceModel, delta: ComplexArray, omega: float) 
     loop = response @ delta
     if not np.isfinite(loop).all():
         return None
-    values, right = np.linalg.eig(loop)
+    values, right = _eigen(loop)
     k = int(np.abs(values - 1).argmin())
     x = right[:, k]
-    _, left = np.linalg.eig(loop.T)
+    _, left = _eigen(loop.T)
     y = left[:, int(np.abs(np.linalg.eigvals(loop.T) - values[k]).argmin())]
     inner = y @ x
     if inner == 0:

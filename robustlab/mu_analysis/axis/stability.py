@@ -51,10 +51,8 @@ ASCENT_SHARE = 0.25  # of the work left, for all of it
 
 __all__ = ["margin_within", "robust_stability"]
 
-# Bounds closer together than this are told apart by rounding alone.
-FINEST = 1e-9
-# Relative to the width of a box, a cover in it comes no closer to the narrower side.
-FINEST_SIDE = 1e-5
+FINEST = 1e-9  # bounds closer together than this are told apart by rounding alone
+FINEST_SIDE = 1e-5  # relative to the width of a box, a cover in it comes no closer to the narrower side
 
 
 @dataclass
@@ -145,7 +143,14 @@ def _bounds(
         worst = _sharpened(model, blocks, worst, seed)
     found = _Found(0.0, AxisCover(), model=model, blocks=blocks, worst=worst, expected=expected)
     first = np.append(seeds, abs(worst.pole.imag)) if worst and np.isfinite(worst.pole) else seeds
-    cover = _cover_symmetric if symmetric else _cover_asymmetric
+
+    def cover(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
+        if not symmetric:
+            return _cover_asymmetric(found, first, budget, accuracy)
+        whole = cover_parts(model, blocks, found.attained, first=first, budget=budget, accuracy=accuracy)
+        found.cover, found.level, found.proof = whole, np.inf if whole.open else whole.beta, tuple(whole.pieces)
+        return None
+
     cover(found, first, budget, max(accuracy, COARSE))
     near = found.level <= found.attained * (1 + tolerance) * (1 + 2 * COARSE)
     if not found.cover.open and accuracy < COARSE and (near or (symmetric and not found.attained)):
@@ -207,11 +212,6 @@ def _sharpened(
             omega = float(points[k])
             worst = Destabilising(1 / value, delta, complex(0.0, omega))
     return worst
-
-
-def _cover_symmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:
-    cover = cover_parts(found.model, found.blocks, found.attained, first=first, budget=budget, accuracy=accuracy)
-    found.cover, found.level, found.proof = cover, np.inf if cover.open else cover.beta, tuple(cover.pieces)
 
 
 def _cover_asymmetric(found: _Found, first: Array, budget: Budget, accuracy: float) -> None:

@@ -25,7 +25,7 @@ from robustlab.mu_analysis.axis.axis_model import (
 from robustlab.mu_analysis.axis.axis_problems import GainProblem, Proved
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin, delta_rows
-from robustlab.mu_analysis.axis.pole_migration import Destabilising, smallest_destabilising
+from robustlab.mu_analysis.axis.pole_migration import smallest_destabilising
 from robustlab.mu_analysis.axis.stability import robust_stability
 from robustlab.mu_analysis.constants import COARSE, MEMBERS, WORK
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, gauge, root_box
@@ -169,26 +169,13 @@ def gain_within(
         found = _result(uncertain, nominal.value, known, budget, notes, grid)
         return found if nominal.status is Status.CERTIFIED else replace(found, status=nominal.status)
     blocks = (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y))
-    return _with_blocks(uncertain, blocks, nominal.value, grid, tolerance, budget, seed)
-
-
-def _with_blocks(
-    uncertain: UncertainModel,
-    blocks: Sequence[Block],
-    nominal: float,
-    grid: Array,
-    tolerance: float,
-    budget: Budget,
-    seed: int,
-) -> WorstCaseGain:
     model = continuous(uncertain.M)
     seeds = seed_frequencies(model)
-    channels = continuous(uncertain.delta_channels)
-    unstable = _unstable_member(channels, uncertain.blocks, seeds, seed)
-    if unstable is not None:
+    unstable = smallest_destabilising(continuous(uncertain.delta_channels), uncertain.blocks, seeds, seed)
+    if unstable is not None and gauge(uncertain.blocks, block_entries(uncertain.blocks, unstable.delta)) <= 1:
         at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
         known = _Known(lower=np.inf, delta=delta_values(uncertain.blocks, unstable.delta), frequency=at)
-        return _result(uncertain, nominal, known, budget, ("a member of the set is unstable",), grid)
+        return _result(uncertain, nominal.value, known, budget, ("a member of the set is unstable",), grid)
     known = _largest_member(uncertain, model, blocks, seeds, seed)
     _prove(known, model, blocks, seeds, tolerance, budget, uncertain)
     with np.errstate(all="ignore"):
@@ -196,7 +183,7 @@ def _with_blocks(
     if not error <= QUIET * known.lower:
         # Four times: the member is rounded, mapped to continuous time, scaled, and its response is solved for.
         known.lower = max(known.lower - 4.0 * error, 0.0) if np.isfinite(error) else 0.0
-    return _result(uncertain, nominal, known, budget, (), grid, model, blocks, seed)
+    return _result(uncertain, nominal.value, known, budget, (), grid, model, blocks, seed)
 
 
 @told_as("robust_performance")
@@ -254,14 +241,6 @@ class _Known(Proved):
     lower: float = 0.0
     delta: Mapping[str, Any] = field(default_factory=dict)
     frequency: float | None = None
-
-
-def _unstable_member(
-    channels: StateSpaceModel, blocks: Sequence[Block], seeds: Array, seed: int
-) -> Destabilising | None:
-    """A destabilising Delta inside the set, if the search finds one."""
-    found = smallest_destabilising(channels, blocks, seeds, seed)
-    return found if found is not None and gauge(blocks, block_entries(blocks, found.delta)) <= 1 else None
 
 
 def _largest_member(

@@ -9,7 +9,7 @@ Skogestad, Postlethwaite, *Multivariable Feedback Control*, section 2.4.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, ClassVar, Literal
@@ -27,7 +27,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
 )
 from robustlab.mu_analysis.margins.loop_fraction import LoopFraction, loop_fractions
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, number
+from robustlab.shown import AllFields, Facts, Part, Shown, number
 from robustlab.statespace import as_model
 
 __all__ = ["ClassicalMargin", "ClassicalMargins", "GainCrossing", "PhaseCrossing", "classical_margins"]
@@ -39,7 +39,7 @@ INSIDE, TRIED = 0.999, 1e3
 
 
 @dataclass(frozen=True)
-class GainCrossing(Shown):
+class GainCrossing(AllFields, Shown):
     """Where ``|L| = 1``: ``lag`` more phase lag in rad, in [0, 2 pi), brings L to -1, and so does a ``delay`` in s."""
 
     frequency: float
@@ -48,7 +48,7 @@ class GainCrossing(Shown):
 
 
 @dataclass(frozen=True)
-class PhaseCrossing(Shown):
+class PhaseCrossing(AllFields, Shown):
     """Where L is real and negative: ``factor`` times the gain brings L to -1."""
 
     frequency: float
@@ -90,28 +90,22 @@ class ClassicalMargin(Shown):
     reason: str = ""
 
     def facts(self) -> Facts:
+        met, negative = ([number(c.frequency) for c in those] for those in (self.gain_crossings, self.phase_crossings))
+        crossings = [("|L| = 1 at", ", ".join(met)), ("L < 0 at", ", ".join(negative))]
+        crossings = [(label, text or "no frequency") for label, text in crossings]
         if self.gain_margin is None or self.phase_margin is None:
-            return [("reason", self.reason), *self._crossings()]
+            return [("reason", self.reason), *crossings]
         low, high = self.gain_margin
         return [
             ("gain", f"factors {number(low)} .. {number(high)}{in_decibels(low, high)}"),
             ("phase", in_degrees(self.phase_margin)),
             ("delay", number(self.delay_margin, "s")),
-            *self._crossings(),
+            *crossings,
             ("reason", self.reason),
         ]
 
-    def _crossings(self) -> Facts:
-        return [
-            ("|L| = 1 at", ", ".join(number(c.frequency) for c in self.gain_crossings) or "no frequency"),
-            ("L < 0 at", ", ".join(number(c.frequency) for c in self.phase_crossings) or "no frequency"),
-        ]
-
     def to_json(self) -> dict[str, Any]:
-        told: dict[str, Any] = {"type": "ClassicalMargin", **vars(self)}
-        for name in ("gain_crossings", "phase_crossings"):
-            told[name] = [vars(crossing).copy() for crossing in told[name]]
-        return told
+        return {"type": "ClassicalMargin", **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,13 +191,7 @@ class ClassicalMargins(Shown):
         return [Part("crossings:", ("loop", "at", "where", "distance"), rows)]
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "type": "ClassicalMargins",
-            "channels": {name: margin.to_json() for name, margin in self.channels.items()},
-            "at": self.at,
-            "loop": self.loop,
-            "status": self.status,
-        }
+        return {"type": "ClassicalMargins", **vars(self)}
 
 
 @told_as("classical_margins")
@@ -234,16 +222,22 @@ def _margin(L: LoopFraction, unstable: str, name: str) -> ClassicalMargin:
     phase = tuple(_phase_crossings(L))
     if unstable:
         return ClassicalMargin(False, None, None, None, gain, phase, Status.CONVERGED, unstable)
-    factors = [c.factor for c in phase]
-    low = max((k for k in factors if k <= 1), default=0.0)
-    high = min((k for k in factors if k >= 1), default=math.inf)
-    lag = min((min(c.lag, 2 * math.pi - c.lag) for c in gain), default=math.inf)
-    delay = min((c.delay for c in gain), default=math.inf)
+    (low, high), lag, delay = least_changes(gain, phase)
     if not L.dt and abs(L.at_infinity()) >= 1:
         delay = 0.0
     reason = _doubt(L, low, high)
     status = Status.INACCURATE if reason else Status.CONVERGED
     return ClassicalMargin(True, (low, high), lag, delay, gain, phase, status, reason)
+
+
+def least_changes(
+    gain: Sequence[GainCrossing], phase: Sequence[PhaseCrossing], most: float = math.inf
+) -> tuple[tuple[float, float], float, float]:
+    """The factors of gain on both sides of one, and the changes of phase and delay, that lead to the next crossing."""
+    low = max((c.factor for c in phase if c.factor <= 1), default=0.0)
+    high = min((c.factor for c in phase if c.factor >= 1), default=most)
+    lag = min((min(c.lag, 2 * math.pi - c.lag) for c in gain), default=math.inf)
+    return (low, high), lag, min((c.delay for c in gain), default=math.inf)
 
 
 def _gain_crossing(L: LoopFraction, x: Fraction) -> GainCrossing:

@@ -20,8 +20,14 @@ from robustlab.closing import closing
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.mu_analysis.margins.classical import ClassicalMargin, ClassicalMargins, GainCrossing, PhaseCrossing
-from robustlab.mu_analysis.margins.delay_axis import DelayAxis, Seen
+from robustlab.mu_analysis.margins.classical import (
+    ClassicalMargin,
+    ClassicalMargins,
+    GainCrossing,
+    PhaseCrossing,
+    least_changes,
+)
+from robustlab.mu_analysis.margins.delay_axis import DelayAxis
 from robustlab.mu_analysis.margins.delay_margins import (
     FINEST,
     DelayGain,
@@ -178,11 +184,7 @@ def _renamed(model: DelayedModel, prefix: str) -> DelayedModel:
 # --- classical margins ------------------------------------------------------------------------------------------------
 
 
-class _Zeros(NamedTuple):
-    """Zeros of a real function of frequency, rising, and whether each was decided."""
-
-    places: list[float]
-    decided: bool
+Zeros = tuple[list[float], bool]  # of a real function of frequency, rising, and whether each was decided
 
 
 def _classical(axis: DelayAxis, stable: bool, name: str) -> ClassicalMargin:
@@ -193,9 +195,9 @@ def _classical(axis: DelayAxis, stable: bool, name: str) -> ClassicalMargin:
         found = f"loop {name}: its gain at high frequencies is not proved to be below one half"
         hint = "a loop with a direct path through a delay: take rl.disk_margin of it"
         raise NoTrustworthyNumber("delay_classical_margins", found, "a loop whose gain falls", hint)
-    gains = _zeros(axis, lambda s: s.real - 0.5, lambda d: d.real, _never, (0.0, end))
-    phases = _zeros(axis, np.imag, np.imag, _no_crossing, (0.0, end))
-    places, decided, last = list(phases.places), gains.decided and phases.decided, 2.0
+    gains, gains_decided = _zeros(axis, lambda s: s.real - 0.5, lambda d: d.real, None, (0.0, end))
+    places, decided = _zeros(axis, np.imag, np.imag, _no_crossing, (0.0, end))
+    decided, last = decided and gains_decided, 2.0
     crossings = _phase_crossings(axis, [0.0, *places])
     while (high := min((c.factor for c in crossings if c.factor >= 1), default=LARGEST)) > last and last < LARGEST:
         last = min(2.0 * last, high, LARGEST)
@@ -203,25 +205,19 @@ def _classical(axis: DelayAxis, stable: bool, name: str) -> ClassicalMargin:
         if not np.isfinite(further):
             found = f"loop {name}: its gain is not proved to fall below {1 / last:g}"
             raise NoTrustworthyNumber("delay_classical_margins", found)
-        more = _zeros(axis, np.imag, np.imag, _no_crossing, (end, further)) if further > end else _Zeros([], True)
-        end, decided = max(end, further), decided and more.decided
-        places += more.places
+        if further > end:
+            more, more_decided = _zeros(axis, np.imag, np.imag, _no_crossing, (end, further))
+            end, decided, places = further, decided and more_decided, places + more
         crossings = _phase_crossings(axis, [0.0, *places])
-    met = tuple(_gain_crossing(axis, w) for w in gains.places)
+    met = tuple(_gain_crossing(axis, w) for w in gains)
     status, reason = Status.CERTIFIED, ""
     if not decided:
         status, reason = Status.INACCURATE, "at a frequency it is not decided whether a crossing is only touched"
     kept = tuple(c for c in crossings if c.factor <= max(high, 1.0) * (1 + 1e-9))
     if not stable:
         return ClassicalMargin(False, None, None, None, met, kept, status, reason)
-    low = max((c.factor for c in crossings if c.factor <= 1), default=0.0)
-    lag = min((min(c.lag, 2 * math.pi - c.lag) for c in met), default=math.inf)
-    delay = min((c.delay for c in met), default=math.inf)
-    return ClassicalMargin(True, (low, high), lag, delay, met, kept, status, reason)
-
-
-def _never(value: ComplexArray, spread: Array) -> Mask:
-    return np.zeros(len(spread), dtype=bool)
+    ends, lag, delay = least_changes(met, crossings, LARGEST)
+    return ClassicalMargin(True, ends, lag, delay, met, kept, status, reason)
 
 
 def _no_crossing(value: ComplexArray, spread: Array) -> Mask:
@@ -235,9 +231,9 @@ def _zeros(
     axis: DelayAxis,
     height: Callable[[ComplexArray], Array],
     rate: Callable[[ComplexArray], Array],
-    ignored: Callable[[ComplexArray, Array], Mask],
+    ignored: Callable[[ComplexArray, Array], Mask] | None,
     ends: tuple[float, float],
-) -> _Zeros:
+) -> Zeros:
     """All zeros in (low, high] of a function of S: each interval is decided, or cut."""
     low, high = ends
     first = np.concatenate([[0.0], np.geomspace(1e-6 * high, high, 41)]) if not low else np.linspace(low, high, 41)
@@ -256,7 +252,9 @@ def _zeros(
         with np.errstate(invalid="ignore", over="ignore"):
             reach = half * (np.abs(slope) + 0.5 * half * curve)
             none = np.abs(value) > reach + ROUNDING * (1.0 + np.abs(seen.value[:, 0, 0]))
-            none |= ignored(seen.value[:, 0, 0], np.minimum(seen.spread(half), _taylor(seen, half, curve)))
+            if ignored is not None:
+                spread = half * (np.abs(seen.slope[:, 0, 0]) + 0.5 * half * curve)
+                none |= ignored(seen.value[:, 0, 0], np.minimum(seen.spread(half), spread))
             single = ~none & (np.abs(slope) > half * curve)
         for a, b in zip(begin[single].tolist(), stop[single].tolist(), strict=True):
             found += _root(axis, height, a, b)
@@ -268,11 +266,7 @@ def _zeros(
         begin, stop = np.concatenate([begin[cut], middle[cut]]), np.concatenate([middle[cut], stop[cut]])
     found.sort()
     apart = [w for k, w in enumerate(found) if not k or w - found[k - 1] > 10 * NARROW * (w + 1e-6 * high)]
-    return _Zeros(apart, decided)
-
-
-def _taylor(seen: Seen, half: Array, curve: Array) -> Array:
-    return half * (np.abs(seen.slope[:, 0, 0]) + 0.5 * half * curve)
+    return apart, decided
 
 
 def _root(axis: DelayAxis, height: Callable[[ComplexArray], Array], low: float, high: float) -> list[float]:

@@ -268,7 +268,12 @@ def disk_margin(
 
 def disk_margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Budget, seed: int = 0) -> DiskMargin:
     """The margin of all channels of M (what the disks see: see `disk_channels`) at once."""
-    return _one_loop(M, names[0], skew) if len(names) == 1 else _many_loops(M, names, skew, budget, seed)
+    if len(names) > 1:
+        return _many_loops(M, names, skew, budget, seed)
+    uncertain = UncertainModel(M, [FullBlock(names[0], 1, 1)])
+    test = small_gain(uncertain)  # exact: the H-infinity norm of S + (sigma - 1)/2
+    delta = {name: complex(value[0, 0]) for name, value in test.delta.items()}
+    return _result(uncertain, (test.lower, test.upper), test.frequency, delta, test.status, skew)
 
 
 def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> Closing:
@@ -325,14 +330,6 @@ def channel_names(inputs: Sequence[str], outputs: Sequence[str], at: Place) -> l
 
 
 # --- one loop, many loops --------------------------------------------------------------------------------------------
-
-
-def _one_loop(M: StateSpaceModel, name: str, skew: float) -> DiskMargin:
-    """Exact: the H-infinity norm of ``S + (sigma - 1)/2``."""
-    uncertain = UncertainModel(M, [FullBlock(name, 1, 1)])
-    test = small_gain(uncertain)
-    delta = {name: complex(value[0, 0]) for name, value in test.delta.items()}
-    return _result(uncertain, (test.lower, test.upper), test.frequency, delta, test.status, skew)
 
 
 def _many_loops(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Budget, seed: int) -> DiskMargin:

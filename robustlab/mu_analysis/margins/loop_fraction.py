@@ -113,15 +113,13 @@ class LoopFraction:
         for root in roots(f):
             if root.re <= 0 or not 0 <= root.im < BESIDE * root.re:
                 continue
-            if not root.im or self._touched(root.re, height):
-                found.append(root.re)
+            if root.im:
+                here, *beside = (self.at(root.re * share) for share in (1, 1 - 2 * BESIDE, 1 + 2 * BESIDE))
+                near = min([Fraction(1), *(height(point) for point in beside if point is not None)])
+                if here is None or height(here) > TOUCHED * near:
+                    continue
+            found.append(root.re)
         return sorted(found)
-
-    def _touched(self, x: Fraction, height: Callable[[Point], Fraction]) -> bool:
-        here, *beside = (self.at(x * share) for share in (1, 1 - 2 * BESIDE, 1 + 2 * BESIDE))
-        if here is None:
-            return False
-        return height(here) <= TOUCHED * min([Fraction(1), *(height(point) for point in beside if point is not None)])
 
     def stable_with(self, factor: float) -> bool:
         """Whether the loop is stable when it is closed with so much gain; modes of no loop are left out."""

@@ -178,8 +178,15 @@ def mu(
     (2.0, 2.0)
     """
     structure = as_blocks(blocks)
-    if not len(fixed):
-        _refuse_asymmetric(structure)
+    for block in structure if not len(fixed) else ():
+        if not block.is_symmetric:
+            low, high = block.ends
+            around = block.parameter.nominal if block.parameter else 0.0
+            expected = "a range that is symmetric around its nominal value"
+            hint = "robust_stability takes such ranges; or give the block a symmetric range that holds this one"
+            raise InputError(
+                f"mu: block {block.name!r}", f"range {low:g} .. {high:g} around {around:g}", expected, hint
+            )
     stack, single = matrix_stack(M, structure)
     if tolerance is not None and not tolerance > 0:
         raise InputError("mu", f"tolerance {tolerance}", "tolerance > 0")
@@ -221,10 +228,12 @@ def _bounds(stack: ComplexArray, structure: tuple[Block, ...], seed: int) -> tup
     # A lower bound is attained up to the rounding of its Delta: it may pass a tight upper bound by that much, no more.
     lower = np.where((lower > upper) & (lower <= upper * (1 + 1e-8)), upper, lower)
     if (lower > upper).any():
-        raise _contradiction(int(np.argmax(lower - upper)), lower, upper)
+        k = int(np.argmax(lower - upper))
+        found = f"lower bound {lower[k]:.12g} above upper bound {upper[k]:.12g}: digits were lost"
+        raise NoTrustworthyNumber(f"mu: matrix {k}", found)
     size = scale[:, None, None]
     with np.errstate(over="ignore", invalid="ignore"):
-        delta = _stacked([zero if d is None else d for _, d in lowers], (q, p)) * size
+        delta = np.array([zero if d is None else d for _, d in lowers]).reshape(len(uppers), q, p) * size
     beyond = ~np.isfinite(delta).all(axis=(1, 2))  # M is so small that no floats hold such a Delta: none was found
     lower, delta[beyond] = np.where(beyond, 0.0, lower), 0.0
     sure = np.isfinite(upper).all()
@@ -235,9 +244,9 @@ def _bounds(stack: ComplexArray, structure: tuple[Block, ...], seed: int) -> tup
         "upper": _outward(upper, scale, np.inf),
         "scaled": _outward(upper, scale, np.inf),
         "delta": delta,
-        "D": _stacked([b.Dw for b in uppers], (q, q)),
-        "G": _stacked([b.G for b in uppers], (q, p)) / size,
-        "D_z": _stacked([b.Dz for b in uppers], (p, p)),
+        "D": np.array([b.Dw for b in uppers], dtype=complex).reshape(len(uppers), q, q),
+        "G": np.array([b.G for b in uppers], dtype=complex).reshape(len(uppers), q, p) / size,
+        "D_z": np.array([b.Dz for b in uppers], dtype=complex).reshape(len(uppers), p, p),
     }
     return parts, status
 
@@ -293,29 +302,7 @@ def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, b
     return (stack[None] if single else stack), single
 
 
-def _refuse_asymmetric(blocks: Sequence[Block]) -> None:
-    for block in blocks:
-        if not block.is_symmetric:
-            low, high = block.ends
-            raise InputError(
-                f"mu: block {block.name!r}",
-                f"range {low:g} .. {high:g} around {block.parameter.nominal if block.parameter else 0:g}",
-                "a range that is symmetric around its nominal value",
-                "robust_stability takes such ranges; or give the block a symmetric range that holds this one",
-            )
-
-
 def _scale(stack: ComplexArray) -> NDArray[np.float64]:
     """The power of two that makes the largest entry of each matrix about one, shape (k,); 1 for a zero matrix."""
     largest = np.abs(stack).max(axis=(1, 2), initial=0.0)
     return np.exp2(-np.clip(np.rint(np.log2(np.where(largest > 0, largest, 1.0))), -1000, 1000))
-
-
-def _stacked(parts: list[ComplexArray], shape: tuple[int, int]) -> ComplexArray:
-    return np.stack(parts) if parts else np.zeros((0, *shape), dtype=complex)
-
-
-def _contradiction(k: int, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> ArithmeticError:
-    return NoTrustworthyNumber(
-        f"mu: matrix {k}", f"lower bound {lower[k]:.12g} above upper bound {upper[k]:.12g}: digits were lost"
-    )

@@ -43,11 +43,6 @@ def lowest(blocks: Sequence[Block]) -> Array:
     return np.array([b.interval[0] if b.interval else -1.0 for b in blocks])
 
 
-def widest(blocks: Sequence[Block]) -> Array:
-    """How far the range of each input of M reaches from the nominal point, (q,): above 1 where it is wider below."""
-    return np.repeat(np.maximum(1.0, -lowest(blocks)), [b.rows for b in blocks])
-
-
 def root_box(blocks: Sequence[Block], size: float = 1.0) -> Box:
     """The whole set, scaled by ``size`` about the nominal point."""
     low, real = lowest(blocks), np.array([b.interval is not None for b in blocks], dtype=bool)

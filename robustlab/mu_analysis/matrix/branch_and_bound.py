@@ -163,7 +163,9 @@ class _Descent:
             if weight is None:
                 self.regions.append(region)
                 continue
-            self._take(self.problem.attack(region, self.proof.lower, self.budget))
+            found = self.problem.attack(region, self.proof.lower, self.budget)
+            if found is not None and found.level > self.proof.lower:
+                self.proof.lower, self.proof.values = found.level, found.values
             index = _where_to_cut(region.box, weight, self.real, self.root.box, NARROW)
             if index is None:
                 self.regions.append(region)
@@ -173,10 +175,6 @@ class _Descent:
         if self.proof.lower * (1 + self.tolerance) > self.level * (1 + 1e-12):
             self._cut_back(self.proof.lower * (1 + self.tolerance))
         return sound
-
-    def _take(self, found: Improved | None) -> None:
-        if found is not None and found.level > self.proof.lower:
-            self.proof.lower, self.proof.values = found.level, found.values
 
     def _begin(self) -> None:
         self.work, self.seconds, self.open = self.budget.left, self.budget.seconds_left, self._volume()

@@ -58,8 +58,7 @@ AT, STEP, BEST, TRACE, SHORT, DOWN, BORDER, BY_BORDER, BY_TRACE, BENT, SCALE, AC
 ROW, COL, OF, PLACE, BEGIN = np.arange(5)  # in entries
 AT_P, AT_Z, ROOM = np.arange(3)  # in J: of P, and of Z or a product; room for rows of them
 
-# Weight of |G|^2 beside the barrier: where mu = 0 without any doubt, G would grow without bound.
-SHORT_G = 1e-4
+SHORT_G = 1e-4  # weight of |G|^2 beside the barrier: where mu = 0 without any doubt, G would grow without bound
 # Where to be sure, a t smaller by so many tolerances has to be shown out of reach, or the gap to be so much finer: by
 # degenerate duals nothing is shown even at the optimum.
 SURE, FINER = 10.0, 0.01

@@ -87,7 +87,9 @@ def skew_upper(M: ComplexArray, blocks: Sequence[Block], varying: Mask, tol: flo
     eye, zero = np.eye(q, dtype=complex), np.zeros((q, p), dtype=complex)
     plain = UpperBound(float("inf"), eye, np.eye(p, dtype=complex), zero)
     if not M[:, varying].any():
-        return _when_nothing_varies(M, blocks, plain)
+        # Only the fixed blocks can make the loop singular.
+        bound = upper_bounds(M[None], blocks)[0]
+        return (0.0, bound) if bound.beta < 1 else (float("inf"), plain)
     level, best, proof = max(size, 1e-300), float("inf"), plain
     for _ in range(SKEW_ROUNDS):
         bound = upper_bounds(divided(M, varying, level)[None], blocks, tol)[0]
@@ -126,7 +128,7 @@ def skew_lower(
         return best
     slices = block_slices(blocks)
     moving = [i for i, (w, _) in enumerate(slices) if varying[w.start]]
-    if len(moving) == 1 and _closes_a_gain(blocks[moving[0]]):
+    if len(moving) == 1 and blocks[moving[0]].is_ball:
         return _largest_gain(M, blocks, moving[0], seed)
     failed = np.inf
     for _ in range(rounds):
@@ -153,10 +155,6 @@ def skew_lower(
     return best
 
 
-def _closes_a_gain(block: Block) -> bool:
-    return block.is_ball
-
-
 def _largest_gain(
     M: ComplexArray, blocks: Sequence[Block], moving: int, seed: int
 ) -> tuple[float, ComplexArray | None]:
@@ -174,12 +172,6 @@ def _largest_gain(
     back = np.zeros_like(whole)
     back[w[:, None], z] = whole
     return 1 / float(np.linalg.norm(whole[last_w, last_z], 2)), back
-
-
-def _when_nothing_varies(M: ComplexArray, blocks: Sequence[Block], plain: UpperBound) -> tuple[float, UpperBound]:
-    """The varying blocks see nothing: only the fixed ones can make the loop singular."""
-    bound = upper_bounds(M[None], blocks)[0]
-    return (0.0, bound) if bound.beta < 1 else (float("inf"), plain)
 
 
 def divided(M: AnyArray, varying: Mask, level: float) -> AnyArray:

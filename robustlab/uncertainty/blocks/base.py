@@ -152,10 +152,8 @@ class ParameterRange:
 
 # Entries (row, column, coefficient) of a sparse matrix.
 Pattern = list[tuple[int, int, complex]]
-# First word of the origin of a block that is known to hold for samples only.
-SAMPLED = "sampled"
-# A value may miss its kind by this share: rounding.
-OUTSIDE = 1e-9
+SAMPLED = "sampled"  # first word of the origin of a block that is known to hold for samples only
+OUTSIDE = 1e-9  # a value may miss its kind by this share: rounding
 
 
 class Block(ABC):

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robustlab import checks
 from robustlab.arrays import Array
@@ -28,23 +28,18 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, series
 
-# Bisection on log(gamma) ends here; far below the tolerances that weights are asked for.
-WEIGHT_LEVEL = 1e-3
-# Rounds in which the points where the weight came out below the bound are added to the programme.
-WEIGHT_ROUNDS = 8
+WEIGHT_LEVEL = 1e-3  # bisection on log(gamma) ends here; far below the tolerances that weights are asked for
+WEIGHT_ROUNDS = 8  # rounds in which the points where the weight came out below the bound are added to the programme
 # The grid on which a weight is judged has so many points for one of the fit's: fewer miss peaks between them.
 FINER_GRID = 10
-# Bisections with new bases.
-WEIGHT_RESTARTS = 4
+WEIGHT_RESTARTS = 4  # bisections with new bases
 # The smallest D, relative to its scale: keeps poles off the imaginary axis; larger ones cost sharpness.
 LEAST_DENOMINATOR = 1e-6
-# Ratio of neighbouring q of a basis, at least: closer ones are hardly independent.
-BASIS_RATIO = 2.0
+BASIS_RATIO = 2.0  # ratio of neighbouring q of a basis, at least: closer ones are hardly independent
 
 Bound = Callable[[Array], Array]
 
-# Rounding in a frequency response.
-ABOVE = 1e-12
+ABOVE = 1e-12  # rounding in a frequency response
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +131,10 @@ def overbound(
     (1, True, True)
     """
     w, b = _checked(omega, bound, order, tolerance, dt)
-    known = _interpolated(w, b) if exact is None else exact
-    fine = np.unique(np.concatenate([w, _refined(w)]))
+    known: Bound = exact or (lambda x: np.exp(np.interp(np.log(x), np.log(w), np.log(b))))
+    steps = np.arange(FINER_GRID) / FINER_GRID
+    refined = np.exp((np.log(w[:-1, None]) + np.diff(np.log(w))[:, None] * steps).ravel())
+    fine = np.unique(np.concatenate([w, refined]))
     target = known(fine)
     if not (np.isfinite(target).all() and (target > 0).all()):
         raise InputError("overbound: exact", "values that are not finite and positive", "a positive bound")
@@ -176,16 +173,6 @@ def _checked(omega: ArrayLike, bound: ArrayLike, order: int, tolerance: float, d
     if dt < 0 or (dt and w[-1] * dt >= np.pi):
         raise InputError("overbound: omega", f"{w[-1]:g} rad/s", f"below the Nyquist frequency {np.pi / dt:g} rad/s")
     return w, b
-
-
-def _interpolated(w: Array, b: Array) -> Bound:
-    return lambda x: np.exp(np.interp(np.log(x), np.log(w), np.log(b)))
-
-
-def _refined(w: Array) -> Array:
-    """`FINER_GRID` points for each step of the grid."""
-    steps = np.arange(FINER_GRID) / FINER_GRID
-    return np.exp((np.log(w[:-1, None]) + np.diff(np.log(w))[:, None] * steps).ravel())
 
 
 def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, known: Bound, tolerance: float) -> Overbound:
@@ -228,19 +215,13 @@ def _of_order(n: int, w: Array, b: Array, fine: Array, target: Array) -> StateSp
         spread = float(ratio.max() / ratio.min())
         if best is None or spread < best[0]:
             best = spread, model
-        new = _extremes(ratio)
+        padded = np.concatenate([[np.inf], ratio, [np.inf]])
+        new = np.flatnonzero((ratio <= padded[:-2]) & (ratio <= padded[2:]) & (ratio < 1.0))  # lowest, below the bound
         points, index = np.unique(np.concatenate([points, fine[new]]), return_index=True)
         values = np.concatenate([values, target[new]])[index]
         if ratio.min() > 1.0 - 0.1 * WEIGHT_LEVEL:
             break
     return None if best is None else best[1]
-
-
-def _extremes(ratio: Array) -> NDArray[np.intp]:
-    """Where the ratio has a local minimum below 1."""
-    padded = np.concatenate([[np.inf], ratio, [np.inf]])
-    low = (ratio <= padded[:-2]) & (ratio <= padded[2:]) & (ratio < 1.0)
-    return np.flatnonzero(low)
 
 
 def _minimax(n: int, w: Array, b: Array) -> StateSpaceModel | None:
@@ -346,11 +327,18 @@ def _programme(x: Array, square: Array, level: float, near: _Factors) -> _Factor
     for _ in range(WEIGHT_ROUNDS):
         points = np.concatenate([x, extra])
         n, d = _basis(points, near.zeros), _basis(points, near.poles)
-        coefficients = _solved(n, d, square, level, _quotient(x, near) / square, len(x))
+        up, down = (np.log(np.abs(x[:, None] - roots)).sum(axis=1) for roots in (near.zeros, near.poles))
+        coefficients = _solved(n, d, square, level, near.gain * np.exp(up - down) / square, len(x))
         if coefficients is None:
             return None
         parts = [_roots(basis, c) for basis, c in zip((n, d), coefficients, strict=True)]
-        wrong = [r.real for part in parts if part is not None for r in part[0] if _is_positive(r)]
+        wrong = [
+            r.real
+            for part in parts
+            if part is not None
+            for r in part[0]
+            if r.real >= 0 and abs(r.imag) <= 1e-9 * abs(r)
+        ]
         if any(part is None for part in parts):
             return None
         if not wrong:
@@ -358,11 +346,6 @@ def _programme(x: Array, square: Array, level: float, near: _Factors) -> _Factor
             return _Factors(zeros, poles, near.gain * top / bottom) if top > 0 and bottom > 0 else None
         extra = np.concatenate([extra, wrong])
     return None
-
-
-def _quotient(x: Array, near: _Factors) -> Array:
-    up, down = (np.log(np.abs(x[:, None] - roots)).sum(axis=1) for roots in (near.zeros, near.poles))
-    return near.gain * np.exp(up - down)
 
 
 def _solved(n: _Basis, d: _Basis, square: Array, level: float, shape: Array, m: int) -> tuple[Array, Array] | None:
@@ -406,10 +389,6 @@ def _roots(basis: _Basis, coefficients: Array) -> tuple[Any, float] | None:
     if not np.isfinite(values).all() or (values == 0).any():
         return None
     return values, float(sums[0])
-
-
-def _is_positive(root: complex) -> bool:
-    return bool(root.real >= 0 and abs(root.imag) <= 1e-9 * abs(root))
 
 
 def _left(x: Any) -> Any:

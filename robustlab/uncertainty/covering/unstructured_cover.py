@@ -24,13 +24,10 @@ from robustlab.uncertainty.elementwise import check_pair
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import Form, unstructured
 
-# The bound is taken as hypot(bound, this share of its largest value): a weight needs a positive one.
-BOUND_FLOOR = 1e-4
-# Points of a frequency grid between its ends and around resonances.
-GRID_POINTS = 150
+BOUND_FLOOR = 1e-4  # the bound is taken as hypot(bound, this share of its largest value): a weight needs a positive one
+GRID_POINTS = 150  # points of a frequency grid between its ends and around resonances
 EPS = float(np.finfo(float).eps)
-# Points of a circle on which Laurent coefficients around a pole are taken.
-CIRCLE_POINTS = 64
+CIRCLE_POINTS = 64  # points of a circle on which Laurent coefficients around a pole are taken
 
 
 def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[StateSpaceModel, ...]:
@@ -41,8 +38,9 @@ def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[Sta
     if len(found) < 2:
         raise InputError(where, f"{len(found)} model{'s' * (len(found) != 1)}", "at least two models")
     for i, model in enumerate(found[1:], 2):
-        first = found[0] if same_states else _without_states(found[0])
-        other = model if same_states else _without_states(model)
+        first, other = found[0], model
+        if not same_states:
+            first, other = (StateSpaceModel([], [], [], m.D, m.dt, m.inputs, m.outputs) for m in (first, model))
         try:
             check_pair(first, other, "model 1", f"model {i}", where)
         except RobustlabError as error:
@@ -52,10 +50,6 @@ def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[Sta
                 raise InputError(error.where, error.found, error.expected, hint) from None
             raise
     return found
-
-
-def _without_states(model: StateSpaceModel) -> StateSpaceModel:
-    return StateSpaceModel([], [], [], model.D, model.dt, model.inputs, model.outputs)
 
 
 def system_matrices(models: Iterable[StateSpaceModel]) -> Array:
@@ -80,18 +74,13 @@ def matrices_miss(reached: StateSpaceModel, wanted: StateSpaceModel) -> float:
     return worst
 
 
-# Laurent coefficients below this share of the models' size around a point are rounding.
-ANALYTIC = 1e-6
-# A pole this near to the stability boundary, relative to its size, may lie on either side.
-BOUNDARY = 1e-9
-# Poles and zeros this slow, relative to the fastest, are integrators that rounding has moved.
-STILL = 1e-7
+ANALYTIC = 1e-6  # Laurent coefficients below this share of the models' size around a point are rounding
+BOUNDARY = 1e-9  # a pole this near to the stability boundary, relative to its size, may lie on either side
+STILL = 1e-7  # poles and zeros this slow, relative to the fastest, are integrators that rounding has moved
 # Multiples of the grid's ends at which the error must not be larger than the weight, and what a lift may make good.
 BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
-# No resonance at the Nyquist frequency is looked at more closely than this share of that frequency.
-NEAREST = 1e-6
-# Up to here a lift is rounding, or a peak just beside a frequency of the grid.
-LIFT = 1.001
+NEAREST = 1e-6  # no resonance at the Nyquist frequency is looked at more closely than this share of that frequency
+LIFT = 1.001  # up to here a lift is rounding, or a peak just beside a frequency of the grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +116,10 @@ def unstructured_cover(
     if nominal is not None:
         candidates = [(None, nominal)]
     else:
-        candidates = [*enumerate(models, 1), *_middle(models)]
+        candidates = [*enumerate(models, 1)]
+        if all(m.state_names == models[0].state_names for m in models):  # the middle of the matrices: number 0
+            stack = system_matrices(models)
+            candidates.append((0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), models[0])))
     omega = _grid(models, [c for _, c in candidates], points)
     best: tuple[float, int | None, StateSpaceModel] | None = None
     refused: NoTrustworthyNumber | None = None
@@ -162,7 +154,10 @@ def _around(
         return np.hypot(_bound(models, centre, form, w), floor)
 
     fit = overbound(omega, np.hypot(size, floor), *wanted, exact=exact, dt=centre.dt)
-    fit = _to_the_ends(fit, models, centre, form, wanted[1])
+    beyond = _beyond(fit.omega, centre.dt)  # lifted where the error beyond the grid's ends is a little larger
+    ratio = _bound(models, centre, form, beyond) / np.abs(frequency_response(fit.weight, beyond)[:, 0, 0])
+    if ratio.max() > 1.0:
+        fit = _lifted(fit, float(ratio.max()), wanted[1])
     deltas = _deltas(models, centre, form, fit.weight)
     norms = [hinf_norm(d, 1e-9) for d in deltas]
     proved = bool(norms) and all(n.status.trustworthy and np.isfinite(n.upper) for n in norms)
@@ -177,17 +172,6 @@ def _around(
         sizes = tuple((error_sizes(models, centre, form, fit.omega) / weight).max(axis=1).tolist())
     model = unstructured(centre, fit.weight, form)
     return UnstructuredCover(model, number, fit, sizes, proved, deltas, radius)
-
-
-def _to_the_ends(
-    fit: Overbound, models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, tolerance: float
-) -> Overbound:
-    """The weight, lifted where the error beyond the grid's ends is a little larger."""
-    beyond = _beyond(fit.omega, centre.dt)
-    ratio = float(
-        (_bound(models, centre, form, beyond) / np.abs(frequency_response(fit.weight, beyond)[:, 0, 0])).max()
-    )
-    return fit if ratio <= 1.0 else _lifted(fit, ratio, tolerance)
 
 
 def _beyond(omega: Array, dt: float) -> Array:
@@ -219,15 +203,6 @@ def _lifted(fit: Overbound, factor: float, tolerance: float) -> Overbound:
     excess, lowest = float(ratio.max()) - 1.0, float(ratio.min()) - 1.0
     status = Status.INACCURATE if factor > LIFT and excess > tolerance else fit.status
     return Overbound(raised, fit.order, excess, lowest, fit.omega, fit.bound, size, status)
-
-
-def _middle(models: tuple[StateSpaceModel, ...]) -> list[tuple[int | None, StateSpaceModel]]:
-    """The middle of the matrices, where they are comparable: number 0."""
-    first = models[0]
-    if any(m.state_names != first.state_names for m in models):
-        return []
-    stack = system_matrices(models)
-    return [(0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), first))]
 
 
 # --- errors by frequency ---------------------------------------------------------------------------------------------
@@ -359,20 +334,15 @@ def _pole_that_stays(model: StateSpaceModel, centre: StateSpaceModel, form: Form
         turns = (points - p) / radius
         with np.errstate(all="ignore"):
             error = _error(model, centre, form, points)
-            reference = float(np.abs(error).max() + _own_size(model, centre, form, points))
+            own = 1.0  # the size of what the error is the difference of
+            if form.endswith("additive"):
+                here = _at(centre, points)
+                own = float(np.abs(here if form == "additive" else np.linalg.inv(here)).max())
+            reference = float(np.abs(error).max() + own)
         laurent = [np.abs((error * turns[:, None, None] ** k).mean(axis=0)).max() for k in range(1, 9)]
         if not np.isfinite(reference) or max(laurent) > ANALYTIC * reference:
             return p
     return None
-
-
-def _own_size(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: AnyArray) -> float:
-    """What the error is the difference of."""
-    if form == "additive":
-        return float(np.abs(_at(centre, s)).max())
-    if form == "inverse-additive":
-        return float(np.abs(np.linalg.inv(_at(centre, s))).max())
-    return 1.0
 
 
 # --- the Deltas as systems -------------------------------------------------------------------------------------------

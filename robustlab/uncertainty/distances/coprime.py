@@ -22,35 +22,7 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 
-# How far the factors may be from inner, evaluated at frequencies around the model's poles.
-INNER = 1e-7
-
-
-@dataclass(frozen=True, eq=False)
-class CoprimeFactors:
-    """Normalised coprime factors of a continuous model with p outputs and m inputs."""
-
-    right: StateSpaceModel  # `[N; M]` (p + m outputs, m inputs), stable and inner
-    left: StateSpaceModel  # `[N~, M~]` (p outputs, m + p inputs), stable and co-inner
-    best_margin: float  # the largest `coprime_margin` that any controller reaches, `(1 + rho(X Z))^(-1/2)`
-
-
-def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
-    """Normalised coprime factors from two Riccati equations."""
-    equations = coprime_riccati(model)
-    m, rate, control, filtering = equations.model, equations.rate, equations.control, equations.filtering
-    p, q = m.D.shape
-    r, s = np.eye(q) + m.D.T @ m.D, np.eye(p) + m.D @ m.D.T
-    f, h = control.gain, filtering.gain.T
-    root_r, root_s = inverse_root(r), inverse_root(s)
-    right = StateSpaceModel(
-        m.A + m.B @ f, m.B @ root_r, np.vstack([m.C + m.D @ f, f]), np.vstack([m.D @ root_r, root_r])
-    )
-    left = StateSpaceModel(
-        m.A + h @ m.C, np.hstack([m.B + h @ m.D, h]), root_s @ m.C, np.hstack([root_s @ m.D, root_s])
-    )
-    _check_inner(m, right, left)
-    return CoprimeFactors(_unscaled(right, rate), _unscaled(left, rate), equations.best_margin)
+INNER = 1e-7  # how far the factors may be from inner, evaluated at frequencies around the model's poles
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,16 +38,15 @@ class CoprimeRiccati:
 
     @property
     def best_margin(self) -> float:
-        """``(1 + rho(X Z))^(-1/2)``."""
+        """The largest `coprime_margin` that any controller reaches: ``(1 + rho(X Z))^(-1/2)``."""
         with np.errstate(over="ignore", invalid="ignore"):
             product = self.control.X @ self.filtering.X
         refuse_overflow("coprime factors", product)
-        product = np.linalg.eigvals(product).real.max(initial=0.0)
-        return float(1 / np.sqrt(1 + max(product, 0.0)))
+        return float(1 / np.sqrt(1 + max(np.linalg.eigvals(product).real.max(initial=0.0), 0.0)))
 
 
 def coprime_riccati(model: StateSpaceModel) -> CoprimeRiccati:
-    """Both Riccati equations of a continuous model; equations and exceptions as for `coprime_factors`."""
+    """Both Riccati equations of a continuous model that is stabilisable and detectable, which is refused if not."""
     m, rate, states = _scaled(model)
     p, q = m.D.shape
     r, s = np.eye(q) + m.D.T @ m.D, np.eye(p) + m.D @ m.D.T
@@ -87,6 +58,33 @@ def coprime_riccati(model: StateSpaceModel) -> CoprimeRiccati:
         found = hidden[0].meaning if hidden else error.found
         raise NoTrustworthyNumber("coprime factors", found, "a stabilisable and detectable model") from None
     return CoprimeRiccati(m, rate, states, control, filtering)
+
+
+@dataclass(frozen=True, eq=False)
+class CoprimeFactors:
+    """Normalised coprime factors of a continuous model with p outputs and m inputs."""
+
+    right: StateSpaceModel  # `[N; M]` (p + m outputs, m inputs), stable and inner
+    left: StateSpaceModel  # `[N~, M~]` (p outputs, m + p inputs), stable and co-inner
+
+
+def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
+    """Normalised coprime factors of a continuous model, from two Riccati equations."""
+    found = coprime_riccati(model)
+    m = found.model
+    r, s = np.eye(m.n_inputs) + m.D.T @ m.D, np.eye(m.n_outputs) + m.D @ m.D.T
+    f, h = found.control.gain, found.filtering.gain.T
+    root_r, root_s = _inverse_root(r), _inverse_root(s)
+    right = StateSpaceModel(
+        m.A + m.B @ f, m.B @ root_r, np.vstack([m.C + m.D @ f, f]), np.vstack([m.D @ root_r, root_r])
+    )
+    left = StateSpaceModel(
+        m.A + h @ m.C, np.hstack([m.B + h @ m.D, h]), root_s @ m.C, np.hstack([root_s @ m.D, root_s])
+    )
+    _check_inner(m, right, left)
+    root = np.sqrt(found.rate)
+    made = [StateSpaceModel(x.A * found.rate, x.B * root, x.C * root, x.D) for x in (right, left)]
+    return CoprimeFactors(made[0], made[1])
 
 
 @dataclass(frozen=True)
@@ -264,12 +262,7 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate, scale * level / root
 
 
-def _unscaled(model: StateSpaceModel, rate: float) -> StateSpaceModel:
-    root = np.sqrt(rate)
-    return StateSpaceModel(model.A * rate, model.B * root, model.C * root, model.D)
-
-
-def inverse_root(matrix: Array) -> Array:
+def _inverse_root(matrix: Array) -> Array:
     """``matrix^(-1/2)`` of a symmetric positive definite matrix."""
     values, vectors = np.linalg.eigh(matrix)
     return vectors / np.sqrt(values) @ vectors.T

@@ -17,11 +17,8 @@ from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, series
 from robustlab.uncertainty.distances.coprime import CoprimeFactors, continuous_models, coprime_factors
 
-# A distance that cannot be told from zero, and one from 1.
-NOTHING = 1e-12
-AGREE = 1e-6
-# An eigenvalue whose real part is below this share of the largest has no sure side of the axis.
-SIDE = 1e-11
+NOTHING, AGREE = 1e-12, 1e-6  # a distance that cannot be told from zero, and one from 1
+SIDE = 1e-11  # an eigenvalue whose real part is below this share of the largest has no sure side of the axis
 
 
 @dataclass(frozen=True)

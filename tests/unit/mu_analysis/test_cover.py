@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.uncertainty import FORMS
-from robustlab.uncertainty.covering.unstructured_cover import _lifted
 
 
 def lag(gain, time, dt=0.0):
@@ -136,12 +135,6 @@ def test_a_discrete_cover_holds_its_models_up_to_the_nyquist_frequency():
     for model in models:
         error = rl.frequency_response(model, omega)[:, 0, 0] / centre - 1
         assert (np.abs(error) / weight).max() < 1 + 1e-4
-
-
-def test_a_weight_that_had_to_be_lifted_beyond_the_tolerance_says_so():
-    fit = rl.overbound([0.1, 1.0, 10.0], [1.0, 1.0, 1.0])
-    assert _lifted(fit, 1.05, 0.1).status is rl.Status.CONVERGED
-    assert _lifted(fit, 1.2, 0.1).status is rl.Status.INACCURATE
 
 
 def test_an_additive_cover_is_proved_with_deltas_as_systems():

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.uncertainty import FORMS
-from robustlab.uncertainty.covering.unstructured_cover import error_sizes
+from robustlab.uncertainty import FORMS, error_sizes
 
 OMEGA = np.geomspace(1e-3, 1e4, 20_001)
 

@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab import disk_margin
-from robustlab.mu_analysis.margins.disk_margin import gain_and_phase
+from robustlab.mu_analysis import gain_and_phase
 from robustlab.statespace import append, feedback, series
 
 EYE = rl.StateSpaceModel([], [], [], np.eye(2))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.matrix.certificate import level, proves
+from robustlab.mu_analysis import level, proves
 
 
 def random_complex(seed: int, *shape: int) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis.axis.critical_delta import replay
+from robustlab.mu_analysis import replay
 
 
 def oscillator(kind, dt: float = 0.0) -> rl.UncertainModel:

@@ -7,8 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab import small_gain, unstructured
-from robustlab.uncertainty import FORMS
-from robustlab.uncertainty.realised_delta import realise_delta
+from robustlab.uncertainty import FORMS, realise_delta
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.2]])
 

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.uncertainty import delta_values
-from robustlab.uncertainty.realised_delta import realise_delta
+from robustlab.uncertainty import delta_values, realise_delta
 
 SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (3, 3), (4, 2), (2, 5)]
 
