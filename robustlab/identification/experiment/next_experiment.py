@@ -19,8 +19,7 @@ from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, predicted, refit_distance
-from robustlab.identification.hypotheses.normal_equations import NoiseModel
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem, predicted, refit_distance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.response.response import slowest_time_constant
 from robustlab.record import Record

@@ -11,8 +11,6 @@ from robustlab.dynamics import (
     Descriptor,
     LinearPlant,
     Parameter,
-    Scales,
-    catalogue,
     overridden,
 )
 from robustlab.errors import InputError

@@ -11,7 +11,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, feedback, lower_lft, series
-from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.uncertainty import four_block
 
 # 200 / ((10 s + 1) (0.05 s + 1)^2) as a chain, and (s + 2) / s.
