@@ -383,9 +383,6 @@ class SteppedPlant(NonlinearPlant):
         """What that model does not have."""
 
 
-# --- rest as a function of the parameters ----------------------------------------------------------------------------
-
-
 def held_descriptor(
     plant: NonlinearPlant, x: Array, u: Array, hold: Sequence[str] | None, tried: Mapping[str, Values]
 ) -> TrimmedDescriptor:

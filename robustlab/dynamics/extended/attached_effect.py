@@ -247,8 +247,6 @@ class AttachedEffect:
     def laws(self) -> tuple[Law, ...]:
         return self.effect.laws(self.site, self.values)
 
-    # --- on a constant signal ----------------------------------------------------------------------------------------
-
     def mapped(self, level: float) -> float:
         """A constant input or output after the effect."""
         if self.site.kind == "input":
@@ -271,8 +269,6 @@ class AttachedEffect:
     def input_error(self, width: float = 0.0) -> float | None:
         """Bound of what it adds to any input, fitted values ``width`` standard deviations up; None: there is none."""
         return self.effect.input_error({n: v + width * self.std.get(n, 0.0) for n, v in self.values.items()})
-
-    # --- footprints --------------------------------------------------------------------------------------------------
 
     def footprint(self, amplitude: float = DEFAULT_AMPLITUDE) -> Footprint | None:
         """The effect's footprint at an amplitude of its signal."""

@@ -140,8 +140,6 @@ class ExtendedEquations(SteppedPlant):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.plant!r} with {listed(map(repr, self.effects), 3)})"
 
-    # --- rates and outputs -------------------------------------------------------------------------------------------
-
     def mapped_input(self, u: Array) -> Array:
         """What the plant sees of constant inputs u, (n_u,)."""
         return self._mapped("input", u)[0]
@@ -223,8 +221,6 @@ class ExtendedEquations(SteppedPlant):
                 "simulate: x0", f"{extra} start at {x0[own:].tolist()}", "zero: states of effects start so"
             )
         return self.motion(u, dt, float(t[0]), x0[:own], step)
-
-    # --- rest --------------------------------------------------------------------------------------------------------
 
     def equilibrium(self, **where: Any) -> HoldingTrim:
         """Rest with the named inputs, outputs or states at the given values; the others as small as they can be."""
@@ -314,8 +310,6 @@ class ExtendedEquations(SteppedPlant):
             terms = terms + np.abs(port.force * force)
         size = np.full(len(residual) - n, 1.0 + float(np.abs(s).max(initial=0.0)))
         return bool((np.abs(residual) <= STILL * np.concatenate([terms, size])).all())
-
-    # --- the linear model --------------------------------------------------------------------------------------------
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
         model = self.linear_model((x, u))

@@ -82,8 +82,6 @@ class PlantEquations:
         self._rates: dict[str, Any] = {}
         self._motion: tuple[Any, Any] | None = None
 
-    # --- what there is -----------------------------------------------------------------------------------------------
-
     def parameter(
         self,
         name: str,
@@ -180,8 +178,6 @@ class PlantEquations:
         """Symbol of the voltage that acts at a current, given by symbol or name: ``(u - R * i + p.voltage(i)) / L``."""
         return self._push(current, self._currents, "current")
 
-    # --- equations ---------------------------------------------------------------------------------------------------
-
     def motion(self, mass_matrix: Any, forces: Any) -> None:
         r"""Equations of motion :math:`M(q) \ddot q = f(q, \dot q, u, p)` of all joints.
 
@@ -250,8 +246,6 @@ class PlantEquations:
             tuple(self._states),
             self._equations(parameters),
         )
-
-    # --- building ----------------------------------------------------------------------------------------------------
 
     def _equations(self, parameters: dict[str, Parameter]) -> Equations:
         """Tapes of rates, outputs and local models, with the places where forces act."""
@@ -407,8 +401,6 @@ class PlantEquations:
         if smallest and max(smallest) <= 0:
             raise InputError(where, f"an eigenvalue of {max(smallest):.3g}", "a positive definite matrix")
 
-    # --- small things ------------------------------------------------------------------------------------------------
-
     def _new(self, name: str, kind: str) -> Any:
         _title(name, self._where, kind)
         if name in self._symbols:
@@ -455,9 +447,6 @@ class PlantEquations:
         return found
 
 
-# --- algebra ---------------------------------------------------------------------------------------------------------
-
-
 def _factorised(ca: Any, matrix: Any) -> tuple[list[list[Any]], list[Any]]:
     """Rows of L and the pivots D of M = L D L^T; entries that are zero in every state are left out."""
     n = matrix.shape[0]
@@ -486,9 +475,6 @@ def _solved(ca: Any, factor: tuple[list[list[Any]], list[Any]], right: Any) -> A
             b[i] = ca.sparsify(b[i] - sum((lower[k][i] * b[k] for k in range(i + 1, n)), ca.SX(1, 1)))
             solution[i, c] = b[i]
     return ca.sparsify(solution)
-
-
-# --- names -----------------------------------------------------------------------------------------------------------
 
 
 def _title(name: Any, where: str, kind: str) -> str:

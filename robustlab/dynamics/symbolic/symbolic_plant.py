@@ -62,8 +62,6 @@ class SymbolicPlant(PlantAlong):
         made.traced(self.provenance)
         return made
 
-    # --- the contract of a plant -------------------------------------------------------------------------------------
-
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
         return self._evaluated(self.equations.outputs, x, u, values, first=len(self.states))
 
@@ -97,8 +95,6 @@ class SymbolicPlant(PlantAlong):
             if culprit >= 0:
                 words = f"the rate of {self.states[culprit].name} has no finite value there"
         raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}", None, hint)
-
-    # --- evaluation --------------------------------------------------------------------------------------------------
 
     def _evaluated(
         self, tape: Tape, x: Array, u: Array, values: Mapping[str, Any] | None = None, first: int = 0

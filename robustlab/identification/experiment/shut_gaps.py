@@ -1,7 +1,7 @@
 """Joints at which a record could not show a backlash, since its load never leaves the drive; and a motion that would.
 
 A gap opens where the force that keeps the load at the drive changes its sign
-(`robustlab.dynamics.ports.carried_load.carried_force`), beyond an acceleration a* of the joint. The motion
+(`robustlab.dynamics.ports.split_joint.carried_force`), beyond an acceleration a* of the joint. The motion
 proposed: about the visited pose of smallest a* the joint alone swings with `TIMES` a*, at a share of the
 records' largest speed.
 """
@@ -17,9 +17,9 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.carried_load import Motion, carried_force, shares_behind
 from robustlab.dynamics.ports.motion_model import local_port_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
+from robustlab.dynamics.ports.split_joint import Motion, carried_force, shares_behind
 from robustlab.errors import RobustlabError
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.record_check.suitability import Finding
