@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_elimination import ROUNDING, Channels, closed_descriptor, solved
-from robustlab.dynamics.parameters import Parameter, overridden, parameter_ranges
+from robustlab.dynamics.parameters import Parameter, parameter_ranges
 from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
@@ -151,11 +151,6 @@ class LinearPlant(Plant):
         state, force = self.point(x, u)
         model = self.state_space()
         return model.C @ state + model.D @ force
-
-    def with_parameters(self, **given: Any) -> LinearPlant:
-        made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
-        made.traced(self.provenance)
-        return made
 
     def uncertain(
         self, outputs: Sequence[str] | None = None, ranges: Mapping[str, tuple[float, float]] | None = None

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import Any, Literal
 
 from robustlab.errors import InputError, unknown_name
@@ -95,6 +98,13 @@ class Parameter:
 
     def to_json(self) -> dict[str, object]:
         return {key: getattr(self, key) for key in ("name", "value", "unit", "tolerance", "source", "meaning")}
+
+
+@cache
+def published(file: Path) -> dict[str, tuple[Parameter, ...]]:
+    """Parameters from a table in TOML: part -> its parameters."""
+    table = tomllib.loads(file.read_text(encoding="utf-8"))
+    return {part: tuple(Parameter(name, **given) for name, given in rows.items()) for part, rows in table.items()}
 
 
 def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: str) -> dict[str, Parameter]:

@@ -326,22 +326,19 @@ class AttachedEffect:
 
     def to_json(self) -> dict[str, Any]:
         """Id, title, equation, site, source, and the parameters with value, standard deviation and unit."""
+        e, own = self.effect, {p.name: p for p in self.parameters}
+        parameters = {
+            name: {"value": self.values[name], "std": self.std.get(name), "unit": p.unit, "meaning": p.meaning}
+            for name, p in own.items()
+        }
         return {
-            "id": self.effect.id,
-            "title": self.effect.title,
-            "equation": self.effect.equation,
+            "id": e.id,
+            "title": e.title,
+            "equation": e.equation,
             "site": self.site.name,
             "site_kind": self.site.kind,
             "source": self.source,
-            "parameters": {
-                p.name: {
-                    "value": self.values[p.name],
-                    "std": self.std.get(p.name),
-                    "unit": p.unit,
-                    "meaning": p.meaning,
-                }
-                for p in self.parameters
-            },
+            "parameters": parameters,
         }
 
     def __repr__(self) -> str:
