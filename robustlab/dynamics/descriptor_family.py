@@ -140,7 +140,6 @@ class _Family:
         return np.array([self.at(self.point(row)) for row in s])
 
     def point(self, s: Array) -> dict[str, float]:
-        """Values that belong to normalised ones (number of names,)."""
         return {n: r.value(float(v)) for n, r, v in zip(self.names, self.ranges, s, strict=True)}
 
     def entries(self, s: Array) -> Array:

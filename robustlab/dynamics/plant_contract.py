@@ -52,7 +52,6 @@ class InputSignal:
 
     @property
     def samples(self) -> Array:
-        """Inputs (n, n_u) at the times."""
         return np.vstack([self.coefficients[:, 0], self.at(self.t[-1], len(self.t) - 2)[None]])
 
     def at(self, time: float, interval: int) -> Array:
@@ -130,7 +129,6 @@ class Plant(Shown, Traced, ABC):
 
     @property
     def values(self) -> dict[str, float]:
-        """Nominal value of each parameter."""
         return {name: p.value for name, p in self.parameters.items()}
 
     def point(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:

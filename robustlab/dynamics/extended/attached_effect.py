@@ -231,7 +231,6 @@ class AttachedEffect:
 
     @property
     def on_signal(self) -> bool:
-        """True for effects on an input or output."""
         return self.site.kind in ("input", "output")
 
     @property
@@ -271,7 +270,6 @@ class AttachedEffect:
         return self.effect.input_error({n: v + width * self.std.get(n, 0.0) for n, v in self.values.items()})
 
     def footprint(self, amplitude: float = DEFAULT_AMPLITUDE) -> Footprint | None:
-        """The effect's footprint at an amplitude of its signal."""
         return self.effect.footprint(self.site, self.values, amplitude)
 
     def sector(self, amplitude: Mapping[str, float], signals: tuple[str, ...]) -> Footprint | None:

@@ -15,9 +15,10 @@ import numpy as np
 
 from robustlab import checks
 from robustlab.arrays import Array
+from robustlab.delays.channels import covering
+from robustlab.delays.pade import checked_order
 from robustlab.dynamics.effects.contract import Footprint
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.delays import delay_block, lag_block
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant, without_signals
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant
 from robustlab.dynamics.ports.port_model import Port, port_model
@@ -27,7 +28,7 @@ from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.result import Status
 from robustlab.shown import AllFields, Facts, Part, Shown, listed, number
 from robustlab.statespace import Signal, StateSpaceModel, real_array
-from robustlab.uncertainty.blocks import ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, product
 
 # The nominal member of a set must be the plant's own linear model to this share of its largest response.
@@ -54,12 +55,10 @@ class ForceSector:
 
     @property
     def middle(self) -> float:
-        """What the nominal member has."""
         return 0.5 * (self.low + self.high)
 
     @property
     def radius(self) -> float:
-        """Half width of the range."""
         return 0.5 * (self.high - self.low)
 
     @property
@@ -286,7 +285,6 @@ class EffectBlocks(Shown):
 
     @property
     def origins(self) -> dict[str, str]:
-        """Block name -> where it comes from."""
         return {b.name: b.origin for b in self.model.blocks}
 
     @property
@@ -526,6 +524,27 @@ def _sector_words(s: ForceSector) -> str:
     e = s.effect
     seen = "of the force there" if s.signal == "force" else f"of its {s.signal}"
     return f"{e.in_words} as a sector {seen}; {s.valid}; {e.values_in_words}"
+
+
+def lag_block(time: float, spread: float, name: str) -> UncertainModel:
+    """All lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s, exactly."""
+    if not 0.0 <= spread < time:
+        raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")
+    a = -1.0 / time
+    if not spread:
+        return UncertainModel(StateSpaceModel([[a]], [[-a]], [[1.0]], [[0.0]]), [])
+    model = StateSpaceModel([[a]], [[a * spread, -a]], [[a], [1.0]], [[a * spread, -a], [0.0, 0.0]])
+    return UncertainModel(model, [RealScalar(name, 1, ParameterRange(time, spread, "s"))])
+
+
+def delay_block(delay: float, spread: float, pade: int, name: str, origin: str = "") -> UncertainModel:
+    r"""All delays from ``delay - spread`` (at least 0) to ``delay + spread`` as :math:`P + w \Delta`."""
+    if not 0 < delay < np.inf or not 0 <= spread < np.inf:
+        raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
+    n = checked_order(pade, "delay_block", 1)
+    # The slope of what is missed changes from 1 to 2 n + 1 where there is a spread: a lower order follows that better.
+    made = covering(delay, spread, n, n + 1 if spread else min(n + 2, 2 * n + 1))
+    return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin, covers=made.blocks[0].covers)])
 
 
 def _gadgets(
