@@ -181,9 +181,9 @@ def eliminated(given: StateSpaceModel, E: ArrayLike, where: str = "descriptor") 
     if e.shape != (n, n):
         raise InputError(where, f"E is {e.shape}", f"{(n, n)} as A")
     form = _Form(e, given.A, given.B, given.C, given.D)
-    *matrices, index, kept = _semi_explicit(form) or _turned(form, where)
-    states = signals(None if kept is None else [given.states[k] for k in kept], len(matrices[0]), "x", where)
-    model = StateSpaceModel(*matrices, given.dt, given.inputs, given.outputs, states, where=where)
+    a, b, c, d, index, kept = _semi_explicit(form) or _turned(form, where)
+    states = signals(None if kept is None else [given.states[k] for k in kept], len(a), "x", where)
+    model = StateSpaceModel(a, b, c, d, given.dt, given.inputs, given.outputs, states, where=where)
     residual = _residual(form, model)
     if not residual <= SAME:
         text = f"the model without algebraic equations differs from the descriptor form by {residual:.1e}"

@@ -16,7 +16,7 @@ from numba.extending import overload
 
 from robustlab.errors import EnvironmentFault
 
-_options: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+_options: Any = {"error_model": "numpy", "nogil": True}
 leaf = njit(**_options)
 
 
