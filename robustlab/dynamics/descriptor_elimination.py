@@ -7,7 +7,7 @@ r"""Linear models in descriptor form as state-space models: what E says of no ra
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -117,16 +117,8 @@ class _Form(NamedTuple):
     D: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _Reduced:
-    """A, B, C, D of a state-space model, the index, and which states it kept."""
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    index: int
-    kept: tuple[int, ...] | None
+# A, B, C, D of a state-space model, the index, and which states it kept.
+_Reduced = tuple[Array, Array, Array, Array, int, tuple[int, ...] | None]
 
 
 @told_as("descriptor")
@@ -180,44 +172,24 @@ def descriptor(
     >>> circuit.A, circuit.C, circuit.D, circuit.state_names
     (array([[-1.]]), array([[-0.5]]), array([[0.5]]), ('v',))
     """
-    return eliminated(A, B, C, D, E, dt, inputs, outputs, states, where).model
+    return eliminated(StateSpaceModel(A, B, C, D, dt, inputs, outputs, states, where=where), E, where).model
 
 
-def eliminated(
-    A: ArrayLike,
-    B: ArrayLike,
-    C: ArrayLike,
-    D: ArrayLike,
-    E: ArrayLike,
-    dt: float = 0.0,
-    inputs: Iterable[SignalLike] | None = None,
-    outputs: Iterable[SignalLike] | None = None,
-    states: Iterable[SignalLike] | None = None,
-    where: str = "descriptor",
-) -> Eliminated:
-    """`descriptor` with its evidence."""
-    given = StateSpaceModel(A, B, C, D, dt, inputs, outputs, states, where=where)
+def eliminated(given: StateSpaceModel, E: ArrayLike, where: str = "descriptor") -> Eliminated:
+    """`descriptor` of a model and its E, with the evidence."""
     e, n = real_array("E", E, 2, where), given.n_states
     if e.shape != (n, n):
         raise InputError(where, f"E is {e.shape}", f"{(n, n)} as A")
     form = _Form(e, given.A, given.B, given.C, given.D)
-    found = _explicit(form) or _semi_explicit(form) or _turned(form, where)
-    names: list[Signal] | tuple[Signal, ...] | None = None
-    if found.kept is not None:
-        names = [given.states[k] for k in found.kept]
-    model = StateSpaceModel(
-        found.A, found.B, found.C, found.D, dt, given.inputs, given.outputs,
-        signals(names, len(found.A), "x", where), where=where,
-    )  # fmt: skip
+    a, b, c, d, index, kept = _semi_explicit(form) or _turned(form, where)
+    states = signals(None if kept is None else [given.states[k] for k in kept], len(a), "x", where)
+    model = StateSpaceModel(a, b, c, d, given.dt, given.inputs, given.outputs, states, where=where)
     residual = _residual(form, model)
     if not residual <= SAME:
         text = f"the model without algebraic equations differs from the descriptor form by {residual:.1e}"
         hint = "is a singular value of E neither zero nor clearly not?"
         raise NoTrustworthyNumber(where, text, f"at most {SAME:.0e} of the transfer matrix", hint)
-    return Eliminated(model, found.index, found.kept, n, residual)
-
-
-# --- index 0 and 1: the given states stay -----------------------------------------------------------------------------
+    return Eliminated(model, index, kept, n, residual)
 
 
 def _has_inverse(matrix: Array) -> bool:
@@ -230,17 +202,8 @@ def _solved(e: AnyArray, right: Array) -> AnyArray:
     return np.linalg.solve(e / size, right / size)
 
 
-def _explicit(form: _Form) -> _Reduced | None:
-    """Where E has an inverse."""
-    if not _has_inverse(form.E):
-        return None
-    rates = _solved(form.E, np.hstack([form.A, form.B]))
-    n = len(form.E)
-    return _Reduced(rates[:, :n], rates[:, n:], form.C, form.D, 0, tuple(range(n)))
-
-
 def _semi_explicit(form: _Form) -> _Reduced | None:
-    """Where the zero rows of E can be solved for the states of its zero columns."""
+    """Where the zero rows of E, if any, can be solved for the states of its zero columns."""
     rated, moving = form.E.any(axis=1), form.E.any(axis=0)
     if rated.sum() != moving.sum():
         return None
@@ -253,7 +216,8 @@ def _semi_explicit(form: _Form) -> _Reduced | None:
     into, shown = form.A[np.ix_(rated, ~moving)] @ fixed, form.C[:, ~moving] @ fixed
     rates = _solved(inner, np.hstack([form.A[np.ix_(rated, moving)], form.B[rated]]) + into)
     kept = tuple(np.flatnonzero(moving).tolist())
-    return _Reduced(rates[:, :n], rates[:, n:], form.C[:, moving] + shown[:, :n], form.D + shown[:, n:], 1, kept)
+    c, d = form.C[:, moving] + shown[:, :n], form.D + shown[:, n:]
+    return rates[:, :n], rates[:, n:], c, d, int(n < len(form.E)), kept
 
 
 def _turned(form: _Form, where: str) -> _Reduced:
@@ -273,7 +237,7 @@ def _turned(form: _Form, where: str) -> _Reduced:
         raise InputError(where, "an index above 1: derivatives determine states", "index 0 or 1", hint)
     found = _semi_explicit(_Form(np.diag(rates), turned, b, c, form.D))
     assert found is not None
-    return replace(found, kept=None)
+    return *found[:5], None
 
 
 def _regular(e: Array, a: Array) -> bool:
@@ -290,9 +254,6 @@ def _scales(form: _Form) -> tuple[Array, Array]:
             largest = (size * rows[:, None] * columns).max(axis=axis)
             scale *= np.exp2(-np.rint(np.log2(np.where(largest > 0, largest, 1.0))))
     return rows, columns
-
-
-# --- evidence ---------------------------------------------------------------------------------------------------------
 
 
 def _residual(form: _Form, model: StateSpaceModel) -> float:

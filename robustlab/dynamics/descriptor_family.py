@@ -105,9 +105,6 @@ def _scale(centre: Array, scans: Sequence[Array]) -> Array:
     return rows[:, None] * columns
 
 
-# --- the plant's N at many values ------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class _Family:
     """N(p) over the ranges of the named parameters."""
@@ -143,7 +140,6 @@ class _Family:
         return np.array([self.at(self.point(row)) for row in s])
 
     def point(self, s: Array) -> dict[str, float]:
-        """Values that belong to normalised ones (number of names,)."""
         return {n: r.value(float(v)) for n, r, v in zip(self.names, self.ranges, s, strict=True)}
 
     def entries(self, s: Array) -> Array:
@@ -239,9 +235,6 @@ def _degree(scan: Array) -> int | None:
     return degree if degree <= FAMILY_DEGREE and rounding.max() <= SAME else None
 
 
-# --- the exact part --------------------------------------------------------------------------------------------------
-
-
 def _exact_part(family: _Family, degrees: Mapping[str, int | None], scale: Array) -> MatrixPolynomial:
     """N as a polynomial of what stands in Delta, without the sampled parameters; checked at points of its own."""
     names = family.names
@@ -318,9 +311,6 @@ def _monomials(degrees: Sequence[int], meetings: set[tuple[int, int]]) -> list[E
             if len(found) > FAMILY_MONOMIALS:
                 return found
     return found
-
-
-# --- the sampled part ------------------------------------------------------------------------------------------------
 
 
 class _Remainder(NamedTuple):
@@ -439,9 +429,6 @@ def _bounded(
         largest, count = size_there, count + len(s)
     found = f"fresh samples still left the cover of {count} after {FAMILY_ROUNDS} rounds"
     raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
-
-
-# --- the model -------------------------------------------------------------------------------------------------------
 
 
 class _Origins(NamedTuple):

@@ -16,20 +16,19 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.budget import NOT_REPEATABLE, child_environment
 from robustlab.checks import number
 from robustlab.dynamics.parameters import Parameter, overridden
-from robustlab.dynamics.plant_contract import SteppedPlant, Trim
+from robustlab.dynamics.plant_contract import SteppedPlant
 from robustlab.dynamics.simulation import simulate
 from robustlab.errors import DependencyMissing, InputError, NativeTimeout, NoTrustworthyNumber, UnitMismatch
 from robustlab.provenance import BY_UNIT, Provenance, file_sha256
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown
-from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.statespace import Signal
 from robustlab.units import same_unit
 
 MOST_BYTES = 1 << 31  # of the unpacked archive
@@ -148,25 +147,10 @@ class FmuPlant(SteppedPlant):
     def _refused(self, *_: Any, **__: Any) -> NoReturn:
         raise InputError(self.name, SHOWS_NONE, "a plant with equations", "identify a model from rl.simulate")
 
-    def linear_model(
-        self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
-    ) -> StateSpaceModel:
-        self._refused()
+    linear_model = derivative = output = jacobians = equilibrium = _refused
 
     def left_out(self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0) -> tuple[Any, ...]:
         return ()
-
-    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        self._refused()
-
-    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        self._refused()
-
-    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        self._refused()
-
-    def equilibrium(self, **where: Any) -> Trim:
-        self._refused()
 
 
 def _asked(
@@ -199,9 +183,6 @@ def _asked(
         if "error" in answer:
             raise fault(shown, answer["error"], "a functional mock-up unit (FMI 2.0 or 3.0) for co-simulation")
         return answer, np.load(folder / "found.npy", allow_pickle=False) if running else None
-
-
-# --- in the child -----------------------------------------------------------------------------------------------------
 
 
 def _answer(folder: Path) -> None:

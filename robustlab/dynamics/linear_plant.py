@@ -5,7 +5,7 @@ r"""Linear plants in descriptor form, and their exact parametric uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_elimination import ROUNDING, Channels, closed_descriptor, solved
-from robustlab.dynamics.parameters import Parameter, overridden, parameter_ranges
+from robustlab.dynamics.parameters import Parameter, parameter_ranges
 from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
@@ -60,22 +60,6 @@ class AffineEquations:
 class LinearPlant(Plant):
     """A linear plant, given by one function from its parameters to a `Descriptor`.
 
-    Attributes
-    ----------
-    equations
-        Function of a dict ``{parameter name: value}`` that returns the `Descriptor`. Every entry must be affine in
-        the parameters (sums of constant multiples, no products or quotients): a quotient belongs on the left-hand
-        side, in E.
-    exact
-        Names of parameters that may stand anywhere, since they never carry a tolerance: tooth counts, a screw's lead.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit the signals, equations that are not affine in the parameters, a singular E.
-
-    Examples
-    --------
     >>> from robustlab.dynamics.parameters import Parameter
     >>> from robustlab.statespace import Signal
     >>> tank = LinearPlant(
@@ -90,7 +74,10 @@ class LinearPlant(Plant):
     array([[0.5]])
     """
 
+    # From a dict {parameter name: value}. Every entry must be affine in the parameters (sums of constant multiples, no
+    # products or quotients): a quotient belongs on the left-hand side, in E.
     equations: Callable[[Mapping[str, float]], Descriptor]
+    # Parameters that may stand anywhere, since they never carry a tolerance: tooth counts, a screw's lead.
     exact: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -105,8 +92,6 @@ class LinearPlant(Plant):
                 )
         self._check_affine()
         self.state_space()
-
-    # --- the linear model --------------------------------------------------------------------------------------------
 
     def state_space(self) -> StateSpaceModel:
         """``A = E^-1 F, B = E^-1 G, C, D`` at the nominal parameters, with the plant's signals."""
@@ -167,13 +152,6 @@ class LinearPlant(Plant):
         model = self.state_space()
         return model.C @ state + model.D @ force
 
-    def with_parameters(self, **given: Any) -> LinearPlant:
-        made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
-        made.traced(self.provenance)
-        return made
-
-    # --- uncertainty -------------------------------------------------------------------------------------------------
-
     def uncertain(
         self, outputs: Sequence[str] | None = None, ranges: Mapping[str, tuple[float, float]] | None = None
     ) -> UncertainModel:
@@ -200,8 +178,6 @@ class LinearPlant(Plant):
                 blocks.append(RealScalar(name, columns.shape[1], span))
         count = sum(b.rows for b in blocks)
         return Channels(np.hstack(left), np.vstack(right), np.zeros((count, count)), tuple(blocks))
-
-    # --- matrices ----------------------------------------------------------------------------------------------------
 
     @property
     def _cleared(self) -> dict[str, float]:
@@ -275,13 +251,21 @@ def tied_plant(plant: LinearPlant, groups: Iterable[tuple[str, tuple[str, ...]]]
         tied[label] = names
     if not tied:
         return plant
-    original = plant.equations
+    factored = with_factors(plant.equations, plant.parameters, scaled, tied)
+    return replace(plant, parameters=parameters, equations=factored)
 
-    def equations(p: Mapping[str, float]) -> Descriptor:
-        values = {name: p[name] for name in plant.parameters}
-        for label, names in tied.items():
-            for name in names:
+
+def with_factors(
+    equations: Callable[[Mapping[str, float]], Any], names: Collection[str], scaled: Mapping[str, float],
+    tied: Mapping[str, Sequence[str]],
+) -> Callable[[Mapping[str, float]], Any]:  # fmt: skip
+    """The equations with further parameters, each a common factor of the parameters that are tied to its label."""
+
+    def changed(p: Mapping[str, float]) -> Any:
+        values = {name: p[name] for name in names}
+        for label, members in tied.items():
+            for name in members:
                 values[name] += scaled[name] * (p[label] - 1.0)
-        return original(values)
+        return equations(values)
 
-    return replace(plant, parameters=parameters, equations=equations)
+    return changed

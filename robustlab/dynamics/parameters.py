@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import Any, Literal
 
 from robustlab.errors import InputError, unknown_name
@@ -22,70 +25,45 @@ GIVEN = "given by the user"
 class Parameter:
     """One physical parameter; immutable.
 
-    Attributes
-    ----------
-    name
-        Symbol, for example ``"Kf"``.
-    value
-        Nominal value in ``unit`` (SI).
-    unit
-        Physical unit.
-    tolerance
-        Relative: the true value lies within ``value (1 - tolerance) .. value (1 + tolerance)``; 0 means taken as exact.
-        Of a value of 0 it is absolute, in ``unit``.
-    source
-        Where the value was published.
-    meaning
-        What it is, in words.
-    sign
-        What physics allows: a mass is ``"positive"``, a friction coefficient ``"nonnegative"``, a coordinate ``"any"``.
-        ``"either"``: a torque constant is positive or negative as the machine is wired, and its range holds no zero.
-    role
-        What it is to the equations of motion, where an effect may act on it: all parameters with the role ``"inertia"``
-        are what an "inertia wrong" scales. Empty: no effect acts on it.
-
-    Examples
-    --------
     >>> Parameter("Kf", 4.8e-5, "N m s", tolerance=0.35).range
     ParameterRange(nominal=4.8e-05, radius=1.68e-05, unit='N m s', below=None)
     """
 
-    name: str
-    value: float
+    name: str  # symbol, for example "Kf"
+    value: float  # nominal, in ``unit`` (SI)
     unit: str = ""
+    # Relative: the true value lies within ``value (1 - tolerance) .. value (1 + tolerance)``; 0 means taken as exact.
+    # Of a value of 0 it is absolute, in ``unit``.
     tolerance: float = 0.0
-    source: str = ""
-    meaning: str = ""
+    source: str = ""  # where the value was published
+    meaning: str = ""  # what it is, in words
+    # What physics allows: a mass is "positive", a friction coefficient "nonnegative", a coordinate "any". "either": a
+    # torque constant is positive or negative as the machine is wired, and its range holds no zero.
     sign: Sign = "any"
+    # What it is to the equations of motion, where an effect may act on it: all parameters with the role "inertia" are
+    # what an "inertia wrong" scales. Empty: no effect acts on it.
     role: Role = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "value", _number(self.name, self.value))
         object.__setattr__(self, "tolerance", _number(f"{self.name}: tolerance", self.tolerance))
-        where = f"parameter {self.name!r}"
+        where, found = f"parameter {self.name!r}", f"{self.value:g} {self.unit}".rstrip()
+        why = self.meaning or "by physics"
         if self.sign == "positive" and self.value <= 0:
-            raise InputError(
-                where, f"{self.value:g} {self.unit}".rstrip(), f"a positive value ({self.meaning or 'by physics'})"
-            )
+            raise InputError(where, found, f"a positive value ({why})")
         if self.sign == "nonnegative" and self.value < 0:
-            raise InputError(
-                where, f"{self.value:g} {self.unit}".rstrip(), f"no negative value ({self.meaning or 'by physics'})"
-            )
+            raise InputError(where, found, f"no negative value ({why})")
         if self.tolerance < 0:
-            raise InputError(
-                where, f"relative tolerance {self.tolerance:g}", "0 (exact) or a positive share, 0.1 for 10 %"
-            )
+            expected = "0 (exact) or a positive share, 0.1 for 10 %"
+            raise InputError(where, f"relative tolerance {self.tolerance:g}", expected)
         limited = self.sign in ("positive", "either")
         if limited and self.tolerance and not self.value:
             raise InputError(where, "a tolerance of the value 0", "a value other than 0: its range must hold no zero")
         if self.value and ((limited and self.tolerance >= 1) or (self.sign == "nonnegative" and self.tolerance > 1)):
-            raise InputError(
-                where,
-                f"relative tolerance {self.tolerance:g}, a range from {self.value - self.radius:g} to"
-                f" {self.value + self.radius:g} {self.unit}".rstrip(),
-                "less than 1: the range must keep the sign that physics asks for",
-                f"did you mean {self.tolerance:g}% = {self.tolerance / 100:g}?",
-            )
+            ends = f"a range from {self.value - self.radius:g} to {self.value + self.radius:g} {self.unit}".rstrip()
+            hint = f"did you mean {self.tolerance:g}% = {self.tolerance / 100:g}?"
+            expected = "less than 1: the range must keep the sign that physics asks for"
+            raise InputError(where, f"relative tolerance {self.tolerance:g}, {ends}", expected, hint)
 
     @property
     def reference(self) -> float:
@@ -119,14 +97,14 @@ class Parameter:
             )
 
     def to_json(self) -> dict[str, object]:
-        return {
-            "name": self.name,
-            "value": self.value,
-            "unit": self.unit,
-            "tolerance": self.tolerance,
-            "source": self.source,
-            "meaning": self.meaning,
-        }
+        return {key: getattr(self, key) for key in ("name", "value", "unit", "tolerance", "source", "meaning")}
+
+
+@cache
+def published(file: Path) -> dict[str, tuple[Parameter, ...]]:
+    """Parameters from a table in TOML: part -> its parameters."""
+    table = tomllib.loads(file.read_text(encoding="utf-8"))
+    return {part: tuple(Parameter(name, **given) for name, given in rows.items()) for part, rows in table.items()}
 
 
 def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: str) -> dict[str, Parameter]:

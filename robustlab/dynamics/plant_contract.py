@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor, Values, uncertain_family
-from robustlab.dynamics.parameters import Parameter, parameter_ranges
+from robustlab.dynamics.parameters import Parameter, overridden, parameter_ranges
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.provenance import Traced
 from robustlab.result import Status
@@ -52,7 +52,6 @@ class InputSignal:
 
     @property
     def samples(self) -> Array:
-        """Inputs (n, n_u) at the times."""
         return np.vstack([self.coefficients[:, 0], self.at(self.t[-1], len(self.t) - 2)[None]])
 
     def at(self, time: float, interval: int) -> Array:
@@ -122,23 +121,18 @@ class Plant(Shown, Traced, ABC):
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
         """``h(x, u)``: outputs, shape (n_y,)."""
 
-    @abstractmethod
     def with_parameters(self, **given: Any) -> Any:
         """The same plant with other values, or (value, relative tolerance), for the named parameters."""
+        made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
+        made.traced(self.provenance)
+        return made
 
     @property
     def values(self) -> dict[str, float]:
-        """Nominal value of each parameter."""
         return {name: p.value for name, p in self.parameters.items()}
 
     def point(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
-        """The vectors x and u as finite vectors of this plant's sizes.
-
-        Raises
-        ------
-        InputError
-            Wrong lengths, NaN or Inf.
-        """
+        """The vectors x and u as finite vectors of this plant's sizes."""
         vectors = real_array("x", x, 1, self.name), real_array("u", u, 1, self.name)
         for vector, kind in zip(vectors, (self.states, self.inputs), strict=True):
             if len(vector) != len(kind):
@@ -381,9 +375,6 @@ class SteppedPlant(NonlinearPlant):
     @abstractmethod
     def left_out(self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0) -> tuple[Any, ...]:
         """What that model does not have."""
-
-
-# --- rest as a function of the parameters ----------------------------------------------------------------------------
 
 
 def held_descriptor(

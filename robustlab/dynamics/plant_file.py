@@ -96,9 +96,6 @@ def _place(error: BaseException) -> str | None:
     return place
 
 
-# --- running a file --------------------------------------------------------------------------------------------------
-
-
 def _shown(file: str, path: Path | None) -> str:
     """What messages and provenances call the file: without folders of this machine, unless it lies elsewhere."""
     given = Path(file)
@@ -187,9 +184,6 @@ def _told(error: Exception, place: str) -> RobustlabError:
         return DependencyMissing(place, f"needs {package}", None, f"pip install 'robustlab[{EXTRAS[package]}]'")
     hint = f"install it, or put {package}.py beside the file" if package else None
     return InputError(place, f"{type(error).__name__}: {text}".removesuffix(": "), None, hint)
-
-
-# --- plants in a module ----------------------------------------------------------------------------------------------
 
 
 def _made(target: Any, given: dict[str, Any], shown: str) -> Plant:

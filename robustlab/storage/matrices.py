@@ -113,7 +113,7 @@ def decode_model(
             return StateSpaceModel(a, b, c, d, step, inputs, outputs, states, point, where=where)
         from robustlab.dynamics.descriptor_elimination import eliminated
 
-        found = eliminated(a, b, c, d, e, step, inputs, outputs, states, where)
+        found = eliminated(StateSpaceModel(a, b, c, d, step, inputs, outputs, states, where=where), e, where)
         problems.notes.append(str(found))
         return _at_point(found, point)
     except InputError as error:

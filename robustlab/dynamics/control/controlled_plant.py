@@ -169,8 +169,6 @@ class ControlledNonlinearPlant(PlantAlong):
     def check_reach(self, t: Array, x: Array) -> None:
         self.plant.check_reach(t, x[:, : len(self.plant.states)])
 
-    # --- rates and outputs -------------------------------------------------------------------------------------------
-
     def _parts(self, x: Array, r: Array, values: Mapping[str, float] | None) -> tuple[Array, Array, Array, Array]:
         """The plant's states, its outputs, v and its inputs at points x (n, n_x), r (n, n_r)."""
         own, inner = np.split(x, [len(self.plant.states)], axis=1)

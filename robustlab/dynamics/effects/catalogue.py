@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from robustlab.dynamics.effects import (
-    circuit_effects,
     friction_effects,
     load_effects,
     parameter_effects,
@@ -13,7 +12,7 @@ from robustlab.dynamics.effects import (
 from robustlab.dynamics.effects.contract import Effect
 from robustlab.errors import InputError, unknown_name
 
-_MODULES = (circuit_effects, friction_effects, load_effects, parameter_effects, signal_effects, spring_effects)
+_MODULES = (friction_effects, load_effects, parameter_effects, signal_effects, spring_effects)
 _OWN = {e.id: e for module in _MODULES for e in module.EFFECTS}
 _ADDED: dict[str, Effect] = {}
 

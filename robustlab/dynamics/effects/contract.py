@@ -93,7 +93,7 @@ class Scales:
     highest: float | None = None
     inertia: float = 1.0  # force per acceleration at the port
     # Of a joint of a nonlinear plant: shares of that inertia that may hang behind its drive, as parameters tell them
-    # (`robustlab.dynamics.ports.carried_load.shares_behind`)
+    # (`robustlab.dynamics.ports.split_joint.shares_behind`)
     shares: tuple[float, ...] = ()
     input: float = 1.0  # largest absolute value of the site's input
     output: float = 1.0  # half the range of the site's output
@@ -126,31 +126,16 @@ class Law:
 
 @dataclass(frozen=True)
 class Footprint:
-    """What robust design must know of an effect.
+    """What robust design must know of an effect."""
 
-    Attributes
-    ----------
-    port
-        Name of the port or signal at which it acts.
-    signal
-        What it acts on there: ``"speed"``, ``"position"``, ``"input"``, ``"output"``, ``"current"``, ``"time"``.
-    gain_lower, gain_upper
-        Sector: the effect lies between these two gains (force per speed, and so on) at the amplitude asked for.
-    delay
-        Pure delay in s that it stands for (0: none).
-    offset
-        Bound of the part that is no gain of the signal at all (a constant load), in units of the effect.
-    describing
-        Gain of the describing function at just this amplitude, of a law whose gain only falls with it; NaN where it is
-        not known, or no number.
-    """
-
-    port: str
-    signal: str
+    port: str  # name of the port or signal at which it acts
+    signal: str  # what it acts on there: "speed", "position", "input", "output", "current", "force", "time"
+    # Sector: the effect lies between these two gains (force per speed, and so on) at the amplitude asked for.
     gain_lower: float
     gain_upper: float
-    delay: float = 0.0
-    offset: float = 0.0
+    delay: float = 0.0  # pure delay in s that it stands for
+    offset: float = 0.0  # bound of the part that is no gain of the signal at all (a constant load)
+    # Gain of the describing function at just this amplitude, of a law whose gain only falls with it; NaN: not known.
     describing: float = math.nan
 
 

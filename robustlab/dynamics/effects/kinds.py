@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 Where = Literal["joint", "path", "sensor"]
@@ -27,88 +29,18 @@ class Kind:
 
     id: str
     title: str
-    wider: str | None
     where: Where
+    wider: str | None = None
     quantities: tuple[Quantity, ...] = ()
     form: str = ""
 
 
-KINDS: Mapping[str, Kind] = {
-    kind.id: kind
-    for kind in (
-        Kind("force", "a force at the joint", None, "joint"),
-        Kind(
-            "resisting-force", "a force against the motion", "force", "joint", ("viscous",),
-            "constant speeds, slow and fast, in both directions",
-        ),
-        Kind(
-            "dry-friction", "dry friction", "resisting-force", "joint", ("level",),
-            "slow reversals, some of them shorter than what the contact gives way by",
-        ),
-        Kind(
-            "speed-friction", "friction that grows with the speed", "resisting-force", "joint", ("viscous",),
-            "constant speeds up to the largest, in both directions",
-        ),
-        Kind(
-            "force-of-position", "a force of the position", "force", "joint", (),
-            "slow motion over the whole stroke and beyond",
-        ),
-        Kind(
-            "spring", "a spring", "force-of-position", "joint", ("stiffness",),
-            "slow motion over the whole stroke, in both directions",
-        ),
-        Kind(
-            "load", "a constant load", "force-of-position", "joint", ("force",),
-            "another attitude of the machine: gravity turns with it",
-        ),
-        Kind(
-            "periodic-force", "a force periodic in the position", "force-of-position", "joint",
-            ("amplitude", "period"), "slow motion over many periods",
-        ),
-        Kind(
-            "force-of-time", "a force over time", "force", "joint", ("amplitude", "period"),
-            "a record at another speed: what comes with time keeps its period",
-        ),
-        Kind(
-            "lateness", "a lateness", None, "path", ("delay",),
-            "command and sensor on an oscilloscope with one trigger, or a second sensor",
-        ),
-        Kind(
-            "factor", "a factor between input and sensor", None, "path", ("factor",),
-            "a second sensor on the way, or one of the factors measured by itself",
-        ),
-        Kind(
-            "gap-or-limit", "a limit or gap in the path", None, "path", (),
-            "small and large amplitudes, slow and fast",
-        ),
-        Kind("sensor-error", "an error of the sensor", None, "sensor", (), "the sensor against another one"),
-    )
-}  # fmt: skip
-
+_TABLE = tomllib.loads(Path(__file__).with_name("kinds.toml").read_text(encoding="utf-8"))
 # Effect -> its kind.
-KIND_OF: Mapping[str, str] = {
-    effect: kind
-    for kind, effects in {
-        "dry-friction": (
-            "coulomb-friction", "asymmetric-coulomb-friction", "stribeck-friction", "presliding", "bouc-wen",
-            "position-dependent-friction", "load-dependent-friction", "gear-efficiency",
-        ),
-        "speed-friction": ("viscous-friction", "asymmetric-viscous-friction", "quadratic-drag"),
-        "spring": ("stiffness", "cubic-stiffness", "one-sided-spring", "end-stop"),
-        "load": ("constant-load", "gravity-direction", "centre-of-mass"),
-        "periodic-force": ("cogging", "pendulum-gravity"),
-        "force-of-time": ("torque-ripple",),
-        "lateness": ("input-delay", "sensor-delay", "actuator-lag"),
-        "factor": (
-            "input-gain", "torque-constant", "inertia", "resistance", "sensor-gain", "resistance-heating",
-        ),
-        "gap-or-limit": (
-            "input-saturation", "input-dead-zone", "brush-drop", "backlash", "flexible-coupling",
-        ),
-        "sensor-error": ("sensor-bias", "sensor-eccentricity", "magnitude-sensor", "quantisation"),
-    }.items()
-    for effect in effects
-}  # fmt: skip
+KIND_OF: Mapping[str, str] = {effect: kind for kind, row in _TABLE.items() for effect in row.pop("effects", ())}
+KINDS: Mapping[str, Kind] = {
+    kind: Kind(kind, quantities=tuple(row.pop("quantities", ())), **row) for kind, row in _TABLE.items()
+}
 
 
 def upwards(kind: str) -> Iterator[Kind]:

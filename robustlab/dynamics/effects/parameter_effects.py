@@ -36,11 +36,16 @@ class ParameterEffect(Effect):
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
         if site.kind != "parameter":
             return {}
-        names = site.name.split("+")  # the label of the group
+        names = self._group(plant, site)
+        return dict.fromkeys(names, values["s"])
+
+    def _group(self, plant: AnyPlant, site: Site) -> list[str]:
+        """Parameters of the group with this label."""
+        names = site.name.split("+")
         for name in names:
             if name not in plant.parameters:
                 raise InputError(f"effect {self.id}: site {site.name!r}", "no such parameters", f"of {plant.name}")
-        return dict.fromkeys(names, values["s"])
+        return names
 
 
 def has_ground_term(plant: AnyPlant, port: Port, role: str, rows: tuple[Port, ...], of: str) -> bool:
@@ -104,10 +109,7 @@ class MisplacedEffect(ParameterEffect):
         return (dict.fromkeys(self.components, 0.1 * self.spread),)
 
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
-        names = site.name.split("+")
-        for name in names:
-            if name not in plant.parameters:
-                raise InputError(f"effect {self.id}: site {site.name!r}", "no such parameters", f"of {plant.name}")
+        names = self._group(plant, site)
         own = [plant.parameters[name] for name in names]
         return {p.name: (p.value + values[n]) / p.reference for p, n in zip(own, self.components, strict=True)}
 

@@ -231,7 +231,6 @@ class AttachedEffect:
 
     @property
     def on_signal(self) -> bool:
-        """True for effects on an input or output."""
         return self.site.kind in ("input", "output")
 
     @property
@@ -246,8 +245,6 @@ class AttachedEffect:
 
     def laws(self) -> tuple[Law, ...]:
         return self.effect.laws(self.site, self.values)
-
-    # --- on a constant signal ----------------------------------------------------------------------------------------
 
     def mapped(self, level: float) -> float:
         """A constant input or output after the effect."""
@@ -272,10 +269,7 @@ class AttachedEffect:
         """Bound of what it adds to any input, fitted values ``width`` standard deviations up; None: there is none."""
         return self.effect.input_error({n: v + width * self.std.get(n, 0.0) for n, v in self.values.items()})
 
-    # --- footprints --------------------------------------------------------------------------------------------------
-
     def footprint(self, amplitude: float = DEFAULT_AMPLITUDE) -> Footprint | None:
-        """The effect's footprint at an amplitude of its signal."""
         return self.effect.footprint(self.site, self.values, amplitude)
 
     def sector(self, amplitude: Mapping[str, float], signals: tuple[str, ...]) -> Footprint | None:
@@ -330,22 +324,19 @@ class AttachedEffect:
 
     def to_json(self) -> dict[str, Any]:
         """Id, title, equation, site, source, and the parameters with value, standard deviation and unit."""
+        e, own = self.effect, {p.name: p for p in self.parameters}
+        parameters = {
+            name: {"value": self.values[name], "std": self.std.get(name), "unit": p.unit, "meaning": p.meaning}
+            for name, p in own.items()
+        }
         return {
-            "id": self.effect.id,
-            "title": self.effect.title,
-            "equation": self.effect.equation,
+            "id": e.id,
+            "title": e.title,
+            "equation": e.equation,
             "site": self.site.name,
             "site_kind": self.site.kind,
             "source": self.source,
-            "parameters": {
-                p.name: {
-                    "value": self.values[p.name],
-                    "std": self.std.get(p.name),
-                    "unit": p.unit,
-                    "meaning": p.meaning,
-                }
-                for p in self.parameters
-            },
+            "parameters": parameters,
         }
 
     def __repr__(self) -> str:

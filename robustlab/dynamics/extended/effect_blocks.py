@@ -6,39 +6,257 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, cast, get_args
+from typing import Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 
 from robustlab import checks
+from robustlab.arrays import Array
+from robustlab.delays.channels import covering
+from robustlab.delays.pade import checked_order
+from robustlab.dynamics.effects.contract import Footprint
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.delays import delay_block, lag_block
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant, without_signals
-from robustlab.dynamics.extended.force_blocks import (
-    Amplitude,
-    Dry,
-    ForceSector,
-    NoiseInput,
-    check_amplitudes,
-    force_columns,
-    force_parts,
-    free_names,
-)
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant
-from robustlab.dynamics.ports.port_model import port_model
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.dynamics.ports.port_model import Port, port_model
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, listed, number
+from robustlab.shown import AllFields, Facts, Part, Shown, listed, number
 from robustlab.statespace import Signal, StateSpaceModel, real_array
-from robustlab.uncertainty.blocks import ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, product
 
 # The nominal member of a set must be the plant's own linear model to this share of its largest response.
 NOMINAL_EXACT = 1e-8
+
+# Amplitudes at which a sector that is the same is taken for one of all amplitudes.
+STRETCHES = (0.5, 1.0, 2.0)
+
+Amplitude = float | tuple[float, float]
+Dry = Literal["gain", "load", "both"]
+
+
+@dataclass(frozen=True, eq=False)
+class ForceSector:
+    """A law as a gain: ``f = -k s`` with k in [low, high]; of the signal ``force`` ``f = k T``."""
+
+    effect: AttachedEffect
+    port: Port
+    signal: str
+    low: float
+    high: float
+    valid: str
+    approximate: bool
+
+    @property
+    def middle(self) -> float:
+        return 0.5 * (self.low + self.high)
+
+    @property
+    def radius(self) -> float:
+        return 0.5 * (self.high - self.low)
+
+    @property
+    def row(self) -> Array:
+        """The state's combination that the gain multiplies, (n_x,)."""
+        if self.signal == "force":
+            return np.zeros_like(self.port.velocity)
+        row = self.port.position if self.signal == "position" else self.port.velocity
+        assert row is not None
+        return row
+
+    @property
+    def unit(self) -> str:
+        """Of the gain."""
+        if self.signal == "force":
+            return ""
+        below = self.port.position_unit if self.signal == "position" else self.port.speed_unit
+        return f"{self.port.unit}/({below})"
+
+
+@dataclass(frozen=True)
+class NoiseInput(AllFields):
+    """An input of the set that stands for a bounded error: its signal is at most one."""
+
+    name: str  # of the input
+    # bound, unit: what one stands for
+    bound: float
+    unit: str
+    origin: str  # where it comes from
+
+
+@dataclass(frozen=True, eq=False)
+class ForceParts:
+    """What stands in for all laws of a plant."""
+
+    # sectors, bounded: the gains; the bounded forces as inputs, each with its port
+    sectors: tuple[ForceSector, ...]
+    bounded: tuple[tuple[NoiseInput, Port], ...]
+    # index of a law -> row (n_x,) with which the nominal member has ``f = -row x`` in place of its slope
+    stand_in: Mapping[int, Array]
+    left_out: Mapping[str, str]  # effect at its place -> why only its slope at the point is in the model
+
+
+def force_parts(
+    plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: Dry | None = None, width: float = 2.0
+) -> ForceParts:
+    """Choose for every force law what stands in for it."""
+    sectors: list[ForceSector] = []
+    bounded: list[tuple[NoiseInput, Port]] = []
+    left: dict[str, str] = {}
+    stand_in: dict[int, Array] = {}
+    missing: dict[str, str] = {}
+    for j, (e, _, port) in enumerate(plant.laws):
+        seen = e.footprint()
+        reason = _no_part(e, seen, port)
+        if reason or seen is None:
+            left[f"{e!r}"] = reason
+            continue
+        key = signal_name(plant, port, seen.signal)
+        as_gain, as_load = _ways(e, seen, key in amplitude, dry)
+        if as_gain and key not in amplitude and not _same_everywhere(e):
+            if seen.signal == "position" and not seen.offset:
+                left[f"{e!r}"] = f"only its slope at the point is in the model: give an amplitude of {key}"
+            else:
+                missing[key] = e.effect.title
+            continue
+        row = np.zeros_like(port.velocity)
+        if as_gain:
+            found = _sector(e, port, seen, amplitude.get(key), width)
+            row = found.middle * found.row
+            if found.radius > 0:
+                sectors.append(found)
+        if as_load:
+            (name,) = free_names([e.load_name], [load.name for load, _ in bounded])
+            words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
+            bounded.append((NoiseInput(name, e.largest_offset(width), port.unit, words), port))
+        stand_in[j] = row
+    if missing:
+        name, title = next(iter(missing.items()))
+        raise InputError(
+            "effect_blocks", f"{title} at {name} without an amplitude", f"amplitude for {', '.join(missing)}",
+            'the amplitude of the signal there at which the effect is described; dry="load" for friction needs none',
+        )  # fmt: skip
+    return ForceParts(tuple(sectors), tuple(bounded), stand_in, left)
+
+
+def signal_name(plant: ExtendedPlant, port: Port, signal: str) -> str:
+    """The name under which the amplitude of what a law sees is given: its joint, or the state of its position."""
+    if signal != "position" or port.position is None:
+        return port.name
+    return plant.states[int(np.flatnonzero(port.position)[0])].name
+
+
+def check_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> None:
+    """Every amplitude is positive (a pair: increasing) and has an effect at its place."""
+    joints = {signal_name(plant, port, s) for _, _, port in plant.laws for s in ("speed", "position")}
+    known = tuple(dict.fromkeys([*(e.site.name for e in plant.effects), *sorted(joints)]))
+    for name, value in amplitude.items():
+        where = f"effect_blocks: amplitude {name!r}"
+        if name not in known:
+            raise unknown_name(where, "no effect there", name, known)
+        pair = _pair(value)
+        if not (len(pair) == 2 and all(_is_positive(a) for a in pair) and pair[0] <= pair[1]):
+            raise InputError(where, f"{value!r}", "a positive number, or (least, largest) of two")
+        if name not in joints and pair[0] != pair[1]:
+            raise InputError(where, f"{value!r} at a driver or sensor", "one positive number")
+
+
+def _is_positive(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value < math.inf
+
+
+def _pair(value: Amplitude) -> tuple[float, ...]:
+    return tuple(value) if isinstance(value, (tuple, list)) else (value, value)
+
+
+def _no_part(e: AttachedEffect, seen: Footprint | None, port: Port) -> str:
+    """Why nothing can stand in for a law, or nothing."""
+    if seen is None or seen.signal not in ("speed", "current", "position", "force", "time"):
+        return "only its slope at the point is in the model"
+    if e.effect.structural:
+        return "it divides the joint: no force of one joint stands for it"
+    if seen.signal == "force" and np.count_nonzero(port.force) != 1:
+        return "only its slope at the point is in the model: its joint shares its inertia with others"
+    return ""
+
+
+def _ways(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> tuple[bool, bool]:
+    """Whether the law becomes a gain, and whether a bounded force."""
+    has_gain = seen.signal == "force" or any(
+        f is not None and f.gain_upper > f.gain_lower
+        for a in STRETCHES
+        for f in [e.footprint(1e3 * a)]
+    ) or seen.gain_upper > seen.gain_lower  # fmt: skip
+    if not seen.offset:
+        return True, False
+    if not has_gain:
+        return False, True
+    mode = dry or ("gain" if known else "load")
+    if mode == "both" and seen.signal == "position":  # it does not oppose a speed: |e| would be F + k |s|
+        mode = "load"
+    return mode != "load", mode != "gain"
+
+
+def _same_everywhere(e: AttachedEffect) -> bool:
+    found = [e.footprint(a) for a in STRETCHES]
+    return len({(f.gain_lower, f.gain_upper) for f in found if f is not None}) == 1 and found[0] is not None
+
+
+def _sector(e: AttachedEffect, port: Port, seen: Footprint, amplitude: Amplitude | None, width: float) -> ForceSector:
+    ends = _pair(1.0 if amplitude is None else amplitude)
+    all_of = [f for a in ends for f in e.footprints(a, width)]
+    low, high = min(f.gain_lower for f in all_of), max(f.gain_upper for f in all_of)
+    dry = bool(seen.offset)
+    if dry and ends[0] < ends[1]:
+        at_largest = [f.describing for f in e.footprints(ends[1], width)]
+        low = max(low, min(at_largest)) if np.isfinite(at_largest).all() else low
+    unit = port.position_unit if seen.signal == "position" else port.speed_unit
+    if seen.signal == "force":
+        valid = "a gain that may change at every instant, for every motion"
+    elif amplitude is None:
+        valid = "at every amplitude, as a gain that may change with the motion"
+    elif dry:
+        reach = f"of amplitude {ends[0]:.4g} {unit} and more"
+        if ends[0] < ends[1]:
+            reach = f"of amplitudes {ends[0]:.4g} to {ends[1]:.4g} {unit}"
+        valid = f"harmonic balance, for oscillations {reach}"
+    else:
+        valid = f"up to {ends[1]:.4g} {unit}, as a gain that may change with the motion"
+    return ForceSector(e, port, seen.signal, low, high, valid, dry and seen.signal != "force")
+
+
+def force_columns(
+    plant_matrices: Sequence[Array], ports: Sequence[Port], sectors: Sequence[ForceSector]
+) -> tuple[Array, Array, Array]:
+    """Columns of G for a force at each port; rows of C and of D (over u and those forces) for what the sectors see."""
+    e, f, g = plant_matrices
+    push = e @ np.array([p.force for p in ports]).T if ports else np.zeros((len(f), 0))
+    c, d = np.zeros((len(sectors), len(f))), np.zeros((len(sectors), g.shape[1] + len(ports)))
+    for k, s in enumerate(sectors):
+        if s.signal != "force":
+            c[k] = s.row
+            continue
+        dual = push[:, k] / float(push[:, k] @ push[:, k])
+        others = push.copy()
+        others[:, k] = 0.0
+        c[k], d[k] = dual @ f, np.concatenate([dual @ g, dual @ others])
+    return push, c, d
+
+
+def free_names(names: list[str], taken: Sequence[str]) -> list[str]:
+    """The names, with primes where they are taken already."""
+    found: list[str] = []
+    for name in names:
+        while name in taken or name in found:
+            name += "'"
+        found.append(name)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +285,6 @@ class EffectBlocks(Shown):
 
     @property
     def origins(self) -> dict[str, str]:
-        """Block name -> where it comes from."""
         return {b.name: b.origin for b in self.model.blocks}
 
     @property
@@ -243,9 +460,6 @@ def _unnamed(model: Any, given: tuple[float, str] | None) -> list[tuple[NoiseInp
     return [(NoiseInput(f"load {port.name}: unnamed", bound, port.unit, given[1]), port)]
 
 
-# --- the plant between drivers and sensors ---------------------------------------------------------------------------
-
-
 def with_forces(plant: LinearPlant, ports: Sequence[Any], sectors: Sequence[ForceSector] = ()) -> LinearPlant:
     """The plant with a force at each port as further inputs, and what the first ones' sectors see as outputs, too."""
     if not ports:
@@ -312,7 +526,25 @@ def _sector_words(s: ForceSector) -> str:
     return f"{e.in_words} as a sector {seen}; {s.valid}; {e.values_in_words}"
 
 
-# --- drivers and sensors ---------------------------------------------------------------------------------------------
+def lag_block(time: float, spread: float, name: str) -> UncertainModel:
+    """All lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s, exactly."""
+    if not 0.0 <= spread < time:
+        raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")
+    a = -1.0 / time
+    if not spread:
+        return UncertainModel(StateSpaceModel([[a]], [[-a]], [[1.0]], [[0.0]]), [])
+    model = StateSpaceModel([[a]], [[a * spread, -a]], [[a], [1.0]], [[a * spread, -a], [0.0, 0.0]])
+    return UncertainModel(model, [RealScalar(name, 1, ParameterRange(time, spread, "s"))])
+
+
+def delay_block(delay: float, spread: float, pade: int, name: str, origin: str = "") -> UncertainModel:
+    r"""All delays from ``delay - spread`` (at least 0) to ``delay + spread`` as :math:`P + w \Delta`."""
+    if not 0 < delay < np.inf or not 0 <= spread < np.inf:
+        raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
+    n = checked_order(pade, "delay_block", 1)
+    # The slope of what is missed changes from 1 to 2 n + 1 where there is a spread: a lower order follows that better.
+    made = covering(delay, spread, n, n + 1 if spread else min(n + 2, 2 * n + 1))
+    return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin, covers=made.blocks[0].covers)])
 
 
 def _gadgets(
@@ -407,9 +639,6 @@ def _with_noise(
 
 def _bounded(e: AttachedEffect) -> str:
     return f"{e.in_words} as a bounded error; {e.values_in_words}"
-
-
-# --- is it so? -------------------------------------------------------------------------------------------------------
 
 
 def _check(own: StateSpaceModel, name: str, made: EffectBlocks) -> None:

@@ -199,10 +199,11 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
         acts.append((e, way))
     ways = [way for _, way in acts]
     pushed = with_forces(base, [w for w in ways if isinstance(w, Port)])
-    whole = _loads_first(pushed.uncertain(), len(plant.inputs), loads, ways)
-    bare = EffectLoads(plant, whole, tuple(replace(x, bound=1.0) for x in loads), tuple(acts))
+    ones = tuple(replace(x, bound=1.0) for x in loads)
+    bare = EffectLoads(plant, _loads_first(pushed.uncertain(), len(plant.inputs), ones, ways), ones, tuple(acts))
     bounded = _bounded_by(bare, loads, records, sigmas, margin)
-    return EffectLoads(plant, _scaled(whole, bounded), tuple(bounded), tuple(acts))
+    whole = _loads_first(pushed.uncertain(), len(plant.inputs), bounded, ways)
+    return EffectLoads(plant, whole, tuple(bounded), tuple(acts))
 
 
 def loaded_model(
@@ -246,16 +247,6 @@ def _bounded_by(
     ]  # fmt: skip
 
 
-def _scaled(whole: UncertainModel, loads: Sequence[NoiseInput]) -> UncertainModel:
-    """The loads in units of their bounds."""
-    m, (q, _) = whole.M, whole.delta_shape
-    scale = np.ones(m.n_inputs)
-    scale[q : q + len(loads)] = [load.bound for load in loads]
-    inputs = [*m.inputs[:q], *((load.name, "1") for load in loads), *m.inputs[q + len(loads) :]]
-    scaled = StateSpaceModel(m.A, m.B * scale, m.C, m.D * scale, m.dt, inputs, m.outputs, m.states)
-    return UncertainModel(scaled, whole.blocks)
-
-
 def _is_linear(e: AttachedEffect) -> bool:
     return not e.on_signal and not e.laws()
 
@@ -280,15 +271,16 @@ def _load(
 def _loads_first(
     whole: UncertainModel, n_u: int, loads: Sequence[NoiseInput], ways: Sequence[Port | int]
 ) -> UncertainModel:
-    """The loads as inputs before the plant's own; those of drivers act where the input does."""
+    """The loads over their bounds as inputs before the plant's own; those of drivers act where the input does."""
     m, (q, _) = whole.M, whole.delta_shape
     forces = iter(range(q + n_u, m.n_inputs))
     at = [q + way if isinstance(way, int) else next(forces) for way in ways]
     columns = [*range(q), *at, *range(q, q + n_u)]
-    inputs = [*m.inputs[:q], *((load.name, load.unit) for load in loads), *m.inputs[q : q + n_u]]
-    model = StateSpaceModel(
-        m.A, m.B[:, columns], m.C, m.D[:, columns], m.dt, inputs, m.outputs, m.states, where="effect_loads"
-    )
+    inputs = [*m.inputs[:q], *((load.name, "1") for load in loads), *m.inputs[q : q + n_u]]
+    scale = np.ones(len(columns))
+    scale[q : q + len(loads)] = [load.bound for load in loads]
+    b, d = m.B[:, columns] * scale, m.D[:, columns] * scale
+    model = StateSpaceModel(m.A, b, m.C, d, m.dt, inputs, m.outputs, m.states, where="effect_loads")
     return UncertainModel(model, whole.blocks)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.checks import number
+from robustlab.delays.pade import pade as rational_delay
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import (
     AttachedEffect,
@@ -25,7 +26,6 @@ from robustlab.dynamics.extended.attached_effect import (
     slopes,
     steady_force,
 )
-from robustlab.dynamics.extended.delays import HIGHEST_PADE, delayed, lagged
 from robustlab.dynamics.extended.nonlinear_steps import About, somewhere
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import REST_PASSES, STILL, NonlinearPlant, SteppedPlant, Trim
@@ -34,7 +34,7 @@ from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
 from robustlab.result import Status
 from robustlab.shown import AllFields, listed
-from robustlab.statespace import OperatingPoint, StateSpaceModel, real_array
+from robustlab.statespace import OperatingPoint, StateSpaceModel, append, real_array, series
 
 # The laws' steps are laid out for samples of this length in s; longer samples are divided. Larger: quicker, and
 # reversals are located less well.
@@ -44,6 +44,8 @@ REST_SWEEPS = 200
 REST_AGREED = 1e-13
 # Holding forces come before inputs and positions: in the shortest Newton step towards rest they weigh so much less.
 CHEAP = 1e4
+# The order of a model's rational delays: more states than that say nothing new.
+HIGHEST_PADE = 8
 
 
 @dataclass(frozen=True)
@@ -140,8 +142,6 @@ class ExtendedEquations(SteppedPlant):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.plant!r} with {listed(map(repr, self.effects), 3)})"
 
-    # --- rates and outputs -------------------------------------------------------------------------------------------
-
     def mapped_input(self, u: Array) -> Array:
         """What the plant sees of constant inputs u, (n_u,)."""
         return self._mapped("input", u)[0]
@@ -223,8 +223,6 @@ class ExtendedEquations(SteppedPlant):
                 "simulate: x0", f"{extra} start at {x0[own:].tolist()}", "zero: states of effects start so"
             )
         return self.motion(u, dt, float(t[0]), x0[:own], step)
-
-    # --- rest --------------------------------------------------------------------------------------------------------
 
     def equilibrium(self, **where: Any) -> HoldingTrim:
         """Rest with the named inputs, outputs or states at the given values; the others as small as they can be."""
@@ -314,8 +312,6 @@ class ExtendedEquations(SteppedPlant):
             terms = terms + np.abs(port.force * force)
         size = np.full(len(residual) - n, 1.0 + float(np.abs(s).max(initial=0.0)))
         return bool((np.abs(residual) <= STILL * np.concatenate([terms, size])).all())
-
-    # --- the linear model --------------------------------------------------------------------------------------------
 
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
         model = self.linear_model((x, u))
@@ -436,7 +432,6 @@ class ExtendedEquations(SteppedPlant):
 
 
 def _footprint(e: AttachedEffect, amplitude: Mapping[str, float]) -> Footprint | None:
-    """At the amplitude that was asked for its site."""
     return e.footprint(amplitude[e.site.name]) if e.site.name in amplitude else e.footprint()
 
 
@@ -444,3 +439,55 @@ def _motion(port: Port, x: Array) -> tuple[float, float]:
     """Position (0 without one) and velocity at a port."""
     q = 0.0 if port.position is None else float(port.position @ x)
     return q, float(port.velocity @ x)
+
+
+def delayed(model: StateSpaceModel, delays: Mapping[str, list[float]], order: int) -> StateSpaceModel:
+    """The model with the delays of its inputs and outputs as rational ones."""
+    before, after = (_bank(delays[side], order) for side in ("input", "output"))
+    whole = series(series(before, model), after)
+    names = [
+        (f"delay_{side}_{s.name}_{i + 1}", "")
+        for side, signals in (("input", model.inputs), ("output", model.outputs))
+        for s, delay in zip(signals, delays[side], strict=True)
+        for i in range(order if delay else 0)
+    ]
+    first = before.n_states
+    states = [*names[:first], *model.states, *names[first:]]
+    point = model.operating_point
+    assert point is not None
+    settled = [_settled(bank, levels) for bank, levels in ((before, point.u), (after, point.y))]
+    x = np.concatenate([settled[0], point.x, settled[1]])
+    return StateSpaceModel(
+        whole.A, whole.B, whole.C, whole.D, 0.0, model.inputs, model.outputs, states,
+        OperatingPoint(x, point.u, point.y), "delays",
+    )  # fmt: skip
+
+
+def _bank(delays: list[float], order: int) -> StateSpaceModel:
+    unit = StateSpaceModel([], [], [], [[1.0]])
+    channels = [rational_delay(delay, order) if delay else unit for delay in delays]
+    return append(*(m.renamed([f"u{k}"], [f"y{k}"]) for k, m in enumerate(channels)))
+
+
+def _settled(bank: StateSpaceModel, levels: Array) -> Array:
+    return np.asarray(-np.linalg.solve(bank.A, bank.B @ levels), dtype=np.float64)
+
+
+def lagged(model: StateSpaceModel, lags: Mapping[int, float]) -> StateSpaceModel:
+    """The model behind first-order lags of some of its inputs: number of the input -> time constant in s."""
+    unit = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1)
+    channels = [
+        StateSpaceModel([[-1.0 / lags[k]]], [[1.0 / lags[k]]], [[1.0]], [[0.0]])
+        if k in lags
+        else StateSpaceModel(*unit)
+        for k in range(model.n_inputs)
+    ]
+    bank = append(*(m.renamed([f"u{k}"], [f"y{k}"]) for k, m in enumerate(channels)))
+    whole, point = series(bank, model), model.operating_point
+    assert point is not None
+    states = [*((f"lag_{model.inputs[k].name}", model.inputs[k].unit) for k in sorted(lags)), *model.states]
+    x = np.concatenate([point.u[sorted(lags)], point.x])
+    return StateSpaceModel(
+        whole.A, whole.B, whole.C, whole.D, 0.0, model.inputs, model.outputs, states,
+        OperatingPoint(x, point.u, point.y), "lags",
+    )  # fmt: skip

@@ -22,7 +22,7 @@ from robustlab.dynamics.extended.nonlinear_steps import (
     with_linear_parts,
 )
 from robustlab.dynamics.extended.simulator import Simulator, Windows
-from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
+from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, with_factors
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import local_port_model
@@ -285,9 +285,6 @@ def _further_states(model: PortModel) -> tuple[Signal, ...]:
     return tuple(found)
 
 
-# --- between the drivers and the sensors -----------------------------------------------------------------------------
-
-
 def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
     """The linear model as a plant in descriptor form, affine in the parameters that carry the tolerances."""
     base, scaled = plant.plant, _scaled_values(plant)
@@ -311,13 +308,10 @@ def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float)
     structure = _structure(plant, linear)
     nominal = structure(scaled)
     constant = nominal[0] @ linear.A - nominal[1]
+    matrices = with_factors(structure, base.parameters, scaled, tied)
 
     def equations(p: Mapping[str, float]) -> Descriptor:
-        values = {name: p[name] for name in base.parameters}
-        for label, names in tied.items():
-            for name in names:
-                values[name] += scaled[name] * (p[label] - 1.0)
-        e, f, g, c, d = structure(values)
+        e, f, g, c, d = matrices(p)
         for label, (parameter, per_unit) in terms.items():
             f = f + (p[label] - parameter.value) * per_unit
         return Descriptor(e, f + constant, g, c, d)
@@ -389,9 +383,6 @@ def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mappi
     return matrices
 
 
-# --- drivers and sensors ---------------------------------------------------------------------------------------------
-
-
 def _with_signal_gains(
     inner: UncertainModel, plant: ExtendedPlant, into: Array, out: Array, width: float
 ) -> UncertainModel:
@@ -433,9 +424,6 @@ def _with_signal_gains(
     return UncertainModel(
         whole, [*inner.blocks, *(RealScalar(name, 1, span) for name, span in zip(names, spans, strict=True))]
     )
-
-
-# --- is it so? -------------------------------------------------------------------------------------------------------
 
 
 def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel, width: float) -> None:

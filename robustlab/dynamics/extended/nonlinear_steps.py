@@ -150,24 +150,22 @@ def march(
     return states
 
 
+@dataclass(eq=False)
 class _Block:
     """Some steps of a march."""
 
-    def __init__(
-        self,
-        plant: NonlinearPlant,
-        effects: Sequence[AttachedEffect],
-        laws: Sequence[Law],
-        drive: Drive,
-        at: int,
-        count: int,
-        memory: Array,
-    ) -> None:
-        self.plant, self.effects, self.laws = plant, effects, laws
-        self.drive, self.at, self.count, self.memory = drive, at, count, memory
-        self.carried = carried(plant, effects)
-        self.after = memory
-        self.mean, self.rise = drive.mean[at : at + count], drive.rise[at : at + count]
+    plant: NonlinearPlant
+    effects: Sequence[AttachedEffect]
+    laws: Sequence[Law]
+    drive: Drive
+    at: int
+    count: int
+    memory: Array  # of the laws at its first step
+
+    def __post_init__(self) -> None:
+        self.carried, self.after = carried(self.plant, self.effects), self.memory
+        chosen = slice(self.at, self.at + self.count)
+        self.mean, self.rise = self.drive.mean[chosen], self.drive.rise[chosen]
 
     def settled(self, start: Array, guess: Array | None) -> tuple[Array | None, int]:
         """States (count + 1, n_x), None where they do not settle, and the passes that were made."""

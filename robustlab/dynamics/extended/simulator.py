@@ -402,7 +402,6 @@ def step_laws(
 
 @lru_cache(maxsize=KEPT_SIGNALS)
 def _kept_input(samples: bytes, hold: Hold) -> SampledInput:
-    """`SampledInput`, one for all simulators of a record."""
     return SampledInput(np.frombuffer(samples), hold)
 
 

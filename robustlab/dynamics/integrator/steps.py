@@ -16,7 +16,7 @@ from numba.extending import overload
 
 from robustlab.errors import EnvironmentFault
 
-_options: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+_options: Any = {"error_model": "numpy", "nogil": True}
 leaf = njit(**_options)
 
 
@@ -63,7 +63,7 @@ def answers(kind, rates_of, observe_of, scaled_of):
 
 try:
     from scipy.integrate._ivp import dop853_coefficients as table
-    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D  # pyright: ignore[reportUnusedImport]
+    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D
 except ImportError as error:
     raise EnvironmentFault(
         "DOP853", f"scipy no longer has its coefficients where they were ({error})", "scipy < 1.18"

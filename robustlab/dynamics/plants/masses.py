@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
-from robustlab.dynamics.parameters import Parameter, overridden
+from robustlab.dynamics.parameters import overridden, published
 from robustlab.errors import InputError, unknown_name
 from robustlab.statespace import MAX_STATES, Signal
 
-_EMPS = "Janot, Gautier, Brunot 2019 (EMPS)"
-
-SERVO_AXIS = (
-    Parameter("M", 95.1089, "kg", 0.0, _EMPS, "moving mass seen at the carriage", "positive", role="inertia"),
-    Parameter("Fv", 203.5034, "N s/m", 0.0, _EMPS, "viscous friction", "nonnegative", role="viscous-friction"),
-    Parameter("gain", 35.15065, "N/V", 0.0, _EMPS, "force at the carriage per volt", "either", role="input-gain"),
-)
+_PUBLISHED = published(Path(__file__).with_name("parameters.toml"))
 
 
 def servo_axis(**given: Any) -> LinearPlant:
@@ -29,7 +25,7 @@ def servo_axis(**given: Any) -> LinearPlant:
     states = (Signal("q", "m"), Signal("v", "m/s"))
     return LinearPlant(
         "servo-axis",
-        overridden(SERVO_AXIS, given, "servo-axis"),
+        overridden(_PUBLISHED["servo-axis"], given, "servo-axis"),
         (Signal("u", "V"),),
         states,
         states,
@@ -41,22 +37,12 @@ def _servo_axis(p: Any) -> Descriptor:
     return Descriptor(E=[[1, 0], [0, p["M"]]], F=[[0, 1], [0, -p["Fv"]]], G=[[0], [p["gain"]]], C=[[1, 0], [0, 1]])
 
 
-_EXAMPLE = "example value, no published source"
-
-TWO_MASS = (
-    Parameter("J1", 1e-3, "kg m2", 0.0, _EXAMPLE, "inertia on the motor's side", "positive", role="inertia"),
-    Parameter("J2", 2e-3, "kg m2", 0.0, _EXAMPLE, "inertia on the load's side", "positive", role="inertia"),
-    Parameter("c", 2e-3, "N m s/rad", 0.0, _EXAMPLE, "damping of the shaft", "nonnegative", role="viscous-friction"),
-    Parameter("k", 10.0, "N m/rad", 0.0, _EXAMPLE, "stiffness of the shaft", "nonnegative", role="stiffness"),
-)
-
-
 def two_mass(**given: Any) -> LinearPlant:
     """Two inertias on a shaft, coupled by a spring and a damper; the torque acts on the first."""
     angles = (Signal("phi1", "rad"), Signal("phi2", "rad"))
     return LinearPlant(
         "two-mass",
-        overridden(TWO_MASS, given, "two-mass"),
+        overridden(_PUBLISHED["two-mass"], given, "two-mass"),
         (Signal("torque", "N m"),),
         angles,
         (*angles, Signal("omega1", "rad/s"), Signal("omega2", "rad/s")),
@@ -74,16 +60,9 @@ def _two_mass(p: Any) -> Descriptor:
     )
 
 
-MASS_SPRING_DAMPER = (
-    Parameter("m", 1.0, "kg", 0.0, _EXAMPLE, "mass", "positive", role="inertia"),
-    Parameter("c", 1.0, "N s/m", 0.0, _EXAMPLE, "damping", "nonnegative", role="viscous-friction"),
-    Parameter("k", 100.0, "N/m", 0.0, _EXAMPLE, "stiffness", "nonnegative", role="stiffness"),
-)
-
-
 def mass_spring_damper(**given: Any) -> LinearPlant:
     """Masses in a row: mass 1 hangs on a wall by spring and damper 1, mass j on mass j - 1 by spring and damper j."""
-    names = tuple(p.name for p in MASS_SPRING_DAMPER)
+    names = tuple(p.name for p in _PUBLISHED["mass-spring-damper"])
     for name in given:
         if name not in names:
             raise unknown_name(f"mass-spring-damper: {name!r}", "no such parameter", name, names)
@@ -96,10 +75,10 @@ def mass_spring_damper(**given: Any) -> LinearPlant:
     if 2 * n > MAX_STATES:
         raise InputError("mass-spring-damper", f"{n} masses", f"at most {MAX_STATES // 2}")
     defaults, values = [], {}
-    for p in MASS_SPRING_DAMPER:
+    for p in _PUBLISHED["mass-spring-damper"]:
         for j, name in enumerate(_numbered(p.name, n)):
             meaning = p.meaning if n == 1 else f"{p.meaning} {j + 1}"
-            defaults.append(Parameter(name, p.value, p.unit, p.tolerance, p.source, meaning, p.sign, p.role))
+            defaults.append(replace(p, name=name, meaning=meaning))
             if p.name in given:
                 values[name] = lists[p.name][j] if p.name in lists else given[p.name]
     q = [Signal(name, "m") for name in _numbered("q", n)]

@@ -55,7 +55,6 @@ class Port:
 
     @property
     def mean_inertia(self) -> float:
-        """The inertia, along a motion its mean."""
         return float(np.mean(self.inertia))
 
     def widened(self, extra: int) -> Port:
@@ -93,7 +92,6 @@ class PortModel:
         return replace(self, A=self.A + port.force[..., :, None] * row)
 
     def with_port(self, port: Port) -> PortModel:
-        """The model with one more port."""
         return replace(self, ports={**self.ports, port.name: port})
 
     def widened(self, rows: Array) -> PortModel:

@@ -4,17 +4,16 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.parameters import Parameter
+from robustlab.dynamics.parameters import Parameter, published
 from robustlab.errors import InputError, did_you_mean
 from robustlab.shown import Shown
 
@@ -24,13 +23,6 @@ PRESETS = ("thesis", "physical")
 _SHEET = "Březina 2010, App. A and section 7.2 (Maxon RE 35, order number 273754)"
 
 
-@cache
-def _published() -> dict[str, tuple[Parameter, ...]]:
-    """Parameters of the machine and of its motors."""
-    table = tomllib.loads(Path(__file__).with_name("parameters.toml").read_text(encoding="utf-8"))
-    return {part: tuple(Parameter(name, **given) for name, given in rows.items()) for part, rows in table.items()}
-
-
 def machine_parameters(preset: str, motors: bool) -> tuple[Parameter, ...]:
     """The published parameters; preset ``physical`` adds the rotor's inertia that the thesis leaves out."""
     if preset not in PRESETS:
@@ -38,7 +30,8 @@ def machine_parameters(preset: str, motors: bool) -> tuple[Parameter, ...]:
         raise InputError("stewart-platform: preset", f"{preset!r}", " or ".join(map(repr, PRESETS)), hint)
     if not isinstance(motors, bool):
         raise InputError("stewart-platform: motors", f"{motors!r}", "True or False")
-    parameters = (*_published()["machine"], *(_published()["motors"] if motors else ()))
+    known = published(Path(__file__).with_name("parameters.toml"))
+    parameters = (*known["machine"], *(known["motors"] if motors else ()))
     if preset == "thesis":
         return parameters
     rotor = {"value": 7.2e-6, "source": _SHEET}

@@ -31,9 +31,6 @@ class Motion(NamedTuple):
     phi: Any
 
 
-# --- small linear algebra --------------------------------------------------------------------------------------------
-
-
 @leaf
 def _solve(a, b, n, m):
     """Overwrite b (n, m) with a^-1 b by elimination with row pivoting, a with rubbish; False where a is singular."""
@@ -85,9 +82,6 @@ def _cholesky_solve(a, b):
     for i in range(5, -1, -1):
         for k in range(i + 1, 6):
             b[i] -= a[k, i] * a[i, i] * b[k]
-
-
-# --- geometry --------------------------------------------------------------------------------------------------------
 
 
 @leaf
@@ -191,9 +185,6 @@ def jacobians(poses, legs, c, lengths, matrices):
         lengths_and_jacobian(poses[k], legs, c, lengths[k], matrices[k])
 
 
-# --- direct kinematics -----------------------------------------------------------------------------------------------
-
-
 @leaf
 def _miss(q, legs, c, target):
     rotation, total = _rotation(q), 0.0
@@ -284,9 +275,6 @@ def direct_poses(targets, starts, legs, c, limit, poses, facts):
             q[i] = starts[k, i]
         facts[k, 0] = _newton(q, targets[k], legs, c, limit, lengths, jacobian, step)
         facts[k, 1], facts[k, 2], facts[k, 3] = _certificate(q, targets[k], legs, c, lengths, jacobian, unit)
-
-
-# --- dynamics --------------------------------------------------------------------------------------------------------
 
 
 @leaf

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from robustlab.dynamics.integrator.steps import DONE, LEFT, NOT_FINITE, Inputs, answers, entry, integrated  # noqa: F401
+from robustlab.dynamics.integrator.steps import DONE, LEFT, NOT_FINITE, Inputs, answers, entry, integrated  # noqa: F401  # pyright: ignore[reportUnusedImport]
 from robustlab.dynamics.stewart.kernels import (
     HOME,
     KB,

@@ -129,8 +129,6 @@ class StewartPlatform(PlantAlong):
         parameters = overridden(self.parameters.values(), given, self.name)
         return StewartPlatform(self.name, parameters, self.inputs, self.outputs, self.states, self.preset, self.motors)
 
-    # --- poses -------------------------------------------------------------------------------------------------------
-
     def poses(self, phi: ArrayLike, start: ArrayLike | None = None) -> Array:
         """Poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`."""
         angles, one = poses_array(phi, "phi")
@@ -145,8 +143,6 @@ class StewartPlatform(PlantAlong):
                 self.name, f"no pose with the nut angles of row {row} was found", None, "give a start near to it"
             )
         return found.poses[0] if one else found.poses
-
-    # --- the contract of a plant -------------------------------------------------------------------------------------
 
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
         return x[:, :12]
@@ -166,8 +162,6 @@ class StewartPlatform(PlantAlong):
             None,
             "the platform falls with its torques held: simulate less, close a loop, or widen L_min, L_max",
         )
-
-    # --- about points of a motion ------------------------------------------------------------------------------------
 
     @property
     def port_places(self) -> tuple[PortPlace, ...]:

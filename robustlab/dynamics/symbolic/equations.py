@@ -82,8 +82,6 @@ class PlantEquations:
         self._rates: dict[str, Any] = {}
         self._motion: tuple[Any, Any] | None = None
 
-    # --- what there is -----------------------------------------------------------------------------------------------
-
     def parameter(
         self,
         name: str,
@@ -96,22 +94,10 @@ class PlantEquations:
         source: str = "",
         sign: Sign | None = None,
     ) -> Any:
-        """A physical parameter; returns its symbol.
+        """A physical parameter, as of `robustlab.dynamics.Parameter`; returns its symbol.
 
-        Parameters
-        ----------
-        name, value, unit, tolerance, source, meaning
-            As of `robustlab.dynamics.parameters.Parameter`.
-        role
-            What effects may act on it: an inertia that is wrong, a torque constant that is wrong. ``"none"``: none
-            does. It must be said where a tolerance is stated here; whoever gives one later need not know it.
-        sign
-            What physics allows; left out, what the role says: an inertia is ``"positive"``.
-
-        Raises
-        ------
-        InputError
-            A tolerance without a role, an unknown role or sign, and everything that `Parameter` refuses.
+        ``role``: what effects may act on it, ``"none"`` where none does; needed where a tolerance is stated here.
+        ``sign``: what physics allows; left out, what the role says: an inertia is ``"positive"``.
         """
         where = f"{self._where}: parameter {name!r}"
         if role is None and tolerance:
@@ -135,13 +121,7 @@ class PlantEquations:
         return symbol
 
     def joint(self, position: str, velocity: str, unit: str) -> tuple[Any, Any]:
-        """A coordinate along which forces can act, and its velocity, as two states; returns their symbols.
-
-        Parameters
-        ----------
-        unit
-            Of the coordinate: ``"m"`` (forces in N) or ``"rad"`` (torques in N m).
-        """
+        """A coordinate in ``"m"`` or ``"rad"`` along which forces can act, and its velocity: two states and symbols."""
         if unit not in JOINT_UNITS:
             hint = "write the coordinate in SI units: forces at it are in N or N m"
             raise InputError(f"{self._where}: joint {position!r}", f"unit {unit!r}", 'one of "m", "rad"', hint)
@@ -151,13 +131,7 @@ class PlantEquations:
         return q, v
 
     def state(self, name: str, unit: str = "", *, current: bool = False) -> Any:
-        """A further state; returns its symbol.
-
-        Parameters
-        ----------
-        current
-            True: a current in A, at which a voltage can act: `voltage` must stand in its rate.
-        """
+        """A further state; returns its symbol. ``current``: one in A, in whose rate a `voltage` must stand."""
         if current and unit != "A":
             raise InputError(f"{self._where}: state {name!r}", f"a current in {unit!r}", '"A"')
         symbol = self._new(name, "state")
@@ -167,31 +141,17 @@ class PlantEquations:
         return symbol
 
     def force(self, velocity: Any) -> Any:
-        """Symbol of the force or torque that acts at a joint, for a plant whose rates are given one by one.
-
-        Parameters
-        ----------
-        velocity
-            The joint's velocity, by its symbol or name. The force accelerates it: ``(... + p.force(v)) / m``.
-        """
+        """Symbol of the force that accelerates a joint, given by its velocity: ``(... + p.force(v)) / m``."""
         return self._push(velocity, [v for _, v, _ in self._joints], "velocity of a joint")
 
     def voltage(self, current: Any) -> Any:
         """Symbol of the voltage that acts at a current, given by symbol or name: ``(u - R * i + p.voltage(i)) / L``."""
         return self._push(current, self._currents, "current")
 
-    # --- equations ---------------------------------------------------------------------------------------------------
-
     def motion(self, mass_matrix: Any, forces: Any) -> None:
-        r"""Equations of motion :math:`M(q) \ddot q = f(q, \dot q, u, p)` of all joints.
+        r"""Equations of motion :math:`M(q) \ddot q = f(q, \dot q, u, p)` of all joints, in their order.
 
-        Parameters
-        ----------
-        mass_matrix
-            M, shape (n_joints, n_joints), symmetric; an expression, a list of rows, or an array.
-        forces
-            f, shape (n_joints,): all forces, those of inertia that come with velocities too; rows in the order of the
-            joints. Forces of effects at the joints come on top by themselves.
+        ``forces``: all of them, those of inertia that come with velocities too; those of effects come on top.
         """
         n = len(self._joints)
         if not n:
@@ -224,19 +184,7 @@ class PlantEquations:
         self._outputs[name] = self._matrix(expression, (1, 1), f"output {name}"), unit
 
     def plant(self, **given: Any) -> SymbolicPlant:
-        """The plant.
-
-        Parameters
-        ----------
-        given
-            Parameters, each as a value or ``(value, relative tolerance)``.
-
-        Raises
-        ------
-        InputError
-            A state without a rate, a joint that nothing accelerates, an expression with symbols that are no part of
-            the plant (an algebraic loop is one), NaN, a mass matrix that is none, an unknown parameter.
-        """
+        """The plant, with other parameters as values or ``(value, relative tolerance)``."""
         parameters = overridden(self._parameters.values(), given, self._where)
         if not self._states:
             raise InputError(self._where, "no state", "p.joint(...) or p.state(...)")
@@ -250,8 +198,6 @@ class PlantEquations:
             tuple(self._states),
             self._equations(parameters),
         )
-
-    # --- building ----------------------------------------------------------------------------------------------------
 
     def _equations(self, parameters: dict[str, Parameter]) -> Equations:
         """Tapes of rates, outputs and local models, with the places where forces act."""
@@ -407,8 +353,6 @@ class PlantEquations:
         if smallest and max(smallest) <= 0:
             raise InputError(where, f"an eigenvalue of {max(smallest):.3g}", "a positive definite matrix")
 
-    # --- small things ------------------------------------------------------------------------------------------------
-
     def _new(self, name: str, kind: str) -> Any:
         _title(name, self._where, kind)
         if name in self._symbols:
@@ -455,9 +399,6 @@ class PlantEquations:
         return found
 
 
-# --- algebra ---------------------------------------------------------------------------------------------------------
-
-
 def _factorised(ca: Any, matrix: Any) -> tuple[list[list[Any]], list[Any]]:
     """Rows of L and the pivots D of M = L D L^T; entries that are zero in every state are left out."""
     n = matrix.shape[0]
@@ -486,9 +427,6 @@ def _solved(ca: Any, factor: tuple[list[list[Any]], list[Any]], right: Any) -> A
             b[i] = ca.sparsify(b[i] - sum((lower[k][i] * b[k] for k in range(i + 1, n)), ca.SX(1, 1)))
             solution[i, c] = b[i]
     return ca.sparsify(solution)
-
-
-# --- names -----------------------------------------------------------------------------------------------------------
 
 
 def _title(name: Any, where: str, kind: str) -> str:

@@ -6,13 +6,12 @@ r"""Nonlinear plants whose equations are tapes: what `robustlab.dynamics.symboli
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array, Indices, Mask
-from robustlab.dynamics.parameters import overridden
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.symbolic.tape import Tape, tape_kernels
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
@@ -57,13 +56,6 @@ class SymbolicPlant(PlantAlong):
     def port_places(self) -> tuple[PortPlace, ...]:
         return self.equations.places
 
-    def with_parameters(self, **given: Any) -> SymbolicPlant:
-        made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
-        made.traced(self.provenance)
-        return made
-
-    # --- the contract of a plant -------------------------------------------------------------------------------------
-
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
         return self._evaluated(self.equations.outputs, x, u, values, first=len(self.states))
 
@@ -97,8 +89,6 @@ class SymbolicPlant(PlantAlong):
             if culprit >= 0:
                 words = f"the rate of {self.states[culprit].name} has no finite value there"
         raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}", None, hint)
-
-    # --- evaluation --------------------------------------------------------------------------------------------------
 
     def _evaluated(
         self, tape: Tape, x: Array, u: Array, values: Mapping[str, Any] | None = None, first: int = 0
@@ -157,16 +147,8 @@ def labels(
     def slopes(rows: list[str], columns: Sequence[Signal] | Sequence[PortPlace], kind: str = "") -> list[str]:
         return [f"the slope of {row} by {kind}{column.name}" for row in rows for column in columns]
 
-    by_force = slopes(rates, places, "the force at ")
-    return [
-        *rates,
-        *outs,
-        *slopes(rates, states),
-        *slopes(rates, inputs),
-        *slopes(outs, states),
-        *slopes(outs, inputs),
-        *by_force,
-    ]
+    by_states = [*slopes(rates, states), *slopes(rates, inputs), *slopes(outs, states), *slopes(outs, inputs)]
+    return [*rates, *outs, *by_states, *slopes(rates, places, "the force at ")]
 
 
 PASSES, HALVINGS = 60, 30

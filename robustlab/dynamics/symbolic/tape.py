@@ -72,7 +72,6 @@ class Tape:
 
     @property
     def n_out(self) -> int:
-        """Number of outputs."""
         return len(self.outputs)
 
     @cached_property

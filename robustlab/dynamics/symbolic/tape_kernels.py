@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from robustlab.dynamics.integrator.steps import DONE, NOT_FINITE, Inputs, answers, entry, integrated, leaf  # noqa: F401
+from robustlab.dynamics.integrator.steps import DONE, NOT_FINITE, Inputs, answers, entry, integrated, leaf  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
 # The local error of a state is held at rtol times the larger of this and its size, in the state's unit.
 LEAST_SCALE = 1e-2

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.effect_blocks import EffectBlocks, effect_blocks
+from robustlab.dynamics.extended.effect_blocks import Amplitude, Dry, EffectBlocks, effect_blocks
 from robustlab.dynamics.extended.extended_plant import with_effects
-from robustlab.dynamics.extended.force_blocks import Amplitude, Dry
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant

@@ -1,4 +1,10 @@
-"""A joint of a nonlinear plant, split into its drive and the load that it carries, about points of a motion."""
+"""A joint split in two, the drive and the load behind it, with a gap or a coupling between them.
+
+Of a nonlinear plant, about points of a motion, the load bears all forces of the plant but the drive's own.
+"""
+# With M the mass matrix, b = M^-1 e_j, J = 1/(e_j^T b), the drive's part (1 - s) J, a the accelerations of the whole
+# plant in the load's position, D the drive's own force and F what the load does to the drive:
+# (1 - s) J v1' = D(v1) + F, v_load' = a + (1 - s)/s J b a_j - b/s (D(v2) + F) (Sherman, Morrison).
 
 from __future__ import annotations
 
@@ -8,18 +14,19 @@ from dataclasses import replace
 import numpy as np
 
 from robustlab.arrays import Array, Indices
+from robustlab.checks import number
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port, PortModel
-from robustlab.errors import RobustlabError
+from robustlab.errors import InputError, RobustlabError
 
 ASIDE = 0.05  # of the states, at which an inertia that no pose changes is asked for a second time
 ROUNDING = 1e-9  # of an inertia
 LEAST_SHARE = 1e-4  # of the load, where a pose leaves it less inertia than the drive is said to have
 
 
-def with_carried_load(model: PortModel, joint: str, share: float, relative: str) -> PortModel:
+def _with_carried_load(model: PortModel, joint: str, share: float, relative: str) -> PortModel:
     """The model with the load behind the joint, not yet connected; ports as of
-    `robustlab.dynamics.ports.load_side.with_load_side`.
+    `with_load_side`.
     """
     port = model.ports[joint]
     places = {n: int(np.argmax(p.velocity)) for n, p in model.ports.items() if p.kind == "joint"}
@@ -139,3 +146,62 @@ def _load(joint: Port, rows: Indices, s: Array) -> Port:
     force[:, j] = 0.0
     position = None if joint.position is None else joint.position - delta
     return replace(joint, name=f"{joint.name}.load", force=force, velocity=joint.velocity - rate, position=position)
+
+
+def with_load_side(model: PortModel, joint: str, share: float, relative: str, where: str) -> PortModel:
+    """The model with the joint's load behind it, not yet connected: no force between the two."""
+    port = model.ports.get(joint)
+    if port is None or port.kind != "joint":
+        joints = ", ".join(p.name for p in model.ports.values() if p.kind == "joint")
+        raise InputError(f"{where}: {joint!r}", "no such joint", f"one of {joints}")
+    if f"{joint}.load" in model.ports or "." in joint:
+        raise InputError(f"{where}: {joint!r}", "another effect that splits the joint in two", "one of them at a joint")
+    number(f"{where}: share", share, "a share of the inertia between 0 and 1", above=0.0, below=1.0)
+    if model.A.ndim > 2:
+        return _with_carried_load(model, joint, share, relative)
+    split = _with_less_inertia(model, port, share)
+    n, drive = len(port.velocity), split.ports[joint]
+    rows = np.zeros((2, n + 2))
+    rows[0, n + 1] = 1.0
+    wide = split.widened(rows)
+    a, b = wide.A.copy(), wide.B.copy()
+    a[..., n + 1, :n] = drive.velocity @ split.A  # the load is free: the rate grows as the drive's does
+    b[..., n + 1, :] = drive.velocity @ split.B
+    ports = {name: _driven(p, split.ports[name].force @ drive.velocity) for name, p in wide.ports.items()}
+    drive = ports[joint]
+    load = _free_load(drive, 1.0 / (share * port.inertia))
+    reduced = (share * (1.0 - share) * port.inertia)[..., None]
+    gap = replace(
+        drive,
+        name=f"{joint}.{relative}",
+        kind="relative",
+        unit=f"{drive.speed_unit.removesuffix('/s')}/s2",
+        position_unit=drive.speed_unit.removesuffix("/s"),
+        force=reduced * (drive.force - load.force),
+        velocity=np.eye(n + 2)[n + 1],
+        position=np.eye(n + 2)[n],
+    )
+    return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
+
+
+def _with_less_inertia(model: PortModel, port: Port, share: float) -> PortModel:
+    """The equations with :math:`(1 - s) J` at the joint."""
+    pulled = (port.inertia[..., None] * port.force)[..., :, None] * port.velocity
+    change = np.eye(len(port.velocity)) + share / (1.0 - share) * pulled
+    ports = {name: replace(p, force=(change @ p.force[..., None])[..., 0]) for name, p in model.ports.items()}
+    return replace(model, A=change @ model.A, B=change @ model.B, ports=ports)
+
+
+def _driven(port: Port, acceleration: Array) -> Port:
+    """The port with the drive's acceleration by its force in the rate of the relative velocity as well."""
+    force = port.force.copy()
+    force[..., -1] = acceleration
+    return replace(port, force=force)
+
+
+def _free_load(drive: Port, mobility: Array) -> Port:
+    """Port of the load: its motion is the drive's less the relative one."""
+    delta, rate = np.eye(len(drive.velocity))[-2:]
+    position = None if drive.position is None else drive.position - delta
+    name, force = f"{drive.name}.load", -mobility[..., None] * rate
+    return replace(drive, name=name, force=force, velocity=drive.velocity - rate, position=position)
