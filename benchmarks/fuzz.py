@@ -47,6 +47,7 @@ from robustlab.files.tree import Tree, content_sha256
 from robustlab.result import Result
 from robustlab.storage import interchange
 
+START = 4.0  # s of processor time that a reader process takes before it sees the file
 FAULTS = ("traceback", "hang", "memory", "silent", "unclear")
 SECONDS, WALL, MEMORY, BATCH = 5, 300, 1 << 30, 25
 ADDRESS_SPACE = 4096 << 20  # as robustlab.files.reader_process
@@ -234,7 +235,7 @@ def in_a_child(reader: Reader, paths: list[Path], truths: set[str]) -> list[tupl
         outcome, text = judge(reader, paths[len(found)], truths, True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-        slow = seconds > SECONDS or (outcome != "refused" and os.WIFSIGNALED(status))
+        slow = seconds > SECONDS + START or (outcome != "refused" and os.WIFSIGNALED(status))
         found.append(("hang" if slow else "contained" if outcome == "refused" else outcome, text, seconds, memory))
     return found
 

@@ -1,7 +1,9 @@
 # Written by benchmarks/stub.py from the table in __init__.py; do not edit.
 from robustlab.analysis.gain import peak_gain as peak_gain
+from robustlab.analysis.gap import gap as gap
 from robustlab.analysis.margins import classical_margins as classical_margins
 from robustlab.analysis.margins import disk_margin as disk_margin
+from robustlab.analysis.robust_gain import robust_gain as robust_gain
 from robustlab.analysis.stability import robust_stability as robust_stability
 from robustlab.analysis.synthesis import hinf as hinf
 from robustlab.delays import DelayedModel as DelayedModel
@@ -138,7 +140,9 @@ __all__ = [
     "disk_margin",
     "classical_margins",
     "robust_performance",
+    "robust_gain",
     "small_gain",
+    "gap",
     "nu_gap",
     "coprime_margin",
     "h2_norm",

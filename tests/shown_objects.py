@@ -266,6 +266,8 @@ OBJECTS: dict[str, Any] = {
     "DelayStability": lambda: rl.robust_stability(rl.with_delays(lag(), inputs={"u": 0.5}).feedback()),
     "DelayGain": lambda: rl.peak_gain(rl.with_delays(lag(), inputs={"u": 0.5})),
     "DelayDiskMargins": lambda: rl.disk_margin(2.0 * rl.with_delays(lag(), inputs={"u": 0.5})),
+    "GapMetric": lambda: rl.gap(lag(), 2.0 * lag()),
+    "RobustGain": lambda: rl.robust_gain(spring(), 5.0, tolerance=0.1),
     "NuGap": lambda: rl.nu_gap(spring().nominal, four_models()[1]),
     "CoprimeMargin": lambda: rl.coprime_margin(spring().nominal, INTEGRAL),
     "HinfNorm": lambda: rl.peak_gain(spring().nominal),

@@ -41,12 +41,11 @@ def limit_resources(kind: str, limits: Limits, size: int) -> None:
         import resource
     except ImportError:  # Windows: the parent's time limit remains
         return
-    seconds, memory = int(limits.seconds) + 1, BASE_ADDRESS_SPACE + 4 * limits.total
+    seconds = min(int(limits.seconds) + 1, BASE_SECONDS + size // BYTES_PER_SECOND)
+    memory = BASE_ADDRESS_SPACE + 4 * limits.total
     if kind == "matlab5":
         import_module("scipy.io")  # so that it does not count
         memory = GROWTH_OF_MATLAB * limits.total
-    else:
-        seconds = min(seconds, BASE_SECONDS + size // BYTES_PER_SECOND)
     if kind == "table":
         memory = min(memory, BASE_TABLE + GROWTH_OF_TABLE * size)
     with suppress(OSError, ValueError, IndexError), open("/proc/self/statm", encoding="ascii") as told:  # noqa: PTH123

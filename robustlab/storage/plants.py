@@ -324,6 +324,8 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
 
 
 def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
+    if not group.groups:
+        return base
     from robustlab.dynamics.effects.catalogue import effect
     from robustlab.dynamics.effects.contract import Site
     from robustlab.dynamics.extended.attached_effect import AttachedEffect

@@ -101,4 +101,4 @@ def test_every_kind_of_step_is_run_by_a_recipe():
     texts = [p.read_text(encoding="utf-8") for p in (*ROOT.glob("recipes/*.toml"), *ROOT.glob("tests/**/*.py"))]
     ran = {word for text in texts for word in re.findall(r"(?:\b|\\n)do\"?\s*[=:]\s*[\"'\\]+([a-z0-9-]+)", text)}
     # The first two are commands first, and tried there.
-    assert set(KINDS) - ran == {"minimal", "reduce-model", "resample"}
+    assert set(KINDS) - ran == {"minimal", "reduce-model"}

@@ -353,7 +353,7 @@ def _as_record(
     smoothed = SmoothedRecord(
         t, x, np.tile(std, (n, 1)), np.broadcast_to(np.diag(std**2), (n, len(std), len(std))).copy(),
         np.zeros((n, len(force_std))), np.tile(force_std, (n, 1)), np.zeros(len(columns)), known[0].bandwidth,
-        known[0].intensity, np.zeros((n, len(columns))), 0.0,
+        0.0,
     )  # fmt: skip
     return PreparedRecord(
         record, trial.u[:n], np.zeros((n, len(columns))), tuple(columns), Windows(starts, length), x[starts].copy(),
@@ -445,7 +445,7 @@ class Bench:
         """The experiment as a problem whose measured outputs are those of the hypothesis ``truth``."""
         hypothesis = self.fits[truth].hypothesis
         _, values = self.problem.split(hypothesis, self.fits[truth].z)
-        shown = self.problem.shown([(c.effect, c.site) for c in hypothesis.candidates], values)
+        shown, _, _ = self.problem.sensors([(c.effect, c.site) for c in hypothesis.candidates], values)
         record = _as_record(self.problem, trial, truth, shown, columns, count)
         there = self.problem.on([record])
         return predicted(there, _from_rest(self.fits[truth], there, noise))

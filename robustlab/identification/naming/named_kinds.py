@@ -342,8 +342,8 @@ def _motion(problem: Problem, fit: Fit, z: Array, k: int) -> _Motion | None:
         x0 = problem.starts_seen(i, simulator, values)
         x0[chosen] += record.x0_std[chosen] * fit.starts[i]
         windows = Windows(record.windows.starts[chosen], record.windows.length)
-        motion, _, model = simulator.run_along(factors, values, x0[chosen], windows, shift)
-        port = model.ports[simulator.laws(values)[laws.index(k)].port]
+        motion = simulator.run(factors, values, x0[chosen], windows, shift)
+        port = motion.model.ports[simulator.laws(values)[laws.index(k)].port]
         used = windows.starts[:, None] + np.arange(windows.length)
         x = motion.states if record.motion is None else record.motion[used]
         n = x.shape[-1]

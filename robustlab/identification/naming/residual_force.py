@@ -197,7 +197,8 @@ def _at_joints(
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     factors, values, shift = problem.setting(fit.hypothesis, fit.z)
     x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
-    motion, about, model = simulator.run_along(factors, values, x0, windows, shift)
+    motion = simulator.run(factors, values, x0, windows, shift)
+    about, model = motion.about, motion.model
     assert about is not None
     names = [p.name for p in plant.port_places if p.kind == "joint"]
     if np.any(np.diff(used) != 1) or not names:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -281,6 +281,7 @@ class Factors:
     plain_share: float
     raw: Array  # signs of the raw responses, 0 where they tell none, (n_u,)
     window: float
+    responds: float = 0.0  # the share without effects in the windows that show that best
 
     def evidence(self, i: int) -> dict[str, object]:
         """The figures behind the factor of input i."""
@@ -329,7 +330,10 @@ def response_factors(
     none = np.zeros(model.n_inputs)
     unknown = Factors(none, 0.0, none + 1, none, 0.0, none, 0.0)
     found = [[fit.factors(j) for fit in fits if fit.keep] for j in range(len(outputs))]
-    return tuple(max(each, key=lambda f: f.share, default=unknown) for each in found)
+    return tuple(
+        replace(max(each, key=lambda f: f.share), responds=max(f.plain_share for f in each)) if each else unknown
+        for each in found
+    )
 
 
 class ResponseWindows:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dk import oscillator
+from characterisation.robust_designs import oscillator
 from repeatable import same_under_load
 
 import robustlab as rl
@@ -18,7 +18,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 
 USED_UP = "work budget used up: a larger effort may find"
-BENCHMARKS = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[3] / 'benchmarks')!r})\n"
+TESTS = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})\n"
 # Six states, singular for the Riccati equations: no penalty on u, no noise on y.
 PLANT = """
 rng = np.random.default_rng(5)
@@ -51,10 +51,10 @@ class Clock:
 @pytest.mark.slow
 def test_designs_whose_work_is_used_up_are_the_same_under_load() -> None:
     found = same_under_load(
-        BENCHMARKS
+        TESTS
         + PLANT
         + """
-from dk import oscillator
+from characterisation.robust_designs import oscillator
 loose = rl.hinf(P, 2, 2, effort=5e-4)
 designs = {
     "hinf": loose,
