@@ -72,7 +72,7 @@ def comparison() -> Any:
 @cache
 def watch() -> Any:
     """A log of a servo axis whose dry friction rises in its second half."""
-    from naming_cases import T, U
+    from naming_cases import T, U, all_but
 
     rough = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}})
     rougher = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 26.0}})
@@ -80,8 +80,7 @@ def watch() -> Any:
     for machine in (rough, rough, rougher):
         q = rl.simulate(machine, T, U)["q"] + 1e-4 * noise.normal(size=len(T))
         pieces.append(rl.Record(T, {"u": U}, {"q": q}, {"u": "V", "q": "m"}, "piece"))
-    others = {"cogging", "position-dependent-friction", "sensor-eccentricity", "end-stop", "backlash", "torque-ripple"}
-    return rl.watch(rough, pieces, noise={"q": 1e-4}, exclude=sorted(others))
+    return rl.watch(rough, pieces, noise={"q": 1e-4}, exclude=all_but("coulomb-friction", "constant-load"))
 
 
 def periodic_comparison() -> Any:
@@ -267,7 +266,7 @@ OBJECTS: dict[str, Any] = {
     "DelayGain": lambda: rl.peak_gain(rl.with_delays(lag(), inputs={"u": 0.5})),
     "DelayDiskMargins": lambda: rl.disk_margin(2.0 * rl.with_delays(lag(), inputs={"u": 0.5})),
     "GapMetric": lambda: rl.gap(lag(), 2.0 * lag()),
-    "RobustGain": lambda: rl.robust_gain(spring(), 5.0, tolerance=0.1),
+    "RobustGain": lambda: rl.robust_gain(rl.elementwise(lag(), 2.0 * lag()), 15.0, tolerance=0.2),
     "NuGap": lambda: rl.nu_gap(spring().nominal, four_models()[1]),
     "CoprimeMargin": lambda: rl.coprime_margin(spring().nominal, INTEGRAL),
     "HinfNorm": lambda: rl.peak_gain(spring().nominal),

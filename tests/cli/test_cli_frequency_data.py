@@ -22,6 +22,7 @@ def files(monkeypatch, tmp_path):
     rl.save("set.h5", rl.unstructured(LAG, 0.1, "output-multiplicative").feedback(3.0))
 
 
+@pytest.mark.slow
 def test_mu_of_data_says_where_it_holds():
     told = robustlab("mu", "loop.h5", code=0).out
     assert "at the 3 given frequencies only; nothing is claimed between them" in told

@@ -46,6 +46,7 @@ def actuator(tmp_path_factory):
     return run_text(tmp_path_factory.mktemp("actuator"), text)
 
 
+@pytest.mark.slow
 def test_the_pid_just_misses_the_requirement_and_hinf_keeps_it_for_every_member(actuator):
     assert actuator.exit_code == 0
     rows = numbers(actuator, "performance")["controllers"]

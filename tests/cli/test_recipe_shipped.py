@@ -114,6 +114,7 @@ def test_the_committed_models_are_those_of_their_recipe(tmp_path):
             np.testing.assert_array_equal(getattr(made, matrix), getattr(committed, matrix))
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.skipif(not EMPS.is_file(), reason="the measured record is not at hand")
 def test_emps_states_the_known_disagreement(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -44,6 +45,7 @@ def test_error_lies_between_the_next_hankel_value_and_twice_the_tail(seed, n, da
     assert np.linalg.norm(gap, 2, axis=(1, 2)).max() <= found.error.upper + 1e-8 * largest
 
 
+@pytest.mark.slow
 @settings(max_examples=3)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 6), loss=st.sampled_from([1e-3, 0.05, 0.5]))
 def test_a_reduced_controller_loses_what_it_says_and_no_more_than_allowed(seed, n, loss):

@@ -86,6 +86,7 @@ def test_repetitions_are_the_ranks_of_what_a_mass_does(pose):
     assert {b.name: b.repeats for b in uncertain.blocks} == {name: ranks[name] for name in MASSES}
 
 
+@pytest.mark.slow
 @QUICK
 @given(data=st.data())
 def test_places_gravity_and_gear_are_polynomials(data):

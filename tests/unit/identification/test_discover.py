@@ -181,6 +181,7 @@ def test_gains_and_zeros_of_one_path_are_equally_probable(seed, pair, gain, bias
 # --- what is not sure ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_set_that_fails_on_held_out_data_is_never_the_answer():
     """Fitted to a machine that rubs, judged on one that does not."""
     found = discovered(machine(friction=20.0), ("coulomb-friction", "constant-load"), held_out=machine(seed=3))

@@ -81,6 +81,7 @@ def test_a_subset_of_the_outputs_is_enough():
     assert any("determine 1 of 2 states" in text for text in found.warnings)
 
 
+@pytest.mark.slow
 def test_the_start_is_estimated_from_noise_with_the_stated_spread():
     t = np.arange(1000) * 1e-2
     u = excitation(len(t))

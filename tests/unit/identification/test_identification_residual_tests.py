@@ -101,6 +101,7 @@ def test_feedback_shows_at_negative_lags():
 # --- the residual that is tested --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_perfect_model_with_noise_is_rejected_at_the_level_only():
     # Two outputs of very unequal noise in windows of 50 samples.
     axis, t = plant("servo-axis"), 0.01 * np.arange(600)

@@ -30,6 +30,7 @@ def test_an_integrator_with_a_delay_has_its_closed_forms():
         assert margin.status is rl.Status.CERTIFIED
 
 
+@pytest.mark.slow
 def test_many_crossings_and_none_missing():
     # a lightly damped mode behind a long delay: L crosses the unit circle and the real axis again and again
     mode = rl.StateSpaceModel([[0, 1], [-100.0, -0.1]], [[0], [1]], [[30.0, 0]], [[0]])

@@ -60,6 +60,7 @@ def test_a_bound_is_kept_and_named():
     assert design.status is Status.CERTIFIED
 
 
+@pytest.mark.slow
 def test_one_gain_for_several_plants_is_neither_ones_own():
     plants = [noisy_lag(1, 1), noisy_lag(2, 0.5), noisy_lag(0.1, 2)]
     alone = [rl.fixed_structure(P, "static", n_meas=1, n_con=1, starts=0) for P in plants]
@@ -86,6 +87,7 @@ def test_a_static_gain_reaches_the_full_order_optimum_where_that_is_static():
     assert static.gamma <= 1.002 * full.gamma
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 def test_limits_hold_in_the_rebuilt_loop(dt):
     limits = [Damping(0.6), Bandwidth(8.0), Decay(0.3)]
@@ -101,6 +103,7 @@ def test_limits_hold_in_the_rebuilt_loop(dt):
     assert design.K.dt == dt
 
 
+@pytest.mark.slow
 def test_a_stable_controller_that_rolls_off():
     limits = [StableController(), RollOff(50.0, 0.5)]
     structure = FixedOrder(2, strictly_proper=True)

@@ -148,6 +148,7 @@ def test_of_a_lag_that_jumps_the_gain_is_five_quarters():
     assert 1.1 < max(best, other) <= found.upper
 
 
+@pytest.mark.slow
 def test_rate_bounded_trajectories_stay_below_the_bound():
     model = lags(1.0).refined(6)
     bound, rng = rl.peak_gain(model).upper, np.random.default_rng(3)

@@ -125,6 +125,7 @@ def test_mu_encloses_the_real_structured_singular_value(seed):
     assert exact <= bounds.upper * (1 + 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blocks", [BLOCKS, MIXED], ids=["alone", "mixed"])
 def test_robust_stability(blocks):
     uncertain = model_for(blocks)
