@@ -22,9 +22,9 @@ _PUBLIC = {
     "save": "storage",
     "export_controller": "storage.controller_export",
     # delays
-    "DelayedModel": "delays",
-    "delay": "delays",
-    "with_delays": "delays",
+    "DelayedModel": "delays.model",
+    "delay": "delays.signal_delays",
+    "with_delays": "delays.signal_delays",
     # plants from physics
     "plant": "dynamics",
     "PlantEquations": "dynamics.symbolic.equations",
@@ -71,8 +71,8 @@ _PUBLIC = {
     "observability": "linear_analysis.structural",
     "frequency_response": "linear_analysis.frequency",
     # nonlinear and time-varying blocks
-    "Varying": "iqc",
-    "Nonlinearity": "iqc",
+    "Varying": "iqc.nature",
+    "Nonlinearity": "iqc.nature",
     # synthesis
     "hinf": "analysis.synthesis",
     "h2": "synthesis.h2.h2_synthesis",
@@ -109,7 +109,7 @@ _PUBLIC = {
     "validate": "identification.validation",
     "FrequencyData": "identification.validation",
     # trust
-    "verify": "evidence",
+    "verify": "evidence.verification",
     "Status": "result",
     "RobustlabError": "errors",
     "InputError": "errors",

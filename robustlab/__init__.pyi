@@ -6,9 +6,9 @@ from robustlab.analysis.margins import disk_margin as disk_margin
 from robustlab.analysis.robust_gain import robust_gain as robust_gain
 from robustlab.analysis.stability import robust_stability as robust_stability
 from robustlab.analysis.synthesis import hinf as hinf
-from robustlab.delays import DelayedModel as DelayedModel
-from robustlab.delays import delay as delay
-from robustlab.delays import with_delays as with_delays
+from robustlab.delays.model import DelayedModel as DelayedModel
+from robustlab.delays.signal_delays import delay as delay
+from robustlab.delays.signal_delays import with_delays as with_delays
 from robustlab.dynamics import linearise as linearise
 from robustlab.dynamics import plant as plant
 from robustlab.dynamics import simulate as simulate
@@ -19,7 +19,7 @@ from robustlab.dynamics.symbolic.equations import PlantEquations as PlantEquatio
 from robustlab.errors import InputError as InputError
 from robustlab.errors import NoTrustworthyNumber as NoTrustworthyNumber
 from robustlab.errors import RobustlabError as RobustlabError
-from robustlab.evidence import verify as verify
+from robustlab.evidence.verification import verify as verify
 from robustlab.identification.comparison.comparison import compare as compare
 from robustlab.identification.monitoring.watch import watch as watch
 from robustlab.identification.naming.discovery import discover as discover
@@ -27,8 +27,8 @@ from robustlab.identification.naming.updated_plant import uncertain_from as unce
 from robustlab.identification.validation import FrequencyData as FrequencyData
 from robustlab.identification.validation import validate as validate
 from robustlab.identification.validation.data_cover import data_cover as data_cover
-from robustlab.iqc import Nonlinearity as Nonlinearity
-from robustlab.iqc import Varying as Varying
+from robustlab.iqc.nature import Nonlinearity as Nonlinearity
+from robustlab.iqc.nature import Varying as Varying
 from robustlab.linear_analysis.frequency import frequency_response as frequency_response
 from robustlab.linear_analysis.invariant_zeros import zeros as zeros
 from robustlab.linear_analysis.structural import controllability as controllability

@@ -194,7 +194,7 @@ def mixsyn() -> Any:
 
 
 def performance_comparison() -> Any:
-    from robustlab.analysis.performance_comparison import compare_performance
+    from robustlab.analysis import compare_performance
 
     return compare_performance({"first": (first_order(), 1), "second": (first_order(), 1)}, points=20)
 

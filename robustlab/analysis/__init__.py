@@ -3,3 +3,12 @@
 A plain model, one with delays, an uncertain or a scheduled one, frequency data, a plant with named effects: each kind's
 method stays in its own room, and is imported when a system of that kind comes.
 """
+
+from robustlab.lazily import lazily
+
+__all__, __getattr__ = lazily(
+    __name__,
+    {
+        "performance_comparison": "compare_performance",
+    },
+)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.delays import DelayedModel
+from robustlab.delays.model import DelayedModel
 from robustlab.errors import InputError, told_as
 from robustlab.linear_analysis.structural import with_hidden
 from robustlab.norms import PeakGain
@@ -283,7 +283,7 @@ def _at_frequencies(
 
 
 def _with_natures(system: Any, natures: Natures, **options: Any) -> PeakGain:
-    from robustlab.iqc import iqc_gain
+    from robustlab.iqc.analysis import iqc_gain
 
     return iqc_gain(system, natures, **options)
 

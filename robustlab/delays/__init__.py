@@ -1,10 +1,12 @@
-"""Delays: exact ones in models, their rational approximations with a proved error, responses.
+"""Delays: exact ones in models, their rational approximations with a proved error, responses."""
 
-`model` has the delayed model and its interconnections, `signal_delays` those that have their delays at inputs and
-outputs, `pade` the rational delay and the proof of its error, `response` the responses over time.
-"""
+from robustlab.lazily import lazily
 
-from robustlab.delays.model import DelayedModel
-from robustlab.delays.signal_delays import delay, uncertain_delays, with_delays
-
-__all__ = ["DelayedModel", "delay", "uncertain_delays", "with_delays"]
+__all__, __getattr__ = lazily(
+    __name__,
+    {
+        "model": "DelayedModel",
+        "signal_delays": "delay uncertain_delays with_delays",
+        "pade": "error_bound error_weight high_pass pade phase_bound phase_error",
+    },
+)

@@ -4,6 +4,12 @@
 method ``claims``, or in one row of ``CLAIMS``.
 """
 
-from robustlab.evidence.verification import Verified, claims_of, verify
+from robustlab.lazily import lazily
 
-__all__ = ["Verified", "claims_of", "verify"]
+__all__, __getattr__ = lazily(
+    __name__,
+    {
+        "verification": "Verified claims_of verify",
+        "designs": "h2_claims hinf_claims",
+    },
+)

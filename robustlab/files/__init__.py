@@ -1,27 +1,18 @@
 """Files from outside: untrusted HDF5, MATLAB and text files into plain arrays, and atomic writing."""
 
-from importlib import import_module
-from typing import Any
+from robustlab.lazily import lazily
 
-# Name -> the module that has it; imported when it is asked for.
-_WORDS = {
-    **dict.fromkeys(("Limits", "content_of", "size_text"), "signature"),
-    "ReaderServer": "isolation",
-    **dict.fromkeys(("read_response", "read_table"), "text_table"),
-    **dict.fromkeys(("read_tree", "write_tree"), "hdf5"),
-    **dict.fromkeys(
-        ("Dataset", "KINDS", "Tree", "Unread", "content_sha256", "link_name", "signal_name", "stamp"), "tree"
-    ),
-    "atomic_write": "atomic",
-    **dict.fromkeys(("MAX_DEPTH", "parse_document"), "document"),
-    **dict.fromkeys(("RecordOptions", "choose"), "records"),
-    **dict.fromkeys(("Channel", "Source"), "record_source"),
-}
-
-__all__ = list(_WORDS)  # pyright: ignore[reportUnsupportedDunderAll]
-
-
-def __getattr__(name: str) -> Any:
-    if name in _WORDS:
-        return getattr(import_module(f"robustlab.files.{_WORDS[name]}"), name)
-    raise AttributeError(f"module 'robustlab.files' has no attribute {name!r}")
+__all__, __getattr__ = lazily(
+    __name__,
+    {
+        "signature": "Limits content_of size_text",
+        "isolation": "ReaderServer",
+        "text_table": "read_response read_table",
+        "hdf5": "read_tree write_tree",
+        "tree": "Dataset KINDS Tree Unread content_sha256 link_name signal_name stamp",
+        "atomic": "atomic_write",
+        "document": "MAX_DEPTH parse_document",
+        "records": "RecordOptions choose",
+        "record_source": "Channel Source",
+    },
+)

@@ -29,7 +29,7 @@ from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.norms import PeakGain
 from robustlab.result import Status
 from robustlab.shown import Facts, listed, member, number
-from robustlab.verification import Claim
+from robustlab.verification.claim import Claim
 
 # relative distance of a margin from a size that was not proved, of a gain from one attained; smaller: more work
 CLOSE = 1e-3

@@ -31,7 +31,7 @@ from robustlab.iqc.nature import Nature, Nonlinearity, Varying
 from robustlab.mu_analysis import WorstCaseGain, worst_case_gain
 from robustlab.norms import PeakGain
 from robustlab.shown import Facts, bracket, listed
-from robustlab.verification import Claim
+from robustlab.verification.claim import Claim
 
 __all__ = ["EffectGain", "effect_gain"]
 

@@ -29,7 +29,8 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.algebra import centred, upper
 from robustlab.uncertainty.blocks import Block, ParameterRange, RealScalar, block_slices
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.verification import Claim, Outcome, check
+from robustlab.verification.checker import check
+from robustlab.verification.claim import Claim, Outcome
 
 WORK = 60 * MILLION  # the usual work of a proof at effort 1
 POLES = (1.0, 4.0, 0.25)

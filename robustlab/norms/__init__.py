@@ -13,6 +13,7 @@ from robustlab.norms.hinfinity import (
     unstable_norm,
     well_scaled,
 )
+from robustlab.norms.numbers import loop_numbers, model_numbers
 from robustlab.norms.peak_gain import PeakGain
 
 __all__ = [
@@ -30,6 +31,8 @@ __all__ = [
     "balancing_units",
     "hinf_norm",
     "linf_norm",
+    "loop_numbers",
+    "model_numbers",
     "unstable_norm",
     "well_scaled",
 ]

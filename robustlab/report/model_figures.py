@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.delays import DelayedModel
+from robustlab.delays.model import DelayedModel
 from robustlab.dynamics.simulation import LOOK, default_clock, simulate
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import default_grid, frequency_response

@@ -124,7 +124,7 @@ def _decode_frequency_data(tree: Tree, problems: Problems, _transpose: bool) -> 
 
 def _encode_controller(tree: Tree, controller: Any) -> None:
     """K as a state-space model; ``gamma``, ``status``, ``method`` as attributes; the claims of its design."""
-    from robustlab.evidence import claims_of
+    from robustlab.evidence.verification import claims_of
     from robustlab.storage.results import encode_claims
 
     encode_model(tree, controller.K)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.errors import InputError
-from robustlab.evidence import claims_of
+from robustlab.evidence.verification import claims_of
 from robustlab.files.tree import Dataset, Tree, Unread, link_name, signal_name
 from robustlab.result import Result, Status
 from robustlab.statespace import StateSpaceModel

@@ -1,5 +1,11 @@
 """The thesis: its printed numbers beside ours, its simulated experiments, its figures."""
 
-from robustlab.thesis.numbers import PublishedNumber, published_numbers
+from robustlab.lazily import lazily
 
-__all__ = ["PublishedNumber", "published_numbers"]
+__all__, __getattr__ = lazily(
+    __name__,
+    {
+        "numbers": "PublishedNumber published_numbers",
+        "figures": "case_figure condition_figure",
+    },
+)

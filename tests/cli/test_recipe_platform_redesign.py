@@ -13,7 +13,7 @@ from shell import robustlab
 import robustlab as rl
 from robustlab.dynamics import stewart
 from robustlab.identification import Comparison
-from robustlab.identification.comparison.along_motion import _pose
+from robustlab.identification.comparison import pose_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -108,7 +108,7 @@ def test_the_pose_of_the_worst_window_is_told():
         outputs=gaps, windows=dict.fromkeys(outputs, windows), measured=rl.Record(t, {}, outputs, {}, "lift"),
         worst={"output": "phi_4", "start": 0.4, "stop": 0.6},
     )  # fmt: skip
-    found.pose = _pose(machine, found)
+    found.pose = pose_of(machine, found)
     assert found.pose["tz"] == pytest.approx(machine.geometry.home[2] + 0.005)
     assert Comparison._worst_in_words(found).startswith("phi_4, 0.4 to 0.6 s, at the pose tx ")
-    assert _pose(rl.plant("servo-axis"), found) == {}
+    assert pose_of(rl.plant("servo-axis"), found) == {}

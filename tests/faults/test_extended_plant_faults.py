@@ -5,8 +5,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics import Descriptor, LinearPlant, Parameter
-from robustlab.files.hdf5 import read_tree, write_tree
-from robustlab.files.tree import content_sha256
+from robustlab.files import content_sha256, read_tree, write_tree
 
 T = np.arange(100) * 1e-3
 

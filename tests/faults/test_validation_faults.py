@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.data import app
-from robustlab.cli.ending import main_guard
+from robustlab.cli import main_guard, run_command
 
 T = np.arange(60) * 0.05
 U = np.sign(np.sin(2 * np.pi * T / 1.5 + 0.05))
@@ -27,7 +26,7 @@ def call(tmp_path, capsys):
             rl.save(tmp_path / "run.h5", record)
             record = tmp_path / "run.h5"
         arguments = ["validate", tmp_path / "set.h5", record, "--noise", bound, *options]
-        code = main_guard(lambda: app(list(map(str, arguments)), standalone_mode=False))
+        code = main_guard(lambda: run_command(["data", *map(str, arguments)]))
         done = capsys.readouterr()
         return code, done.out, done.err
 

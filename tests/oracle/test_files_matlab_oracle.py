@@ -8,7 +8,7 @@ import scipy.io
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.files.hdf5 import read_tree
+from robustlab.files import read_tree
 from robustlab.storage import load_pair
 
 A = np.array([[-1.0, 2.0, 0.0], [0.0, -3.0, 1.0], [0.5, 0.0, -2.0]])

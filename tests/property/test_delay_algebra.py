@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.delays import DelayedModel
-from robustlab.delays.pade import error_weight, pade
+from robustlab.delays import DelayedModel, error_weight, pade
 
 OMEGA = np.array([0.0, 0.13, 0.9, 4.1, 33.0])
 LENGTHS = st.sampled_from([0.0, 0.1, 0.1, 0.25, 0.7])

@@ -203,10 +203,10 @@ def compare_along(
         left_out=_left_out(run, motions, inputs),
         **found,
     )
-    return replace(compared, pose=_pose(plant, compared))
+    return replace(compared, pose=pose_of(plant, compared))
 
 
-def _pose(plant: NonlinearPlant, found: Comparison) -> dict[str, float]:
+def pose_of(plant: NonlinearPlant, found: Comparison) -> dict[str, float]:
     """Of a machine with poses the one in the middle of the worst window; empty where none can be proved."""
     machine = getattr(plant, "plant", plant)  # beneath its effects
     angles = [s.name for s in machine.outputs[:6]]

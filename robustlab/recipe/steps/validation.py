@@ -27,15 +27,15 @@ class PublishedNumbersStep(Step):
     n: Annotated[int, Field(ge=1, le=1000)] = Field(20, description="Random members in each figure of perturbed models")
 
     def foretell(self, ahead: Ahead) -> Foretold:
-        from robustlab.thesis import PublishedNumber
+        from robustlab.thesis.numbers import PublishedNumber
 
         row = {f.name: ... for f in fields(PublishedNumber)} | {"difference": ..., "agrees": ...}
         bands = {"*": {"*": "%"}}
         return Foretold(leaves={"rows": {"*": row}, "counts": {"*": "1"}, "disagreeing": "1", "bands": bands})
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.thesis import published_numbers as compute
         from robustlab.thesis.figures import case_picture, pictures_of_numbers
+        from robustlab.thesis.numbers import published_numbers as compute
 
         found = compute()
         work.keep(found)

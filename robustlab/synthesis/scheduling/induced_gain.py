@@ -18,7 +18,8 @@ from robustlab.shown import Facts, number
 from robustlab.synthesis.scheduling.inequalities import equal_rows, least, value_of
 from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
-from robustlab.verification import Claim, Outcome, check
+from robustlab.verification.checker import check
+from robustlab.verification.claim import Claim, Outcome
 
 # Work at effort 1, in the units of `robustlab.budget`.
 WORK = 4e8

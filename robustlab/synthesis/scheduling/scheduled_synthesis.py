@@ -26,7 +26,7 @@ from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_fir
 from robustlab.synthesis.scheduling.induced_gain import BALANCINGS, NEAR, WORK, LPVGain, gain_from, model_numbers
 from robustlab.synthesis.scheduling.inequalities import projection, reconstructed, shared
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, KNOWN, PROVED, LPVController, LPVModel
-from robustlab.verification import Claim
+from robustlab.verification.claim import Claim
 
 # Back-offs of a synthesis. Larger: better conditioned controllers, worse gamma.
 SYNTHESIS_BACKOFFS = (0.005, 0.02, 0.1, 0.3)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.delays.pade import error_bound, error_weight, high_pass, pade, phase_bound, phase_error
+from robustlab.delays import error_bound, error_weight, high_pass, pade, phase_bound, phase_error
 from robustlab.errors import InputError, NoTrustworthyNumber
 
 OMEGA = np.geomspace(1e-3, 1e3, 301)

@@ -13,8 +13,7 @@ from scipy.io import savemat
 from scipy.linalg import block_diag, eigvals, expm
 
 import robustlab as rl
-from robustlab.cli import model as model_app
-from robustlab.cli.ending import main_guard
+from robustlab.cli import main_guard, run_command
 from robustlab.dynamics import eliminated
 from robustlab.errors import InputError, NoTrustworthyNumber
 
@@ -129,7 +128,7 @@ def test_files_with_e(tmp_path, capsys):
     for name in (path, str(tmp_path / "circuit.mat")):
         m = rl.load(name)
         assert (m.A.item(), m.C.item(), m.D.item()) == (-1.0, -0.5, 0.5)
-    assert main_guard(lambda: model_app.app(["show", path], standalone_mode=False)) == 0
+    assert main_guard(lambda: run_command(["model", "show", path])) == 0
     assert "descriptor form of index 1: 1 of 2 states eliminated; relative residual" in capsys.readouterr().err
     turned = {name: matrix.T for name, matrix in CIRCUIT.items()}
     assert rl.load(hdf5(tmp_path / "turned.h5", **turned), transpose=True).A.item() == -1.0

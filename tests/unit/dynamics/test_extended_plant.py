@@ -6,7 +6,7 @@ from oracle.stick_slip import stick_slip
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.delays.pade import pade
+from robustlab.delays import pade
 from robustlab.dynamics import Law, holding_force, is_set_valued, rest_band
 
 T = np.arange(2001) * 1e-3

@@ -11,8 +11,7 @@ import pytest
 import robustlab as rl
 from robustlab.dynamics import builtin_plant
 from robustlab.errors import DependencyMissing, InputError
-from robustlab.files.hdf5 import read_tree, write_tree
-from robustlab.files.tree import stamp
+from robustlab.files import read_tree, stamp, write_tree
 from robustlab.provenance import Provenance
 
 AXIS = """

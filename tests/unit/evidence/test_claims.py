@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.doors.sets import elementwise
+from robustlab.doors import elementwise
 from robustlab.errors import InputError
 from robustlab.evidence import claims_of
 

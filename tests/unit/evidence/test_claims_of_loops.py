@@ -10,8 +10,7 @@ import pytest
 from lqg import lqg
 
 import robustlab as rl
-from robustlab.cli.ending import main_guard
-from robustlab.cli.verify import app
+from robustlab.cli import main_guard, run_command
 from robustlab.errors import InputError
 from robustlab.evidence import claims_of
 from robustlab.synthesis import MarginGoal, TrackingGoal, VarianceGoal
@@ -183,7 +182,7 @@ def test_skewed_mu_of_real_blocks_that_vary():
 
 
 def call(*arguments: str) -> int:
-    return main_guard(lambda: app(list(arguments), standalone_mode=False))
+    return main_guard(lambda: run_command(["verify", *arguments]))
 
 
 def test_the_file_of_a_controller_carries_the_claims_of_its_design(tmp_path, capsys):

@@ -13,19 +13,16 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.cli.ending import main_guard
-from robustlab.cli.verify import app
-from robustlab.files.hdf5 import read_tree, write_tree
-from robustlab.files.tree import content_sha256
-from robustlab.recipe.load import load_recipe
-from robustlab.recipe.run import run_recipe
-from robustlab.verification.reading import claims_in_file
+from robustlab.cli import main_guard, run_command
+from robustlab.files import content_sha256, read_tree, write_tree
+from robustlab.recipe import load_recipe, run_recipe
+from robustlab.verification import claims_in_file
 
 OSCILLATOR = rl.tf([1.0], [1.0, 0.2, 1.0])
 
 
 def call(*arguments: str) -> int:
-    return main_guard(lambda: app(list(arguments), standalone_mode=False))
+    return main_guard(lambda: run_command(["verify", *arguments]))
 
 
 @pytest.fixture

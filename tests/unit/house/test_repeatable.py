@@ -80,7 +80,7 @@ print(*[f.status for f in found], found[0].label, *[digest(f) for f in found])
 @pytest.mark.slow
 def test_a_discovery_is_the_same_under_load():
     found = same_under_load("""
-from robustlab.dynamics.effects.catalogue import effect_names
+from robustlab.dynamics import effect_names
 t, rng = 2.5e-3 * np.arange(500), np.random.default_rng(0)
 u = np.repeat(rng.uniform(-3.0, 3.0, size=10), 50)
 machine = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}})

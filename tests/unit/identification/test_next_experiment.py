@@ -7,11 +7,19 @@ import pytest
 from hidden import make_case
 
 from robustlab.dynamics import port_model
+from robustlab.identification import (
+    FitPlan,
+    Hypothesis,
+    Problem,
+    candidates,
+    first_noise,
+    nuisance_parameters,
+    prepare,
+    stated_tolerances,
+    whitening,
+    window_length,
+)
 from robustlab.identification.experiment import propose_experiment
-from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem
-from robustlab.identification.hypotheses.noise import first_noise, whitening
-from robustlab.identification.hypotheses.prepared_record import prepare, window_length
 
 SEED = 5
 DT = 1e-3

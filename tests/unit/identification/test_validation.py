@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.cli.data import app
-from robustlab.cli.ending import main_guard
+from robustlab.cli import main_guard, run_command
 from robustlab.errors import InputError
 
 
@@ -151,7 +150,7 @@ def files(tmp_path):
 
 
 def command(capsys, *arguments):
-    code = main_guard(lambda: app(["validate", *map(str, arguments)], standalone_mode=False))
+    code = main_guard(lambda: run_command(["data", "validate", *map(str, arguments)]))
     captured = capsys.readouterr()
     return code, captured.out, captured.err
 

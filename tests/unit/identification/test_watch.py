@@ -10,8 +10,7 @@ import pytest
 from scipy.stats import binom
 
 import robustlab as rl
-from robustlab.cli.data import app
-from robustlab.cli.ending import main_guard
+from robustlab.cli import main_guard, run_command
 
 J, B, FC, DT, NOISE = 2e-3, 4e-3, 0.02, 5e-3, 5e-3
 UNITS = {"u": "N m", "q": "rad"}
@@ -153,7 +152,7 @@ def run(tmp_path, record, capsys, *more):
     words.append("u=N m")
     left_out = [word for name in others() for word in ("--exclude", name)]
     arguments = ["watch", str(tmp_path / "axis.h5"), str(tmp_path / "log.csv"), *words, *left_out, *more]
-    code = main_guard(lambda: app(arguments, standalone_mode=False))
+    code = main_guard(lambda: run_command(["data", *arguments]))
     return code, capsys.readouterr()
 
 

@@ -10,9 +10,8 @@ import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.iqc import Inequality, posed
 from robustlab.iqc import inequality as inequality_module
-from robustlab.iqc.inequality import Inequality
-from robustlab.iqc.problem import posed
 from robustlab.result import Status
 
 

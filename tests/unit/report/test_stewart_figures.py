@@ -8,7 +8,7 @@ import pytest
 import robustlab as rl
 from robustlab.dynamics import stewart
 from robustlab.report import save_figure
-from robustlab.thesis.figures import (
+from robustlab.thesis import (
     case_figure,
     condition_figure,
 )

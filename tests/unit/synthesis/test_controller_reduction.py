@@ -8,9 +8,7 @@ import pytest
 import robustlab as rl
 from robustlab.result import Status, plain
 from robustlab.statespace import lower_lft
-from robustlab.synthesis import GeneralizedPlant
-from robustlab.synthesis.problem.performance_measure import plant_with_scalings
-from robustlab.synthesis.reduction.controller_reduction import ReducedController
+from robustlab.synthesis import GeneralizedPlant, ReducedController, plant_with_scalings
 
 PLANT = rl.StateSpaceModel(
     [[-1, 1, 0], [0, -3, 2], [0, 0, -20]], [[0, 0, 0], [1, 0, 0], [0, 0, 10]], [[1, 0, 0], [0, 0, 0], [1, 0, 0]],

@@ -7,7 +7,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics import effect_blocks
-from robustlab.report.set_figures import blocks_figure, cloud_figure, cover_figures, weight_figure
+from robustlab.report import blocks_figure, cloud_figure, cover_figures, weight_figure
 from robustlab.uncertainty import error_sizes
 
 

@@ -6,8 +6,7 @@ from flint import acb, acb_mat, arb
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robustlab.verification import axis, balls, forms, models
-from robustlab.verification.claim import Blurred, Work
+from robustlab.verification import Blurred, Work, axis, balls, forms, models
 
 BITS = 192
 

@@ -12,10 +12,9 @@ from exact_loops import Model, h2_norm, system, with_precision
 from scipy.linalg import solve_continuous_lyapunov
 
 import robustlab as rl
-from robustlab.cli.ending import main_guard
-from robustlab.cli.verify import app
-from robustlab.evidence.designs import h2_claims, hinf_claims
-from robustlab.norms.numbers import loop_numbers, model_numbers
+from robustlab.cli import main_guard, run_command
+from robustlab.evidence import h2_claims, hinf_claims
+from robustlab.norms import loop_numbers, model_numbers
 from robustlab.verification import Claim, Outcome, check
 
 HOSTILE = Path(__file__).parents[4] / "shared" / "data" / "hostile" / "hinf_r150.npz"
@@ -31,7 +30,7 @@ def written(path, claim):
 
 
 def command(path):
-    return main_guard(lambda: app([str(path)], standalone_mode=False))
+    return main_guard(lambda: run_command(["verify", str(path)]))
 
 
 def test_an_h2_design_next_to_an_ill_posed_loop(tmp_path, capsys):
