@@ -102,7 +102,9 @@ def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
     n, m = g1.n_states + g2.n_states, g1.n_inputs
     C = np.vstack([np.hstack([g1.C, g2.C]), np.zeros((m, n))])
     D = np.block([[g1.D, g2.D], [np.eye(m), np.zeros((m, m))]])
-    plant = StateSpaceModel(block_diag(g1.A, g2.A).reshape(n, n), block_diag(g1.B, g2.B).reshape(n, 2 * m), C, D)
+    plant = StateSpaceModel(
+        np.asarray(block_diag(g1.A, g2.A)).reshape(n, n), np.asarray(block_diag(g1.B, g2.B)).reshape(n, 2 * m), C, D
+    )
     try:
         found = hinf(plant, m, m, gamma_rel=1.0)
     except NoTrustworthyNumber:

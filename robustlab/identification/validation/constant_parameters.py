@@ -282,14 +282,15 @@ def _linear_move(
         np.concatenate([part[rows] for part, rows in zip(lean, taken, strict=True)]), sparse.csr_matrix((n, 2)),
         sparse.block_diag(free),
     ]).tocsr()  # fmt: skip
-    spare = sparse.csr_matrix((np.ones(n), (np.arange(n), np.full(n, m + 1))), moved.shape)
+    width = m + 2 + sum(part.shape[1] for part in free)
+    spare = sparse.csr_matrix((np.ones(n), (np.arange(n), np.full(n, m + 1))), (n, width))
     here, limit = (np.concatenate([x[rows] for x, rows in zip(part, taken, strict=True)]) for part in (noise, limits))
     room, signs = np.where(scaled, 0.0, 1.0), np.where(scaled, -1.0, 0.0)
-    box = np.zeros((2 * m, moved.shape[1]))
+    box = np.zeros((2 * m, width))
     box[:, :m], box[:, m] = np.vstack([np.eye(m), -np.eye(m)]), np.concatenate([signs, signs])
     matrix = sparse.vstack([moved - spare, -moved - spare, sparse.csr_matrix(box)])
     right = np.concatenate([limit - here, limit + here, room - delta, room + delta])
-    cost = np.zeros(moved.shape[1])
+    cost = np.zeros(width)
     cost[m], cost[m + 1] = 1.0, 1e4
     bounds = [(-radius, radius)] * m + [(0, WIDEST), (0, None)] + [(None, None)] * (len(cost) - m - 2)
     found = linprog(cost, matrix, right, bounds=bounds, method="highs")

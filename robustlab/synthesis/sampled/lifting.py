@@ -174,7 +174,7 @@ def _assembled(
 
 def _compressed(rows: AnyArray) -> AnyArray:
     """Rows with the same Gram matrix, no more than columns."""
-    return rows if len(rows) <= rows.shape[1] else np.linalg.qr(rows, mode="r")
+    return rows if len(rows) <= rows.shape[1] else np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 # --- one interval -----------------------------------------------------------------------------------------------------

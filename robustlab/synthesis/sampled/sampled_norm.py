@@ -211,7 +211,7 @@ def _confirmed(norm: SampledDataNorm, lifted: LiftedPlant, K: StateSpaceModel) -
     plant = lifted.generalized_plant()
     m, n_z = plant.model, plant.n_z
     # An orthogonal turn of the performance outputs: no more of them than states and inputs.
-    rows = np.linalg.qr(np.hstack([m.C[:n_z], m.D[:n_z]]), mode="r")
+    rows = np.asarray(np.linalg.qr(np.hstack([m.C[:n_z], m.D[:n_z]]), mode="r"))
     narrow = StateSpaceModel(
         m.A, m.B, np.vstack([rows[:, : m.n_states], m.C[n_z:]]), np.vstack([rows[:, m.n_states :], m.D[n_z:]]), m.dt
     )
@@ -252,6 +252,6 @@ def _part(loop: StateSpaceModel, rows: slice, columns: slice) -> StateSpaceModel
 def _norm(loop: StateSpaceModel, rtol: float) -> HinfNorm:
     """With no more outputs than states and inputs: an orthogonal turn of the outputs keeps the norm."""
     if loop.n_outputs > loop.n_states + loop.n_inputs:
-        r = np.linalg.qr(np.hstack([loop.C, loop.D]), mode="r")
+        r = np.asarray(np.linalg.qr(np.hstack([loop.C, loop.D]), mode="r"))
         loop = StateSpaceModel(loop.A, loop.B, r[:, : loop.n_states], r[:, loop.n_states :], loop.dt)
     return hinf_norm(loop, rtol)
