@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.delays.pade import error_weight, pade, phase_bound
+from robustlab.delays.approximation import error_weight, pade, phase_bound
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, append
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock

@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.closing import wired
+from robustlab.delays.approximation import SHORTEST, checked_order, pade
 from robustlab.delays.channels import chained, closed, covering, in_order, named
-from robustlab.delays.pade import SHORTEST, checked_order, pade
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import CHUNK, at_pole, frequency_response
 from robustlab.operators import TransferMatrix
@@ -237,9 +237,9 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         .. math:: e^{-s \tau} = R_n(s) + W(s) \Delta(s), \qquad |e^{-j\omega\tau} - R_n(j\omega\tau)| \le |W(j\omega)|
            \text{ for all } \omega
 
-        That is proved for all frequencies, not on a grid: see `robustlab.delays.pade`. :math:`\Delta` is stable: the
-        error is, and the weight has its zeros at s = 0 only, where the error has as many. So whatever is proved of the
-        set (`robust_stability`, `worst_case_gain`, `disk_margin`) is proved of the model with its delays.
+        That is proved for all frequencies, not on a grid: see `robustlab.delays.approximation`. :math:`\Delta` is
+        stable: the error is, and the weight has its zeros at s = 0 only, where the error has as many. So whatever is
+        proved of the set (`robust_stability`, `worst_case_gain`, `disk_margin`) is proved of the model with its delays.
         Delays of one length share one repeated block. A delay that is not known exactly gets a block of its own in each
         channel, :math:`|e^{-j\omega(\tau + \delta)} - R_n(j\omega\tau)| \le |W(j\omega)|` for all :math:`|\delta|` up
         to its spread.

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.checks import whole
+from robustlab.delays.approximation import SHORTEST
 from robustlab.delays.model import DelayedModel, as_delayed
-from robustlab.delays.pade import SHORTEST
 from robustlab.errors import InputError, told_as
 from robustlab.signals import real_array
 from robustlab.statespace import StateSpaceModel, append, as_model, series

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from robustlab.delays.pade import error_weight, pade
+from robustlab.delays.approximation import error_weight, pade
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms.numbers import matrices
 from robustlab.statespace import StateSpaceModel

@@ -48,6 +48,7 @@ MARGIN = 10.0
 LEVELS, LOOKED_AT = 60, 3
 # A bracket that is doubtful, or wider than the first share, is left to ball arithmetic up to so many states: 0.1 s.
 WIDE, BALL_STATES = 1e-4, 40
+SHARES = (1e-5, 1e-4, 5e-4, 1e-3)  # of the norm, above which balls are asked where they cannot prove less
 
 Band = tuple[float, float]
 Infinite = Callable[[StateSpaceModel], "HinfNorm | None"]  # which poles make the norm infinite: its bracket, or None
@@ -230,9 +231,12 @@ def _in_balls(m: StateSpaceModel, found: HinfNorm, rtol: float) -> HinfNorm:
     if m.n_states > BALL_STATES or not np.isfinite(found.upper) or not np.isfinite(found.frequency):
         return found
     gain = gain_in_balls(m, found.frequency)
-    if not gain or not norm_matrix(m, (1 + rtol) * gain, gain):
-        return found
-    return HinfNorm(gain, (1 + rtol) * gain, found.frequency, Status.CERTIFIED)
+    for share in (rtol, *(s for s in SHARES if s > rtol)) if gain else ():
+        if found.status is Status.CERTIFIED and (1 + share) * gain >= found.upper:
+            break
+        if norm_matrix(m, (1 + share) * gain, gain):
+            return HinfNorm(gain, (1 + share) * gain, found.frequency, Status.CERTIFIED)
+    return found
 
 
 def _mapped_band(band: Band, dt: float, rate: float) -> Band:

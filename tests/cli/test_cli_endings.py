@@ -128,6 +128,7 @@ def test_sigterm_is_taken_as_ctrl_c(folder, number):
     while len(workers := children(process.pid)) < 2 and time.monotonic() < until:
         assert process.poll() is None, process.stderr.read()
         time.sleep(0.05)
+    time.sleep(1.0)  # the last worker has read what it is to run: Python prints a traceback of one that cannot
     process.send_signal(number)
     out, errors = process.communicate(timeout=PATIENCE)
     assert (process.returncode, out) == (130, "")

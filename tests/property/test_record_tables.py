@@ -14,8 +14,9 @@ from robustlab.clocks import summarise_clock
 from robustlab.files import Channel, RecordOptions, Source, choose
 
 NUMBERS = st.floats(-1e300, 1e300, allow_nan=False)
-NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\x00", exclude_categories=("Cc", "Cs")), min_size=1)
-TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\x00", exclude_categories=("Cc", "Cs")), max_size=9)
+CHARACTERS = st.characters(codec="utf-8", exclude_characters="\x00", exclude_categories=("Cc", "Cs"))
+NAMES = st.text(CHARACTERS, min_size=1, max_size=200)
+TEXTS = st.text(CHARACTERS, max_size=9)
 
 
 @st.composite

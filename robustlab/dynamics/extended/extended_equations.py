@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.checks import number
-from robustlab.delays.pade import pade as rational_delay
+from robustlab.delays.approximation import pade as rational_delay
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import (
     AttachedEffect,
