@@ -231,9 +231,8 @@ def _in_balls(m: StateSpaceModel, found: HinfNorm, rtol: float) -> HinfNorm:
     if m.n_states > BALL_STATES or not np.isfinite(found.upper) or not np.isfinite(found.frequency):
         return found
     gain = gain_in_balls(m, found.frequency)
-    for share in (rtol, *(s for s in SHARES if s > rtol)) if gain else ():
-        if found.status is Status.CERTIFIED and (1 + share) * gain >= found.upper:
-            break
+    shares = [rtol, *(s for s in SHARES if s > rtol and (1 + s) * gain < found.upper)] if gain else []
+    for share in shares if found.status is Status.CERTIFIED else shares[:1]:
         if norm_matrix(m, (1 + share) * gain, gain):
             return HinfNorm(gain, (1 + share) * gain, found.frequency, Status.CERTIFIED)
     return found

@@ -99,6 +99,7 @@ def numbers(result, step):
     return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
 
 
+@pytest.mark.slow
 def test_cover_and_design(tmp_path):
     result = run_small(tmp_path)
     assert [s["error"] for s in result.data["steps"] if s["error"]] == []

@@ -62,6 +62,7 @@ def test_the_pid_just_misses_the_requirement_and_hinf_keeps_it_for_every_member(
     assert evidence.status is rl.Status.CERTIFIED
 
 
+@pytest.mark.slow
 def test_the_simulated_errors_are_those_of_the_frequency_responses(actuator):
     rows = numbers(actuator, "runs")["controllers"]
     assert rows["pid"]["largest_error"] == pytest.approx(0.1996, rel=0.02)  # friction adds a little
@@ -76,6 +77,7 @@ def test_the_simulated_errors_are_those_of_the_frequency_responses(actuator):
         assert row["worst_error"] >= row["largest_error"] * (1 - 1e-9)
 
 
+@pytest.mark.slow
 def test_the_report_has_the_tables_and_figures(actuator):
     page = (actuator.folder / "report.html").read_text(encoding="utf-8")
     for text in ("μ, attained .. proved", "largest u [V]"):

@@ -80,6 +80,7 @@ STILL = 1e-7  # poles and zeros this slow, relative to the fastest, are integrat
 # Multiples of the grid's ends at which the error must not be larger than the weight, and what a lift may make good.
 BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
 NEAREST = 1e-6  # no resonance at the Nyquist frequency is looked at more closely than this share of that frequency
+LIFTS = 4  # of a weight until every error is proved to be below it
 LIFT = 1.001  # up to here a lift is rounding, or a peak just beside a frequency of the grid
 
 
@@ -161,7 +162,9 @@ def _around(
     deltas = _deltas(models, centre, form, fit.weight)
     norms = [hinf_norm(d, 1e-9) for d in deltas]
     proved = bool(norms) and all(n.status.trustworthy and np.isfinite(n.upper) for n in norms)
-    if proved and max(n.upper for n in norms) > 1.0:  # a peak between two frequencies of the grid
+    for _ in range(LIFTS):  # a peak between two frequencies of the grid; a norm may be proved less closely next time
+        if not proved or max(n.upper for n in norms) <= 1.0:
+            break
         fit = _lifted(fit, max(n.upper for n in norms), wanted[1])
         deltas = _deltas(models, centre, form, fit.weight)
         norms = [hinf_norm(d, 1e-9) for d in deltas]

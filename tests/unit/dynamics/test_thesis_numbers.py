@@ -43,6 +43,7 @@ def test_a_fit_is_no_reproduction(found):
         assert row not in found.with_status("R")
 
 
+@pytest.mark.slow
 def test_all_six_bearing_points_are_judged(found):
     """Printed: m2 = (16,33; 175,4). Independent: all at 176.11 mm, m2 5.52 degrees from b2, which is at 79.16."""
     geometry = rl.plant("stewart-platform").geometry

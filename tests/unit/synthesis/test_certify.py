@@ -28,6 +28,7 @@ def loop_norm_proved(P: StateSpaceModel, K: StateSpaceModel, gamma: float) -> bo
     return check(claim).outcome.value == "proved"
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.skipif(not HOSTILE.exists(), reason="measured data not beside the checkout")
 def test_the_plant_that_broke_a_certificate() -> None:
