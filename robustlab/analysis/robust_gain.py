@@ -76,7 +76,7 @@ def robust_gain(
 ) -> RobustGain:
     r"""Largest k for which all Delta of size below k leave the gain below ``level``.
 
-    .. math:: k^* = \sup \Big\{ k : \; \sup_{|\Delta| \le k} \|F_u(M, \Delta)\|_\infty < \gamma \Big\}
+    .. math:: k^* = \sup \{ k : \; \sup_{|\Delta| \le k} \|F_u(M, \Delta)\|_\infty < \gamma \}
 
     The level stays where it is while the set grows; in `robust_performance` both grow. The worst-case gain grows with
     k, so k is searched, each time with a proved upper bound and a member that attains the lower one.
