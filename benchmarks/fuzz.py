@@ -43,6 +43,7 @@ from harness import heading
 import robustlab as rl
 from robustlab.dynamics import Descriptor, LinearPlant, Parameter
 from robustlab.errors import RobustlabError
+from robustlab.files import isolation
 from robustlab.files.tree import Tree, content_sha256
 from robustlab.result import Result
 from robustlab.storage import interchange
@@ -231,6 +232,7 @@ def in_a_child(reader: Reader, paths: list[Path], truths: set[str]) -> list[tupl
     if len(found) < len(paths):
         memory = max(0, usage.ru_maxrss * 1024 - _pages(1))
         # The library crashed, or ran in circles: the public reader has a process of its own for that.
+        isolation._SERVER.close()  # what it took for earlier files counts when it ends: now
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         outcome, text = judge(reader, paths[len(found)], truths, True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)

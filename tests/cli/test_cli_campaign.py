@@ -21,7 +21,6 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("page")
 
 
-@pytest.mark.slow
 def test_the_page_in_order(folder, monkeypatch):
     monkeypatch.chdir(folder)
     printed = {}
