@@ -13,7 +13,7 @@ from robustlab.shown import Facts, bracket
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.uncertainty.distances.coprime import CoprimeFactors, continuous_models, coprime_factors
-from robustlab.uncertainty.distances.gap_metric import NuGap, nu_gap
+from robustlab.uncertainty.distances.gap_metric import NOTHING, NuGap, nu_gap
 
 CLOSE = 1e-3  # relative distance of the bounds that counts as converged
 
@@ -84,7 +84,7 @@ def gap(P1: Any, P2: Any) -> GapMetric:
     0.002
     """
     nu = nu_gap(P1, P2)
-    if nu.lower >= 1.0 or nu.upper <= 1e-9:
+    if nu.lower >= 1.0 or nu.upper <= NOTHING:  # no gap is larger than 1; models that are the same have none
         return GapMetric(nu.lower, nu.upper, nu.frequency, nu.status, (nu.upper, nu.upper), nu)
     models = continuous_models(as_model(P1, "gap: first model"), as_model(P2, "gap: second model")).models
     one, two = (coprime_factors(model) for model in models)
@@ -109,4 +109,5 @@ def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
         found = hinf(plant, m, m, gamma_rel=1.0)
     except NoTrustworthyNumber:
         return 0.0, 1.0
-    return found.lower_bound.value, min(found.gamma, 1.0)
+    least = found.lower_bound.value if found.lower_bound.proved else 0.0
+    return least, min(found.gamma, 1.0) if found.status is Status.CERTIFIED else 1.0

@@ -17,6 +17,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 
 LARGEST = 2.0**20  # sets more than this many times as large as given are not looked at
+CLOSE = 1e-3  # a level less than this share above the nominal gain asks for no closer proof
 STEPS = 20  # worst-case gains at most; 1 % takes about 5
 INNER = 0.25  # each of them is proved to this share of the tolerance, less where the level is next to the nominal gain
 
@@ -124,7 +125,8 @@ def robust_gain(
     nominal = worst_case_gain(UncertainModel(uncertain.nominal, []))
     if nominal.lower >= level:
         return RobustGain(0.0, 0.0, nominal.frequency, Status.CERTIFIED, level, {}, {}, None)
-    inner = INNER * tolerance * min(level / nominal.upper - 1, 1.0) if nominal.upper else INNER * tolerance
+    room = level / nominal.upper - 1 if nominal.upper else 1.0
+    inner = INNER * tolerance * min(max(room, CLOSE), 1.0)
     lower, upper, proof, attained = 0.0, np.inf, None, None
     below, above = 1 / nominal.upper if nominal.upper else np.inf, 0.0  # 1 / gain at both ends
     size, aside = 1.0, tolerance / 3

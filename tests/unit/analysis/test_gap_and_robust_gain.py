@@ -56,6 +56,8 @@ def test_robust_gain_published():
 
 def test_robust_gain_at_its_ends():
     assert rl.robust_gain(LAG, 0.5).upper == 0.0  # the nominal gain is 1
+    beside = rl.robust_gain(LAG, 1.0 + 5e-7)  # within the bracket of the nominal gain: nothing is proved of any set
+    assert (beside.lower, beside.status) == (0.0, "inconclusive")
     still = rl.UncertainModel(rl.ss([[-1.0]], [[0.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [rl.RealScalar("none")])
     found = rl.robust_gain(still, 2.0)
     assert (found.upper, found.delta, found.status) == (np.inf, {}, "certified")
