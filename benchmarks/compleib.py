@@ -2,7 +2,7 @@
 
     python benchmarks/compleib.py --what hinf|h2|static [--most-states 60] [--cpu-limit 20] [--data FILE] [NAME ...]
 
-hinf: `rl.hinf` (smallest gamma, and the default), control.hinfsyn, slycot sb10ad told ten times the best. h2: `rl.h2`
+hinf: `rl.hinf` (smallest gamma, and the default), control.hinfsyn, slycot sb10ad gave ten times the best. h2: `rl.h2`
 and control.h2syn. static: `rl.fixed_structure`, beside the figures of HIFOO 3.501 that come with the data. Every tool
 designs each plant in a child with a limit on its CPU time from after its imports: Fortran does not always return.
 
