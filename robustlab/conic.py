@@ -1,4 +1,4 @@
-"""Cone programmes handed to Clarabel: the one door to the solver, and the triangles of its cones of matrices."""
+"""Cone programmes handed to Clarabel: the one call of the solver, and the triangles of its cones of matrices."""
 
 from __future__ import annotations
 

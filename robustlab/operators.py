@@ -47,7 +47,7 @@ def _not_for_control(function: F) -> F:
 class Behaviour:
     """Base of all kinds of models: the questions that one asks of any of them.
 
-    The functions that answer stand in the rooms above, and look at what they are given: of a set of models they take
+    The functions that answer stand in the packages above, and look at what they are given: of a set of models they take
     the nominal one, and what a kind has no answer to is refused with the way to one.
     """
 

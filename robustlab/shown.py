@@ -137,7 +137,7 @@ class Shown:
         InputError
             No such drawing or option, or nothing to draw.
         """
-        # By its name: the room that draws stands above all rooms whose objects it draws.
+        # By its name: the package that draws stands above all packages whose objects it draws.
         return import_module("robustlab.report.drawings").draw(self, kind, ax, options)
 
 

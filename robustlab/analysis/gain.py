@@ -217,7 +217,7 @@ Method = Callable[..., PeakGain]
 def _kind(system: Any, given: Mapping[str, Any]) -> tuple[str, Method]:
     """What is asked, a key of `OPTIONS`, and who answers it."""
     if not isinstance(system, (StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData)):
-        # Rooms that take a while to load: what is none of these is rarely a model of theirs.
+        # Packages that take a while to load: what is none of these is rarely a model of theirs.
         from robustlab.dynamics.extended.extended_plant import ExtendedPlant
         from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 

@@ -25,8 +25,8 @@ from robustlab.cli.generated import (
 )
 from robustlab.cli.options import RecordOptions
 from robustlab.cli.progress import shown
-from robustlab.doors.declaration import COMMANDS
 from robustlab.errors import EXIT_INTERRUPTED, EnvironmentFault
+from robustlab.operations.declaration import COMMANDS
 
 if TYPE_CHECKING:
     from robustlab.identification.naming.discovery_result import Discovery

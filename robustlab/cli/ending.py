@@ -96,7 +96,7 @@ def answer(command: Callable[[], int | None]) -> int:
 def _code_of(error: BaseException) -> int:
     if isinstance(error, RobustlabError):
         if error.hint:
-            from robustlab.doors.declaration import reading_option
+            from robustlab.operations.declaration import reading_option
 
             error.hint = rewritten(error.hint, reading_option)
         _say(f"error: {error}")

@@ -1,4 +1,4 @@
-"""Commands made of doors: options, help and completion from the declaration, the answer from the result's own face."""
+"""Commands made of operations: options, help and completion from the declaration, the answer from the result."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, signals_of
 from robustlab.cli.plant import machine
 from robustlab.cli.progress import shown
-from robustlab.doors.declaration import COMMANDS, REQUIRED, Door, InLoop, Parameter, load_family
-from robustlab.doors.kinds import Choice, Feedback, Flag, Kind, Machine, Pair, RecordFile, Table, TextFile, Thing
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, RobustlabError, UsageError
+from robustlab.operations.declaration import COMMANDS, REQUIRED, InLoop, Operation, Parameter, load_family
+from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, Machine, Pair, RecordFile, Table, TextFile, Thing
 from robustlab.shown import text_table
 
 # What every command has beside its own.
@@ -35,7 +35,7 @@ def options_of(group: type) -> Options:
     return tuple((f.name, *get_args(hints[f.name]), f.default) for f in fields(group))
 
 
-# How files are read, by `robustlab.doors.kinds.Thing.reading`.
+# How files are read, by `robustlab.operations.kinds.Thing.reading`.
 READ: Mapping[str, Options] = {
     "model": (
         ("group", str | None, typer.Option("--group", metavar="NAME", help="Group of the file that holds the model."),
@@ -55,7 +55,7 @@ DRAWN = ("figure", str | None, typer.Option(metavar="PATH", help=FIGURE), None)
 
 
 def add_commands(app: typer.Typer, group: str, *families: str) -> None:
-    """Add to a group's parser the commands that the families of doors declare for it."""
+    """Add to a group's parser the commands that the families of operations declare for it."""
     for family in families:
         load_family(family)
     for words, declared in COMMANDS.items():
@@ -72,12 +72,12 @@ class Beyond(NamedTuple):
     exit_code: int = 0
 
 
-# Result, values of the door's parameters, options of the command's own, files read -> what is beyond the result.
+# Result, values of the operation's parameters, options of the command's own, files read -> what is beyond the result.
 More = Callable[[Any, Mapping[str, Any], Mapping[str, Any], list[str]], Beyond]
 
 
-def command_of(declared: Door, private: Options | None = None, more: More | None = None) -> Callable[..., None]:
-    """The command of a door, as the parser takes it."""
+def command_of(declared: Operation, private: Options | None = None, more: More | None = None) -> Callable[..., None]:
+    """The command of an operation, as the parser takes it."""
     words = declared.command
     offered = [p for p in declared.parameters if p.called.only != "step"]
     things = [(p.kind, p.called.option) for p in offered if isinstance(p.kind, Thing)]
@@ -122,7 +122,7 @@ def _offering(command: Any, offers: Sequence[Given], own: Options | Sequence[Any
 
 
 def answer(
-    words: str, chosen: Door, given: dict[str, Any], shared: Mapping[str, Any], more: More | None = None
+    words: str, chosen: Operation, given: dict[str, Any], shared: Mapping[str, Any], more: More | None = None
 ) -> None:
     """Read the files and words, compute, and answer with the result's own face."""
     files: list[str] = []
@@ -184,7 +184,7 @@ def _require(one: InLoop) -> None:
         raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
 
 
-def _cases(chosen: Door, values: dict[str, Any], files: list[str], out: str | None) -> dict[str, dict[str, Any]]:
+def _cases(chosen: Operation, values: dict[str, Any], files: list[str], out: str | None) -> dict[str, dict[str, Any]]:
     """The calls: one, or that of the nominal and that of the perturbed model of a file with both."""
     kinds = {p.name: p.kind for p in chosen.parameters}
     pairs = [name for name, v in values.items() if isinstance(v, Pair) and not getattr(kinds.get(name), "pair", False)]
@@ -217,8 +217,8 @@ def _json(one: InLoop) -> Mapping[str, Any]:
     return {**result.to_json(**without), **beside, **({"loop": one.loop} if one.loop else {})}
 
 
-def _values(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], files: list[str]) -> dict[str, Any]:
-    """The values of the door's parameters that were given; the files that they are read from are noted down."""
+def _values(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, Any], files: list[str]) -> dict[str, Any]:
+    """The values of the operation's parameters that were given; the files that they are read from are noted down."""
     found: dict[str, Any] = {}
     things = {p.key: p for p in chosen.parameters if isinstance(p.kind, Thing)}
     # Models first: they say what a record's columns are called, and what units a signal's value may have.
@@ -277,14 +277,14 @@ def _read(p: Parameter, given: Any, shared: Mapping[str, Any], files: list[str],
 
 def _loaded(kind: Thing, name: str, reading: Mapping[str, Any]) -> Any:
     """What one name stands for; code of the user's may print, and the result alone goes to stdout."""
-    from robustlab.doors.reading import runs_code
+    from robustlab.operations.reading import runs_code
 
     if "plant" in kind.gives and runs_code(name):
         result_alone()
     return kind.load(name, note, **reading)
 
 
-def _note(chosen: Door, given: Mapping[str, Any], shared: Mapping[str, Any], files: Sequence[str]) -> str:
+def _note(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, Any], files: Sequence[str]) -> str:
     """What was asked for beside the files: names of plants, and the options that are not as by default, as typed."""
     words = []
     for p in chosen.parameters:
@@ -328,7 +328,7 @@ def _draw(one: InLoop, figure: str, part: str) -> list[str]:
     return made
 
 
-def _draws(declared: Door) -> bool:
+def _draws(declared: Operation) -> bool:
     """Whether the results have pictures; asked by name, the classes need not be loaded."""
     from robustlab.report.drawing_table import DRAWINGS, SETS
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-# Command -> (module that holds its `app`, or the families of doors that are its commands; one line of help).
+# Command -> (module that holds its `app`, or the families of operations that are its commands; one line of help).
 GROUPS: dict[str, tuple[str | tuple[str, ...], str]] = {
     "plant": ("robustlab.cli.plant", "List plants, show one; start one of your own in a file."),
     "model": ("robustlab.cli.model", "Build, show, check, compare and convert models."),

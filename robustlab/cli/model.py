@@ -11,8 +11,8 @@ import robustlab as rl
 from robustlab.cli.console import emit, note
 from robustlab.cli.generated import AS_JSON, READ, add_commands, taking
 from robustlab.cli.plant import parameter_lines, signal_lines
-from robustlab.doors.kinds import Numbers, Table
 from robustlab.errors import UsageError
+from robustlab.operations.kinds import Numbers, Table
 
 if TYPE_CHECKING:
     from robustlab.storage import Loaded

@@ -16,7 +16,7 @@ from robustlab.errors import InputError, did_you_mean
 if TYPE_CHECKING:
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 
-# What else other rooms and tests ask for, loaded on first use: module -> names.
+# What else other packages and tests ask for, loaded on first use: module -> names.
 _INNER = {
     "control.controlled_plant": "TorqueGains actuator_cascade controlled_nonlinear controlled_plant driver_in_loop"
     " torque_gains",

@@ -10,9 +10,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import robustlab as rl
-from robustlab.doors.declaration import STEPS, in_toml
-from robustlab.doors.vocabulary import Names
 from robustlab.errors import InputError, RobustlabError, UsageError, rewritten, unknown_name
+from robustlab.operations.declaration import STEPS, in_toml
+from robustlab.operations.vocabulary import Names
 from robustlab.recipe.load import MAX_FAULTS_SHOWN, LoadedRecipe, find_file, marked, references
 from robustlab.recipe.schema import Requirement
 from robustlab.recipe.steps.contract import Ahead, Foretold, Step, look_ahead
@@ -78,11 +78,11 @@ def at_step(error: RobustlabError, loaded: LoadedRecipe, name: str) -> Robustlab
 
 def step_hint(error: RobustlabError, word: str) -> str | None:
     """Return the hint of an error as a step of a recipe writes its arguments."""
-    door = STEPS.get(word)
+    operation = STEPS.get(word)
     if not error.hint:
         return None
-    if door is not None:
-        return door.hint(error.hint, of_command=False)
+    if operation is not None:
+        return operation.hint(error.hint, of_command=False)
     return rewritten(error.hint, lambda name, value: f"{name} = {in_toml(value)}")
 
 

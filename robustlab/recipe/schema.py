@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal, Self, Union
 from pydantic import Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
-from robustlab.doors.vocabulary import StepName, Strict, Text
 from robustlab.errors import InputError
+from robustlab.operations.vocabulary import StepName, Strict, Text
 from robustlab.recipe.steps.contract import KINDS, Step, nothing_there
 
 STEPS: Any = Field(min_length=1, max_length=200, description="Run in the order written.")

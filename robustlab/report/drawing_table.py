@@ -1,6 +1,6 @@
 """Which drawings every class has, and what a report writes below them; nothing is imported here.
 
-`DRAWINGS`: class -> name of a drawing -> function that makes the figure, ``module.function`` in this room; the first
+`DRAWINGS`: class -> name of a drawing -> function that makes the figure, ``module.function`` in this package; the first
 one is drawn where none is named. `CAPTIONS`: the same function -> what it shows, in a sentence.
 """
 

@@ -1,4 +1,4 @@
-"""Controllers, every one verified in the loop rebuilt from it; rooms, each importing from those before it only:
+"""Controllers, every one verified in the loop rebuilt from it; packages, each importing from those before it only:
 
 problem, specifications, laws, nonsmooth, hinf, h2, dk, scheduling, reduction, fixed, sampled, windup.
 """

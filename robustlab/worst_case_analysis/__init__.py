@@ -1,6 +1,6 @@
 """Sampling of uncertain models and the search for their worst case.
 
-Whatever this room finds is attained by a Delta that it returns; none of it proves that nothing is worse.
+Whatever this package finds is attained by a Delta that it returns; none of it proves that nothing is worse.
 """
 
 from robustlab.worst_case_analysis.metrics import METRICS, MetricBatch, MetricRequest

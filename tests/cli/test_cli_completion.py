@@ -14,7 +14,7 @@ import pytest
 import robustlab as rl
 from robustlab.campaign import CampaignSettings
 from robustlab.cli import GROUPS, PLANTS, parser
-from robustlab.doors import METRICS
+from robustlab.operations import METRICS
 
 HEAVY = {"numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "jinja2"}  # typer itself takes pydantic
 SCRIPTS = Path(sys.executable).parent

@@ -7,8 +7,8 @@ from typing import ClassVar, Literal
 import pytest
 from pydantic import Field
 
-from robustlab.doors import Positive, ToModel
 from robustlab.errors import InputError
+from robustlab.operations import Positive, ToModel
 from robustlab.recipe import (
     KINDS,
     Fact,

@@ -1,4 +1,4 @@
-"""The kinds of steps: classes marked with `contract.step` in the files here, and those made of doors."""
+"""The kinds of steps: classes marked with `contract.step` in the files here, and those made of operations."""
 
 from importlib import import_module
 from pathlib import Path
@@ -11,7 +11,7 @@ _found = sorted(path.stem for path in Path(__file__).parent.glob("[!_]*.py"))
 for _name in sorted(_found, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER)):
     import_module(f"{__name__}.{_name}")
 
-from robustlab.doors.declaration import ALL  # noqa: E402
+from robustlab.operations.declaration import ALL  # noqa: E402
 from robustlab.recipe.steps.generated import add_steps  # noqa: E402
 
 add_steps(*ALL)

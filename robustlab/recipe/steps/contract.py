@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 from pydantic import ConfigDict, Field
 
 import robustlab as rl
-from robustlab.doors.vocabulary import Strict, Text
 from robustlab.errors import InputError, did_you_mean
+from robustlab.operations.vocabulary import Strict, Text
 from robustlab.result import Evidence
 from robustlab.shown import Each
 

@@ -10,7 +10,8 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.doors.vocabulary import (
+from robustlab.errors import InputError
+from robustlab.operations.vocabulary import (
     GUARD,
     ComplementaryWeight,
     ControlWeight,
@@ -26,7 +27,6 @@ from robustlab.doors.vocabulary import (
     ToPlantOrFile,
     ToUncertainOrProblem,
 )
-from robustlab.errors import InputError
 from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, step, told
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.doors.vocabulary import (
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.operations.vocabulary import (
     GUARD,
     Effort,
     Feedback,
@@ -23,7 +24,6 @@ from robustlab.doors.vocabulary import (
     ToPlantOrFile,
     ToRecord,
 )
-from robustlab.errors import NoTrustworthyNumber
 from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, quantity, step
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.doors.vocabulary import RefersTo, ToController, ToPlantOrFile
 from robustlab.errors import InputError
+from robustlab.operations.vocabulary import RefersTo, ToController, ToPlantOrFile
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, step
 
 FORMATS = (".c", ".mat", ".h5")

@@ -1,4 +1,4 @@
-"""Steps made of doors: their keys from the declaration, what they leave from the face of the result's class."""
+"""Steps made of operations: their keys from the declaration, what they leave from the face of the result's class."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, create_model
 
-from robustlab.doors.declaration import STEPS, Door, InLoop, load_family, objects
-from robustlab.doors.kinds import RecordFile, Thing
 from robustlab.errors import InputError, UsageError
+from robustlab.operations.declaration import STEPS, InLoop, Operation, load_family, objects
+from robustlab.operations.kinds import RecordFile, Thing
 from robustlab.recipe.steps.contract import (
     Ahead,
     Fact,
@@ -27,13 +27,13 @@ from robustlab.shown import Shown
 from robustlab.signals import Signal
 
 # Word of a step -> its base, where a recipe says or does more than call the function.
-BASES: dict[str, type[DoorStep]] = {}
+BASES: dict[str, type[OperationStep]] = {}
 
 
 class Quantities:
     """What requirements may refer to: that of the result's class, which is imported when it is asked for."""
 
-    def __init__(self, declared: Door) -> None:
+    def __init__(self, declared: Operation) -> None:
         self.declared = declared
 
     def __get__(self, instance: Any, owner: Any) -> Any:
@@ -41,10 +41,10 @@ class Quantities:
         return self.declared.quantities
 
 
-class DoorStep(Step):
-    """A step that is a door: one function, one result."""
+class OperationStep(Step):
+    """A step that is an operation: one function, one result."""
 
-    declared: ClassVar[Door]
+    declared: ClassVar[Operation]
 
     def foretell(self, ahead: Ahead) -> Foretold:
         """What requirements may refer to, and which signals later steps will see; a record has to fit its model."""
@@ -131,15 +131,15 @@ def compared(ahead: Ahead, model: str | None, record: str) -> tuple[Mapping[str,
 
 
 def add_steps(*families: str) -> None:
-    """Make the steps that the families of doors declare."""
+    """Make the steps that the families of operations declare."""
     for family in families:
         load_family(family)
     for word, declared in STEPS.items():
         step(step_of(word, declared))
 
 
-def step_of(word: str, declared: Door) -> type[DoorStep]:
-    """The class of the steps of a door."""
+def step_of(word: str, declared: Operation) -> type[OperationStep]:
+    """The class of the steps of an operation."""
     keys: dict[str, Any] = {"do": (Literal[word], ...)}
     for p in declared.parameters:
         if p.called.only == "command":
@@ -153,12 +153,12 @@ def step_of(word: str, declared: Door) -> type[DoorStep]:
             kind = Annotated[kind, Field(min_length=1)]
         taken = kind | None if default is None else kind
         keys[p.key] = (taken, Field(default, description=None if isinstance(p.kind, Thing) and p.needed else p.help))
-    made: Any = create_model(_class_name(word), __base__=BASES.get(word, DoorStep), __doc__=_doc(declared), **keys)
+    made: Any = create_model(_class_name(word), __base__=BASES.get(word, OperationStep), __doc__=_doc(declared), **keys)
     made.gives, made.leaves, made.declared = declared.gives, Quantities(declared), declared
     return made
 
 
-def _first(declared: Door) -> str:
+def _first(declared: Operation) -> str:
     return next((p.key for p in declared.parameters if isinstance(p.kind, Thing)), "")
 
 
@@ -176,6 +176,6 @@ def _class_name(word: str) -> str:
     return "".join(part.capitalize() for part in word.split("-")) + "Step"
 
 
-def _doc(declared: Door) -> str:
+def _doc(declared: Operation) -> str:
     more = [part for part in declared.more.split("\n\n") if not part.startswith("Exit code")]  # that of the command
     return "\n\n".join(filter(None, (declared.title, *more)))

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.doors.vocabulary import FileName, NumberOrPair, Text, ToAnything, ToSaved
+from robustlab.operations.vocabulary import FileName, NumberOrPair, Text, ToAnything, ToSaved
 from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
 
 MODEL: dict[str, Any] = {

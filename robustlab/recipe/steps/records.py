@@ -8,10 +8,10 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.doors.declaration import InLoop
-from robustlab.doors.vocabulary import Positive, Text, ToRecord
+from robustlab.operations.declaration import InLoop
+from robustlab.operations.vocabulary import Positive, Text, ToRecord
 from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
-from robustlab.recipe.steps.generated import BASES, DoorStep
+from robustlab.recipe.steps.generated import BASES, OperationStep
 
 RECORD = {"samples": "1", "duration": "s", "dt": "s"}
 
@@ -92,7 +92,7 @@ def _as_record(found: rl.Record, summary: str, notes: tuple[str, ...]) -> Outcom
     return Outcome(found, summary, numbers, facts, notes=notes)
 
 
-class Naming(DoorStep):
+class Naming(OperationStep):
     """Naming what a model lacks: the updated plant is kept as STEP-plant.h5; the recipe says which verdicts count."""
 
     accept: Annotated[list[Literal["no missing effect", "named", "ambiguous", "unknown"]], Field(min_length=1)] = Field(
@@ -150,7 +150,7 @@ class Naming(DoorStep):
         )  # fmt: skip
 
 
-class Comparing(DoorStep):
+class Comparing(OperationStep):
     """Comparing with a record: every number in windows has a sister of the free run."""
 
     def in_free_run(self, path: str) -> str | None:

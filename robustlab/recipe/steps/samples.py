@@ -8,8 +8,8 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 import robustlab as rl
-from robustlab.doors.vocabulary import Count, Names, Points, Positive, ReferenceLine, ToUncertain
 from robustlab.errors import NoTrustworthyNumber, unknown_name
+from robustlab.operations.vocabulary import Count, Names, Points, Positive, ReferenceLine, ToUncertain
 from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.doors.vocabulary import Count
+from robustlab.operations.vocabulary import Count
 from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
 
 _MEANING = {

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.doors import elementwise
 from robustlab.errors import InputError
 from robustlab.evidence import claims_of
+from robustlab.operations import elementwise
 
 SPRING = rl.parametric(
     [[0, 1], ["-k/m", "-c/m"]], [[0], ["1/m"]], [[1, 0]], [[0]],

@@ -1,4 +1,4 @@
-"""The public docstrings, and the page that explains the rooms."""
+"""The public docstrings, and the page that explains the packages."""
 
 from __future__ import annotations
 

@@ -235,7 +235,7 @@ def test_an_unknown_plant_is_closed_by_the_sign_that_is_stable_or_not_at_all():
     assert rl.disk_margin(other, weak, sign=-1).loop == "u = -K y, as asked"
 
 
-def test_a_door_that_assumes_nothing_asks():
+def test_an_operation_that_assumes_nothing_asks():
     weak = rl.StateSpaceModel([], [], [], [[0.3]])
     with pytest.raises(InputError, match="does not say its sign, and both signs leave the loop stable"):
         closing(PLANT, weak, None, "mu", None)

@@ -11,8 +11,8 @@ import pytest
 
 import robustlab as rl
 from robustlab.cli import main, main_guard
-from robustlab.doors import COMMANDS, STEPS, reading_option
 from robustlab.errors import rewritten
+from robustlab.operations import COMMANDS, STEPS, reading_option
 from robustlab.recipe import steps  # loads the registry
 
 ROOT = Path(rl.__file__).parent
@@ -50,18 +50,18 @@ def hints() -> Iterator[tuple[str, str]]:
 
 
 def test_every_hint_is_in_the_syntax_of_its_interface():
-    doors = [*dict.fromkeys([*COMMANDS.values(), *STEPS.values()])]
+    operations = [*dict.fromkeys([*COMMANDS.values(), *STEPS.values()])]
     seen = 0
     for file, hint in hints():
         assert not re.search(r"(?<![\w-])--[a-z]", re.sub(r"(dask|mcap|pip|robustlab) .*", "", hint)), (file, hint)
         arguments: list[str] = []
         rewritten(hint, lambda name, _, found=arguments: found.append(name))
-        for door in doors if arguments else ():
-            names = {n: p for p in door.parameters for n in (p.called.argument or p.name, p.key)}
+        for operation in operations if arguments else ():
+            names = {n: p for p in operation.parameters for n in (p.called.argument or p.name, p.key)}
             for p in (names[name] for name in arguments if name in names):
                 seen += 1
-                assert p.options[0] in door.hint(hint, of_command=True), (file, hint)
-                assert f"{p.key} = " in door.hint(hint, of_command=False), (file, hint)
+                assert p.options[0] in operation.hint(hint, of_command=True), (file, hint)
+                assert f"{p.key} = " in operation.hint(hint, of_command=False), (file, hint)
     assert seen > 20
 
 
@@ -74,9 +74,9 @@ def test_every_hint_is_in_the_syntax_of_its_interface():
     ],
 )
 def test_a_hint_in_three_syntaxes(hint, command, step):
-    door = COMMANDS["worst-case"]
-    assert door.hint(hint, of_command=True) == command
-    assert door.hint(hint, of_command=False) == step
+    operation = COMMANDS["worst-case"]
+    assert operation.hint(hint, of_command=True) == command
+    assert operation.hint(hint, of_command=False) == step
     assert rewritten("transpose=True", reading_option) == "--transpose"
 
 

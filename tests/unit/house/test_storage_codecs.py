@@ -17,7 +17,7 @@ H = rl.ss([[-1.5, 0.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
 # Modules of robustlab, at most, that one `rl.load` needs; a plant brings its equations, delays their algebra.
 MOST = 40
 MORE = {"delayed": 46, "plant": 85}
-# Rooms above the models, and what of them a kind of file needs.
+# Packages above the models, and what of them a kind of file needs.
 ABOVE = {"delays", "dynamics", "worst_case_analysis", "mu_analysis", "iqc", "synthesis", "identification"}
 ABOVE |= {"campaign", "report", "thesis", "recipe", "cli", "norms"}
 NEEDED = {

@@ -1,7 +1,7 @@
-"""Kinds of values that a door takes: how a command reads them from words, and what a key of a recipe may hold.
+"""Kinds of values that an operation takes: how a command reads them from words, and what a key of a recipe may hold.
 
-A parameter of a door is annotated ``Annotated[type, kind, "help"]``; `robustlab.doors.declaration` reads that. Nothing
-heavy is imported here: ``--help`` and TAB must not wait for numerical libraries.
+A parameter of an operation is annotated ``Annotated[type, kind, "help"]``; `robustlab.operations.declaration` reads
+that. Nothing heavy is imported here: ``--help`` and TAB must not wait for numerical libraries.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Kind:
 
     def field(self) -> Any:
         """What a key of a recipe may hold."""
-        from robustlab.doors.vocabulary import Text
+        from robustlab.operations.vocabulary import Text
 
         return Text
 
@@ -88,7 +88,7 @@ class Share(Number):
     """A relative tolerance: ``0.05`` or ``5%``."""
 
     def field(self) -> Any:
-        from robustlab.doors.vocabulary import PriorTolerance, RelativeTolerance
+        from robustlab.operations.vocabulary import PriorTolerance, RelativeTolerance
 
         return PriorTolerance if self.below is None else RelativeTolerance
 
@@ -219,7 +219,7 @@ class Names(Kind):
         return [name for text in (given if self.repeated else [given]) for name in _parts(text)]
 
     def field(self) -> Any:
-        from robustlab.doors import vocabulary
+        from robustlab.operations import vocabulary
 
         taken: Any = vocabulary.Text if self.one else list[vocabulary.Text]
         return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
@@ -237,7 +237,7 @@ class ByNumber(Kind):
     def field(self) -> Any:
         from pydantic import Field
 
-        from robustlab.doors.vocabulary import Text
+        from robustlab.operations.vocabulary import Text
 
         return Annotated[int, Field(ge=1)] | Annotated[list[Text], Field(min_length=1, max_length=100)]
 
@@ -327,7 +327,7 @@ class Table(Kind):
         return found if isinstance(self.value, Numbers) else found[0]
 
     def field(self) -> Any:
-        from robustlab.doors import vocabulary
+        from robustlab.operations import vocabulary
 
         taken = dict[str, self.value.field()]
         return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
@@ -373,7 +373,7 @@ class Weight(Kind):
         return getattr(rl, self.maker)(**found)
 
     def field(self) -> Any:
-        from robustlab.doors import vocabulary
+        from robustlab.operations import vocabulary
 
         return vocabulary.Positive | getattr(vocabulary, "".join(p.capitalize() for p in self.maker.split("_")))
 
@@ -416,7 +416,7 @@ class Thing(Kind):
 
     def field(self) -> Any:
         """The name of an earlier step."""
-        from robustlab.doors.vocabulary import RefersTo
+        from robustlab.operations.vocabulary import RefersTo
 
         name = Annotated[str, RefersTo(self.gives)]
         taken: Any = list[name] if self.many else name
@@ -432,7 +432,7 @@ class Thing(Kind):
         if self.discovery and Path(file).is_dir():
             file = str(Path(file) / UPDATED_PLANT)
         if "plant" in self.gives:
-            from robustlab.doors.reading import named_plant
+            from robustlab.operations.reading import named_plant
 
             plant = named_plant(file, settings)
             if plant is not None:

@@ -1,4 +1,4 @@
-"""Doors of what becomes of a design: smaller, digital, a loop; the same of models."""
+"""Operations of what becomes of a design: smaller, digital, a loop; the same of models."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import robustlab as rl
-from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.designs import Channels, Controls, K, Measured, Of, Order, Plant
-from robustlab.doors.kinds import Choice, Number, Thing
-from robustlab.doors.words import SampleTime, Search, Sign
 from robustlab.errors import UsageError
+from robustlab.operations.declaration import InLoop, Named, operation
+from robustlab.operations.designs import Channels, Controls, K, Measured, Of, Order, Plant
+from robustlab.operations.kinds import Choice, Number, Thing
+from robustlab.operations.words import SampleTime, Search, Sign
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class LoopChannels:
 AS_CONTROLLER, USUAL = LoopChannels(), Search()
 
 
-@door("synth reduce", "reduce-controller", result="synthesis.reduction.controller_reduction.ReducedController",
+@operation("synth reduce", "reduce-controller", result="synthesis.reduction.controller_reduction.ReducedController",
       gives="controller", made="controller")  # fmt: skip
 def reduce_controller(
     plant: Plant,
@@ -78,7 +78,7 @@ class Sampling:
     ] = None
 
 
-@door("synth discretise", "discretise", result="synthesis.sampled.sampled_controller.SampledController",
+@operation("synth discretise", "discretise", result="synthesis.sampled.sampled_controller.SampledController",
       gives="controller", made="controller")  # fmt: skip
 def discretise(
     plant: Annotated[
@@ -116,7 +116,7 @@ def _at_rest(plant: Any) -> Any:
     return GeneralizedPlant(nominal, plant.n_meas, plant.n_con) if plant.blocks else plant
 
 
-@door("model reduce", "reduce-model", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
+@operation("model reduce", "reduce-model", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
       made="model", foretell="of")  # fmt: skip
 def reduce_model(
     system: Of,
@@ -150,7 +150,7 @@ def reduce_model(
     )  # fmt: skip
 
 
-@door("model minimal", "minimal", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
+@operation("model minimal", "minimal", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
       made="model", foretell="of")  # fmt: skip
 def minimal(
     system: Of,
@@ -181,7 +181,7 @@ def _foretold_loop(step: Any, ahead: Any) -> Any:
     return replace(ahead[None], inputs=references, outputs={**outputs, **inputs})
 
 
-@door("model discretise", result="statespace.StateSpaceModel", gives="model")
+@operation("model discretise", result="statespace.StateSpaceModel", gives="model")
 def discretise_by_formula(
     system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file.", Named(key="of")],
     dt: SampleTime,
@@ -209,7 +209,7 @@ def discretise_by_formula(
     return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if late else model, dt)))
 
 
-@door("", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",
+@operation("", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",
       made="model", foretell=_foretold_loop)  # fmt: skip
 def close_loop(
     system: Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file.", Named(key="of")],

@@ -1,4 +1,4 @@
-"""Doors of measured records: is one fit, where does a model miss it, what does the model lack, does a set hold it."""
+"""Operations on measured records: checks, comparison with a model, missing effects, validation of a set."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import robustlab as rl
-from robustlab.doors.declaration import Named, door
-from robustlab.doors.kinds import Choice, Flag, Machine, Names, Number, RecordFile, Share, Table, Whole
-from robustlab.doors.words import Measured, Plant, Repeats, Search, UncertainPlant
+from robustlab.operations.declaration import Named, operation
+from robustlab.operations.kinds import Choice, Flag, Machine, Names, Number, RecordFile, Share, Table, Whole
+from robustlab.operations.words import Measured, Plant, Repeats, Search, UncertainPlant
 
 Window = Annotated[float | None, Number(above=0), "Length of the windows in s; chosen from the model if left out."]
 Period = Annotated[float | None, Number(above=0), "Period of the record in s; found if a signal repeats."]
@@ -23,7 +23,7 @@ Exclude = Annotated[list[str] | None, Names(repeated=True), "Id of an effect not
 Column = Annotated[str | None, Names("outputs", "record", one=True)]
 
 
-@door("data check", "check-record", result="identification.record_check.suitability.RecordCheck")
+@operation("data check", "check-record", result="identification.record_check.suitability.RecordCheck")
 def check_record(
     record: Annotated[Any, RecordFile(remarks=False), Named(key="of"), "HDF5, MATLAB, CSV or TXT file."],
     model: Annotated[Any, Machine(), "A model, too: is the record fit for naming what that lacks?"] = None,
@@ -39,7 +39,7 @@ def check_record(
     return check(record, model)
 
 
-@door("data compare", "compare", result="identification.comparison.comparison_result.Comparison")
+@operation("data compare", "compare", result="identification.comparison.comparison_result.Comparison")
 def compare(
     model: Annotated[
         Any, Machine(("plant", "model", "uncertain", "any")), Named(key="of"), "Model file, plant, or file.py:name."
@@ -64,7 +64,7 @@ def compare(
     )  # fmt: skip
 
 
-@door(
+@operation(
     "data discover", "discover", result="identification.naming.discovery_result.Discovery", gives="plant", made="model",
     own=True, progress="parts",
 )  # fmt: skip
@@ -96,7 +96,7 @@ def discover(
     )  # fmt: skip
 
 
-@door("data watch", "watch", result="identification.monitoring.watch.Watch", progress="lines")
+@operation("data watch", "watch", result="identification.monitoring.watch.Watch", progress="lines")
 def watch(
     model: Annotated[Plant, Named(key="of")],
     records: Annotated[list[Any], RecordFile(many=True), "The log: one record, or its pieces in their order."],
@@ -159,7 +159,9 @@ class Asked:
 WHOLE, USUAL_DELTA, USUAL_SEARCH = Cut(), Asked(), Search()
 
 
-@door("data validate", "validate", result="identification.validation.validation_result.Validation", progress="lines")
+@operation(
+    "data validate", "validate", result="identification.validation.validation_result.Validation", progress="lines"
+)
 def validate(
     uncertain: Annotated[UncertainPlant, Named(key="of")],
     record: Measured,
@@ -185,7 +187,7 @@ def validate(
     )  # fmt: skip
 
 
-@door("", "cover", result="identification.comparison.envelope.EnvelopeCoverage")
+@operation("", "cover", result="identification.comparison.envelope.EnvelopeCoverage")
 def cover(
     uncertain: Annotated[UncertainPlant, Named(key="of")],
     record: Measured,

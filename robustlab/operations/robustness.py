@@ -1,4 +1,4 @@
-"""Doors of margins, gains and stability: of one model, of a set, of blocks that are not linear."""
+"""Operations of margins, gains and stability: of one model, of a set, of blocks that are not linear."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import robustlab as rl
-from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.kinds import Choice, Flag, Number
-from robustlab.doors.words import Frequency, Loop, Model, Search, Seed, Signals, System, Uncertain
 from robustlab.errors import UsageError
+from robustlab.operations.declaration import InLoop, Named, operation
+from robustlab.operations.kinds import Choice, Flag, Number
+from robustlab.operations.words import Frequency, Loop, Model, Search, Seed, Signals, System, Uncertain
 
 # Words of a sign, as `robustlab.closing` has them; it is not imported here, for numpy's sake.
 WORDS = {-1: "negative", 1: "positive"}
@@ -30,7 +30,7 @@ Skew = Annotated[float, Number(), "0: gain up as much as down; positive: rather 
 At = Annotated[str, Choice(("input", "output", "both")), "Where gain and phase change."]
 
 
-@door("model margins", "disk-margin", result="mu_analysis.margins.disk_margin.DiskMargins")
+@operation("model margins", "disk-margin", result="mu_analysis.margins.disk_margin.DiskMargins")
 def disk_margin(
     plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
     around: Loop = NO_LOOP,
@@ -53,7 +53,7 @@ def disk_margin(
     return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
 
 
-@door("model classical-margins", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
+@operation("model classical-margins", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
 def classical_margins(
     plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
     around: Loop = NO_LOOP,
@@ -94,7 +94,7 @@ def _grid(system: Any, drawn: bool) -> Any:
     return default_grid(system.M, 60) if asked else None
 
 
-@door("mu", "robust-stability", result=f"mu_analysis.axis.margin.Margin, {AT}MarginAt")
+@operation("mu", "robust-stability", result=f"mu_analysis.axis.margin.Margin, {AT}MarginAt")
 def robust_stability(
     system: OfSet,
     around: Loop = NO_LOOP,
@@ -131,7 +131,7 @@ def robust_stability(
     return InLoop(found, words, (), beside, (found.proved_intervals(),) if intervals else ())
 
 
-@door("worst-gain", "worst-gain", result=f"mu_analysis.axis.worst_gain.WorstCaseGain, {AT}GainAt")
+@operation("worst-gain", "worst-gain", result=f"mu_analysis.axis.worst_gain.WorstCaseGain, {AT}GainAt")
 def worst_case_gain(
     system: OfSet,
     around: Loop = NO_LOOP,
@@ -158,7 +158,7 @@ def worst_case_gain(
     return InLoop(found, words, (), {}, tables)
 
 
-@door("performance-margin", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")
+@operation("performance-margin", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")
 def robust_performance(
     system: OfSet,
     around: Loop = NO_LOOP,

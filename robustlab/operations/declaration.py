@@ -1,4 +1,4 @@
-"""One declaration of a capability: `door` marks a function; a command, a step of recipes and their help come from it.
+"""One declaration of a capability: `operation` marks a function; its command, its step and their help follow.
 
 Each parameter is annotated ``Annotated[type, kind, "help"]``; options that travel together are the fields of a
 dataclass, which the function takes as one parameter. The work is imported inside.
@@ -15,15 +15,15 @@ from functools import cache
 from importlib import import_module
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
-from robustlab.doors.kinds import Feedback, Kind, Thing
 from robustlab.errors import rewritten
+from robustlab.operations.kinds import Feedback, Kind, Thing
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 REQUIRED = inspect.Parameter.empty
-# Word of a step, and words of a command -> the door.
-STEPS: dict[str, Door] = {}
-COMMANDS: dict[str, Door] = {}
+# Word of a step, and words of a command -> the operation.
+STEPS: dict[str, Operation] = {}
+COMMANDS: dict[str, Operation] = {}
 
 
 @dataclass(frozen=True)
@@ -33,14 +33,14 @@ class Named:
     argument: str = ""  # what the Python function calls it, where that is another name
     option: str = ""  # ``--filter-order``, or ``-k,--controller``
     key: str = ""
-    # The one door that has the parameter, where the other needs none.
+    # The one operation that has the parameter, where the other needs none.
     only: str = ""
     # Default of a recipe's key, where that is another than the command's; ``...``: a recipe must say it.
     in_step: Any = None
 
 
 class InLoop(NamedTuple):
-    """What a door's function may return in the place of a result: the result, and what stands beside it."""
+    """What an operation's function may return in the place of a result: the result, and what stands beside it."""
 
     result: Any
     loop: str = ""  # the loop that it is of, in words
@@ -51,7 +51,7 @@ class InLoop(NamedTuple):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a door."""
+    """One parameter of an operation."""
 
     name: str
     kind: Kind
@@ -74,7 +74,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Door:
+class Operation:
     """What one function offers to the command line and to recipes."""
 
     function: Callable[..., Any]
@@ -187,14 +187,14 @@ def _worded(kind: Kind, value: str) -> str:
     return {"-1": "negative", "1": "positive"}.get(value, value) if isinstance(kind, Feedback) else value
 
 
-def door(command: str = "", step: str = "", **more: Any) -> Callable[[F], F]:
-    """Decorator: the function is what a command and a step of recipes do; ``more`` are further fields of `Door`."""
+def operation(command: str = "", step: str = "", **more: Any) -> Callable[[F], F]:
+    """Make a function what a command and a step of recipes do; ``more`` are further fields of `Operation`."""
 
     def declared(function: F) -> F:
         paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
         example = next((p.removeprefix("Example: ") for p in paragraphs if p.startswith("Example: ")), "")
         rest = "\n\n".join(p for p in paragraphs[1:] if not p.startswith("Example: "))
-        found = Door(function, command, step, paragraphs[0], rest, example, **more)
+        found = Operation(function, command, step, paragraphs[0], rest, example, **more)
         if command:
             COMMANDS[command] = found
         if step:
@@ -245,7 +245,7 @@ def _marks(hint: Any) -> list[Any]:
     return [*inner, *getattr(hint, "__metadata__", ())]
 
 
-def objects(of: Door) -> list[Parameter]:
+def objects(of: Operation) -> list[Parameter]:
     """The parameters that are files of a command and earlier steps of a recipe."""
     return [p for p in of.parameters if isinstance(p.kind, Thing)]
 
@@ -274,16 +274,16 @@ def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[
 
 
 def load_family(family: str) -> None:
-    """Import the module of doors."""
-    import_module(f"robustlab.doors.{family}")
+    """Import the module of operations."""
+    import_module(f"robustlab.operations.{family}")
 
 
-def every_door() -> list[Door]:
-    """All doors, each once."""
+def every_operation() -> list[Operation]:
+    """All operations, each once."""
     for family in ALL:
         load_family(family)
     return list(dict.fromkeys([*COMMANDS.values(), *STEPS.values()]))
 
 
-# The modules of doors.
+# The modules of operations.
 ALL = ("data", "designs", "digital", "members", "models", "robustness", "sets")

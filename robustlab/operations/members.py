@@ -1,4 +1,4 @@
-"""Doors of what drives the members of an uncertain model: worst case, probability of a violation."""
+"""Operations of what drives the members of an uncertain model: worst case, probability of a violation."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import robustlab as rl
-from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.kinds import Choice, Flag, Kind, Names, Number, Quantity, Table, TextFile, Whole, in_units
-from robustlab.doors.words import Search, Seed, Uncertain
 from robustlab.errors import InputError, UnitMismatch, UsageError
+from robustlab.operations.declaration import InLoop, Named, operation
+from robustlab.operations.kinds import Choice, Flag, Kind, Names, Number, Quantity, Table, TextFile, Whole, in_units
+from robustlab.operations.words import Search, Seed, Uncertain
 
 METRICS = (
     "peak-deviation", "peak", "rms", "overshoot", "settling-time", "hinf", "h2", "spectral-abscissa", "damping",
@@ -130,7 +130,9 @@ def _foretold_violation(step: Any, ahead: Any) -> Any:
     return replace(ahead[None], leaves={**type(step).leaves, "worst_value": unit})
 
 
-@door("worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase", foretell=_foretold_worst)
+@operation(
+    "worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase", foretell=_foretold_worst
+)
 def worst_case(
     uncertain: Of,
     judged: Judged = USUAL,
@@ -148,7 +150,7 @@ def worst_case(
     return rl.worst_case(uncertain, judged.metric, n=n, seed=seed, workers=workers, **options)
 
 
-@door(
+@operation(
     "violation-probability",
     "violation-probability",
     result="worst_case_analysis.statistics.ViolationProbability",
@@ -193,7 +195,7 @@ def _check_sine(sines: Any, frequency: float | None) -> None:
 # --- samples and campaigns --------------------------------------------------------------------------------------------
 
 
-@door("uncertain show", result="uncertainty.lft.UncertainModel")
+@operation("uncertain show", result="uncertainty.lft.UncertainModel")
 def show(uncertain: Of) -> Any:
     """The blocks, signals and nominal stability of an uncertain model.
 
@@ -203,7 +205,7 @@ def show(uncertain: Of) -> Any:
     return InLoop(uncertain, beside={"nominal": nominal, "nominal_spectral_abscissa": nominal.spectral_abscissa()})
 
 
-@door("uncertain sample", result="worst_case_analysis.sampling.Responses")
+@operation("uncertain sample", result="worst_case_analysis.sampling.Responses")
 def sample(
     uncertain: Of,
     n: Annotated[int, Whole(0, 1_000_000), "Number of random samples.", Named(option="-n,--samples")] = 20,
@@ -286,7 +288,7 @@ def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
         raise KeyboardInterrupt(words) from None
 
 
-@door("campaign run", result=RESULT, progress="steps")
+@operation("campaign run", result=RESULT, progress="steps")
 def campaign(
     uncertain: Of,
     store: Annotated[str, TextFile(), "SQLite file to write; an unfinished one is gone on with.",
@@ -326,7 +328,7 @@ def campaign(
         )
 
 
-@door("campaign resume", result=RESULT, progress="steps")
+@operation("campaign resume", result=RESULT, progress="steps")
 def resume(store: Store, workers: WorkerOptions = HERE, limit: Bound = None, progress: Any = None) -> Any:
     """Go on with a campaign where it was interrupted; model and settings are in the store.
 
@@ -338,7 +340,7 @@ def resume(store: Store, workers: WorkerOptions = HERE, limit: Bound = None, pro
         return resume_campaign(store, crew=workers.crew(), limit=limit, progress=advance)
 
 
-@door("campaign show", result=RESULT)
+@operation("campaign show", result=RESULT)
 def stored(store: Store, limit: Bound = None) -> Any:
     """What a store holds: counts, worst sample, quantiles, lost samples; also while a run writes it.
 
@@ -351,7 +353,7 @@ def stored(store: Store, limit: Bound = None) -> Any:
     return read_campaign(store, limit)
 
 
-@door("campaign replay", result="campaign.runs.Replay")
+@operation("campaign replay", result="campaign.runs.Replay")
 def replay(store: Store, index: Annotated[int, Whole(0, 10**9), "Number of the sample.", Named(option="*")]) -> Any:
     """Compute one sample again in this process.
 

@@ -1,4 +1,4 @@
-"""Doors of what makes uncertain models: from two models, a plant's ranges, expressions, models, data, delays."""
+"""Operations of what makes uncertain models: from two models, a plant's ranges, expressions, models, data, delays."""
 
 from __future__ import annotations
 
@@ -7,11 +7,23 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import robustlab as rl
-from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.kinds import Choice, Flag, Names, Number, Quantity, Share, Table, TextFile, Thing, Whole, in_units
-from robustlab.doors.models import At, Plant, Pose, at_rest, left_out, two_models
-from robustlab.doors.words import Controller, Outputs, Search, Sign
 from robustlab.errors import InputError, UsageError
+from robustlab.operations.declaration import InLoop, Named, operation
+from robustlab.operations.kinds import (
+    Choice,
+    Flag,
+    Names,
+    Number,
+    Quantity,
+    Share,
+    Table,
+    TextFile,
+    Thing,
+    Whole,
+    in_units,
+)
+from robustlab.operations.models import At, Plant, Pose, at_rest, left_out, two_models
+from robustlab.operations.words import Controller, Outputs, Search, Sign
 
 STRUCTURES = ("elements", "columns", "rows", "matrices", "single", "cover")
 COVERS = (
@@ -24,7 +36,7 @@ ANY = ("plant", "model", "uncertain", "any")
 NOTHING = "no uncertainty: mu = 0"
 
 
-@door(
+@operation(
     "uncertain build",
     "elementwise",
     result="uncertainty.built.BuiltModel",
@@ -69,7 +81,7 @@ def elementwise(
     return InLoop(found, notes=notes if model.blocks or notes else (NOTHING,))
 
 
-@door("uncertain plant", "uncertain", result="uncertainty.built.BuiltModel", gives="uncertain", made="model",
+@operation("uncertain plant", "uncertain", result="uncertainty.built.BuiltModel", gives="uncertain", made="model",
       foretell="of")  # fmt: skip
 def uncertain(
     plant: Annotated[Plant, "A plant: its name, file.py:name, or HDF5 file.", Named(key="of")],
@@ -125,7 +137,7 @@ def uncertain(
     return InLoop(BuiltModel(model, "parameters", None), notes=tuple(notes))
 
 
-@door("uncertain expressions", result="uncertainty.built.BuiltModel", gives="uncertain", made="model")
+@operation("uncertain expressions", result="uncertainty.built.BuiltModel", gives="uncertain", made="model")
 def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in named parameters."]) -> Any:
     """Uncertain model from matrices of expressions in parameters with ranges.
 
@@ -139,7 +151,7 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
     return InLoop(found, notes=() if model.blocks else (NOTHING,))
 
 
-@door("uncertain cover", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model")
+@operation("uncertain cover", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model")
 def cover(
     models: Annotated[list[Any], Thing(ANY, model=True, many=True), "Files of the models to cover; at least two."],
     form: Annotated[str, Choice(COVERS), "Of the cover."] = "elements",
@@ -182,7 +194,7 @@ def _foretold_blocks(step: Any, ahead: Any) -> Any:
     return replace(ahead[step.of].select(step.outputs), inputs=None, leaves=type(step).leaves)
 
 
-@door(
+@operation(
     "uncertain discovery",
     "uncertain-from",
     result="dynamics.extended.effect_blocks.EffectBlocks",

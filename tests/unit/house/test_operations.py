@@ -1,4 +1,4 @@
-"""One declaration, three doors: what a function says is what its command and its step offer."""
+"""One declaration, three ways in: what a function says is what its command and its step offer."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import pytest
 
 import robustlab as rl
 from robustlab.cli import command_of
-from robustlab.doors import Choice, Door, Numbers, Table, Thing, Whole, every_door
 from robustlab.errors import InputError, UsageError
+from robustlab.operations import Choice, Numbers, Operation, Table, Thing, Whole, every_operation
 from robustlab.recipe import KINDS, look_ahead
 from robustlab.shown import Shown
 
-DOORS = every_door()
-NAMES = [d.function.__name__ for d in DOORS]
-# What only one door can offer, and why.
-ONE_DOOR: dict[str, str] = {
+OPERATIONS = every_operation()
+NAMES = [d.function.__name__ for d in OPERATIONS]
+# What only one operation can offer, and why.
+ONE_WAY: dict[str, str] = {
     "expressions": "a recipe loads the set that the command wrote",
     "cover": "the step takes a plant at several poses, and compares loops with references",
     "discretise_by_formula": "one line in Python",
@@ -28,21 +28,21 @@ ONE_DOOR: dict[str, str] = {
 }
 
 
-# Defaults of a door that differ from Python's, and why.
+# Defaults of an operation that differ from Python's, and why.
 OTHER_DEFAULTS = {
     ("sample", "vertices"): "a number, or all",
     **{(name, "starts"): "a command is waited for" for name in ("dk", "fixed_structure")},
 }
 
 
-@pytest.mark.parametrize("declared", DOORS, ids=NAMES)
-def test_every_capability_has_its_command_and_its_step(declared: Door) -> None:
+@pytest.mark.parametrize("declared", OPERATIONS, ids=NAMES)
+def test_every_capability_has_its_command_and_its_step(declared: Operation) -> None:
     name = declared.function.__name__
-    assert (declared.command and declared.step) or name in ONE_DOOR
+    assert (declared.command and declared.step) or name in ONE_WAY
 
 
-@pytest.mark.parametrize("declared", DOORS, ids=NAMES)
-def test_names_defaults_and_help_are_those_of_the_declaration(declared: Door) -> None:
+@pytest.mark.parametrize("declared", OPERATIONS, ids=NAMES)
+def test_names_defaults_and_help_are_those_of_the_declaration(declared: Operation) -> None:
     parameters = {p.name: p for p in declared.parameters}
     if declared.command:
         offered = inspect.signature(command_of(declared)).parameters
@@ -60,11 +60,11 @@ def test_names_defaults_and_help_are_those_of_the_declaration(declared: Door) ->
                     assert keys[p.key].default == default
 
 
-@pytest.mark.parametrize("declared", DOORS, ids=NAMES)
-def test_defaults_are_those_of_the_public_function(declared: Door) -> None:
+@pytest.mark.parametrize("declared", OPERATIONS, ids=NAMES)
+def test_defaults_are_those_of_the_public_function(declared: Operation) -> None:
     function = getattr(rl, declared.function.__name__.rstrip("_"), None)
     if not callable(function):
-        pytest.skip("a door of more than one public function")
+        pytest.skip("an operation of more than one public function")
     known = inspect.signature(function).parameters
     for p in declared.parameters:
         public = known.get(p.name)
@@ -74,8 +74,8 @@ def test_defaults_are_those_of_the_public_function(declared: Door) -> None:
             assert p.default == public.default, p.name
 
 
-@pytest.mark.parametrize("declared", DOORS, ids=NAMES)
-def test_a_result_says_itself_in_all_readers(declared: Door) -> None:
+@pytest.mark.parametrize("declared", OPERATIONS, ids=NAMES)
+def test_a_result_says_itself_in_all_readers(declared: Operation) -> None:
     kind = declared.result_classes[0]
     assert issubclass(kind, Shown)
     for name in kind.quantities if kind.numbers is Shown.numbers else ():
@@ -86,8 +86,8 @@ def test_a_result_says_itself_in_all_readers(declared: Door) -> None:
             look_ahead(f"s.{name}", kind.quantities)
 
 
-def test_families_declare_doors_without_numerical_libraries() -> None:
-    code = "import sys, json\nfrom robustlab.doors import every_door\nevery_door()\n"
+def test_families_declare_operations_without_numerical_libraries() -> None:
+    code = "import sys, json\nfrom robustlab.operations import every_operation\nevery_operation()\n"
     code += "print(json.dumps([m for m in ('numpy', 'scipy', 'pydantic', 'matplotlib') if m in sys.modules]))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout == "[]\n"

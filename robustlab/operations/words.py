@@ -1,12 +1,12 @@
-"""Parameters that many doors share, declared once: what they are called, take, and mean."""
+"""Parameters that many operations share, declared once: what they are called, take, and mean."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from robustlab.doors.declaration import Named, closed
-from robustlab.doors.kinds import Feedback, Flag, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
+from robustlab.operations.declaration import Named, closed
+from robustlab.operations.kinds import Feedback, Flag, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
 
 Model = Annotated[Any, Thing(("plant", "model", "uncertain", "any"), model=True), "HDF5 or MATLAB file."]
 System = Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file."]

@@ -1,4 +1,4 @@
-"""Doors of what makes, checks and joins models."""
+"""Operations of what makes, checks and joins models."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import robustlab as rl
-from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.kinds import Number, Numbers, Quantity, Table, Thing, Whole, in_units
-from robustlab.doors.words import Model, Outputs
 from robustlab.errors import UsageError
+from robustlab.operations.declaration import InLoop, Named, operation
+from robustlab.operations.kinds import Number, Numbers, Quantity, Table, Thing, Whole, in_units
+from robustlab.operations.words import Model, Outputs
 
 PLANT = "Name of the plant (dc-motor), file.py:name, or an HDF5 file with one."
 Plant = Annotated[Any, Thing(("plant",), settings=True), PLANT]
@@ -55,7 +55,7 @@ def at_rest(plant: Any, at: Any, pose: Any) -> Any:
     return list(pose) if pose is not None else at
 
 
-@door("model build", "linearise", result="statespace.StateSpaceModel", gives="model", foretell="of")
+@operation("model build", "linearise", result="statespace.StateSpaceModel", gives="model", foretell="of")
 def linearise(
     plant: Annotated[Plant, Named(key="of")],
     at: At = None,
@@ -97,7 +97,7 @@ def left_out(missing: Any) -> tuple[str, ...]:
     return tuple(f"not in it: {m.effect.effect.title} at {m.effect.site}: {m.reason}" for m in missing)
 
 
-@door("model check", "structural", result="linear_analysis.structural.Structure")
+@operation("model check", "structural", result="linear_analysis.structural.Structure")
 def check(
     system: Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file.", Named(key="of")],
 ) -> Any:
@@ -123,7 +123,7 @@ def _foretold_steady_state(step: Any, ahead: Any) -> Any:
     return replace(ahead[None], leaves={"outputs": {"*": float} if kept is None else dict(kept)})
 
 
-@door("", "steady-state", result="linear_analysis.steady_state.SteadyState", foretell=_foretold_steady_state)
+@operation("", "steady-state", result="linear_analysis.steady_state.SteadyState", foretell=_foretold_steady_state)
 def steady_state(
     model: Annotated[Model, Named(key="of")],
     inputs: Annotated[
@@ -140,7 +140,7 @@ def steady_state(
     return computed(model, in_units("input", inputs, {s.name: s.unit for s in model.inputs}), outputs)
 
 
-@door("model diff", "difference", result="storage.pairs.Difference")
+@operation("model diff", "difference", result="storage.pairs.Difference")
 def diff(
     first: Annotated[
         Any,
@@ -167,7 +167,7 @@ def diff(
 
 def two_models(first: Any, second: Any) -> tuple[Any, Any]:
     """Both models: of two files, or of one that holds two."""
-    from robustlab.doors.kinds import Pair
+    from robustlab.operations.kinds import Pair
 
     if isinstance(first, Pair):
         if second is not None:

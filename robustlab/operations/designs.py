@@ -1,4 +1,4 @@
-"""Doors of designs: controllers by every method."""
+"""Operations of designs: controllers by every method."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import robustlab as rl
-from robustlab.doors.declaration import InLoop, Named, door
-from robustlab.doors.kinds import ByNumber, Choice, Flag, Kind, Names, Number, Thing, Weight, Whole
-from robustlab.doors.words import Design, Model, Search, Seed, Signals
 from robustlab.errors import InputError, UsageError
+from robustlab.operations.declaration import InLoop, Named, operation
+from robustlab.operations.kinds import ByNumber, Choice, Flag, Kind, Names, Number, Thing, Weight, Whole
+from robustlab.operations.words import Design, Model, Search, Seed, Signals
 
 DESIGN, HINF = "synthesis.problem.design.", "synthesis.hinf."
 Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model.", Named(key="of")]
@@ -101,7 +101,7 @@ def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = F
 # --- generalised plants -----------------------------------------------------------------------------------------------
 
 
-@door("synth hinf", "hinf", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
+@operation("synth hinf", "hinf", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
 def hinf(
     system: Plant,
     channels: Channels = UNSAID,
@@ -122,7 +122,7 @@ def hinf(
     return _design(found, system, drawn=drawn)
 
 
-@door("synth h2", "h2", result="synthesis.h2.h2_synthesis.H2Synthesis", gives="controller", made="controller")
+@operation("synth h2", "h2", result="synthesis.h2.h2_synthesis.H2Synthesis", gives="controller", made="controller")
 def h2(
     system: Plant,
     channels: Channels = UNSAID,
@@ -175,7 +175,7 @@ class Tries:
 USUAL_WAY, ANY_ORDER, USUAL_TRIES = Way(), Orders(), Tries()
 
 
-@door("synth dk", "dk", result="synthesis.dk.dk_design.DKSynthesis", gives="controller", made="controller")
+@operation("synth dk", "dk", result="synthesis.dk.dk_design.DKSynthesis", gives="controller", made="controller")
 def dk(
     system: Plant,
     channels: Channels = UNSAID,
@@ -224,7 +224,7 @@ def _rows(text: str) -> list[list[int]]:
     return rows
 
 
-@door(
+@operation(
     "synth fixed",
     "fixed",
     result="synthesis.fixed.fixed_structure.FixedSynthesis",
@@ -262,7 +262,7 @@ def fixed_structure(
 # --- plain models -----------------------------------------------------------------------------------------------------
 
 
-@door("synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")  # fmt: skip
+@operation("synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
 def mixsyn(
     system: Of,
     w1: Annotated[
@@ -302,7 +302,7 @@ def mixsyn(
     return InLoop(found, "", notes)
 
 
-@door("synth ncf", "ncf", result=f"{HINF}loop_shaping.NcfSynthesis", gives="controller", made="controller")
+@operation("synth ncf", "ncf", result=f"{HINF}loop_shaping.NcfSynthesis", gives="controller", made="controller")
 def ncf(
     system: Of,
     w1: Annotated[
