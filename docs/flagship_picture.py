@@ -4,7 +4,7 @@ import json
 import sys
 from pathlib import Path
 
-from robustlab.report.figures import COLOURS, house_style, logarithmic, new_figure
+from robustlab.report.style import COLOURS, house_style, logarithmic, new_figure
 
 RUN = Path(sys.argv[1] if len(sys.argv) > 1 else "out/flagship")
 numbers = {s["name"]: s["numbers"] for s in json.loads((RUN / "result.json").read_text(encoding="utf-8"))["steps"]}

@@ -97,7 +97,7 @@ def figure_place(path: str, name: str, suffix: str = "") -> tuple[Path, str]:
 
 def save_figures(figures: Mapping[str, Figure], path: str, prefix: str = "") -> list[str]:
     """Write each figure as SVG and PNG where ``--figure`` says, in a folder with the prefix; the paths."""
-    from robustlab.report.figures import save_figure
+    from robustlab.report.style import save_figure
 
     made: list[str] = []
     for name, figure in figures.items():
@@ -111,7 +111,7 @@ def save_drawing(figure: Figure, path: str, suffix: str = "") -> list[str]:
 
     Gives the paths.
     """
-    from robustlab.report.figures import save_figure
+    from robustlab.report.style import save_figure
 
     files = [str(made) for made in save_figure(figure, *figure_place(path, suffix.lstrip("-") or "figure", suffix))]
     for made in files:

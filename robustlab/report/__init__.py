@@ -5,7 +5,7 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "figures": "COLOURS house_style logarithmic new_figure save_figure",
+        "style": "COLOURS house_style logarithmic new_figure save_figure",
         "html": "in_words junit_xml render verdict",
         "drawings": "drawings_of pictures_of",
         "drawing_table": "DRAWINGS SETS",

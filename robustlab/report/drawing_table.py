@@ -16,7 +16,7 @@ _MODEL = {
 }
 _LOOP = {"loop": "design_figures.loop_picture", "functions": "design_figures.functions_picture"}
 _SAMPLED = {"loop": "design_figures.loop_picture"}
-_DISK = {"disk": "result_figures.disk_figure"}
+_DISK = {"disk": "robustness_figures.disk_figure"}
 _MARGIN = {"mu": "robustness_figures.mu_figure", "shares": "robustness_figures.margin_shares"}
 
 DRAWINGS: Mapping[str, Mapping[str, str]] = {
@@ -24,15 +24,14 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "StateSpaceModel": _MODEL,
     "UncertainModel": _MODEL,
     "DelayedModel": {kind: name for kind, name in _MODEL.items() if kind != "pzmap"},
-    "UncertainFrequencyData": {"bode": "result_figures.measured_response_figure"},
+    "UncertainFrequencyData": {"bode": "model_figures.measured_response_figure"},
     "Controller": _MODEL,
     "GeneralizedPlant": _MODEL,
     "Samples": _MODEL,
     "EffectBlocks": {"blocks": "set_figures.blocks_figure"},
-    "Record": {"signals": "result_figures.record_figure"},
-    "FrequencyData": {"bode": "result_figures.measured_response_figure"},
-    "ReducedModel": {"sigma": "result_figures.reduction_figure", "hankel": "result_figures.hankel_figure"},
-    "StructuralTest": {"modes": "result_figures.mode_figure"},
+    "Record": {"signals": "model_figures.record_figure"},
+    "FrequencyData": {"bode": "model_figures.measured_response_figure"},
+    "ReducedModel": {"sigma": "model_figures.reduction_figure", "hankel": "model_figures.hankel_figure"},
     # robustness
     **dict.fromkeys(("Margin", "PerformanceMargin"), _MARGIN),
     "WorstCaseGain": {"gain": "robustness_figures.gain_figure"},
@@ -41,20 +40,17 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "GainAt": {"gain": "robustness_figures.bounds_at"},
     "DiskMarginAt": {"margin": "robustness_figures.bounds_at"},
     "DiskMarginsAt": {"margin": "robustness_figures.bounds_at", **_DISK},
-    "MuBounds": {"mu": "result_figures.mu_bars"},
-    "SmallGain": {"gain": "result_figures.small_gain_figure"},
     **dict.fromkeys(("DiskBounds", "DiskMargins"), _DISK),
-    "SampledDataNorm": {"history": "result_figures.norm_history"},
     "Cover": {"set": "set_figures.cover_figure"},
     "Overbound": {"weight": "set_figures.overbound_figure"},
     # members
-    "Responses": {"step": "result_figures.band_figure"},
-    "WorstCase": {"delta": "result_figures.delta_figure", "response": "robustness_figures.worst_case_figure"},
+    "Responses": {"step": "set_figures.band_figure"},
+    "WorstCase": {"delta": "set_figures.member_figure", "response": "robustness_figures.worst_case_figure"},
     "ViolationProbability": {
         "distribution": "robustness_figures.distribution_figure",
         "influence": "robustness_figures.violation_influence",
     },
-    "CampaignResult": {"exceedance": "result_figures.campaign_figure", "delta": "result_figures.delta_figure"},
+    "CampaignResult": {"exceedance": "set_figures.campaign_figure", "delta": "set_figures.member_figure"},
     # designs
     **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis"), _LOOP),
     **dict.fromkeys(("FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
@@ -67,7 +63,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     # measurements
     "Comparison": {
         name: f"comparison_figures.{name}_figure"
-        for name in ("where", "time", "speed", "spectrum", "response", "residual", "outputs", "harmonics")
+        for name in ("where", "time", "speed", "spectrum", "response", "residual", "harmonics")
     },
     "Discovery": {
         "gap": "discovery.gap_figure",
@@ -76,7 +72,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
         "stretch": "discovery.stretch_figure",
         "posterior": "discovery.posterior_figure",
     },
-    "Validation": {"record": "set_figures.record_of", "delta": "set_figures.delta_figure"},
+    "Validation": {"record": "set_figures.validation_figure", "delta": "set_figures.delta_figure"},
     "DataCover": {"record": "set_figures.cover_record"},
 }
 
@@ -86,7 +82,7 @@ SETS: Mapping[str, str] = {
     "Discovery": "discovery.discovery_figures",
     "Validation": "set_figures.validation_figures",
     "EnvelopeCoverage": "set_figures.envelope_figures",
-    "Responses": "result_figures.band_figures",
+    "Responses": "set_figures.band_figures",
 }
 # Class -> what a file of such a figure begins with in a folder, where its name is that of a signal alone.
 PREFIXES: Mapping[str, str] = dict.fromkeys(("EnvelopeCoverage", "Responses"), "envelope-") | {
@@ -103,7 +99,7 @@ CAPTIONS: Mapping[str, str] = {
     "design_figures.loop_picture": "The weighted closed loop with its peak, and the controller.",
     "design_figures.functions_picture": "S, K S, T and S G of the loop, below γ / |W| where there is a weight.",
     "design_figures.tracking_picture": "The nominal loop against its weights.",
-    "result_figures.delta_figure": "The worst member found: where each parameter lies in its range.",
+    "set_figures.member_figure": "The worst member found: where each parameter lies in its range.",
     "robustness_figures.worst_case_figure": "The output that is judged: nominal, and of the worst member found.",
     "robustness_figures.distribution_figure": "The metric of the random members, and the limit.",
     "robustness_figures.violation_influence": "Which parameters matter: share of the spread, and the worst sample with "
@@ -120,7 +116,6 @@ CAPTIONS: Mapping[str, str] = {
     "comparison_figures.comparison_figures speed": "Where the error of {} lives over speed: dry friction shows as a "
     "step at zero speed.",
     "comparison_figures.comparison_figures spectrum": "Where the error of {} lives over frequency.",
-    "comparison_figures.comparison_figures outputs": "The windowed error of all outputs beside each other.",
     "comparison_figures.comparison_figures residual": "What is left of {}: correlation of the residual with itself and "
     "with the input, and the 99 % band.",
     "discovery.discovery_figures story": "Error on data that the fit never saw: the nominal model, refitted within "
@@ -139,7 +134,7 @@ CAPTIONS: Mapping[str, str] = {
     "smallest Delta; below, what each of them leaves, in the noise bound.",
     "set_figures.envelope_figures": "{}: the record, and below it the record minus the nominal model, in the envelope "
     "of all members.",
-    "result_figures.band_figures": "{}: nominal, members and their envelope.",
+    "set_figures.band_figures": "{}: nominal, members and their envelope.",
     "design_figures.performance_picture": "μ of robust performance; thin lines: proved at all frequencies. "
     "Below 1 every member meets the requirement.",
     "design_figures.runs_picture": "The errors and the controls under each controller, and the limits.",

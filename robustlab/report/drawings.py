@@ -17,7 +17,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from robustlab.errors import InputError, did_you_mean
 from robustlab.report.drawing_table import CAPTIONS, DRAWINGS, SETS
-from robustlab.report.figures import drawn_on
+from robustlab.report.style import drawn_on
 
 
 def drawings_of(kind: type) -> Mapping[str, str]:

@@ -1,7 +1,8 @@
-"""Figures of models and of uncertain ones: step responses, frequency responses, singular values, poles and zeros.
+"""Figures of models and of uncertain ones, of records and measured responses, of reduced models.
 
-Of an uncertain model the nominal one is drawn over sampled members and their envelope; the true one may be wider. A
-member is drawn with a constant real Delta: of complex and full blocks that is the real part of the one that was drawn.
+Step responses, frequency responses, singular values, poles and zeros. Of an uncertain model the nominal one is drawn
+over sampled members and their envelope; the true one may be wider. A member is drawn with a constant real Delta: of
+complex and full blocks that is the real part of the one that was drawn.
 """
 
 from __future__ import annotations
@@ -13,25 +14,21 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.delays.model import DelayedModel
 from robustlab.dynamics.simulation import LOOK, default_clock, simulate
 from robustlab.errors import InputError
+from robustlab.identification.validation import FrequencyData
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
-from robustlab.report.figures import (
-    COLOURS,
-    axis_label,
-    frequency_axis,
-    house_style,
-    legend_below,
-    logarithmic,
-    new_figure,
-    plain_label,
-)
+from robustlab.record import Record
+from robustlab.report import style
 from robustlab.statespace import Signal, StateSpaceModel, as_model
+from robustlab.synthesis.reduction.reduced_model import ReducedModel
+from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample
 from robustlab.worst_case_analysis.sampling import Samples
@@ -39,6 +36,8 @@ from robustlab.worst_case_analysis.sampling import Samples
 MEMBERS, ALL_VERTICES, VERTICES = 30, 5, 32  # members drawn; vertices besides: all of up to 5 blocks, else so many
 MOST = 4  # outputs or inputs side by side
 POINTS = 500
+SIGNALS = 8  # below one another
+CURVES = (style.NOMINAL, style.WORST, style.GOOD, style.LIMIT, style.SAMPLE, style.BAND, style.MEASURED)
 
 
 @dataclass(frozen=True)
@@ -53,27 +52,36 @@ class _Drawn:
     def every(self) -> tuple[StateSpaceModel | DelayedModel, ...]:
         return (self.nominal, *self.members)
 
+    def close(self, figure: Figure, panels: Sequence[Axes]) -> Figure:
+        """The figure with its legend, and what was left out."""
+        if self.members:
+            style.legend_below(figure, panels)
+        if self.left_out:
+            figure.suptitle(style.plain_label(self.left_out), fontsize=9)
+        return figure
 
+
+@style.house_style()
 def step_figure(shown: Any, t: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
     """Responses of every output to a unit step on every input."""
     drawn = _drawn(shown, n, seed)
-    model = drawn.nominal
+    model, rows, columns = drawn.nominal, drawn.nominal.n_outputs, drawn.nominal.n_inputs
     clock = default_clock(_rational(model), "plot('step')") if t is None else np.asarray(t, dtype=float)
-    figure, panels = _grid(model, height=2.1)
-    with house_style():
-        for j, u in enumerate(model.inputs):
-            # a model without states answers at once
-            rows = np.array([_step(m, clock, u.name) for m in drawn.every])
-            for i, y in enumerate(model.outputs):
-                panel = panels[i * model.n_inputs + j]
-                _curves(panel, clock, rows[:, :, i], "steps-post" if model.is_discrete else "default")
-                panel.set_ylabel(axis_label(y.name, _per(y, u)))
-            panels[j].set_title(plain_label(f"unit step on {u.name}"))
-        _bottom(panels, model, "time [s]")
-        _close(figure, panels, drawn)
-    return figure
+    height = 3.2 if rows == 1 else 2.1
+    figure, panels = style.new_figure(rows, columns, max(7.2, 3.6 * columns), height, sharex=True)
+    for j, u in enumerate(model.inputs):
+        # a model without states answers at once
+        responses = np.array([_step(m, clock, u.name) for m in drawn.every])
+        for i, y in enumerate(model.outputs):
+            panel = panels[i * columns + j]
+            _curves(panel, clock, responses[:, :, i], "steps-post" if model.is_discrete else "default")
+            panel.set_ylabel(style.axis_label(y.name, _per(y, u)))
+        panels[j].set_title(style.plain_label(f"unit step on {u.name}"))
+        panels[-columns + j].set_xlabel("time [s]")
+    return drawn.close(figure, panels)
 
 
+@style.house_style()
 def bode_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
     """Magnitude and phase from every input to every output."""
     drawn = _drawn(shown, n, seed)
@@ -83,82 +91,76 @@ def bode_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, se
     columns = model.n_inputs
     ratios = {"height_ratios": [3, 2] * model.n_outputs}
     width = max(7.2, 3.6 * columns)
-    figure, panels = new_figure(2 * model.n_outputs, columns, width, 1.75, sharex="col", gridspec_kw=ratios)
-    with house_style():
-        for i, y in enumerate(model.outputs):
-            for j, u in enumerate(model.inputs):
-                above, below = panels[2 * i * columns + j], panels[(2 * i + 1) * columns + j]
-                curves = responses[:, :, i, j]
-                size = np.abs(curves)
-                _curves(above, w, np.where(size > 0, size, np.nan))
-                logarithmic(above.yaxis)
-                above.set_ylabel(axis_label("magnitude", _per(y, u)))
-                above.set_title(plain_label(f"{u.name} to {y.name}"))
-                _curves(below, w, np.where(size > 0, _phases(curves), np.nan))
-                if not size.any():
-                    above.text(0.5, 0.5, "no response", ha="center", va="center", transform=above.transAxes)
-                below.set_ylabel("phase [degrees]")
-                below.yaxis.set_major_locator(_quarter_turns(below))
-                for panel in (above, below):
-                    frequency_axis(panel, (w[0], w[-1]))
-                    panel.set_xlabel("frequency [rad/s]" if panel is panels[-columns + j] else "")
-        _close(figure, panels, drawn)
-    return figure
+    figure, panels = style.new_figure(2 * model.n_outputs, columns, width, 1.75, sharex="col", gridspec_kw=ratios)
+    for k, (y, u) in enumerate((y, u) for y in model.outputs for u in model.inputs):
+        i, j = divmod(k, columns)
+        above, below = panels[2 * i * columns + j], panels[(2 * i + 1) * columns + j]
+        curves = responses[:, :, i, j]
+        seen = np.abs(curves) > 0
+        _curves(above, w, np.where(seen, np.abs(curves), np.nan))
+        _curves(below, w, np.where(seen, _phases(curves), np.nan))
+        if not seen.any():
+            above.text(0.5, 0.5, "no response", ha="center", va="center", transform=above.transAxes)
+        style.logarithmic(above.yaxis)
+        label = style.axis_label("magnitude", _per(y, u))
+        above.set(ylabel=label, title=style.plain_label(f"{u.name} to {y.name}"))
+        below.set_ylabel("phase [degrees]")
+        turns = np.ptp(below.get_ylim()) / 90.0  # ticks at multiples of 90 degrees where the phase turns far
+        step = 90.0 * max(1.0, np.ceil(turns / 5.0))
+        below.yaxis.set_major_locator(MultipleLocator(step) if turns > 1 else MaxNLocator(4))
+        for panel in (above, below):
+            style.frequency_axis(panel, (w[0], w[-1]))
+            panel.set_xlabel("frequency [rad/s]" if panel is panels[-columns + j] else "")
+    return drawn.close(figure, panels)
 
 
+@style.house_style()
 def sigma_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
     """Largest and smallest singular value over frequency; options as of `bode_figure`."""
     drawn = _drawn(shown, n, seed, MOST * 1000)
     model = drawn.nominal
     w = _frequencies(model, omega)
     values = np.array([np.linalg.svd(frequency_response(m, w), compute_uv=False) for m in drawn.every])
+    values = np.where(values > 0, values, np.nan)
     units = {_per(y, u) for y in model.outputs for u in model.inputs}
-    figure, (axes,) = new_figure(height=3.6)
-    with house_style():
-        _curves(axes, w, _positive(values[:, :, 0]), name="" if values.shape[2] == 1 else "largest")
-        if values.shape[2] > 1:
-            _curves(axes, w, _positive(values[:, :, -1]), colour="good", name="smallest")
-        logarithmic(axes.yaxis)
-        frequency_axis(axes, (w[0], w[-1]))
-        axes.set_ylabel(axis_label("singular values", units.pop() if len(units) == 1 else "mixed units"))
-        legend_below(figure, (axes,))
+    figure, (axes,) = style.new_figure(height=3.6)
+    several = values.shape[2] > 1
+    _curves(axes, w, values[:, :, 0], name="largest" if several else "")
+    if several:
+        _curves(axes, w, values[:, :, -1], colour=style.GOOD, name="smallest")
+    style.logarithmic(axes.yaxis)
+    style.frequency_axis(axes, (w[0], w[-1]))
+    axes.set_ylabel(style.axis_label("singular values", units.pop() if len(units) == 1 else "mixed units"))
+    style.legend_below(figure, (axes,))
     return figure
 
 
+@style.house_style()
 def pole_figure(shown: Any, n: int = MEMBERS, seed: int = 0) -> Figure:
-    """Poles and transmission zeros in the complex plane; of an uncertain model the members' poles around them."""
+    """Poles (crosses), transmission zeros (circles) and the stability boundary; behind them the poles of members."""
     drawn = _drawn(shown, n, seed, MOST * 1000)
     model = as_model(drawn.nominal, "plot")
-    zeros = transmission_zeros(model)
-    clouds = [m.poles() for m in drawn.members]
-    return poles_figure(model.poles(), zeros, model.dt, np.concatenate(clouds) if clouds else None)
-
-
-def poles_figure(poles: AnyArray, zeros: AnyArray, dt: float, cloud: AnyArray | None = None) -> Figure:
-    """Poles (crosses), zeros (circles) and the stability boundary; behind them the poles of members."""
-    figure, (axes,) = new_figure(width=6.4, height=4.2)
-    with house_style():
-        if dt:
-            turn = np.exp(1j * np.linspace(0, 2 * np.pi, 361))
-            axes.plot(np.real(turn), np.imag(turn), color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1, label="unit circle")
-            axes.set_aspect("equal")
-        else:
-            axes.axvline(0.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1, label="stability boundary")
-        axes.axhline(0.0, color="#888888", lw=0.8)
-        if cloud is not None and len(cloud):
-            axes.plot(
-                np.real(cloud), np.imag(cloud), ".", color=COLOURS["sample"], ms=4, alpha=0.7, label="poles of members"
-            )
-        if len(zeros):
-            style: dict[str, Any] = {"mfc": "none", "mew": 1.6, "ms": 8, "color": COLOURS["good"]}
-            axes.plot(np.real(zeros), np.imag(zeros), "o", label="zeros", **style)
-        if len(poles):
-            axes.plot(np.real(poles), np.imag(poles), "x", color=COLOURS["nominal"], mew=1.8, ms=8, label="poles")
-        unit = "" if dt else "rad/s"
-        axes.set_xlabel(axis_label("real part", unit))
-        axes.set_ylabel(axis_label("imaginary part", unit))
-        axes.margins(0.12)
-        legend_below(figure, (axes,), 4)
+    figure, (axes,) = style.new_figure(width=6.4, height=4.2)
+    edge: dict[str, Any] = {"color": style.LIMIT, "ls": style.DASHED, "lw": 1.1}
+    if model.dt:
+        turn = np.exp(1j * np.linspace(0, 2 * np.pi, 361))
+        axes.plot(np.real(turn), np.imag(turn), label="unit circle", **edge)
+        axes.set_aspect("equal")
+    else:
+        axes.axvline(0.0, label="stability boundary", **edge)
+    axes.axhline(0.0, color="#888888", lw=0.8)
+    cloud = np.concatenate([np.zeros(0), *(m.poles() for m in drawn.members)])
+    for points, label, marker, how in (
+        (cloud, "poles of members", ".", {"color": style.SAMPLE, "ms": 4, "alpha": 0.7}),
+        (transmission_zeros(model), "zeros", "o", {"color": style.GOOD, "mfc": "none", "mew": 1.6, "ms": 8}),
+        (model.poles(), "poles", "x", {"color": style.NOMINAL, "mew": 1.8, "ms": 8}),
+    ):
+        if len(points):
+            axes.plot(np.real(points), np.imag(points), marker, label=label, **how)
+    unit = "" if model.dt else "rad/s"
+    axes.set(xlabel=style.axis_label("real part", unit), ylabel=style.axis_label("imaginary part", unit))
+    axes.margins(0.12)
+    style.legend_below(figure, (axes,), 4)
     return figure
 
 
@@ -166,16 +168,14 @@ def poles_figure(poles: AnyArray, zeros: AnyArray, dt: float, cloud: AnyArray | 
 
 
 def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> _Drawn:
+    whole, deltas = shown, ()
     if isinstance(shown, Samples):
-        whole: Any = shown.uncertain
-        members = [whole.evaluate(_real(delta)) for delta in list(shown.deltas)]
-    elif isinstance(shown, UncertainModel):
-        whole = shown
+        whole, deltas = shown.uncertain, shown.deltas
+    elif isinstance(shown, UncertainModel) and shown.blocks:
         corners: Any = "all" if len(shown.blocks) <= ALL_VERTICES else VERTICES
-        found = sample(shown, n, seed, corners) if shown.blocks else None
-        members = [shown.evaluate(_real(delta)) for delta in list(found.deltas)] if found else []
-    else:
-        whole, members = shown, []
+        deltas = sample(shown, n, seed, corners).deltas
+    real = [{key: np.real(v) if np.iscomplexobj(v) else v for key, v in delta.items()} for delta in deltas]
+    members = [whole.evaluate(delta) for delta in real]
     model = whole if isinstance(whole, DelayedModel) else as_model(whole, "plot")
     if not model.n_outputs or not model.n_inputs:
         raise InputError("plot", f"a model of {model.n_outputs} x {model.n_inputs}", "inputs and outputs")
@@ -184,10 +184,6 @@ def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> _Drawn:
     told = f"the first of {model.n_outputs} outputs and {model.n_inputs} inputs: G[outputs, inputs].plot() has others"
     first = (slice(0, most), slice(0, most))
     return _Drawn(model[first], [m[first] for m in members], told)
-
-
-def _real(delta: Any) -> dict[str, Any]:
-    return {name: np.real(value) if np.iscomplexobj(value) else value for name, value in delta.items()}
 
 
 def _frequencies(model: StateSpaceModel | DelayedModel, omega: ArrayLike | None) -> Array:
@@ -214,10 +210,6 @@ def _phases(curves: AnyArray) -> Array:
     return phases - 360.0 * np.round((phases[:, :1] - phases[:1, :1]) / 360.0)
 
 
-def _positive(values: Array) -> Array:
-    return np.where(values > 0, values, np.nan)
-
-
 def _per(y: Signal, u: Signal) -> str:
     """Unit of a gain from u to y; empty for a ratio or where neither has a unit."""
     if y.unit == u.unit:
@@ -225,49 +217,99 @@ def _per(y: Signal, u: Signal) -> str:
     return f"{y.unit or '1'}/{u.unit}" if u.unit and u.unit != "1" else y.unit
 
 
-# --- panels -----------------------------------------------------------------------------------------------------------
-
-
-def _grid(model: StateSpaceModel | DelayedModel, height: float) -> tuple[Figure, list[Axes]]:
-    rows, columns = model.n_outputs, model.n_inputs
-    height = max(height, 3.2) if rows == 1 else height
-    return new_figure(rows, columns, max(7.2, 3.6 * columns), height, sharex=True)
-
-
 def _curves(
-    axes: Axes, x: Array, rows: Array, drawstyle: Any = "default", colour: str = "nominal", name: str = ""
+    axes: Axes, x: Array, rows: Array, drawstyle: Any = "default", colour: str = style.NOMINAL, name: str = ""
 ) -> None:
     """The nominal curve (the first row) over the members and their envelope."""
-    nominal, members = rows[0], rows[1:]
-    word = f"{name}, " if name else ""
+    members, word = rows[1:], f"{name}, " if name else ""
     if len(members):
-        low, high = np.nanmin(rows, axis=0), np.nanmax(rows, axis=0)
         step: Any = "post" if drawstyle == "steps-post" else None
-        text = f"{word}envelope of {len(members)} members"
-        axes.fill_between(x, low, high, color=COLOURS["band"], alpha=0.3, lw=0, step=step, label=text)
-        for k, row in enumerate(members):
-            label = f"{word}members" if k == 0 else None
-            axes.plot(x, row, color=COLOURS["sample"], lw=0.6, alpha=0.7, drawstyle=drawstyle, label=label)
+        band, text = (np.nanmin(rows, axis=0), np.nanmax(rows, axis=0)), f"{word}envelope of {len(members)} members"
+        axes.fill_between(x, *band, color=style.BAND, alpha=0.3, lw=0, step=step, label=text)
+        labels = [f"{word}members", *["_"] * (len(members) - 1)]
+        axes.plot(x, members.T, color=style.SAMPLE, lw=0.6, alpha=0.7, drawstyle=drawstyle, label=labels)
     label = f"{word}nominal" if len(members) else name or None
-    axes.plot(x, nominal, color=COLOURS[colour], drawstyle=drawstyle, label=label, zorder=3)
+    axes.plot(x, rows[0], color=colour, drawstyle=drawstyle, label=label, zorder=3)
 
 
-def _quarter_turns(axes: Axes) -> Any:
-    """Ticks at multiples of 90 degrees where the phase turns far, else where matplotlib puts them."""
-    from matplotlib.ticker import MaxNLocator, MultipleLocator
-
-    low, high = axes.get_ylim()
-    turns = (high - low) / 90.0
-    return MultipleLocator(90.0 * max(1.0, np.ceil(turns / 5.0))) if turns > 1 else MaxNLocator(4)
+# --- records, measured responses, reduced models ----------------------------------------------------------------------
 
 
-def _bottom(panels: Sequence[Axes], model: StateSpaceModel | DelayedModel, label: str) -> None:
-    for panel in panels[-model.n_inputs :]:
-        panel.set_xlabel(label)
+@style.house_style()
+def record_figure(record: Record) -> Figure:
+    """Every signal of a record over time, inputs first."""
+    names = [*record.inputs, *record.outputs][:SIGNALS]
+    figure, panels = style.new_figure(len(names), 1, 7.6, 1.5 if len(names) > 2 else 2.2, sharex=True)
+    for panel, name in zip(panels, names, strict=True):
+        colour = style.SAMPLE if name in record.inputs else style.MEASURED
+        panel.plot(record.t, record[name], color=colour, lw=1.2)
+        panel.set_ylabel(style.axis_label(name, record.unit(name)))
+    rest = len(record.inputs) + len(record.outputs) - len(names)
+    panels[0].set_title(style.plain_label(record.name + f": the first {len(names)} signals, {rest} more" * bool(rest)))
+    panels[-1].set(xlabel="time [s]", xlim=(float(record.t[0]), float(record.t[-1])))
+    return figure
 
 
-def _close(figure: Figure, panels: Sequence[Axes], drawn: _Drawn) -> None:
-    if drawn.members:
-        legend_below(figure, panels)
-    if drawn.left_out:
-        figure.suptitle(plain_label(drawn.left_out), fontsize=9)
+@style.house_style()
+def measured_response_figure(found: FrequencyData | UncertainFrequencyData) -> Figure:
+    """Magnitude and phase of a measured frequency response; of data with several inputs the first one's."""
+    if isinstance(found, UncertainFrequencyData):
+        known = [s.name for s in found.outputs]
+        found = FrequencyData(found.omega, found.nominal[:, :, 0], found.inputs[0].name, known, "nominal response")
+    seen = found.omega > 0
+    omega, ratios = found.omega[seen], {"height_ratios": [3, 2]}
+    figure, (above, below) = style.new_figure(2, 1, 7.2, 2.2, sharex=True, gridspec_kw=ratios)
+    for k, name in enumerate(found.outputs):
+        curve, how = found.response[seen, k], {"color": CURVES[k % len(CURVES)], "ms": 4, "lw": 1.0}
+        above.plot(omega, np.abs(curve), ".-", label=style.plain_label(name), **how)
+        below.plot(omega, np.degrees(np.unwrap(np.angle(curve))), ".-", **how)
+    style.logarithmic(above.yaxis)
+    label = f"magnitude per {style.plain_label(found.input)}"
+    above.set(ylabel=label, title=style.plain_label(found.name))
+    below.set_ylabel("phase [degrees]")
+    style.frequency_axis(below, (omega[0], omega[-1]) if len(omega) > 1 else None)
+    style.zero_line(below)
+    style.legend_below(figure, (above,))
+    return figure
+
+
+@style.house_style()
+def reduction_figure(found: ReducedModel) -> Figure:
+    """Largest singular value of the full and the reduced model, and of their difference."""
+    omega = default_grid(found.full, 400)
+    full, small = (frequency_response(m, omega) for m in (found.full, found.model))
+    figure, (axes,) = style.new_figure(height=3.6)
+    for values, colour, dashes, label in (
+        (full, style.NOMINAL, "-", f"as given, {found.full.n_states} states"),
+        (small, style.WORST, (0, (4, 1.5)), f"reduced, {found.order} states"),
+        (full - small, style.SAMPLE, "-", "difference"),
+    ):
+        gain = np.linalg.norm(values, 2, axis=(1, 2))
+        axes.plot(omega, np.where(gain > 0, gain, np.nan), color=colour, ls=dashes, label=label)
+    if found.method in ("truncation", "residualisation", "hankel") and found.error.upper > 0:
+        text = f"{found.error.upper:.4g}: proved for the difference"
+        axes.axhline(found.error.upper, color=style.LIMIT, lw=1.0, ls=style.DASHED, label=text)
+    style.logarithmic(axes.yaxis)
+    style.frequency_axis(axes, (omega[0], omega[-1]))
+    axes.set_ylabel("largest singular value")
+    style.legend_below(figure, (axes,), 2)
+    return figure
+
+
+@style.house_style()
+def hankel_figure(found: ReducedModel) -> Figure:
+    """Hankel singular values: those kept and those left out."""
+    kept, values = found.order - found.n_apart, found.hankel
+    place = np.arange(1, len(values) + 1)
+    figure, (axes,) = style.new_figure(width=6.4, height=3.2)
+    for some, colour, label in ((place <= kept, style.NOMINAL, "kept"), (place > kept, style.SAMPLE, "left out")):
+        if some.any():
+            axes.bar(place[some], values[some], color=colour, width=0.7, label=f"{label}: {some.sum()}")
+    if (values > 0).any():
+        style.logarithmic(axes.yaxis)
+        axes.set_ylim(max(float(values[values > 0].min()) / 3, 1e-16 * values.max()), 3 * values.max())
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    title = f"error at most {found.error.upper:.4g}"
+    axes.set(xlabel="state of the balanced model", ylabel="Hankel singular value", title=title)
+    style.legend_below(figure, (axes,), 2)
+    return figure

@@ -6,29 +6,20 @@ a metric is distributed, what matters for it. The responses are those of figures
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array
+from robustlab.arrays import Array, Mask
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.mu_analysis.margins.disk_margin import DiskBounds, DiskMargins
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.norms import PeakGain
-from robustlab.report.figures import (
-    COLOURS,
-    axis_label,
-    frequency_axis,
-    house_style,
-    legend_below,
-    new_figure,
-    plain_label,
-    zero_line,
-)
+from robustlab.report import style
 from robustlab.worst_case_analysis.statistics import Influence, ViolationProbability
 
 if TYPE_CHECKING:
@@ -39,37 +30,48 @@ if TYPE_CHECKING:
 
 Interval = tuple[float, float, float]
 PROVED = "#d6ecf8"  # opaque: the intervals overlap
-SHOWN_BLOCKS = 16
+SHOWN_BLOCKS, SHOWN = 16, 12
+MAX_CURVES = 60  # more sample curves than this make the file large and show nothing more than the envelope
+SETTLED = 0.8  # the zoomed panel shows the last part of the response
+BINS = 40
+LARGEST_GAIN = 60  # dB; of a disk margin's curve
 
 
+# --- proved -----------------------------------------------------------------------------------------------------------
+
+
+@style.house_style()
 def mu_figure(margin: Margin) -> Figure:
     """Bounds of mu at the frequencies of the margin, and what is proved between them."""
-    figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
+    figure, (axes,) = style.new_figure(1, 1, width=8.0, height=3.6)
     omega, lower, upper = _with_points_of_the_peak(margin)
-    with house_style():
-        shown = _frame(axes, omega, margin.intervals)
-        if shown.any():
-            axes.plot(omega[shown], upper[shown], color=COLOURS["nominal"], label="upper bound (proved by D, G)")
-        found = shown & (lower > 0)
-        if found.any():
-            points = "lower bound (attained by an explicit Δ)"
-            axes.plot(omega[found], lower[found], ".", color=COLOURS["worst"], ms=4, label=points)
-        peak = 1 / margin.upper if margin.upper > 0 else 0.0
-        low, high = axes.get_xlim()
-        if margin.frequency is not None and low <= margin.frequency <= high and peak > 0:
-            axes.plot(margin.frequency, peak, "o", color=COLOURS["worst"], ms=6, label="peak of μ, attained")
-        level = 1 / margin.lower if margin.lower > 0 else float("inf")
-        if np.isfinite(level) and level > 0:
-            text = f"{level:.4g}: proved on the whole axis"
-            axes.axhline(level, color=COLOURS["good"], lw=1.1, label=text)
-            if any("as wide below as above" in note for note in margin.notes):
-                axes.set_title("curves: ranges as wide below as above; proved: as they are")
-        axes.axhline(1.0, color=COLOURS["reference"], ls=(0, (5, 2)), lw=1.1, label="1: robust stability limit")
-        tall = [1.0, peak, level, float(np.nanmax(upper[shown], initial=0.0))]
-        axes.set_ylim(0, 1.12 * max(v for v in tall if np.isfinite(v)))
-        axes.set_ylabel("structured singular value μ")
-        legend_below(figure, (axes,), 2)
+    shown = _frame(axes, omega, margin.intervals)
+    if shown.any():
+        axes.plot(omega[shown], upper[shown], color=style.NOMINAL, label="upper bound (proved by D, G)")
+    found = shown & (lower > 0)
+    if found.any():
+        points = "lower bound (attained by an explicit Δ)"
+        axes.plot(omega[found], lower[found], ".", color=style.WORST, ms=4, label=points)
+    peak = 1 / margin.upper if margin.upper > 0 else 0.0
+    level = 1 / margin.lower if margin.lower > 0 else float("inf")
+    if peak > 0:
+        _mark(axes, margin.frequency, peak, "peak of μ, attained")
+    if np.isfinite(level) and level > 0:
+        axes.axhline(level, color=style.GOOD, lw=1.1, label=f"{level:.4g}: proved on the whole axis")
+        if any("as wide below as above" in note for note in margin.notes):
+            axes.set_title("curves: ranges as wide below as above; proved: as they are")
+    axes.axhline(1.0, color=style.MEASURED, ls=style.DASHED, lw=1.1, label="1: robust stability limit")
+    tall = [1.0, peak, level, float(np.nanmax(upper[shown], initial=0.0))]
+    axes.set(ylim=(0, 1.12 * max(v for v in tall if np.isfinite(v))), ylabel="structured singular value μ")
+    style.legend_below(figure, (axes,), 2)
     return figure
+
+
+def _mark(axes: Axes, frequency: float | None, value: float, label: str) -> None:
+    """A point at a frequency, where the axis shows it."""
+    low, high = axes.get_xlim()
+    if frequency is not None and low <= frequency <= high and np.isfinite(value):
+        axes.plot(frequency, value, "o", color=style.WORST, ms=6, label=label)
 
 
 def _with_points_of_the_peak(margin: Margin) -> tuple[Array, Array, Array]:
@@ -91,50 +93,54 @@ def _with_points_of_the_peak(margin: Margin) -> tuple[Array, Array, Array]:
     return first, second, third
 
 
+@style.house_style()
 def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:
     """Both bounds at given frequencies, of all loops at once: points, for nothing is known between them."""
     whole: Any = getattr(found, "simultaneous", found)
     gain = isinstance(found, PeakGain)
-    label = "worst-case gain" if gain else "stability margin" if whole is found else "disk margin, all loops at once"
-    figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
+    figure, (axes,) = style.new_figure(1, 1, width=8.0, height=3.6)
     omega, columns = np.asarray(whole.table().index[1]), whole.table().columns
     words = ("attained by an explicit Δ", "proved") if gain else ("proved", "attained by an explicit Δ")
-    bounds = tuple(np.asarray(columns[name]) for name in ("lower", "upper"))
-    with house_style():
-        shown = omega > 0
-        for bound, word, mark, colour in zip(bounds, words, "^v", (COLOURS["nominal"], COLOURS["worst"]), strict=True):
-            finite = shown & np.isfinite(bound)
-            axes.plot(omega[finite], bound[finite], mark, color=colour, ms=4, ls="none", label=word)
-        frequency_axis(axes, (omega[shown][0], omega[-1]) if shown.sum() > 1 else None)
-        axes.set_ylabel(label)
-        axes.set_ylim(bottom=0)
-        legend_below(figure, (axes,), 2)
+    shown = omega > 0
+    for name, word, mark, colour in zip(("lower", "upper"), words, "^v", (style.NOMINAL, style.WORST), strict=True):
+        bound = np.asarray(columns[name])
+        finite = shown & np.isfinite(bound)
+        axes.plot(omega[finite], bound[finite], mark, color=colour, ms=4, ls="none", label=word)
+    style.frequency_axis(axes, (omega[shown][0], omega[-1]) if shown.sum() > 1 else None)
+    margin = "stability margin" if whole is found else "disk margin, all loops at once"
+    axes.set_ylabel("worst-case gain" if gain else margin)
+    axes.set_ylim(bottom=0)
+    style.legend_below(figure, (axes,), 2)
     return figure
 
 
+@style.house_style()
 def gain_figure(worst: WorstCaseGain) -> Figure:
     """Nominal gain, largest gain found and its bound over frequency, and what is proved between them."""
-    figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
-    omega = worst.omega
-    with house_style():
-        shown = _frame(axes, omega, worst.intervals)
-        axes.plot(omega[shown], worst.gain_upper[shown], color=COLOURS["nominal"], label="bound (proved by D, G)")
-        axes.plot(omega[shown], worst.gain_lower[shown], ".", color=COLOURS["worst"], ms=4, label="largest gain found")
-        axes.plot(omega[shown], worst.nominal_gain[shown], color=COLOURS["reference"], lw=1.0, label="nominal gain")
-        low, high = axes.get_xlim()
-        if worst.frequency is not None and low <= worst.frequency <= high and np.isfinite(worst.lower):
-            axes.plot(worst.frequency, worst.lower, "o", color=COLOURS["worst"], ms=6, label="worst gain, attained")
-        tall = [worst.lower, worst.upper, float(np.nanmax(worst.gain_upper[shown], initial=0.0))]
-        axes.set_ylim(0, 1.12 * max([v for v in tall if np.isfinite(v)] or [1.0]))
-        axes.set_ylabel("largest singular value")
-        legend_below(figure, (axes,), 2)
+    figure, (axes,) = style.new_figure(1, 1, width=8.0, height=3.6)
+    shown = _frame(axes, worst.omega, worst.intervals)
+    omega, upper = worst.omega[shown], worst.gain_upper[shown]
+    axes.plot(omega, upper, color=style.NOMINAL, label="bound (proved by D, G)")
+    axes.plot(omega, worst.gain_lower[shown], ".", color=style.WORST, ms=4, label="largest gain found")
+    axes.plot(omega, worst.nominal_gain[shown], color=style.MEASURED, lw=1.0, label="nominal gain")
+    _mark(axes, worst.frequency, worst.lower, "worst gain, attained")
+    tall = [worst.lower, worst.upper, float(np.nanmax(upper, initial=0.0))]
+    top = 1.12 * max([v for v in tall if np.isfinite(v)] or [1.0])
+    axes.set(ylim=(0, top), ylabel="largest singular value")
+    style.legend_below(figure, (axes,), 2)
     return figure
 
 
-def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> NDArray[np.bool_]:
-    """Shade the proved intervals, set the frequency axis; which frequencies can be shown on it."""
+def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> Mask:
+    """Shade the proved intervals, set the frequency axis; which frequencies can be shown on it.
+
+    Without curves the axis reaches over the ends of the intervals, a decade further where they go on.
+    """
     shown = np.isfinite(omega) & (omega > 0)
-    seen = omega[shown] if shown.any() else _edges(intervals)
+    ends = [edge for start, stop, _ in intervals for edge in (start, stop)]
+    inner = [edge for edge in ends if 0 < edge < np.inf] or [1.0]
+    edges = [min(inner) / 10, max(inner) * (10 if np.inf in ends or len(inner) < 2 else 1)]
+    seen = omega[shown] if shown.any() else np.array(edges)
     low, high = float(seen.min()), float(seen.max())
     label: str | None = "proved for every frequency between"
     for start, stop, bound in intervals:
@@ -142,60 +148,78 @@ def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> NDArray[n
         if edges[0] < edges[1] and np.isfinite(bound):
             axes.fill_between(edges, 0, bound, color=PROVED, lw=0, label=label)
             label = None
-    frequency_axis(axes, (low, high))
+    style.frequency_axis(axes, (low, high))
     return shown
 
 
-def _edges(intervals: Sequence[Interval]) -> Array:
-    """The frame of a picture without curves: the ends of the proved intervals, a decade further where they go on."""
-    ends = [edge for start, stop, _ in intervals for edge in (start, stop)]
-    inner = [edge for edge in ends if 0 < edge < np.inf]
-    if not inner:
-        return np.array([0.1, 10.0])
-    return np.array([min(inner) / 10, max(inner) * (10 if np.inf in ends else 1)])
-
-
+@style.house_style()
 def margin_shares(margin: Margin) -> Figure:
     """Share of each block in the margin, the largest on top: which range to tighten first."""
     if not margin.shares:
         raise InputError("plot('shares')", "a margin without shares of its blocks", "one at a simple critical pole")
     ranked = sorted(margin.shares.items(), key=lambda pair: -abs(pair[1]))[:SHOWN_BLOCKS]
-    figure, (axes,) = new_figure(1, 1, width=8.0, height=0.8 + 0.26 * max(len(ranked), 1))
-    with house_style():
-        names = [plain_label(name if len(name) <= 40 else name[:39] + "…") for name, _ in ranked]
-        values = [value for _, value in ranked]
-        colours = [COLOURS["nominal"] if v >= 0 else COLOURS["sample"] for v in values]
-        axes.barh(range(len(ranked)), values, color=colours, height=0.7)
-        axes.set_yticks(range(len(ranked)), names)
-        axes.invert_yaxis()
-        axes.grid(visible=False, axis="y")
-        axes.axvline(0.0, color=COLOURS["reference"], lw=0.8)
-        axes.set_xlabel("percent of margin gained per percent of range taken off")
+    figure, (axes,) = style.new_figure(1, 1, width=8.0, height=0.8 + 0.26 * len(ranked))
+    values = [value for _, value in ranked]
+    colours = [style.NOMINAL if v >= 0 else style.SAMPLE for v in values]
+    axes.barh(range(len(ranked)), values, color=colours, height=0.7)
+    axes.set_yticks(range(len(ranked)), [style.plain_label(name[:40]) for name, _ in ranked])
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    axes.axvline(0.0, color=style.MEASURED, lw=0.8)
+    axes.set_xlabel("percent of margin gained per percent of range taken off")
     return figure
 
 
+@style.house_style()
 def replay_figure(replay: CriticalResponse, shown: int = 4) -> Figure:
     """Free responses of the nominal model, just inside the margin, and at the critical Delta."""
-    size = np.abs(replay.critical).max(axis=0)
-    columns = np.argsort(-size, kind="stable")[:shown]
-    figure, panels = new_figure(len(columns), 1, width=8.0, height=2.2, sharex=True)
-    with house_style():
-        for axes, k in zip(panels, columns, strict=True):
-            axes.plot(replay.t, replay.critical[:, k], color=COLOURS["worst"], lw=1.1, label="at the critical Δ")
-            axes.plot(replay.t, replay.inside[:, k], color=COLOURS["band"], lw=1.1, label="at 0.95 of it")
-            axes.plot(replay.t, replay.nominal[:, k], color=COLOURS["reference"], lw=1.1, label="nominal")
-            axes.set_ylabel(axis_label(replay.outputs[k].name, replay.outputs[k].unit))
-        panels[-1].set_xlabel("time [s]")
-        legend_below(figure, panels[:1], 3)
+    columns = np.argsort(-np.abs(replay.critical).max(axis=0), kind="stable")[:shown]
+    figure, panels = style.new_figure(len(columns), 1, width=8.0, height=2.2, sharex=True)
+    for axes, k in zip(panels, columns, strict=True):
+        axes.plot(replay.t, replay.critical[:, k], color=style.WORST, lw=1.1, label="at the critical Δ")
+        axes.plot(replay.t, replay.inside[:, k], color=style.BAND, lw=1.1, label="at 0.95 of it")
+        axes.plot(replay.t, replay.nominal[:, k], color=style.MEASURED, lw=1.1, label="nominal")
+        axes.set_ylabel(style.axis_label(replay.outputs[k].name, replay.outputs[k].unit))
+    panels[-1].set_xlabel("time [s]")
+    style.legend_below(figure, panels[:1], 3)
     return figure
 
 
-MAX_CURVES = 60  # more sample curves than this make the file large and show nothing more than the envelope
-SETTLED = 0.8  # the zoomed panel shows the last part of the response
-SHOWN = 12
-BINS = 40
+@style.house_style()
+def disk_figure(found: DiskMargins | DiskBounds) -> Figure:
+    """Changes of gain and phase that leave the loop stable: inside of each curve, in that loop and in all at once."""
+    every: Mapping[str, DiskBounds] = {"disk margin": found}
+    if isinstance(found, DiskMargins):
+        every = {"all at once": found.simultaneous, **found.channels}
+    colours = (style.NOMINAL, style.WORST, style.GOOD, style.LIMIT, style.SAMPLE, style.BAND, style.MEASURED)
+    figure, (axes,) = style.new_figure(width=6.4, height=3.8)
+    for k, (name, margin) in enumerate(every.items()):
+        colour, label = colours[k % len(colours)], style.plain_label(f"{name}: {margin.lower:.4g}")
+        if not 0 < margin.lower < np.inf:
+            axes.plot([], [], color=colour, label=label)
+            continue
+        turn = margin.lower * np.exp(1j * np.linspace(-np.pi, np.pi, 14401))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = (1 + (1 - margin.skew) / 2 * turn) / (1 - (1 + margin.skew) / 2 * turn)
+            gain, phase = 20 * np.log10(np.abs(factor)), np.degrees(np.unwrap(np.angle(factor)))
+        phase -= np.mean(phase)
+        axes.plot(gain, phase, color=colour, lw=2.4 if k == 0 else 1.4, label=label)
+        if k == 0:
+            axes.fill(gain, phase, color=style.BAND, alpha=0.25, lw=0)
+    wide = any(np.abs(np.asarray(line.get_xdata())).max(initial=0.0) > LARGEST_GAIN for line in axes.lines)
+    if wide:  # near a margin of 2 the curve runs to infinity
+        axes.set_xlim(-LARGEST_GAIN, LARGEST_GAIN)
+    axes.plot(0.0, 0.0, "+", color=style.MEASURED, ms=9, mew=1.4)
+    axes.set_xlabel(f"change of gain [dB]{f', shown to {LARGEST_GAIN} dB' * wide}")
+    axes.set(ylabel="change of phase [degrees]", title="stable for every change inside of the curve")
+    style.legend_below(figure, (axes,), 3)
+    return figure
 
 
+# --- sampled ----------------------------------------------------------------------------------------------------------
+
+
+@style.house_style()
 def response_figure(
     t: Array,
     samples: Array,
@@ -206,135 +230,72 @@ def response_figure(
     references: Sequence[tuple[float, str]] = (),
 ) -> Figure:
     """All responses of one output: the whole time on the left, the end of it enlarged on the right."""
-    figure, (whole, zoom) = new_figure(1, 2, width=9.6, height=3.6)
-    with house_style():
-        for axes in (whole, zoom):
-            axes.fill_between(t, *envelope, color=COLOURS["band"], alpha=0.25, lw=0, label="envelope of all members")
-            for i, curve in enumerate(samples[:MAX_CURVES]):
-                axes.plot(t, curve, color=COLOURS["sample"], lw=0.6, alpha=0.8, label="members" if i == 0 else None)
-            axes.plot(t, nominal, color=COLOURS["nominal"], label="nominal")
-            for value, text in references:
-                axes.axhline(value, color=COLOURS["worst"], ls=(0, (5, 2)), lw=1.3, label=plain_label(text))
-            axes.set_xlabel("time [s]")
-        whole.set_ylabel(axis_label(*output))
-        whole.set_title("whole response")
-        zoom.set_title("enlarged: the end of the response")
-        _enlarge(zoom, t, envelope, [value for value, _ in references])
-        # Not `legend_below`: two reference lines may be called the same.
-        figure.legend(*whole.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure, (whole, zoom) = style.new_figure(1, 2, width=9.6, height=3.6)
+    for axes in (whole, zoom):
+        axes.fill_between(t, *envelope, color=style.BAND, alpha=0.25, lw=0, label="envelope of all members")
+        for i, curve in enumerate(samples[:MAX_CURVES]):
+            axes.plot(t, curve, color=style.SAMPLE, lw=0.6, alpha=0.8, label="members" if i == 0 else None)
+        axes.plot(t, nominal, color=style.NOMINAL, label="nominal")
+        for value, text in references:
+            axes.axhline(value, color=style.WORST, ls=style.DASHED, lw=1.3, label=style.plain_label(text))
+        axes.set_xlabel("time [s]")
+    whole.set(ylabel=style.axis_label(*output), title="whole response")
+    last = t >= t[0] + SETTLED * (t[-1] - t[0])
+    zoom.set(title="enlarged: the end of the response", xlim=(t[last][0], t[-1]))
+    seen = np.concatenate([*(curve[last] for curve in envelope), [value for value, _ in references]])
+    zoom.set_ylim(*_span(seen, 0.12))
+    # Not `legend_below`: two reference lines may be called the same.
+    figure.legend(*whole.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
+def _span(values: Array, share: float) -> tuple[float, float]:
+    """What an axis shows: all finite values, with a share of their width; some width where they are all the same."""
+    seen = values[np.isfinite(values)]
+    low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)
+    margin = share * (high - low) or 0.05 * max(abs(high), 1e-12)
+    return low - margin, high + margin
+
+
+@style.house_style()
 def worst_case_figure(found: WorstCase) -> Figure:
     """Nominal and worst response of the output that is judged, and their difference below."""
-    if found.response is None:
+    response = found.response
+    if response is None:
         raise InputError("plot('response')", f"no response: {found.metric}", "a metric of a response")
-    t, nominal, worst = found.response.t, found.response.nominal, found.response.worst
-    output = (found.response.output, found.response.unit)
-    figure, (above, below) = new_figure(2, 1, width=7.6, height=2.2, sharex=True)
-    with house_style():
-        above.plot(t, nominal, color=COLOURS["nominal"], label="nominal")
-        above.plot(t, worst, color=COLOURS["worst"], ls=(0, (6, 2)), label="worst member found")
-        above.set_ylabel(axis_label(*output))
-        above.legend(loc="best")
-        below.plot(t, worst - nominal, color=COLOURS["worst"])
-        zero_line(below)
-        peak = int(np.argmax(np.abs(worst - nominal)))
-        below.plot(t[peak], (worst - nominal)[peak], "o", color=COLOURS["worst"], ms=5)
-        below.set_ylabel(axis_label("deviation", output[1]))
-        below.set_xlabel("time [s]")
+    t, change = response.t, response.worst - response.nominal
+    figure, (above, below) = style.new_figure(2, 1, width=7.6, height=2.2, sharex=True)
+    above.plot(t, response.nominal, color=style.NOMINAL, label="nominal")
+    above.plot(t, response.worst, color=style.WORST, ls=(0, (6, 2)), label="worst member found")
+    above.set_ylabel(style.axis_label(response.output, response.unit))
+    above.legend(loc="best")
+    below.plot(t, change, color=style.WORST)
+    style.zero_line(below)
+    peak = int(np.argmax(np.abs(change)))
+    below.plot(t[peak], change[peak], "o", color=style.WORST, ms=5)
+    below.set(ylabel=style.axis_label("deviation", response.unit), xlabel="time [s]")
     return figure
 
 
-def _enlarge(axes: Axes, t: Array, curves: Sequence[Array], values: Sequence[float]) -> None:
-    last = t >= t[0] + SETTLED * (t[-1] - t[0])
-    seen = np.concatenate([*(curve[last] for curve in curves), np.asarray(values, dtype=float)])
-    seen = seen[np.isfinite(seen)]
-    low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)
-    margin = 0.12 * (high - low) or 0.05 * max(abs(high), 1e-12)
-    axes.set_xlim(t[last][0], t[-1])
-    axes.set_ylim(low - margin, high + margin)
-
-
+@style.house_style()
 def distribution_figure(found: ViolationProbability) -> Figure:
     """Histogram of the metric over the samples, with the limit; what violates it is in the colour of the worst."""
-    figure, (axes,) = new_figure(1, 1, width=8.0, height=3.6)
+    figure, (axes,) = style.new_figure(1, 1, width=8.0, height=3.6)
     values = found.values[np.isfinite(found.values)]
-    low, high = _range(values, found.limit)
-    edges = np.linspace(low, high, BINS + 1)
+    edges = np.linspace(*_span(np.append(values, found.limit), 0.04), BINS + 1)
     # The limit is an edge, so that no bar is of two kinds.
     edges[np.argmin(np.abs(edges - found.limit))] = found.limit
     beyond = found.sense * values > found.sense * found.limit
-    with house_style():
-        for some, colour, label in (
-            (~beyond, COLOURS["nominal"], "within the limit"),
-            (beyond, COLOURS["worst"], f"violates it: {found.violations} of {found.n}"),
-        ):
-            axes.hist(values[some], edges.tolist(), color=colour, alpha=0.85, label=label)
-        limit = f"limit {found.limit:.4g} {found.unit}".rstrip()
-        axes.axvline(found.limit, color=COLOURS["reference"], ls=(0, (5, 2)), lw=1.3, label=plain_label(limit))
-        axes.set_xlabel(axis_label(found.metric, found.unit))
-        axes.set_ylabel("samples")
-        text = f"P(violation) between {found.lower:.3g} and {found.upper:.3g}"
-        axes.set_title(f"{text} at {100 * found.confidence:g} % confidence")
-        legend_below(figure, (axes,), 3)
+    violating = f"violates it: {found.violations} of {found.n}"
+    for some, colour, label in ((~beyond, style.NOMINAL, "within the limit"), (beyond, style.WORST, violating)):
+        axes.hist(values[some], edges.tolist(), color=colour, alpha=0.85, label=label)
+    limit = f"limit {found.limit:.4g} {found.unit}".rstrip()
+    axes.axvline(found.limit, color=style.MEASURED, ls=style.DASHED, lw=1.3, label=style.plain_label(limit))
+    text = f"P(violation) between {found.lower:.3g} and {found.upper:.3g}"
+    title = f"{text} at {100 * found.confidence:g} % confidence"
+    axes.set(xlabel=style.axis_label(found.metric, found.unit), ylabel="samples", title=title)
+    style.legend_below(figure, (axes,), 3)
     return figure
-
-
-def influence_figure(found: Influence, metric: str) -> Figure:
-    """Which parameters matter: their shares of the spread, and what each alone would save at the worst sample.
-
-    Left: share of the variance that each parameter explains by itself; a bar that ends in the grey zone may be chance.
-    Right: the metric at the worst sample (line), and where it comes to if that one parameter were nominal (dot).
-    """
-    order = tuple(k for k in found.order if found.matters[k])[:SHOWN] or found.order[:1]
-    figure, (shares, saved) = new_figure(1, 2, width=10.4, height=1.4 + 0.3 * max(3, len(order)), sharey=True)
-    rows = np.arange(len(order))
-    names = [plain_label(found.names[k]) for k in order]
-    kinds = {
-        1: (COLOURS["worst"], f"{metric} grows with it"),
-        -1: (COLOURS["nominal"], f"{metric} falls with it"),
-        0: (COLOURS["sample"], "no clear direction"),
-    }
-    with house_style():
-        for direction, (colour, label) in kinds.items():
-            some = [row for row, k in enumerate(order) if found.directions[k] == direction]
-            if some:
-                widths = [100 * found.first_order[order[row]] for row in some]
-                shares.barh(some, widths, color=colour, label=plain_label(label))
-        shares.axvspan(0, 100 * found.noise, color=COLOURS["sample"], alpha=0.25, lw=0, label="may be chance")
-        shares.set_yticks(rows, names)
-        shares.invert_yaxis()
-        shares.set_xlim(0, max(1.08 * 100 * float(found.first_order.max(initial=0.0)), 200 * found.noise, 1.0))
-        shares.set_xlabel("share of the spread [%]")
-        rest = len(found.names) - len(order)
-        shares.set_title("which parameters matter" + (f" ({rest} more do not, or less)" if rest else ""))
-        _draw_savings(saved, found, order)
-        saved.set_xlabel(axis_label(metric, found.unit))
-        saved.set_title("the worst sample, one parameter nominal")
-        legend_below(figure, (shares, saved), 3)
-    return figure
-
-
-def _draw_savings(axes: Axes, found: Influence, order: tuple[int, ...]) -> None:
-    restored = np.where(np.isfinite(found.restored), found.restored, found.worst_value)
-    if not np.isfinite(found.worst_value):
-        axes.text(0.5, 0.5, "the worst sample has no bounded value", ha="center", transform=axes.transAxes)
-        axes.grid(visible=False)
-        return
-    axes.axvline(found.worst_value, color=COLOURS["worst"], lw=1.4, label="worst sample")
-    axes.axvline(found.nominal_value, color=COLOURS["nominal"], lw=1.4, ls=(0, (5, 2)), label="nominal")
-    for row, k in enumerate(order):
-        axes.plot([found.worst_value, restored[k]], [row, row], color="#444444", lw=1.2)
-        axes.plot(restored[k], row, "o", color="#444444", ms=5, label="that parameter nominal" if row == 0 else None)
-
-
-def _range(values: np.ndarray, limit: float) -> tuple[float, float]:
-    """What the axis shows: all finite values and the limit; some width where they are all the same."""
-    seen = np.append(values, limit)
-    low, high = float(seen.min()), float(seen.max())
-    margin = 0.04 * (high - low) or 0.05 * max(abs(high), 1e-12)
-    return low - margin, high + margin
 
 
 def violation_influence(found: ViolationProbability) -> Figure:
@@ -342,3 +303,46 @@ def violation_influence(found: ViolationProbability) -> Figure:
     if found.influence is None:
         raise InputError("plot('influence')", "no influences", "32 samples at least, and real scalar blocks")
     return influence_figure(found.influence, found.metric)
+
+
+@style.house_style()
+def influence_figure(found: Influence, metric: str) -> Figure:
+    """Which parameters matter: their shares of the spread, and what each alone would save at the worst sample.
+
+    Left: share of the variance that each parameter explains by itself; a bar that ends in the grey zone may be chance.
+    Right: the metric at the worst sample (line), and where it comes to if that one parameter were nominal (dot).
+    """
+    order = tuple(k for k in found.order if found.matters[k])[:SHOWN] or found.order[:1]
+    figure, (shares, saved) = style.new_figure(1, 2, width=10.4, height=1.4 + 0.3 * max(3, len(order)), sharey=True)
+    for direction, colour, label in (
+        (1, style.WORST, f"{metric} grows with it"),
+        (-1, style.NOMINAL, f"{metric} falls with it"),
+        (0, style.SAMPLE, "no clear direction"),
+    ):
+        some = [row for row, k in enumerate(order) if found.directions[k] == direction]
+        if some:
+            widths = [100 * found.first_order[order[row]] for row in some]
+            shares.barh(some, widths, color=colour, label=style.plain_label(label))
+    shares.axvspan(0, 100 * found.noise, color=style.SAMPLE, alpha=0.25, lw=0, label="may be chance")
+    shares.set_yticks(range(len(order)), [style.plain_label(found.names[k]) for k in order])
+    shares.invert_yaxis()
+    rest = len(found.names) - len(order)
+    shares.set(
+        xlim=(0, max(108 * float(found.first_order.max(initial=0.0)), 200 * found.noise, 1.0)),
+        xlabel="share of the spread [%]",
+        title="which parameters matter" + (f" ({rest} more do not, or less)" if rest else ""),
+    )
+    if np.isfinite(found.worst_value):
+        restored = np.where(np.isfinite(found.restored), found.restored, found.worst_value)
+        saved.axvline(found.worst_value, color=style.WORST, lw=1.4, label="worst sample")
+        saved.axvline(found.nominal_value, color=style.NOMINAL, lw=1.4, ls=style.DASHED, label="nominal")
+        for row, k in enumerate(order):
+            saved.plot([found.worst_value, restored[k]], [row, row], color="#444444", lw=1.2)
+            label = "that parameter nominal" if row == 0 else None
+            saved.plot(restored[k], row, "o", color="#444444", ms=5, label=label)
+    else:
+        saved.text(0.5, 0.5, "the worst sample has no bounded value", ha="center", transform=saved.transAxes)
+        saved.grid(visible=False)
+    saved.set(xlabel=style.axis_label(metric, found.unit), title="the worst sample, one parameter nominal")
+    style.legend_below(figure, (shares, saved), 3)
+    return figure

@@ -1,40 +1,35 @@
-"""Figures of sets of models: covers of models, and records beside them.
+"""Figures of sets of models and of their members: covers, records beside a set, responses, worst members, campaigns.
 
-The weight over the models' errors, the cloud of parameters in its box, what each block does; a record as the smallest
+The weight over the models' errors, the parameters in their box, what each block does; a record as the smallest
 Delta explains it, and in the envelope of all members (figures 11.5-11.20 of the thesis).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, cast
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
+from robustlab.campaign.campaign_result import CampaignResult, exceedance_curve
+from robustlab.campaign.store import Store
 from robustlab.errors import InputError
-from robustlab.identification.comparison.envelope import EnvelopeCoverage, SignalCoverage
+from robustlab.identification.comparison.envelope import EnvelopeCoverage
 from robustlab.identification.validation import Validation
 from robustlab.identification.validation.data_cover import DataCover
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.margins.cover import Cover
-from robustlab.report.figures import (
-    COLOURS,
-    axis_label,
-    chosen,
-    frequency_axis,
-    house_style,
-    is_guest,
-    legend_below,
-    logarithmic,
-    new_figure,
-    plain_label,
-)
+from robustlab.report import style
+from robustlab.report.robustness_figures import response_figure
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.covering.overbound import Overbound
 from robustlab.uncertainty.covering.unstructured_cover import error_sizes
 from robustlab.uncertainty.unstructured import Form
+from robustlab.worst_case_analysis import WorstCase
+from robustlab.worst_case_analysis.sampling import Responses
 
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import EffectBlocks
@@ -42,6 +37,12 @@ if TYPE_CHECKING:
 SHOWN = 24  # parameters side by side
 MODELS = 60  # errors drawn one by one
 LIGHTEST = 1e-7  # share of a curve's largest value at which it leaves the picture
+NOMINAL: dict[str, Any] = {"color": style.NOMINAL, "lw": 1.2, "ls": (0, (5, 1.5)), "label": "nominal"}
+RECORD: dict[str, Any] = {"color": style.MEASURED, "lw": 1.4, "label": "record"}
+EXPLAINED: dict[str, Any] = {"color": style.WORST, "lw": 1.1, "label": "with the smallest Delta"}
+
+
+# --- covers -----------------------------------------------------------------------------------------------------------
 
 
 def cover_figures(cover: Cover, models: Sequence[StateSpaceModel]) -> dict[str, tuple[Figure, str]]:
@@ -51,8 +52,14 @@ def cover_figures(cover: Cover, models: Sequence[StateSpaceModel]) -> dict[str, 
         return {"weight": (weight_figure(cover, models), text)}
     if not cover.model.blocks:
         return {}
-    text = "Every model as a point in the box of the parameters."
-    return {"cloud": (cloud_figure(cover), text)}
+    return {"cloud": (cloud_figure(cover), "Every model as a point in the box of the parameters.")}
+
+
+def cover_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
+    """The weight of an unstructured form (over the errors of ``models``), the cloud of a parametric one."""
+    for figure, _ in cover_figures(cover, models).values():
+        return figure
+    raise InputError("Cover.plot", "a cover without blocks", "one with something uncertain in it")
 
 
 def weight_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
@@ -63,81 +70,53 @@ def weight_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figur
     return overbound_figure(cover.fit, errors, f"{cover.form}: weight over the errors of {len(cover.sizes)} models")
 
 
+@style.house_style()
 def overbound_figure(fit: Overbound, errors: Sequence[Array] | Array = (), title: str = "") -> Figure:
     """A weight above its bound, and the curves that made the bound; below, by how much it lies above."""
-    figure, (above, below) = new_figure(
-        2, 1, width=7.6, height=2.3, sharex=True, gridspec_kw={"height_ratios": [2.2, 1.0]}
-    )
-    with house_style():
-        for k, row in enumerate(errors[:MODELS]):
-            label = "error of a model" if k == 0 else None
-            above.plot(
-                fit.omega, np.maximum(row, LIGHTEST * fit.bound.max()), color=COLOURS["sample"], lw=0.8, label=label
-            )
-        above.plot(fit.omega, fit.bound, color=COLOURS["reference"], lw=1.0, ls=(0, (5, 1.5)), label="bound")
-        above.plot(fit.omega, fit.magnitude, color=COLOURS["nominal"], label=f"weight of order {fit.order}")
-        low = max(float(fit.bound.min()) / 10.0, LIGHTEST * float(fit.bound.max()))
-        logarithmic(above.xaxis)
-        logarithmic(above.yaxis)
-        above.set_ylim(low, 2.0 * float(fit.magnitude.max()))
-        above.set_ylabel("gain")
-        above.set_title(plain_label(title or f"weight of order {fit.order} above a bound"))
-        below.plot(fit.omega, 100.0 * (fit.magnitude / fit.bound - 1.0), color=COLOURS["nominal"])
-        below.set_ylim(bottom=0.0)
-        below.set_ylabel("above the\nbound [%]")
-        below.set_xlabel("frequency [rad/s]")
-        figure.legend(loc="outside lower center", ncols=3)
+    ratios = {"height_ratios": [2.2, 1.0]}
+    figure, (above, below) = style.new_figure(2, 1, width=7.6, height=2.3, sharex=True, gridspec_kw=ratios)
+    floor = LIGHTEST * float(fit.bound.max())
+    for k, row in enumerate(errors[:MODELS]):
+        label = "error of a model" if k == 0 else None
+        above.plot(fit.omega, np.maximum(row, floor), color=style.SAMPLE, lw=0.8, label=label)
+    above.plot(fit.omega, fit.bound, color=style.MEASURED, lw=1.0, ls=(0, (5, 1.5)), label="bound")
+    above.plot(fit.omega, fit.magnitude, color=style.NOMINAL, label=f"weight of order {fit.order}")
+    style.logarithmic(above.xaxis)
+    style.logarithmic(above.yaxis)
+    height = max(float(fit.bound.min()) / 10.0, floor), 2.0 * float(fit.magnitude.max())
+    heading = style.plain_label(title or f"weight of order {fit.order} above a bound")
+    above.set(ylim=height, ylabel="gain", title=heading)
+    below.plot(fit.omega, 100.0 * (fit.magnitude / fit.bound - 1.0), color=style.NOMINAL)
+    below.set_ylim(bottom=0.0)
+    below.set(ylabel="above the\nbound [%]", xlabel="frequency [rad/s]")
+    style.legend_below(figure, (above,), 3)
     return figure
 
 
+@style.house_style()
 def cloud_figure(cover: Cover) -> Figure:
-    """Left: the models over the two parameters that are least tied to each other. Right: over all parameters."""
+    """Every model as a point in the range of each parameter."""
     names = [b.name for b in cover.model.blocks]
-    deltas = np.array([[float(d[name]) for name in names] for d in cover.deltas])
-    wide = len(names) > 1
-    figure, axes = new_figure(1, 1 + wide, width=8.2 if wide else 5.0, height=3.4)
-    with house_style():
-        if wide:
-            _plane(axes[0], deltas, names)
-        rows = axes[-1]
-        shown = deltas[:, :SHOWN]
-        for k in range(shown.shape[1]):
-            rows.plot([-1, 1], [k, k], color=COLOURS["band"], lw=5, alpha=0.35, solid_capstyle="butt")
-            rows.plot(shown[:, k], np.full(len(shown), k), "o", ms=3.5, color=COLOURS["nominal"], alpha=0.7)
-        rows.set_yticks(range(shown.shape[1]), [plain_label(n)[:24] for n in names[:SHOWN]])
-        rows.set_ylim(shown.shape[1] - 0.4, -0.6)
-        rows.set_xlim(-1.12, 1.12)
-        rows.set_xticks([-1.0, -0.5, 0.0, 0.5, 1.0])
-        rows.set_xlabel("normalised value")
-        more = f", {SHOWN} of {len(names)} shown" if len(names) > SHOWN else ""
-        rows.set_title(f"{len(names)} parameter{'s' * (len(names) > 1)}{more}")
+    deltas = np.array([[float(d[name]) for name in names[:SHOWN]] for d in cover.deltas])
+    figure, (axes,) = style.new_figure(width=6.4, height=1.2 + 0.27 * max(3, deltas.shape[1]))
+    for k, column in enumerate(deltas.T):
+        axes.plot([-1, 1], [k, k], color=style.BAND, lw=5, alpha=0.35, solid_capstyle="butt")
+        axes.plot(column, np.full(len(column), k), "o", ms=3.5, color=style.NOMINAL, alpha=0.7)
+    more = f", {SHOWN} of {len(names)} shown" if len(names) > SHOWN else ""
+    title = f"{len(names)} parameter{'s' * (len(names) > 1)}{more}"
+    _places(axes, names[:SHOWN])
+    axes.set(xlim=(-1.12, 1.12), xlabel="normalised value", title=title)
     return figure
 
 
-def _plane(axes, deltas: Array, names: Sequence[str]) -> None:  # type: ignore[no-untyped-def]
-    i, j = _least_tied(deltas)
-    box = np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
-    axes.fill(*box, color=COLOURS["band"], alpha=0.2, lw=0)
-    axes.plot(*box, color=COLOURS["band"], lw=1.2, label="box of the cover")
-    axes.plot(deltas[:, i], deltas[:, j], "o", ms=4, color=COLOURS["nominal"], label="models", ls="none")
-    axes.set_aspect("equal")
-    axes.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3))
-    axes.set_xlabel(plain_label(names[i]))
-    axes.set_ylabel(plain_label(names[j]))
-    axes.set_title("The two that are least tied" if len(names) > 2 else "The cloud in its box")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)
+def _places(axes: Any, names: Sequence[str]) -> None:
+    """A row for each parameter, over its range from -1 to 1."""
+    axes.set_yticks(range(len(names)), [style.plain_label(name[:40]) for name in names])
+    axes.set(ylim=(len(names) - 0.4, -0.6), xticks=[-1, -0.5, 0, 0.5, 1])
+    axes.grid(visible=False, axis="y")
 
 
-def _least_tied(deltas: Array) -> tuple[int, int]:
-    """The pair of columns of least correlation among the first ones, the larger of equals first."""
-    part = deltas[:, :SHOWN] - deltas[:, :SHOWN].mean(axis=0)
-    size = np.linalg.norm(part, axis=0)
-    tied = np.abs(part.T @ part) / np.maximum(np.outer(size, size), 1e-300)
-    tied[np.tril_indices(len(tied))] = 2.0
-    i, j = np.unravel_index(int(np.argmin(np.round(tied, 6))), tied.shape)
-    return int(i), int(j)
-
-
+@style.house_style()
 def blocks_figure(made: EffectBlocks) -> Figure:
     """How far each block alone moves the response of the nominal model, of its size, over frequency.
 
@@ -150,33 +129,26 @@ def blocks_figure(made: EffectBlocks) -> Figure:
     omega = default_grid(model.nominal, 240)
     m = frequency_response(model.M, omega)
     plant = slice(q + len(made.noise), None)
-    nominal = m[:, p:, plant]
-    size = np.linalg.norm(nominal, 2, axis=(1, 2))
-    figure, (axes,) = new_figure(1, 1, width=7.6, height=3.4)
-    with house_style():
-        row = col = 0
-        for k, block in enumerate(model.blocks):
-            w, z = slice(row, row + block.rows), slice(col, col + block.cols)
-            row, col = row + block.rows, col + block.cols
-            m11, m12, m21 = m[:, z, w], m[:, z, plant], m[:, p:, w]
-            moved = _moved(m11, m12, m21, not block.is_scalar)
-            style = ("-", (0, (5, 1.5)), (0, (1, 1)))[k // 10 % 3]
-            percent = np.maximum(100.0 * moved / size, 1e-12)
-            axes.plot(omega, percent, label=plain_label(block.name), lw=1.4, color=f"C{k % 10}", ls=style)
-        frequency_axis(axes)
-        logarithmic(axes.yaxis)
-        top = max(float(line.get_ydata().max()) for line in axes.lines)  # type: ignore[union-attr]
-        axes.set_ylim(max(1e-3, 1e-6 * top), 2.0 * top)
-        axes.set_ylabel("change of the response [%]")
-        axes.set_title("What each block alone does")
-        if is_guest(axes):
-            legend_below(figure, (axes,))
-        else:
-            figure.legend(loc="outside right upper")
+    size = np.linalg.norm(m[:, p:, plant], 2, axis=(1, 2))
+    figure, (axes,) = style.new_figure(1, 1, width=7.6, height=3.4)
+    row = col = 0
+    for k, block in enumerate(model.blocks):
+        w, z = slice(row, row + block.rows), slice(col, col + block.cols)
+        row, col = row + block.rows, col + block.cols
+        moved = _moved(m[:, z, w], m[:, z, plant], m[:, p:, w], not block.is_scalar)
+        dashes = ("-", (0, (5, 1.5)), (0, (1, 1)))[k // 10 % 3]
+        percent, label = np.maximum(100.0 * moved / size, 1e-12), style.plain_label(block.name)
+        axes.plot(omega, percent, label=label, lw=1.4, color=f"C{k % 10}", ls=dashes)
+    style.frequency_axis(axes)
+    style.logarithmic(axes.yaxis)
+    top = max(float(np.max(line.get_ydata())) for line in axes.lines)
+    height = max(1e-3, 1e-6 * top), 2.0 * top
+    axes.set(ylim=height, ylabel="change of the response [%]", title="What each block alone does")
+    style.legend_below(figure, (axes,), 4)
     return figure
 
 
-def _moved(m11, m12, m21, full: bool) -> Array:  # type: ignore[no-untyped-def]
+def _moved(m11: Any, m12: Any, m21: Any, full: bool) -> Array:
     """Largest change ``||m21 (I - Delta m11)^-1 Delta m12||`` over Delta = +-1 (a full block: its bound)."""
     if full:
         loop = np.linalg.norm(m11, 2, axis=(1, 2))
@@ -187,123 +159,155 @@ def _moved(m11, m12, m21, full: bool) -> Array:  # type: ignore[no-untyped-def]
     return np.max([np.linalg.norm(c, 2, axis=(1, 2)) for c in changes], axis=0)
 
 
-def cover_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
-    """The weight of an unstructured form (over the errors of ``models``), the cloud of a parametric one."""
-    if cover.fit is not None:
-        return weight_figure(cover, models)
-    if not cover.model.blocks:
-        raise InputError("Cover.plot", "a cover without blocks", "one with something uncertain in it")
-    return cloud_figure(cover)
+# --- a record beside a set --------------------------------------------------------------------------------------------
 
 
 def validation_figures(found: Validation) -> dict[str, Figure]:
     """All figures of a validation: one for each output, and ``delta`` in the frequency domain."""
-    figures = {}
-    for name, _ in found.outputs:
-        figures[name] = record_of(found, name)
+    figures = {name: validation_figure(found, name) for name, _ in found.outputs}
     if found.domain == "frequency" and np.isfinite(found.upper):
         figures["delta"] = delta_figure(found)
     return figures
 
 
-def envelope_figures(found: EnvelopeCoverage) -> dict[str, Figure]:
-    """A figure for each signal of a record in the envelope of a set."""
-    return {name: envelope_figure(signal) for name, signal in found.signals.items()}
+@style.house_style()
+def validation_figure(found: Validation, output: str | None = None) -> Figure:
+    """One output recorded, of the nominal model and as explained; below, what each leaves, in the noise bound.
 
-
-def validation_figure(found: Validation, output: str) -> Figure:
-    """Recorded, nominal and explained output; below, the record minus each of the two against the noise bound."""
+    Of a measured frequency response the magnitudes alone.
+    """
+    output = style.chosen([name for name, _ in found.outputs], output, "output")
     k = [name for name, _ in found.outputs].index(output)
-    unit = found.outputs[k][1]
+    response = found.domain == "frequency" and found.noise_norm == "peak"
+    figure, panels = style.new_figure(1 if response else 2, 1, width=7.6, height=3.4 if response else 2.4, sharex=True)
     measured, nominal, explained = (a[:, k] for a in (found.measured, found.nominal, found.explained))
-    figure, (above, below) = new_figure(2, 1, width=7.6, height=2.4, sharex=True)
-    known = bool(np.isfinite(explained).all())
-    bound = found.noise_bound[output]
-    with house_style():
-        above.plot(found.t, nominal, color=COLOURS["nominal"], lw=1.2, ls=(0, (5, 1.5)), label="nominal")
-        above.plot(found.t, measured, color=COLOURS["measured"], lw=1.4, label="recorded")
-        below.plot(found.t, measured - nominal, color=COLOURS["nominal"], lw=1.0, ls=(0, (5, 1.5)))
-        if known:
-            above.plot(found.t, explained, color=COLOURS["worst"], lw=1.1, label="with the smallest Delta")
-            below.plot(found.t, measured - explained, color=COLOURS["worst"], lw=0.9)
+    curves = [(nominal, NOMINAL), *([(explained, EXPLAINED)] if np.isfinite(explained).all() else [])]
+    for curve, how in [*curves, (measured, RECORD)]:
+        panels[0].plot(found.t, curve, **how)
+    panels[0].set_title(style.plain_label(f"{found.record}: {found.verdict}"))
+    if response:
+        style.frequency_axis(panels[0])
+        style.logarithmic(panels[0].yaxis)
+        panels[0].set_ylabel(f"|{style.plain_label(output)}| per input")
+    else:
+        below, unit, bound = panels[1], found.outputs[k][1], found.noise_bound[output]
+        for curve, how in curves:
+            below.plot(found.t, measured - curve, **how)
         word = "noise bound" if found.noise_norm == "peak" else "rms noise bound"
-        below.axhspan(-bound, bound, color=COLOURS["band"], alpha=0.35, lw=0, label=word)
-        above.set_ylabel(axis_label(output, unit))
-        below.set_ylabel(axis_label("record minus model", unit))
-        below.set_xlabel("time in the mean period [s]" if found.domain == "frequency" else "time [s]")
-        above.set_title(plain_label(f"{found.record}: {found.verdict}"))
-        legend_below(figure, (above, below), 4)
+        below.axhspan(-bound, bound, color=style.BAND, alpha=0.35, lw=0, label=word)
+        panels[0].set_ylabel(style.axis_label(output, unit))
+        time = "time in the mean period [s]" if found.domain == "frequency" else "time [s]"
+        below.set(ylabel=style.axis_label("record minus model", unit), xlabel=time)
+    style.legend_below(figure, panels, 4)
     return figure
-
-
-def _response_figure(found: Validation, output: str) -> Figure:
-    """Magnitude of a recorded frequency response, of the nominal model, and of the explanation."""
-    k = [name for name, _ in found.outputs].index(output)
-    figure, (axes,) = new_figure(1, 1, width=7.6, height=3.4)
-    with house_style():
-        axes.plot(found.t, found.nominal[:, k], color=COLOURS["nominal"], lw=1.2, ls=(0, (5, 1.5)), label="nominal")
-        axes.plot(found.t, found.measured[:, k], color=COLOURS["measured"], lw=1.4, label="record")
-        if np.isfinite(found.explained).all():
-            axes.plot(found.t, found.explained[:, k], color=COLOURS["worst"], lw=1.1, label="with the smallest Delta")
-        frequency_axis(axes)
-        logarithmic(axes.yaxis)
-        axes.set_ylabel(f"|{plain_label(output)}| per input")
-        axes.set_title(plain_label(f"{found.record}: {found.verdict}"))
-        legend_below(figure, (axes,), 3)
-    return figure
-
-
-def delta_figure(found: Validation) -> Figure:
-    """Size of each block over frequency, and gamma."""
-    if found.domain != "frequency" or not np.isfinite(found.upper):
-        raise InputError(
-            "plot('delta')", f"domain {found.domain}, gamma {found.upper:.4g}", "a finite one over frequency"
-        )
-    figure, (axes,) = new_figure(1, 1, width=7.6, height=3.0)
-    kept = found.omega > 0
-    with house_style():
-        for i, name in enumerate(found.blocks):
-            axes.plot(found.omega[kept], found.line_sizes[kept, i], lw=1.2, marker=".", ms=4, label=plain_label(name))
-        axes.axhline(found.upper, color=COLOURS["limit"], lw=1.0, ls=(0, (5, 1.5)), label=f"gamma: {found.upper:.4g}")
-        frequency_axis(axes)
-        axes.set_ylim(0.0, 1.15 * max(found.upper, 1e-9))
-        axes.set_ylabel("size of the block")
-        axes.set_title(plain_label(f"{found.record}: the Delta that explains it"))
-        legend_below(figure, (axes,), 5)
-    return figure
-
-
-def envelope_figure(signal: SignalCoverage) -> Figure:
-    """The measured signal with nominal response and envelope; below, both minus the nominal response."""
-    figure, (above, below) = new_figure(2, 1, width=9.0, height=2.3, sharex=True)
-    t, outside = signal.t, signal.share < 1
-    with house_style():
-        for axes, origin in ((above, 0.0), (below, signal.nominal)):
-            lower, upper = signal.lower - origin, signal.upper - origin
-            axes.fill_between(t, lower, upper, color=COLOURS["band"], alpha=0.45, lw=0, label="envelope of all members")
-            axes.plot(t, signal.nominal - origin, color=COLOURS["nominal"], lw=1.0, label="nominal")
-            axes.plot(t, signal.measured - origin, color=COLOURS["measured"], lw=1.2, label="record")
-        if outside:
-            k = int(abs(t - signal.miss_time).argmin())
-            gap = signal.measured[k] - signal.nominal[k]
-            below.plot(t[k], gap, "o", color=COLOURS["worst"], ms=5, label="largest miss")
-        above.set_ylabel(axis_label(signal.name, signal.unit))
-        below.set_ylabel(axis_label("minus nominal", signal.unit))
-        below.set_xlabel("time [s]")
-        legend_below(figure, (below,), 4)
-    return figure
-
-
-# --- single drawings --------------------------------------------------------------------------------------------------
-
-
-def record_of(found: Validation, output: str | None = None) -> Figure:
-    """One output of the record beside the nominal model and the explanation."""
-    name = chosen([name for name, _ in found.outputs], output, "output")
-    measured_response = found.domain == "frequency" and found.noise_norm == "peak"
-    return _response_figure(found, name) if measured_response else validation_figure(found, name)
 
 
 def cover_record(found: DataCover, record: str | None = None, output: str | None = None) -> Figure:
     """How a set explains one of its records."""
-    return record_of(found.validations[chosen(list(found.validations), record, "record")], output)
+    return validation_figure(found.validations[style.chosen(list(found.validations), record, "record")], output)
+
+
+@style.house_style()
+def delta_figure(found: Validation) -> Figure:
+    """Size of each block over frequency, and gamma."""
+    if found.domain != "frequency" or not np.isfinite(found.upper):
+        given = f"domain {found.domain}, gamma {found.upper:.4g}"
+        raise InputError("plot('delta')", given, "a finite one over frequency")
+    figure, (axes,) = style.new_figure(1, 1, width=7.6, height=3.0)
+    kept = found.omega > 0
+    for i, name in enumerate(found.blocks):
+        label = style.plain_label(name)
+        axes.plot(found.omega[kept], found.line_sizes[kept, i], lw=1.2, marker=".", ms=4, label=label)
+    axes.axhline(found.upper, color=style.LIMIT, lw=1.0, ls=(0, (5, 1.5)), label=f"gamma: {found.upper:.4g}")
+    style.frequency_axis(axes)
+    title = style.plain_label(f"{found.record}: the Delta that explains it")
+    axes.set(ylim=(0.0, 1.15 * max(found.upper, 1e-9)), ylabel="size of the block", title=title)
+    style.legend_below(figure, (axes,), 5)
+    return figure
+
+
+@style.house_style()
+def envelope_figures(found: EnvelopeCoverage) -> dict[str, Figure]:
+    """For each signal of a record: in the envelope of all members; below, both minus the nominal response."""
+    figures = {}
+    for name, signal in found.signals.items():
+        figures[name], (above, below) = style.new_figure(2, 1, width=9.0, height=2.3, sharex=True)
+        t = signal.t
+        for axes, origin in ((above, 0.0), (below, signal.nominal)):
+            band = signal.lower - origin, signal.upper - origin
+            axes.fill_between(t, *band, color=style.BAND, alpha=0.45, lw=0, label="envelope of all members")
+            axes.plot(t, signal.nominal - origin, color=style.NOMINAL, lw=1.0, label="nominal")
+            axes.plot(t, signal.measured - origin, **RECORD)
+        if signal.share < 1:
+            k = int(abs(t - signal.miss_time).argmin())
+            gap = signal.measured[k] - signal.nominal[k]
+            below.plot(t[k], gap, "o", color=style.WORST, ms=5, label="largest miss")
+        above.set_ylabel(style.axis_label(signal.name, signal.unit))
+        below.set(ylabel=style.axis_label("minus nominal", signal.unit), xlabel="time [s]")
+        style.legend_below(figures[name], (below,), 4)
+    return figures
+
+
+# --- members ----------------------------------------------------------------------------------------------------------
+
+
+def band_figure(found: Responses, output: str | None = None) -> Figure:
+    """All responses of one output and their envelope."""
+    names = [s.name for s in found.outputs]
+    k = names.index(style.chosen(names, output, "output"))
+    envelope = found.lower[:, k], found.upper[:, k]
+    return response_figure(found.t, found.y[:, :, k], found.nominal[:, k], envelope, output=found.outputs[k])
+
+
+def band_figures(found: Responses) -> dict[str, Figure]:
+    """A figure for each output."""
+    return {s.name: band_figure(found, s.name) for s in found.outputs}
+
+
+@style.house_style()
+def member_figure(worst: WorstCase | CampaignResult) -> Figure:
+    """The worst member found: where each parameter lies in its range, from -1 over nominal to 1."""
+    scalar = {name: np.ravel(value)[0] for name, value in worst.delta.items() if np.size(value) == 1}
+    if not scalar:
+        raise InputError("plot('delta')", "a member without scalar blocks", "a Delta with scalar values")
+    ranked = sorted(scalar, key=lambda name: -abs(scalar[name]))[:SHOWN]
+    figure, (axes,) = style.new_figure(width=7.2, height=1.2 + 0.27 * max(3, len(ranked)))
+    for row, name in enumerate(ranked):
+        size = float(abs(scalar[name])) if np.iscomplexobj(scalar[name]) else float(scalar[name])
+        axes.plot([-1, 1], [row, row], color=style.BAND, lw=6, alpha=0.35, solid_capstyle="butt")
+        axes.plot(size, row, "o", color=style.WORST, ms=6)
+        known = worst.physical.get(name)
+        text = style.plain_label(f"{known[0]:.4g} {known[1]}".rstrip() if known else f"{size:.3g}")
+        axes.annotate(text, (1.08, row), va="center", fontsize=8.5, annotation_clip=False)
+    axes.axvline(0.0, color=style.NOMINAL, ls=style.DASHED, lw=1.1)
+    _places(axes, ranked)
+    value = worst.value if isinstance(worst, WorstCase) else worst.worst
+    title = style.plain_label(f"{worst.metric}: {value:.4g} {worst.unit}".rstrip())
+    axes.set(xlim=(-1.05, 1.45), xlabel="place in the range: 0 nominal, -1 and 1 its ends", title=title)
+    return figure
+
+
+@style.house_style()
+def campaign_figure(result: CampaignResult) -> Figure:
+    """Share of the samples worse than each value, read from the campaign's store."""
+    if result.kind != "samples":
+        raise InputError("plot('exceedance')", f"a campaign of {result.kind}", "one of samples", "plot('delta')")
+    store = Store.open(Path(result.store))
+    try:
+        values, share, upper = exceedance_curve(store, result.sense, result.done, result.lost)
+    finally:
+        store.close()
+    figure, (axes,) = style.new_figure(height=3.4)
+    seen = share > 0
+    if seen.any():
+        axes.step(values[seen], share[seen], where="post", color=style.NOMINAL, label="share of the samples")
+    axes.plot(values, upper, color=style.WORST, ls=(0, (6, 2)), label="probability, at most (95 %)")
+    if len(values):
+        axes.plot(values[-1], upper[-1], "o", color=style.WORST, ms=5, label="worst sample")
+    if result.violation is not None:
+        label = style.plain_label(f"limit {result.violation.limit:g}")
+        axes.axvline(result.violation.limit, color=style.LIMIT, lw=1.3, label=label)
+    axes.set(xlabel=style.axis_label(result.metric, result.unit), ylabel="probability to be worse")
+    axes.legend(loc="best")
+    style.logarithmic(axes.yaxis)
+    return figure

@@ -14,7 +14,7 @@ from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart import condition_map, inverse_kinematics, stewart_platform
 from robustlab.dynamics.stewart.kinematics import ConditionMap
 from robustlab.report.drawings import Picture
-from robustlab.report.figures import COLOURS, house_style, new_figure, plain_label
+from robustlab.report.style import COLOURS, house_style, new_figure, plain_label
 from robustlab.thesis.numbers import PublishedNumbers
 from robustlab.thesis.runs import UP_TO, Case, SineRun
 from robustlab.uncertainty.elementwise import elementwise

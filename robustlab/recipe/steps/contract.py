@@ -186,7 +186,7 @@ class Workspace:
 
     def draw(self, figure: Figure, name: str, caption: str) -> None:
         """Save a figure of the present step."""
-        from robustlab.report.figures import save_figure
+        from robustlab.report.style import save_figure
 
         # A signal's name is data from outside; the name of a file is not.
         stem = re.sub(r"[^A-Za-z0-9_-]", "_", f"{self.step}-{name}")[:80]

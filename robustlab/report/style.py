@@ -24,17 +24,17 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
+from robustlab.errors import EnvironmentFault, InputError, did_you_mean, plain_text
+from robustlab.files.atomic import atomic_write
+
 # Okabe and Ito (2008): told apart by colour-blind readers too, and in grey print by their lightness.
+NOMINAL, WORST, GOOD, LIMIT, BAND = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9"
+SAMPLE, MEASURED = "#8a8f98", "#222222"
+DASHED: Any = (0, (5, 2))
 COLOURS = {
-    "nominal": "#0072B2",
-    "worst": "#D55E00",
-    "sample": "#8a8f98",
-    "band": "#56B4E9",
-    "reference": "#222222",
-    "good": "#009E73",
-    "measured": "#222222",
-    "limit": "#CC79A7",
-}
+    "nominal": NOMINAL, "worst": WORST, "sample": SAMPLE, "band": BAND, "reference": MEASURED, "good": GOOD,
+    "measured": MEASURED, "limit": LIMIT,
+}  # fmt: skip
 
 _STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
@@ -107,8 +107,6 @@ def new_figure(
 
 
 def _in_the_place_of(axes: Axes) -> SubFigure:
-    from robustlab.errors import InputError
-
     place, figure = axes.get_subplotspec(), axes.figure
     if place is None:
         found = "axes that are in no grid, for a drawing of several panels"
@@ -117,15 +115,8 @@ def _in_the_place_of(axes: Axes) -> SubFigure:
     return figure.add_subfigure(place)
 
 
-def is_guest(axes: Axes) -> bool:
-    """Whether these are the Axes of somebody's figure that `drawn_on` was given."""
-    return _CANVAS.get() is axes
-
-
 def plain_label(text: str) -> str:
     """A name from outside as matplotlib may show it: printable characters only."""
-    from robustlab.errors import plain_text
-
     return plain_text(text)
 
 
@@ -166,7 +157,7 @@ def legend_below(figure: Figure, panels: Sequence[Axes], ncols: int | None = Non
 
     In the Axes of somebody's figure, or where no layout makes room for it, it is inside of the first panel.
     """
-    if is_guest(panels[0]) or figure.get_layout_engine() is None:
+    if _CANVAS.get() is panels[0] or figure.get_layout_engine() is None:
         panels[0].legend(loc="best", fontsize="small")
         return
     entries: dict[str, Artist] = {}
@@ -184,8 +175,6 @@ def stem(name: str, number: int) -> str:
 
 def chosen(names: Sequence[str], asked: str | None, kind: str) -> str:
     """The name asked for, the first one where none is. Raises InputError: no such name, or nothing there."""
-    from robustlab.errors import InputError, did_you_mean
-
     if not names:
         raise InputError(f"plot: {kind}", "nothing to draw", f"a result with one {kind} at least")
     if asked is None:
@@ -227,9 +216,6 @@ def save_figure(figure: Figure, folder: str | Path, name: str, png: bool = True)
 
     Each file is written beside its final name first and then renamed, so that a reader never sees half of one.
     """
-    from robustlab.errors import EnvironmentFault
-    from robustlab.files.atomic import atomic_write
-
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
