@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -38,6 +38,10 @@ def run(
         ),
     ] = None,
     png: Annotated[bool, typer.Option("--png", help="Draw the figures as PNG beside the SVG, too.")] = False,
+    figures: Annotated[
+        Literal["required", "all"],
+        typer.Option("--figures", help="Whose figures are drawn: of the steps that requirements name, or of all."),
+    ] = "required",
     progress: ProgressOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
@@ -83,7 +87,7 @@ def run(
             display.step(len(begun) - 1, begun[-1])
 
         try:
-            result = run_recipe(loaded, folder, begin, png=png)
+            result = run_recipe(loaded, folder, begin, png, figures)
         except BaseException:
             with suppress(InputError):  # none was written
                 if ending_of(read_result(folder))["how"] != "finished":

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import robustlab as rl
 from robustlab.errors import (
@@ -113,8 +113,12 @@ def run_recipe(
     out: str | Path,
     report: Callable[[str, str], None] = lambda _name, _kind: None,
     png: bool = False,
+    figures: Literal["required", "all"] = "required",
 ) -> RunResult:
-    """Run a recipe and write its results into ``out``, however it ends; files of an earlier run there are removed."""
+    """Run a recipe and write its results into ``out``, however it ends; files of an earlier run there are removed.
+
+    The figures of the steps that requirements name are drawn; those of all steps where none is stated, or on request.
+    """
     started = time.monotonic()
     target = Path(out).resolve()
     if target.exists() and not target.is_dir():
@@ -124,7 +128,9 @@ def run_recipe(
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise EnvironmentFault(str(out), f"cannot be made ({reason})", "a folder to write results into") from error
-    work = Workspace(target, {}, loaded.recipe.seed, png=png)
+    named = frozenset(asked.that.partition(".")[0] for asked in loaded.recipe.require)
+    drawn = named if named and figures == "required" else None
+    work = Workspace(target, {}, loaded.recipe.seed, png=png, drawn=drawn)
     steps: list[dict[str, Any]] = []
     stale = _files_of_previous_run(target)
     begun = f"begun {Provenance.now('robustlab run').created}"

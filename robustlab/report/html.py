@@ -10,10 +10,9 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree as ET
 
 from markupsafe import Markup
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 MAX_FIGURES = 6_000_000  # characters of all figures in the page
-LEADING = 3  # figures that stand below the requirements
+LEADING = 4  # figures that stand below the requirements
 MAX_NUMBERS = 20_000  # characters of a step's number list in the page; result.json has all of them
 
 _MEANING = {
@@ -44,8 +43,7 @@ _DIGITS = 8  # at most, of a number beside its limit
 _NOT_PLAIN = re.compile(rb"[^ -~]|[%#&'\\]")
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """The first thing a reader sees."""
 
     tone: str
@@ -62,22 +60,22 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
         return _unfinished(result)
     requirements = result["requirements"]
     unmet = [q for q in requirements if not q["met"]]
-    doubtful = [s for s in result["steps"] if not s["trustworthy"]]
+    doubtful = ", ".join(s["name"] for s in result["steps"] if not s["trustworthy"])
     count = f"{len(requirements) - len(unmet)} of {len(requirements)} requirements met"
+    vouched = "every step ended with a number that can be vouched for."
     if doubtful:
-        names = ", ".join(s["name"] for s in doubtful)
-        return Verdict("bad", "✗", "No trustworthy number", f"These steps ended without one: {names}. {count}.")
+        detail = f"These steps ended without one: {doubtful}. {count}."
+        return Verdict("bad", "✗", "No trustworthy number", detail)
     if unmet:
-        faults = sum(bool(q["why_not"]) for q in unmet)
-        failed = len(unmet) - faults
-        words = [f"{failed} {'requirement is' if failed == 1 else 'requirements are'} not met"] if failed else []
-        words += [f"{faults} {'requirement' if faults == 1 else 'requirements'} cannot be judged"] if faults else []
-        detail = "every step ended with a number that can be vouched for"
-        return Verdict("bad", "✗", ", ".join(words), f"{count}; {detail}.")
+        words = []
+        for n, one, more in (
+            (sum(not q["why_not"] for q in unmet), "requirement is not met", "requirements are not met"),
+            (sum(bool(q["why_not"]) for q in unmet), "requirement cannot be judged", "requirements cannot be judged"),
+        ):
+            words += [f"{n} {one if n == 1 else more}"] if n else []
+        return Verdict("bad", "✗", ", ".join(words), f"{count}; {vouched}")
     if not requirements:
-        return Verdict(
-            "warn", "–", "Done; no requirement was stated", "Every step ended with a number that can be vouched for."
-        )
+        return Verdict("warn", "–", "Done; no requirement was stated", vouched.capitalize())
     headline = "The requirement is met" if len(requirements) == 1 else f"All {len(requirements)} requirements are met"
     remains = ", ".join(s["name"] for s in result["steps"] if tone(s) == "warn")
     if remains:
@@ -85,7 +83,7 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     windows = in_windows_only(requirements)
     if windows:
         return Verdict("warn", "!", f"{headline}; in free run the model is further off", " ".join(windows))
-    return Verdict("good", "✓", headline, "Every step ended with a number that can be vouched for.")
+    return Verdict("good", "✓", headline, vouched.capitalize())
 
 
 def ending_of(result: Mapping[str, Any]) -> Mapping[str, str]:
@@ -275,30 +273,26 @@ def junit_xml(result: Mapping[str, Any]) -> str:
     A requirement that is not met is a failure, one that cannot be judged an error; so is a run that did not finish.
     Texts are escaped for XML; characters that XML cannot carry are shown as escapes.
     """
-    requirements = result["requirements"]
-    doubtful = [s for s in result["steps"] if not s["trustworthy"]]
-    failures, faults = (sum(not q["met"] and bool(q["why_not"]) is w for q in requirements) for w in (False, True))
-    name = plain_text(str(result["recipe"]["name"]))
-    ending = ending_of(result)
-    cut = ending["how"] != "finished"
-    tests = len(requirements) + len(doubtful) + cut
-    counts = {"tests": tests, "failures": failures, "errors": len(doubtful) + faults + cut}
+    name, ending = plain_text(str(result["recipe"]["name"])), ending_of(result)
+    cases: list[tuple[str, str, str, Any]] = []  # class, name, kind of the fault or "", and its message
+    for q in result["requirements"]:
+        kind = "" if q["met"] else "error" if q["why_not"] else "failure"
+        reason = q["why_not"] or f"{q['that']} is {q['value']}, required: {q['condition']}"
+        cases.append(("requirements", q["text"] or q["that"], kind, reason))
+    for s in result["steps"]:
+        if not s["trustworthy"]:
+            cases.append(("steps", s["name"], "error", s["error"] or f"status {s['status']}"))
+    if ending["how"] != "finished":
+        cases.append(("run", "the run finishes", "error", f"{ending['how']}: {ending['message']}"))
+    kinds = [kind for _, _, kind, _ in cases]
+    counts = {"tests": len(cases), "failures": kinds.count("failure"), "errors": kinds.count("error")}
     attributes = {"name": name, **{key: str(n) for key, n in counts.items()}, "time": f"{float(result['seconds']):.3f}"}
     suites = ET.Element("testsuites", attributes)
     suite = ET.SubElement(suites, "testsuite", attributes)
-    for q in requirements:
-        case = ET.SubElement(
-            suite, "testcase", {"classname": f"{name}.requirements", "name": plain_text(str(q["text"] or q["that"]))}
-        )
-        if not q["met"]:
-            reason = q["why_not"] or f"{q['that']} is {q['value']}, required: {q['condition']}"
-            ET.SubElement(case, "error" if q["why_not"] else "failure", {"message": plain_text(str(reason))})
-    for s in doubtful:
-        case = ET.SubElement(suite, "testcase", {"classname": f"{name}.steps", "name": plain_text(str(s["name"]))})
-        reason = s["error"] or f"status {s['status']}"
-        ET.SubElement(case, "error", {"message": plain_text(str(reason))})
-    if cut:
-        case = ET.SubElement(suite, "testcase", {"classname": f"{name}.run", "name": "the run finishes"})
-        ET.SubElement(case, "error", {"message": plain_text(f"{ending['how']}: {ending['message']}")})
+    for group, title, kind, reason in cases:
+        about = {"classname": f"{name}.{group}", "name": plain_text(str(title))}
+        case = ET.SubElement(suite, "testcase", about)
+        if kind:
+            ET.SubElement(case, kind, {"message": plain_text(str(reason))})
     ET.indent(suites)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(suites, encoding="unicode") + "\n"

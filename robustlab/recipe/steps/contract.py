@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from robustlab.identification.naming.discovery_result import Discovery
     from robustlab.provenance import Provenance
+    from robustlab.report.drawings import Picture
 
 # What a recipe says with ``do`` -> the class of such steps; filled by `step`.
 KINDS: dict[str, type[Step]] = {}
@@ -159,6 +160,7 @@ class Workspace:
     step: str = ""  # name of the step that runs now
     ahead: Ahead = field(default_factory=lambda: Ahead({}))  # what was known before the first step
     png: bool = False  # whether figures are drawn as PNG, too
+    drawn: frozenset[str] | None = None  # names of the steps whose figures are drawn; None: of all
 
     def uncertain(self, name: str) -> rl.UncertainModel:
         """The uncertain model that an earlier step gave; a loaded file may hold something else."""
@@ -184,10 +186,18 @@ class Workspace:
 
         return Provenance.now(f"recipe step {self.step}", self.inputs, self.seed)
 
+    def pictures(self, found: Any) -> Iterator[tuple[str, Picture]]:
+        """The pictures of a result, where those of the present step are wanted."""
+        from robustlab.report.drawings import pictures_of
+
+        return pictures_of(found) if self.drawn is None or self.step in self.drawn else iter(())
+
     def draw(self, figure: Figure, name: str, caption: str) -> None:
-        """Save a figure of the present step."""
+        """Save a figure of the present step, where those are wanted."""
         from robustlab.report.style import save_figure
 
+        if self.drawn is not None and self.step not in self.drawn:
+            return
         # A signal's name is data from outside; the name of a file is not.
         stem = re.sub(r"[^A-Za-z0-9_-]", "_", f"{self.step}-{name}")[:80]
         taken = [known for known, _ in self.figures.get(self.step, [])]
@@ -219,9 +229,7 @@ def facts_of(found: Any) -> tuple[Fact, ...]:
 
 def told(found: Any, value: Any, summary: str, work: Workspace) -> Outcome:
     """A result that shows itself: its pictures, numbers, facts and tables; ``value`` is what later steps get of it."""
-    from robustlab.report.drawings import pictures_of
-
-    for name, picture in pictures_of(found):
+    for name, picture in work.pictures(found):
         work.draw(picture.figure, name, getattr(found, "caption", picture.caption))
     numbers = {name: number for name, number in found.numbers().items() if number is not None}
     status, notes = getattr(found, "status", None), getattr(found, "notes", ())

@@ -22,7 +22,6 @@ from robustlab.recipe.steps.contract import (
     with_signals,
 )
 from robustlab.record import Record
-from robustlab.report.drawings import pictures_of
 from robustlab.shown import Shown
 from robustlab.signals import Signal
 
@@ -99,7 +98,7 @@ class OperationStep(Step):
                 if getattr(one, "status", None) is not None:
                     work.keep(one, name)
             for shown in (result, *found.beside.values()):
-                for name, picture in pictures_of(shown):
+                for name, picture in work.pictures(shown):
                     if shown is not result or name not in found.beside:  # what stands beside it is drawn in its place
                         work.draw(picture.figure, name, picture.caption)
         first = _first(self.declared)
