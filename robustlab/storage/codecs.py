@@ -7,7 +7,6 @@ process loads what it reads and writes, and nothing else.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -15,12 +14,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from robustlab.arrays import not_finite
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits
 from robustlab.files.tree import Tree, Unread
 from robustlab.result import Status
 from robustlab.storage.matrices import (
     Problems,
+    columns,
     decode_model,
     decode_signals,
     decode_state_space,
@@ -28,6 +29,7 @@ from robustlab.storage.matrices import (
     encode_signals,
     entries,
     find_children,
+    put_columns,
     real_attribute,
 )
 
@@ -60,17 +62,6 @@ def _later(module: str, kind: str) -> tuple[Callable[..., None], Callable[..., A
     return partial(called, "encode"), partial(called, "decode")
 
 
-@contextmanager
-def _in_file(problems: Problems) -> Any:
-    try:
-        yield
-    except InputError as error:
-        raise InputError(problems.file, f"{error.where}: {error.found}", error.expected, error.hint) from None
-
-
-# --- models with delays, frequency responses --------------------------------------------------------------------------
-
-
 def _encode_delayed(tree: Tree, model: Any) -> None:
     """Group ``H`` as a state-space model, dataset ``delays`` in s: those of its first inputs and outputs."""
     encode_model(tree.group("H"), model.H)
@@ -84,39 +75,7 @@ def _decode_delayed(tree: Tree, problems: Problems, transpose: bool) -> Any:
     find_children(tree, ("delays",), problems, kind="dataset")
     model = decode_model(tree.groups["H"], problems, transpose) if "H" in tree.groups else None
     lengths = entries(tree, "delays", "fi", problems) if "delays" in tree.datasets else None
-    problems.raise_any()
-    assert model is not None
-    with _in_file(problems):
-        return DelayedModel(model, np.array(lengths, dtype=np.float64))
-
-
-def _encode_frequency_data(tree: Tree, data: Any) -> None:
-    """Datasets ``omega`` and ``M``, group ``blocks`` as of an uncertain model, ``signals``."""
-    from robustlab.storage.uncertain_models import encode_blocks
-
-    tree.put("omega", np.asarray(data.omega, dtype=np.float64))
-    tree.put("M", np.asarray(data.M, dtype=np.complex128))
-    encode_blocks(tree, data.blocks)
-    encode_signals(tree, ((), data.inputs, data.outputs))
-
-
-def _decode_frequency_data(tree: Tree, problems: Problems, _transpose: bool) -> Any:
-    from robustlab.storage.uncertain_models import decode_blocks
-    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
-
-    find_children(tree, ("omega", "M"), problems, kind="dataset")
-    find_children(tree, ("blocks",), problems, kind="group")
-    omega = entries(tree, "omega", "fi", problems) if "omega" in tree.datasets else None
-    values = tree.datasets["M"].values if "M" in tree.datasets else None
-    if isinstance(values, Unread) or (values is not None and values.dtype.kind not in "fic"):
-        problems.add(f"{tree.child_path('M')} is not readable as complex numbers")
-    blocks = decode_blocks(tree.groups["blocks"], problems) if "blocks" in tree.groups else ()
-    _, inputs, outputs = decode_signals(tree, problems)
-    problems.raise_any()
-    assert omega is not None
-    assert isinstance(values, np.ndarray)
-    with _in_file(problems):
-        return UncertainFrequencyData(omega, values, blocks, inputs, outputs)
+    return problems.built(DelayedModel, model, np.asarray(lengths, dtype=np.float64))
 
 
 # --- controllers ------------------------------------------------------------------------------------------------------
@@ -139,10 +98,7 @@ def _decode_controller(tree: Tree, problems: Problems, transpose: bool) -> Any:
     from robustlab.synthesis.problem.controller import Controller
 
     model = decode_model(tree, problems, transpose)
-    design = _design(tree, problems)
-    problems.raise_any()
-    assert model is not None
-    return Controller(model, *design)
+    return problems.built(Controller, model, *_design(tree, problems))
 
 
 def _put_design(tree: Tree, controller: Any) -> None:
@@ -162,7 +118,7 @@ def _design(tree: Tree, problems: Problems) -> tuple[float | None, Status, str]:
 
 # --- models and controllers over a grid of parameters -----------------------------------------------------------------
 
-COLUMNS = (("name", "U"), ("unit", "U"), ("rate", "fi"), ("count", "i"), ("points", "fi"))
+COLUMNS = {"name": "U", "unit": "U", "rate": "fi"}
 
 
 def _encode_lpv(tree: Tree, model: Any) -> None:
@@ -171,9 +127,7 @@ def _encode_lpv(tree: Tree, model: Any) -> None:
     tree.put("deviation", model.deviation)
     tree.attrs.update(states=model.n_states, known=model.known)
     group = tree.group("parameters")
-    group.put("name", np.array([p.name for p in model.parameters], dtype=np.str_))
-    group.put("unit", np.array([p.unit for p in model.parameters], dtype=np.str_))
-    group.put("rate", np.array([p.rate for p in model.parameters]))
+    put_columns(group, COLUMNS, model.parameters)
     group.put("count", np.array([len(p.points) for p in model.parameters]))
     group.put("points", np.concatenate([p.points for p in model.parameters]))
     encode_signals(tree, (model.states, model.inputs, model.outputs))
@@ -183,47 +137,38 @@ def _decode_lpv(tree: Tree, problems: Problems, _transpose: bool = False) -> Any
     find_children(tree, ("matrices", "deviation"), problems, kind="dataset")
     find_children(tree, ("parameters", "signals"), problems, kind="group")
     problems.raise_any()
-    arrays: dict[str, Any] = {}
     for name in ("matrices", "deviation"):
         values = tree.datasets[name].values
-        if isinstance(values, Unread) or values.dtype.kind not in "fi" or values.ndim < 3 or not _finite(values):
+        if isinstance(values, Unread) or values.dtype.kind not in "fi" or values.ndim < 3 or not_finite(values):
             problems.add(f"{tree.child_path(name)}: expected finite real numbers, three dimensions or more")
-        else:
-            arrays[name] = values.astype(np.float64)
     group = tree.groups["parameters"]
-    find_children(group, [name for name, _ in COLUMNS], problems, kind="dataset")
-    columns = {n: entries(group, n, kinds, problems) for n, kinds in COLUMNS if n in group.datasets}
+    found = columns(group, {**COLUMNS, "count": "i"}, problems)
+    points = columns(group, {"points": "fi"}, problems).get("points", [])
     sides = [side or [] for side in decode_signals(tree, problems)]
     problems.raise_any()
     try:
-        return _lpv_model(arrays, columns, sides, tree)
+        return _lpv_model(tree, found, points, sides)
     except (InputError, ValueError, KeyError, IndexError) as error:
         said = error.line if isinstance(error, InputError) else str(error)
         raise InputError(problems.file, f"no LPV model: {said}", "what kind lpv of format 1 says") from None
 
 
-def _finite(values: Any) -> bool:
-    return bool(np.isfinite(values).all())
-
-
-def _lpv_model(arrays: dict[str, Any], columns: dict[str, Any], sides: list[Any], tree: Tree) -> Any:
+def _lpv_model(tree: Tree, found: dict[str, Any], points: list[float], sides: list[Any]) -> Any:
     from robustlab.synthesis.scheduling.parameter_varying import LPVModel, SchedulingParameter
 
-    ends, given = np.cumsum(columns["count"]), len(columns["points"])
-    if not len(ends) or ends[-1] != given:
-        raise InputError("parameters", f"{given} points", f"{sum(columns['count'])}, as count says")
-    points = np.split(np.asarray(columns["points"], float), ends[:-1])
-    parameters = tuple(
-        SchedulingParameter(name, tuple(values), rate, unit)
-        for name, unit, rate, values in zip(columns["name"], columns["unit"], columns["rate"], points, strict=True)
-    )
+    matrices, deviation = (np.asarray(tree.datasets[name].values, float) for name in ("matrices", "deviation"))
+    ends = np.cumsum(found["count"])
+    if not len(ends) or ends[-1] != len(points):
+        raise InputError("parameters", f"{len(points)} points", f"{sum(found['count'])}, as count says")
+    grids = [tuple(grid) for grid in np.split(np.asarray(points, float), ends[:-1])]
+    rows = zip(found["name"], grids, found["rate"], found["unit"], strict=True)
+    parameters = tuple(SchedulingParameter(*row) for row in rows)
     states, inputs, outputs = sides
-    n, matrices = int(np.asarray(tree.attrs["states"])), arrays["matrices"]
-    expected = (*(len(p.points) for p in parameters), n + len(outputs), n + len(inputs))
+    n = int(np.asarray(tree.attrs["states"]))
+    expected = (*map(len, grids), n + len(outputs), n + len(inputs))
     if matrices.shape != expected or len(states) != n:
         raise InputError("matrices", f"shape {matrices.shape}", f"{expected}")
-    known = str(np.asarray(tree.attrs["known"]))
-    return LPVModel.of(parameters, matrices, n, inputs, outputs, states, arrays["deviation"], known)
+    return LPVModel.of(parameters, matrices, n, inputs, outputs, states, deviation, str(tree.attrs["known"]))
 
 
 def _encode_lpv_controller(tree: Tree, controller: Any) -> None:
@@ -235,9 +180,7 @@ def _encode_lpv_controller(tree: Tree, controller: Any) -> None:
 def _decode_lpv_controller(tree: Tree, problems: Problems, _transpose: bool) -> Any:
     from robustlab.synthesis.scheduling.parameter_varying import LPVController
 
-    model, design = _decode_lpv(tree, problems), _design(tree, problems)
-    problems.raise_any()
-    return LPVController(model, *design)
+    return problems.built(LPVController, _decode_lpv(tree, problems), *_design(tree, problems))
 
 
 # --- records ----------------------------------------------------------------------------------------------------------
@@ -280,8 +223,8 @@ BY_KIND = {
         Codec("state-space", "statespace.StateSpaceModel", encode_model, decode_state_space),
         Codec("uncertain", "uncertainty.lft.UncertainModel", *_later("uncertain_models", "uncertain")),
         Codec("delayed", "delays.model.DelayedModel", _encode_delayed, _decode_delayed),
-        Codec("frequency-data", "uncertainty.frequency_responses.UncertainFrequencyData", _encode_frequency_data,
-              _decode_frequency_data),
+        Codec("frequency-data", "uncertainty.frequency_responses.UncertainFrequencyData",
+              *_later("uncertain_models", "frequency_data")),
         Codec("lpv", "synthesis.scheduling.parameter_varying.LPVModel", _encode_lpv, _decode_lpv),
         Codec("lpv-controller", "synthesis.scheduling.parameter_varying.LPVController", _encode_lpv_controller,
               _decode_lpv_controller),

@@ -6,9 +6,9 @@ What is wrong is collected (`Problems`) and raised at once.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 
 if TYPE_CHECKING:
     from robustlab.dynamics.descriptor_elimination import Eliminated
+
+Made = TypeVar("Made")
 
 
 @dataclass
@@ -46,15 +48,25 @@ class Problems:
     def raise_any(self) -> None:
         """Raise one `InputError` with all findings, if there are any."""
         if self.lines:
-            more = tuple(
-                line if line.startswith(f"{self.file}: ") else f"{self.file}: {line}" for line in self.lines[1:]
-            )
+            more = tuple(f"{self.file}: {line.removeprefix(f'{self.file}: ')}" for line in self.lines[1:])
             raise InputError(self.file, self.lines[0], None, self.hint, more)
+
+    def built(self, make: Callable[..., Made], *parts: Any) -> Made:
+        """The object made of what was read; its own refusal names the file."""
+        self.raise_any()
+        try:
+            return make(*parts)
+        except InputError as error:
+            if error.where.startswith(self.file):
+                raise
+            raise InputError(self.file, f"{error.where}: {error.found}", error.expected, error.hint) from None
 
 
 Shape = tuple[int, ...]
 NAMES = ("A", "B", "C", "D")
 SIDES = ("state", "input", "output")
+SIGNAL = ("name", "unit", "takes", "of")
+TYPES: dict[str, type] = {"U": np.str_, "i": np.int64, "fi": np.float64}  # kinds of a column
 COLUMN_MAJOR = "file looks column-major: use transpose=True"
 
 
@@ -71,10 +83,8 @@ def encode_model(tree: Tree, model: StateSpaceModel) -> None:
 def encode_signals(tree: Tree, given: Sequence[Sequence[Signal]]) -> None:
     """Put names and units of states, inputs and outputs into ``tree``, and what a controller takes, where known."""
     for side, signals in zip(SIDES, given, strict=True):
-        group = tree.group("signals").group(side)
-        kinds = ("name", "unit", "takes", "of") if any(isinstance(s, Taken) for s in signals) else ("name", "unit")
-        for kind in kinds:
-            group.put(kind, np.array([getattr(s, kind, "") for s in signals], dtype=np.str_))
+        taken = any(isinstance(s, Taken) for s in signals)
+        put_columns(tree.group("signals").group(side), dict.fromkeys(SIGNAL if taken else SIGNAL[:2], "U"), signals)
 
 
 def encode_point(tree: Tree, point: OperatingPoint) -> None:
@@ -151,19 +161,15 @@ def find_children(
         if name in present and kind and name not in (node.groups if kind == "group" else node.datasets):
             other = "dataset" if kind == "group" else "group"
             problems.add(f"{node.child_path(name)} is a {other}, expected a {kind}")
-    if not missing:
-        return
     for name in missing:
         problems.add(f"missing {node.child_path(name)}")
+    lower = {item.lower(): item for item in missing}
     for name in present:
-        if name in wanted or name in known:
-            continue
-        lower = {item.lower(): item for item in missing}
-        close = lower.get(name.lower()) or (did_you_mean(name, missing) or "").removeprefix(
-            "did you mean "
-        ).removesuffix("?")
-        if close:
-            problems.add(f"unexpected {node.child_path(name)} (did you mean {node.child_path(close)}?)")
+        if name not in wanted and name not in known:
+            hint = (did_you_mean(name, missing) or "").removeprefix("did you mean ").removesuffix("?")
+            close = lower.get(name.lower()) or hint
+            if close:
+                problems.add(f"unexpected {node.child_path(name)} (did you mean {node.child_path(close)}?)")
 
 
 def _matrices(node: Tree, problems: Problems, transpose: bool) -> dict[str, Array]:
@@ -300,55 +306,51 @@ def decode_signals(node: Tree, problems: Problems) -> tuple[list[Signal] | None,
     """States, inputs, outputs from ``signals/``, or from the variables that a MATLAB export has."""
     result: list[list[Signal] | None] = []
     for side in SIDES:
-        group = node.groups.get("signals", Tree()).groups.get(side)
-        if group is not None:
-            result.append(_taken(group, _named(group, "name", "unit", problems), problems))
-        elif f"{side.capitalize()}Name" in node.datasets:
-            title = side.capitalize()
-            named = _named(node, f"{title}Name", f"{title}Unit", problems)
-            result.append(_taken(node, named, problems, f"{title}Takes", f"{title}Of"))
-        else:
-            result.append(None)
+        group, names = node.groups.get("signals", Tree()).groups.get(side), SIGNAL
+        if group is None:
+            group, names = node, tuple(f"{side.capitalize()}{word.capitalize()}" for word in SIGNAL)
+            if names[0] not in node.datasets:
+                result.append(None)
+                continue
+        found = columns(group, dict.fromkeys(names, "U"), problems, names[1:])
+        n = len(next(iter(found.values()), ()))
+        rows = [found.get(name, [""] * n) for name in names]
+        unknown = [word for word in rows[2] if word and word not in TAKES]
+        if unknown:
+            problems.add(f"{group.child_path(names[2])} is {unknown[0]!r}, expected one of {', '.join(TAKES)}")
+        made = [
+            Taken(*row) if row[2] else Signal(*row[:2]) for row in zip(*rows, strict=False) if row[2] not in unknown
+        ]
+        result.append(made)
     return tuple(result)
 
 
-def _named(group: Tree, name: str, unit: str, problems: Problems) -> list[Signal] | None:
-    names = _texts(group, name, problems)
-    if names is None:
-        return None
-    units = _texts(group, unit, problems) if unit in group.datasets else [""] * len(names)
-    if units is not None and len(units) != len(names):
-        problems.add(
-            f"{group.child_path(unit)} has {len(units)} entries, expected {len(names)} as {group.child_path(name)}"
-        )
-        return None
-    return [Signal(*pair) for pair in zip(names, units or [], strict=True)] if units is not None else None
+def put_columns(group: Tree, kinds: Mapping[str, str], rows: Sequence[Any]) -> None:
+    """A dataset for each of these fields of the rows: texts (``U``), whole numbers (``i``) or real ones (``fi``)."""
+    for name, kind in kinds.items():
+        empty = "" if kind == "U" else np.nan
+        group.put(name, np.array([getattr(row, name, empty) for row in rows], dtype=TYPES[kind]))
 
 
-def _taken(
-    group: Tree, named: list[Signal] | None, problems: Problems, takes: str = "takes", source: str = "of"
-) -> list[Signal] | None:
-    """The signals with what they take of others; an empty word says nothing."""
-    if named is None or takes not in group.datasets:
-        return named
-    columns = [_texts(group, kind, problems) for kind in (takes, source)]
-    words, of = ([] if column is None else column for column in columns)
-    if len(words) != len(named) or len(of) != len(named):
-        both = f"{group.child_path(takes)} and {group.child_path(source)}"
-        problems.add(f"{both} have {len(words)} and {len(of)} entries, expected {len(named)}")
-        return named
-    wrong = [word for word in words if word and word not in TAKES]
-    if wrong:
-        problems.add(f"{group.child_path(takes)} is {wrong[0]!r}, expected one of {', '.join(TAKES)}")
-        return named
-    return [Taken(*s, word, name) if word else s for s, word, name in zip(named, words, of, strict=True)]
-
-
-def _texts(group: Tree, name: str, problems: Problems) -> list[str] | None:
-    if name not in group.datasets:
-        problems.add(f"missing {group.child_path(name)}")
-        return None
-    return entries(group, name, "U", problems)
+def columns(
+    group: Tree, kinds: Mapping[str, str], problems: Problems, optional: Sequence[str] = (), one_length: bool = True
+) -> dict[str, list[Any]]:
+    """Inverse of `put_columns`; what is missing, of another kind, or of another length than the first, is noted."""
+    find_children(group, [name for name in kinds if name not in optional], problems, kind="dataset")
+    found: dict[str, list[Any]] = {}
+    for name, kind in kinds.items():
+        values = entries(group, name, kind, problems) if name in group.datasets else None
+        if values is None:
+            continue
+        shape, first = group.datasets[name].values.shape, next(iter(found), name)
+        if max(shape, default=1) < len(values):
+            problems.add(f"{group.child_path(name)} is of shape {shape}, expected one row")
+        elif one_length and len(values) != len(found.get(first, values)):
+            wanted = f"{len(found[first])} as {group.child_path(first)}"
+            problems.add(f"{group.child_path(name)} has {len(values)} entries, expected {wanted}")
+        else:
+            found[name] = values
+    return found
 
 
 def entries(group: Tree, name: str, kinds: str, problems: Problems) -> list[Any] | None:

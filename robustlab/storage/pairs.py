@@ -12,7 +12,7 @@ from robustlab.errors import InputError, UnitMismatch
 from robustlab.files.tree import Tree
 from robustlab.result import Status
 from robustlab.shown import Facts, Part, Shown
-from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import Problems, decode_model, find_children, sample_time
 
 GROUPS = ("nominal", "perturbed")
@@ -29,55 +29,42 @@ def looks_like_a_pair(tree: Tree) -> bool:
 
 def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tuple[StateSpaceModel, StateSpaceModel]:
     """The models in groups ``nominal`` and ``perturbed``."""
-    find_children(tree, GROUPS, problems)
+    find_children(tree, GROUPS, problems, kind="group")
     dt = sample_time(tree, problems)
-    models: dict[str, StateSpaceModel | None] = {}
+    models: dict[str, Any] = {}
     for name in GROUPS:
         if name in tree.groups and "E" in tree.groups[name].datasets:
             hint = "group='nominal', or group='perturbed', reads one model"
             problems.add(f"/{name}/E: a pair in descriptor form: its entries are no entries of A, B, C, D", hint)
         elif name in tree.groups:
             models[name] = decode_model(tree.groups[name], problems, transpose, models.get("nominal"), dt)
-        elif name in tree.datasets:
-            problems.add(f"/{name} is a dataset, expected a group with A B C D")
     problems.raise_any()
-    nominal, perturbed = models["nominal"], models["perturbed"]
-    assert nominal is not None
-    assert perturbed is not None
-    check_pair(nominal, perturbed, tree.file)
-    return nominal, perturbed
+    check_pair(models["nominal"], models["perturbed"], tree.file)
+    return models["nominal"], models["perturbed"]
 
 
 def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str = "nominal and perturbed") -> None:
     """Refuse two models whose entries do not mean the same; a unit that is not stated agrees with every unit."""
     sizes = [(m.n_states, m.n_inputs, m.n_outputs) for m in (nominal, perturbed)]
     if sizes[0] != sizes[1]:
-        raise InputError(
-            where,
-            "perturbed has {} states, {} inputs, {} outputs".format(*sizes[1]),
-            "{}, {}, {} as nominal".format(*sizes[0]),
-        )
+        found = "perturbed has {} states, {} inputs, {} outputs".format(*sizes[1])
+        raise InputError(where, found, "{}, {}, {} as nominal".format(*sizes[0]))
     if nominal.dt != perturbed.dt:
-        raise InputError(
-            where, f"nominal has dt = {nominal.dt:g} s, perturbed dt = {perturbed.dt:g} s", "equal sample times"
-        )
+        found = f"nominal has dt = {nominal.dt:g} s, perturbed dt = {perturbed.dt:g} s"
+        raise InputError(where, found, "equal sample times")
     names, units = [], []
     for side in ("states", "inputs", "outputs"):
         for a, b in zip(getattr(nominal, side), getattr(perturbed, side), strict=True):
-            (names if a.name != b.name else units).extend(_differences(side[:-1], a, b))
-    if names:
-        more = tuple(f"{where}: {line}" for line in names[1:])
-        raise InputError(where, names[0], "the same signals in the same order", None, more)
-    if units:
-        raise UnitMismatch(where, units[0], "equal units", None, tuple(f"{where}: {line}" for line in units[1:]))
-
-
-def _differences(side: str, a: Signal, b: Signal) -> list[str]:
-    if a.name != b.name:
-        return [f"{side} {a.name!r} of nominal is {b.name!r} in perturbed"]
-    if a.unit and b.unit and a.unit != b.unit:
-        return [f"{side} {a.name}: nominal [{a.unit}], perturbed [{b.unit}]"]
-    return []
+            if a.name != b.name:
+                names.append(f"{side[:-1]} {a.name!r} of nominal is {b.name!r} in perturbed")
+            elif a.unit and b.unit and a.unit != b.unit:
+                units.append(f"{side[:-1]} {a.name}: nominal [{a.unit}], perturbed [{b.unit}]")
+    for error, lines, expected in (
+        (InputError, names, "the same signals in the same order"),
+        (UnitMismatch, units, "equal units"),
+    ):
+        if lines:
+            raise error(where, lines[0], expected, None, tuple(f"{where}: {line}" for line in lines[1:]))
 
 
 @dataclass(frozen=True)
@@ -154,11 +141,14 @@ class Difference(Shown):
 def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.0) -> Difference:
     """Entries with ``|second - first| > rtol * max(|first|, |second|)``."""
     check_pair(first, second, "difference of two models")
-    rows = {"A": first.state_names, "B": first.state_names, "C": first.output_names, "D": first.output_names}
-    columns = {"A": first.state_names, "B": first.input_names, "C": first.state_names, "D": first.input_names}
     changes = []
-    for name in "ABCD":
+    for name, rows, columns in (
+        ("A", first.state_names, first.state_names),
+        ("B", first.state_names, first.input_names),
+        ("C", first.output_names, first.state_names),
+        ("D", first.output_names, first.input_names),
+    ):
         a, b = getattr(first, name), getattr(second, name)
         for i, j in np.argwhere(np.abs(b - a) > rtol * np.maximum(np.abs(a), np.abs(b))):
-            changes.append(Change(name, rows[name][i], columns[name][j], float(a[i, j]), float(b[i, j])))
-    return Difference(tuple(changes), first.A.size + first.B.size + first.C.size + first.D.size)
+            changes.append(Change(name, rows[i], columns[j], float(a[i, j]), float(b[i, j])))
+    return Difference(tuple(changes), sum(getattr(first, name).size for name in "ABCD"))

@@ -5,7 +5,7 @@ Equations of nonlinear plants of somebody's own are rows of numbers, in which th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -15,89 +15,31 @@ from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, PortPlace
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.files.tree import Tree, text_attr
 from robustlab.statespace import StateSpaceModel
-from robustlab.storage.matrices import Problems, decode_model, encode_model, entries, find_children
+from robustlab.storage.matrices import (
+    TYPES,
+    Problems,
+    columns,
+    decode_model,
+    encode_model,
+    entries,
+    find_children,
+    put_columns,
+)
 from robustlab.uncertainty.blocks import Sign
 
 if TYPE_CHECKING:
+    from robustlab.dynamics.linear_plant import AffineEquations
     from robustlab.dynamics.parameters import Parameter
     from robustlab.dynamics.symbolic.symbolic_plant import Equations
-    from robustlab.dynamics.symbolic.tape import Tape
 
 TAPES = ("rates", "outputs", "models")
-ROWS = ("operations", "left", "right", "constants", "outputs")
+ROWS = {"operations": "i", "left": "i", "right": "i", "constants": "fi", "outputs": "i"}
 KINDS = ("joint", "current")
-PLACE = ("name", "kind", "unit", "position")
-
-
-def encode_equations(tree: Tree, equations: Equations) -> None:
-    """Groups ``rates``, ``outputs``, ``models`` and ``places``."""
-    for name in TAPES:
-        tape: Tape = getattr(equations, name)
-        for row in ROWS:
-            tree.group(name).put(row, getattr(tape, row))
-    for field in PLACE:
-        tree.group("places").put(field, np.array([getattr(p, field) for p in equations.places], np.str_))
-
-
-def decode_equations(tree: Tree, n_moving: int, n_parameters: int, problems: Problems) -> Equations:
-    """Inverse of `encode_equations`, for as many states and inputs, and parameters."""
-    from robustlab.dynamics.symbolic.symbolic_plant import Equations
-    from robustlab.dynamics.symbolic.tape import Tape
-
-    find_children(tree, (*TAPES, "places"), problems, kind="group")
-    problems.raise_any()
-    places = _places(tree.groups["places"], problems)
-    tapes: list[Tape] = []
-    for name in TAPES:
-        group = tree.groups[name]
-        columns = {row: "fi" if row == "constants" else "i" for row in ROWS}
-        rows = _columns(group, columns, problems, one_length=False)
-        problems.raise_any()
-        numbers: Any = {row: np.array(v, float if row == "constants" else int) for row, v in rows.items()}
-        try:
-            tapes.append(Tape(n_moving + n_parameters, **numbers, n_still=n_parameters))
-        except InputError as error:
-            where = error.where.removeprefix("tape").removeprefix(": ")
-            path = group.child_path(where) if where in ROWS else group.path
-            raise InputError(problems.file, f"{path}: {error.found}", error.expected) from None
-    rates, outputs, models = tapes
-    return Equations(rates, outputs, models, places)
-
-
-def _places(group: Tree, problems: Problems) -> tuple[PortPlace, ...]:
-    columns = _columns(group, dict.fromkeys(PLACE, "U"), problems)
-    problems.raise_any()
-    places = tuple(PortPlace(*row) for row in zip(*columns.values(), strict=True))
-    for place in places:
-        if place.kind not in KINDS:
-            problems.add(f"{group.child_path('kind')}: {place.kind!r}, expected one of {', '.join(KINDS)}")
-    if len({place.name for place in places}) < len(places):
-        problems.add(f"{group.child_path('name')}: a place is there twice")
-    problems.raise_any()
-    return places
-
-
-def _columns(
-    group: Tree, kinds: Mapping[str, str], problems: Problems, one_length: bool = True
-) -> dict[str, list[Any]]:
-    """Datasets by their names, of texts or numbers as ``kinds`` says; of one length."""
-    find_children(group, list(kinds), problems, kind="dataset")
-    found = {name: entries(group, name, of, problems) for name, of in kinds.items() if name in group.datasets}
-    columns = {name: values for name, values in found.items() if values is not None}
-    for name in columns:
-        if (shape := group.datasets[name].values.shape) and len(shape) > 1:
-            problems.add(f"{group.child_path(name)} is of shape {shape}, expected one row")
-    lengths = {len(values) for values in columns.values()}
-    if one_length and len(lengths) > 1:
-        problems.add(f"{group.path}: columns of {', '.join(map(str, sorted(lengths)))} entries, expected one length")
-    return columns
-
-
+PLACE = dict.fromkeys(("name", "kind", "unit", "position"), "U")
+PARAMETERS = dict.fromkeys(("name", "unit", "source", "meaning"), "U") | dict.fromkeys(("value", "tolerance"), "fi")
 # Of a plant whose equations are stored: what its parameters may be is not known elsewhere.
-MORE_TEXTS = ("sign", "role")
+MORE = dict.fromkeys(("sign", "role"), "U")
 MATRICES = ("E", "F", "G", "C", "D")
-TEXTS, NUMBERS = ("name", "unit", "source", "meaning"), ("value", "tolerance")
-PARAMETERS = dict.fromkeys(TEXTS, "U") | dict.fromkeys(NUMBERS, "fi")
 # Name of a bare model that stands as a plant; its matrices are stored with it.
 BARE = "model"
 # Entries of the stored linear model and of the rebuilt plant's agree to this share of the largest.
@@ -123,29 +65,28 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
         )
     encode_model(tree, _linear(obj))
     group = tree.group("plant")
-    group.attrs["name"] = base.name
-    for name, value in _options(base).items():
-        group.attrs[name] = value
-    for field in (*TEXTS, *NUMBERS, *(MORE_TEXTS if own else ())):
-        kind = np.float64 if field in NUMBERS else np.str_
-        group.group("parameters").put(field, np.array([getattr(p, field) for p in base.parameters.values()], kind))
+    group.attrs.update(name=base.name, **_options(base))
+    put_columns(group.group("parameters"), PARAMETERS | (MORE if own else {}), list(base.parameters.values()))
     if equations is not None:
+        held = group.group("equations")
         for name, values in equations.coefficients.items():
-            group.group("equations").put(name, values)
-        group.group("equations").put("parameters", np.array(equations.names, np.str_))
-        encode_model(group.group("base"), _linear(base))
+            held.put(name, values)
+        held.put("parameters", np.array(equations.names, np.str_))
     elif tapes is not None:
-        encode_equations(group.group("tapes"), tapes)
-        encode_model(group.group("base"), _linear(base))
-    elif base.name == BARE:
-        encode_model(group.group("base"), _bare_model(base))
-    effects = tree.group("effects")
+        held = group.group("tapes")
+        for name in TAPES:
+            for row in ROWS:
+                held.group(name).put(row, getattr(getattr(tapes, name), row))
+        put_columns(held.group("places"), PLACE, tapes.places)
+    if own or base.name == BARE:
+        encode_model(group.group("base"), _linear(base) if own else _bare_model(base))
     for k, e in enumerate(obj.effects if isinstance(obj, ExtendedEquations) else ()):
-        one = effects.group(str(k))
+        one = tree.group("effects").group(str(k))
         one.attrs.update(id=e.effect.id, site=e.site.name, site_kind=e.site.kind, source=e.source)
         one.put("name", np.array(list(e.values), np.str_))
         one.put("value", np.array(list(e.values.values()), np.float64))
         one.put("std", np.array([e.std.get(name, np.nan) for name in e.values], np.float64))
+    tree.group("effects")
 
 
 def decode_plant(tree: Tree, problems: Problems, _transpose: bool = False) -> Plant:
@@ -153,15 +94,8 @@ def decode_plant(tree: Tree, problems: Problems, _transpose: bool = False) -> Pl
     known = ("effects", "signals", "operating_point", "provenance", *"ABCD")
     find_children(tree, ("plant",), problems, known, "group")
     model = decode_model(tree, problems)
-    problems.raise_any()
+    plant = problems.built(_plant, tree, problems)
     assert model is not None
-    try:
-        base = _base(tree.groups["plant"], problems)
-        plant = _with_effects(base, tree.groups.get("effects", Tree()), problems)
-    except InputError as error:
-        if error.where.startswith(problems.file):
-            raise
-        raise InputError(problems.file, f"{error.where}: {error.found}", error.expected, error.hint) from None
     _check_model(plant, model, problems.file)
     return plant
 
@@ -219,24 +153,39 @@ def _linear(obj: Plant, point: Any = None) -> StateSpaceModel:
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
-def _base(group: Tree, problems: Problems) -> Plant:
-    if "equations" in group.groups:
-        return _from_equations(group, problems)
-    if "tapes" in group.groups:
-        return _from_tapes(group, problems)
-    return _from_name(group, problems)
+def _plant(tree: Tree, problems: Problems) -> Plant:
+    group = tree.groups["plant"]
+    held = next((name for name in ("equations", "tapes") if name in group.groups), "")
+    base = _own_plant(group, held, problems) if held else _from_name(group, problems)
+    return _with_effects(base, tree.groups.get("effects", Tree()), problems)
 
 
-def _from_equations(group: Tree, problems: Problems) -> Plant:
-    """A linear plant of somebody's own, from the coefficients of its equations and the signals of its model."""
-    from robustlab.dynamics.linear_plant import AffineEquations, LinearPlant
-
-    held = group.groups["equations"]
-    find_children(group, ("parameters", "equations", "base"), problems, kind="group")
-    find_children(held, ("parameters", *MATRICES), problems, kind="dataset")
+def _own_plant(group: Tree, held: str, problems: Problems) -> Plant:
+    """A plant of somebody's own, from its equations and the signals of its model."""
+    find_children(group, ("parameters", held, "base"), problems, kind="group")
     problems.raise_any()
     model = decode_model(group.groups["base"], problems)
     parameters = _own_parameters(group.groups["parameters"], problems)
+    problems.raise_any()
+    assert model is not None
+    name = text_attr(group.attrs, "name") or "plant"
+    of = (name, parameters, model.inputs, model.outputs, model.states)
+    if held == "tapes":
+        from robustlab.dynamics.symbolic.symbolic_plant import SymbolicPlant
+
+        n_moving = len(model.states) + len(model.inputs)
+        return SymbolicPlant(*of, _tapes(group.groups[held], n_moving, len(parameters), problems))
+    from robustlab.dynamics.linear_plant import LinearPlant
+
+    equations = _coefficients(group.groups[held], parameters, problems)
+    return LinearPlant(*of, equations=equations, exact=tuple(equations.fixed))
+
+
+def _coefficients(held: Tree, parameters: Mapping[str, Parameter], problems: Problems) -> AffineEquations:
+    from robustlab.dynamics.linear_plant import AffineEquations
+
+    find_children(held, ("parameters", *MATRICES), problems, kind="dataset")
+    problems.raise_any()
     names = entries(held, "parameters", "U", problems) or []
     arrays = {key: held.datasets[key].values for key in MATRICES}
     for key, values in arrays.items():
@@ -244,51 +193,65 @@ def _from_equations(group: Tree, problems: Problems) -> Plant:
         if len(shape) != 3 or shape[0] != 1 + len(names):
             problems.add(f"{held.child_path(key)}: expected real numbers, one matrix more than {len(names)} parameters")
     problems.raise_any()
-    assert model is not None
     unknown = [name for name in names if name not in parameters]
     if unknown or len(set(names)) < len(names):
         found = f"{unknown[0]!r} is no parameter" if unknown else "a name is there twice"
         raise InputError(problems.file, f"{held.child_path('parameters')}: {found}", "names of plant/parameters")
     fixed = {name: p.value for name, p in parameters.items() if name not in names}
-    equations = AffineEquations(tuple(names), {key: np.asarray(v, float) for key, v in arrays.items()}, fixed)
-    name = text_attr(group.attrs, "name") or "plant"
-    return LinearPlant(
-        name, parameters, model.inputs, model.outputs, model.states, equations=equations, exact=tuple(fixed)
-    )
+    return AffineEquations(tuple(names), {key: np.asarray(v, float) for key, v in arrays.items()}, fixed)
 
 
-def _from_tapes(group: Tree, problems: Problems) -> Plant:
-    from robustlab.dynamics.symbolic.symbolic_plant import SymbolicPlant
+def _tapes(held: Tree, n_moving: int, n_parameters: int, problems: Problems) -> Equations:
+    """Equations as rows of numbers, for as many states and inputs, and parameters."""
+    from robustlab.dynamics.symbolic.symbolic_plant import Equations
+    from robustlab.dynamics.symbolic.tape import Tape
 
-    find_children(group, ("parameters", "tapes", "base"), problems, kind="group")
+    find_children(held, (*TAPES, "places"), problems, kind="group")
     problems.raise_any()
-    model = decode_model(group.groups["base"], problems)
-    parameters = _own_parameters(group.groups["parameters"], problems)
+    group = held.groups["places"]
+    found = columns(group, PLACE, problems)
+    _known(group, "kind", found, KINDS, problems)
+    _unique(group, "a place", found, problems)
     problems.raise_any()
-    assert model is not None
-    n_moving = len(model.states) + len(model.inputs)
-    equations = decode_equations(group.groups["tapes"], n_moving, len(parameters), problems)
-    name = text_attr(group.attrs, "name") or "plant"
-    return SymbolicPlant(name, parameters, model.inputs, model.outputs, model.states, equations)
+    tapes: list[Tape] = []
+    for name in TAPES:
+        group = held.groups[name]
+        rows = columns(group, ROWS, problems, one_length=False)
+        problems.raise_any()
+        numbers: Any = {row: np.array(v, TYPES[ROWS[row]]) for row, v in rows.items()}
+        try:
+            tapes.append(Tape(n_moving + n_parameters, **numbers, n_still=n_parameters))
+        except InputError as error:
+            where = error.where.removeprefix("tape").removeprefix(": ")
+            path = group.child_path(where) if where in ROWS else group.path
+            raise InputError(problems.file, f"{path}: {error.found}", error.expected) from None
+    return Equations(*tapes, tuple(PortPlace(*row) for row in zip(*found.values(), strict=True)))
+
+
+def _known(group: Tree, name: str, found: Mapping[str, Any], words: Sequence[str], problems: Problems) -> None:
+    for word in found.get(name, ()):
+        if word not in words:
+            known = ", ".join(filter(None, words))
+            problems.add(f"{group.child_path(name)}: {word!r}, expected one of {known}")
+
+
+def _unique(group: Tree, what: str, found: Mapping[str, Any], problems: Problems) -> None:
+    names = found.get("name", ())
+    if len(set(names)) < len(names):
+        problems.add(f"{group.child_path('name')}: {what} is there twice")
 
 
 def _own_parameters(group: Tree, problems: Problems) -> dict[str, Parameter]:
     """Parameters with all that is said of them; what is wrong is in ``problems``."""
     from robustlab.dynamics.parameters import Parameter, Role
 
-    columns = _columns(group, PARAMETERS | dict.fromkeys(MORE_TEXTS, "U"), problems)
-    for field, choices in (("sign", get_args(Sign)), ("role", get_args(Role))):
-        for found in columns.get(field, ()):
-            if found not in choices:
-                known = ", ".join(filter(None, choices))
-                problems.add(f"{group.child_path(field)}: {found!r}, expected one of {known}")
+    found = columns(group, PARAMETERS | MORE, problems)
+    _known(group, "sign", found, get_args(Sign), problems)
+    _known(group, "role", found, get_args(Role), problems)
+    _unique(group, "a parameter", found, problems)
     problems.raise_any()
-    names = columns["name"]
-    if len(set(names)) < len(names):
-        problems.add(f"{group.child_path('name')}: a parameter is there twice")
-        problems.raise_any()
-    fields = (*TEXTS, *NUMBERS, *MORE_TEXTS)
-    return {name: Parameter(**{field: columns[field][k] for field in fields}) for k, name in enumerate(names)}
+    rows = (dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True))
+    return {row["name"]: Parameter(**row) for row in rows}
 
 
 def _from_name(group: Tree, problems: Problems) -> Plant:
@@ -299,28 +262,24 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
         problems.add(f"{group.path}: attribute name is missing or no text")
     find_children(group, ("parameters", "base") if name == BARE else ("parameters",), problems, kind="group")
     problems.raise_any()
-    columns = _columns(group.groups["parameters"], PARAMETERS, problems)
-    model = decode_model(group.groups["base"], problems) if name == BARE and "base" in group.groups else None
+    found = columns(group.groups["parameters"], PARAMETERS, problems)
+    model = decode_model(group.groups["base"], problems) if name == BARE else None
     problems.raise_any()
-    assert name is not None
-    options = {key: np.asarray(group.attrs[key]).tolist() for key in ("preset", "motors") if key in group.attrs}
-    values, tolerances = columns["value"], columns["tolerance"]
-    given: dict[str, Any] = dict(zip(columns["name"], zip(values, tolerances, strict=True), strict=True))
+    rows = {row[0]: dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True)}
     if model is not None:
         from robustlab.dynamics.ports.port_model import linear_plant_of
 
-        base = linear_plant_of(model)
-        made = base.with_parameters(**{n: v for n, (v, _) in given.items()})
+        made = linear_plant_of(model).with_parameters(**{n: row["value"] for n, row in rows.items()})
     else:
-        made = builtin_plant(name, **options, **given)
-    missing = [n for n in made.parameters if n not in given]
+        options: dict[str, Any] = {
+            key: np.asarray(group.attrs[key]).tolist() for key in ("preset", "motors") if key in group.attrs
+        }
+        given = {n: (row["value"], row["tolerance"]) for n, row in rows.items()}
+        made = builtin_plant(str(name), **options, **given)
+    missing = [n for n in made.parameters if n not in rows]
     if missing:
         raise InputError(problems.file, f"{group.path}/parameters: no {missing[0]!r}", "all parameters of the plant")
-    stored = {}
-    for k, n in enumerate(columns["name"]):
-        about = {field: columns[field][k] for field in ("value", "tolerance", "unit", "source", "meaning")}
-        stored[n] = replace(made.parameters[n], **about)
-    return replace(made, parameters={n: stored[n] for n in made.parameters})
+    return replace(made, parameters={n: replace(p, **rows[n]) for n, p in made.parameters.items()})
 
 
 def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
@@ -341,12 +300,11 @@ def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
         for name, value in attrs.items():
             if value is None:
                 problems.add(f"{one.path}: attribute {name} is missing or no text")
-        kinds = {"name": "U", "value": "fi", **({"std": "fi"} if "std" in one.datasets else {})}
-        columns = _columns(one, kinds, problems)
+        found = columns(one, {"name": "U", "value": "fi", "std": "fi"}, problems, ("std",))
         problems.raise_any()
         known = effect(str(attrs["id"]))
-        std = {n: s for n, s in zip(columns["name"], columns.get("std", []), strict=False) if not np.isnan(s)}
-        values = dict(zip(columns["name"], columns["value"], strict=True))
+        std = {n: s for n, s in zip(found["name"], found.get("std", []), strict=False) if not np.isnan(s)}
+        values = dict(zip(found["name"], found["value"], strict=True))
         site: Any = Site(attrs["site_kind"], str(attrs["site"]))  # type: ignore[arg-type]
         attached.append(AttachedEffect(known, site, values, std, text_attr(one.attrs, "source") or ""))
     problems.raise_any()

@@ -11,11 +11,18 @@ import numpy as np
 
 from robustlab.errors import InputError
 from robustlab.evidence.verification import claims_of
-from robustlab.files.tree import Dataset, Tree, Unread, link_name, signal_name
+from robustlab.files.tree import Tree, Unread, link_name, signal_name
 from robustlab.result import Result, Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import Problems
 from robustlab.verification.claim import Claim
+
+LEAVES: dict[str, Any] = {
+    "text": str,
+    "bool": (bool, np.bool_),
+    "number": (int, float, np.integer, np.floating),
+    "complex": (complex, np.complexfloating),
+}
 
 
 def encode_result(tree: Tree, result: Any) -> None:
@@ -50,54 +57,41 @@ def _table(tree: Tree, data: Mapping[Any, Any]) -> None:
 
 
 def _put(tree: Tree, link: str, value: Any) -> None:
+    """Lists of numbers or of texts, rectangular if nested, become one dataset; others a group of numbered children."""
     if hasattr(value, "to_json"):
         value = value.to_json()
     if isinstance(value, Enum):
         value = value.value
+    if isinstance(value, (set, frozenset)) or (isinstance(value, np.ndarray) and value.dtype == object):
+        value = list(value)
     if value is None:
         tree.put(link, "", null=True)
     elif isinstance(value, Mapping):
         _table(tree.group(link), value)
-    elif isinstance(value, (list, tuple, set, frozenset)):
-        _put_list(tree, link, list(value))
-    elif isinstance(value, np.ndarray) and value.dtype == object:
-        _put_list(tree, link, value.tolist())
-    else:
+    elif not isinstance(value, (list, tuple)):
         tree.put(link, value)
+    elif len(_kinds(value)) == 1 and _is_rectangular(value):
+        tree.put(link, np.asarray(value))
+    else:
+        group = tree.group(link)
+        group.attrs["sequence"] = len(value)
+        for i, item in enumerate(value):
+            _put(group, str(i), item)
 
 
-def _put_list(tree: Tree, link: str, items: list[Any]) -> None:
-    """Lists of numbers or of texts, rectangular if nested, become one dataset; others a group of numbered children."""
-    leaves = _leaf_types(items)
-    if leaves and len(leaves) == 1 and _is_rectangular(items):
-        tree.put(link, np.asarray(items))
-        return
-    group = tree.group(link)
-    group.attrs["sequence"] = len(items)
-    for i, item in enumerate(items):
-        _put(group, str(i), item)
-
-
-def _leaf_types(items: list[Any]) -> set[str]:
+def _kinds(items: Sequence[Any]) -> set[str]:
+    """What a nested list holds: text, bool, number, complex; "" and "other" where something else is among it."""
     kinds: set[str] = set()
     for item in items:
         if isinstance(item, (list, tuple)):
-            kinds |= _leaf_types(list(item))
-        elif isinstance(item, str) and not isinstance(item, Enum):
-            kinds.add("text")
-        elif isinstance(item, (bool, np.bool_)):
-            kinds.add("bool")
-        elif isinstance(item, (int, float, np.integer, np.floating)):
-            kinds.add("number")
-        elif isinstance(item, (complex, np.complexfloating)):
-            kinds.add("complex")
+            kinds |= _kinds(item)
         else:
-            kinds.add(type(item).__name__)
-            kinds.add("other")
+            kind = next((word for word, types in LEAVES.items() if isinstance(item, types)), "other")
+            kinds |= {"", kind} if kind == "other" or isinstance(item, Enum) else {kind}
     return kinds
 
 
-def _is_rectangular(items: list[Any]) -> bool:
+def _is_rectangular(items: Sequence[Any]) -> bool:
     try:
         return np.asarray(items).dtype != object
     except ValueError:
@@ -152,36 +146,31 @@ def _attribute(value: Any) -> Any:
 def decode_result(tree: Tree, _problems: Problems, _transpose: bool = False) -> LoadedResult:
     """Inverse of `encode_result`; lists of numbers come back as arrays."""
     text = str(np.asarray(tree.attrs.get("status", "")))
-    if text not in [status.value for status in Status]:
-        raise InputError(tree.file, f"attribute status is {text!r}", f"one of {', '.join(s.value for s in Status)}")
-    if "data" not in tree.groups:
-        raise InputError(tree.file, "missing /data")
-    data = _value(tree.groups["data"])
+    if text not in list(Status):
+        raise InputError(tree.file, f"attribute status is {text!r}", f"one of {', '.join(Status)}")
+    data = _value(tree.groups["data"]) if "data" in tree.groups else None
     if not isinstance(data, dict):
-        raise InputError(tree.file, "/data is a sequence", "a table")
+        raise InputError(tree.file, "/data is a sequence" if data else "missing /data", "a table")
     return restored(str(np.asarray(tree.attrs.get("type", ""))), Status(text), data)
 
 
 def _value(node: Tree) -> Any:
-    if "sequence" in node.attrs:
-        length = np.asarray(node.attrs["sequence"])
-        if length.dtype.kind != "i" or length.size != 1:
-            raise InputError(node.file, f"{node.path}: attribute sequence is no whole number", "the length of the list")
-        count = int(length.flat[0])
-        names = [str(i) for i in range(min(count, len(node.datasets) + len(node.groups)))]
-        return [_child(node, name) for name in names if name in node.datasets or name in node.groups]
-    return {signal_name(link): _child(node, link) for link in [*node.datasets, *node.groups]}
+    names = [*node.datasets, *node.groups]
+    if "sequence" not in node.attrs:
+        return {signal_name(link): _child(node, link) for link in names}
+    length = np.asarray(node.attrs["sequence"])
+    if length.dtype.kind != "i" or length.size != 1:
+        raise InputError(node.file, f"{node.path}: attribute sequence is no whole number", "the length of the list")
+    numbered = [str(i) for i in range(min(int(length.flat[0]), len(names)))]
+    return [_child(node, name) for name in numbered if name in names]
 
 
 def _child(node: Tree, link: str) -> Any:
-    return _leaf(node, link, node.datasets[link]) if link in node.datasets else _value(node.groups[link])
-
-
-def _leaf(node: Tree, link: str, dataset: Dataset) -> Any:
-    if isinstance(dataset.values, Unread):
-        raise InputError(node.file, f"{node.child_path(link)} has dtype {dataset.values.dtype}", "numbers or text")
-    if "null" in dataset.attrs:
+    if link not in node.datasets:
+        return _value(node.groups[link])
+    values = node.datasets[link].values
+    if isinstance(values, Unread):
+        raise InputError(node.file, f"{node.child_path(link)} has dtype {values.dtype}", "numbers or text")
+    if "null" in node.datasets[link].attrs:
         return None
-    if dataset.values.ndim == 0 or dataset.values.dtype.kind == "U":
-        return dataset.values.tolist()
-    return dataset.values
+    return values.tolist() if values.ndim == 0 or values.dtype.kind == "U" else values

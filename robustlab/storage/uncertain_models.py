@@ -1,4 +1,4 @@
-"""Uncertain models in a file: M beside one row for each block of Delta."""
+"""Uncertain models and frequency responses in a file: M beside one row for each block of Delta."""
 
 from __future__ import annotations
 
@@ -9,20 +9,27 @@ from typing import Any
 import numpy as np
 
 from robustlab.errors import InputError
-from robustlab.files.tree import Tree
+from robustlab.files.tree import Tree, Unread
 from robustlab.storage.matrices import (
     Problems,
+    columns,
     decode_model,
     decode_point,
+    decode_signals,
     encode_model,
     encode_point,
+    encode_signals,
     entries,
     find_children,
+    put_columns,
 )
 from robustlab.uncertainty.blocks import KINDS, Block, ParameterRange
 from robustlab.uncertainty.lft import UncertainModel
 
-FIELDS = ("name", "kind", "rows", "cols", "nominal", "radius", "unit", "below", "origin", "sign")
+# Columns of a block, those of its range, and those that are there only where some block has something to say.
+OF_BLOCK = {"name": "U", "stored_as": "U", "rows": "i", "cols": "i"}
+OF_RANGE = {"nominal": "fi", "radius": "fi", "unit": "U"}
+RARE = {"below": "fi", "sign": "U", "origin": "U"}
 
 
 def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
@@ -43,96 +50,85 @@ def encode_blocks(tree: Tree, blocks: Sequence[Block]) -> None:
         if KINDS.get(b.stored_as) is not type(b):
             found = f"a {type(b).__name__}, a kind of block without a place in the file format"
             raise InputError(f"save: block {b.name!r}", found, f"blocks of the kinds {', '.join(KINDS)}")
-    parameters = [b.parameter for b in blocks]
-    columns: dict[str, Any] = {
-        "name": np.array([b.name for b in blocks], dtype=np.str_),
-        "kind": np.array([b.stored_as for b in blocks], dtype=np.str_),
-        "rows": np.array([b.rows for b in blocks], dtype=np.int64),
-        "cols": np.array([b.cols for b in blocks], dtype=np.int64),
-        "nominal": np.array([p.nominal if p else np.nan for p in parameters], dtype=np.float64),
-        "radius": np.array([p.radius if p else np.nan for p in parameters], dtype=np.float64),
-        "unit": np.array([p.unit if p else "" for p in parameters], dtype=np.str_),
-    }
-    if any(p and p.below is not None for p in parameters):
-        widths = [np.nan if p is None or p.below is None else p.below for p in parameters]
-        columns["below"] = np.array(widths, dtype=np.float64)
-    signs = [p.sign if p else "any" for p in parameters]
-    if any(sign != "any" for sign in signs):
-        columns["sign"] = np.array(signs, dtype=np.str_)
+    group, ranges = tree.group("blocks"), [b.parameter for b in blocks]
+    put_columns(group, OF_BLOCK, blocks)
+    group.datasets["kind"] = group.datasets.pop("stored_as")
+    put_columns(group, OF_RANGE, ranges)
+    if any(p and p.below is not None for p in ranges):
+        put_columns(group, {"below": "fi"}, ranges)
+    if any(p and p.sign != "any" for p in ranges):
+        group.put("sign", np.array([p.sign if p else "any" for p in ranges], np.str_))
     if any(b.origin for b in blocks):
-        columns["origin"] = np.array([b.origin for b in blocks], dtype=np.str_)
-    for name, values in columns.items():
-        tree.group("blocks").put(name, values)
+        put_columns(group, {"origin": "U"}, blocks)
 
 
 def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) -> UncertainModel:
     """Inverse of `encode_uncertain`. Raises InputError: with all that is missing or does not fit."""
     find_children(tree, ("M", "blocks"), problems, kind="group")
     model = decode_model(tree.groups["M"], problems, transpose) if "M" in tree.groups else None
-    blocks = decode_blocks(tree.groups["blocks"], problems) if "blocks" in tree.groups else ()
-    point = decode_point(tree, problems)
-    problems.raise_any()
-    assert model is not None
-    try:
-        return UncertainModel(model, blocks, point)
-    except InputError as error:
-        raise InputError(problems.file, f"{error.where}: {error.found}", error.expected, error.hint) from None
+    blocks = decode_blocks(tree, problems)
+    return problems.built(UncertainModel, model, blocks, decode_point(tree, problems))
 
 
-def decode_blocks(group: Tree, problems: Problems) -> tuple[Block, ...]:
+def decode_blocks(tree: Tree, problems: Problems) -> tuple[Block, ...]:
     """Inverse of `encode_blocks`; what does not fit is noted in ``problems``."""
-    find_children(group, FIELDS[:4], problems, kind="dataset")
-    columns: dict[str, list[Any]] = {}
-    for name in FIELDS:
-        if name not in group.datasets:
-            continue
-        found = entries(group, name, "U" if name in ("name", "kind", "unit", "origin", "sign") else "fi", problems)
-        if found is not None:
-            columns[name] = found
-    lengths = {name: len(values) for name, values in columns.items()}
+    group = tree.groups.get("blocks", Tree())
+    kinds = {"name": "U", "kind": "U", "rows": "fi", "cols": "fi", **OF_RANGE, **RARE}
+    found = columns(group, kinds, problems, (*OF_RANGE, *RARE)) if "blocks" in tree.groups else {}
     if problems.lines:
         return ()
-    for name, length in lengths.items():
-        if length != lengths["name"]:
-            names = group.child_path("name")
-            problems.add(f"{group.child_path(name)} has {length} entries, expected {lengths['name']} as {names}")
-    if problems.lines:
-        return ()
-    result = [_block(i, columns, group.path, problems) for i in range(lengths["name"])]
-    return tuple(block for block in result if block is not None)
+    rows = [dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True)]
+    blocks: list[Block] = []
+    for i, row in enumerate(rows):
+        name, kind, size = row["name"], row["kind"], (row["rows"], row["cols"])
+        if kind not in KINDS:
+            problems.add(f"{group.path}/kind[{i}] is {kind!r}, expected real, complex or full")
+        elif not all(math.isfinite(n) and n == int(n) >= 1 for n in size) or (
+            KINDS[kind].is_scalar and size[0] != size[1]
+        ):
+            found_size = f"block {name!r} ({kind}) is {size[0]:g} x {size[1]:g}"
+            problems.add(f"{group.path}: {found_size}, expected whole sizes, square for a scalar block")
+        else:
+            try:
+                span = _range(row, f"{group.path}: block {name!r}")
+                blocks.append(KINDS[kind].from_row(name, int(size[0]), int(size[1]), span, row.get("origin", "")))
+            except InputError as error:
+                problems.absorb(error)
+    return tuple(blocks)
 
 
-def _block(i: int, columns: dict[str, list[Any]], path: str, problems: Problems) -> Block | None:
-    name, kind, rows, cols = (columns[field][i] for field in FIELDS[:4])
-    if kind not in KINDS:
-        problems.add(f"{path}/kind[{i}] is {kind!r}, expected real, complex or full")
+def _range(row: dict[str, Any], where: str) -> ParameterRange | None:
+    nominal, radius = (row.get(name, math.nan) for name in ("nominal", "radius"))
+    if math.isnan(nominal) and math.isnan(radius):
         return None
-    whole = all(math.isfinite(size) and size == int(size) and size >= 1 for size in (rows, cols))
-    if not whole or (KINDS[kind].is_scalar and rows != cols):
-        problems.add(
-            f"{path}: block {name!r} ({kind}) is {rows:g} x {cols:g}, expected whole sizes, square for a scalar block"
-        )
-        return None
-    origin = columns["origin"][i] if "origin" in columns else ""
-    try:
-        return KINDS[kind].from_row(name, int(rows), int(cols), _parameter(i, columns, path, problems), origin)
-    except InputError as error:
-        problems.absorb(error)
-        return None
+    if not (math.isfinite(nominal) and math.isfinite(radius)):
+        raise InputError(where, f"nominal {nominal:g}, radius {radius:g}", "both finite or both NaN")
+    below = row.get("below", math.nan)
+    below = None if math.isnan(below) else below
+    return ParameterRange(nominal, radius, row.get("unit", ""), below, sign=row.get("sign", "any"))
 
 
-def _parameter(i: int, columns: dict[str, list[Any]], path: str, problems: Problems) -> ParameterRange | None:
-    if "nominal" not in columns or "radius" not in columns:
-        return None
-    nominal, radius = columns["nominal"][i], columns["radius"][i]
-    if np.isnan(nominal) and np.isnan(radius):
-        return None
-    if not (np.isfinite(nominal) and np.isfinite(radius)):
-        name = columns["name"][i]
-        problems.add(
-            f"{path}: block {name!r}: nominal {nominal:g}, radius {radius:g}, expected both finite or both NaN"
-        )
-        return None
-    below = columns["below"][i] if "below" in columns and not np.isnan(columns["below"][i]) else None
-    sign = columns["sign"][i] if "sign" in columns else "any"
-    return ParameterRange(nominal, radius, columns["unit"][i] if "unit" in columns else "", below, sign=sign)
+# --- frequency responses ----------------------------------------------------------------------------------------------
+
+
+def encode_frequency_data(tree: Tree, data: Any) -> None:
+    """Datasets ``omega`` and ``M``, group ``blocks`` as of an uncertain model, ``signals``."""
+    tree.put("omega", np.asarray(data.omega, dtype=np.float64))
+    tree.put("M", np.asarray(data.M, dtype=np.complex128))
+    encode_blocks(tree, data.blocks)
+    encode_signals(tree, ((), data.inputs, data.outputs))
+
+
+def decode_frequency_data(tree: Tree, problems: Problems, _transpose: bool = False) -> Any:
+    """Inverse of `encode_frequency_data`."""
+    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
+
+    find_children(tree, ("omega", "M"), problems, kind="dataset")
+    find_children(tree, ("blocks",), problems, kind="group")
+    omega = entries(tree, "omega", "fi", problems) if "omega" in tree.datasets else None
+    values = tree.datasets["M"].values if "M" in tree.datasets else None
+    if isinstance(values, Unread) or (values is not None and values.dtype.kind not in "fic"):
+        problems.add(f"{tree.child_path('M')} is not readable as complex numbers")
+    blocks = decode_blocks(tree, problems)
+    _, inputs, outputs = decode_signals(tree, problems)
+    return problems.built(UncertainFrequencyData, omega, values, blocks, inputs, outputs)

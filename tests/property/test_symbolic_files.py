@@ -121,7 +121,7 @@ LIES = [
     (changed(f"{T}/places/name", 0, "speed"), "place of a force: 'speed', expected a state"),
     (changed(f"{T}/places/name", 0, "omega"), "/plant/tapes/places/name: a place is there twice"),
     (changed(f"{T}/places/position", 0, "nowhere"), "place of a force: 'nowhere', expected a state"),
-    (replaced(f"{T}/places/unit", ["N"]), "columns of 1, 2 entries"),
+    (replaced(f"{T}/places/unit", ["N"]), "unit has 1 entries, expected 2 as"),
     (replaced(f"{T}/places/unit", [1.0, 2.0]), "expected texts"),
     (changed("plant/parameters/role", 0, "intertia"), "/plant/parameters/role: 'intertia', expected one of inertia"),
     (changed("plant/parameters/sign", 0, "minus"), "/plant/parameters/sign: 'minus'"),
