@@ -37,7 +37,7 @@ class Tabular:
         DependencyMissing
             pandas is not installed.
         """
-        from robustlab.files.record_source import need
+        from robustlab.files.frames import need
 
         need(f"{type(self).__name__}.to_pandas", "pandas", "frames")
         import pandas

@@ -12,7 +12,6 @@ __all__, __getattr__ = lazily(
         "tree": "Dataset KINDS Tree Unread content_sha256 link_name signal_name stamp",
         "atomic": "atomic_write",
         "document": "MAX_DEPTH parse_document",
-        "records": "RecordOptions choose",
-        "record_source": "Channel Source",
+        "records": "Channel RecordOptions Source choose",
     },
 )

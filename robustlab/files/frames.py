@@ -6,23 +6,25 @@ their units and meanings, and the record's name; so the record comes back as it 
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.errors import InputError
-from robustlab.files.record_source import CLOCK_NAMES, Channel, Source, need
-from robustlab.files.records import RecordOptions, choose
+from robustlab.errors import DependencyMissing, InputError
+from robustlab.files.records import CLOCK_NAMES, Channel, RecordOptions, Source, choose
 from robustlab.files.tree import Unread, canonical
 
 if TYPE_CHECKING:
     import pandas
 
-INDEX = "index"  # what messages call a row index without a name
-# A frame from memory may have holes, as a record may; `check_record` tells of them.
-_ANY_CLOCK = True
+
+def need(where: str, package: str, extra: str) -> None:
+    """Go on only where an optional package is installed."""
+    if importlib.util.find_spec(package) is None:
+        raise DependencyMissing(where, f"needs the package {package}", None, f"pip install 'robustlab[{extra}]'")
 
 
 def frame_of(keywords: Mapping[str, Any]) -> pandas.DataFrame:
@@ -70,19 +72,13 @@ def keywords_of_frame(
     if "t" in meaning:
         source.notes += str(meaning["t"]).splitlines()
     if not isinstance(frame.index, pandas.RangeIndex):
-        (values, unit), name = _values(frame.index), str(frame.index.name or INDEX)
-        _index_is_clock(source, name, values, unit or str(stated.get(name, "")))
+        (values, unit), name = _values(frame.index), str(frame.index.name or "index")
+        source.add_clock(name, Channel(values, unit or str(stated.get(name, ""))))
     elif not any(name in names for name in CLOCK_NAMES):
         hint = "frame.index = dt * numpy.arange(len(frame)), or a column t"
         raise InputError(where, "rows are numbered, and no column is a clock", "an index of times in s", hint)
-    return choose(source, RecordOptions(None, inputs, outputs, units=units, allow_gaps=_ANY_CLOCK))
-
-
-def _index_is_clock(source: Source, name: str, values: AnyArray | Unread, unit: str) -> None:
-    """Add the index as a channel of its own name, which no column has, and make it the clock."""
-    while name in source.channels:
-        name += "'"
-    source.channels[name], source.clock = Channel(values, unit), name
+    # A frame from memory may have holes, as a record may; `check_record` tells of them.
+    return choose(source, RecordOptions(None, inputs, outputs, units=units, allow_gaps=True))
 
 
 def _values(column: Any) -> tuple[AnyArray | Unread, str]:

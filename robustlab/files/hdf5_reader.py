@@ -14,23 +14,20 @@ from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5l, h5o, h5r, h5t, h5z  # pyright: ignore[reportAttributeAccessIssue]
+from h5py import h5a, h5d, h5g, h5l, h5o, h5t, h5z  # pyright: ignore[reportAttributeAccessIssue]
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
-from robustlab.files.tree import REFERENCES, Dataset, Tree, Unread
+from robustlab.files.tree import Dataset, Tree, Unread
 
 # id -> name; all of these are built into HDF5 or h5py, so that no plugin is loaded.
 KNOWN_FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
-FLETCHER32 = 3
 # Deflate shrinks by 1032 at most; beyond this a file was made to grow when it is read.
 MAX_EXPANSION = 2000
 MAX_ATTRIBUTE = 1 << 20
 MAX_PROBLEMS = 20
 MAX_TEXTS = 100_000
-MAX_REFERENCES = 1000
-TEXTS_AT_A_TIME = 16
 DAMAGED = "copy or export the file again; if it was made by robustlab, run the command that made it again"
 
 
@@ -51,11 +48,7 @@ class _Walk:
 
     def is_wanted(self, path: str) -> bool:
         """True for datasets below the wanted group, and for those that lie in the root itself."""
-        return (
-            self.wanted is None
-            or path.startswith((f"/{self.wanted}/", "/#refs#/"))  # the latter: fields of MATLAB's struct arrays
-            or path.count("/") == 1
-        )
+        return self.wanted is None or path.startswith(f"/{self.wanted}/") or path.count("/") == 1
 
 
 def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | None = None) -> Tree:
@@ -182,28 +175,11 @@ def _dataset(walk: _Walk, did: h5d.DatasetID, path: str) -> Dataset:
     shape, kind = did.shape, _kind(did.get_type())
     if shape is None:
         return Dataset(Unread("no values (null dataspace)", ()), attrs)
-    if kind == "reference" and 0 < math.prod(shape) <= MAX_REFERENCES and walk.is_wanted(path):
-        paths = _references(did)
-        if paths is not None:
-            return Dataset(paths, {**attrs, REFERENCES: np.array(True)})
     if kind not in ("number", "bool", "complex", "text") or not walk.is_wanted(path):
         return Dataset(Unread(kind if kind not in ("number", "text") else "not read", shape), attrs)
     if not _may_be_read(walk, did, plist, path, kind):
         return Dataset(Unread("too large", shape), attrs)
     return Dataset(_values(walk, did, path, kind, shape), attrs)
-
-
-def _references(did: h5d.DatasetID) -> AnyArray | None:
-    """Where the references of a dataset lead, as paths; None where one leads nowhere. They are not followed."""
-    references = np.asarray(h5py.Dataset(did)[()]).ravel().tolist()
-    if not all(isinstance(item, h5py.Reference) and item for item in references):
-        return None
-    names = [h5r.get_name(item, did) for item in references]
-    try:
-        texts = [name.decode() for name in names if name]
-    except UnicodeDecodeError:
-        return None
-    return np.array(texts, np.str_).reshape(did.shape) if len(texts) == len(names) else None
 
 
 def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str, kind: str) -> bool:
@@ -246,71 +222,43 @@ def _values(walk: _Walk, did: h5d.DatasetID, path: str, kind: str, shape: tuple[
         walk.problem(path, f"{math.prod(shape)} texts, limit {MAX_TEXTS}")
         return Unread("text", shape)
     try:
-        return _plain(_texts(walk, dataset, path) if kind == "text" and shape else dataset[()], kind)
+        return _plain(dataset[()], kind)
     except UnicodeError:
         walk.problem(path, "text is not UTF-8")
     except OverflowError:
         walk.problem(path, "a whole number beyond 64 bits")
     except (OSError, RuntimeError) as error:
-        filters = [
-            dataset.id.get_create_plist().get_filter(i)[0] for i in range(dataset.id.get_create_plist().get_nfilters())
-        ]
-        if FLETCHER32 in filters and "filter" in str(error):  # the checksum is the first filter when reading
-            walk.problem(path, "checksum mismatch")
-        else:
-            walk.problem(path, f"damaged values ({_short(error)})")
+        # the checksum is the first filter when reading
+        summed = dataset.fletcher32 and "filter" in str(error)
+        walk.problem(path, "checksum mismatch" if summed else f"damaged values ({_short(error)})")
     return Unread("damaged", shape)
-
-
-def _texts(walk: _Walk, dataset: h5py.Dataset, path: str) -> Any:
-    """The texts of an array a few at a time: each of them may name the same megabytes of the file."""
-    shape, total, longest, pieces = dataset.shape, 0, 1, []
-    step = max(1, TEXTS_AT_A_TIME * shape[0] // max(math.prod(shape), 1))
-    for begin in range(0, shape[0], step):
-        piece = np.asarray(dataset[begin : begin + step])
-        lengths = [len(item) for item in piece.ravel().tolist()]
-        total, longest = total + sum(lengths), max([longest, *lengths])
-        size = max(total, 4 * longest * math.prod(shape))  # as an array, every text takes the room of the longest
-        if size > walk.limits.dataset:
-            walk.problem(path, f"texts of {size_text(size)}, limit {size_text(walk.limits.dataset)}")
-            return np.zeros(0, np.str_)
-        pieces.append(piece)
-    walk.total += 4 * longest * math.prod(shape)
-    return np.concatenate(pieces) if pieces else dataset[()]
 
 
 # --- types -----------------------------------------------------------------------------------------------------------
 
 
+TYPES = {
+    h5t.STRING: "text", h5t.OPAQUE: "opaque", h5t.REFERENCE: "reference", h5t.VLEN: "variable length",
+    h5t.ARRAY: "array", h5t.BITFIELD: "bitfield", h5t.TIME: "time",
+}  # fmt: skip
+SIZES = {h5t.INTEGER: (1, 2, 4, 8), h5t.FLOAT: (4, 8)}  # bytes of a number that is read
+
+
 def _kind(tid: Any) -> str:
     """``number``, ``bool``, ``complex``, ``text``, or the name of a type that is not read."""
-    names = {
-        h5t.OPAQUE: "opaque",
-        h5t.REFERENCE: "reference",
-        h5t.VLEN: "variable length",
-        h5t.ARRAY: "array",
-        h5t.BITFIELD: "bitfield",
-        h5t.TIME: "time",
-    }
-    code = tid.get_class()
-    if code == h5t.STRING:
-        return "text"
-    if code == h5t.INTEGER:
-        return "number" if tid.get_size() <= 8 else f"int{8 * tid.get_size()}"
-    if code == h5t.FLOAT:
-        return "number" if tid.get_size() in (4, 8) else f"float{8 * tid.get_size()}"
-    if code in names:
-        return names[code]
+    code, size = tid.get_class(), tid.get_size()
+    if code in TYPES:
+        return TYPES[code]
+    if code in SIZES:
+        return "number" if size in SIZES[code] else f"{'int' if code == h5t.INTEGER else 'float'}{8 * size}"
     try:
         dtype = tid.dtype
     except TypeError:
         return "unknown type"
-    if dtype.kind == "c":
-        return "complex" if dtype.itemsize in (8, 16) else str(dtype)
-    if dtype.kind == "b":
-        return "bool"
-    if code == h5t.COMPOUND:
-        names = dtype.names or ()
+    if dtype.kind == "b" or dtype.str[1:] in ("c8", "c16"):
+        return "bool" if dtype.kind == "b" else "complex"
+    names = dtype.names or ()
+    if code == h5t.COMPOUND and names:
         return "complex128" if names == ("real", "imag") else f"compound ({', '.join(names[:4])})"
     return "enumeration" if code == h5t.ENUM else str(dtype)
 

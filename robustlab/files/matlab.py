@@ -18,13 +18,12 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
-from robustlab.files.tree import REFERENCES, Dataset, Tree, Unread
+from robustlab.files.tree import Dataset, Tree, Unread, text_attr
 
 NUMERIC = {"double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"}
 MAX_EMPTY = 1 << 31  # longest side of an array without entries
 MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 OPAQUE_FIELDS = ("s0", "s1", "s2", "arr")  # of an object as scipy hands it over: variable, system, class, content
-MAX_NESTED, MAX_STRUCTS = 32, 10_000  # of struct arrays in version 7.3
 # What one value takes once it is read: numbers become float64, a struct is a Python object.
 BYTES_OF_VALUE = {"struct": 400, "object": 400}
 
@@ -68,31 +67,24 @@ def _check_sizes(declared: list[tuple[str, tuple[int, ...], str]], where: str, l
 
 
 def _variable(tree: Tree, name: str, value: Any, limits: Limits, depth: int) -> None:
-    if hasattr(value, "toarray"):  # a sparse matrix
-        value = value.toarray()
-    array = np.asarray(value)
-    if array.dtype.kind == "O" and array.size == 1 and hasattr(array.flat[0], "_fieldnames"):
-        if depth > limits.depth:
-            raise InputError(tree.file, f"/{name}: structs are nested deeper than {limits.depth}")
-        group, struct = tree.group(name), array.flat[0]
+    array = np.asarray(value.toarray() if hasattr(value, "toarray") else value)  # a sparse matrix
+    structs = array.ravel(order="F").tolist() if array.dtype.kind == "O" else []
+    if not structs or not all(hasattr(item, "_fieldnames") for item in structs):
+        tree.datasets[name] = Dataset(_matlab_values(array))
+        return
+    if depth > limits.depth:
+        raise InputError(tree.file, f"/{name}: structs are nested deeper than {limits.depth}")
+    group = tree.group(name)
+    for k, struct in enumerate(structs):  # a struct array: one group an element
+        element = group if len(structs) == 1 else group.group(str(k + 1))
         for key in struct._fieldnames:
-            _variable(group, key, getattr(struct, key), limits, depth + 1)
-        return
-    if array.dtype.kind == "O" and array.size > 1 and all(hasattr(item, "_fieldnames") for item in array.flat):
-        group = tree.group(name)
-        for k, item in enumerate(array.ravel(order="F").tolist()):  # a struct array: one group an element
-            _variable(group, str(k + 1), item, limits, depth + 1)
-        return
-    tree.datasets[name] = Dataset(_matlab_values(array))
+            _variable(element, key, getattr(struct, key), limits, depth + 1)
 
 
 def _matlab_values(array: AnyArray) -> Any:
-    if array.dtype.kind in "fiu":
-        return array.astype(np.float64)
-    if array.dtype.kind == "c":
-        return array.astype(np.complex128)
-    if array.dtype.kind in "bU":
-        return array
+    if array.dtype.kind in "fiucbU":
+        wanted = np.float64 if array.dtype.kind in "fiu" else np.complex128 if array.dtype.kind == "c" else None
+        return array.astype(wanted or array.dtype)
     if array.dtype.kind == "O":
         cells = [np.asarray(item) for item in array.ravel().tolist()]
         if all(cell.dtype.kind == "U" and cell.size <= 1 for cell in cells):
@@ -131,80 +123,38 @@ def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
 
 def from_matlab73(tree: Tree) -> Tree:
     """The same tree with everything that MATLAB marked in MATLAB's own shape; unmarked datasets stay as they are."""
-    # Where MATLAB keeps the contents of cells and of fields of struct arrays; only the latter are put in their places.
-    return _group73(tree, tree.groups.get("#refs#", Tree()), 0, [0])
-
-
-def _group73(tree: Tree, stored: Tree, depth: int, count: list[int]) -> Tree:
-    result = Tree(dict(tree.attrs), {}, {}, tree.path, tree.file)
-    elements = _elements73(tree)
-    if elements:
-        count[0] += len(elements)
-        if depth > MAX_NESTED or count[0] > MAX_STRUCTS:  # references may lead to one struct from many, and in circles
-            raise InputError(tree.file, f"{tree.path}: more than {MAX_STRUCTS} structs, or nested too deep")
-        for k, fields in enumerate(elements, start=1):
-            element = Tree({}, {}, {}, f"{tree.path}/{k}", tree.file)
-            for name, path in fields.items():
-                key = path.removeprefix("/#refs#/")
-                if key in stored.datasets:
-                    element.datasets[name] = stored.datasets[key]
-                elif key in stored.groups:
-                    element.groups[name] = stored.groups[key]
-            result.groups[str(k)] = _group73(element, stored, depth + 1, count)
-        return result
-    for name, dataset in tree.datasets.items():
-        result.datasets[name] = _from_matlab73(dataset)
-    for name, group in tree.groups.items():
-        if name not in ("#refs#", "#subsystem#"):
-            result.groups[name] = _group73(group, stored, depth + 1, count)
+    result = Tree(tree.attrs, {}, {}, tree.path, tree.file)
+    result.datasets = {name: _from_matlab73(dataset) for name, dataset in tree.datasets.items()}
+    result.groups = {name: from_matlab73(g) for name, g in tree.groups.items() if name not in ("#refs#", "#subsystem#")}
     return result
 
 
-def _elements73(tree: Tree) -> list[dict[str, str]]:
-    """Field -> path, for each element of a struct array; it is stored as a group with a list of references a field."""
-    marker = np.asarray(tree.attrs.get("MATLAB_class", ""))
-    if marker.size != 1 or str(marker.flat[0]) != "struct" or not tree.datasets or tree.groups:
-        return []
-    lists: dict[str, list[str]] = {}
-    for name, dataset in tree.datasets.items():
-        if not isinstance(dataset.values, np.ndarray) or REFERENCES not in dataset.attrs:
-            return []
-        lists[name] = dataset.values.ravel().tolist()
-    if len({len(paths) for paths in lists.values()}) > 1:
-        return []
-    return [dict(zip(lists, paths, strict=True)) for paths in zip(*lists.values(), strict=True)]
-
-
 def _from_matlab73(dataset: Dataset) -> Dataset:
-    marker = np.asarray(dataset.attrs.get("MATLAB_class", ""))
-    values = dataset.values
-    if REFERENCES in dataset.attrs:
-        values = Unread("reference", np.shape(values) if isinstance(values, np.ndarray) else values.shape)
-        attrs = {key: item for key, item in dataset.attrs.items() if key != REFERENCES}
-        dataset = Dataset(values, attrs)
-    if marker.dtype.kind != "U" or marker.size != 1 or not marker.flat[0]:
+    kind, values = text_attr(dataset.attrs, "MATLAB_class"), dataset.values
+    if not kind:
         return dataset
-    kind = str(marker.flat[0])
     attrs = {key: item for key, item in dataset.attrs.items() if not key.startswith("MATLAB_")}
+
+    def unread(what: str) -> Dataset:
+        return Dataset(Unread(what, values.shape[::-1]), attrs)
+
     if isinstance(values, Unread):
-        known = kind in NUMERIC or values.dtype == "not read"
-        return Dataset(Unread(values.dtype if known else f"MATLAB {kind}", values.shape[::-1]), attrs)
+        return unread(values.dtype if kind in NUMERIC or values.dtype == "not read" else f"MATLAB {kind}")
     empty = np.asarray(dataset.attrs.get("MATLAB_empty", 0))
     if empty.dtype.kind in "fib" and empty.any():
         # An empty array is stored as its sizes, in MATLAB's order.
         shape = tuple(int(n) for n in values.ravel()) if values.dtype.kind == "i" and values.size <= 32 else ()
         if 0 not in shape or min(shape) < 0 or max(shape) > MAX_EMPTY:
-            return Dataset(Unread(f"MATLAB {kind}, marked empty, of size {shape}", shape), attrs)
+            return unread(f"MATLAB {kind}, marked empty, of size {shape}")
         return Dataset(np.zeros(shape), attrs)
     if values.dtype.kind not in "fib":
-        return Dataset(Unread(f"MATLAB {kind} that holds other values", values.shape[::-1]), attrs)
-    if kind in NUMERIC:
-        return Dataset(np.ascontiguousarray(values.T), attrs)
-    if kind == "logical":
-        return Dataset(np.ascontiguousarray(values.T).astype(bool), attrs)
+        return unread(f"MATLAB {kind} that holds other values")
+    if kind in NUMERIC or kind == "logical":
+        turned = np.ascontiguousarray(values.T)
+        return Dataset(turned.astype(bool) if kind == "logical" else turned, attrs)
     if kind == "char":
         codes = values.ravel(order="F").tolist()
         if not all(isinstance(code, int) and (0 < code < 0xD800 or 0xE000 <= code <= 0xFFFF) for code in codes):
-            return Dataset(Unread("MATLAB char with other characters", values.shape[::-1]), attrs)
+            return unread("MATLAB char with other characters")
         return Dataset(np.array(["".join(map(chr, codes))]), attrs)
-    return Dataset(Unread(f"MATLAB object ({kind})", values.shape[::-1]), attrs)
+    return unread(f"MATLAB object ({kind})")

@@ -1,98 +1,51 @@
 """Measured records from HDF5, MATLAB and text files, as the arguments of `robustlab.record.Record`.
 
-What is done to a record's clock is in its meaning of ``t``, a line each. In format 1 a record has ``t``,
-``inputs/<name>``, ``outputs/<name>``; attributes ``unit``, ``meaning``.
+What a file holds before anything is chosen is a `Source`: named channels, each on a clock. What is done to a record's
+clock is in its meaning of ``t``, a line each. In format 1 a record has ``t``, ``inputs/<name>``, ``outputs/<name>``;
+attributes ``unit``, ``meaning``.
+
+Logs in trees are structs with times and values, as Simulink and MATLAB's timeseries have them when saved as structs.
+Three forms, at any depth below the group that is read::
+
+    log.time, log.signals(k).values, .label      Simulink's "Structure with time"
+    log.Time, log.Data, .Name, .Units            a timeseries as a plain struct
+    log.time, log.values                         the same in other words (time or t; data or values)
+
+A value of several columns becomes a channel for each, numbered as MATLAB numbers them: ``q(1)``, ``q(2)``.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array, Mask, not_finite
+from robustlab.arrays import AnyArray, Array, not_finite
 from robustlab.clocks import clock_step, common_clock, held, interpolated, summarise_clock
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
-from robustlab.files.record_source import CLOCK_NAMES, Source, from_text, from_tree, one_of, opaque_class, recipe_of
 from robustlab.files.signature import Limits, content_of
+from robustlab.files.text_table import read_table
 from robustlab.files.tree import Tree, Unread, check_header, is_stamped, link_name, signal_name, text_attr, type_name
 from robustlab.units import factor_to_si, same_unit
 
-
-def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
-    """Put the arguments of a Record into ``tree``."""
-    tree.attrs["name"] = keywords["name"]
-    of_clock = {"meaning": keywords["meaning"]["t"]} if "t" in keywords["meaning"] else {}
-    tree.put("t", keywords["t"], unit="s", **of_clock)
-    for side in ("inputs", "outputs"):
-        group = tree.group(side)
-        for position, (name, values) in enumerate(keywords[side].items()):
-            attrs = {
-                "unit": keywords["units"].get(name, ""),
-                "meaning": keywords["meaning"].get(name, ""),
-                "position": position,
-            }
-            group.put(link_name(name), values, **attrs)
-
-
-def decode_record(node: Tree, where: str) -> dict[str, Any]:
-    """Inverse of `encode_record`."""
-    problems: list[str] = []
-    keywords: dict[str, Any] = {"name": str(node.attrs.get("name", "")) or "record", "units": {}, "meaning": {}}
-    if "t" not in node.datasets:
-        problems.append(f"missing {node.child_path('t')}")
-        n = None
-    else:
-        keywords["t"] = _column(node, "t", problems)
-        n = len(keywords["t"])
-        if text := text_attr(node.datasets["t"].attrs, "meaning"):
-            keywords["meaning"]["t"] = text
-    for side in ("inputs", "outputs"):
-        keywords[side] = {}
-        group = node.groups.get(side, Tree())
-        for link in sorted(group.datasets, key=lambda name: (_position(group, name), name)):
-            name = signal_name(link)
-            values = _column(group, link, problems)
-            if n is not None and len(values) != n:
-                problems.append(
-                    f"{group.child_path(link)} has {len(values)} samples, expected {n} as {node.child_path('t')}"
-                )
-            keywords[side][name] = values
-            for key, table in (("unit", "units"), ("meaning", "meaning")):
-                text = np.asarray(group.datasets[link].attrs.get(key, ""))
-                if text.size == 1 and str(text.flat[0]):
-                    keywords[table][name] = str(text.flat[0])
-    if problems:
-        raise InputError(where, problems[0], None, None, tuple(f"{where}: {line}" for line in problems[1:]))
-    return keywords
-
-
-def _position(group: Tree, link: str) -> int:
-    value = np.asarray(group.datasets[link].attrs.get("position", 1 << 30))
-    return int(value.flat[0]) if value.size == 1 and value.dtype.kind in "if" else 1 << 30
-
-
-def _column(node: Tree, name: str, problems: list[str]) -> AnyArray:
-    values, path = node.datasets[name].values, node.child_path(name)
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fi":
-        problems.append(f"{path} has dtype {type_name(values)}, expected a column of real numbers")
-        return np.zeros(0)
-    if values.ndim == 2 and 1 in values.shape:
-        values = values.reshape(-1)
-    if values.ndim != 1:
-        problems.append(f"{path} is {values.shape}, expected one column")
-        return np.zeros(0)
-    bad = not_finite(values, "samples")
-    if bad is not None:
-        problems.append(f"{path}[{bad[0]}] {bad[1]}")
-    return values.astype(np.float64)
-
-
+CLOCK_NAMES = ("t", "time", "Time", "TIME", "T", "timestamp", "tout", "zeit", "Zeit")
+SIDES = ("inputs", "outputs")
+TIMES, VALUES = ("time", "t"), ("data", "values")
+MOST_COLUMNS = 1000
+# MATLAB keeps objects in a form of its own; each of these lines makes a plain struct of one.
+MATLAB_RECIPES = {
+    "timetable": "T = timetable2table({0}); T.(1) = seconds(T.(1) - T.(1)(1)); S = table2struct(T, 'ToScalar', true); "
+    "save('run.mat', '-struct', 'S', '-v7')",
+    "table": "S = table2struct({0}, 'ToScalar', true); save('run.mat', '-struct', 'S', '-v7')",
+    "timeseries": "{0} = struct('Time', {0}.Time, 'Data', {0}.Data, 'Name', {0}.Name); save('run.mat', '{0}', '-v7')",
+    "Dataset": "for k = 1:{0}.numElements, e = {0}{{k}}; S.(matlab.lang.makeValidName(e.Name)) = "
+    "struct('Time', e.Values.Time, 'Data', e.Values.Data); end; save('run.mat', '-struct', 'S', '-v7')",
+}
 SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
 # A step longer than this many median steps, in a clock that is otherwise regular, is a hole.
 GAP = 1.5
@@ -131,65 +84,244 @@ class RecordOptions:
     no_verify: bool = False  # accept a format 1 record whose content hash does not match
 
 
+@dataclass
+class Channel:
+    """Samples as the file has them; ``clock`` is a key of `Source.clocks`, or empty for the source's own clock."""
+
+    values: AnyArray | Unread
+    unit: str = ""
+    meaning: str = ""
+    dt: float = 0.0  # sample time stated at the channel itself; 0 = not stated
+    clock: str = ""
+
+
+@dataclass
+class Source:
+    """All channels of a file (or of one group of it) before anything is chosen."""
+
+    # where, name, prefix: the file, the record's name, and what messages put before a channel's name
+    where: str
+    name: str
+    prefix: str
+    channels: dict[str, Channel]  # name -> channel
+    # dt, clock: sample time in s (0: not stated), and the channel with the times, as the file states them
+    dt: float = 0.0
+    clock: str = ""
+    groups: list[str] = field(default_factory=list)  # groups that could be read instead
+    # Name -> times in s, of channels with a clock of their own; None where they have none.
+    clocks: dict[str, Array | None] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)  # what was done to the clocks so far, a line each
+    # inputs, outputs: where the file states them; empty otherwise
+    inputs: list[str] = field(default_factory=list)
+    outputs: list[str] = field(default_factory=list)
+
+    def add_clock(self, name: str, channel: Channel) -> None:
+        """Add the channel with the times, by a name that no other has."""
+        while name in self.channels:
+            name += "'"
+        self.channels[name], self.clock = channel, name
+
+
+def one_of(word: str, names: Sequence[str]) -> str:
+    """``word`` and the first dozen of the names."""
+    shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+    return f"{word} {shown}" if names else "a file with signals"
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+
+
 def read_record(
     path: str | Path, options: RecordOptions, limits: Limits | None = None, isolate: bool = True
 ) -> dict[str, Any]:
     """Read one record; the result holds the keyword arguments of `robustlab.record.Record`."""
-    group, content = options.group, content_of(path, limits)
-    if content == "text":
-        return choose(from_text(path, group, options.delimiter, options.decimal, limits, isolate), options)
+    where, group = str(path), options.group
+    if content_of(path, limits) == "text":
+        if group:
+            raise InputError(where, f"group {group!r} of a text file", "no group: text files have none")
+        table = read_table(path, options.delimiter, options.decimal, limits, isolate)
+        columns = zip(table.names, table.units, table.values.T, strict=True)
+        channels = {name: Channel(np.array(values), unit) for name, unit, values in columns}
+        return choose(Source(where, Path(path).stem, "", channels), options)
     tree = read_tree(path, group, limits, isolate)
     if is_stamped(tree):
-        return _stored(_record_of_format_1(str(path), tree, options), str(path), options)
+        if group:
+            raise InputError(where, f"group {group!r} of a format 1 file", "no group: such a file holds one object")
+        kind, remarks = check_header(tree, options.no_verify)
+        if kind != "record":
+            raise InputError(where, f"holds an object of kind {kind}", "a record", "robustlab model show FILE")
+        for text in remarks:
+            warnings.warn(f"{where}: {text}", stacklevel=3)  # the caller of Record.read
     node = tree.find(group) if group else tree
     if node is None:
         known = tree.group_names()
-        raise InputError(
-            str(path), f"missing group /{group}", one_of("one of", known), did_you_mean(group or "", known)
-        )
-    if {"inputs", "outputs"} & set(node.groups):
-        return _stored(node, str(path), options)
-    return choose(from_tree(path, tree, node, group), options)
+        hint = did_you_mean(group or "", known)
+        raise InputError(where, f"missing group /{group}", one_of("one of", known), hint)
+    if set(SIDES) & set(node.groups):
+        return choose(_stored(node, where), replace(options, allow_gaps=True))
+    return choose(_of_tree(path, tree, node, group), options)
 
 
-def _texts(given: Sequence[str] | None) -> list[str]:
-    return [given] if isinstance(given, str) else list(given or [])
+def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
+    """Put the arguments of a Record into ``tree``."""
+    units, meaning = keywords["units"], keywords["meaning"]
+    tree.attrs["name"] = keywords["name"]
+    tree.put("t", keywords["t"], unit="s", **({"meaning": meaning["t"]} if "t" in meaning else {}))
+    for side in SIDES:
+        for position, (name, values) in enumerate(keywords[side].items()):
+            attrs = {"unit": units.get(name, ""), "meaning": meaning.get(name, ""), "position": position}
+            tree.group(side).put(link_name(name), values, **attrs)
+        tree.group(side)
 
 
-# --- a record of format 1 --------------------------------------------------------------------------------------------
+def decode_record(node: Tree, where: str) -> dict[str, Any]:
+    """Inverse of `encode_record`."""
+    return choose(_stored(node, where), RecordOptions(allow_gaps=True))
 
 
-def _record_of_format_1(where: str, tree: Tree, options: RecordOptions) -> Tree:
-    if options.group:
-        raise InputError(where, f"group {options.group!r} of a format 1 file", "no group: such a file holds one object")
-    kind, remarks = check_header(tree, options.no_verify)
-    if kind != "record":
-        raise InputError(where, f"holds an object of kind {kind}", "a record", "robustlab model show FILE")
-    for text in remarks:
-        warnings.warn(f"{where}: {text}", stacklevel=4)  # the caller of Record.read
-    return tree
+def _stored(node: Tree, where: str) -> Source:
+    """A record in the layout of format 1; its clock may have holes."""
+    if "t" not in node.datasets:
+        raise InputError(where, f"missing {node.child_path('t')}", "the times of a record")
+    source = Source(where, text_attr(node.attrs, "name") or "record", node.child_path(""), {})
+    for side in SIDES:
+        group = node.groups.get(side, Tree())
+        found, order = _datasets(group), {}
+        for link, item in group.datasets.items():
+            at = np.ravel(item.attrs.get("position", 1 << 30))
+            order[link] = float(at[0]) if at.dtype.kind in "if" and at.size == 1 else float(1 << 30)
+        for link in sorted(order, key=lambda link: (order[link], link)):
+            name = signal_name(link)
+            if name in source.channels:
+                raise InputError(where, f"signal {name!r} is there twice", "unique names")
+            source.channels[name] = found[link]
+            getattr(source, side).append(name)
+    clock = _datasets(node)["t"]
+    source.notes, clock.meaning = clock.meaning.splitlines(), ""
+    source.add_clock("t", clock)
+    return source
 
 
-def _stored(node: Tree, where: str, options: RecordOptions) -> dict[str, Any]:
-    """Groups ``inputs`` and ``outputs``: the layout of format 1, which `robustlab.storage` reads too."""
-    keywords, inputs, outputs = decode_record(node, where), options.inputs, options.outputs
-    known = {**keywords["inputs"], **keywords["outputs"]}
-    names = {name: name for name in known}
-    if inputs is not None or outputs is not None:
-        ins = {name: name for name in keywords["inputs"]} if inputs is None else _named(inputs, known)
-        rest = {name: name for name in known if name not in ins.values()}
-        outs = rest if outputs is None else _named(outputs, known)
-        missing = [signal for signal in (*ins.values(), *outs.values()) if signal not in known]
-        if missing:
-            raise _missing(where, missing, one_of("one of", list(known)), list(known), node.path.rstrip("/") + "/")
-        keywords["inputs"], keywords["outputs"] = ({name: known[s] for name, s in side.items()} for side in (ins, outs))
-        names = {**ins, **outs}
-    for key in ("units", "meaning"):
-        told = keywords[key]
-        of_clock = {"t": told["t"]} if "t" in told else {}
-        keywords[key] = {**of_clock, **{name: told[signal] for name, signal in names.items() if signal in told}}
-    _convert(where, keywords["inputs"], keywords["outputs"], keywords["units"], options.units or {})
-    return keywords
+def _of_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> Source:
+    """The datasets of a group, and the logs in it and below it."""
+    channels = {} if _is_log(node) else _datasets(node)
+    own = _sample_time(node.attrs) or _sample_time(tree.attrs)
+    for name in ("Ts", "dt"):  # MATLAB has no attributes: there the sample time is a variable
+        values = channels[name].values if name in channels and not own else None
+        if isinstance(values, np.ndarray) and values.size == 1:
+            own = float(values.flat[0])
+            del channels[name]
+    clocks: dict[str, Array | None] = {}
+    for name, channel, times in _logs(node, node.file, ""):
+        channels[name], clocks[channel.clock] = channel, times.astype(np.float64) if len(times) else None
+    stem = Path(path).stem
+    name = f"{stem}/{group.strip('/')}" if group else stem
+    return Source(str(path), name, node.child_path(""), channels, own, groups=tree.group_names(), clocks=clocks)
+
+
+def _datasets(node: Tree) -> dict[str, Channel]:
+    channels = {}
+    for name, dataset in node.datasets.items():
+        attrs, values = dataset.attrs, dataset.values
+        if isinstance(values, np.ndarray) and values.ndim == 2 and 1 in values.shape:
+            values = values.reshape(-1)  # MATLAB's columns and rows are two-dimensional; a record's channels are not
+        unit, meaning = text_attr(attrs, "unit") or "", text_attr(attrs, "meaning") or ""
+        channels[name] = Channel(values, unit, meaning, _sample_time(attrs))
+    return channels
+
+
+def _sample_time(attrs: Mapping[str, Any]) -> float:
+    for name in ("Ts", "dt", "fs"):
+        value = np.asarray(attrs.get(name, 0.0))
+        if value.dtype.kind in "fi" and value.size == 1 and float(value.flat[0]) > 0:
+            number = float(value.flat[0])
+            return 1.0 / number if name == "fs" else number
+    return 0.0
+
+
+# --- logs of Simulink and MATLAB --------------------------------------------------------------------------------------
+
+Logs = Iterator[tuple[str, Channel, AnyArray]]  # name relative to the group that was read, and its times
+
+
+def _logs(node: Tree, where: str, prefix: str) -> Logs:
+    if not _is_log(node):
+        for name, group in node.groups.items():
+            if name not in SIDES:
+                yield from _logs(group, where, f"{prefix}.{name}" if prefix else name)
+        return
+    times = _times_of(node)
+    key = f"{prefix or node.path.strip('/')}.{times}".lstrip(".")
+    signals = node.groups.get("signals")
+    if signals is None:
+        (own,) = _samples(node, times)
+        name = prefix or _text(node, "Name") or _text(node, "name") or own
+        unit = _text(node, "Units") or _text(node, "unit") or _text(node.groups.get("DataInfo", Tree()), "Units")
+        found = [(name, unit, node.datasets[own].values)]
+    else:
+        parts = [part for part in _parts(signals) if "values" in part.datasets]
+        labels = [_text(part, "label") or f"signal{k + 1}" for k, part in enumerate(parts)]
+        labels = [f"{text}_{k + 1}" if labels.count(text) > 1 else text for k, text in enumerate(labels)]
+        found = [
+            (f"{prefix}.{label}" if prefix else label, _text(part, "unit"), part.datasets["values"].values)
+            for part, label in zip(parts, labels, strict=True)
+        ]
+    t = np.ravel(node.datasets[times].values)  # pyright: ignore[reportArgumentType, reportCallIssue]
+    for name, unit, values in found:
+        for label, column in _columns(f"{where}: {name}", name, values, len(t)):
+            yield label, Channel(column, unit, clock=key), t
+
+
+def _is_log(node: Tree) -> bool:
+    """True where a group is itself a log, and nothing else."""
+    times = _times_of(node)
+    if not times:
+        return False
+    if "signals" in node.groups:
+        return any("values" in group.datasets for group in _parts(node.groups["signals"]))
+    columns = _samples(node, times)
+    return len(columns) == 1 and columns[0].lower() in VALUES
+
+
+def _samples(node: Tree, times: str) -> list[str]:
+    """Names of what may be samples beside the times."""
+    found = {name: item.values for name, item in node.datasets.items() if name != times}
+    return [n for n, x in found.items() if isinstance(x, Unread) or (x.dtype.kind in "fib" and x.size > 1)]
+
+
+def _parts(signals: Tree) -> list[Tree]:
+    return [signals] if "values" in signals.datasets else list(signals.groups.values())
+
+
+def _times_of(node: Tree) -> str:
+    """Name of the times of a log; they state no unit: MATLAB's logs are in s."""
+    for name, dataset in node.datasets.items():
+        values = dataset.values
+        known = isinstance(values, np.ndarray) and values.dtype.kind in "fi" and "unit" not in dataset.attrs
+        if known and name.lower() in TIMES:
+            return name
+    return ""
+
+
+def _columns(where: str, name: str, values: AnyArray | Unread, n: int) -> Iterator[tuple[str, AnyArray | Unread]]:
+    if isinstance(values, Unread) or values.dtype.kind not in "fib":
+        yield name, values if isinstance(values, Unread) else Unread(type_name(values), values.shape)
+        return
+    if values.ndim > 2 and n and values.shape[-1] == n:  # a matrix for each time: time runs last
+        values = values.reshape(-1, n, order="F").T
+    elif values.ndim == 2 and values.shape[0] != n and (values.shape[1] == n or values.shape[0] == 1):
+        values = values.T
+    table = values.reshape(len(values), -1, order="F") if values.ndim else values.reshape(1, 1)
+    if table.shape[1] > MOST_COLUMNS:
+        raise InputError(where, f"{table.shape[1]} columns", f"at most {MOST_COLUMNS}")
+    for k, column in enumerate(table.T):
+        yield name if table.shape[1] == 1 else f"{name}({k + 1})", np.ascontiguousarray(column)
+
+
+def _text(node: Tree, name: str) -> str:
+    values: Any = node.datasets[name].values if name in node.datasets else None
+    found = isinstance(values, np.ndarray) and values.dtype.kind == "U" and values.size == 1
+    return str(values.flat[0]).strip() if found else ""
 
 
 # --- choosing --------------------------------------------------------------------------------------------------------
@@ -201,20 +333,23 @@ def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
     known = list(source.channels)
     # With dt given the file's clock is not used, and a column of that name is no signal either.
     clock = options.clock or source.clock or next((name for name in CLOCK_NAMES if name in known), None)
-    stated = options.inputs is None and options.outputs is None and (source.inputs or source.outputs)
-    ins = _named(source.inputs if stated else options.inputs, known)
-    outs = _named(source.outputs if stated else options.outputs, known)
-    if options.outputs is None and not stated:
+    stated = source.inputs or source.outputs
+    alone = options.inputs is None and options.outputs is None
+    ins = _named(source.inputs if options.inputs is None else options.inputs, known)
+    outs = _named(source.outputs if alone else options.outputs, known)
+    if options.outputs is None and not (alone and stated):
         outs = {name: name for name in _of_default_clock(source, clock, dt) if name not in (*ins.values(), clock)}
     signals = {**ins, **outs}
-    asked = [*signals.values(), *([clock] if clock and dt is None else [])]
-    missing = [name for name in asked if name not in known]
-    if missing and not known:
-        raise _no_signals(source, f"missing {', '.join(source.label(name) for name in missing)}")
-    if missing:
-        raise _missing(source.where, missing, source.shown(), known, source.prefix)
-    if not signals:
-        raise _no_signals(source, "no signals here")
+    wanted = [*signals.values(), *([clock] if clock and dt is None else [])]
+    missing = [name for name in wanted if name not in known]
+    if missing and known:
+        raise _missing(source, missing)
+    if missing or not signals:
+        gone = f"missing {', '.join(f'{source.prefix}{name}' for name in missing)}"
+        groups = one_of("signals in the group given; groups are", source.groups)
+        hint = f"group={source.groups[0]!r}" if len(source.groups) == 1 else "group=..." if source.groups else None
+        found = gone if missing else "no signals here"
+        raise InputError(source.where, found, groups if source.groups else "a file with signals", hint)
     arrays = {signal: _numbers(source, signal) for signal in signals.values()}
     if clock is not None and clock in units and clock not in signals:
         _agree(source.where, clock, source.channels[clock].unit, units[clock])
@@ -223,22 +358,29 @@ def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
     if len(order) > 1 and not _same_clock([source.clocks.get(key) for key in order]):
         t, arrays = _on_one_clock(source, arrays, set(ins.values()), list(order), clock, options)
     else:
-        n = _common_length(source, arrays)
-        t = _times(source, list(arrays), n, dt, clock)
+        t = _times(source, arrays, dt, clock)
         if not options.allow_gaps:
             _refuse_gaps(source.where, "t", t)
     meaning = {name: source.channels[signal].meaning for name, signal in signals.items()}
     meaning = {name: text for name, text in {"t": "\n".join(source.notes), **meaning}.items() if text}
     told = {name: source.channels[signal].unit for name, signal in signals.items()}
     inputs, outputs = ({name: arrays[signal] for name, signal in side.items()} for side in (ins, outs))
-    _convert(source.where, inputs, outputs, told, units)
+    for name, unit in units.items():
+        side = inputs if name in inputs else outputs
+        if name not in side:
+            names = [*inputs, *outputs]
+            hint = did_you_mean(name, names)
+            raise InputError(source.where, f"a unit for {name!r}", one_of("one of", names), hint)
+        _agree(source.where, name, told[name], unit)
+        factor, told[name] = factor_to_si(unit)
+        side[name] = side[name] * factor
     return {"t": t, "inputs": inputs, "outputs": outputs, "units": told, "name": source.name, "meaning": meaning}
 
 
 def _named(texts: Sequence[str] | None, known: Collection[str]) -> dict[str, str]:
     """Name in the record -> signal of the file: ``u=SIGNAL``, or both are the same."""
     found: dict[str, str] = {}
-    for text in _texts(texts):
+    for text in [texts] if isinstance(texts, str) else list(texts or []):
         name, sign, signal = text.partition("=")
         alone = text in known or not sign
         found[text if alone else name.strip()] = text if alone else signal.strip()
@@ -250,6 +392,49 @@ def _of_default_clock(source: Source, clock: str | None, dt: float | None) -> li
     own = [name for name, channel in source.channels.items() if not channel.clock]
     logged = [name for name, channel in source.channels.items() if channel.clock]
     return own if not logged or clock in own or (own and (dt or source.dt)) else logged
+
+
+def _missing(source: Source, missing: list[str]) -> InputError:
+    known, lines = list(source.channels), []
+    for name in missing:
+        near = did_you_mean(name, known)
+        lines.append(f"missing {source.prefix}{name}" + (f" ({near})" if near else ""))
+    more = tuple(f"{source.where}: {line}" for line in lines[1:])
+    return InputError(source.where, lines[0], one_of("one of", known), None, more)
+
+
+def _agree(where: str, name: str, stated: str, given: str) -> None:
+    if stated and not same_unit(stated, given):
+        raise UnitMismatch(
+            f"{where}: {name}",
+            f"the file states {stated}, the unit given is {given}",
+            "the unit that the numbers in the file are in",
+            f"units={{{name!r}: {stated!r}}} converts from it; where the file is wrong, correct it there",
+        )
+
+
+def _numbers(source: Source, name: str) -> Array:
+    values = source.channels[name].values
+    where = f"{source.where}: {source.prefix}{name}"
+    if isinstance(values, Unread) and values.dtype.startswith("MATLAB object ("):
+        kind = values.dtype.removeprefix("MATLAB object (").removesuffix(")")
+        recipe = MATLAB_RECIPES.get(kind.rpartition(".")[2], "").format(name) or None
+        raise InputError(where, f"a {kind}, which MATLAB keeps in a form of its own", "plain arrays or structs", recipe)
+    if isinstance(values, Unread) or values.dtype.kind not in "fib":
+        hint = "choose signals with inputs= and outputs="
+        if isinstance(values, Unread) and values.dtype == "reference":
+            hint = "structs of several elements are read from files that save(..., '-v7') wrote"
+        raise InputError(where, f"dtype {type_name(values)}", "a column of real numbers", hint)
+    if values.ndim != 1:
+        raise InputError(where, f"shape {values.shape}", "one column")
+    array = values.astype(np.float64)
+    bad = not_finite(array, "samples")
+    if bad is not None:
+        raise InputError(f"{where}[{bad[0]}]", bad[1], "finite numbers")
+    return array
+
+
+# --- clocks -----------------------------------------------------------------------------------------------------------
 
 
 def _same_clock(clocks: list[Array | None]) -> bool:
@@ -265,44 +450,34 @@ def _on_one_clock(
     for key in keys:
         mine = {name: values for name, values in arrays.items() if source.channels[name].clock == key}
         label = key or clock or "t"
-        t = _times(source, list(mine), _common_length(source, mine), None, None if key else clock)
+        t = clocks[key] = _times(source, mine, None, None if key else clock)
         _refuse_backwards(source.where, label, t)
         if not options.allow_gaps:
             _refuse_gaps(source.where, label, t)
-        clocks[key] = t
     t, coarse = common_clock(source.where, clocks, options.dt)
     step = float(np.median(np.diff(t)))
     found: dict[str, Array] = {}
     follows = f"that of {coarse or clock}" if options.dt is None else "as given"
-    source.notes.append(
-        f"{len(keys)} clocks brought on one of {1 / step:.6g} Hz ({follows}), {t[0]:.6g} s to {t[-1]:.6g} s"
-    )
+    span = f"{t[0]:.6g} s to {t[-1]:.6g} s"
+    source.notes.append(f"{len(keys)} clocks brought on one of {1 / step:.6g} Hz ({follows}), {span}")
     for key in keys:
-        mine = [name for name in arrays if source.channels[name].clock == key]
-        between, apart = np.zeros(len(t), bool), 0.0
+        between, apart, own = np.zeros(0, bool), 0.0, summarise_clock(clocks[key])
+        words, mine = [own.text()], [name for name in arrays if source.channels[name].clock == key]
         for name in mine:
             if name in ins:
                 found[name] = held(t, clocks[key], arrays[name], step)
                 continue
-            found[name], own, gaps = interpolated(t, clocks[key], arrays[name], step)
-            between, apart = ~own, float(np.where(own, 0.0, gaps).max())
-        source.notes.append(f"{key or clock}: {_done(mine, ins, clocks[key], between, apart, step)}")
+            found[name], on_stamp, gaps = interpolated(t, clocks[key], arrays[name], step)
+            between, apart = ~on_stamp, float(np.where(on_stamp, 0.0, gaps).max())
+        if len(between):
+            most = f", over {apart:.4g} s at most" if between.any() else ""
+            words.append(f"outputs interpolated at {100 * between.mean():.3g} % of the samples{most}")
+        if not ins.isdisjoint(mine):
+            words.append("inputs held at their last sample")
+        if own.step < 0.75 * step:
+            words.append(f"{step / own.step:.3g} to 1, without a filter")
+        source.notes.append(f"{key or clock or 't'}: {'; '.join(words)}")
     return t, found
-
-
-def _done(mine: list[str], ins: set[str], t: Array, between: Mask, apart: float, step: float) -> str:
-    """What one of several clocks is like, and what was done to its signals."""
-    own, words = summarise_clock(t), []
-    if not ins.issuperset(mine):
-        words.append(
-            f"outputs interpolated at {100 * between.mean():.3g} % of the samples"
-            + (f", over {apart:.4g} s at most" if between.any() else "")
-        )
-    if not ins.isdisjoint(mine):
-        words.append("inputs held at their last sample")
-    if own.step < 0.75 * step:
-        words.append(f"{step / own.step:.3g} to 1, without a filter")
-    return "; ".join([own.text(), *words])
 
 
 def _refuse_backwards(where: str, label: str, t: Array) -> None:
@@ -313,135 +488,6 @@ def _refuse_backwards(where: str, label: str, t: Array) -> None:
         k = int(np.argmax(steps <= 0)) + 1
         word = "repeats the stamp before it" if steps[k - 1] == 0 else "runs backwards"
         raise InputError(f"{where}: {label}[{k}]", f"{t[k]:.9g} s {word}", "strictly increasing times")
-
-
-def _convert(
-    where: str, inputs: dict[str, Array], outputs: dict[str, Array], stated: dict[str, str], given: Mapping[str, str]
-) -> None:
-    """Bring the named signals from the unit given for their numbers to SI; changes the first three tables."""
-    for name, unit in given.items():
-        side = inputs if name in inputs else outputs
-        if name not in side:
-            known = [*inputs, *outputs]
-            raise InputError(where, f"a unit for {name!r}", one_of("one of", known), did_you_mean(name, known))
-        _agree(where, name, stated.get(name, ""), unit)
-        factor, stated[name] = factor_to_si(unit)
-        if factor != 1.0:
-            side[name] = side[name] * factor
-
-
-def _agree(where: str, name: str, stated: str, given: str) -> None:
-    if stated and not same_unit(stated, given):
-        raise UnitMismatch(
-            f"{where}: {name}",
-            f"the file states {stated}, the unit given is {given}",
-            "the unit that the numbers in the file are in",
-            f"units={{{name!r}: {stated!r}}} converts from it; where the file is wrong, correct it there",
-        )
-
-
-def _no_signals(source: Source, found: str) -> InputError:
-    if not source.groups:
-        return InputError(source.where, found, "a file with signals")
-    return InputError(
-        source.where,
-        found,
-        one_of("signals in the group given; groups are", source.groups),
-        f"group={source.groups[0]!r}" if len(source.groups) == 1 else "group=...",
-    )
-
-
-def _numbers(source: Source, name: str) -> Array:
-    values = source.channels[name].values
-    where = f"{source.where}: {source.label(name)}"
-    if isinstance(values, Unread) and (kind := opaque_class(values.dtype)):
-        hint = recipe_of(name, kind)
-        raise InputError(where, f"a {kind}, which MATLAB keeps in a form of its own", "plain arrays or structs", hint)
-    if isinstance(values, Unread) or values.dtype.kind not in "fib":
-        raise InputError(
-            where, f"dtype {type_name(values)}", "a column of real numbers", "choose signals with inputs= and outputs="
-        )
-    if values.ndim != 1:
-        raise InputError(where, f"shape {values.shape}", "one column")
-    array = values.astype(np.float64)
-    bad = not_finite(array, "samples")
-    if bad is not None:
-        raise InputError(f"{where}[{bad[0]}]", bad[1], "finite numbers")
-    return array
-
-
-def _common_length(source: Source, arrays: Mapping[str, Array]) -> int:
-    lengths = {name: len(values) for name, values in arrays.items()}
-    if len(set(lengths.values())) > 1:
-        first = next(iter(lengths))
-        others = [name for name, n in lengths.items() if n != lengths[first]]
-        text = "; ".join(
-            f"{source.label(name)} has {lengths[name]} samples"
-            + (f" (its own sample time is {source.channels[name].dt:g} s)" if source.channels[name].dt else "")
-            for name in others
-        )
-        raise InputError(
-            source.where,
-            text,
-            f"{lengths[first]} as {source.label(first)}",
-            "choose signals of one clock with inputs= and outputs=",
-        )
-    return next(iter(lengths.values()))
-
-
-def _times(source: Source, names: list[str], n: int, dt: float | None, clock: str | None) -> Array:
-    key = source.channels[names[0]].clock
-    given = source.clocks[key] if key else None
-    if not key and clock and clock in source.channels:
-        try:
-            given = _clock(source, clock, tell=dt is None)
-        except InputError:
-            if dt is None:
-                raise  # with dt given the clock need not be one
-    if dt is None and given is not None:
-        if len(given) != n:
-            label = key or source.label(clock or "t")
-            raise InputError(source.where, f"{label} has {len(given)} samples, the signals {n}", "equal lengths")
-        return given
-    if dt is None:
-        own = {name: source.channels[name].dt for name in names}
-        if len(set(own.values())) > 1:
-            text = ", ".join(f"{source.label(name)} {value or source.dt:g} s" for name, value in own.items())
-            raise InputError(source.where, f"sample times differ: {text}", "signals of one clock")
-        dt = next(iter(own.values())) or source.dt
-    if not dt:
-        columns = one_of("a column t, or one of", names)
-        raise InputError(
-            source.where, "no clock and no sample time", columns + " as clock=", "dt=..., in s, or clock=..."
-        )
-    if not np.isfinite(dt) or dt < 0:
-        raise InputError(source.where, f"dt is {dt}", "a positive sample time in s")
-    if given is not None and len(given) > 1 and (np.diff(given) > 0).all():
-        gain = clock_step(given) / dt - 1
-        if abs(gain) > SAME_RATE:
-            source.notes.append(
-                f"dt = {dt:g} s as given; {key or clock} has steps of {clock_step(given):.9g} s ({1e6 * gain:+.3g} ppm)"
-            )
-    return np.arange(n, dtype=np.float64) * np.float64(dt)
-
-
-def _clock(source: Source, name: str, tell: bool) -> Array:
-    channel, where = source.channels[name], f"{source.where}: {source.label(name)}"
-    if channel.unit not in SECONDS:
-        raise InputError(
-            where, f"unit {channel.unit!r}", f"one of {', '.join(filter(None, SECONDS))}", f"units={{{name!r}: 'ms'}}"
-        )
-    t, factor = _numbers(source, name), SECONDS[channel.unit]
-    raw = channel.values
-    if factor == 1.0 and len(t) and np.abs(t).max() > TOO_LATE:
-        unit = next(u for u, most in (("ms", 1e14), ("us", 1e17), ("ns", np.inf)) if np.abs(t).max() <= most)
-        found = f"times of {t[0]:.4g} {channel.unit or 'and no unit'}"
-        raise InputError(where, found, "times in s", f"units={{{name!r}: {unit!r}}}, if it is {unit}")
-    if isinstance(raw, np.ndarray) and raw.dtype.kind == "i" and len(raw) and abs(float(raw[0])) * factor > LONG:
-        if tell:
-            source.notes.append(f"t counts from {name} = {int(raw[0])} {channel.unit or 's'} on")
-        t = (raw - raw[0]).astype(np.float64)
-    return t / round(1 / factor) if factor < 1 else t * factor
 
 
 def _refuse_gaps(where: str, label: str, t: Array) -> None:
@@ -455,18 +501,69 @@ def _refuse_gaps(where: str, label: str, t: Array) -> None:
     if len(holes) and regular.mean() >= 0.9:
         k = int(holes[0])
         lost = round(float(steps[k]) / median) - 1
+        ends = f"t[{k}] = {t[k]:.9g} s and t[{k + 1}] = {t[k + 1]:.9g} s ({len(holes)} gaps in all)"
+        found, hint = f"{lost} samples missing between {ends}", "cut the record there, or allow_gaps=True"
         raise InputError(
-            where,
-            f"{label}: {lost} samples missing between t[{k}] = {t[k]:.9g} s and t[{k + 1}] = {t[k + 1]:.9g} s "
-            f"({len(holes)} gaps in all)",
-            f"a sample every {median:.6g} s",
-            "cut the record there, or allow_gaps=True",
+            where, f"{label}: {lost} samples missing between {ends}", f"a sample every {median:.6g} s", hint
         )
 
 
-def _missing(where: str, missing: list[str], shown: str, known: list[str], prefix: str) -> InputError:
-    lines = []
-    for name in missing:
-        near = did_you_mean(name, known)
-        lines.append(f"missing {prefix}{name}" + (f" ({near})" if near else ""))
-    return InputError(where, lines[0], shown, None, tuple(f"{where}: {line}" for line in lines[1:]))
+def _times(source: Source, arrays: Mapping[str, Array], dt: float | None, clock: str | None) -> Array:
+    names = list(arrays)
+    first, n, key = names[0], len(arrays[names[0]]), source.channels[names[0]].clock
+    others = [
+        f"{source.prefix}{name} has {len(values)} samples"
+        + (f" (its own sample time is {source.channels[name].dt:g} s)" if source.channels[name].dt else "")
+        for name, values in arrays.items()
+        if len(values) != n
+    ]
+    if others:
+        hint = "choose signals of one clock with inputs= and outputs="
+        raise InputError(source.where, "; ".join(others), f"{n} as {source.prefix}{first}", hint)
+    given = source.clocks[key] if key else None
+    if not key and clock and clock in source.channels:
+        try:
+            given = _clock(source, clock, tell=dt is None)
+        except InputError:
+            if dt is None:
+                raise  # with dt given the clock need not be one
+    if dt is None and given is not None:
+        if len(given) != n:
+            label = key or f"{source.prefix}{clock or 't'}"
+            raise InputError(source.where, f"{label} has {len(given)} samples, the signals {n}", "equal lengths")
+        return given
+    if dt is None:
+        own = {name: source.channels[name].dt or source.dt for name in names}
+        if len(set(own.values())) > 1:
+            text = ", ".join(f"{source.prefix}{name} {value:g} s" for name, value in own.items())
+            raise InputError(source.where, f"sample times differ: {text}", "signals of one clock")
+        dt = own[first]
+    if not dt:
+        columns = one_of("a column t, or one of", names) + " as clock="
+        raise InputError(source.where, "no clock and no sample time", columns, "dt=..., in s, or clock=...")
+    if not np.isfinite(dt) or dt < 0:
+        raise InputError(source.where, f"dt is {dt}", "a positive sample time in s")
+    if given is not None and len(given) > 1 and (np.diff(given) > 0).all():
+        step = clock_step(given)
+        if abs(step / dt - 1) > SAME_RATE:
+            ppm = f"{1e6 * (step / dt - 1):+.3g} ppm"
+            source.notes.append(f"dt = {dt:g} s as given; {key or clock} has steps of {step:.9g} s ({ppm})")
+    return np.arange(n, dtype=np.float64) * np.float64(dt)
+
+
+def _clock(source: Source, name: str, tell: bool) -> Array:
+    channel, where = source.channels[name], f"{source.where}: {source.prefix}{name}"
+    if channel.unit not in SECONDS:
+        known = f"one of {', '.join(filter(None, SECONDS))}"
+        raise InputError(where, f"unit {channel.unit!r}", known, f"units={{{name!r}: 'ms'}}")
+    t, factor = _numbers(source, name), SECONDS[channel.unit]
+    raw, late = channel.values, np.abs(t).max(initial=0.0)
+    if factor == 1.0 and late > TOO_LATE:
+        unit = next(u for u, most in (("ms", 1e14), ("us", 1e17), ("ns", np.inf)) if late <= most)
+        found = f"times of {t[0]:.4g} {channel.unit or 'and no unit'}"
+        raise InputError(where, found, "times in s", f"units={{{name!r}: {unit!r}}}, if it is {unit}")
+    if isinstance(raw, np.ndarray) and raw.dtype.kind == "i" and len(raw) and abs(float(raw[0])) * factor > LONG:
+        if tell:
+            source.notes.append(f"t counts from {name} = {int(raw[0])} {channel.unit or 's'} on")
+        t = (raw - raw[0]).astype(np.float64)
+    return t / round(1 / factor) if factor < 1 else t * factor

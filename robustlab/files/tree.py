@@ -23,8 +23,6 @@ KINDS = (
     "state-space", "uncertain", "delayed", "frequency-data", "lpv", "controller", "lpv-controller", "record", "result",
     "plant",
 )  # fmt: skip
-# Attribute of a dataset whose texts are the paths that its references lead to.
-REFERENCES = "robustlab_references"
 ATTRIBUTES = ("format", "format_version", "kind", "content_sha256")
 
 

@@ -190,7 +190,7 @@ def _plain(
 
         if looks_like_a_pair(node):
             return "pair", decode_pair(node, problems, transpose)
-    from robustlab.files.record_source import CLOCK_NAMES
+    from robustlab.files.records import CLOCK_NAMES
 
     clocked = any(name in node.datasets for name in CLOCK_NAMES) or {"inputs", "outputs"} & set(node.groups)
     if len(matrices) < 2 and clocked:

@@ -193,14 +193,3 @@ def test_numbers_count_as_they_stand_in_memory(tmp_path):
         file.create_dataset("A", (8000, 8000), "i1", chunks=(1000, 1000), compression=9)[...] = 1
     with pytest.raises(InputError, match=r"/A: declares 8000 x 8000 \(512 MB\), limit 256 MiB"):
         read_tree(tmp_path / "p.h5")
-
-
-def test_texts_that_all_name_the_same_megabytes(tmp_path):
-    import h5py
-
-    with h5py.File(tmp_path / "p.h5", "w") as file:
-        kind = h5py.string_dtype()
-        file.create_dataset("names", data=np.array(["x" * 50_000, *["y"] * 99], object), dtype=kind)
-        file["A"] = np.eye(2)
-    with pytest.raises(InputError, match="/names: texts of 20 MB, limit 1 MiB"):
-        read_tree(tmp_path / "p.h5", limits=Limits(dataset=1 << 20))

@@ -1,10 +1,8 @@
 """Records that are cut short, hostile, or no records: one line, and exit code 3."""
 
-import h5py
 import numpy as np
 import pandas as pd
 import pytest
-import record_files as rf
 import scipy.io
 
 import robustlab as rl
@@ -25,22 +23,6 @@ def refused(match, path, *args, **kwargs):
     assert "\n" not in str(caught.value).partition("\nhint:")[0]
 
 
-# --- sizes -----------------------------------------------------------------------------------------------------------
-
-
-def test_structs_that_lead_in_circles(tmp_path):
-    """Elements of a struct array that refer to the struct array itself."""
-    path = rf.matlab73(tmp_path / "r.mat", {"log": [{"a": np.zeros((2, 1))}] * 3})
-    with h5py.File(path, "a") as file:
-        refs = file["#refs#"]
-        inner = refs.create_group("loop")
-        inner.attrs["MATLAB_class"] = np.bytes_("struct")
-        for name in "ab":
-            inner.create_dataset(name, data=np.array([[inner.ref] * 8], dtype=object), dtype=h5py.ref_dtype)
-        file["log/a"][...] = np.array([[inner.ref]] * 3, dtype=object)
-    refused("more than 10000 structs, or nested too deep", path)
-
-
 def test_logs_that_do_not_fit_their_times(tmp_path):
     scipy.io.savemat(tmp_path / "r.mat", {"a": {"time": T[:, None], "values": T[:-1, None]}})
     refused(r"r\.mat: a\.time has 21 samples, the signals 20, expected equal lengths", tmp_path / "r.mat")
@@ -51,9 +33,6 @@ def test_logs_that_do_not_fit_their_times(tmp_path):
     scipy.io.savemat(tmp_path / "e.mat", {"a": {"time": np.zeros((0, 0)), "values": T[:, None]}})
     refused("no clock and no sample time", tmp_path / "e.mat")
     assert read(tmp_path / "e.mat", dt=0.5).dt == 0.5
-
-
-# --- bags ------------------------------------------------------------------------------------------------------------
 
 
 # --- tables in memory ------------------------------------------------------------------------------------------------

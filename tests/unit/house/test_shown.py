@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 
 import robustlab as rl
 from robustlab.errors import DependencyMissing, InputError
-from robustlab.files import record_source
+from robustlab.files import frames
 from robustlab.report import DRAWINGS
 from robustlab.result import Status
 from robustlab.shown import LINES, Shown
@@ -207,7 +207,7 @@ def test_tables_become_frames(name, make):
 
 
 def test_without_pandas_it_is_said_how_to_get_it(make, monkeypatch):
-    monkeypatch.setattr(record_source.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(frames.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(DependencyMissing, match="needs the package") as error:
         make("Margin").to_pandas()
     assert "robustlab[frames]" in str(error.value)
