@@ -503,9 +503,7 @@ def _refuse_gaps(where: str, label: str, t: Array) -> None:
         lost = round(float(steps[k]) / median) - 1
         ends = f"t[{k}] = {t[k]:.9g} s and t[{k + 1}] = {t[k + 1]:.9g} s ({len(holes)} gaps in all)"
         found, hint = f"{lost} samples missing between {ends}", "cut the record there, or allow_gaps=True"
-        raise InputError(
-            where, f"{label}: {lost} samples missing between {ends}", f"a sample every {median:.6g} s", hint
-        )
+        raise InputError(where, f"{label}: {found}", f"a sample every {median:.6g} s", hint)
 
 
 def _times(source: Source, arrays: Mapping[str, Array], dt: float | None, clock: str | None) -> Array:
