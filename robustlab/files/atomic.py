@@ -8,26 +8,14 @@ import stat
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from robustlab.errors import EnvironmentFault
 
-PREFIX = ".robustlab-"
-SUFFIX = ".tmp"
+PREFIX, SUFFIX = ".robustlab-", ".tmp"
 STRAY_AGE = 3600.0  # s; a temporary file this old was left by a process that was killed
-
-_REASONS = {
-    errno.ENOSPC: "no space left",
-    errno.EDQUOT: "disk quota exceeded",
-    errno.EFBIG: "larger than the system allows",
-    errno.EACCES: "no permission to write",
-    errno.EPERM: "no permission to write",
-    errno.EROFS: "read-only file system",
-    errno.ENOENT: "no such folder",
-    errno.ENOTDIR: "no such folder",
-    errno.EIO: "disk error",
-    errno.ENAMETOOLONG: "name too long",
-}
+NO_FOLDER = (errno.ENOENT, errno.ENOTDIR)
 
 
 def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
@@ -37,46 +25,36 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
     followed: the file it points to is replaced. Temporary files that a killed process left in the folder more than an
     hour ago are removed.
     """
-    where = str(path)
+    old, temporary = None, None
     try:
         target = Path(path).resolve()
-        old = _previous(target, where)
-        _sweep(target.parent)
+        old = target.stat() if target.exists() else None
+        if old is not None and not stat.S_ISREG(old.st_mode):
+            raise EnvironmentFault(str(path), "is a directory or a device", "a file name")  # noqa: TRY301  one way out
+        for stray in target.parent.glob(f"{PREFIX}*{SUFFIX}"):
+            with suppress(OSError):  # another process was faster, or it is not ours to remove: it does no harm
+                if time.time() - stray.stat().st_mtime > STRAY_AGE:
+                    stray.unlink()
         handle, name = tempfile.mkstemp(SUFFIX, PREFIX, target.parent)
-    except EnvironmentFault:
-        raise
-    except OSError as error:
-        raise _fault(where, error, kept=False) from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
+        os.close(handle)
+        temporary = Path(name)
         write(temporary)
         with temporary.open("rb") as stream:
             os.fsync(stream.fileno())
         temporary.chmod(stat.S_IMODE(old.st_mode) if old else 0o666 & ~_umask())
         temporary.replace(target)
-        _flush_folder(target.parent)
+        _flush(target.parent)
     except EnvironmentFault:
         raise
     except OSError as error:
-        raise _fault(where, error, kept=old is not None) from error
+        text = error.strerror or str(error)
+        reason = "no such folder" if temporary is None and error.errno in NO_FOLDER else text[:1].lower() + text[1:]
+        kept = "previous file kept" if old is not None and temporary is not None else "nothing was written"
+        raise EnvironmentFault(str(path), f"{reason}; {kept}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
     return target
-
-
-def _previous(target: Path, where: str) -> os.stat_result | None:
-    if not target.exists():
-        return None
-    old = target.stat()
-    if not stat.S_ISREG(old.st_mode):
-        raise EnvironmentFault(where, "is a directory or a device", "a file name")
-    return old
-
-
-def _fault(where: str, error: OSError, kept: bool) -> EnvironmentFault:
-    reason = _REASONS.get(error.errno or 0, error.strerror or str(error))
-    return EnvironmentFault(where, f"{reason}; previous file kept" if kept else f"{reason}; nothing was written")
 
 
 def _umask() -> int:
@@ -85,7 +63,7 @@ def _umask() -> int:
     return mask
 
 
-def _flush_folder(folder: Path) -> None:
+def _flush(folder: Path) -> None:
     """Make the renaming itself durable; Windows has no such call for folders."""
     if os.name == "nt":
         return
@@ -94,12 +72,3 @@ def _flush_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _sweep(folder: Path) -> None:
-    for stray in folder.glob(f"{PREFIX}*{SUFFIX}"):
-        try:
-            if time.time() - stray.stat().st_mtime > STRAY_AGE:
-                stray.unlink()
-        except OSError:
-            continue  # another process was faster, or it is not ours to remove: a stray file does no harm

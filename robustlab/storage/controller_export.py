@@ -30,9 +30,8 @@ from robustlab.uncertainty.lft import UncertainModel
 
 PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}")
 RESERVED = (
-    "auto break case char const continue default do double else enum extern float for goto if inline int long",
-    "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while",
-    "main",
+    "auto break case char const continue default do double else enum extern float for goto if inline int long "
+    "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while main"
 )
 # Rows of one statement are broken after so many terms.
 TERMS = 4
@@ -46,26 +45,22 @@ def saturation_limits(model: StateSpaceModel, saturation: Any, where: str) -> tu
     """``(low, high)`` for each output, from a pair for all or a mapping by name with all outputs; None for none."""
     if saturation is None:
         return None
-    names = model.output_names
-    if isinstance(saturation, dict):
-        unknown = [name for name in saturation if name not in names]
-        missing = [name for name in names if name not in saturation]
-        if unknown or missing:
-            found = f"no output {unknown[0]!r}" if unknown else f"no limits of {missing[0]!r}"
-            raise InputError(f"{where}: saturation", found, f"limits of {', '.join(names)}")
-        pairs = [saturation[name] for name in names]
-    else:
-        pairs = [saturation] * len(names)
-    found_limits = []
-    for name, pair in zip(names, pairs, strict=True):
+    names, limits = model.output_names, list[tuple[float, float]]()
+    given = saturation if isinstance(saturation, dict) else dict.fromkeys(names, saturation)
+    odd = [f"no output {name!r}" for name in given if name not in names]
+    odd += [f"no limits of {name!r}" for name in names if name not in given]
+    if odd:
+        raise InputError(f"{where}: saturation", odd[0], f"limits of {', '.join(names)}")
+    for name in names:
+        place = f"{where}: saturation of {name}"
         try:
-            low, high = (float(v) for v in pair)
+            low, high = (float(v) for v in given[name])
         except (TypeError, ValueError):
-            raise InputError(f"{where}: saturation of {name}", f"{pair!r}", "two numbers (low, high)") from None
+            raise InputError(place, f"{given[name]!r}", "two numbers (low, high)") from None
         if not (np.isfinite([low, high]).all() and low < high):
-            raise InputError(f"{where}: saturation of {name}", f"{low:g} .. {high:g}", "finite low < high")
-        found_limits.append((low, high))
-    return tuple(found_limits)
+            raise InputError(place, f"{low:g} .. {high:g}", "finite low < high")
+        limits.append((low, high))
+    return tuple(limits)
 
 
 def _back_calculation(
@@ -101,25 +96,20 @@ def c_source(
     True
     """
     if not model.is_discrete:
-        raise InputError(
-            "C export", "a continuous controller (dt = 0)", "a discrete one", "discretise it with its sample time first"
-        )
+        hint = "discretise it with its sample time first"
+        raise InputError("C export", "a continuous controller (dt = 0)", "a discrete one", hint)
     if model.operating_point is not None:
         hint = "take u and y of that point off in the program around it, and export the model without the point"
         raise InputError("C export", "a model in deviations from an operating point", "one without", hint)
     if not model.n_inputs or not model.n_outputs:
         raise InputError("C export", f"{model.n_inputs} inputs and {model.n_outputs} outputs", "at least one of each")
-    if not PREFIX.fullmatch(prefix) or any(prefix in words.split() for words in RESERVED):
-        raise InputError(
-            "C export: prefix", f"{prefix!r}", "a lower-case letter, then lower-case letters, digits or underscores"
-        )
+    if not PREFIX.fullmatch(prefix) or prefix in RESERVED.split():
+        expected = "a lower-case letter, then lower-case letters, digits or underscores"
+        raise InputError("C export: prefix", f"{prefix!r}", expected)
     time, back = _back_calculation(model, limits, anti_windup)
-    ahead = None if feed_forward is None else _Ahead.of(model, feed_forward)
-    unused = [
-        name
-        for name, used in (("s", model.n_states), ("u", model.B.any() or model.D.any()))
-        if not used and not (name == "u" and ahead)
-    ]
+    ahead = None if feed_forward is None else _ahead(model, feed_forward)
+    unused = [] if model.n_states else ["s"]
+    unused += [] if ahead or model.B.any() or model.D.any() else ["u"]
     return _template().render(
         model=model,
         prefix=prefix,
@@ -145,23 +135,23 @@ class _Ahead(NamedTuple):
     output: int
     reference: int
 
-    @classmethod
-    def of(cls, model: StateSpaceModel, law: FeedForward) -> _Ahead:
-        """Where the model has the signals of a feed-forward."""
-        names, wanted = model.output_names, law.position
-        if law.input.name not in names:
-            raise InputError("C export: feed-forward", f"of {law.input.name!r}", f"one of {', '.join(names)}")
-        found = [
-            i for i, s in enumerate(model.inputs) if isinstance(s, Taken) and (s.takes, s.of) == ("r", wanted.name)
-        ]
-        if not found:
-            hint = "a controller of a tracking problem is: it sees references and measurements apart"
-            expected = f"a controller that is given the reference of {wanted.name}"
-            raise InputError("C export: feed-forward", f"inputs {', '.join(model.input_names)}", expected, hint)
-        for ours, its in ((model.outputs[names.index(law.input.name)], law.input), (model.inputs[found[0]], wanted)):
-            if ours.unit != its.unit:
-                raise UnitMismatch(f"C export: feed-forward of {its.name}", its.unit, ours.unit)
-        return cls(law, names.index(law.input.name), found[0])
+
+def _ahead(model: StateSpaceModel, law: FeedForward) -> _Ahead:
+    """Where the model has the signals of a feed-forward."""
+    names, wanted = model.output_names, law.position
+    if law.input.name not in names:
+        raise InputError("C export: feed-forward", f"of {law.input.name!r}", f"one of {', '.join(names)}")
+    of = ("r", wanted.name)
+    found = [i for i, s in enumerate(model.inputs) if isinstance(s, Taken) and (s.takes, s.of) == of]
+    if not found:
+        hint = "a controller of a tracking problem is: it sees references and measurements apart"
+        expected = f"a controller that is given the reference of {wanted.name}"
+        raise InputError("C export: feed-forward", f"inputs {', '.join(model.input_names)}", expected, hint)
+    at = _Ahead(law, names.index(law.input.name), found[0])
+    for ours, its in ((model.outputs[at.output], law.input), (model.inputs[at.reference], wanted)):
+        if ours.unit != its.unit:
+            raise UnitMismatch(f"C export: feed-forward of {its.name}", its.unit, ours.unit)
+    return at
 
 
 def _template() -> Any:
@@ -301,13 +291,15 @@ def export_controller(
     if isinstance(given, (UncertainModel, Plant)):
         raise InputError(str(path), f"a {type(given).__name__}", "a controller or a model")
     held = given if isinstance(given, Controller) else Controller(as_model(given, "export_controller"))
-    if saturation is not None and suffix != ".c":
-        raise UsageError(str(path), f"a saturation in a {suffix} file", "a .c file")
-    if anti_windup is not None and (saturation is None or suffix != ".c"):
-        found = "an anti-windup time " + (f"in a {suffix} file" if suffix != ".c" else "without a saturation")
-        raise UsageError(str(path), found, "a .c file with a saturation")
-    if feed_forward is not None and suffix != ".c":
-        raise UsageError(str(path), f"a feed-forward in a {suffix} file", "a .c file: the others hold a linear model")
+    for given, what in (
+        (saturation, "a saturation"),
+        (anti_windup, "an anti-windup time"),
+        (feed_forward, "a feed-forward"),
+    ):
+        if given is not None and suffix != ".c":
+            raise UsageError(str(path), f"{what} in a {suffix} file", "a .c file: the others hold a linear model")
+    if anti_windup is not None and saturation is None:
+        raise UsageError(str(path), "an anti-windup time without a saturation", "a .c file with a saturation")
     limits = saturation_limits(held.K, saturation, "export_controller")
     origin = provenance or Provenance.now("export_controller")
     if suffix == ".c":

@@ -27,42 +27,36 @@ from robustlab.uncertainty.parametric import parametric
 
 MAX_BYTES = 1 << 20
 MATRICES = ("A", "B", "C", "D")
-KEYS = (*MATRICES, "parameters", "dt", "inputs", "outputs", "states")
+SIGNALS = ("inputs", "outputs", "states")
+KEYS = (*MATRICES, "parameters", "dt", *SIGNALS)
 RANGE = ("nominal", "low", "high", "unit")
 
 
 def load_parametric(path: str | Path) -> UncertainModel:
     """The uncertain model that a file of expressions describes; see `robustlab.uncertainty.parametric.parametric`."""
-    data = _read(Path(path))
+    where = str(path)
+    if not Path(path).is_file():
+        raise InputError(where, "no such file", "a .toml file with matrices of expressions")
+    raw = Path(path).read_bytes()
+    if len(raw) > MAX_BYTES:
+        raise InputError(where, f"{len(raw)} bytes", f"at most {MAX_BYTES}")
+    data = parse_document("toml", raw, where)
     unknown = [key for key in data if key not in KEYS]
     if unknown:
         hint = did_you_mean(unknown[0], KEYS)
-        raise InputError(str(path), f"key {unknown[0]!r}", f"some of {', '.join(KEYS)}", hint)
+        raise InputError(where, f"key {unknown[0]!r}", f"some of {', '.join(KEYS)}", hint)
     missing = [key for key in (*MATRICES, "parameters") if key not in data]
     if missing:
-        raise InputError(str(path), f"no {missing[0]}", "A, B, C, D and a table [parameters]")
+        raise InputError(where, f"no {missing[0]}", "A, B, C, D and a table [parameters]")
     if not isinstance(data["parameters"], dict):
-        raise InputError(str(path), "parameters is no table", "a table [parameters]")
+        raise InputError(where, "parameters is no table", "a table [parameters]")
     try:
         ranges = {name: _range(name, given) for name, given in data["parameters"].items()}
-        options = {key: data[key] for key in ("dt", "inputs", "outputs", "states") if key in data}
-        for key in ("inputs", "outputs", "states"):
-            if key in options:
-                options[key] = _signals(key, options[key])
-        return parametric(data["A"], data["B"], data["C"], data["D"], ranges, **options)
+        options = {key: data[key] for key in ("dt", *SIGNALS) if key in data}
+        return parametric(*(data[name] for name in MATRICES), ranges, **options)
     except InputError as error:
         found = f"{error.where}: {error.found}"
-        raise type(error)(str(path), found, error.expected, error.hint, error.more) from None
-
-
-def _read(file: Path) -> dict[str, Any]:
-    where = str(file)
-    if not file.is_file():
-        raise InputError(where, "no such file", "a .toml file with matrices of expressions")
-    if file.stat().st_size > MAX_BYTES:
-        raise InputError(where, f"{file.stat().st_size} bytes", f"at most {MAX_BYTES}")
-    raw = file.read_bytes()
-    return parse_document("toml", raw, where)
+        raise type(error)(where, found, error.expected, error.hint, error.more) from None
 
 
 def _range(name: str, given: Any) -> Any:
@@ -82,14 +76,3 @@ def _range(name: str, given: Any) -> Any:
         raise InputError(where, f"unit {unit!r}", "a text")
     nominal = float(given["nominal"]) if "nominal" in given else None
     return ParameterRange.between(float(given["low"]), float(given["high"]), nominal, unit)
-
-
-def _signals(key: str, given: Any) -> list[Any]:
-    wrong = f"{given!r}"[:80]
-    if not isinstance(given, list):
-        raise InputError(key, wrong, "a list of names, or of [name, unit]")
-    for item in given:
-        pair = isinstance(item, list) and len(item) == 2 and all(isinstance(part, str) for part in item)
-        if not isinstance(item, str) and not pair:
-            raise InputError(key, wrong, "a list of names, or of [name, unit]")
-    return [item if isinstance(item, str) else tuple(item) for item in given]

@@ -17,12 +17,12 @@ from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.matlab import write_matlab5
 from robustlab.files.signature import Limits, content_of
-from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp, text_attr
+from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp
 from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced, code_of
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.codecs import BY_KIND, codec_of, record_from
-from robustlab.storage.matrices import NAMES, Problems, decode_state_space
+from robustlab.storage.matrices import NAMES, SIGNAL, Problems, decode_state_space
 
 if TYPE_CHECKING:
     from robustlab.delays.model import DelayedModel
@@ -105,12 +105,8 @@ def load(
     """
     loaded = read(path, group=group, transpose=transpose, no_verify=no_verify, limits=limits, isolate=isolate)
     if loaded.kind == "pair":
-        raise InputError(
-            str(path),
-            "two models, /nominal and /perturbed",
-            "one object",
-            'load_pair(path), or load(path, group="nominal")',
-        )
+        hint = 'load_pair(path), or load(path, group="nominal")'
+        raise InputError(str(path), "two models, /nominal and /perturbed", "one object", hint)
     for text in loaded.warnings:
         if "content_sha256" in text:
             warnings.warn(f"{path}: {text}", stacklevel=2)
@@ -138,9 +134,8 @@ def load_plant(path: str) -> Any:
 
     found = load(path)
     if not isinstance(found, Plant):
-        raise InputError(
-            path, f"holds a {type(found).__name__}", "a plant", "save one with robustlab.save(path, plant)"
-        )
+        hint = "save one with robustlab.save(path, plant)"
+        raise InputError(path, f"holds a {type(found).__name__}", "a plant", hint)
     return found
 
 
@@ -159,25 +154,20 @@ def read(
     if content == "text":
         return Loaded(record_from(path, group, limits, isolate), "record", where, False)
     tree = read_tree(path, group, limits, isolate)
-    problems = Problems(where)
-    if is_stamped(tree) and group is None:
+    problems, found, origin = Problems(where), list[str](), None
+    verified = is_stamped(tree) and group is None
+    if verified:
         kind, found = check_header(tree, no_verify)
-        thing = BY_KIND[kind].read(tree, problems, transpose)
-        verified = not found and not (no_verify and text_attr(tree.attrs, "content_sha256") is None)
-        return Loaded(
-            thing,
-            kind,
-            where,
-            verified,
-            (*found, *problems.notes, *_unit_warnings(kind, thing)),
-            decode_provenance(tree),
-        )
-    node = tree.find(group) if group else tree
-    if node is None:
-        names = ", ".join(tree.group_names())
-        raise InputError(where, f"missing group /{group}", f"one of {names}" if names else "a file with groups")
-    kind, thing = _plain(node, problems, group, transpose=transpose, limits=limits, isolate=isolate)
-    return Loaded(thing, kind, where, False, (*problems.notes, *_unit_warnings(kind, thing)))
+        thing, origin = BY_KIND[kind].read(tree, problems, transpose), decode_provenance(tree)
+        verified = not found
+    else:
+        node = tree.find(group) if group else tree
+        if node is None:
+            names = ", ".join(tree.group_names())
+            raise InputError(where, f"missing group /{group}", f"one of {names}" if names else "a file with groups")
+        kind, thing = _plain(node, problems, group, transpose=transpose, limits=limits, isolate=isolate)
+    warned = (*found, *problems.notes, *_unit_warnings(kind, thing))
+    return Loaded(thing, kind, where, verified, warned, origin)
 
 
 def _plain(
@@ -286,15 +276,12 @@ def _save_matlab(path: str | Path, obj: Any) -> Path:
         hint = "save it as .h5, which MATLAB reads with h5read"
         raise InputError(str(path), found, "a model or a controller for .mat", hint)
     model = as_model(obj, "save")
-    variables: dict[str, Any] = {name: getattr(model, name) for name in NAMES}
-    variables["dt"] = model.dt
+    variables: dict[str, Any] = {name: getattr(model, name) for name in (*NAMES, "dt")}
     point = model.operating_point
     if point is not None:
         variables["operating_point"] = {name: getattr(point, name).reshape(-1, 1) for name in ("x", "u", "y")}
+    taken = any(isinstance(s, Taken) for s in model.inputs)
     for side, signals in (("State", model.states), ("Input", model.inputs), ("Output", model.outputs)):
-        variables[f"{side}Name"] = [s.name for s in signals]
-        variables[f"{side}Unit"] = [s.unit for s in signals]
-    if any(isinstance(s, Taken) for s in model.inputs):
-        variables["InputTakes"] = [getattr(s, "takes", "") for s in model.inputs]
-        variables["InputOf"] = [getattr(s, "of", "") for s in model.inputs]
+        for word in SIGNAL if taken and side == "Input" else SIGNAL[:2]:
+            variables[f"{side}{word.capitalize()}"] = [getattr(s, word, "") for s in signals]
     return atomic_write(path, lambda temporary: write_matlab5(temporary, variables))

@@ -65,7 +65,7 @@ except RobustlabError as error:
     before = (tmp_path / "r.h5").read_bytes()
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 5, done.stderr
-    assert done.stdout == "r.h5: larger than the system allows; previous file kept\n"
+    assert done.stdout == "r.h5: file too large; previous file kept\n"
     assert (tmp_path / "r.h5").read_bytes() == before
     assert len(list(tmp_path.iterdir())) == 1
 
