@@ -30,10 +30,9 @@ def solve(
     *,
     steps: float,
     seconds: float | None,
-    squares: Array | None = None,
     threads: int = 1,
 ) -> Any:
-    r"""Minimise ``cost x + squares x^2 / 2`` with ``right - rows x`` in the cones; None where the solver panics.
+    r"""Minimise ``cost x`` with ``right - rows x`` in the cones; None where the solver panics.
 
     ``rows``: dense or sparse, those of matrices by triangles (`triangle`).
     ``steps``, ``seconds``: the most that the solver may take; None is without a limit.
@@ -54,7 +53,7 @@ def solve(
     settings.max_iter = int(steps)
     if seconds is not None:
         settings.time_limit = seconds
-    quadratic = sparse.csc_matrix((len(cost), len(cost))) if squares is None else sparse.diags(squares).tocsc()
+    quadratic = sparse.csc_matrix((len(cost), len(cost)))
     parts = [kinds[kind](size) for kind, size in cones]
     try:
         return solver.DefaultSolver(quadratic, cost, sparse.csc_matrix(rows), right, parts, settings).solve()

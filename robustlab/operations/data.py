@@ -152,7 +152,6 @@ class Asked:
         Choice(("peak", "rms")),
         "What the bound is of: peak or rms (frequency domain: rms).",
     ] = None
-    per_block: Annotated[bool, Flag(), "Also the smallest scaling of each block alone."] = False
     precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,16 @@ from robustlab.dynamics.fmu import FmuPlant
 from robustlab.dynamics.fmu import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import NoTrustworthyNumber, UsageError, told_as
-from robustlab.identification.comparison.along_motion import compare_along
+from robustlab.identification.comparison.along_motion import (
+    Beside,
+    beside_along,
+    free_run,
+    linearisation,
+    motions_of_joints,
+    motions_of_outputs,
+    pose_of,
+    unstable,
+)
 from robustlab.identification.comparison.best_linear_approximation import (
     BestLinearApproximation,
     arbitrary_bla,
@@ -23,6 +33,7 @@ from robustlab.identification.comparison.best_linear_approximation import (
 from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.error_analysis import (
     FreeRun,
+    Linearisation,
     Motion,
     even_odd_test,
     excitation,
@@ -31,16 +42,28 @@ from robustlab.identification.comparison.error_analysis import (
     motion_of,
     noise_gaps,
     noise_of,
-    repeated,
     samples_of,
     title,
 )
-from robustlab.identification.comparison.input_disturbance import input_disturbances
+from robustlab.identification.comparison.input_disturbance import (
+    InputDisturbance,
+    input_disturbances,
+    joint_disturbances,
+)
 from robustlab.identification.comparison.repeats import NoiseFloor
 from robustlab.identification.comparison.residual_tests import judged_lines
+from robustlab.identification.hypotheses.prepared_record import window_length
 from robustlab.identification.record_check.suitability import channel_warnings
+from robustlab.identification.response.linear_response import LinearResponse
+from robustlab.identification.response.motion_response import MotionResponse
 from robustlab.identification.response.response import Response, Stretch, response_of
-from robustlab.identification.response.windowed_simulation import InitialState, starting_state, windowed_simulation
+from robustlab.identification.response.windowed_simulation import (
+    InitialState,
+    WindowedSimulation,
+    starting_state,
+    window_edges,
+    windowed_simulation,
+)
 from robustlab.record import Record
 from robustlab.result import Status
 
@@ -129,36 +152,29 @@ def compare(
             expected = "none: a co-simulation unit runs from its own initial state"
             raise UsageError(f"compare {record.name}", found, expected)
         return plant.compare(record)
-    if isinstance(plant, NonlinearPlant) and not isinstance(plant, SteppedPlant):
-        return compare_along(
-            plant, record, window=window, start=start, lags=lags, speed=speed, position=position, period=period,
-            repeats=repeats,
-        )  # fmt: skip
-    response = response_of(plant, record)
-    inputs, outputs = response.model.input_names, response.output_names
-    record = response.with_units(record)
-    whole = response.stretch(record)
-    length = _window_length(response, record, window)
-    initial = starting_state(response, whole, length if start is None else samples_of("start", start, record))
-    free = response.simulate(whole.t, whole.u, initial.x0)
-    if np.abs(free).max() > LARGEST_OUTPUT:
-        raise NoTrustworthyNumber(
-            f"compare {record.name}",
-            "the free run overflows",
-            "a stable model",
-            "compare a shorter stretch (Record.between)",
-        )
-    windows = windowed_simulation(response, whole, length)
-    motion = motion_of(record, speed, position, length)
-    motions, lags = dict.fromkeys(outputs, motion), min(lags, record.n // 4)
-    found = localised(whole, response.outputs, free, windows, motions, _sizes(response, whole), lags)
-    others = tuple(response_of(plant, other).with_units(other) for other in repeats)
-    noise, noise_reason = noise_of(record, others, outputs, period)
+    beside = _beside(plant, record)
+    model, record, inputs, outputs = beside.model, beside.record, beside.inputs, [s.name for s in beside.outputs]
+    whole, along = model.whole, model if isinstance(model, MotionResponse) else None
+    length = _window_length(plant, beside, window)
+    initial = starting_state(model, length if start is None else samples_of("start", start, record))
+    windows = windowed_simulation(model, window_edges(record.n, length))
+    run, free = free_run(along, initial.x0, outputs) if along else _free_run(model.response, whole, record, initial)
+    motions, of_joints = _motions(beside, speed, position, length)
+    found = localised(
+        whole, beside.outputs, free if run.whole else None, windows, motions, _sizes(beside), min(lags, record.n // 4)
+    )
+    others = [_beside(plant, other) for other in repeats]
+    noise, noise_reason = noise_of(record, tuple(other.record for other in others), outputs, period)
     rms = {name: (gap.rms, gap.windowed_rms) for name, gap in found["outputs"].items()}
-    stretches = repeated(noise, whole, [response.stretch(r) for r in others]) if noise else []
-    errors = [s.y - windowed_simulation(response, s, length).y for s in stretches]
-    linear, linear_reason = _linear(record, response, whole, noise)
-    return Comparison(
+    errors = [_windowed_error(*repeat, length) for repeat in _repeated(noise, beside, others)] if noise else []
+    linear, linear_reason = (
+        ({}, "a nonlinear plant has no one frequency response")
+        if along
+        else _linear(record, model.response, whole, noise)
+    )
+    error = whole.y - windows.y
+    checked = linearisation(along, windows, outputs) if along else None
+    compared = Comparison(
         status=Status.CONVERGED,
         model=title(plant),
         record=record.name,
@@ -166,27 +182,87 @@ def compare(
         initial_state=initial,
         window=length * record.dt,
         measured=kept(record, inputs, outputs, whole.y, record.name),
-        simulated=kept(record, inputs, outputs, free, f"{record.name} (free run)"),
+        simulated=kept(record, inputs, outputs, free, f"{record.name} (free run)") if len(free) > 1 else None,
         windowed=kept(record, inputs, outputs, windows.y, f"{record.name} (windowed simulation)"),
         recursive={name: windows.residual[:, k] for k, name in enumerate(outputs)},
-        disturbance=input_disturbances(plant, response, whole, whole.y - windows.y, length, motion),
-        warnings=_warnings(response, record, initial, motion),
+        disturbance=_disturbances(plant, beside, error, windows, of_joints),
+        warnings=(
+            *beside.warnings,
+            *channel_warnings(record, tuple(inputs), tuple(outputs)),
+            *_warnings(beside, initial, motions, checked, run),
+        ),
         noise=noise,
         noise_reason=noise_reason,
         against_noise=noise_gaps(outputs, np.stack(errors), noise, rms) if noise else {},
         linear=linear,
         linear_reason=linear_reason,
         nonlinearity=even_odd_test(record, inputs, outputs, noise),
-        free_run=FreeRun(float(record.t[-1]), ""),
+        free_run=run,
+        linearisation=checked,
+        sensor_noise=dict(zip(outputs, (1.0 / whole.weight).tolist(), strict=True)) if along else {},
+        left_out=_left_out(run, motions, inputs) if along else (),
         **found,
     )
+    return replace(compared, pose=pose_of(plant, compared)) if along else compared
 
 
-def _sizes(response: Response, whole: Stretch) -> dict[str, Array]:
-    """Input name -> its deviation (n,) from the operating point, of those that move."""
-    point = response.model.operating_point
-    offset = dict(zip(response.model.input_names, point.u, strict=True)) if point else {}
-    return {name: np.abs(x - offset.get(name, 0.0)) for name, x in whole.u.items() if np.ptp(x)}
+def _beside(plant: Any, record: Record) -> Beside:
+    """The plant or model beside a record: linear, or linear about the recorded motion."""
+    if isinstance(plant, NonlinearPlant) and not isinstance(plant, SteppedPlant):
+        return beside_along(plant, record)
+    response = response_of(plant, record)
+    record = response.with_units(record)
+    model = LinearResponse(response, response.stretch(record))
+    return Beside(model, record, list(response.model.input_names), response.outputs, response.warnings)
+
+
+def _free_run(response: Response, whole: Stretch, record: Record, initial: InitialState) -> tuple[FreeRun, Array]:
+    free = response.simulate(whole.t, whole.u, initial.x0)
+    if np.abs(free).max() > LARGEST_OUTPUT:
+        hint = "compare a shorter stretch (Record.between)"
+        raise NoTrustworthyNumber(f"compare {record.name}", "the free run overflows", "a stable model", hint)
+    return FreeRun(float(record.t[-1]), ""), free
+
+
+def _motions(
+    beside: Beside, speed: str | None, position: str | None, length: int
+) -> tuple[dict[str, Motion], list[Motion]]:
+    """Motion by output, and by joint (the one of the record where all share it)."""
+    if isinstance(beside.model, MotionResponse) and not (speed or position):
+        return motions_of_outputs(beside.model, beside.record), motions_of_joints(beside.model, beside.record)
+    motion = motion_of(beside.record, speed, position, length)
+    return dict.fromkeys((s.name for s in beside.outputs), motion), [motion]
+
+
+def _disturbances(
+    plant: Any, beside: Beside, error: Array, windows: WindowedSimulation, motions: Sequence[Motion]
+) -> dict[str, InputDisturbance]:
+    if beside.smoothed is not None:
+        return joint_disturbances(beside.model, beside.smoothed, error, windows.edges, motions)
+    return input_disturbances(plant, beside.model, error, windows.edges, motions[0])
+
+
+def _sizes(beside: Beside) -> dict[str, Array]:
+    """Input name -> its deviation (n,) from the operating point, of those that move; of one input along a motion."""
+    moving = {name: x for name, x in beside.model.whole.u.items() if np.ptp(x)}
+    if isinstance(beside.model, MotionResponse):
+        return {name: np.abs(x) for name, x in moving.items()} if len(beside.inputs) == 1 else {}
+    point = beside.model.response.model.operating_point
+    offset = dict(zip(beside.inputs, point.u, strict=True)) if point else {}
+    return {name: np.abs(x - offset.get(name, 0.0)) for name, x in moving.items()}
+
+
+def _repeated(floor: NoiseFloor, beside: Beside, others: Sequence[Beside]) -> list[tuple[Beside, int, int]]:
+    """The repeats that a floor is of, at equal phases, with first sample and length."""
+    if floor.source == "periods":
+        return [(beside, floor.first + k * floor.samples, floor.samples) for k in range(floor.count)]
+    return [(one, 0, floor.samples) for one in (beside, *others)]
+
+
+def _windowed_error(beside: Beside, first: int, n: int, length: int) -> Array:
+    """Measured minus windowed simulation of a part of a record, (n, n_y)."""
+    windows = windowed_simulation(beside.model, first + window_edges(n, length))
+    return (beside.model.whole.y - windows.y)[first : first + n]
 
 
 def _linear(
@@ -210,32 +286,51 @@ def _linear(
     return result, "" if all(result.values()) else "too few samples, or no line excited above the noise"
 
 
-def _window_length(response: Response, record: Record, window: float | None) -> int:
+def _window_length(plant: Any, beside: Beside, window: float | None) -> int:
     """Samples per window."""
+    record, model = beside.record, beside.model
     if window is not None:
         return samples_of("window", window, record)
-    seconds = response.slowest_time_constant() or record.duration / WINDOWS_WITHOUT_TIME_CONSTANT
-    shortest = max(SHORTEST_WINDOW, 10 * response.n_states)
+    if isinstance(model, MotionResponse):
+        return window_length(plant, [record])
+    seconds = model.response.slowest_time_constant() or record.duration / WINDOWS_WITHOUT_TIME_CONSTANT
+    shortest = max(SHORTEST_WINDOW, 10 * len(model.state_names))
     return min(record.n, max(shortest, min(round(seconds / record.dt), record.n // WINDOWS_AT_LEAST)))
 
 
-def _warnings(response: Response, record: Record, initial: InitialState, motion: Motion) -> tuple[str, ...]:
-    warnings = [*response.warnings, *channel_warnings(record, response.model.input_names, response.output_names)]
-    slowest = response.slowest_time_constant()
+def _warnings(
+    beside: Beside, initial: InitialState, motions: dict[str, Motion], checked: Linearisation | None, run: FreeRun
+) -> list[str]:
+    record, model, told = beside.record, beside.model, []
+    along = isinstance(model, MotionResponse)
+    if initial.rank < len(model.state_names):
+        rest = "the rest was taken from the motion" if along else "the rest was taken as the smallest that fits"
+        told.append(
+            f"the recorded outputs determine {initial.rank} of {len(model.state_names)} states at the start; {rest}"
+        )
+    if along:
+        return [*told, *(checked.warnings() if checked else []), *unstable(model, run)]
+    slowest = model.response.slowest_time_constant()
     if record.duration < slowest:
-        warnings.append(
+        told.append(
             f"the record lasts {record.duration:.3g} s, the slowest time constant of the model is {slowest:.3g} s: "
             "slow behaviour is not tested"
         )
-    if initial.rank < response.n_states:
-        warnings.append(
-            f"the recorded outputs determine {initial.rank} of {response.n_states} states at the start; "
-            "the rest was taken as the smallest that fits"
-        )
     if not record.is_uniform:
-        warnings.append("the clock is not uniform: spectra are of interpolated signals, lags count samples")
-    if motion.speed is None:
-        warnings.append(
+        told.append("the clock is not uniform: spectra are of interpolated signals, lags count samples")
+    if next(iter(motions.values())).speed is None:
+        told.append(
             "no output in a unit of speed, length or angle: the error is not sorted by speed (name one with speed=)"
         )
-    return tuple(warnings)
+    return told
+
+
+def _left_out(run: FreeRun, motions: dict[str, Motion], inputs: Sequence[str]) -> tuple[str, ...]:
+    told = ["frequency response: a nonlinear plant has no one"]
+    if not run.whole:
+        told.append("places in frequency: they are told of the free run")
+    if len(inputs) > 1:
+        told.append("error over the size of an input: it is told of a plant with one input")
+    if loose := [name for name, motion in motions.items() if motion.speed is None]:
+        told.append(f"speed, direction and position of {', '.join(loose)}: no one joint is behind it")
+    return tuple(told)

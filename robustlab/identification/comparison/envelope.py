@@ -15,6 +15,7 @@ from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
+from robustlab.identification.response.linear_response import LinearResponse
 from robustlab.identification.response.response import response_of
 from robustlab.identification.response.windowed_simulation import SHORTEST_START, starting_state
 from robustlab.record import Record
@@ -185,7 +186,7 @@ def cover(
     chosen = uncertain.select(outputs=names)
     nominal = response_of(chosen.nominal, shifted)
     # Over the shortest stretch: a longer one would let the initial state take over a part of the gap.
-    start = starting_state(nominal, nominal.stretch(shifted), SHORTEST_START)
+    start = starting_state(LinearResponse(nominal, nominal.stretch(shifted)), SHORTEST_START)
     drawn = sample(chosen, n, seed, vertices)
     u = {name: shifted.inputs[name] for name in nominal.model.input_names}
     found = drawn.respond(record.t, u, start.x0)

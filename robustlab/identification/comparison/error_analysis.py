@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -32,6 +32,7 @@ POLYNOMIAL = 3  # order of the Savitzky-Golay polynomial
 SEGMENTS = 8  # Welch segments that fit into the record side by side
 LONGEST_SEGMENT = 8192
 CONFIDENCE = 0.99
+LINEAR_SHARE = 0.1  # of the error; a larger difference from the nonlinear plant is warned of
 REST = 0.02  # speeds below this share of the largest count as rest
 
 
@@ -260,14 +261,6 @@ class NoiseGap(Evidence):
     excess: Excess
 
 
-def repeated(floor: NoiseFloor, whole: Stretch, others: Sequence[Stretch]) -> list[Stretch]:
-    """The repeats that a floor is of, at equal phases: periods of the record, or the record and the others."""
-    if floor.source == "periods":
-        starts = floor.first + floor.samples * np.arange(floor.count)
-        return [whole.cut(int(a), int(a) + floor.samples) for a in starts]
-    return [replace(s.cut(0, floor.samples), weight=whole.weight) for s in (whole, *others)]
-
-
 def noise_gaps(
     outputs: Sequence[str], errors: Array, floor: NoiseFloor, rms: Mapping[str, tuple[float, float]]
 ) -> dict[str, NoiseGap]:
@@ -374,6 +367,22 @@ class Linearisation(Evidence):
     share: Mapping[str, float]
     # times at which those windows start whose nonlinear simulation does not reach their end; they count nowhere
     broken: Array
+
+    def warnings(self) -> list[str]:
+        """What a reader must know before trusting the windows."""
+        told = []
+        worst = max(self.share, key=lambda name: self.share[name], default="")
+        if worst and self.share[worst] > LINEAR_SHARE:
+            told.append(
+                f"the windows are linear about the recorded motion, and that makes {100 * self.share[worst]:.0f} % of "
+                f"the error of {worst}: take shorter windows"
+            )
+        if len(self.broken):
+            told.append(
+                "from the fitted start the nonlinear plant does not reach the end of the window at "
+                f"{self.broken[0]:.4g} s"
+            )
+        return told
 
 
 def noise_of(

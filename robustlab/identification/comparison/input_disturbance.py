@@ -6,7 +6,7 @@ Over the speed it shows a friction that the model lacks as a friction curve with
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,9 +17,9 @@ from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_mode
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.error_analysis import REST, Bin, Motion, bins, speed_edges
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
-from robustlab.identification.response.motion_response import MotionResponse, fit_windows
-from robustlab.identification.response.response import Response, Stretch
-from robustlab.identification.response.windowed_simulation import windowed_simulation
+from robustlab.identification.response.linear_response import LinearResponse
+from robustlab.identification.response.motion_response import MotionResponse
+from robustlab.identification.response.windowed_simulation import Windowed, fit_windows
 from robustlab.result import Evidence
 from robustlab.shown import Each
 from robustlab.statespace import StateSpaceModel
@@ -82,17 +82,17 @@ def located(found: Mapping[str, InputDisturbance]) -> tuple[InputDisturbance, ..
 
 
 def input_disturbances(
-    plant: Any, response: Response, whole: Stretch, error: Array, length: int, motion: Motion
+    plant: Any, response: LinearResponse, error: Array, edges: Indices, motion: Motion
 ) -> dict[str, InputDisturbance]:
     """One at each input and each joint that no input drives directly, by the input's name or ``torque at omega``.
 
-    ``error``: of the windows of ``length`` samples, (n, n_y). Empty for a discrete model, an uneven
-    clock and a few samples.
+    ``error``: of the windows between ``edges``, (n, n_y). Empty for a discrete model, an uneven clock and a few
+    samples.
     """
-    model = response.model
+    model, whole, names = response.response.model, response.whole, response.response.output_names
     if model.is_discrete or not whole.is_uniform or len(whole.t) < SHORTEST:
         return {}
-    model = model.select(outputs=response.output_names)
+    model = model.select(outputs=names)
     u = np.column_stack([whole.u[name] for name in model.input_names])
     noise = _sensor_noise(whole.y)
     found: dict[str, InputDisturbance] = {}
@@ -101,12 +101,9 @@ def input_disturbances(
             smoothed = smooth_disturbance(model, push[:, None], whole.t, u, whole.y, noise)
         except (InputError, NoTrustworthyNumber):  # no output responds to it, or the record is too short
             continue
-        d = smoothed.d[:, 0]
-        alone = StateSpaceModel(model.A, push[:, None], model.C, np.zeros((len(noise), 1)), 0.0, ["d"], model.outputs)
-        pushed = Stretch(whole.t, {"d": d}, error, whole.weight)
-        left = error - windowed_simulation(Response(alone, response.outputs, ()), pushed, length).y
+        left = _left(replace(response, pushes=push[:, None]), smoothed.d, error, edges)[0] / whole.weight
         errors = [e / smoothed.noise_std for e in (error, left)]
-        found[key] = _disturbance(place, unit, smoothed, 0, motion, response.output_names, *errors)
+        found[key] = _disturbance(place, unit, smoothed, 0, motion, names, *errors)
     return found
 
 
@@ -115,24 +112,30 @@ def joint_disturbances(
 ) -> dict[str, InputDisturbance]:
     """One at each joint of a nonlinear plant, or at each input of one without joints.
 
-    ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input.
+    ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input, or the one of all.
     """
-    plant, weight = response.plant, response.whole.weight
+    plant = response.plant
     joints = [(_force_at(p.name, next(s.unit for s in plant.states if s.name == p.name)), p.unit)
               for p in plant.port_places if p.kind == "joint"]  # fmt: skip
     places = joints or [(f"input {s.name}", s.unit) for s in plant.inputs]
-    left = np.empty((len(places), *error.shape))
-    for size in np.unique(np.diff(edges)):
-        for windows in response.responses(edges[:-1][np.diff(edges) == size], int(size), smoothed.d):
-            at = windows.starts[:, None] + np.arange(size)
-            for j in range(len(places)):
-                rest = fit_windows(windows, error[at] - windows.pushed[..., j], weight).left
-                left[j][at] = rest.reshape(*at.shape, -1)
+    motions = motions if len(motions) == len(places) else [motions[0]] * len(places)
+    left, before = _left(response, smoothed.d, error, edges), error * response.whole.weight
     names = [plant.outputs[k].name for k in response.columns]
     return {
-        place.removeprefix("input "): _disturbance(place, unit, smoothed, j, motions[j], names, error * weight, left[j])
+        place.removeprefix("input "): _disturbance(place, unit, smoothed, j, motions[j], names, before, left[j])
         for j, (place, unit) in enumerate(places)
     }
+
+
+def _left(model: Windowed, d: Array, error: Array, edges: Indices) -> Array:
+    """What each force of d (n, n_forces) leaves of the error, starts fitted anew, weighted: (n_forces, n, n_y)."""
+    left, sizes = np.empty((d.shape[1], *error.shape)), np.diff(edges)
+    for size in np.unique(sizes):
+        for windows in model.responses(edges[:-1][sizes == size], int(size), d):
+            at = windows.samples
+            for j in range(len(left)):
+                left[j][at] = fit_windows(model, windows, error[at] - windows.pushed[..., j]).left
+    return left
 
 
 def _places(plant: Any, model: StateSpaceModel) -> Iterable[tuple[str, str, str, Array]]:

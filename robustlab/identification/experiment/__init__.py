@@ -1,5 +1,5 @@
 """What to measure next: the experiment that separates the named effects from their rivals best."""
 
-from robustlab.identification.experiment.next_experiment import NextExperiment, Pair, Tried, propose_experiment
+from robustlab.identification.experiment.next_experiment import NextExperiment, propose_experiment
 
-__all__ = ["NextExperiment", "Pair", "Tried", "propose_experiment"]
+__all__ = ["NextExperiment", "propose_experiment"]

@@ -36,19 +36,11 @@ CANNOT_TELL = 3.0  # noise sigmas
 SAFE = 10.0  # the same, from which an experiment is safe to separate
 SHORTER_BEATS = (1.0, 0.5, 0.25, 0.125)  # tried where the plant would run out of its travel
 REFITTED_ENTRIES = 5  # of the menu, properly: more find better experiments, each costs fits of all pairs
+SIGNALS_EACH = 2  # of these with the same sensors
 REFIT_ITERATIONS = 12  # valleys of two parameters that nearly do the same are long
 ASSUMED_NOISE = 1e-3  # of the range, of a sensor that was not recorded so far
 SENSOR_WORTH = 0.25  # share of d that a new sensor must bring
 SHORTEST_PERIOD = 4.0  # samples of the fastest sine
-HEATING = 7  # lengths of an ordinary experiment that the winding is warmed for
-
-
-class Pair(NamedTuple):
-    """Refit distance of ``rival`` to what ``truth`` predicts, in noise sigmas."""
-
-    truth: str
-    rival: str
-    separation: float
 
 
 class Tried(NamedTuple):
@@ -84,7 +76,6 @@ class NextExperiment(Evidence):
     if_named: float  # the same over the pairs with the named hypothesis as the truth
     now: float  # smallest refit distance of the named hypothesis and a rival for the present records (`refit_distance`)
     hypotheses: tuple[str, ...]  # what is to be separated, the named one first
-    pairs: tuple[Pair, ...]  # d of each ordered pair
     menu: tuple[Tried, ...]  # all that was tried
 
     @property
@@ -108,42 +99,50 @@ class NextExperiment(Evidence):
         return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def propose_experiment(
-    problem: Problem,
-    named: Fit,
-    rivals: Sequence[Fit],
-) -> NextExperiment | None:
+def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> NextExperiment | None:
     """The experiment of the menu that separates the named hypothesis and its rivals best; None where none can.
 
     Inputs stay within the recorded sizes, positions in m within their recorded range; the experiment is as long as the
     longest record, or twenty slowest time constants.
     """
     rivals = [r for r in rivals if r.hypothesis.key != named.hypothesis.key]
-    if not rivals:
-        return None
-    open_ones = [named, *sorted(rivals, key=lambda f: -f.evidence)[:MOST_OPPONENTS]]
-    labels = labels_of(open_ones)
+    fits = [named, *sorted(rivals, key=lambda f: -f.evidence)[:MOST_OPPONENTS]]
     limits = _limits(problem)
-    trials = trials_of(problem, open_ones, limits)
+    trials = _trials(problem, fits, limits) if rivals else []
     if not trials:
         return None
-    noise, assumed = noise_of(problem, named.noise, trials)
-    bench = Bench(problem, tuple(open_ones), labels, noise)
-    screened = sorted((e for trial in trials for e in bench.screened(trial, limits)), key=bench.preference)
-    chosen, pairs, refitted = bench.best_refitted(screened)
-    now = min(p.separation for p in distances(problem, open_ones, labels))
-    done = {(e.trial.excitation.name, e.sensors, e.count): e for e in refitted}
-    menu = [done.get((e.trial.excitation.name, e.sensors, e.count), e) for e in screened]
-    return _proposal(
-        problem,
-        chosen,
-        pairs,
-        now,
+    noise, assumed = _noise(problem, named.noise, trials)
+    screened = sorted((e for trial in trials for e in _screened(problem, fits, noise, trial, limits)), key=_preference)
+    refitted = _refitted_best(problem, fits, noise, screened)
+    chosen, close = min(refitted, key=lambda found: _preference(found[0]))
+    done = {(e.trial.name, e.sensors): e for e, _ in refitted}
+    menu = sorted((done.get((e.trial.name, e.sensors), e) for e in screened), key=_preference)
+    plant, dt, labels, u = problem.plant, problem.records[0].record.dt, _labels(fits), chosen.trial.u
+    outputs, units = [s.name for s in plant.outputs], {s.name: s.unit for s in (*plant.inputs, *plant.outputs)}
+    sensors, added = (tuple(outputs[k] for k in columns) for columns in (chosen.sensors, chosen.added))
+    duration = len(u) * dt
+    text = f"{chosen.trial.text}. {duration:.3g} s in all, one sample every {1e3 * dt:.3g} ms; record "
+    text += ", ".join(sensors)
+    for name in added:
+        text += f" ({name} is new: a noise of {assumed[name]:.2g} {units[name]} a sample is assumed)"
+    return NextExperiment(
+        chosen.trial.name,
+        text,
+        _advice(chosen, [labels[k] for k in close], labels, fits, limits, units),
+        dt * np.arange(len(u), dtype=float),
+        {s.name: u[:, k].copy() for k, s in enumerate(plant.inputs)},
+        {s.name: s.unit for s in plant.inputs},
+        duration,
+        sensors,
+        added,
+        {name: assumed[name] for name in added},
+        chosen.separation,
+        chosen.named,
+        min(refit_distance(problem, fits[a], fits[b]) for a, b in _ordered(fits) if 0 in (a, b)),
         labels,
-        open_ones,
-        assumed,
-        [_tried(problem, e) for e in sorted(menu, key=bench.preference)],
-        limits,
+        tuple(
+            Tried(e.trial.name, tuple(outputs[k] for k in e.sensors), duration, e.separation, e.refitted) for e in menu
+        ),
     )
 
 
@@ -151,7 +150,7 @@ def propose_experiment(
 
 
 @dataclass(frozen=True)
-class Limits:
+class _Limits:
     """Range of each input, largest travel by index of the state, samples and beat of an experiment, addable outputs."""
 
     ranges: Mapping[str, tuple[float, float]]
@@ -161,12 +160,13 @@ class Limits:
     addable: tuple[int, ...]
 
 
-def _limits(problem: Problem) -> Limits:
+def _limits(problem: Problem) -> _Limits:
     plant, records, first = problem.plant, problem.records, problem.records[0]
     assert isinstance(plant, LinearPlant)
     dt, slowest = first.record.dt, slowest_time_constant(plant.state_space())
     wanted = max(round(TIME_CONSTANTS_SEEN * slowest / dt), *(r.record.n for r in records))
     samples = max(min(wanted, LONGEST_EXPERIMENT), tuning.FEWEST_WINDOWS * first.windows.length)
+    samples -= samples % first.windows.length
     beat = min(max(TIME_CONSTANTS_A_BEAT * slowest, samples * dt / MOST_BEATS), samples * dt / FEWEST_BEATS)
     both_ways = any(unit in ("rad/s", "m/s") for _, unit in plant.states)
     ranges = {}
@@ -179,23 +179,11 @@ def _limits(problem: Problem) -> Limits:
         if unit == "m"
     }
     new = tuple(k for k in range(len(plant.outputs)) if k not in first.columns)
-    return Limits(ranges, travel, samples, beat, new)
+    return _Limits(ranges, travel, samples, beat, new)
 
 
-@dataclass(frozen=True, eq=False)
-class Excitation:
-    """One test signal of one input: samples, held for one sample time each, and what it is in words."""
-
-    name: str
-    u: Array  # (samples,)
-    text: str
-
-
-def experiment_menu(
-    name: str, unit: str, lowest: float, highest: float, samples: int, dt: float, beat: float, warm: bool = False
-) -> tuple[Excitation, ...]:
-    """Test signals of one input within a range; ``beat``: unit of all periods in s; ``warm``: one that heats, too."""
-    beat = _rounded(beat, dt)
+def _menu(lowest: float, highest: float, samples: int, dt: float, beat: float) -> dict[str, Array]:
+    """Test signals of one input within a range by name, (samples,); ``beat``: unit of all periods in s."""
     middle, half = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
     t = dt * np.arange(samples, dtype=float)
     fastest = max(SHORTEST_PERIOD * dt, beat / 40.0)
@@ -242,13 +230,7 @@ def experiment_menu(
         "odd multisine": multisine(),
         "rich": np.resize(rich, samples),
     }
-    if warm:
-        shapes["first block again when warm"] = np.concatenate([rich, np.resize(square(1), HEATING * samples), rich])
-    within = f"of {name} between {lowest:.3g} and {highest:.3g}{f' {unit}' if unit else ''} from rest"
-    return tuple(
-        Excitation(key, np.clip(middle + half * shape, lowest, highest), f"{key} {within}, periods of {beat:.3g} s")
-        for key, shape in shapes.items()
-    )
+    return {name: np.clip(middle + half * shape, lowest, highest) for name, shape in shapes.items()}
 
 
 def _rounded(seconds: float, dt: float) -> float:
@@ -260,46 +242,41 @@ def _rounded(seconds: float, dt: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
-    """A signal of the menu, the inputs (n, n_u), and the states of each hypothesis from rest, (n, n_x)."""
+class _Trial:
+    """A signal of the menu: its name, the inputs (n, n_u), and the states of each hypothesis from rest, (n, n_x)."""
 
-    excitation: Excitation
+    name: str
+    text: str
     u: Array
     states: tuple[Array, ...]
     outputs: Array  # (n, n_y) of the named hypothesis
-    long: bool
 
 
-def trials_of(problem: Problem, fits: Sequence[Fit], limits: Limits) -> list[Trial]:
+def _trials(problem: Problem, fits: Sequence[Fit], limits: _Limits) -> list[_Trial]:
     """All signals that the plant can take, with shorter beats where the travel asks for them."""
-    dt = problem.records[0].record.dt
-    warm = any(c.effect.long_memory for f in fits for c in f.hypothesis.candidates)
-    several, shorter = len(problem.plant.inputs) > 1, SHORTER_BEATS
-    found: list[Trial] = []
+    dt, found = problem.records[0].record.dt, dict[str, _Trial]()
     for k, signal in enumerate(problem.plant.inputs):
         lowest, highest = limits.ranges[signal.name]
-        if not lowest < highest:
-            continue
-        done: set[str] = set()
-        for factor in shorter if limits.travel else shorter[:1]:
-            beat = max(limits.beat * factor, 4.0 * dt)
-            for entry in experiment_menu(signal.name, signal.unit, lowest, highest, limits.samples, dt, beat, warm):
-                if entry.name in done:
+        for factor in (SHORTER_BEATS if limits.travel else (1.0,)) if lowest < highest else ():
+            beat = _rounded(max(limits.beat * factor, 4.0 * dt), dt)
+            within = f"of {signal.name} between {lowest:.3g} and {highest:.3g} {signal.unit}".rstrip()
+            for shape, samples in _menu(lowest, highest, limits.samples, dt, beat).items():
+                name = f"{shape} on {signal.name}" if len(problem.plant.inputs) > 1 else shape
+                if name in found:
                     continue
-                u = np.tile([min(max(0.0, lo), hi) for lo, hi in limits.ranges.values()], (len(entry.u), 1))
-                u[:, k] = entry.u
-                named = replace(entry, name=f"{entry.name} on {signal.name}") if several else entry
-                trial = _tried_out(problem, fits, named, u, limits)
+                u = np.tile([min(max(0.0, lo), hi) for lo, hi in limits.ranges.values()], (len(samples), 1))
+                u[:, k] = samples
+                text = f"{shape} {within} from rest, periods of {beat:.3g} s"
+                trial = _tried_out(problem, fits, name, text, u, limits)
                 if trial is not None:
-                    done.add(entry.name)
-                    found.append(trial)
-    return found
+                    found[name] = trial
+    return list(found.values())
 
 
-def _tried_out(problem: Problem, fits: Sequence[Fit], entry: Excitation, u: Array, limits: Limits) -> Trial | None:
+def _tried_out(problem: Problem, fits: Sequence[Fit], name: str, text: str, u: Array, limits: _Limits) -> _Trial | None:
     """The signal as each hypothesis answers it; None where one runs away or beyond the travel."""
     dt, n_x = problem.records[0].record.dt, len(problem.plant.states)
-    states, outputs = [], None
+    states, outputs = [], []
     for fit in fits:
         effects = [(c.effect, c.site) for c in fit.hypothesis.candidates]
         factors, values = problem.split(fit.hypothesis, fit.z)
@@ -310,12 +287,11 @@ def _tried_out(problem: Problem, fits: Sequence[Fit], entry: Excitation, u: Arra
         if not np.isfinite(x).all() or any(np.ptp(x[:, j]) > 1.01 * top for j, top in limits.travel.items()):
             return None
         states.append(x.copy())
-        outputs = motion.outputs[0] if outputs is None else outputs
-    assert outputs is not None
-    return Trial(entry, u, tuple(states), outputs, len(u) > limits.samples)
+        outputs.append(motion.outputs[0])
+    return _Trial(name, text, u, tuple(states), outputs[0])
 
 
-def noise_of(problem: Problem, present: NoiseModel, trials: Sequence[Trial]) -> tuple[NoiseModel, dict[str, float]]:
+def _noise(problem: Problem, present: NoiseModel, trials: Sequence[_Trial]) -> tuple[NoiseModel, dict[str, float]]:
     """Noise of all outputs of the plant, averaged: as found where recorded, else assumed, and what it is per sample."""
     spans = np.max([np.ptp(t.outputs, axis=0) for t in trials], axis=0)
     std = ASSUMED_NOISE * np.where(spans > 0.0, spans, 1.0)
@@ -328,20 +304,16 @@ def noise_of(problem: Problem, present: NoiseModel, trials: Sequence[Trial]) -> 
     return NoiseModel(std, ar), assumed
 
 
-def _as_record(
-    problem: Problem, trial: Trial, truth: int, shown: Mapping[int, float], columns: Sequence[int], count: int
-) -> PreparedRecord:
-    """The first ``count`` windows of an experiment, started where the hypothesis ``truth`` is; outputs still zero.
-
-    ``shown`` is what the truth lets its sensors show, by output.
-    """
-    first = problem.records[0]
-    length = first.windows.length
-    n = count * length
-    x, t = trial.states[truth][:n], first.record.dt * np.arange(n, dtype=float)
-    starts = np.arange(count, dtype=np.int64) * length
-    names = [s.name for s in problem.plant.inputs]
-    record = Record(t, {name: trial.u[:n, k] for k, name in enumerate(names)}, name=trial.excitation.name)
+def _predicted(
+    problem: Problem, fits: Sequence[Fit], trial: _Trial, truth: int, columns: Sequence[int], noise: NoiseModel
+) -> Problem:
+    """The experiment as a problem whose measured outputs are those of the hypothesis ``truth``."""
+    first, fit, x = problem.records[0], fits[truth], trial.states[truth]
+    length, n, t = first.windows.length, len(x), first.record.dt * np.arange(len(x), dtype=float)
+    _, values = problem.split(fit.hypothesis, fit.z)
+    shown, _, _ = problem.sensors([(c.effect, c.site) for c in fit.hypothesis.candidates], values)
+    starts = np.arange(n // length, dtype=np.int64) * length
+    record = Record(t, {s.name: trial.u[:, k] for k, s in enumerate(problem.plant.inputs)}, name=trial.name)
     # What a smoother would know of it: the predicted motion, as well as it knew the present one.
     share = _told_by_output(problem)
     told = np.array([x @ share.get(c, np.zeros((x.shape[1],) * 2)) for c in columns])
@@ -355,11 +327,13 @@ def _as_record(
         np.zeros((n, len(force_std))), np.tile(force_std, (n, 1)), np.zeros(len(columns)), known[0].bandwidth,
         0.0,
     )  # fmt: skip
-    return PreparedRecord(
-        record, trial.u[:n], np.zeros((n, len(columns))), tuple(columns), Windows(starts, length), x[starts].copy(),
-        np.tile(start_std, (count, 1)), smoothed, told, np.zeros_like(told), first.push, first.thin,
+    made = PreparedRecord(
+        record, trial.u, np.zeros((n, len(columns))), tuple(columns), Windows(starts, length), x[starts].copy(),
+        np.tile(start_std, (len(starts), 1)), smoothed, told, np.zeros_like(told), first.push, first.thin,
         np.zeros(len(columns)),
     )  # fmt: skip
+    there = problem.on([made])
+    return predicted(there, _from_rest(fit, there, noise))
 
 
 def _told_by_output(problem: Problem) -> dict[int, Array]:
@@ -377,129 +351,104 @@ def _told_by_output(problem: Problem) -> dict[int, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
-    """An experiment of ``count`` windows with all these sensors, those ``added`` of which are new, and its d.
+class _Entry:
+    """An experiment with all these sensors, those ``added`` of which are new, and its d.
 
     ``named`` is the smallest d with the named hypothesis as the truth, ``separation`` that of all pairs.
     """
 
-    trial: Trial
+    trial: _Trial
     sensors: tuple[int, ...]
     added: tuple[int, ...]
-    count: int
     named: float
     separation: float
-    refitted: bool
+    refitted: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """Where the experiments are judged: the problem, the open hypotheses with their labels, noise of all outputs."""
+def _preference(entry: _Entry) -> tuple[int, int, float]:
+    """Sorts the safe ones first, of these the ones without a new sensor.
 
-    problem: Problem
-    fits: tuple[Fit, ...]
-    labels: tuple[str, ...]
-    noise: NoiseModel
-
-    def preference(self, entry: Entry) -> tuple[int, int, int, float]:
-        """Sorts the safe ones first, of these the ones without a new sensor, then the short ones.
-
-        Next come those that are safe if the named hypothesis is right, and then the others, by d. A rival may have come
-        out so weak that no experiment could show it: that must not buy a sensor.
-        """
-        if entry.separation >= SAFE:
-            return 0, len(entry.added), entry.count, -entry.separation
-        if entry.named >= SAFE:
-            return 1, len(entry.added), 0, -entry.separation
-        return 2, 0, 0, -entry.separation / (1.0 + SENSOR_WORTH * len(entry.added))
-
-    def screened(self, trial: Trial, limits: Limits) -> list[Entry]:
-        """The experiment with the present sensors and with each new one, whole and half as long, linearised."""
-        present = self.problem.records[0].columns
-        whole = len(trial.u) // self.problem.records[0].windows.length
-        counts = [whole] if trial.long or whole < 2 * tuning.FEWEST_WINDOWS else [whole // 2, whole]
-        choices = [(present, ()), *((tuple(sorted((*present, k))), (k,)) for k in limits.addable)]
-        everything = range(len(self.problem.plant.outputs))
-        smallest, named = np.full((2, len(choices), len(counts)), np.inf)
-        for a, b in permutations(range(len(self.fits)), 2):
-            # Among several rivals, those with the named one decide; the others are looked at in the refits.
-            if (a and b) or _contains(self.fits[b], self.fits[a]):
-                continue
-            there = self._predicted(trial, a, tuple(everything), whole, self.noise)
-            products = _products(there, self.fits[b], self.noise)
-            for i, (sensors, _) in enumerate(choices):
-                own = products[:, list(sensors)].sum(axis=1)
-                for j, count in enumerate(counts):
-                    d = _linearised_distance(own[:count], self.fits[b].z)
-                    smallest[i, j] = min(smallest[i, j], d)
-                    if a == 0:
-                        named[i, j] = min(named[i, j], d)
-        named = np.where(np.isfinite(named), named, smallest)  # all rivals contain it
-        return [
-            Entry(trial, sensors, added, count, float(named[i, j]), float(smallest[i, j]), False)
-            for i, (sensors, added) in enumerate(choices)
-            for j, count in enumerate(counts)
-        ]
-
-    def _predicted(self, trial: Trial, truth: int, columns: tuple[int, ...], count: int, noise: NoiseModel) -> Problem:
-        """The experiment as a problem whose measured outputs are those of the hypothesis ``truth``."""
-        hypothesis = self.fits[truth].hypothesis
-        _, values = self.problem.split(hypothesis, self.fits[truth].z)
-        shown, _, _ = self.problem.sensors([(c.effect, c.site) for c in hypothesis.candidates], values)
-        record = _as_record(self.problem, trial, truth, shown, columns, count)
-        there = self.problem.on([record])
-        return predicted(there, _from_rest(self.fits[truth], there, noise))
-
-    def best_refitted(self, screened: Sequence[Entry]) -> tuple[Entry, tuple[Pair, ...], list[Entry]]:
-        """The first entry whose proper refit is safe, else the best of those tried; its pairs; all that were tried.
-
-        The linearised refit may be far off where hypotheses are curved; so the next try has other sensors or another
-        length, and another signal.
-        """
-        done: list[tuple[Entry, tuple[Pair, ...]]] = []
-        seen: set[object] = set()
-        for entry in screened:
-            kinds = {(entry.sensors, entry.count), (entry.sensors, entry.trial.excitation.name)}
-            if seen & kinds:
-                continue
-            seen |= kinds
-            best = max((e.separation for e, _ in done), default=0.0)
-            pairs = self._refitted(entry, best)
-            smallest = min(p.separation for p in pairs)
-            named = min((p.separation for p in pairs if p.truth == self.labels[0]), default=smallest)
-            done.append((replace(entry, named=named, separation=smallest, refitted=True), pairs))
-            if done[-1][0].separation >= SAFE or len(done) >= REFITTED_ENTRIES:
-                break
-        chosen, pairs = min(done, key=lambda d: self.preference(d[0]))
-        return chosen, pairs, [e for e, _ in done]
-
-    def _refitted(self, entry: Entry, best: float) -> tuple[Pair, ...]:
-        """Distances of the pairs; given up once one is smaller than that of the best entry so far."""
-        sensors = list(entry.sensors)
-        noise = NoiseModel(self.noise.std[sensors], self.noise.ar[:, sensors])
-        pairs: list[Pair] = []
-        closest: tuple[float, Problem, Fit, Fit] | None = None
-        for a, b in _ordered(self.fits):
-            there = self._predicted(entry.trial, a, entry.sensors, entry.count, noise)
-            rival = _from_rest(self.fits[b], there, noise)
-            d = _proper_distance(there, rival, rival.z)
-            pairs.append(Pair(self.labels[a], self.labels[b], d))
-            if closest is None or d < closest[0]:
-                closest = d, there, self.fits[a], rival
-            if a and d < min(best, SAFE):
-                return tuple(pairs)
-        # A refit may have ended in a side valley; the pair that decides is tried again from elsewhere.
-        assert closest is not None
-        d, there, truth, rival = closest
-        known = len(there.nuisances)
-        again = _proper_distance(there, rival, np.concatenate([truth.z[:known], rival.z[known:]]))
-        return tuple(p._replace(separation=min(d, again)) if p.separation == d else p for p in pairs)
+    Next come those that are safe if the named hypothesis is right, and then the others, by d. A rival may have come
+    out so weak that no experiment could show it: that must not buy a sensor.
+    """
+    if entry.separation >= SAFE:
+        return 0, len(entry.added), -entry.separation
+    if entry.named >= SAFE:
+        return 1, len(entry.added), -entry.separation
+    return 2, 0, -entry.separation / (1.0 + SENSOR_WORTH * len(entry.added))
 
 
-def _proper_distance(there: Problem, rival: Fit, z: Array) -> float:
-    """Distance of the rival, refitted from z to predicted outputs."""
-    cost = there.fit(rival.hypothesis, rival.noise, z, rival.starts, FitPlan(REFIT_ITERATIONS)).cost
-    return float(np.sqrt(max(0.0, cost - float(rival.z @ rival.z))))
+def _screened(problem: Problem, fits: Sequence[Fit], noise: NoiseModel, trial: _Trial, limits: _Limits) -> list[_Entry]:
+    """The experiment with the present sensors and with each new one, linearised.
+
+    Among several rivals, those with the named one decide; the others are looked at in the refits.
+    """
+    present = problem.records[0].columns
+    choices = [(present, ()), *((tuple(sorted((*present, k))), (k,)) for k in limits.addable)]
+    smallest, named = np.full((2, len(choices)), np.inf)
+    for a, b in _ordered(fits):
+        if a and b:
+            continue
+        there = _predicted(problem, fits, trial, a, range(len(problem.plant.outputs)), noise)
+        rival = _from_rest(fits[b], there, noise)
+        ((over_z, over_x),) = there.derivatives(rival)
+        (left,) = there.whitened(there.errors(rival.hypothesis, rival.z, rival.starts), noise)
+        columns = np.concatenate([over_z, over_x, left[:, :, None]], axis=2)
+        columns = columns.reshape(len(left), -1, len(noise.std), columns.shape[2])  # (n_windows, points, n_y, .)
+        for i, (sensors, _) in enumerate(choices):
+            d = _linearised_distance(columns[:, :, list(sensors)].reshape(len(left), -1, columns.shape[3]), rival.z)
+            smallest[i] = min(smallest[i], d)
+            named[i] = min(named[i], d if a == 0 else np.inf)
+    named = np.where(np.isfinite(named), named, smallest)  # all rivals contain it
+    return [_Entry(trial, *choices[i], float(named[i]), float(smallest[i])) for i in range(len(choices))]
+
+
+def _refitted_best(
+    problem: Problem, fits: Sequence[Fit], noise: NoiseModel, screened: Sequence[_Entry]
+) -> list[tuple[_Entry, set[int]]]:
+    """Entries refitted properly, up to the first that is safe, with the hypotheses that each leaves close.
+
+    The linearised refit may be far off where hypotheses are curved; so not all tries have the same sensors.
+    """
+    done: list[tuple[_Entry, set[int]]] = []
+    for entry in screened:
+        if sum(entry.sensors == e.sensors for e, _ in done) >= SIGNALS_EACH:
+            continue
+        best = max((e.separation for e, _ in done), default=0.0)
+        distances = _refitted(problem, fits, noise, entry, best)
+        smallest = min(distances.values())
+        named = min((d for (a, _), d in distances.items() if a == 0), default=smallest)
+        close = {k for pair, d in distances.items() if d < SAFE for k in pair}
+        done.append((replace(entry, named=named, separation=smallest, refitted=True), close))
+        if smallest >= SAFE or len(done) >= REFITTED_ENTRIES:
+            break
+    return done
+
+
+def _refitted(
+    problem: Problem, fits: Sequence[Fit], noise: NoiseModel, entry: _Entry, best: float
+) -> dict[tuple[int, int], float]:
+    """Distances of the pairs (truth, rival); given up once one is smaller than that of the best entry so far."""
+    sensors, found, problems = list(entry.sensors), dict[tuple[int, int], float](), {}
+    own = NoiseModel(noise.std[sensors], noise.ar[:, sensors])
+
+    def distance(a: int, b: int, z: Array) -> float:
+        there = problems[a]
+        rival = _from_rest(fits[b], there, own)
+        cost = there.fit(rival.hypothesis, own, z, rival.starts, FitPlan(REFIT_ITERATIONS)).cost
+        return float(np.sqrt(max(0.0, cost - float(rival.z @ rival.z))))
+
+    for a, b in _ordered(fits):
+        if a not in problems:
+            problems[a] = _predicted(problem, fits, entry.trial, a, entry.sensors, own)
+        found[a, b] = distance(a, b, fits[b].z)
+        if a and found[a, b] < min(best, SAFE):
+            return found
+    # A refit may have ended in a side valley; the pair that decides is tried again from elsewhere.
+    a, b = min(found, key=lambda pair: found[pair])
+    known = len(problem.nuisances)
+    again = distance(a, b, np.concatenate([fits[a].z[:known], fits[b].z[known:]]))
+    return {**found, (a, b): min(found[a, b], again)}
 
 
 def _from_rest(fit: Fit, there: Problem, noise: NoiseModel) -> Fit:
@@ -524,35 +473,9 @@ def _contains(rich: Fit, poor: Fit) -> bool:
     return all(has(c.effect.id, c.site) for c in poor.hypothesis.candidates)
 
 
-def distances(problem: Problem, fits: Sequence[Fit], labels: Sequence[str]) -> list[Pair]:
-    """Refit distances on the records of the problem, of the pairs with the first hypothesis."""
-    pairs = [(a, b) for a, b in _ordered(fits) if 0 in (a, b)]
-    return [Pair(labels[a], labels[b], refit_distance(problem, fits[a], fits[b])) for a, b in pairs]
-
-
-def _products(problem: Problem, rival: Fit, noise: NoiseModel) -> Array:
-    """Products of the n columns [over z, over the starts, residual] of the rival, (n_windows, n_y, n, n)."""
-    n_x, n_y = len(problem.plant.states), len(problem.records[0].columns)
-    simulators = problem.simulators(rival.hypothesis)
-    rest = np.zeros((len(problem.chosen[0]), n_x))
-    step, start_step = tuning.STEP, tuning.START_STEP
-
-    def residual(z: Array, start: Array) -> Array:
-        errors = problem.errors(rival.hypothesis, z, [start], simulators)
-        r = problem.whitened(errors, noise)[0]
-        return r.reshape(len(r), -1, n_y)
-
-    here = residual(rival.z, rest)
-    over_z = [(residual(rival.z + step * e, rest) - here) / step for e in np.eye(len(rival.z))]
-    over_x = [(residual(rival.z, rest + start_step * e) - here) / start_step for e in np.eye(n_x)]
-    columns = np.stack([*over_z, *over_x, here], axis=3)  # (n_windows, n_points, n_y, n)
-    columns = np.swapaxes(columns, 1, 2)
-    return np.swapaxes(columns, 2, 3) @ columns
-
-
-def _linearised_distance(products: Array, z: Array) -> float:
-    """D after one Gauss-Newton step of the rival, window starts eliminated; products (n_windows, n, n)."""
-    n_z = len(z)
+def _linearised_distance(columns: Array, z: Array) -> float:
+    """D after one Gauss-Newton step of the rival, window starts eliminated; columns (n_windows, points, z starts r)."""
+    n_z, products = len(z), np.swapaxes(columns, 1, 2) @ columns
     inner = products[:, n_z:-1, n_z:-1] + np.eye(products.shape[1] - n_z - 1)
     rest = np.concatenate([products[:, :n_z], products[:, -1:]], axis=1)
     over = rest[:, :, n_z:-1]  # of z and r with the starts
@@ -566,7 +489,7 @@ def _linearised_distance(products: Array, z: Array) -> float:
 # --- the answer ------------------------------------------------------------------------------------------------------
 
 
-def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
+def _labels(fits: Sequence[Fit]) -> tuple[str, ...]:
     """What each hypothesis has that not all have: effect ids, with their sites where the ids alone say too little."""
     keys = [[c.key for c in f.hypothesis.candidates] for f in fits]
     common = set(keys[0]).intersection(*keys[1:])
@@ -575,65 +498,19 @@ def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
     return short if len(set(short)) == len(short) else tuple(" + ".join(c.key for c in cs) or "none" for cs in own)
 
 
-def _tried(problem: Problem, entry: Entry) -> Tried:
-    first = problem.records[0]
-    names = tuple(problem.plant.outputs[k].name for k in entry.sensors)
-    duration = entry.count * first.windows.length * first.record.dt
-    return Tried(entry.trial.excitation.name, names, duration, entry.separation, entry.refitted)
-
-
-def _proposal(
-    problem: Problem, entry: Entry, pairs: tuple[Pair, ...], now: float, labels: tuple[str, ...], fits: Sequence[Fit],
-    assumed: Mapping[str, float], menu: Sequence[Tried], limits: Limits,
-) -> NextExperiment:  # fmt: skip
-    tried = _tried(problem, entry)
-    plant, dt = problem.plant, problem.records[0].record.dt
-    n = entry.count * problem.records[0].windows.length
-    added = tuple(plant.outputs[k].name for k in entry.added)
-    noise = {name: assumed[name] for name in added}
-    return NextExperiment(
-        tried.name,
-        _description(entry, n, dt, plant, tried, noise),
-        _advice(entry, pairs, labels, fits, limits, plant),
-        dt * np.arange(n, dtype=float),
-        {s.name: entry.trial.u[:n, k].copy() for k, s in enumerate(plant.inputs)},
-        {s.name: s.unit for s in plant.inputs},
-        n * dt,
-        tried.sensors,
-        added,
-        noise,
-        tried.separation,
-        entry.named,
-        now,
-        labels,
-        pairs,
-        tuple(menu),
-    )
-
-
-def _description(entry: Entry, n: int, dt: float, plant: object, tried: Tried, noise: Mapping[str, float]) -> str:
-    units = {s.name: s.unit for s in plant.outputs}  # type: ignore[attr-defined]
-    text = f"{entry.trial.excitation.text}. {n * dt:.3g} s in all, one sample every {1e3 * dt:.3g} ms; record "
-    text += ", ".join(tried.sensors)
-    for name, std in noise.items():
-        text += f" ({name} is new: a noise of {std:.2g} {units[name]} a sample is assumed)"
-    return text
-
-
 def _advice(
-    entry: Entry, pairs: Sequence[Pair], labels: Sequence[str], fits: Sequence[Fit], limits: Limits, plant: object
-) -> str:
+    entry: _Entry, close: Sequence[str], labels: Sequence[str], fits: Sequence[Fit], limits: _Limits,
+    units: Mapping[str, str],
+) -> str:  # fmt: skip
     if entry.separation >= SAFE:
         return ""
-    units = {s.name: s.unit for s in plant.inputs}  # type: ignore[attr-defined]
     within = ", ".join(
         f"{name} between {lo:.3g} and {hi:.3g} {units[name]}" for name, (lo, hi) in limits.ranges.items()
     )
-    open_labels = {label for p in pairs if p.separation < SAFE for label in p[:2]}
     effects = dict.fromkeys(
         c.effect
         for label, f in zip(labels, fits, strict=True)
-        if label in open_labels
+        if label in close
         for c in f.hypothesis.candidates
         if c.effect.id in label
     )
@@ -643,5 +520,5 @@ def _advice(
         word = "nothing on the menu separates"
     if entry.named >= SAFE:
         word = f"if {labels[0]} is right, this will show it ({entry.named:.3g} noise sigmas); else it may not separate"
-    text = f"{word} {' and '.join(sorted(open_labels))} with {within}"
+    text = f"{word} {' and '.join(sorted(close))} with {within}"
     return f"{text}; an independent measurement would ({'; '.join(ways)})" if ways else text

@@ -49,7 +49,7 @@ FAR = 2.0  # standard deviations, as the first piece tells the parameters, withi
 CLEAR = 10.0  # log evidence beyond an alarm, at which the onset is estimated; a later change may not be linear
 MOST_DISCOVERED = 8  # pieces at the end that `discover` gets
 MOST_BENT = 1.0  # square of the change of a window's residuals, over the noise of one point
-MOST_STEPS, FEW = 16, 0.02  # steps a sample; share of the windows that may still change
+STEPS = 4  # a sample
 SLOW = 6  # cosines in a window, over which unnamed errors are looked for
 OWN_SPREAD = 0.3  # relative: how well a model's effect is known before its first piece, where it does not say
 
@@ -238,33 +238,39 @@ def watch(
     left_out = tuple(effect(name).id for name in exclude)
     given = [records] if isinstance(records, Record) else records
     watched: _Watched | None = None
-    alarm = -np.log(false_alarm)
+    alarm, highest = -np.log(false_alarm), -np.inf
+    told: Array | None = None  # evidence of each beginning once an alarm is clear
     for piece in _pieces(given, every):
-        if watched is None:
-            watched = _Watched(plant, attached, stated, noise, alarm, window, piece)
-        watched.add(piece)
+        watched = watched or _Watched(plant, attached, stated, noise, window, piece)
+        evidence = watched.add(piece)
+        if max(alarm, highest) <= evidence and highest < alarm + CLEAR:
+            highest, told = evidence, watched.test.evidence()
         if progress is not None:
-            last = watched.pieces[-1]
-            word = "ALARM: " if last.evidence >= alarm else ""
-            progress(f"{word}piece {len(watched.pieces)}, up to {last.stop:.6g} s: log E = {last.evidence:.2f}")
+            word = "ALARM: " if evidence >= alarm else ""
+            count = len(watched.pieces)
+            progress(f"{word}piece {count}, up to {watched.pieces[-1].stop:.6g} s: log E = {evidence:.2f}")
     if watched is None or len(watched.pieces) < 2:
         raise InputError(
             "watch", f"{0 if watched is None else 1} piece", "at least two",
             "one record is cut into pieces by every=SECONDS",
         )  # fmt: skip
-    result = watched.result(false_alarm)
-    if watched.told is None:
+    pieces, used = tuple(watched.pieces), watched.windows[0] / watched.windows[1]
+    result = Watch(
+        Status.INCONCLUSIVE if told is None and used < 0.5 else Status.CONVERGED, "explained", false_alarm,
+        np.nan, np.nan, np.nan, np.nan, None, pieces, watched.sizes, plant.name, watched.length * watched.dt, used,
+    )  # fmt: skip
+    if told is None:
         return result
-    began, lower, upper = onset(watched.told)
+    began, lower, upper = onset(told)
     # A change may begin within a piece, and too late in it to show there.
-    since, since_lower, since_upper = (watched.pieces[k].start for k in (began, max(lower - 1, 0), upper))
+    since, since_lower, since_upper = (pieces[k].start for k in (began, max(lower - 1, 0), upper))
     known = {name: tolerance for name, (tolerance, assumed) in stated.items() if not assumed}
     try:
         last = watched.records[max(began, len(watched.records) - MOST_DISCOVERED) :]
         found = discover(plant, last, tolerances=known, exclude=left_out)
     except (InputError, NoTrustworthyNumber):  # too poor
         found = None
-    over = next(p for p in watched.pieces if p.evidence >= alarm)
+    over = next(p for p in pieces if p.evidence >= alarm)
     return replace(
         result, verdict="changed", alarm=over.stop, since=since, since_lower=since_lower, since_upper=since_upper,
         found=found,
@@ -309,11 +315,10 @@ class _Watched:
         attached: Sequence[AttachedEffect],
         stated: Mapping[str, tuple[float, bool]],
         noise: Mapping[str, float],
-        alarm: float,
         window: float | None,
         first: Record,
     ) -> None:
-        self.plant, self.dt, self.alarm = plant, clock_step(first.t), alarm
+        self.plant, self.dt = plant, clock_step(first.t)
         self.seen = {s.name for s in plant.outputs} & set(first.outputs)
         least = tuning.FEWEST_WINDOWS * tuning.SHORTEST_WINDOW // 2
         if window is None and first.n < least:
@@ -330,19 +335,21 @@ class _Watched:
         pool = candidates(plant, self.model, [prepared])
         self.hypothesis = Hypothesis(tuple(_own(e, pool) for e in attached))
         problem = Problem(plant, [prepared], nuisances, clock=Clock(tuning.LEAST_STEPS))
-        self.problem, learned = self._learned(problem)
+        z = np.zeros(problem.size(self.hypothesis))
+        fit = problem.fit(self.hypothesis, self.noise, z, plan=FitPlan(tuning.BASE))
+        fit, problem = held_inputs(problem, fit)
+        self.problem = problem.under(replace(problem.clock, sub=STEPS))
+        learned = self.problem.fit(self.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.BASE, 1e-3))
         self.z = learned.z
         sizes, directions = np.linalg.eigh(np.linalg.inv(learned.hessian))
         self.spread = FAR * directions * np.sqrt(np.maximum(sizes, 0.0))
         self.test = ChangeTest(_usual_changes(self.problem, self.hypothesis))
-        self.told: Array | None = None  # evidence of each beginning once an alarm is clear
-        self.highest = alarm  # evidence that they had, or that of an alarm
         self.records: list[Record] = []
         self.windows = [0, 0]  # that the test has seen, and all
         self.pieces: list[WatchedPiece] = []
 
-    def add(self, piece: Record) -> None:
-        """Place the model in one more piece, and hand what it tells to the test."""
+    def add(self, piece: Record) -> float:
+        """Place the model in one more piece, and hand what it tells to the test; log of E."""
         if abs(clock_step(piece.t) - self.dt) > 1e-3 * self.dt:
             found = f"a sample time of {clock_step(piece.t):.6g} s"
             raise InputError(f"watch {piece.name}", found, f"{self.dt:.6g} s, that of the first piece")
@@ -350,24 +357,12 @@ class _Watched:
             raise InputError(f"watch {piece.name}", f"no output {missing[0]!r}", "the outputs of the first piece")
         there = self.problem.on([replace(self._prepared(piece), thin=self.thin)])
         fit = there.fit(self.hypothesis, self.noise, self.z, plan=FitPlan(tuning.LAST, 0.5, fixed=True))
-        there, fit = faithful_windows(there, fit, self.spread)
-        told = equations(there, fit)
+        told, used = _equations(there, fit, self.spread)
         misfit = float(np.sqrt(told.whole[-1, -1] / max(told.points, 1)))
         self.records.append(piece)
-        self.windows = [self.windows[0] + len(there.chosen[0]), self.windows[1] + there.records[0].count]
-        evidence = self.test.add(told)
-        self.pieces.append(WatchedPiece(float(piece.t[0]), float(piece.t[-1]), evidence, misfit))
-        if self.highest <= evidence and self.highest < CLEAR + self.alarm:
-            self.highest, self.told = evidence, self.test.evidence()
-
-    def result(self, false_alarm: float) -> Watch:
-        """Of the pieces so far, without what an alarm tells."""
-        used = self.windows[0] / self.windows[1]
-        return Watch(
-            Status.INCONCLUSIVE if self.told is None and used < 0.5 else Status.CONVERGED, "explained", false_alarm,
-            np.nan, np.nan, np.nan, np.nan, None, tuple(self.pieces), self.sizes, self.plant.name,
-            self.length * self.dt, used,
-        )  # fmt: skip
+        self.windows = [self.windows[0] + used, self.windows[1] + there.records[0].count]
+        self.pieces.append(WatchedPiece(float(piece.t[0]), float(piece.t[-1]), self.test.add(told), misfit))
+        return self.pieces[-1].evidence
 
     def _uniform(self, piece: Record) -> tuple[Record, dict[str, Mask]]:
         found = uniform(piece, None if piece.is_uniform else self.dt)
@@ -376,16 +371,6 @@ class _Watched:
     def _prepared(self, piece: Record) -> PreparedRecord:
         record, valid = self._uniform(piece)
         return prepare(self.plant, self.model, record, self.length, valid, self.seen)
-
-    def _learned(self, problem: Problem) -> tuple[Problem, Fit]:
-        """The model refitted within its tolerances to the first piece; clock and steps of the watch."""
-        z = np.zeros(problem.size(self.hypothesis))
-        fit = problem.fit(self.hypothesis, self.noise, z, plan=FitPlan(tuning.BASE))
-        fit, problem = held_inputs(problem, fit)
-        for _ in range(2):
-            fit = problem.fit(self.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.BASE, 1e-3))
-            problem = fine_steps(problem, fit)
-        return problem, fit
 
 
 def _noise_of(names: Sequence[str], stated: Mapping[str, float]) -> dict[str, float]:
@@ -427,68 +412,30 @@ def _about(parameter: EffectParameter, value: float, std: float) -> EffectParame
     return replace(parameter, prior=replace(prior, centre=value))
 
 
-def faithful_windows(problem: Problem, fit: Fit, spread: Array) -> tuple[Problem, Fit]:
-    """The piece, and the model in it, without the windows in which the simulation is not to be trusted that far.
+def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquations, int]:
+    """The piece's equations for the parameters at the model that was placed in it, and how many windows they are of.
 
-    Left out: where what is even in the steps ``spread`` (k, m) of the parameters, or halved time steps, change the
-    residuals, starts free, by more than `MOST_BENT`: a contact about to break away.
+    Left out: windows in which what is even in the steps ``spread`` (k, m) of the parameters, or halved time steps,
+    change the residuals, starts free, by more than `MOST_BENT`: a contact about to break away.
     """
-    (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
-    free = _free(problem, fit)
-    simulators = problem.simulators(fit.hypothesis)
 
-    def moved(z: Array) -> Array:
-        return problem.whitened(problem.errors(fit.hypothesis, z, fit.starts, simulators), fit.noise)[0] - residual
+    def residual(z: Array, problem: Problem = problem) -> Array:
+        return problem.whitened(problem.errors(fit.hypothesis, z, fit.starts), fit.noise)[0]
 
-    bent = _stepped(problem, fit, residual, free)
-    for step in spread.T:
-        bent = np.maximum(bent, _beyond_starts(0.5 * (moved(fit.z + step) + moved(fit.z - step)), free))
-    kept = np.flatnonzero(bent < MOST_BENT)
-    (record,), (chosen,), (starts,) = problem.records, problem.chosen, fit.starts
-    return problem.on([record], [chosen[kept]]), replace(fit, starts=(starts[kept],))
-
-
-def fine_steps(problem: Problem, fit: Fit) -> Problem:
-    """The problem with steps so short that half of them change few windows; shorter ones than `MOST_STEPS` are not."""
-    while (problem.clock.sub or 1) < MOST_STEPS:
-        (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
-        if (_stepped(problem, fit, residual, _free(problem, fit)) > MOST_BENT).mean() <= FEW:
-            break
-        problem = _halved(problem)
-    return problem
-
-
-def _free(problem: Problem, fit: Fit) -> Array:
-    """Orthonormal basis of what the starts do to the residuals, (n_windows, points, n_x)."""
-    ((_, over_x),) = problem.derivatives(fit, 0)
-    return np.linalg.qr(over_x)[0]
-
-
-def _beyond_starts(change: Array, free: Array) -> Array:
-    """Square of a change of the residuals in each window, starts projected out, (n_windows,)."""
-    left = change - (free @ (np.swapaxes(free, 1, 2) @ change[:, :, None]))[:, :, 0]
-    return np.asarray((left**2).sum(axis=1))
-
-
-def _halved(problem: Problem) -> Problem:
-    return problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
-
-
-def _stepped(problem: Problem, fit: Fit, residual: Array, free: Array) -> Array:
-    """The same of steps of half the length."""
-    (there,) = problem.whitened(_halved(problem).errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
-    return _beyond_starts(there - residual, free)
-
-
-def equations(problem: Problem, fit: Fit) -> PieceEquations:
-    """The piece's equations for the parameters, at the model ``fit`` that was placed in it."""
-    if not len(problem.chosen[0]):  # no window can be trusted
-        zero = np.zeros((len(fit.z) + 1,) * 2)
-        return PieceEquations(zero, zero, 0, 0)
-    (residual,) = problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise)
+    here = residual(fit.z)
     ((over_z, over_x),) = problem.derivatives(fit)
-    columns = np.nan_to_num(np.concatenate([over_z, residual[:, :, None]], axis=2), posinf=0.0, neginf=0.0)
-    known, n_y = residual != 0.0, len(fit.noise.std)
+    free = np.linalg.qr(over_x)[0]  # what the starts do
+    halved = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
+    steps = [residual(fit.z, halved), *(0.5 * (residual(fit.z + step) + residual(fit.z - step)) for step in spread.T)]
+    changes = np.stack([step - here for step in steps], axis=2)
+    changes -= free @ (np.swapaxes(free, 1, 2) @ changes)
+    kept = ((changes**2).sum(axis=1) < MOST_BENT).all(axis=1)
+    if not kept.any():
+        zero = np.zeros((len(fit.z) + 1,) * 2)
+        return PieceEquations(zero, zero, 0, 0), 0
+    here, over_z, over_x = here[kept], over_z[kept], over_x[kept]
+    columns = np.nan_to_num(np.concatenate([over_z, here[:, :, None]], axis=2), posinf=0.0, neginf=0.0)
+    known, n_y = here != 0.0, len(fit.noise.std)
     count, points, n_x = over_x.shape
     most = max(1, min(SLOW, (points - n_x) // (2 * n_y)))
     waves = np.cos(np.pi * np.outer(np.arange(points // n_y) + 0.5, np.arange(most)) / (points // n_y))
@@ -498,4 +445,4 @@ def equations(problem: Problem, fit: Fit) -> PieceEquations:
     left = columns - starts @ (np.swapaxes(starts, 1, 2) @ columns)
     within = np.swapaxes(slow, 1, 2) @ left
     whole, inside = (np.einsum("wpi,wpj->ij", part, part, optimize=True) for part in (left, within))
-    return PieceEquations(whole, inside, int(known.sum()) - count * n_x, count * slow.shape[2])
+    return PieceEquations(whole, inside, int(known.sum()) - count * n_x, count * slow.shape[2]), count

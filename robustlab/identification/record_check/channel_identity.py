@@ -21,8 +21,9 @@ from robustlab.dynamics.ports.motion_model import Course
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
-from robustlab.identification.response.motion_response import MotionResponse, fit_windows
+from robustlab.identification.response.motion_response import MotionResponse
 from robustlab.identification.response.response import Stretch, stretch_of
+from robustlab.identification.response.windowed_simulation import fit_windows
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.units import unit_family
@@ -75,7 +76,7 @@ def _error(plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, columns: S
     response = MotionResponse(Course(plant, smoothed.x, u, float(whole.t[1] - whole.t[0])), tuple(columns), judged)
     length = min(WINDOW, len(whole.t))
     starts = np.arange(0, len(whole.t) - length + 1, length)
-    left = [fit_windows(w, response.errors(w), judged.weight).left for w in response.responses(starts, length)]
+    left = [fit_windows(response, windows).left for windows in response.responses(starts, length)]
     return float(np.mean(np.concatenate(left) ** 2))
 
 

@@ -88,11 +88,6 @@ class Response:
         columns = [self._run(t, at_rest, unit) for unit in np.eye(self.n_states)]
         return np.stack(columns, axis=2) if columns else np.zeros((len(t), len(self.outputs), 0))
 
-    def step_response(self, name: str, t: Array) -> Array:
-        """Response to a unit step of the input ``name`` at t_0 from rest, shape (n, n_y, 1)."""
-        step = {key: np.full(len(t), float(key == name)) for key in self.model.input_names}
-        return self._run(t, step, np.zeros(self.n_states))[:, :, None]
-
     def _run(self, t: Array, u: Mapping[str, Array], x0: Array) -> Array:
         from robustlab.dynamics import simulate
 

@@ -6,15 +6,15 @@ variance of the noise where the model is right (Brown, Durbin, Evans 1975).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, Indices
-from robustlab.identification.response.response import Response, Stretch
+from robustlab.identification.response.response import Stretch
 from robustlab.result import Evidence
 
 SHORTEST_START = 20  # samples
@@ -24,15 +24,43 @@ RANK_TOLERANCE = 1e-10
 NO_INFORMATION = 1e-10
 
 
-@dataclass(frozen=True)
-class StateFit:
-    """Least-squares fit of an initial state to a stretch of measured outputs."""
+@dataclass(frozen=True, eq=False)
+class WindowResponses:
+    """Responses in windows of one length that start at the samples ``starts`` (n_windows,)."""
 
-    # state at the first sample, shape (n_x,); the smallest one (scaled) where the outputs do not determine it
-    x0: Array
-    std: Array  # standard deviation of ``x0`` if the remaining error were white, shape (n_x,)
-    rank: int  # number of state directions that the outputs determine
-    y: Array  # simulated outputs from ``x0``, shape (n, n_y)
+    starts: Indices
+    y: Array  # outputs from ``x0``, (n_windows, length, n_y)
+    x0: Array  # states at the starts, (n_windows, n_x)
+    free: Array  # outputs per unit more of each state at the start, (n_windows, length, n_y, n_x)
+    pushed: Array  # outputs by each of the added forces alone, (n_windows, length, n_y, n_forces)
+
+    @property
+    def samples(self) -> Indices:
+        """Index of each sample in the record, (n_windows, length)."""
+        return self.starts[:, None] + np.arange(self.y.shape[1])
+
+
+class Windowed(Protocol):
+    """A model beside a record, which answers in windows."""
+
+    @property
+    def whole(self) -> Stretch:
+        """The compared signals; the weight is that of least squares."""
+        ...
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states."""
+        ...
+
+    # Whether the weight is that of the noise: then one output's residual is predicted from all outputs.
+    together: ClassVar[bool]
+
+    def responses(
+        self, starts: Sequence[int] | Indices, length: int, added: Array | None = None
+    ) -> Iterator[WindowResponses]:
+        """Windows of ``length`` samples, as many side by side as the memory takes; ``added``: forces (n, n_forces)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -51,54 +79,32 @@ class InitialState(Evidence):
 
     def to_json(self) -> dict[str, object]:
         """All fields."""
-        return {
-            "x0": self.x0,
-            "std": self.std,
-            "states": list(self.names),
-            "samples": self.samples,
-            "seconds": self.seconds,
-            "rank": self.rank,
-        }
+        return {"states" if key == "names" else key: value for key, value in vars(self).items()}
 
 
-def fit_state(response: Response, stretch: Stretch, free: Array | None = None) -> StateFit:
-    """Initial state of a stretch; ``free`` is the free response over its clock, where it is known already."""
-    forced = response.simulate(stretch.t, stretch.u, np.zeros(response.n_states))
-    free = response.free_response(stretch.t) if free is None else free
-    found = fit_starts(free[None], (stretch.y - forced)[None], stretch.weight)
-    return StateFit(found.x0[0], found.std[0], int(found.rank[0]), forced + free @ found.x0[0])
-
-
-def starting_state(response: Response, whole: Stretch, longest: int) -> InitialState:
+def starting_state(model: Windowed, longest: int) -> InitialState:
     """State at the start of a record, from the longest opening stretch over which the estimate stays consistent.
 
     A short stretch suffers from noise, a long one from the faults of the model. The stretch is doubled from 20 samples
-    (at least 4 n_x) up to ``longest``, as long as the 3-sigma intervals of all estimates so far have a common point
-    (intersection of confidence intervals).
+    (at least 4 n_x numbers) up to ``longest``, as long as the 3-sigma intervals of all estimates so far have a common
+    point (intersection of confidence intervals).
     """
-    shortest = min(len(whole.t), max(SHORTEST_START, 4 * response.n_states))
-    names, longest = response.model.state_names, min(longest, len(whole.t))
-    return consistent_start(lambda n: fit_state(response, whole.cut(0, n)), whole.t, names, shortest, longest)
-
-
-def consistent_start(
-    fit_to: Callable[[int], StateFit], t: Array, names: tuple[str, ...], shortest: int, longest: int
-) -> InitialState:
-    """`starting_state` from the fits ``fit_to(n)`` to the first n samples of the clock ``t``."""
-    n = shortest
+    t, names = model.whole.t, model.state_names
+    longest = min(longest, len(t))
+    n = min(len(t), max(SHORTEST_START, 4 * len(names) // model.whole.y.shape[1]))
     low, high = np.full(len(names), -np.inf), np.full(len(names), np.inf)
-    best: tuple[int, StateFit] | None = None
+    best: InitialState | None = None
     while True:
-        fit = fit_to(n)
-        low, high = np.maximum(low, fit.x0 - 3.0 * fit.std), np.minimum(high, fit.x0 + 3.0 * fit.std)
+        windows = next(iter(model.responses([0], n)))
+        fit = fit_windows(model, windows)
+        x0, std = fit.x0[0], fit.std[0]
+        low, high = np.maximum(low, x0 - 3.0 * std), np.minimum(high, x0 + 3.0 * std)
         if best is not None and (low > high).any():
-            break
-        best = n, fit
+            return best
+        best = InitialState(x0, std, names, n, float(t[n - 1] - t[0]), int(fit.rank[0]))
         if 2 * n > longest or not names:
-            break
+            return best
         n *= 2
-    n, fit = best
-    return InitialState(fit.x0, fit.std, names, n, float(t[n - 1] - t[0]), fit.rank)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,19 +116,18 @@ class FitOfWindows:
     x0: Array
     std: Array
     rank: Indices
-    left: Array  # what they leave of the weighted errors, (n_windows, length * n_y)
-    basis: Array  # orthonormal basis of what they can do to these, padded with zeros, (n_windows, length * n_y, n_x)
+    left: Array  # what they leave of the weighted errors, (n_windows, length, n_y)
 
 
-def fit_starts(free: Array, error: Array, weight: Array) -> FitOfWindows:
+def fit_windows(model: Windowed, windows: WindowResponses, error: Array | None = None) -> FitOfWindows:
     """States at the starts of windows side by side, by weighted least squares.
 
-    ``free``: outputs per unit of each state (n_windows, length, n_y, n_x). ``error``: (n_windows, length, n_y).
-    ``weight``: factor of each output's error, (n_y,).
+    ``error``: (n_windows, length, n_y); measured less simulated outputs where left out.
     """
-    count, n_x = len(free), free.shape[-1]
-    lhs = (free * weight[:, None]).reshape(count, error[0].size, n_x)
-    rhs = (error * weight).reshape(count, -1)
+    weight = model.whole.weight
+    error = model.whole.y[windows.samples] - windows.y if error is None else error
+    lhs = (windows.free * weight[:, None]).reshape(len(error), error[0].size, -1)
+    rhs = (error * weight).reshape(len(error), -1)
     scale = np.linalg.norm(lhs, axis=1)
     scale[scale == 0] = 1.0
     left, sigma, right = np.linalg.svd(lhs / scale[:, None], full_matrices=False)
@@ -135,14 +140,14 @@ def fit_starts(free: Array, error: Array, weight: Array) -> FitOfWindows:
     rank = known.sum(axis=1)
     variance = (rest**2).sum(axis=1) / np.maximum(1, rhs.shape[1] - rank)
     std = np.sqrt(variance[:, None] * ((right * inverse[:, :, None]) ** 2).sum(axis=1)) / scale
-    return FitOfWindows(x0, std, rank, rest, basis)
+    return FitOfWindows(windows.x0 + x0, std, rank, rest.reshape(error.shape))
 
 
 @dataclass(frozen=True)
 class WindowedSimulation:
     """Windowed simulation of a record."""
 
-    edges: NDArray[np.int_]  # first sample of each window, and the number of samples at the end, shape (n_windows + 1,)
+    edges: NDArray[np.int_]  # first sample of each window, and the end of the last one, shape (n_windows + 1,)
     y: Array  # simulated outputs, shape (n, n_y)
     x0: Array  # fitted initial states, shape (n_windows, n_x)
     # recursive residual in units of the outputs, shape (n, n_y); NaN at the samples that only fix the state of their
@@ -164,41 +169,33 @@ def window_edges(n: int, length: int) -> NDArray[np.int_]:
     return np.array([*edges, n])
 
 
-def windowed_simulation(response: Response, whole: Stretch, length: int) -> WindowedSimulation:
-    """Simulate every window of ``length`` samples from its own least-squares initial state."""
-    t, y = whole.t, whole.y
-    edges = window_edges(len(t), length)
-    longest = int(np.diff(edges).max())
-    # The free response is the same in all windows where the clock is uniform.
-    shared = response.free_response(t[:longest]) if whole.is_uniform else None
-    n_windows = len(edges) - 1
-    simulated, states = np.empty_like(y), np.empty((n_windows, response.n_states))
-    error, residual = np.full((longest, y.shape[1], n_windows), np.nan), np.empty_like(y)
-    for k, (first, last) in enumerate(pairwise(edges)):
-        part, size = slice(first, last), last - first
-        free = shared[:size] if shared is not None else response.free_response(t[part])
-        fit = fit_state(response, whole.cut(first, last), free)
-        simulated[part], states[k] = fit.y, fit.x0
-        error[:size, :, k] = y[part] - fit.y
-        if shared is None:
-            for j in range(y.shape[1]):
-                residual[part, j] = recursive_residual(free[:, j], error[:size, j, k : k + 1])[:, 0]
-    if shared is not None:
-        for j in range(y.shape[1]):
-            padded = recursive_residual(shared[:, j], error[:, j])
-            residual[:, j] = np.concatenate([padded[:size, k] for k, size in enumerate(np.diff(edges))])
+def windowed_simulation(model: Windowed, edges: NDArray[np.int_]) -> WindowedSimulation:
+    """Simulate every window between the edges from its own least-squares initial state; NaN outside of all.
+
+    Where the outputs are not taken together, each sample of the residual is predicted from the samples of the same
+    output.
+    """
+    y, weight, n_x = model.whole.y, model.whole.weight, len(model.state_names)
+    simulated, residual = np.full((2, *y.shape), np.nan)
+    sizes, states = np.diff(edges), np.empty((len(edges) - 1, n_x))
+    groups = [slice(None)] if model.together else [slice(j, j + 1) for j in range(y.shape[1])]
+    for size in np.unique(sizes):
+        for windows in model.responses(edges[:-1][sizes == size], int(size)):
+            fit, at = fit_windows(model, windows), windows.samples
+            simulated[at] = y[at] - fit.left / weight
+            states[np.searchsorted(edges, windows.starts)] = fit.x0
+            for free, left, place in zip(windows.free * weight[:, None], fit.left, at, strict=True):
+                for group in groups:
+                    told = _recursive(free[:, group].reshape(left[:, group].size, n_x), left[:, group].reshape(-1, 1))
+                    residual[place, group] = told.reshape(size, -1) / weight[group]
     return WindowedSimulation(edges, simulated, states, residual)
 
 
-def recursive_residual(free: Array, error: Array) -> Array:
-    """Recursive residual (n, n_windows) of one output in windows that share one free response (n, n_x).
-
-    ``error``: measured minus simulated output from any one initial state. A window that ends earlier ends in NaN.
-    """
+def _recursive(rows: Array, values: Array) -> Array:
+    """Recursive residual (n, 1) of the values of rows (n, n_x), which are errors from any one initial state."""
     from robustlab.identification.response.recursion_kernel import predict
 
-    size = np.linalg.norm(free, axis=0)
-    floor = NO_INFORMATION * np.where(size > 0, size, 1.0)
-    result = np.array(error, order="C")
-    predict(np.array(free, order="C"), result, floor)
+    size = np.linalg.norm(rows, axis=0)
+    result = np.array(values, order="C")
+    predict(np.array(rows, order="C"), result, NO_INFORMATION * np.where(size > 0, size, 1.0))
     return result

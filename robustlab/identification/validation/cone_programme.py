@@ -1,8 +1,8 @@
-"""Cone programmes: rows, the cones they lie in, and the solver's answer within a budget."""
+"""Cone programmes within a budget, and what a certificate disproves: shared by both domains."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import Array, Mask
+from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.conic import Cone, solve
 from robustlab.errors import NoTrustworthyNumber
@@ -19,6 +19,7 @@ MOST_ITERATIONS = 200
 FEWEST_ITERATIONS = 20  # that any programme gets, however little of the budget is left
 BUILDING_WORK = 2.0  # of setting a programme up, per stored entry, as measured
 ITERATION_WORK = 0.5  # of an iteration, per stored entry, as measured
+HALVINGS = 24  # of the interval in which a disproved gamma is looked for
 
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
@@ -30,59 +31,52 @@ def sparse_matrices() -> Any:
 
 
 class Rows(NamedTuple):
-    """Rows ``offset - matrix x`` that lie in cones of one kind, and what they stand for.
+    """Rows ``offset - matrix x`` in cones of one kind: zero, not negative, or ``|(s_2 .. s_height)| <= s_1``.
 
-    The cones: zero; not negative; or ``|(s_2 .. s_height)| <= s_1``, one after the other.
+    Of several second-order cones the first rows of all come first, then the second ones of all, and so on.
     """
 
     matrix: Any
     offset: Array
     cone: Literal["zero", "positive", "second-order"]
-    height: int = 0
+    height: int = 1
     label: tuple[str, int] | None = None
 
 
-@dataclass(frozen=True)
-class Search:
-    """What every search for the smallest gamma is given."""
+class Search(NamedTuple):
+    """Relative width of the bounds to be reached, and the work that it may take."""
 
-    scaled: Mask  # the blocks that gamma scales, (n_blocks,); the others keep the size 1
-    precision: float  # relative width of the bounds to be reached
-    budget: Budget  # work it may take
-
-    def gammas(self, gamma: float) -> Array:
-        """Sizes of the blocks that belong to a gamma."""
-        return np.where(self.scaled, gamma, 1.0)
+    precision: float
+    budget: Budget
 
 
 @dataclass(frozen=True)
 class ConeSolution:
-    """The point x, and the multipliers of each part of the rows that has a label, with its label."""
+    """The point x, and the multipliers (height, cones) of each part of the rows that has a label."""
 
     x: Array
-    dual: tuple[tuple[tuple[str, int], Array], ...]
+    dual: dict[tuple[str, int], Array]
 
 
-def solved_cones(
-    cost: Array, rows: Sequence[Rows], budget: Budget, squares: Array | None = None
-) -> ConeSolution | None:
-    """Least ``cost x + squares x^2 / 2`` over all x whose rows lie in their cones; None where there is no such x.
+def solved_cones(cost: Array, rows: Sequence[Rows], budget: Budget) -> ConeSolution | None:
+    """Least ``cost x`` over all x whose rows lie in their cones; None where there is no such x.
 
     The budget limits the iterations; a time limit, where there is one, is the solver's too, which needs a second.
     Whatever the solver says of its accuracy, an answer counts only as far as its replay and its certificate go.
     """
-    sparse = sparse_matrices()
-    A = sparse.vstack([part.matrix for part in rows]).tocsc()
-    b = np.concatenate([part.offset for part in rows])
+    matrices, offsets, turns = [], [], []
     cones: list[Cone] = []
     for part in rows:
-        count = part.matrix.shape[0]
-        whole: Cone = (part.cone, part.height or count)
-        cones += [whole] * (count // part.height if part.height else 1)
+        turn = np.arange(part.matrix.shape[0]).reshape(part.height, -1).T
+        matrices.append(part.matrix.tocsr()[turn.ravel()])
+        offsets.append(part.offset[turn.ravel()])
+        turns.append(turn)
+        cones += [(part.cone, part.height)] * len(turn) if part.height > 1 else [(part.cone, len(turn))]
+    A = sparse_matrices().vstack(matrices).tocsc()
     each = 50 + ITERATION_WORK * A.nnz
     most = min(max(budget.left / each, FEWEST_ITERATIONS), MOST_ITERATIONS)
     seconds = max(budget.seconds_left, 1.0) if budget.seconds_left < 1e6 else None
-    found = solve(cost, A, b, cones, steps=most, seconds=seconds, squares=squares)
+    found = solve(cost, A, np.concatenate(offsets), cones, steps=most, seconds=seconds)
     if found is None:
         raise NoTrustworthyNumber("validate", "the solver broke down")
     budget.spend(200 + BUILDING_WORK * A.nnz + found.iterations * each)
@@ -94,6 +88,27 @@ def solved_cones(
     x, dual = np.array(found.x), np.array(found.z)
     if not (np.isfinite(x).all() and np.isfinite(dual).all()):
         raise NoTrustworthyNumber("validate", f"the solver gave no answer ({status})")
-    ends = np.cumsum([part.matrix.shape[0] for part in rows])
-    parts = np.split(dual, ends[:-1])
-    return ConeSolution(x, tuple((r.label, part) for r, part in zip(rows, parts, strict=True) if r.label is not None))
+    parts = np.split(dual, np.cumsum([turn.size for turn in turns])[:-1])
+    labelled = [(r.label, part.reshape(t.shape).T) for r, t, part in zip(rows, turns, parts, strict=True)]
+    return ConeSolution(x, {label: part for label, part in labelled if label is not None})
+
+
+def largest_disproved(disproved: Callable[[float], bool], start: float, finest: float) -> float:
+    """Largest gamma below ``start`` that is disproved, to the relative width ``finest``; 0 where none is.
+
+    What disproves a gamma disproves every smaller one: looked for close to the start first, then by halving.
+    """
+    high = start
+    for share in (*(finest * 2.0**k for k in range(64) if finest * 2.0**k < 1), 1.0):
+        good = start * (1 - share)
+        if disproved(good):
+            break
+        high = good
+    else:
+        return 0.0
+    for _ in range(HALVINGS):
+        if high - good <= finest * high:
+            break
+        middle = 0.5 * (good + high)
+        good, high = (middle, high) if disproved(middle) else (good, middle)
+    return good

@@ -5,7 +5,7 @@ In time: Poolla et al., IEEE TAC 39 (1994) 951-959. Over frequency: Smith, Doyle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
@@ -15,8 +15,9 @@ from robustlab.budget import MILLION, one_thread, search_budget
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.identification.validation.cone_programme import Search
-from robustlab.identification.validation.frequency_domain import FrequencyData, fits_frequency_domain, validate_by_lines
+from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
 from robustlab.identification.validation.sampled_problem import NoiseNorm, prepared
+from robustlab.identification.validation.spectral_data import FrequencyData
 from robustlab.identification.validation.time_domain import validate_by_samples
 from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record
@@ -38,8 +39,6 @@ def validate(
     at_rest: bool = False,
     window: float | None = None,
     period: float | None = None,
-    missing: Mapping[str, Sequence[int]] | None = None,
-    per_block: bool = False,
     precision: float = 0.01,
     time_limit: float | None = None,
     progress: Callable[[str], None] | None = None,
@@ -74,10 +73,6 @@ def validate(
         values. A weaker test, for records over which an open-loop response drifts.
     period
         Frequency domain: the period in s, where no recorded signal tells it.
-    missing
-        Output name -> samples (indices or a mask) that were not measured.
-    per_block
-        Also find the smallest scaling of each block alone, the others kept within their size 1.
     precision
         Relative width of the bounds to be reached.
     time_limit
@@ -137,23 +132,20 @@ def validate(
     if domain not in ("time", "frequency"):
         raise InputError("validate", f"domain {domain!r}", "'time' or 'frequency'")
     say = progress or (lambda _line: None)
-    search = Search(np.ones(len(uncertain.blocks), dtype=bool), precision, budget)
+    search = Search(precision, budget)
     if domain == "frequency" or isinstance(record, FrequencyData):
-        fits_frequency_domain(record, domain, noise_norm, window, at_rest, missing, noise)
+        fits_frequency_domain(record, domain, noise_norm, window, at_rest, noise)
         with one_thread():
             if isinstance(record, Record):
                 noise = noise if noise is not None else _estimated(uncertain, record, "rms", CONFIDENCE)
-            return validate_by_lines(
-                uncertain, record, noise or {}, search,
-                period=period, per_block=per_block, progress=say, estimated=estimated,
-            )  # fmt: skip
+            return validate_by_lines(uncertain, record, noise or {}, search, period, say, estimated)
     if period is not None:
         raise InputError("validate", f"period {period:g} s", "a period only in the frequency domain")
     norm: NoiseNorm = noise_norm or "peak"
     with one_thread():
         bounds = _numbers(noise) if noise is not None else _estimated(uncertain, record, norm, CONFIDENCE)
-        recorded = prepared(uncertain, record, bounds, norm=norm, window=window, at_rest=at_rest, missing=missing)
-        return validate_by_samples(record, recorded, search, per_block=per_block, progress=say, estimated=estimated)
+        recorded = prepared(uncertain, record, bounds, norm=norm, window=window, at_rest=at_rest)
+        return validate_by_samples(record, recorded, search, say, estimated)
 
 
 def _numbers(noise: Mapping[str, ArrayLike]) -> dict[str, float]:

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.checks import number
+from robustlab.dynamics.simulation import transition
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.identification.comparison.envelope import deviations
 from robustlab.identification.response.response import response_of
@@ -43,10 +43,9 @@ class Recorded:
     outputs: tuple[Signal, ...]  # compared outputs with their units
     bound: Array  # noise bound of each output, shape (n_y,): largest value, or root mean square
     norm: NoiseNorm  # which of the two
-    used: NDArray[np.bool_]  # false where a sample of an output is missing, shape (n, n_y)
-    # over how many samples of each output a root mean square is bounded, (n_y,): those of the whole record, in a part
-    # of it, too. The noise of a part may be larger than that of the whole.
-    counts: NDArray[np.int_]
+    # samples over which a root mean square is bounded: those of the whole record, in a part of it, too. The noise of a
+    # part may be larger than that of the whole.
+    count: int
     starts: tuple[int, ...]  # first sample of each window
     at_rest: bool  # whether the first window starts at the state zero; all others have a free state
 
@@ -55,14 +54,10 @@ class Recorded:
         """Sample time in s."""
         return float(self.t[-1] - self.t[0]) / (len(self.t) - 1)
 
-    def part(self, first: int, last: int) -> Recorded:
-        """Samples ``first .. last - 1`` as a record of one window, free at its start unless it is the record's."""
-        cut = slice(first, last)
-        starts = (0, *(s - first for s in self.starts if first < s < last))
-        at_rest = self.at_rest and first == 0
-        return replace(
-            self, t=self.t[cut], u=self.u[cut], y=self.y[cut], used=self.used[cut], starts=starts, at_rest=at_rest
-        )
+    def first(self, n: int) -> Recorded:
+        """The first n samples."""
+        starts = tuple(s for s in self.starts if s < n)
+        return replace(self, t=self.t[:n], u=self.u[:n], y=self.y[:n], starts=starts)
 
 
 def prepared(
@@ -73,7 +68,6 @@ def prepared(
     norm: NoiseNorm = "peak",
     window: float | None = None,
     at_rest: bool = False,
-    missing: Mapping[str, Sequence[int]] | None = None,
 ) -> Recorded:
     """Match model and record; refuse what cannot be judged."""
     where = f"validate {record.name}"
@@ -88,13 +82,11 @@ def prepared(
     bound = noise_bounds(noise, names, norm, where)
     shifted, _ = deviations(response.with_units(record), uncertain, names)
     chosen = uncertain.select(outputs=names)
-    n, n_x = record.n, uncertain.M.n_states
+    n = record.n
     u = np.column_stack([np.zeros((n, 0)), *(shifted.inputs[s.name] for s in chosen.inputs)])
     y = np.column_stack([shifted.outputs[name] for name in names])
-    used = _used(missing or {}, names, n, where)
-    starts = _starts(window, record, n_x, where)
-    counts = np.maximum(used.sum(axis=0), 1)
-    return Recorded(chosen, record.t, u, y, response.outputs, bound, norm, used, counts, starts, at_rest)
+    starts = _starts(window, record, uncertain.M.n_states, where)
+    return Recorded(chosen, record.t, u, y, response.outputs, bound, norm, n, starts, at_rest)
 
 
 @dataclass(frozen=True)
@@ -111,11 +103,8 @@ class SampledProblem:
     # z0, e: shape (n, p) and (n, n_y)
     z0: Array
     e: Array
-    used: NDArray[np.bool_]  # shape (n, n_y)
-    # norm, radius: noise norm, and the bound of each output in its scaled unit (n_y,): 1 for peaks, root of the count
-    # for rms
     norm: NoiseNorm
-    radius: Array
+    radius: float  # bound of the noise of an output in its scaled unit: 1 for peaks, root of the count for rms
     # starts, at_rest: as in `Recorded`
     starts: tuple[int, ...]
     at_rest: bool
@@ -149,15 +138,16 @@ class SampledProblem:
         x = states(self.A, drive, first)
         return self.z0 + x @ self.C1.T + w @ self.D11.T, self.e - x @ self.C2.T - w @ self.D21.T
 
-    def free_response(self) -> tuple[Array, Array]:
-        """What the jumps add to z (n, p, k m) and to -noise (n, n_y, k m), for the m free starts in turn."""
+    def free_response(self) -> Array:
+        """What the jumps add to -noise, (n, n_y, k m), for the m free starts in turn."""
         k, starts = self.free.shape[1], self.free_starts
-        to_z, to_y = (np.zeros((self.n, len(c), k * len(starts))) for c in (self.C1, self.C2))
-        moved = powers(self.A, self.free, self.n) if starts else np.zeros((0, *self.free.shape))
+        found = np.zeros((*self.e.shape, k * len(starts)))
+        rest = np.zeros((self.n, len(self.A)))
+        moved = [states(self.A, rest, x0) @ self.C2.T for x0 in self.free.T] if starts else []
         for i, start in enumerate(starts):
-            to_z[start:, :, i * k : (i + 1) * k] = self.C1 @ moved[: self.n - start]
-            to_y[start:, :, i * k : (i + 1) * k] = self.C2 @ moved[: self.n - start]
-        return to_z, to_y
+            for j, y in enumerate(moved):
+                found[start:, :, i * k + j] = y[: self.n - start]
+        return found
 
     def z_is_known(self) -> bool:
         """Whether z depends neither on w nor on a free state: then the test is convex."""
@@ -171,10 +161,9 @@ class SampledProblem:
 
     def excess(self, noise: Array) -> float:
         """Largest noise over its bound: at most 1 where the noise is explained."""
-        inside = np.where(self.used, noise, 0.0)
         if self.norm == "peak":
-            return float(np.abs(inside).max(initial=0.0))
-        return float((np.linalg.norm(inside, axis=0) / self.radius).max(initial=0.0))
+            return float(np.abs(noise).max(initial=0.0))
+        return float(np.linalg.norm(noise, axis=0).max(initial=0.0) / self.radius)
 
     def sizes(self, w: Array, z: Array) -> Array:
         r"""For each block the smallest gain of a causal time-varying system that maps z to w.
@@ -198,9 +187,11 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
     model hides, so that what such a block sees is free as well.
     """
     q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
-    A, B, C, D = held(M, recorded.dt)
-    n_u = B.shape[1] - q
-    forced = _forced(A, B[:, q:], C, D[:, q:], recorded.u if n_u else np.zeros((len(recorded.t), 0)))
+    (A, B), C, D = held(M, recorded.dt), M.C, M.D
+    x = states(A, recorded.u @ B[:, q:].T, np.zeros(len(A)))
+    forced = x @ C.T + recorded.u @ D[:, q:].T
+    if not np.isfinite(forced).all():
+        raise NoTrustworthyNumber("validate", "the nominal response outgrows every number", None, "use windows")
     z0, y0 = forced[:, :p], forced[:, p:]
     scale_w, scale_z, scales = np.ones(q), np.ones(p), []
     layout: list[tuple[slice, slice, bool]] = []
@@ -212,7 +203,6 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
         layout.append((rows, cols, not (block.is_ball or block.interval)))
         if block.interval:
             seen.append(C[cols] / size)
-    radius = np.ones(len(recorded.bound)) if recorded.norm == "peak" else np.sqrt(recorded.counts)
     return SampledProblem(
         A,
         B[:, :q] * scale_w,
@@ -222,9 +212,8 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
         D[p:, :q] * scale_w / recorded.bound[:, None],
         z0 / scale_z,
         (recorded.y - y0) / recorded.bound,
-        recorded.used,
         recorded.norm,
-        radius,
+        1.0 if recorded.norm == "peak" else float(np.sqrt(recorded.count)),
         recorded.starts,
         recorded.at_rest,
         shown(A, np.vstack(seen)),
@@ -234,53 +223,23 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
     )
 
 
-def with_delta_of(uncertain: UncertainModel, values: Mapping[str, float]) -> tuple[StateSpaceModel, tuple[Block, ...]]:
-    """M and its remaining blocks once the named real blocks are set to their values."""
-    from robustlab.uncertainty.blocks import delta_matrix
-    from robustlab.uncertainty.upper_lft import upper_lft
-
-    slices = block_slices(uncertain.blocks)
-    fixed = [k for k, b in enumerate(uncertain.blocks) if b.name in values]
-    kept = [k for k in range(len(uncertain.blocks)) if k not in fixed]
-    q, p = uncertain.delta_shape
-    M = uncertain.M
-
-    def order(side: int, count: int, total: int) -> list[int]:
-        def at(k: int) -> list[int]:
-            part = slices[k][side]
-            return list(range(part.start, part.stop))
-
-        return [*(i for k in fixed for i in at(k)), *(i for k in kept for i in at(k)), *range(count, total)]
-
-    ins, outs = order(0, q, M.n_inputs), order(1, p, M.n_outputs)
-    turned = StateSpaceModel(
-        M.A,
-        M.B[:, ins],
-        M.C[outs],
-        M.D[np.ix_(outs, ins)],
-        M.dt,
-        [M.inputs[i] for i in ins],
-        [M.outputs[i] for i in outs],
-        M.states,
-    )
-    blocks = [uncertain.blocks[k] for k in fixed]
-    delta = delta_matrix(blocks, values)
-    closed = upper_lft(turned, delta) if blocks else turned
-    return closed, tuple(uncertain.blocks[k] for k in kept)
-
-
-def held(M: StateSpaceModel, dt: float) -> tuple[Array, Array, Array, Array]:
-    """The model at the record's sample time with all inputs held between samples."""
-    if M.dt or not len(M.A):
-        return M.A, M.B, M.C, M.D
-
-    from scipy.linalg import expm
-
-    n, m = M.B.shape
-    both = np.asarray(expm(np.block([[M.A, M.B], [np.zeros((m, n + m))]]) * dt), dtype=np.float64)
-    if not np.isfinite(both).all():
+def held(M: StateSpaceModel, dt: float) -> tuple[Array, Array]:
+    """A and B at the record's sample time with all inputs held between samples."""
+    if M.dt:
+        return M.A, M.B
+    A, B, _ = transition(M, dt)
+    if not (np.isfinite(A).all() and np.isfinite(B).all()):
         raise NoTrustworthyNumber("validate", f"the model cannot be sampled at {dt:g} s: its exponential overflows")
-    return both[:n, :n], both[:n, n:], M.C, M.D
+    return A, B
+
+
+def at_nominal(uncertain: UncertainModel) -> tuple[StateSpaceModel, tuple[Block, ...]]:
+    """M without the channels of its real blocks, and the other blocks."""
+    M, (q, p) = uncertain.M, uncertain.delta_shape
+    kept = [(b, at) for b, at in zip(uncertain.blocks, block_slices(uncertain.blocks), strict=True) if not b.interval]
+    inputs = [*(name for _, (rows, _) in kept for name in M.input_names[rows]), *M.input_names[q:]]
+    outputs = [*(name for _, (_, cols) in kept for name in M.output_names[cols]), *M.output_names[p:]]
+    return M.select(inputs, outputs), tuple(b for b, _ in kept)
 
 
 def shown(A: Array, C: Array) -> Array:
@@ -297,15 +256,6 @@ def shown(A: Array, C: Array) -> Array:
     _, sigma, right = np.linalg.svd(stacked)
     rank = int((sigma > SHOWN * sigma[0]).sum()) if sigma[0] > 0 else 0
     return right[:rank].T
-
-
-def _forced(A: Array, B: Array, C: Array, D: Array, u: Array) -> Array:
-    """Response from rest, shape (n, rows of C)."""
-    x = states(A, u @ B.T, np.zeros(len(A)))
-    found = x @ C.T + u @ D.T
-    if not np.isfinite(found).all():
-        raise NoTrustworthyNumber("validate", "the nominal response outgrows every number", None, "use windows")
-    return found
 
 
 def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, where: str) -> Array:
@@ -331,22 +281,6 @@ def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, 
     return np.array([float(noise[name]) for name in names])
 
 
-def _used(missing: Mapping[str, Sequence[int]], names: tuple[str, ...], n: int, where: str) -> NDArray[np.bool_]:
-    used = np.ones((n, len(names)), dtype=bool)
-    for name, samples in missing.items():
-        if name not in names:
-            raise unknown_name(f"{where}: missing {name!r}", "no such compared output", name, names)
-        index = np.asarray(samples)
-        if index.dtype == bool and index.shape != (n,):
-            raise InputError(f"{where}: missing {name!r}", f"a mask of shape {index.shape}", f"({n},)")
-        if index.dtype != bool and index.size and (index.dtype.kind != "i" or index.min() < 0 or index.max() >= n):
-            raise InputError(f"{where}: missing {name!r}", "samples outside the record", f"0 .. {n - 1}")
-        used[index if index.size else [], names.index(name)] = False
-    if not used.any():
-        raise InputError(where, "every sample is missing", "some measured samples")
-    return used
-
-
 def _starts(window: float | None, record: Record, n_states: int, where: str) -> tuple[int, ...]:
     if window is None:
         return (0,)
@@ -357,43 +291,25 @@ def _starts(window: float | None, record: Record, n_states: int, where: str) -> 
     return tuple(s for s in range(0, record.n, length) if record.n - s >= shortest or s == 0)
 
 
-# --- linear recursions: as many steps in Python as twice the root of the samples -------------------------------------
-
-
-def powers(A: Array, start: Array, n: int) -> Array:
-    """``A^k start`` for k = 0 .. n - 1, shape (n, n_x, columns)."""
-    size = max(1, int(np.sqrt(n)))
-    inner = [np.eye(len(A))]
-    for _ in range(size):
-        inner.append(A @ inner[-1])
-    leap = inner.pop()
-    heads = [start]
-    for _ in range(-(-n // size) - 1):
-        heads.append(leap @ heads[-1])
-    found = np.einsum("kij,hjc->hkic", np.array(inner), np.array(heads))
-    return found.reshape(len(heads) * len(inner), *start.shape)[:n]
-
-
 def states(A: Array, drive: Array, first: Array) -> Array:
-    """``x_{t+1} = A x_t + drive_t`` from ``x_0 = first``, shape (n, n_x); the last drive is not used."""
+    """``x_{t+1} = A x_t + drive_t`` from ``x_0 = first``, shape (n, n_x); the last drive is not used.
+
+    In chunks side by side: as many steps in Python as twice the root of the samples.
+    """
     n, n_x = drive.shape
-    if not n_x:
-        return np.zeros((n, 0))
     size = max(1, int(np.sqrt(n)))
     count = -(-n // size)
-    padded = np.zeros((count * size, n_x))
-    padded[:n] = drive
-    chunks = padded.reshape(count, size, n_x)
+    chunks = np.zeros((count * size, n_x))
+    chunks[:n] = drive
+    chunks = chunks.reshape(count, size, n_x)
     local = np.zeros((count, size + 1, n_x))
-    for k in range(size):
-        local[:, k + 1] = local[:, k] @ A.T + chunks[:, k]
     step = [np.eye(n_x)]
-    for _ in range(size):
-        step.append(A @ step[-1])
-    heads = np.empty((count, n_x))
-    now = first
-    for j in range(count):
-        heads[j] = now
-        now = step[size] @ now + local[j, size]
-    free = np.einsum("kij,hj->hki", np.array(step[:size]), heads)
-    return (local[:, :size] + free).reshape(-1, n_x)[:n]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(size):
+            local[:, k + 1] = local[:, k] @ A.T + chunks[:, k]
+            step.append(A @ step[-1])
+        heads = [first]
+        for j in range(count - 1):
+            heads.append(step[size] @ heads[-1] + local[j, size])
+        free = np.einsum("kij,hj->hki", np.array(step[:size]), np.array(heads))
+        return (local[:, :size] + free).reshape(count * size, n_x)[:n]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, Protocol
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.budget import Budget
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import Search
 from robustlab.result import Evidence, Status
@@ -30,10 +29,6 @@ class BlockSize(Evidence):
     name: str
     kind: Literal["constant", "time-invariant", "time-varying"]
     size: float  # how large it is in the explanation; NaN where nothing explains the record
-    # lower, upper: bounds of the smallest scaling of this block alone, the others kept within their size 1; NaN where
-    # not asked
-    lower: float
-    upper: float
     # the number of a constant; a system is given by its signals w and z, which exist by the theorem
     value: Any = None
     physical: tuple[float, str] | None = None  # value and unit of the parameter that a constant stands for
@@ -41,11 +36,10 @@ class BlockSize(Evidence):
 
     @property
     def in_words(self) -> str:
-        """Its size in the explanation, the parameter's value, and what it needs alone."""
+        """Its size in the explanation, and the parameter's value."""
         texts = [f"size {self.size:.4g} in the explanation"] if np.isfinite(self.size) else []
         texts += [number(*self.physical, 6)] if self.physical is not None else []
         texts += [f"physically impossible ({self.impossible})"] if self.impossible else []
-        texts += [] if np.isnan(self.lower) else [f"alone, the others within 1: {self.lower:.4g} to {self.upper:.4g}"]
         return "; ".join(texts)
 
 
@@ -184,8 +178,8 @@ class Validation(Tabular, Evidence):
         return {**self.to_json(series=False), "gamma": self.gamma}
 
     def table(self) -> Table:
-        """A row for each block: its size in the explanation, and what it needs alone."""
-        columns = {key: [getattr(b, key) for b in self.blocks.values()] for key in ("kind", "size", "lower", "upper")}
+        """A row for each block: its size in the explanation."""
+        columns = {key: [getattr(b, key) for b in self.blocks.values()] for key in ("kind", "size")}
         return Table(("block", list(self.blocks)), columns)
 
     def to_json(self, series: bool = True) -> dict[str, object]:
@@ -194,48 +188,23 @@ class Validation(Tabular, Evidence):
         if not series:
             long = ("t", "measured", "nominal", "explained", "w", "z", "multipliers", "omega", "line_sizes")
             data = {k: v for k, v in data.items() if k not in long}
-            data["blocks"] = {
-                name: {k: v for k, v in b.to_json().items() if not isinstance(v, np.ndarray)}
-                for name, b in self.blocks.items()
-            }
         return {**data, "verdict": self.verdict, "invalidated": self.invalidated}
 
 
 # --- what both domains end with --------------------------------------------------------------------------------------
 
 
-def concluded(lower: float, upper: float, precision: float, budget: Budget, *, certified: bool = True) -> Status:
+def concluded(lower: float, upper: float, search: Search, *, certified: bool = True) -> Status:
     """What two bounds amount to; ``certified`` where both were re-derived from their evidence."""
     if np.isinf(lower):
         return Status.INFEASIBLE
-    if budget.struck:
+    if search.budget.struck:
         return Status.TIMEOUT
-    if np.isfinite(upper) and upper - lower <= 1.01 * precision * max(upper, SMALLEST):
+    if np.isfinite(upper) and upper - lower <= 1.01 * search.precision * max(upper, SMALLEST):
         return Status.CERTIFIED if certified else Status.CONVERGED
     if lower > 1 or upper <= 1:
         return Status.CONVERGED
     return Status.INCONCLUSIVE
-
-
-class _Bounded(Protocol):
-    """A lower and an upper bound of gamma, inf where nothing explains the record."""
-
-    @property
-    def lower(self) -> float: ...
-    @property
-    def upper(self) -> float: ...
-
-
-def each_alone(
-    names: Sequence[str], search: Search, bounds: Callable[[Search], _Bounded], progress: Callable[[str], None]
-) -> dict[str, tuple[float, float]]:
-    """Bounds over each block alone, the others kept within 1."""
-    found = {}
-    for k, name in enumerate(names):
-        progress(f"block {name} alone")
-        part = bounds(replace(search, scaled=np.arange(len(names)) == k))
-        found[name] = part.lower, part.upper
-    return found
 
 
 def in_own_units(
