@@ -1,16 +1,19 @@
-"""Cone programmes handed to Clarabel: the one call of the solver, and the triangles of its cones of matrices."""
+"""Cone programmes handed to Clarabel: directly where small ones are solved often, else matrix inequalities by cvxpy."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
+from robustlab.budget import Budget
 
 # Endings whose numbers are worth a look; whoever asked checks them outside of the solver.
 ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
+MATRIX_STEPS = 200  # of a problem in cvxpy: three times what one ever needed
 # A kind of cone and its size: how many numbers, or how many rows a symmetric matrix has.
 Cone = tuple[Literal["zero", "positive", "second-order", "semidefinite"], int]
 
@@ -62,3 +65,46 @@ def solve(
         if isinstance(error, (Exception, KeyboardInterrupt, SystemExit)):
             raise
         return None
+
+
+def least(cost: Any, conditions: Sequence[Any], budget: Budget) -> str:
+    """Solve a problem in cvxpy, whose variables have values then; empty, or why they have none."""
+    import cvxpy as cp
+    from cvxpy.error import SolverError
+
+    if budget.over:
+        return "no work was left for the LMI"
+    problem = cp.Problem(cp.Minimize(cost), list(conditions))
+    unknowns = sum(variable.size for variable in problem.variables())
+    work = 4e-3 * unknowns**2 * sum(c.shape[0] if c.shape else 1 for c in conditions)
+    options: dict[str, Any] = {"max_iter": int(np.clip(budget.left / work, 1, MATRIX_STEPS)), "accept_unknown": True}
+    if np.isfinite(budget.seconds_left):
+        options["time_limit"] = max(budget.seconds_left, 1e-3)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
+            problem.solve(solver=cp.CLARABEL, warm_start=False, **options)
+    except SolverError as error:
+        return f"the LMI solver says {error}"
+    budget.spend((problem.solver_stats.num_iters or 0) * work)
+    found = [variable.value for variable in problem.variables()]
+    sound = all(value is not None and np.isfinite(value).all() for value in found)
+    return "" if sound else f"the LMI solver says {problem.status}"
+
+
+def bounded_real(top: Any, C: Any, D: Any, gamma: Any) -> Any:
+    """``[top_A, top_B, C^T; ., -gamma I, D^T; ., ., -gamma I]`` with ``top = [top_A, top_B]``, top_A symmetric."""
+    import cvxpy as cp
+
+    n, (q, m) = C.shape[1], D.shape
+    return cp.bmat([[top[:, :n], top[:, n:], C.T], [top[:, n:].T, -gamma * np.eye(m), D.T], [C, D, -gamma * np.eye(q)]])
+
+
+def equal_rows(matrix: AnyArray) -> AnyArray:
+    """Factors d with which the largest entry of each row of ``d_i m_ij d_j`` is about one (Ruiz 2001)."""
+    # The rows of fast states drown those of slow ones otherwise.
+    size, d = np.abs(matrix), np.ones(len(matrix))
+    for _ in range(10):
+        largest = (d[:, None] * size * d).max(axis=1, initial=0.0)
+        d /= np.sqrt(np.where(largest > 0, largest, 1.0))
+    return d

@@ -8,9 +8,7 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "laws.controller_structures": (
-            "PID Decentralised FixedOrder FixedPoles MultichannelPID Part Series StaticGain Sum"
-        ),
+        "laws.controller_structures": ("PID Decentralised FixedOrder FixedPoles MultichannelPID Part StaticGain Sum"),
         "nonsmooth.design_limits": "Bandwidth Damping Decay RollOff StableController",
         "fixed.goal_tuning": "GainGoal MarginGoal SensitivityGoal TrackingGoal VarianceGoal",
         "problem.partition": "GeneralizedPlant PlantMatrices",

@@ -6,7 +6,6 @@ K is eliminated by the two Riccati equations (`riccati_level`). Minimax by seque
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
@@ -129,7 +128,7 @@ def grown(
     # Sections with zero = pole, and sections of G with p = q, leave the level as it is.
     candidates: list[tuple[float, DynamicScalings]] = []
     places = np.linspace(np.log(omega[0]), np.log(omega[1]), PLACES).tolist()
-    for trial in _candidates(scalings, places):
+    for trial in scalings.enlarged(places):
         if problem.budget.over:
             return None
         if trial.n_states > max_states:
@@ -147,14 +146,3 @@ def grown(
         if found is not None and (best is None or found[1] < best[1]):
             best = found
     return best
-
-
-def _candidates(scalings: DynamicScalings, places: list[float]) -> Iterator[DynamicScalings]:
-    """All enlargements by one section of a factor or of a G."""
-    for i, part in enumerate(scalings.parts):
-        for k, factor in enumerate(part.factors):
-            for at in places:
-                yield scalings.with_part(i, part.with_factor(k, factor.with_section(at, at)))
-        for k, pair in enumerate(part.g):
-            for at in places:
-                yield scalings.with_part(i, part.with_pair(k, pair.with_section(at, at)))

@@ -62,7 +62,7 @@ class DKSynthesis(Tabular, Synthesis):
         What mu no stabilising controller gets below, and how that is known; see `robustlab.synthesis.dk.mu_floor`.
     why
         One sentence: what was gained over ``start_mu``, and what ends the way down: the limit of every controller, a
-        structure that leaves D nothing to change, scalings worth nothing at the peak, or nothing that is proved.
+        structure that leaves D nothing to change, or nothing that is proved.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {

@@ -51,7 +51,6 @@ BEYOND = 30.0  # ... and so many times beyond; larger: slower and faster section
 LAST_CURVES = 1.5  # work kept for the end, in curves of mu ...
 CURVE_POINTS = 112  # ... of so many frequencies
 PROOF_ACCURACY = 1e-3  # of the proof by intervals; smaller: more intervals
-ALONE_SHARE = 0.02  # of the work for the level of one block of one member alone
 START_POINTS = 16  # frequencies of the first loop at which mu of real blocks is computed
 ROUGH = 0.1  # share of the loop's gain that regularisation may cost while iterating; smaller: stiffer
 FINE = 0.03  # the same at the end
@@ -96,8 +95,8 @@ def dk(
     n_meas, n_con
         Numbers of measurements and controls; left out for a `GeneralizedPlant`.
     K0
-        Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); a `DKSynthesis` of the same
-        blocks also gives its scalings. H-infinity synthesis where left out.
+        Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); H-infinity synthesis where
+        left out.
     direct
         Whether to go on with direct minimisation after D-K iteration.
     mixed
@@ -208,7 +207,6 @@ class _Search:
         self.history: list[DKStep] = []
         self.curve: MuCurve | None = None
         self.curved: Iterate | None = None  # whose curve that is
-        self.warm: DynamicScalings | None = None
         self.start_mu = float("nan")  # largest mu at single frequencies of the first iterate
 
     def _until(self, end: float) -> Budget:
@@ -235,8 +233,6 @@ class _Search:
         K = synthesize(self.plant, "hinf", 1.0, self.search.share(START_SHARE)).K if K0 is None else None
         if K is None:
             K = _controller(K0, self.plant)
-            if isinstance(K0, DKSynthesis) and K0.scalings.blocks in (self.blocks, self.real):
-                self.warm = scalings = K0.scalings
         found = self.problem.proved(K, scalings, 1.0)
         if found is None and K0 is not None:
             raise InputError("synth dk: K0", "a loop that is not stable", "a controller that stabilises P")
@@ -284,8 +280,8 @@ class _Search:
         of low order; where blocks are real, then over D and G from a D of low order.
         """
         self.problem.regularise(self.best, FINE)
-        starts = [unit_scalings(self.blocks) if self.warm is None else _with_g(self.warm, self.blocks)]
-        if self.curve is not None and self.warm is None:
+        starts = [unit_scalings(self.blocks)]
+        if self.curve is not None:
             if len(self.blocks) > FEW_BLOCKS:  # the way from D = I is long then
                 starts = [self._fitted(self.curve, np.inf, self.search)]
             fitted = self._fitted(self.curve, FIRST_LOSS, self.search)
@@ -296,11 +292,9 @@ class _Search:
             self._grow(scalings, "direct")
         self.problem.budget = self.search
         if self.mixed and not self.late:
-            first = self.warm
-            if first is None or not first.mixed:
-                # A rough D: that of the iterate of lowest order, or a fit to the best loop where that has fewer states.
-                fitted = self._fitted(self._followed(self.best), FIRST_LOSS, self.search)
-                first = min(self._chosen(FIRST_LOSS).scalings, fitted, key=lambda scalings: scalings.n_states)
+            # A rough D: that of the iterate of lowest order, or a fit to the best loop where that has fewer states.
+            fitted = self._fitted(self._followed(self.best), FIRST_LOSS, self.search)
+            first = min(self._chosen(FIRST_LOSS).scalings, fitted, key=lambda scalings: scalings.n_states)
             self._grow(_with_g(first, self.real), "D-G-K")
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
@@ -376,8 +370,6 @@ class _Search:
         smallest = min(gamma, best.level)
         floor = mu_floor(self.problem.bare, blocks, smallest, delta, loop.dt)
         start_mu = self.start_mu if np.isfinite(self.start_mu) else self.iterates[0].level
-        alone = floor.nominal_level(self.budget.apart(ALONE_SHARE * self.whole))
-        why = why_not_less(smallest, start_mu, self.iterates[0].level, floor.bound.value, alone, blocks)
         how = "constant D, G on intervals that cover the axis" if pieces else "the norm of the scaled loop"
         parts = [doubt or f"loop of P and K is stable; mu bound proved in ball arithmetic at all frequencies by {how}"]
         if chosen is not best and chosen.level > best.level:
@@ -386,26 +378,12 @@ class _Search:
         status = Status.INACCURATE if doubt else Status.CERTIFIED
         status, reason = told(status, parts, self.budget, "a smaller mu")
         return DKSynthesis(
-            K=chosen.K,
-            gamma=gamma,
-            closed_loop=loop,
-            status=status,
-            reason=reason,
-            limit=limiting_channels(loop, frequency),
-            plant=self.plant,
-            method="dk",
-            blocks=blocks,
-            lower=min(lower, gamma),
-            frequency=frequency,
-            delta=delta,
-            scalings=chosen.scalings,
-            scaled_level=chosen.level,
-            pieces=pieces,
-            history=tuple(self.history),
-            start_mu=start_mu,
-            lower_bound=floor.bound,
-            why=why,
-        )
+            K=chosen.K, gamma=gamma, closed_loop=loop, status=status, reason=reason,
+            limit=limiting_channels(loop, frequency), plant=self.plant, method="dk", blocks=blocks,
+            lower=min(lower, gamma), frequency=frequency, delta=delta, scalings=chosen.scalings,
+            scaled_level=chosen.level, pieces=pieces, history=tuple(self.history), start_mu=start_mu,
+            lower_bound=floor, why=why_not_less(smallest, start_mu, floor.value, blocks),
+        )  # fmt: skip
 
     def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...]) -> MuCurve:
         """The curve of mu, or, where little work is left, around the peak of the scaled loop alone."""

@@ -7,10 +7,11 @@ Young, "Robustness with parametric and dynamic uncertainty" (1993), chapter 9; F
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +44,12 @@ class Factor:
         """All logarithms in a row."""
         return [self.log_gain, *chain(*self.sections)]
 
+    @property
+    def inverse(self) -> Factor:
+        """1 / d(s)."""
+        swapped = tuple((*s[len(s) // 2 :], *s[: len(s) // 2]) for s in self.sections)
+        return Factor(-self.log_gain, swapped)
+
     def with_parameters(self, values: Iterator[float]) -> Factor:
         """The same form with the next numbers of ``values``."""
         return Factor(float(next(values)), _taken(self.sections, values))
@@ -58,6 +65,10 @@ class Factor:
             half = len(section) // 2
             result += _log_modulus(section[:half], omega) - _log_modulus(section[half:], omega)
         return result
+
+
+def _put(items: tuple[Any, ...], at: int, new: Any) -> tuple[Any, ...]:
+    return (*items[:at], new, *items[at + 1 :])
 
 
 def _taken(sections: Sections, values: Iterator[float]) -> Sections:
@@ -79,12 +90,6 @@ def _realised(factor: Factor) -> Realisation:
         C[:, here] = c
         D, at = d * D, at + len(a)
     return Realisation(A, B, C, D)
-
-
-@lru_cache(maxsize=4096)
-def _inverse(factor: Factor) -> Realisation:
-    A, B, C, D = _realised(factor)
-    return Realisation(A - B @ C / D, B / D, -C / D, 1 / D)
 
 
 def _section(values: tuple[float, ...]) -> Realisation:
@@ -158,14 +163,6 @@ class BlockScaling:
         """States of all G."""
         return sum(pair.n_states for pair in self.g)
 
-    def with_factor(self, k: int, factor: Factor) -> BlockScaling:
-        """With one factor replaced."""
-        return replace(self, factors=(*self.factors[:k], factor, *self.factors[k + 1 :]))
-
-    def with_pair(self, k: int, pair: CoprimePair) -> BlockScaling:
-        """With the G of one channel replaced."""
-        return replace(self, g=(*self.g[:k], pair, *self.g[k + 1 :]))
-
 
 @dataclass(frozen=True, eq=False)
 class DynamicScalings:
@@ -212,7 +209,17 @@ class DynamicScalings:
 
     def with_part(self, index: int, part: BlockScaling) -> DynamicScalings:
         """With the scalings of one block replaced."""
-        return replace(self, parts=(*self.parts[:index], part, *self.parts[index + 1 :]))
+        return replace(self, parts=_put(self.parts, index, part))
+
+    def enlarged(self, places: Sequence[float]) -> Iterator[DynamicScalings]:
+        """With one section more, of a factor or of a G, at each of these places."""
+        for i, part in enumerate(self.parts):
+            for k, factor in enumerate(part.factors):
+                for at in places:
+                    yield self.with_part(i, replace(part, factors=_put(part.factors, k, factor.with_section(at, at))))
+            for k, pair in enumerate(part.g):
+                for at in places:
+                    yield self.with_part(i, replace(part, g=_put(part.g, k, pair.with_section(at, at))))
 
     def to_json(self) -> list[dict[str, object]]:
         return [
@@ -227,12 +234,12 @@ class DynamicScalings:
 
     def on_outputs(self) -> Realisation:
         """``D_z(s)``, shape (p, p)."""
-        (A, B, C, D), T = self._diagonal(1, _realised), self._mixing(1)
+        (A, B, C, D), T = self._diagonal(1), self._mixing(1)
         return Realisation(A, B @ T, C, D @ T)
 
     def on_inputs(self) -> Realisation:
         """``D_w(s)^{-1}``, shape (q, q)."""
-        (A, B, C, D), back = self._diagonal(0, _inverse), np.linalg.inv(self._mixing(0))
+        (A, B, C, D), back = self._diagonal(0), np.linalg.inv(self._mixing(0))
         return Realisation(A, B, back @ C, back @ D)
 
     def coprime(self) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
@@ -247,8 +254,8 @@ class DynamicScalings:
                 B[here, w.start + i], at = b[:, 0], here.stop
         return A, B, F, C
 
-    def _diagonal(self, side: int, made: Callable[[Factor], Realisation]) -> Realisation:
-        """The factors on their channels, and one on those of blocks whose D is one."""
+    def _diagonal(self, side: int) -> Realisation:
+        """The factors (on the inputs: their inverses) on their channels; one on those of blocks whose D is one."""
         size, pieces = structure_size(self.blocks)[side], list[tuple[Realisation, int]]()
         D = np.zeros((size, size))
         for block, part, where in zip(self.blocks, self.parts, block_slices(self.blocks), strict=True):
@@ -258,7 +265,8 @@ class DynamicScalings:
                 continue
             # The one factor of a full block comes once for every channel.
             factors = part.factors * len(channels) if block.d_order == 1 else part.factors
-            pieces += [(made(factor), i) for factor, i in zip(factors, channels, strict=True)]
+            made = [_realised(factor if side else factor.inverse) for factor in factors]
+            pieces += zip(made, channels, strict=True)
         n, at = sum(len(piece[0].A) for piece in pieces), 0
         A, B, C = np.zeros((n, n)), np.zeros((n, size)), np.zeros((size, n))
         for (a, b, c, d), i in pieces:

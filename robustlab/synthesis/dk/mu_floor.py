@@ -7,53 +7,30 @@ For every full block i and constant values of the real blocks of size at most 1 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.budget import Budget
 from robustlab.mu_analysis.matrix.box import centre_matrix
-from robustlab.synthesis.dk.dynamic_scalings import unit_scalings
-from robustlab.synthesis.dk.robust_problem import RobustProblem
 from robustlab.synthesis.problem.gamma_bounds import GammaBound, pointwise_bound
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
-from robustlab.uncertainty.blocks import Block, FullBlock, block_slices
+from robustlab.uncertainty.blocks import Block, block_slices
 
-# Closer than this to a limit, or to what the search began with, counts as there.
-NEAR = 0.01
-
-
-@dataclass(frozen=True)
-class MuFloor:
-    """A proved bound for every controller, and where H-infinity synthesis alone stands for the same channels."""
-
-    bound: GammaBound  # no stabilising controller has a smaller peak of mu
-    # The plant with the channels of that block and member alone; None where nothing bounds mu.
-    channels: PlantMatrices | None
-
-    def nominal_level(self, budget: Budget) -> float:
-        """The smallest level of the Riccati equations for ``channels``: what these alone need, an estimate."""
-        if self.channels is None or not self.bound.value > 0:
-            return float("nan")
-        block = FullBlock("all", self.channels.B1.shape[1], self.channels.C1.shape[0])
-        scalings = unit_scalings((block,))
-        search = RobustProblem(self.channels.plant(), budget).search(scalings)
-        level = search.smallest(scalings.parameters(), self.bound.value, 1e-4)
-        return float("nan") if level is None else float(level.beta)
+NEAR = 0.01  # closer than this to a limit, or to what the search began with, counts as there
 
 
 def mu_floor(
     plant: PlantMatrices, blocks: Sequence[Block], gamma: float, delta: Mapping[str, Any], dt: float = 0.0
-) -> MuFloor:
+) -> GammaBound:
     """A lower bound, at most ``gamma``, of the peak of mu under every stabilising controller."""
     real = np.array([b.interval is not None for b in blocks])
     start = np.array([float(delta.get(b.name, 0.0)) if r else 0.0 for b, r in zip(blocks, real, strict=True)])
     best = _of_member(plant, blocks, np.zeros(len(blocks)), dt)
     if not gamma > 0:
-        return MuFloor(replace(best.bound, value=0.0), None)
+        return replace(best, value=0.0)
     largest = float(np.abs(start).max(initial=0.0))
     member = start / (gamma * largest) if largest else start
     found = _of_member(plant, blocks, member, dt)
@@ -62,17 +39,17 @@ def mu_floor(
             other = member.copy()
             other[k] = value
             tried = _of_member(plant, blocks, other, dt)
-            if tried.bound.value > found.bound.value:
+            if tried.value > found.value:
                 member, found = other, tried
-    if found.bound.value > best.bound.value:
+    if found.value > best.value:
         values = ", ".join(f"{b.name} {v:+.3g}" for b, v in zip(blocks, member, strict=True) if v)
-        best = replace(found, bound=replace(found.bound, known=f"{found.bound.known}, of the member {values} alone"))
-    return replace(best, bound=replace(best.bound, value=min(best.bound.value, gamma)))
+        best = replace(found, known=f"{found.known}, of the member {values} alone")
+    return replace(best, value=min(best.value, gamma))
 
 
-def _of_member(plant: PlantMatrices, blocks: Sequence[Block], values: Array, dt: float) -> MuFloor:
+def _of_member(plant: PlantMatrices, blocks: Sequence[Block], values: Array, dt: float) -> GammaBound:
     """The largest bound of the blocks' own channels, the real blocks having these values."""
-    best = MuFloor(GammaBound(0.0, "no block's own channels keep mu from zero", True), None)
+    best = GammaBound(0.0, "no block's own channels keep mu from zero", True)
     p = _closed(plant, centre_matrix(blocks, values)) if values.any() else plant
     if p is None:
         return best
@@ -81,8 +58,8 @@ def _of_member(plant: PlantMatrices, blocks: Sequence[Block], values: Array, dt:
             continue  # their own mu is no norm
         part = replace(p, B1=p.B1[:, w], D21=p.D21[:, w], C1=p.C1[z], D12=p.D12[z], D11=p.D11[z, w])
         bound = pointwise_bound(part, [paths_first(part), equilibrated(part)], dt)
-        if bound.value > best.bound.value:
-            best = MuFloor(replace(bound, known=f"{block.name!r} alone, {bound.known}"), part)
+        if bound.value > best.value:
+            best = replace(bound, known=f"{block.name!r} alone, {bound.known}")
     return best
 
 
@@ -105,21 +82,14 @@ def _closed(p: PlantMatrices, delta: Array) -> PlantMatrices | None:
     )
 
 
-def why_not_less(
-    smallest: float, start_mu: float, first_level: float, floor: float, alone: float, blocks: Sequence[Block]
-) -> str:
+def why_not_less(smallest: float, start_mu: float, floor: float, blocks: Sequence[Block]) -> str:
     """One sentence: what was gained over the first controller, and what ends the way down."""
     gained = 1 - smallest / start_mu if start_mu > 0 else 0.0
     come = f"mu of the first controller is {start_mu:.4g}, the smallest proved {smallest:.4g}"
     come += f" ({gained:.1%} less)" if gained > NEAR else ": D-K gains nothing over it"
     if smallest <= floor * (1 + NEAR):
         return f"{come}; it is at the limit of every controller"
-    room = f"any controller has at least {floor:.4g}"
+    rest = f"any controller has at least {floor:.4g}"
     if len(blocks) == 1 and not blocks[0].interval and blocks[0].d_order == 1:
-        return f"{come}; one full block: mu is the norm that H-infinity makes smallest, D has nothing to change; {room}"
-    if smallest <= alone * (1 + NEAR):
-        return f"{come}; H-infinity synthesis for one block of one member alone needs {alone:.4g} (an estimate), {room}"
-    if gained <= NEAR and first_level <= start_mu * (1 + NEAR):
-        return f"{come}; at its peak the scalings are worth nothing, for its norm is {first_level:.4g}; {room}"
-    needs = "" if np.isnan(alone) else f" (H-infinity synthesis for one block of one member alone: {alone:.4g})"
-    return f"{come}; {room}{needs}, and what lies between is not decided: the search is local"
+        return f"{come}; one full block: mu is the norm that H-infinity makes smallest, D has nothing to change; {rest}"
+    return f"{come}; {rest}, and what lies between is not decided: the search is local"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from robustlab.synthesis.dk.dynamic_scalings import (
     reference_block,
     unit_scalings,
 )
-from robustlab.uncertainty.blocks import Block, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, block_slices
 
 FIRST_POINTS = 40  # frequencies before any is added
 ROUNDS = 3  # rounds of refinement ...
@@ -108,94 +109,60 @@ def fitted_scalings(
     curve: MuCurve, blocks: Sequence[Block], loss: float, max_states: int, budget: Budget
 ) -> DynamicScalings:
     """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be."""
-    fit = _Fit(curve, blocks, budget)
-    scalings = fit.constants()
-    score = fit.score(scalings)
-    while score[1] > curve.peak * (1 + loss) and not budget.over:
-        best: tuple[float, tuple[float, float], DynamicScalings] | None = None
-        for trial in fit.larger(scalings):
-            if max(_orders(trial)) > MAX_FACTOR_ORDER or trial.n_states > max_states:
-                continue
-            budget.spend(_peaks_work(curve, trial))
-            reached = fit.score(trial)
-            gain = (score[0] - reached[0]) / (trial.n_states - scalings.n_states)
-            if best is None or gain > best[0]:
-                best = (gain, reached, trial)
-        if best is None or best[0] <= 0:
-            trial = fit.all_larger(scalings)
-            if trial.n_states > max_states or max(_orders(trial), default=0) > MAX_FACTOR_ORDER:
+    # A factor may be off by as much (in logarithms) as mu lies below its peak.
+    weights = ROOM / (ROOM + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
+    targets, mixings = _targets(curve, blocks)
+    unit, slots = unit_scalings(blocks), [(i, k) for i, some in enumerate(targets) for k in range(len(some))]
+
+    @cache
+    def factor(slot: tuple[int, int], order: int) -> Factor:
+        before = factor(slot, order - 1) if order else None
+        budget.spend(FIT_WORK * order**2)
+        return _fit_factor(curve.omega, targets[slot[0]][slot[1]], weights, before)
+
+    def made(orders: tuple[int, ...]) -> DynamicScalings:
+        factors = [factor(slot, order) for slot, order in zip(slots, orders, strict=True)]
+        own = [tuple(f for f, (j, _) in zip(factors, slots, strict=True) if j == i) for i in range(len(blocks))]
+        parts = [BlockScaling(f, m, part.g) for f, m, part in zip(own, mixings, unit.parts, strict=True)]
+        return DynamicScalings(unit.blocks, tuple(parts))
+
+    def error(j: int) -> float:
+        (i, k), fitted = slots[j], factor(slots[j], orders[j]).log_modulus(curve.omega)
+        return float(np.abs(weights * (targets[i][k] - fitted)).max())
+
+    orders = (0,) * len(slots)
+    scalings = made(orders)
+    score, peak = _score(curve, scalings)
+    while peak > curve.peak * (1 + loss) and not budget.over:
+        worst = sorted(range(len(slots)), key=error, reverse=True)[:TRIED]
+        single = [tuple(order + (j == k) for k, order in enumerate(orders)) for j in worst]
+        # One order more where that lowers the peaks most for its states; where none does, of every factor.
+        for trials in (single, [tuple(order + 1 for order in orders)]):
+            best: tuple[float, float, float, tuple[int, ...], DynamicScalings] | None = None
+            for more in trials:
+                trial = made(more) if max(more, default=0) <= MAX_FACTOR_ORDER else None
+                if trial is None or trial.n_states > max_states or trial.n_states == scalings.n_states:
+                    continue
+                budget.spend(300 + len(curve.omega) * (10 + trial.n_states**2 // 10 + len(curve.response[0]) ** 3 // 5))
+                reached, top = _score(curve, trial)
+                gain = (score - reached) / (trial.n_states - scalings.n_states)
+                if gain > (0.0 if best is None else best[0]):
+                    best = gain, reached, top, more, trial
+            if best is not None:
                 break
-            reached = fit.score(trial)
-            if reached[0] >= score[0]:
-                break
-            best = (0.0, reached, trial)
-        _, score, scalings = best
+        else:
+            break
+        _, score, peak, orders, scalings = best
     return scalings
 
 
-class _Fit:
-    """Factors of every order fitted to a curve, each of them once."""
-
-    def __init__(self, curve: MuCurve, blocks: Sequence[Block], budget: Budget) -> None:
-        self.curve, self.blocks, self.budget = curve, blocks, budget
-        # A factor may be off by as much (in logarithms) as mu lies below its peak.
-        self.weights = ROOM / (ROOM + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
-        self.targets, self.mixings = _targets(curve, blocks)
-        self.known: dict[tuple[int, int, int], Factor] = {}
-
-    def factor(self, i: int, k: int, order: int) -> Factor:
-        """Factor k of block i in this order."""
-        if (i, k, order) not in self.known:
-            before = self.factor(i, k, order - 1) if order else None
-            self.budget.spend(FIT_WORK * order**2)
-            target, omega = self.targets[i][k], self.curve.omega
-            self.known[i, k, order] = _fit_factor(omega, target, self.weights, before)
-        return self.known[i, k, order]
-
-    def constants(self) -> DynamicScalings:
-        """All factors constant."""
-        scalings = unit_scalings(self.blocks)
-        for i, part in enumerate(scalings.parts):
-            factors = tuple(self.factor(i, k, 0) for k in range(len(part.factors)))
-            scalings = scalings.with_part(i, BlockScaling(factors, self.mixings[i], part.g))
-        return scalings
-
-    def larger(self, scalings: DynamicScalings) -> Iterator[DynamicScalings]:
-        """With one order more of one of the factors that fit worst."""
-        errors = [
-            (float(np.abs(self.weights * (self.targets[i][k] - factor.log_modulus(self.curve.omega))).max()), i, k)
-            for i, part in enumerate(scalings.parts)
-            for k, factor in enumerate(part.factors)
-        ]
-        for _, i, k in sorted(errors, reverse=True)[:TRIED]:
-            part = scalings.parts[i]
-            one = self.factor(i, k, part.factors[k].order + 1)
-            yield scalings.with_part(i, part.with_factor(k, one))
-
-    def all_larger(self, scalings: DynamicScalings) -> DynamicScalings:
-        """Every factor with one order more."""
-        for i, part in enumerate(scalings.parts):
-            factors = tuple(self.factor(i, k, f.order + 1) for k, f in enumerate(part.factors))
-            scalings = scalings.with_part(i, BlockScaling(factors, part.mixing, part.g))
-        return scalings
-
-    def score(self, scalings: DynamicScalings) -> tuple[float, float]:
-        """Logarithm of a power mean of the peaks ``sigma_max(D_z M D_w^{-1})`` over frequency, and the largest peak."""
-        left = frequency_response(StateSpaceModel(*scalings.on_outputs()), self.curve.omega)
-        right = frequency_response(StateSpaceModel(*scalings.on_inputs()), self.curve.omega)
-        peaks = np.linalg.svd(left @ self.curve.response @ right, compute_uv=False)[:, 0]
-        top, power = max(float(peaks.max(initial=0.0)), 1e-300), SHARPNESS
-        return float(np.log(top) + np.log(max(np.mean((peaks / top) ** power), 1e-300)) / power), top
-
-
-def _peaks_work(curve: MuCurve, scalings: DynamicScalings) -> float:
-    """Work of `_Fit.score`: responses of D on both sides, and the singular values."""
-    n, size = scalings.n_states, structure_size(scalings.blocks)[1]
-    return 300 + len(curve.omega) * (10 + n**2 // 10 + size**3 // 5)
-
-
-def _orders(scalings: DynamicScalings) -> list[int]:
-    return [f.order for part in scalings.parts for f in part.factors]
+def _score(curve: MuCurve, scalings: DynamicScalings) -> tuple[float, float]:
+    """Logarithm of a power mean of the peaks ``sigma_max(D_z M D_w^{-1})`` over frequency, and the largest peak."""
+    left = frequency_response(StateSpaceModel(*scalings.on_outputs()), curve.omega)
+    right = frequency_response(StateSpaceModel(*scalings.on_inputs()), curve.omega)
+    peaks = np.linalg.svd(left @ curve.response @ right, compute_uv=False)[:, 0]
+    top = max(float(peaks.max(initial=0.0)), 1e-300)
+    return float(np.log(top) + np.log(max(np.mean((peaks / top) ** SHARPNESS), 1e-300)) / SHARPNESS), top
 
 
 def _fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Factor | None) -> Factor:
@@ -241,22 +208,15 @@ def _targets(curve: MuCurve, blocks: Sequence[Block]) -> tuple[list[list[AnyArra
     D = np.stack([bound.Dw for bound in curve.bounds])
     base = np.zeros(len(D)) if one is None else np.log(D[:, slices[one][0].start, slices[one][0].start].real)
     top = int(np.argmax(curve.levels))
-    targets: list[list[AnyArray]] = []
-    mixings: list[tuple[float, ...]] = []
+    targets, mixings = list[list[AnyArray]](), list[tuple[float, ...]]()
     for i, (block, (w, _)) in enumerate(zip(blocks, slices, strict=True)):
-        r = block.rows
-        if i == one:
-            targets.append([])
-            mixings.append(())
-            continue
-        if block.d_order == 1:
-            targets.append([0.5 * (np.log(D[:, w.start, w.start].real) - base)])
-            mixings.append(())
-            continue
-        lower = np.linalg.cholesky(D[top, w, w].real)
-        T = (lower / np.diag(lower)).T
-        back = np.linalg.inv(T)
-        left = np.einsum("kii->ki", back.T @ D[:, w, w] @ back).real
-        targets.append([0.5 * (np.log(np.maximum(left[:, k], 1e-300)) - base) for k in range(r)])
-        mixings.append(tuple(T[np.triu_indices(r, 1)]))
+        own, T = D[:, w, w], np.eye(block.rows)
+        if block.d_order > 1:
+            lower = np.linalg.cholesky(own[top].real)
+            T = (lower / np.diag(lower)).T
+            back = np.linalg.inv(T)
+            own = back.T @ own @ back
+        mixings.append(tuple(T[np.triu_indices(block.rows, 1)]) if block.d_order > 1 else ())
+        count = 0 if i == one else block.d_order
+        targets.append([0.5 * (np.log(np.maximum(own[:, k, k].real, 1e-300)) - base) for k in range(count)])
     return targets, mixings

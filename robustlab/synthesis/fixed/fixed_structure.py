@@ -26,7 +26,7 @@ from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import Start, multi_start
 from robustlab.synthesis.problem.assumptions import require_stabilisable
-from robustlab.synthesis.problem.certify import certified
+from robustlab.synthesis.problem.certify import Certificate, certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.scaling import common_scaling
@@ -34,21 +34,13 @@ from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
-# Work of a design at effort 1.
-WORK = 60 * MILLION
-# Candidates that are verified, best first; the optimiser's own norm is not a proof. More: slower, seldom better.
-VERIFIED = 4
-# Most scenarios.
-ROUNDS = 12
-# Worst-case gain over the scenarios' gain at which the scenarios count as enough. Smaller: more rounds.
-ENOUGH = 1.01
-# Shares of the work that remains: for one design, and for one search for the worst member with its proof.
-DESIGN_SHARE = 0.5
-SEARCH_SHARE = 0.3
-
 WHERE = "synth fixed"
-# A limit that is met up to this share counts as kept: the search stays strictly inside.
-KEPT = 1e-9
+WORK = 60 * MILLION  # of a design at effort 1
+VERIFIED = 4  # candidates, best first; the optimiser's own norm is not a proof. More: slower, seldom better
+ROUNDS = 12  # scenarios, at most
+ENOUGH = 1.01  # worst-case gain over the scenarios' gain at which these count as enough. Smaller: more rounds
+DESIGN_SHARE, SEARCH_SHARE = 0.5, 0.3  # of the work that remains: for one design, for one worst member with its proof
+KEPT = 1e-9  # share up to which a limit counts as kept: the search stays strictly inside
 
 
 @dataclass(frozen=True)
@@ -488,46 +480,51 @@ def _with_worst_gain(design: FixedSynthesis, budget: Budget) -> FixedSynthesis:
 # --- verification -----------------------------------------------------------------------------------------------------
 
 
+def kept_limits(
+    limits: Sequence[Limit], loops: Sequence[StateSpaceModel], K: StateSpaceModel
+) -> tuple[LimitValue, ...]:
+    """The largest value of every limit over the loops rebuilt from K."""
+    return tuple(LimitValue(limit.text, max(limit.value(loop, K) for loop in loops)) for limit in limits)
+
+
+def certified_norm(
+    plant: GeneralizedPlant, K: StateSpaceModel, objective: str
+) -> tuple[HinfNorm | H2Norm, Certificate]:
+    """The norm of the loop rebuilt from K, and what ball arithmetic proves of it."""
+    loop = plant.close(K)
+    norm = hinf_norm(loop) if objective == "hinf" else h2_by_gramians(loop)
+    return norm, certified(plant, K, norm)
+
+
 def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
     """The design of a start with the norms of its rebuilt loops; None where one is unstable or a limit broken."""
-    plants, law, objective = problem.plants, problem.law, problem.objective
-    first = plants[0]
+    plants, law, first = problem.plants, problem.law, problem.plants[0]
     try:
         K = law.model(start.p, first.model.dt, first.measurements, first.controls)
         loops = tuple(plant.close(K) for plant in plants)
-        norms = tuple(hinf_norm(loop) if objective == "hinf" else h2_by_gramians(loop) for loop in loops)
+        limits = kept_limits(problem.limits, loops, K)
+        if any(limit.value > KEPT for limit in limits):
+            return None
+        norms, proofs = zip(*(certified_norm(plant, K, problem.objective) for plant in plants), strict=True)
     except (InputError, NoTrustworthyNumber):  # entries overflow, or a loop is not well posed
         return None
-    bounds = tuple(norm.upper if isinstance(norm, HinfNorm) else norm.value for norm in norms)
-    limits = tuple(LimitValue(c.text, max(c.value(loop, K) for loop in loops)) for c in problem.limits)
-    if not np.isfinite(bounds).all() or any(limit.value > KEPT for limit in limits):
-        return None
-    proofs = [certified(plant, K, norm) for plant, norm in zip(plants, norms, strict=True)]
     gammas = tuple(proof.gamma for proof in proofs)
+    if not np.isfinite(gammas).all():
+        return None
     worst = int(np.argmax(gammas))
     doubt, shown = next((proof.doubt for proof in proofs if proof.doubt), ""), norms[worst]
     proved = all(isinstance(norm, HinfNorm) or norm.status is Status.CERTIFIED for norm in norms)
     many = "loop" if len(norms) == 1 else f"{len(norms)} loops"
-    peak = shown.frequency if isinstance(shown, HinfNorm) else np.nan
+    peak = float(shown.frequency) if isinstance(shown, HinfNorm) else np.nan
     return FixedSynthesis(
-        K=K,
-        gamma=max(gammas),
-        closed_loop=loops[worst],
+        K=K, gamma=max(gammas), closed_loop=loops[worst],
         status=Status.INACCURATE if doubt else Status.CERTIFIED if proved else Status.CONVERGED,
         reason=doubt or f"{many} rebuilt from K: stable, norm proved in ball arithmetic",
         limit=limiting_channels(loops[worst], peak) if np.isfinite(peak) else "",
-        plant=plants[worst],
-        method="fixed",
-        objective=objective,
-        parameters=parameter_values(law, start.p),
-        gammas=gammas,
-        norms=norms,
-        closed_loops=loops,
-        peak_frequency=float(peak),
-        limits=limits,
-        starts=(start,),
+        plant=plants[worst], method="fixed", objective=problem.objective, parameters=parameter_values(law, start.p),
+        gammas=gammas, norms=norms, closed_loops=loops, peak_frequency=peak, limits=limits, starts=(start,),
         plants=tuple(plants),
-    )
+    )  # fmt: skip
 
 
 def require_finite_h2(problem: DesignProblem) -> None:

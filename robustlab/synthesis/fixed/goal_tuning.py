@@ -16,7 +16,7 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, one_thread
 from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
-from robustlab.norms import bilinear_to_discrete, h2_by_gramians, hinf_norm
+from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.signals import Taken
@@ -25,21 +25,21 @@ from robustlab.synthesis.fixed.fixed_structure import (
     KEPT,
     VERIFIED,
     WORK,
-    LimitValue,
     ParametricDesign,
+    certified_norm,
     check_starts,
     given_starts,
+    kept_limits,
     law_of,
     not_found,
     parameter_values,
     require_finite_h2,
-)
+)  # fmt: skip
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
 from robustlab.synthesis.laws.controller_laws import Law
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import BARRIER_CLOSER, central_path, multi_start, polished
-from robustlab.synthesis.problem.certify import certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
 from robustlab.synthesis.problem.gamma_bounds import gamma_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
@@ -48,14 +48,12 @@ from robustlab.tables import Table
 
 INPUTS = ("reference", "disturbance", "noise")
 OUTPUTS = ("output", "control", "total", "error")
-# Factor of hard goals in the search, so that they hold after it; most rounds, and the gain that is worth another.
-HARDER = 1 + 1e-5
-GOAL_ROUNDS = 12
-GOAL_PROGRESS = 1e-3
-# Share of the work for the first search, from many starts.
-GOAL_START = 0.6
-# Weights of the soft goals, in turn, until the hard ones are met.
-GOAL_SHARES = (0.5, 0.2, 0.05, 0.01, 0.0)
+CUTS = {"output": ("reference", "error"), "input": ("disturbance", "total")}  # between which a sensitivity lies
+HARDER = 1 + 1e-5  # factor of hard goals in the search, so that they hold after it
+GOAL_SHARES = (0.5, 0.2, 0.05, 0.01, 0.0)  # weights of the soft goals, in turn, until the hard ones are met
+GOAL_ROUNDS = 12  # for smaller soft goals ...
+GOAL_PROGRESS = 1e-3  # ... and the gain that is worth another
+GOAL_START = 0.6  # share of the work for the first search, from many starts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,14 +66,23 @@ class Goal:
     @property
     def text(self) -> str:
         """The goal in words: its numbers by name."""
-        told = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("hard", "weight")}
-        said = [f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in told.items() if v is not None]
-        return f"{type(self).__name__.removesuffix('Goal').lower()}: {', '.join(said)}"
+        named = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("hard", "weight")}
+        words = [f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in named.items() if v is not None]
+        return f"{type(self).__name__.removesuffix('Goal').lower()}: {', '.join(words)}"
 
-    def channel(self, loop: GeneralizedPlant) -> GeneralizedPlant:
-        """The generalised plant whose norm is at most one where the goal is met."""
+    def asked(self) -> tuple[str, str, Any]:
+        """Groups of inputs and of outputs, and the weight of what is between them."""
+        raise NotImplementedError
+
+    def positive(self, name: str) -> float:
+        """An attribute that has to be a positive number."""
+        number(f"goal: {name}", getattr(self, name), "a positive number", above=0)
+        return float(getattr(self, name))
+
+    def channel(self, loop: GeneralizedPlant, share: float = 1.0) -> GeneralizedPlant:
+        """The generalised plant whose norm is at most one where the goal is met; z times ``share``."""
         model, n_z, n_w = loop.model, loop.n_z, loop.n_w
-        into, out, weight = self._asked()
+        into, out, weight = self.asked()
         only = self.outputs if isinstance(self, TrackingGoal) else None
         ins = _signals(model.input_names[:n_w], into, INPUTS, only)
         outs = _signals(model.output_names[:n_z], out, OUTPUTS, only)
@@ -85,19 +92,11 @@ class Goal:
             D[:n, :n] -= 0.5 * np.eye(n)
         if T.dt and isinstance(weight, StateSpaceModel) and not weight.dt:
             weight = bilinear_to_discrete(weight, T.dt)
-        weight = weight_on_channels(weight, n, T.dt, "goal: weight")
+        weight = share * weight_on_channels(weight, n, T.dt, "goal: weight")
         weight = weight.renamed([f"v{i + 1}" for i in range(n)], [f"z{i + 1}" for i in range(weight.n_outputs)])
         kept = StateSpaceModel([], [], [], np.eye(loop.n_meas), T.dt, outputs=T.outputs[n:])
         weighted = series(StateSpaceModel(T.A, T.B, T.C, D, T.dt, T.inputs), append(weight, kept))
         return GeneralizedPlant(weighted, loop.n_meas, loop.n_con)
-
-    def _asked(self) -> tuple[str, str, Any]:
-        """Groups of inputs and of outputs, and the weight of what is between them."""
-        raise NotImplementedError
-
-    def _positive(self, name: str) -> float:
-        number(f"goal: {name}", getattr(self, name), "a positive number", above=0)
-        return float(getattr(self, name))
 
 
 @dataclass(frozen=True)
@@ -111,8 +110,8 @@ class TrackingGoal(Goal):
     peak: float = 2.0
     outputs: Sequence[str] | None = None
 
-    def _asked(self) -> tuple[str, str, Any]:
-        return "reference", "error", performance_weight(2 / self._positive("response_time"), self.error, self.peak)
+    def asked(self) -> tuple[str, str, Any]:
+        return "reference", "error", performance_weight(2 / self.positive("response_time"), self.error, self.peak)
 
 
 @dataclass(frozen=True)
@@ -126,8 +125,8 @@ class SensitivityGoal(Goal):
     bandwidth: float | None = None
     error: float = 1e-2
 
-    def _asked(self) -> tuple[str, str, Any]:
-        peak, w_b = self._positive("peak"), self.bandwidth
+    def asked(self) -> tuple[str, str, Any]:
+        peak, w_b = self.positive("peak"), self.bandwidth
         return *_cut(self.at), 1 / peak if w_b is None else performance_weight(w_b, self.error, peak)
 
 
@@ -142,8 +141,8 @@ class GainGoal(Goal):
     outputs: str = "output"
     weight: Any = 1.0
 
-    def _asked(self) -> tuple[str, str, Any]:
-        share, weight = 1 / self._positive("bound"), self.weight
+    def asked(self) -> tuple[str, str, Any]:
+        share, weight = 1 / self.positive("bound"), self.weight
         numbers = isinstance(weight, (int, float, list, np.ndarray))
         return self.inputs, self.outputs, share * (np.array(weight) if numbers else as_model(weight, "goal: weight"))
 
@@ -159,8 +158,8 @@ class VarianceGoal(Goal):
     outputs: str = "output"
     norm: ClassVar[str] = "h2"
 
-    def _asked(self) -> tuple[str, str, Any]:
-        return self.inputs, self.outputs, 1 / self._positive("bound")
+    def asked(self) -> tuple[str, str, Any]:
+        return self.inputs, self.outputs, 1 / self.positive("bound")
 
 
 @dataclass(frozen=True)
@@ -173,15 +172,14 @@ class MarginGoal(Goal):
     disk: float
     at: str = "output"
 
-    def _asked(self) -> tuple[str, str, Any]:
-        return *_cut(self.at), self._positive("disk")
+    def asked(self) -> tuple[str, str, Any]:
+        return *_cut(self.at), self.positive("disk")
 
 
 def _cut(at: str) -> tuple[str, str]:
-    """Groups between which the sensitivity at the plant's outputs or inputs lies."""
-    if at not in ("output", "input"):
+    if at not in CUTS:
         raise InputError("goal: at", f"{at!r}", '"output" or "input"')
-    return ("reference", "error") if at == "output" else ("disturbance", "total")
+    return CUTS[at]
 
 
 def _signals(names: Sequence[str], group: str, groups: Sequence[str], only: Sequence[str] | None) -> list[str]:
@@ -255,7 +253,6 @@ class TunedSynthesis(ParametricDesign):
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "missed": float}
-
     saved = (*Synthesis.saved, "goals", "limits", "parameters")
 
     goals: tuple[GoalValue, ...]
@@ -360,9 +357,44 @@ def tune(
     loops = [_loop(g) for g in _plants(G)]
     with one_thread():
         law = law_of(loops[0], structure, bounds)
-        task = _Task(loops, wanted, limits, law, budget)
         given = [("given", p) for p in given_starts(law, start)]
-        return task.judged(task.found(given, starts, seed, progress or (lambda _: None)))
+
+        def problem(alpha: float, budget: Budget) -> DesignProblem:
+            """``max(g, alpha f)`` over all plants, hard goals a little harder; the hard goals alone for alpha = 0."""
+            asked = [goal for goal in wanted if goal.hard or alpha]
+            plants = [goal.channel(loop, HARDER if goal.hard else alpha) for goal in asked for loop in loops]
+            kinds = [goal.norm for goal in asked for _ in loops]
+            return DesignProblem(plants, law, kinds, limits, budget, limited=loops if limits else [])
+
+        first = problem(1.0, budget.share(GOAL_START))
+        require_finite_h2(first)
+        ends = multi_start(first, given, starts, seed, progress or (lambda _: None))
+
+        def reached(p: AnyArray) -> tuple[float, float]:
+            """Largest hard and largest soft goal."""
+            values = np.array(first.norms(p)).reshape(len(wanted), len(loops)).max(axis=1)
+            hard = np.array([goal.hard for goal in wanted])
+            return float(values[hard].max(initial=0.0)), float(values[~hard].max(initial=0.0))
+
+        stable = [(reached(end.p), end.p) for end in ends[:VERIFIED] if np.isfinite(end.gamma)]
+        if not stable:
+            raise not_found(first, ends)
+        (hard, soft), p = min(stable, key=lambda pair: (max(pair[0][0], 1.0), pair[0][1]))
+        for k in range(GOAL_ROUNDS):
+            met = hard <= 1
+            if budget.over or not any(goal.hard for goal in wanted) or (met and soft <= 0):
+                break
+            if not met and k == len(GOAL_SHARES):
+                break
+            q = _improved(problem(1 / soft if met else GOAL_SHARES[k], budget), p)
+            now, lower = reached(q)
+            if met and not (now <= 1 and lower < soft):
+                break
+            settled = met and lower > soft * (1 - GOAL_PROGRESS)
+            p, hard, soft = q, now, lower
+            if settled:
+                break
+        return _judged(p, law, loops, wanted, limits, budget)
 
 
 def _plants(G: Any) -> list[StateSpaceModel]:
@@ -380,113 +412,49 @@ def _plants(G: Any) -> list[StateSpaceModel]:
     return models
 
 
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """The search for the parameters, and the verdict about them."""
+def _improved(problem: DesignProblem, p: AnyArray) -> AnyArray:
+    """Parameters of a smaller norm from p on, or p."""
+    v, _ = central_path(problem, problem.variables(p), BARRIER_CLOSER)
+    q, value = polished(problem, problem.parameters(v)[0])
+    return q if value < problem.norm(problem.variables(p))[0] else p
 
-    loops: Sequence[GeneralizedPlant]
-    goals: Sequence[Goal]
-    limits: Sequence[Limit]
-    law: Law
-    budget: Budget
 
-    def _problem(self, alpha: float, budget: Budget) -> DesignProblem:
-        """``max(g, alpha f)`` over all plants, hard goals a little harder; of the hard goals alone for alpha = 0."""
-        asked = [goal for goal in self.goals if goal.hard or alpha]
-        plants = [_times(g.channel(loop), HARDER if g.hard else alpha) for g in asked for loop in self.loops]
-        kinds = [goal.norm for goal in asked for _ in self.loops]
-        return DesignProblem(plants, self.law, kinds, self.limits, budget, limited=self.loops if self.limits else [])
-
-    def found(
-        self, given: Sequence[tuple[str, AnyArray]], starts: int, seed: int, say: Callable[[str], None]
-    ) -> AnyArray:
-        """The best parameters."""
-        everything = self._problem(1.0, self.budget.share(GOAL_START))
-        require_finite_h2(everything)
-        hard_ones = np.array([goal.hard for goal in self.goals])
-
-        def reached(p: AnyArray) -> tuple[float, float]:
-            """Largest hard and largest soft goal."""
-            values = np.array(everything.norms(p)).reshape(len(self.goals), len(self.loops)).max(axis=1)
-            return float(values[hard_ones].max(initial=0.0)), float(values[~hard_ones].max(initial=0.0))
-
-        def improved(alpha: float, p: AnyArray) -> AnyArray:
-            problem = self._problem(alpha, self.budget)
-            v, _ = central_path(problem, problem.variables(p), BARRIER_CLOSER)
-            q, value = polished(problem, problem.parameters(v)[0])
-            return q if value < problem.norm(problem.variables(p))[0] else p
-
-        ends = multi_start(everything, given, starts, seed, say)
-        stable = [(reached(end.p), end.p) for end in ends[:VERIFIED] if np.isfinite(end.gamma)]
-        if not stable:
-            raise not_found(everything, ends)
-        (hard, soft), p = min(stable, key=lambda pair: (max(pair[0][0], 1.0), pair[0][1]))
-        for alpha in GOAL_SHARES:
-            if hard <= 1 or self.budget.over:
-                break
-            p = improved(alpha, p)
-            hard, soft = reached(p)
-        for k in range(GOAL_ROUNDS if hard <= 1 and hard_ones.any() else 0):
-            if self.budget.over or soft <= 0:
-                break
-            q = improved(1 / soft, p)
-            hard, lower = reached(q)
-            if not (hard <= 1 and lower < soft):
-                break
-            settled = lower > soft * (1 - GOAL_PROGRESS)
-            p, soft = q, lower
-            say(f"round {k + 1}: hard goals {hard:.5g}, soft goals {soft:.5g}")
-            if settled:
-                break
-        return p
-
-    def judged(self, p: AnyArray) -> TunedSynthesis:
-        """The design with every goal verified on loops rebuilt from K."""
-        first = self.loops[0]
-        K = self.law.model(p, first.model.dt, first.measurements, first.controls)
-        whole = [loop.close(K) for loop in self.loops]
-        limits = tuple(LimitValue(c.text, max(c.value(loop, K) for loop in whole)) for c in self.limits)
-        if any(limit.value > KEPT for limit in limits):
-            raise NoTrustworthyNumber("synth tune", "the limits do not hold for the loop rebuilt from K")
-        doubts: list[str] = []
-        goals = tuple(self._value(goal, K, doubts) for goal in self.goals)
-        soft = [goal.value for goal in goals if not goal.hard] or [goal.value for goal in goals]
-        missed = [goal for goal in goals if goal.hard and not goal.met]
-        if doubts:
-            status, parts = Status.INACCURATE, doubts[:1]
-        elif missed:
-            proved = any(goal.floor > 1 for goal in missed)
-            status = Status.INFEASIBLE if proved else Status.INCONCLUSIVE
-            parts = ["; ".join(f"hard goal missed: {goal.text} ({goal.value:.4g})" for goal in missed)]
-            parts.append(
-                "no controller of any structure meets it (proved by a bound of gamma)"
-                if proved
-                else "a local search: no proof that it cannot be met; take more starts"
-            )
-        else:
-            status = Status.CONVERGED if any(goal.norm == "h2" for goal in goals) else Status.CERTIFIED
-            hard = "every hard goal is met" if any(goal.hard for goal in goals) else "no hard goals"
-            parts = [f"{hard}; loops rebuilt from K: stable, norms verified", "a local optimum"]
-        status, reason = told(status, parts, self.budget)
-        return TunedSynthesis(
-            K=K, gamma=max(soft), closed_loop=whole[0], status=status, reason=reason, limit="", plant=first,
-            method="tune", goals=goals, limits=limits, parameters=parameter_values(self.law, p),
-        )  # fmt: skip
-
-    def _value(self, goal: Goal, K: StateSpaceModel, doubts: list[str]) -> GoalValue:
-        plants, values = tuple(goal.channel(loop) for loop in self.loops), list[float]()
-        for plant in plants:
-            loop = plant.close(K)
-            proof = certified(plant, K, hinf_norm(loop) if goal.norm == "hinf" else h2_by_gramians(loop))
-            doubts += [f"{goal.text}: {proof.doubt}"] * bool(proof.doubt)
-            values.append(proof.gamma)
+def _judged(
+    p: AnyArray, law: Law, loops: Sequence[GeneralizedPlant], wanted: Sequence[Goal], limits: Sequence[Limit],
+    budget: Budget,
+) -> TunedSynthesis:  # fmt: skip
+    """The design with every goal verified on loops rebuilt from K."""
+    first = loops[0]
+    K = law.model(p, first.model.dt, first.measurements, first.controls)
+    whole = [loop.close(K) for loop in loops]
+    kept = kept_limits(limits, whole, K)
+    if any(limit.value > KEPT for limit in kept):
+        raise NoTrustworthyNumber("synth tune", "the limits do not hold for the loop rebuilt from K")
+    goals, doubts = list[GoalValue](), list[str]()
+    for goal in wanted:
+        plants = tuple(goal.channel(loop) for loop in loops)
+        proofs = [certified_norm(plant, K, goal.norm)[1] for plant in plants]
+        doubts += [f"{goal.text}: {proof.doubt}" for proof in proofs if proof.doubt]
+        values = tuple(proof.gamma for proof in proofs)
         asked = goal.hard and goal.norm == "hinf" and max(values) > 1
         floor = max(gamma_bound(plant).value for plant in plants) if asked else float("nan")
-        return GoalValue(goal.text, goal.hard, goal.norm, tuple(values), floor, plants)
-
-
-def _times(plant: GeneralizedPlant, share: float) -> GeneralizedPlant:
-    """With z in another unit."""
-    m, size = plant.model, np.where(np.arange(plant.model.n_outputs) < plant.n_z, share, 1.0)[:, None]
-    model = StateSpaceModel(m.A, m.B, size * m.C, size * m.D, m.dt, m.inputs, m.outputs)
-    return GeneralizedPlant(model, plant.n_meas, plant.n_con)
+        goals.append(GoalValue(goal.text, goal.hard, goal.norm, values, floor, plants))
+    soft = [goal.value for goal in goals if not goal.hard] or [goal.value for goal in goals]
+    missed = [goal for goal in goals if goal.hard and not goal.met]
+    if doubts:
+        status, parts = Status.INACCURATE, doubts[:1]
+    elif missed:
+        proved = any(goal.floor > 1 for goal in missed)
+        status = Status.INFEASIBLE if proved else Status.INCONCLUSIVE
+        why = "no controller of any structure meets it (proved by a bound of gamma)"
+        parts = ["; ".join(f"hard goal missed: {goal.text} ({goal.value:.4g})" for goal in missed)]
+        parts.append(why if proved else "a local search: no proof that it cannot be met; take more starts")
+    else:
+        status = Status.CONVERGED if any(goal.norm == "h2" for goal in goals) else Status.CERTIFIED
+        hard = "every hard goal is met" if any(goal.hard for goal in goals) else "no hard goals"
+        parts = [f"{hard}; loops rebuilt from K: stable, norms verified", "a local optimum"]
+    status, reason = told(status, parts, budget)
+    return TunedSynthesis(
+        K=K, gamma=max(soft), closed_loop=whole[0], status=status, reason=reason, limit="", plant=first, method="tune",
+        goals=tuple(goals), limits=kept, parameters=parameter_values(law, p),
+    )  # fmt: skip

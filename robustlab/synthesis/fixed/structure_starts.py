@@ -15,7 +15,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.h2.h2_synthesis import synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
-from robustlab.synthesis.laws.controller_laws import AffineLaw
+from robustlab.synthesis.laws.controller_laws import Law
 from robustlab.synthesis.laws.controller_structures import StaticGain
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import law_around, multi_start
@@ -42,7 +42,7 @@ def informed_starts(problem: DesignProblem, seed: int, progress: Callable[[str],
     At most half of what is left of the budget is used; the full-order design is that of the first plant.
     """
     law, budget = problem.law, problem.budget
-    if not isinstance(law, AffineLaw) or not law.sizes[0] or len(law.index) != len(law.parameters):
+    if not law.sizes[0] or len(law.entries) != len(law.parameters):
         return []
     k = law.sizes[0]
     free = np.zeros(law.base.shape, dtype=bool)
@@ -66,7 +66,7 @@ def informed_starts(problem: DesignProblem, seed: int, progress: Callable[[str],
     return found
 
 
-def _held(problem: DesignProblem, law: AffineLaw, theta: AnyArray, order: int, seed: int) -> AnyArray:
+def _held(problem: DesignProblem, law: Law, theta: AnyArray, order: int, seed: int) -> AnyArray:
     """Parameters of a controller of a lower order with further stable states that act on nothing yet, in bounds."""
     k, n_u, n_y = law.sizes
     more, rng = k - order, np.random.default_rng(seed)
@@ -77,7 +77,7 @@ def _held(problem: DesignProblem, law: AffineLaw, theta: AnyArray, order: int, s
     full[range(order, k), range(order, k)] = poles
     full[order:k, k:] = problem.scaling.rate * rng.standard_normal((more, n_y)) * problem.scaling.y
     p = np.zeros(len(law.parameters))
-    p[law.index] = full[law.row, law.column] / law.weight
+    p[law.top] = full[law.row, law.column] / law.weight
     return np.clip(p, [q.low for q in law.parameters], [q.high for q in law.parameters])
 
 

@@ -27,18 +27,44 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A controller as a function of its parameters p."""
+    """``Theta(p) = base + sum of entries``; an entry at (row, column) is ``weight * p[top] / (p[below] + dt)``.
+
+    ``top``, ``below`` -1: one stands in place of that factor.
+    """
 
     parameters: tuple[Parameter, ...]
     sizes: tuple[int, int, int]  # numbers of states, controls and measurements
+    base: AnyArray
+    entries: AnyArray  # rows of (top, row, column, weight, below)
+    dt: float = 0.0  # of the backward differences of a sampled derivative filter; 0: continuous
+
+    def __post_init__(self) -> None:
+        top, row, column, weight, below = self.entries.T
+        places = {"top": top, "row": row, "column": column, "below": below}
+        self.__dict__.update({name: values.astype(int) for name, values in places.items()}, weight=weight)
+
+    top: AnyArray = field(init=False)
+    row: AnyArray = field(init=False)
+    column: AnyArray = field(init=False)
+    below: AnyArray = field(init=False)
+    weight: AnyArray = field(init=False)
+
+    def _factors(self, p: AnyArray) -> tuple[AnyArray, AnyArray]:
+        return np.append(p, 1.0)[self.top], 1 / np.append(p + self.dt, 1.0)[self.below]
 
     def packed(self, p: AnyArray) -> AnyArray:
         """``[A_K, B_K; C_K, D_K]``, shape (n_states + n_controls, n_states + n_measurements)."""
-        raise NotImplementedError
+        top, share = self._factors(p)
+        theta = self.base.astype(np.result_type(self.base, p))
+        np.add.at(theta, (self.row, self.column), self.weight * top * share)
+        return theta
 
     def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
         """``sum(G * dTheta/dp_j)`` for every parameter."""
-        raise NotImplementedError
+        n, (top, share) = len(p), self._factors(p)
+        by = self.weight * G[self.row, self.column] * share
+        above = np.bincount(self.top % (n + 1), by, n + 1)
+        return (above - np.bincount(self.below % (n + 1), by * top * share, n + 1))[:n]
 
     def model(self, p: AnyArray, dt: float, inputs: Any = None, outputs: Any = None) -> StateSpaceModel:
         """The controller as a model."""
@@ -52,155 +78,47 @@ def unpacked(theta: AnyArray, n_states: int) -> tuple[AnyArray, AnyArray, AnyArr
     return theta[:k, :k], theta[:k, k:], theta[k:, :k], theta[k:, k:]
 
 
-@dataclass(frozen=True, eq=False)
-class AffineLaw(Law):
-    """``Theta = base + sum_j p_j E_j`` with sparse E_j: entry ``(row, column)`` gets ``weight * p[index]``."""
-
-    base: AnyArray
-    index: AnyArray
-    row: AnyArray
-    column: AnyArray
-    weight: AnyArray
-
-    def packed(self, p: AnyArray) -> AnyArray:
-        theta = self.base.astype(np.result_type(self.base, p))
-        np.add.at(theta, (self.row, self.column), self.weight * p[self.index])
-        return theta
-
-    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        return np.bincount(self.index, self.weight * G[self.row, self.column], len(self.parameters))
-
-
 @dataclass
-class AffineBuilder:
+class LawBuilder:
     """Collects parameters and the entries of the packed matrices that they fill."""
 
     n_states: int
     n_controls: int
     n_measurements: int
     parameters: list[Parameter] = field(default_factory=list)
-    entries: list[tuple[int, int, int, float]] = field(default_factory=list)
+    entries: list[tuple[int, int, int, float, int]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.base = np.zeros((self.n_states + self.n_controls, self.n_states + self.n_measurements))
 
-    def parameter(self, parameter: Parameter, *entries: tuple[int, int, float]) -> None:
-        """A parameter with its entries ``(row, column, weight)``."""
-        self.entries += [(len(self.parameters), row, column, weight) for row, column, weight in entries]
+    def parameter(self, parameter: Parameter, *entries: tuple[int, int, float], below: int = -1) -> None:
+        """A parameter with its entries ``(row, column, weight)``, over that of number ``below``."""
+        self.entries += [(len(self.parameters), row, column, weight, below) for row, column, weight in entries]
         self.parameters.append(parameter)
 
-    def law(self) -> AffineLaw:
+    def law(self, dt: float = 0.0) -> Law:
         """The finished law."""
-        table = np.array(self.entries, dtype=float).reshape(-1, 4)
         sizes = self.n_states, self.n_controls, self.n_measurements
-        index, row, column = table[:, :3].astype(int).T
-        return AffineLaw(tuple(self.parameters), sizes, self.base, index, row, column, table[:, 3])
+        return Law(tuple(self.parameters), sizes, self.base, np.array(self.entries, dtype=float).reshape(-1, 5), dt)
 
 
-@dataclass(frozen=True, eq=False)
-class FilteredLaw(Law):
-    """An affine law with one more parameter, the time constant tau of its derivative filters.
+def side_by_side(
+    parts: Sequence[Law], controls: Sequence[Sequence[int]], measurements: Sequence[Sequence[int]], n_u: int, n_y: int
+) -> Law:
+    """Part i sees the measurements ``measurements[i]`` and drives the controls ``controls[i]``; shared controls add up.
 
-    The states from ``first`` on are filters, ``tau x' = -x + y`` (discrete: backward Euler), and act as
-    ``(y - x)/tau``; the affine law is written for ``tau = 1``.
+    The parameters are those of the parts, one after the other.
     """
-
-    law: AffineLaw
-    first: int
-    dt: float
-    derivative: AnyArray  # parameters that are derivative gains
-
-    def _scaled(self, p: AnyArray) -> AnyArray:
-        return np.where(self.derivative, p[:-1] / (p[-1] + self.dt), p[:-1])
-
-    def packed(self, p: AnyArray) -> AnyArray:
-        theta, tau = self.law.packed(self._scaled(p)), p[-1]
-        k, _, n_y = self.sizes
-        rate = self.dt / (tau + self.dt) if self.dt else 1 / tau
-        for i in range(self.first, k):
-            theta[i, i] = (1.0 if self.dt else 0.0) - rate
-            theta[i, k + (i - self.first) % n_y] = rate
-        return theta
-
-    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        inner, tau = self.law.pullback(self._scaled(p), G), p[-1] + self.dt
-        k, _, n_y = self.sizes
-        slope = -(self.dt or 1.0) / tau**2
-        by_tau = slope * sum(G[i, k + (i - self.first) % n_y] - G[i, i] for i in range(self.first, k))
-        by_tau = by_tau - (inner * np.where(self.derivative, p[:-1], 0.0)).sum() / tau**2
-        return np.append(np.where(self.derivative, inner / tau, inner), by_tau)
-
-
-@dataclass(frozen=True, eq=False)
-class DiagonalLaw(Law):
-    """Laws side by side; part i sees the measurements ``measurements[i]`` and drives the controls ``controls[i]``.
-
-    What several parts give to one control adds up.
-    """
-
-    parts: Sequence[Law]
-    controls: Sequence[Sequence[int]]
-    measurements: Sequence[Sequence[int]]
-
-    @classmethod
-    def of(
-        cls, parts: Sequence[Law], controls: Sequence[Sequence[int]], measurements: Sequence[Sequence[int]],
-        n_controls: int, n_measurements: int,
-    ) -> DiagonalLaw:  # fmt: skip
-        """With the parameters of the parts, one after the other."""
-        parameters = tuple(parameter for part in parts for parameter in part.parameters)
-        sizes = sum(part.sizes[0] for part in parts), n_controls, n_measurements
-        return cls(parameters, sizes, parts, controls, measurements)
-
-    def _places(self) -> list[tuple[Law, slice, AnyArray, AnyArray]]:
-        """Of every part its parameters, its rows and its columns in the packed matrices."""
-        k, state, first, found = self.sizes[0], 0, 0, []
-        for part, u, y in zip(self.parts, self.controls, self.measurements, strict=True):
-            own, count = range(state, state + part.sizes[0]), len(part.parameters)
-            rows, columns = (np.array([*own, *(k + i for i in channels)], dtype=int) for channels in (u, y))
-            found.append((part, slice(first, first + count), rows, columns))
-            state, first = own.stop, first + count
-        return found
-
-    def packed(self, p: AnyArray) -> AnyArray:
-        k, n_u, n_y = self.sizes
-        theta = np.zeros((k + n_u, k + n_y), dtype=np.result_type(float, p))
-        for part, own, rows, columns in self._places():
-            theta[rows[:, None], columns] += part.packed(p[own])
-        return theta
-
-    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        return np.concatenate(
-            [part.pullback(p[own], G[rows[:, None], columns]) for part, own, rows, columns in self._places()]
+    made = LawBuilder(sum(part.sizes[0] for part in parts), n_u, n_y)
+    k, state = made.n_states, 0
+    for part, u, y in zip(parts, controls, measurements, strict=True):
+        own, first = range(state, state + part.sizes[0]), len(made.parameters)
+        rows, columns = (np.array([*own, *(k + i for i in channels)], dtype=int) for channels in (u, y))
+        made.base[rows[:, None], columns] += part.base
+        top, below = (np.where(at < 0, -1, at + first).tolist() for at in (part.top, part.below))
+        made.entries += zip(
+            top, rows[part.row].tolist(), columns[part.column].tolist(), part.weight.tolist(), below, strict=True
         )
-
-
-@dataclass(frozen=True, eq=False)
-class SeriesLaw(Law):
-    """``K_2 K_1``: the measurements go into the first, its outputs into the second."""
-
-    first: Law
-    second: Law
-
-    @classmethod
-    def of(cls, first: Law, second: Law) -> SeriesLaw:
-        """With the parameters of the first, then of the second."""
-        sizes = first.sizes[0] + second.sizes[0], second.sizes[1], first.sizes[2]
-        return cls((*first.parameters, *second.parameters), sizes, first, second)
-
-    def packed(self, p: AnyArray) -> AnyArray:
-        one, two = np.split(p, [len(self.first.parameters)])
-        a1, b1, c1, d1 = unpacked(self.first.packed(one), self.first.sizes[0])
-        a2, b2, c2, d2 = unpacked(self.second.packed(two), self.second.sizes[0])
-        return np.block([[a1, np.zeros((len(a1), len(a2))), b1], [b2 @ c1, a2, b2 @ d1], [d2 @ c1, c2, d2 @ d1]])
-
-    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        one, two = np.split(p, [len(self.first.parameters)])
-        i, j = self.first.sizes[0], self.second.sizes[0]
-        # Rows of the second see [C1, D1] through its columns [B2; D2].
-        into, out = self.second.packed(two)[:, j:], self.first.packed(one)[i:]
-        columns = np.r_[0:i, i + j : G.shape[1]]
-        crossed = G[i:, columns]
-        g1 = np.vstack([G[:i][:, columns], into.T @ crossed])
-        g2 = np.hstack([G[i:, i : i + j], crossed @ out.T])
-        return np.concatenate([self.first.pullback(one, g1), self.second.pullback(two, g2)])
+        made.parameters += part.parameters
+        state = own.stop
+    return made.law(max((part.dt for part in parts), default=0.0))

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Mask
+from robustlab.arrays import Mask
 from robustlab.errors import InputError, did_you_mean
 from robustlab.statespace import Signal
-from robustlab.synthesis.laws.controller_laws import AffineBuilder, DiagonalLaw, FilteredLaw, Law, Parameter, SeriesLaw
+from robustlab.synthesis.laws.controller_laws import Law, LawBuilder, Parameter, side_by_side
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.problem.scaling import common_scaling
 
@@ -50,7 +50,7 @@ class StaticGain(Structure):
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         free = _mask(self.mask, len(controls), len(measurements))
-        builder = AffineBuilder(0, len(controls), len(measurements))
+        builder = LawBuilder(0, len(controls), len(measurements))
         for i, j in np.argwhere(free):
             u, y = controls[i], measurements[j]
             builder.parameter(Parameter(f"K[{u.name},{y.name}]", _unit(u, y)), (int(i), int(j), 1.0))
@@ -84,7 +84,7 @@ class FixedOrder(Structure):
             raise InputError(f"{WHERE}: form", f"{self.form!r}", '"tridiagonal" or "full"')
         if k == 0 and self.strictly_proper:
             raise InputError(WHERE, "a strictly proper controller without states", "an order of at least 1")
-        builder = AffineBuilder(k, n_u, n_y)
+        builder = LawBuilder(k, n_u, n_y)
         rate = "" if dt else "1/s"
         for i in range(k):
             near = range(k) if self.form == "full" else range(max(i - 1, 0), min(i + 2, k))
@@ -102,7 +102,7 @@ class FixedOrder(Structure):
         return builder.law()
 
 
-def _add_direct_term(builder: AffineBuilder, k: int, measurements: Signals, controls: Signals) -> None:
+def _add_direct_term(builder: LawBuilder, k: int, measurements: Signals, controls: Signals) -> None:
     """All of D_K as parameters, behind k states."""
     for i, u in enumerate(controls):
         for j, y in enumerate(measurements):
@@ -169,12 +169,13 @@ class MultichannelPID(Structure):
         groups = self._groups(n_u, n_y)
         n_i, n_d = n_y * ("I" in self.terms), n_y * ("D" in self.terms)
         k = n_i + n_d
-        builder = AffineBuilder(k, n_u, n_y)
+        builder = LawBuilder(k, n_u, n_y)
         for j in range(n_i):
             builder.base[j, j] = 1.0 if dt else 0.0
             builder.base[j, k + j] = dt or 1.0
-        derivative: list[bool] = []
-        for term in (t for t in "PID" if t in self.terms):
+        terms = [t for t in "PID" if t in self.terms]
+        tau = len(terms) * len(groups)  # the number of that parameter, behind all gains
+        for term in terms:
             for name, places in groups:
                 u, y = controls[places[0][0]], measurements[places[0][1]]
                 if term == "P":
@@ -186,11 +187,18 @@ class MultichannelPID(Structure):
                 unit = _unit(u, y, "/s") if term == "I" else _unit(u, y)
                 if term == "D":
                     unit = unit.replace("/", " s/", 1) or "s"
-                builder.parameter(self._gain(f"K{term.lower()}", name, unit, *places[0]), *entries)
-                derivative.append(term == "D")
-        return self._filtered(builder, n_i, np.array(derivative), dt) if n_d else builder.law()
+                gain = self._gain(f"K{term.lower()}", name, unit, *places[0])
+                builder.parameter(gain, *entries, below=tau if term == "D" else -1)
+        for i in range(n_i, k):  # tau x' = -x + y, sampled by backward differences; acts as (y - x) / tau
+            builder.base[i, i] = 1.0 if dt else 0.0
+            rate = dt or 1.0
+            builder.entries += [(-1, i, i, -rate, tau), (-1, i, k + i - n_i, rate, tau)]
+        if n_d:
+            builder.parameter(self._filter())
+        return builder.law(dt)
 
-    def _filtered(self, builder: AffineBuilder, first: int, derivative: AnyArray, dt: float) -> Law:
+    def _filter(self) -> Parameter:
+        """The time constant of the derivative filters."""
         if self.tau is None:
             expected = "the derivative filter's time constant in s, or (low, high) for one to be found"
             raise InputError(f"{WHERE}: tau", "missing", expected)
@@ -198,8 +206,7 @@ class MultichannelPID(Structure):
         low, high = (float(x) for x in pair)
         if not 0 < low <= high < np.inf:
             raise InputError(f"{WHERE}: tau", f"{self.tau}", "a positive time in s, or a pair (low, high) of them")
-        law, tau = builder.law(), Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
-        return FilteredLaw((*law.parameters, tau), law.sizes, law, first, dt, derivative)
+        return Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
 
     def _groups(self, n_u: int, n_y: int) -> list[tuple[str, list[tuple[int, int]]]]:
         """Every free gain's index text and the entries of the gain matrix that it fills."""
@@ -235,7 +242,7 @@ class MultichannelPID(Structure):
                 f"{WHERE}: {self.layout}", f"{len(measurements)} measurements for {n} controls", f"{wanted}: {order}"
             )
         k = 3 * n if two else n
-        builder = AffineBuilder(k, n, wanted)
+        builder = LawBuilder(k, n, wanted)
         r, phi, rate, torque = (k + g * n for g in range(4))
         for j in range(n):  # the integral of r - phi
             builder.base[j, j] = 1.0 if dt else 0.0
@@ -291,7 +298,7 @@ class FixedPoles(Structure):
         blocks = [np.array([[p.real]]) for p in poles if p.imag == 0]
         blocks += [np.array([[p.real, p.imag], [-p.imag, p.real]]) for p in upper]
         k = n_y * sum(len(b) for b in blocks)
-        builder = AffineBuilder(k, n_u, n_y)
+        builder = LawBuilder(k, n_u, n_y)
         at = 0
         for number, block in enumerate(blocks):
             for j in range(n_y):
@@ -339,7 +346,7 @@ class Decentralised(Structure):
             laws.append(_prefixed(law, f"{i + 1}."))
             rows.append(u)
             columns.append(y)
-        return DiagonalLaw.of(laws, rows, columns, len(controls), len(measurements))
+        return side_by_side(laws, rows, columns, len(controls), len(measurements))
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,24 +362,7 @@ class Sum(Structure):
             for i, structure in ((1, self.first), (2, self.second))
         ]
         u, y = range(len(controls)), range(len(measurements))
-        return DiagonalLaw.of(laws, (u, u), (y, y), len(u), len(y))
-
-
-@dataclass(frozen=True, eq=False)
-class Series(Structure):
-    """``second * first``: the first sees the measurements, the second drives the controls."""
-
-    # first, second: the structures
-    first: Structure
-    second: Structure
-    signals: Sequence[Any]  # names, or (name, unit) pairs, of the signals between them
-
-    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        between = tuple(Signal(s) if isinstance(s, str) else Signal(*s) for s in self.signals)
-        if not between:
-            raise InputError(f"{WHERE}: series", "no signal between the two", "at least one name")
-        one, two = self.first.law(measurements, between, dt), self.second.law(between, controls, dt)
-        return SeriesLaw.of(_prefixed(one, "1."), _prefixed(two, "2."))
+        return side_by_side(laws, (u, u), (y, y), len(u), len(y))
 
 
 def _prefixed(law: Law, prefix: str) -> Law:

@@ -12,7 +12,7 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.laws.controller_laws import AffineBuilder, AffineLaw, Parameter
+from robustlab.synthesis.laws.controller_laws import Law, LawBuilder, Parameter
 from robustlab.synthesis.nonsmooth.descent_methods import Descent, Function, bfgs, sequential_linear
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.problem.partition import GeneralizedPlant
@@ -282,11 +282,11 @@ def descend(plant: GeneralizedPlant, K0: StateSpaceModel, budget: Budget) -> Sta
     return law.model(q, K0.dt, K0.inputs, K0.outputs)
 
 
-def law_around(K: StateSpaceModel) -> tuple[AffineLaw, AnyArray]:
+def law_around(K: StateSpaceModel) -> tuple[Law, AnyArray]:
     """A law that contains K, in coordinates with few parameters, and its parameters for K."""
     A, B, C = _modal(K)
     k, n_u, n_y = K.n_states, K.n_outputs, K.n_inputs
-    builder, theta = AffineBuilder(k, n_u, n_y), np.block([[A, B], [C, K.D]])
+    builder, theta = LawBuilder(k, n_u, n_y), np.block([[A, B], [C, K.D]])
     row, column = np.indices(theta.shape)
     moves = (theta != 0) | (row >= k) | (column >= k) | (np.abs(row - column) <= 1)
     if moves.sum() > MANY:

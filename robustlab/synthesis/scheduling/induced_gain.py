@@ -1,42 +1,43 @@
-"""`lpv_gain`: a proved bound of the induced L2 gain of an LPV model, for all trajectories of its parameters."""
+"""`lpv_gain`: a proved bound of the induced L2 gain of an LPV model, for all trajectories of its parameters.
+
+A solver looks for P at the points of the grid (Wu, Yang, Packard, Becker 1996), and ball arithmetic proves what it
+found: `robustlab.verification.parameters` has the theorem and its Bernstein coefficients.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
+from robustlab.conic import bounded_real, equal_rows, least
 from robustlab.errors import InputError, did_you_mean, told_as
 from robustlab.norms import PeakGain, hinf_norm
 from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.shown import Facts, number
-from robustlab.synthesis.scheduling.inequalities import equal_rows, least, value_of
-from robustlab.synthesis.scheduling.lyapunov_inequality import Inequality
+from robustlab.synthesis.problem.partition import PlantMatrices
+from robustlab.synthesis.problem.scaling import Scaling, equilibrated
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 
-# Work at effort 1, in the units of `robustlab.budget`.
-WORK = 4e8
-# Rounds in which states are balanced by what the LMIs gave in the last.
-BALANCINGS = 8
-# A loop this close (relative) to the LMIs' optimum ends the search over back-offs.
-NEAR = 0.02
-# Back-offs from the optimum of the LMIs at which the largest margin is looked for. Smaller: tighter bounds, more
-# of which rounding leaves unproved.
+WORK = 4e8  # at effort 1, in the units of `robustlab.budget`
+NEAR = 0.02  # a loop this close (relative) to the LMIs' optimum ends the search over back-offs
+# Back-offs from the optimum of the LMIs at which the largest margin is looked for. Smaller: tighter bounds, more of
+# which rounding leaves unproved.
 GAIN_BACKOFFS = (1e-4, 1e-3, 1e-2, 0.1)
-# Smallest scaled gain that is told from zero.
-SMALLEST = 1e-5
-# Bisections for the smallest gamma that a Lyapunov matrix still proves.
-GAIN_BISECTIONS = 5
-# Inequalities of one problem, at most: beyond it they outlast any patience.
-INEQUALITIES = 4000
+SMALLEST = 1e-5  # scaled gain that is told from zero
+GAIN_BISECTIONS = 5  # for the smallest gamma that a Lyapunov matrix still proves
+INEQUALITIES = 4000  # of one problem, at most: beyond it they outlast any patience
+SIGNED = 3  # deviating entries up to which every choice of signs is asked for: exact, but 2^n inequalities
 
+Index = tuple[int, ...]
 Lyapunov = Literal["constant", "varying"]
 
 
@@ -161,37 +162,32 @@ def gain_from(
     word = "varying" if varying else "constant"
 
     def told(upper: float, P: Array, status: Status, reason: str) -> LPVGain:
+        P.setflags(write=False)
         return LPVGain(lower, upper, frequency, status, at, P, word, model, reason)
 
     nothing = np.zeros((0, 0))
     if doubt:
         return told(np.inf, nothing, Status.INCONCLUSIVE if np.isfinite(lower) else Status.INFEASIBLE, doubt)
-    posed = Inequality(model, varying, lower)
-    if posed.count() > INEQUALITIES:
-        found = f"{posed.count()} inequalities"
-        raise InputError("lpv_gain", found, f"at most {INEQUALITIES}", "fewer points, or lyapunov='constant'")
-    say(f"{len(posed.coefficients)} inequalities of size {sum(model.matrices.shape[-2:]) - posed.n}")
-    best, how = None, "by the Lyapunov matrix of the synthesis"
-    basis = np.eye(posed.n)
+    varies = [varying and np.isfinite(p.rate) for p in model.parameters]
+    count = int(np.prod([(size - 1) * (6 if v else 2) for size, v in zip(model.grid, varies, strict=True)]))
+    if count > INEQUALITIES:
+        expected, hint = f"at most {INEQUALITIES}", "fewer points, or lyapunov='constant'"
+        raise InputError("lpv_gain", f"{count} inequalities", expected, hint)
+    posed = _Posed(model, varies, lower, guess)
+    start = max(lower, SMALLEST / posed.scaling.gain)
+    found, how = None, "by the Lyapunov matrix of the synthesis"
     if guess is not None:
-        scaled = posed.scaled(0.5 * (guess + guess.T))
-        basis = _basis(scaled, basis)
-        P = np.array(np.broadcast_to(scaled, (*posed.shape, *scaled.shape)))
-        level = _smallest(posed, P, max(lower * posed.gain, SMALLEST))
-        best = None if level is None else (level, P)
+        P = np.array(np.broadcast_to(0.5 * (guess + guess.T), (*posed.shape, *guess.shape)))
+        found = _smallest(model, P, start)
     # Only where that is far from the frozen norms is the solver worth its time.
-    if best is None or best[0] > (1 + NEAR) * lower * posed.gain:
-        solved, text = _solved(posed, basis, lower, budget, say)
-        if solved is not None and (best is None or solved[0] < best[0]):
-            best, how = solved, text
-        elif best is None:
+    if found is None or found[0] > (1 + NEAR) * lower:
+        solved, text = _solved(posed, start, budget, say)
+        if solved is not None and (found is None or solved[0] < found[0]):
+            found, how = solved, text
+        elif found is None:
             status = Status.INFEASIBLE if "says infeasible" in text else Status.INCONCLUSIVE
             return told(np.inf, nothing, Status.TIMEOUT if budget.struck else status, f"no bound was proved: {text}")
-    gamma, P = best
-    status = Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED
-    made = told(gamma / posed.gain, posed.as_given(P), status, how)
-    made.P.setflags(write=False)
-    return made
+    return told(*found, Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED, how)
 
 
 def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, str]:
@@ -208,32 +204,6 @@ def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, str]:
         if norm.lower >= lower:
             lower, at, frequency = norm.lower, values, norm.frequency
     return lower, at, frequency, doubt
-
-
-def _basis(P: Array, before: Array) -> Array:
-    """T with ``T^T P T = I``; the one before where P is not positive definite."""
-    try:
-        return np.linalg.inv(np.linalg.cholesky(P)).T
-    except np.linalg.LinAlgError:
-        return before
-
-
-def _smallest(posed: Inequality, P: Array, low: float) -> float | None:
-    """The smallest level that P proves, from just above ``low`` on; None where not even a hundred times it is."""
-    given = posed.as_given(P)
-
-    def proves(level: float) -> bool:
-        return holds(gain_claim(posed.given, given, level / posed.gain))
-
-    if not (np.isfinite(given).all() and np.array_equal(given, np.swapaxes(given, -1, -2))):
-        return None
-    high = next((low * f for f in (1.0001, 1.001, 1.01, 1.1, 2.0, 10.0, 100.0) if proves(low * f)), None)
-    if high is None:
-        return None
-    for _ in range(GAIN_BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if proves(middle) else (middle, high)
-    return high
 
 
 def gain_claim(model: LPVModel, P: Array, gamma: float) -> Claim:
@@ -254,66 +224,142 @@ def holds(claim: Claim) -> bool:
     return check(claim).outcome is Outcome.PROVED
 
 
+def _smallest(model: LPVModel, P: Array, low: float) -> tuple[float, Array] | None:
+    """The smallest level that P proves, from just above ``low`` on, and P; None where not even 100 times it is."""
+    if not np.isfinite(P).all():
+        return None
+
+    def proves(level: float) -> bool:
+        return holds(gain_claim(model, P, level))
+
+    high = next((low * f for f in (1.0001, 1.001, 1.01, 1.1, 2.0, 10.0, 100.0) if proves(low * f)), None)
+    if high is None:
+        return None
+    for _ in range(GAIN_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if proves(middle) else (middle, high)
+    return high, P
+
+
 def _solved(
-    posed: Inequality, basis: Array, lower: float, budget: Budget, say: Callable[[str], None]
+    posed: _Posed, start: float, budget: Budget, say: Callable[[str], None]
 ) -> tuple[tuple[float, Array] | None, str]:
-    """Smallest proved level and its P by the LMIs, or None and why."""
-    best, last, text = None, np.inf, ""
-    for _ in range(BALANCINGS):
-        turned = posed.turned(basis)
-        gamma, _, text = _posed(turned, None, budget)
-        if gamma is None:
-            break
-        say(f"LMIs: optimum {gamma / posed.gain:.6g}")
-        start, found = max(gamma, lower * posed.gain, SMALLEST), None
-        for backoff in GAIN_BACKOFFS:
-            level = start * (1 + backoff)
-            _, found, text = _posed(turned, level, budget)
-            if found is None:
-                continue
-            back = np.linalg.inv(basis)
-            P = back.T @ found @ back
-            P = 0.5 * (P + np.swapaxes(P, -1, -2))
-            smallest = _smallest(posed, P, start)
-            if smallest is not None:
-                if best is None or smallest < best[0]:
-                    best = smallest, P
-                break
-        if gamma > last * (1 - 0.5 * NEAR) or posed.n == 1 or start <= lower * posed.gain * (1 + NEAR):
-            break
-        if found is None:
-            break
-        last, basis = gamma, basis @ _basis(found[tuple(size // 2 for size in posed.shape)], np.eye(posed.n))
-    if best is None:
-        return None, text if last == np.inf else f"an optimum of {last / posed.gain:.6g} could not be proved ({text})"
-    return best, f"LMIs; {len(posed.coefficients)} inequalities, proved in ball arithmetic"
+    """The smallest proved level and its P by the LMIs, or None; and how or why not."""
+    optimum, _, text = posed.solved(None, budget)
+    if optimum is None:
+        return None, text
+    say(f"LMIs: {len(posed.inequalities)} inequalities, optimum {optimum:.6g}")
+    start = max(optimum, start)
+    for backoff in GAIN_BACKOFFS:
+        _, P, text = posed.solved(start * (1 + backoff), budget)
+        found = None if P is None else _smallest(posed.model, P, start)
+        if found is not None:
+            return found, f"LMIs; {len(posed.inequalities)} inequalities, proved in ball arithmetic"
+    return None, f"an optimum of {optimum:.6g} could not be proved ({text})"
 
 
-def _posed(posed: Inequality, level: float | None, budget: Budget) -> tuple[float | None, Array | None, str]:
-    """Smallest level (None), or P of the largest margin at a level, from the solver; unchecked."""
-    import cvxpy as cp
+class _Posed:
+    """The inequality over whole cells for a solver: scaled, and in states in which a guess of P is the identity."""
 
-    n, vertices = posed.n, list(np.ndindex(*posed.shape))
-    P = {w: cp.Variable((n, n), symmetric=True) for w in vertices}
-    # A bound of P's size, with which the model's deviation counts.
-    gamma, margin, size = (cp.Variable(nonneg=True) for _ in range(3))
-    robust = any(c.deviation.any() for c in posed.coefficients)
-    conditions = [margin <= 1, *(X >> 0 for X in P.values())]
-    if robust or level is not None:
-        conditions += [size * np.eye(n) - X >> 0 for X in P.values()]
-    for c in posed.coefficients:
-        a, b, o, d = _norms(c.deviation, n)
-        slack = (2 * a + b) * size + o + d if robust else 0.0
-        # The margin is that of the inequality in rows of one size, as it counts in the check.
-        unit = equal_rows(posed.sizes(c))
-        held, eye = posed.matrix(c, P, gamma if level is None else level), np.eye(len(unit))
-        scaled = np.diag(unit) @ (held + slack * eye) @ np.diag(unit)
-        conditions.append(-scaled - (0.0 if level is None else margin) * eye >> 0)
-    failed = least(gamma if level is None else 1e-6 * size - margin, conditions, budget)
-    if failed:
-        return None, None, failed
-    found = np.array([value_of(P[w]) for w in vertices]).reshape(*posed.shape, n, n)
-    return float(value_of(gamma)) if level is None else level, found, ""
+    def __init__(self, model: LPVModel, varies: list[bool], size: float, guess: Array | None) -> None:
+        self.model, self.varies, n = model, varies, model.n_states
+        middle = model.matrices[tuple(points // 2 for points in model.grid)]
+        A, B, C, D = middle[:n, :n], middle[:n, n:], middle[n:, :n], middle[n:, n:]
+        none = np.zeros((len(middle), 0)), np.zeros((0, middle.shape[1]))
+        bare = PlantMatrices(A, B, none[0][:n], C, none[1][:, :n], D, none[0][n:], none[1][:, n:])
+        scaling = equilibrated(bare)
+        if size > 0:
+            scaling = replace(scaling, z=scaling.z * 2.0 ** -round(float(np.log2(size * scaling.gain))))
+        self.scaling: Scaling = scaling
+        T = np.diag(scaling.states)
+        if guess is not None and np.linalg.eigvalsh(guess)[0] > 0:
+            T = np.linalg.inv(np.linalg.cholesky(guess * scaling.z * scaling.rate / scaling.w)).T
+        # States x = T x', time in units of 1 / rate.
+        self.back = np.linalg.inv(T)
+        self.left, self.right = np.eye(len(middle)) * scaling.z, np.eye(middle.shape[1]) * scaling.w
+        self.left[:n, :n], self.right[:n, :n] = self.back / scaling.rate, T
+        self.inequalities = _coefficients(model, varies)
+
+    @property
+    def shape(self) -> Index:
+        """Of the stack of P: the grid along the parameters with which it varies, 1 along the others."""
+        return tuple(size if v else 1 for size, v in zip(self.model.grid, self.varies, strict=True))
+
+    def solved(self, level: float | None, budget: Budget) -> tuple[float | None, Array | None, str]:
+        """Smallest level (None), or P of the largest margin at a level, and why there is none; unchecked."""
+        import cvxpy as cp
+
+        n, s = self.model.n_states, self.scaling
+        P = {w: cp.Variable((n, n), symmetric=True) for w in np.ndindex(*self.shape)}
+        ones = dict.fromkeys(P, np.eye(n))
+        # A bound of P's size, with which what the model deviates counts.
+        gamma, margin, size = (cp.Variable(nonneg=True) for _ in range(3))
+        asked = gamma if level is None else level * s.gain
+        robust = any(rest.any() for *_, rest in self.inequalities)
+        conditions = [margin <= 1, *(X >> 0 for X in P.values())]
+        if robust or level is not None:
+            conditions += [size * np.eye(n) - X >> 0 for X in P.values()]
+        for pairs, slopes, shift, rest in self.inequalities:
+            models = [(self.left @ (self.model.matrices[v] + shift) @ self.right, w) for v, w in pairs]
+            out = np.mean([m[n:] for m, _ in models], axis=0)
+
+            def held(
+                P: Any, level: Any, models: Any = models, slopes: Any = slopes, out: Array = out
+            ) -> Any:  # L_c for P at its vertices
+                top = sum(P[w] @ m[:n] / len(models) for m, w in models)
+                drift = top[:, :n] + top[:, :n].T + sum(f / s.rate * (P[a] - P[b]) for f, a, b in slopes)
+                return bounded_real(cp.hstack([drift, top[:, n:]]), out[:, :n], out[:, n:], level)
+
+            a, b, o, d = _norms(np.abs(self.left) @ rest @ np.abs(self.right), n)
+            slack = (2 * a + b) * size + o + d if robust else 0.0
+            # The margin is that of the inequality in rows of one size, as it counts in the check.
+            unit = np.diag(equal_rows(held(ones, 1.0).value))
+            scaled = unit @ (held(P, asked) + slack * np.eye(len(unit))) @ unit
+            conditions.append(-scaled - (0.0 if level is None else margin) * np.eye(len(unit)) >> 0)
+        failed = least(gamma if level is None else 1e-6 * size - margin, conditions, budget)
+        if failed:
+            return None, None, failed
+        found = np.array([X.value for X in P.values()]).reshape(*self.shape, n, n)
+        found = self.back.T @ found @ self.back * (s.w / (s.z * s.rate))
+        return float(gamma.value) / s.gain if level is None else level, 0.5 * (found + np.swapaxes(found, -1, -2)), ""
+
+
+def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, Array, Array]]:
+    """Every L_c, those that neighbouring cells share once: pairs of vertices of the model and of P whose mean it is,
+    differences of P with factors that are its derivative, and the deviation: with signs, and as a bound.
+    """
+    found: dict[Any, tuple[Any, Any, Array, Array]] = {}
+    for cell in model.cells():
+        rest = model.deviation[cell]
+        places, shifts = np.argwhere(rest > 0), [np.zeros_like(rest)]
+        if 0 < len(places) <= SIGNED:
+            signed = np.array(list(product((1.0, -1.0), repeat=len(places))))
+            shifts, rest = [np.where(rest > 0, 0.0, rest) for _ in signed], np.zeros_like(rest)
+            for shift, signs in zip(shifts, signed, strict=True):
+                shift[tuple(places.T)] = signs * model.deviation[cell][tuple(places.T)]
+        ends = [(1.0, -1.0) if v and p.rate else (0.0,) for v, p in zip(varies, model.parameters, strict=True)]
+        for c in product(*((0, 1, 2) if v else (0, 2) for v in varies)):
+            halves = list(product(*(((0, 1), (1, 0)) if x == 1 else ((x // 2, x // 2),) for x in c)))
+            pairs = tuple(
+                (
+                    tuple(i + a for i, (a, _) in zip(cell, bits, strict=True)),
+                    tuple((i + b) * v for i, (_, b), v in zip(cell, bits, varies, strict=True)),
+                )
+                for bits in halves
+            )
+            for signs in product(*ends):
+                slopes = tuple(
+                    (
+                        sign * p.rate / (p.points[i + 1] - p.points[i]) / len(pairs),
+                        *((*w[:k], i + end, *w[k + 1 :]) for end in (1, 0)),
+                    )
+                    for k, (sign, i, p) in enumerate(zip(signs, cell, model.parameters, strict=True))
+                    for _, w in pairs
+                    if sign
+                )
+                for shift in shifts:
+                    found[pairs, slopes, shift.tobytes(), rest.tobytes()] = pairs, slopes, shift, rest
+    return list(found.values())
 
 
 def _norms(deviation: Array, n: int) -> tuple[float, float, float, float]:

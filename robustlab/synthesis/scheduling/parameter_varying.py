@@ -126,7 +126,7 @@ class LPVModel(Behaviour, Shown, Traced):
         if not found:
             raise InputError("LPVModel", "no parameter", "at least one", "a model without any is a StateSpaceModel")
         grid = tuple(len(p.points) for p in found)
-        flat = _flat(models, len(grid))
+        flat = _flat(models)
         if len(flat) != int(np.prod(grid)):
             raise InputError("LPVModel", f"{len(flat)} models", f"{' x '.join(map(str, grid))}, one for each point")
         first = flat[0]
@@ -134,10 +134,15 @@ class LPVModel(Behaviour, Shown, Traced):
             _check_alike(k, first, other)
         whole = np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in flat])
         matrices = whole.reshape(*grid, *whole.shape[1:])
-        self._set(found, matrices, first.n_states, first.inputs, first.outputs, first.states, deviation, known)
+        made = LPVModel.of(found, matrices, first.n_states, first.inputs, first.outputs, first.states, deviation, known)
+        self.__dict__.update(vars(made))
 
-    def _set(self, *fields: Any) -> None:
-        parameters, matrices, n_states, inputs, outputs, states, deviation, known = fields
+    @classmethod
+    def of(
+        cls, parameters: Sequence[SchedulingParameter], matrices: Array, n_states: int, inputs: Sequence[Signal],
+        outputs: Sequence[Signal], states: Sequence[Signal], deviation: ArrayLike | None = None, known: str = EXACT,
+    ) -> LPVModel:  # fmt: skip
+        """From the stacked matrices ``[A B; C D]``, shape (n_1, ..., n_k, n_x + n_y, n_x + n_u), of sizes that fit."""
         if not isinstance(known, str) or known not in KNOWN:
             hint = did_you_mean(str(known), KNOWN)
             raise InputError("LPVModel: known", f"{known!r}", f"one of {', '.join(KNOWN)}", hint)
@@ -152,24 +157,8 @@ class LPVModel(Behaviour, Shown, Traced):
         for array in (matrices, given):
             array.setflags(write=False)
         fields = (tuple(parameters), matrices, n_states, tuple(inputs), tuple(outputs), tuple(states), given, known)
-        for name, value in zip(type(self).__dataclass_fields__, fields, strict=True):
-            object.__setattr__(self, name, value)
-
-    @classmethod
-    def of(
-        cls,
-        parameters: Sequence[SchedulingParameter],
-        matrices: Array,
-        n_states: int,
-        inputs: Sequence[Signal],
-        outputs: Sequence[Signal],
-        states: Sequence[Signal],
-        deviation: ArrayLike | None = None,
-        known: str = EXACT,
-    ) -> LPVModel:
-        """From the stacked matrices ``[A B; C D]``, shape (n_1, ..., n_k, n_x + n_y, n_x + n_u), of sizes that fit."""
         made = object.__new__(cls)
-        made._set(parameters, matrices, n_states, inputs, outputs, states, deviation, known)
+        made.__dict__.update(zip(cls.__dataclass_fields__, fields, strict=True))
         return made
 
     def changed(self, **fields: Any) -> LPVModel:
@@ -302,12 +291,10 @@ def _require_name(where: str, name: str, known: tuple[str, ...]) -> None:
         raise InputError(where, f"no parameter {name!r}", f"one of {', '.join(known)}", did_you_mean(name, known))
 
 
-def _flat(models: Any, depth: int) -> list[StateSpaceModel]:
+def _flat(models: Any) -> list[StateSpaceModel]:
     """All models of nested lists, the last level first to change."""
-    if isinstance(models, (list, tuple)) or (isinstance(models, np.ndarray) and models.dtype == object):
-        if depth >= 1:
-            return [m for part in models for m in _flat(part, depth - 1)]
-        raise InputError("LPVModel: models", "lists nested deeper than there are parameters", "one level for each")
+    if isinstance(models, (list, tuple, np.ndarray)):
+        return [m for part in models for m in _flat(part)]
     return [as_model(models, "LPVModel: models")]
 
 

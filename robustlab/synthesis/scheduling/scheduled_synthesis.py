@@ -6,7 +6,7 @@ Becker 1995). Whatever the LMIs say, what is returned is proved of the loop rebu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, ClassVar
@@ -15,30 +15,30 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
+from robustlab.conic import bounded_real, equal_rows, least
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.shown import Facts, number
 from robustlab.signals import Taken
 from robustlab.statespace import Signal
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.design import Design
-from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
-from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
-from robustlab.synthesis.scheduling.induced_gain import BALANCINGS, NEAR, WORK, LPVGain, gain_from, model_numbers
-from robustlab.synthesis.scheduling.inequalities import projection, reconstructed, shared
+from robustlab.synthesis.problem.partition import PlantMatrices, Realisation, dual
+from robustlab.synthesis.problem.scaling import Scaling, paths_first
+from robustlab.synthesis.scheduling.induced_gain import NEAR, WORK, LPVGain, gain_from, model_numbers
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, KNOWN, PROVED, LPVController, LPVModel
 from robustlab.verification.claim import Claim
 
-# Back-offs of a synthesis. Larger: better conditioned controllers, worse gamma.
-SYNTHESIS_BACKOFFS = (0.005, 0.02, 0.1, 0.3)
-# Couplings t of [R tI; tI S] >= 0 beside one that follows the back-off. Larger: better conditioned, sooner
-# infeasible.
+BALANCINGS = 8  # rounds in which states are balanced by what the LMIs gave in the last
+SYNTHESIS_BACKOFFS = (0.005, 0.02, 0.1, 0.3)  # larger: better conditioned controllers, worse gamma
+# Couplings t of [R tI; tI S] >= 0 beside one that follows the back-off. Larger: better conditioned, sooner infeasible.
 COUPLINGS = (1.5, 1.05)
-# Channels added to the frozen plant whose Riccati equations give the first states: sizes in turn, from large to
-# small, and how many times its gamma they may cost at the first start, and at the second.
+LARGEST = 1e5  # eigenvalue of R and S in the coordinates of the solver: without it many optima are not attained
+NULL = 1e-10  # singular values below it, relative to the largest, span a null space
+# Channels added to the frozen plant whose Riccati equations give the first states: sizes in turn, from large to small,
+# and how many times its smallest gamma they may cost.
 ADDED = tuple(10.0 ** (-0.5 * k) for k in range(17))
-COSTS = (30.0, 3.0)
-# Rounds over the states of a controller, at most, until their units stand.
-SWEEPS = 30
+COST = 30.0
+SWEEPS = 10  # over the states of a controller until their units stand
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -122,7 +122,7 @@ def scheduled_hinf(
         raise InputError("hinf", "a plant without states", "one with states")
     budget = search_budget("hinf", WORK, effort, time_limit)
     with one_thread():
-        return _Task(plant, matrices, budget, progress or (lambda _: None)).result()
+        return _designed(plant, matrices, budget, progress or (lambda _: None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,11 +134,6 @@ class _Conditioned:
     turn: Array
     gamma: float
 
-    @property
-    def optimum(self) -> float:
-        """Of the plant as given."""
-        return self.gamma / self.scaling.gain
-
     def in_given_states(self, X: Array, units: Array) -> Array:
         """The closed loop's Lyapunov matrix for the plant's own states, and the controller's in units of their own."""
         n, s = len(self.turn), self.scaling
@@ -147,164 +142,92 @@ class _Conditioned:
         return back.T @ X @ back * (s.w / (s.z * s.rate))
 
 
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """One design: what is asked for, and what it may cost."""
-
-    plant: LPVModel
-    matrices: list[PlantMatrices]
-    budget: Budget
-    say: Callable[[str], None]
-
-    def result(self) -> LPVSynthesis:
-        """The best verified loop."""
-        hint = "other weights, smaller ranges or rates, or a finer grid (LPVModel.refined)"
-        problem, outcome = self._conditioned()
-        if problem is None:
-            raise NoTrustworthyNumber("hinf", outcome, None, hint)
-        optimum, best = problem.optimum, None
-        self.say(f"LMIs with optimum {optimum:.6g}")
-        for backoff in SYNTHESIS_BACKOFFS:
-            found = self._backed_off(problem, backoff)
-            if found is not None and (best is None or found.gamma < best.gamma):
-                best = found
-            # A larger back-off is for those that rounding, or the loop between the points, spoils.
-            if best is not None and best.gamma <= optimum * (1 + backoff + NEAR):
-                break
-        if best is None:
-            raise NoTrustworthyNumber("hinf", f"optimum {optimum:.6g}, no loop of it could be proved", None, hint)
-        return best
-
-    def _backed_off(self, problem: _Conditioned, backoff: float) -> LPVSynthesis | None:
-        """The best verified loop so far above the LMIs' optimum."""
-        level, best = problem.gamma * (1 + backoff) + 1e-9, None
-        # R and S of the largest margin, or small: neither is always the better one.
-        for widest in (True, False):
-            for coupling in (*COUPLINGS, 1 + 0.2 * backoff):
-                _, outer, _ = projection(problem.plants, level, coupling, self.budget, widest=widest)
-                X = None if outer is None else shared(*outer)
-                made = None if X is None else self._controller(problem, X, level * (1 + 0.5 * backoff))
-                if made is None or X is None:
-                    continue
-                K, units = made
-                guess = problem.in_given_states(X, units)
-                found = self._verified(K, guess, problem.optimum, f"{backoff:.1%} above the LMIs' optimum")
-                if found is not None and (best is None or found.gamma < best.gamma):
-                    best = found
-                break
-        return best
-
-    def _conditioned(self) -> tuple[_Conditioned | None, str]:
-        """The plants in states in which R and S of the last optimum are equal and diagonal, until it stands."""
-        middle = self.matrices[len(self.matrices) // 2]
-        found: _Conditioned | None = None
-        text = "the frozen plant in the middle has no controller"
-        for scaling in (paths_first(middle), equilibrated(middle)):
-            for turn, size in self._frozen_states(scaling.apply(middle)):
-                unit = 2.0 ** -round(float(np.log2(size)))  # with it gamma is about one
-                start = replace(scaling, z=scaling.z * unit)
-                made, stands, text = self._balanced(start, turn / np.sqrt(unit))
-                if made is not None and (found is None or made.optimum < found.optimum):
-                    found = made
-                if stands and found is made:
-                    return found, text
-        return found, text
-
-    def _frozen_states(self, p: PlantMatrices) -> list[tuple[Array, float]]:
-        """States in which ``X^-1`` and ``Y^-1`` of a frozen plant are equal and diagonal, and its smallest gamma."""
-        found: list[tuple[float, TwoRiccatiProblem]] = []
-        for size in ADDED:
-            try:
-                problem = TwoRiccatiProblem(p.with_channels(size, size, size, size), True, self.budget)
-            except NoTrustworthyNumber:
-                break
-            gamma = problem.smallest_gamma(found[-1][0] if found else 1.0, 1e-2, ())
-            if gamma is None:
-                break
-            found.append((gamma, problem))
-            if len(found) > 2 and gamma > 0.9 * found[-3][0]:
-                break
-        least, states = min((gamma for gamma, _ in found), default=0.0), []
-        for cost in COSTS:
-            pair = next((q.solve(1.1 * gamma) for gamma, q in found if gamma <= cost * least), None)
-            if pair is not None:
-                states.append((_balancing(np.linalg.inv(pair.X), np.linalg.inv(pair.Y)), least))
-        return states
-
-    def _balanced(self, scaling: Scaling, turn: Array) -> tuple[_Conditioned | None, bool, str]:
-        """The best of the rounds from one start, whether its optimum stands, and what the solver said."""
-        found, waited = None, 0
-        for _ in range(BALANCINGS):
-            plants = [_turned(scaling.apply(p), turn) for p in self.matrices]
-            gamma, outer, text = projection(plants, None, 1.0, self.budget)
-            if gamma is None or outer is None:
-                return found, False, text
-            self.say(f"states balanced by R and S: optimum {gamma / scaling.gain:.6g}")
-            best = np.inf if found is None else found.gamma
-            if gamma < best:
-                found = _Conditioned(plants, scaling, turn, gamma)
-            # The first rounds may go up: R and S of a bad start say little.
-            waited = 0 if gamma < best * (1 - 0.5 * NEAR) else waited + 1
-            if waited == 2 or abs(gamma / best - 1) < 0.5 * NEAR:
-                return found, abs(gamma / best - 1) < NEAR, text
-            # Above the optimum R and S are moderate; where the solver has none there, those at the optimum serve.
-            _, softer, _ = projection(plants, 1.05 * gamma + 1e-9, 1.5, self.budget)
-            outer = outer if softer is None else softer
-            turn = turn @ _balancing(*outer)
-        return found, True, "the optimum still falls"
-
-    def _controller(self, problem: _Conditioned, X: Array, level: float) -> tuple[LPVModel, Array] | None:
-        """The controllers of the grid points in the units of the plant, and the units of their states; None where one
-        has none.
-        """
-        made: list[Realisation] = []
-        for p in problem.plants:
-            K = reconstructed(p, X, level, self.budget)
-            if K is None:
-                return None
-            made.append(problem.scaling.controller_to_plant(K))
-        n_z, n_w = (len(side) for side in (self.matrices[0].C1, self.matrices[0].B1.T))
-        whole = np.array([np.block([[K.A, K.B], [K.C, K.D]]) for K in made])
-        n = len(made[0].A)
-        units = _state_units(whole, n)
-        whole[:, :n] /= units[:, None]
-        whole[:, :, :n] *= units
-        K = LPVModel.of(
-            self.plant.parameters, whole.reshape(*self.plant.grid, *whole.shape[1:]), n,
-            [s if isinstance(s, Taken) else Taken(*s) for s in self.plant.outputs[n_z:]], self.plant.inputs[n_w:],
-            [Signal(f"k{i + 1}") for i in range(n)],
-        )  # fmt: skip
-        return K, units
-
-    def _verified(self, K: LPVModel, guess: Array, optimum: float, how: str) -> LPVSynthesis | None:
-        """The loop rebuilt from plant and controller, with its proved gain; None where there is none."""
-        loop = closed_loop(self.plant, K, "hinf")
-        gain = gain_from(loop, None, self.budget, self.say, guess)
-        if not np.isfinite(gain.upper):
-            self.say(f"{how}: {gain.reason}")
-            return None
-        return LPVSynthesis(
-            K=K, plant=self.plant, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum,
-            status=gain.status, reason=f"{how}; loop rebuilt from plant and controller",
-        )  # fmt: skip
-
-
-def _state_units(K: Array, n: int) -> Array:
-    """Units of the n states in which their rows and columns are alike in size, all points as one (Osborne 1960)."""
-    size, units = np.abs(K).sum(axis=0), np.ones(n)
-    size[range(n), range(n)] = 0.0
-    for _ in range(SWEEPS):
-        before = units.copy()
-        for i in range(n):
-            row, column = size[i].sum(), size[:, i].sum()
-            if row > 0 and column > 0:
-                unit = 2.0 ** np.round(0.5 * np.log2(row / column))
-                size[i] /= unit
-                size[:, i] *= unit
-                units[i] *= unit
-        if np.array_equal(units, before):
+def _designed(
+    plant: LPVModel, matrices: list[PlantMatrices], budget: Budget, say: Callable[[str], None]
+) -> LPVSynthesis:
+    """The best verified loop a little above the LMIs' optimum."""
+    hint = "other weights, smaller ranges or rates, or a finer grid (LPVModel.refined)"
+    problem, text = _conditioned(matrices, budget, say)
+    if problem is None:
+        raise NoTrustworthyNumber("hinf", text, None, hint)
+    optimum, best = problem.gamma / problem.scaling.gain, None
+    say(f"LMIs with optimum {optimum:.6g}")
+    for backoff in SYNTHESIS_BACKOFFS:
+        level = problem.gamma * (1 + backoff) + 1e-9
+        for coupling in (*COUPLINGS, 1 + 0.2 * backoff):
+            _, outer, _ = _projection(problem.plants, level, coupling, budget)
+            X = None if outer is None else _shared(*outer)
+            made = None if X is None else _controller(plant, problem, X, level * (1 + 0.5 * backoff), budget)
+            if made is None or X is None:
+                continue
+            # Whatever the LMIs say: the loop is rebuilt from plant and controller, and its gain proved.
+            K, units = made
+            loop, how = closed_loop(plant, K, "hinf"), f"{backoff:.1%} above the LMIs' optimum"
+            gain = gain_from(loop, None, budget, say, problem.in_given_states(X, units))
+            if not np.isfinite(gain.upper):
+                say(f"{how}: {gain.reason}")
+            elif best is None or gain.upper < best.gamma:
+                best = LPVSynthesis(
+                    K=K, plant=plant, gamma=gain.upper, gain=gain, closed_loop=loop, lmi_gamma=optimum,
+                    status=gain.status, reason=f"{how}; loop rebuilt from plant and controller",
+                )  # fmt: skip
             break
-    return units
+        # A larger back-off is for those that rounding, or the loop between the points, spoils.
+        if best is not None and best.gamma <= optimum * (1 + backoff + NEAR):
+            break
+    if best is None:
+        raise NoTrustworthyNumber("hinf", f"optimum {optimum:.6g}, no loop of it could be proved", None, hint)
+    return best
+
+
+def _conditioned(
+    matrices: list[PlantMatrices], budget: Budget, say: Callable[[str], None]
+) -> tuple[_Conditioned | None, str]:
+    """The plants in states in which R and S of the last optimum are equal and diagonal, until it stands; or why not."""
+    middle = matrices[len(matrices) // 2]
+    scaling = paths_first(middle)
+    turn, size = _frozen_states(scaling.apply(middle), budget)
+    if turn is None:
+        return None, "the frozen plant in the middle has no controller"
+    unit = 2.0 ** -round(float(np.log2(size)))  # with it gamma is about one
+    scaling, turn = replace(scaling, z=scaling.z * unit), turn / np.sqrt(unit)
+    found, waited, text = None, 0, ""
+    for _ in range(BALANCINGS):
+        plants = [_turned(scaling.apply(p), turn) for p in matrices]
+        gamma, outer, text = _projection(plants, None, 1.0, budget)
+        if gamma is None or outer is None:
+            break
+        say(f"states balanced by R and S: optimum {gamma / scaling.gain:.6g}")
+        best = np.inf if found is None else found.gamma
+        if gamma < best:
+            found = _Conditioned(plants, scaling, turn, gamma)
+        # The first rounds may go up: R and S of a bad start say little.
+        waited = 0 if gamma < best * (1 - 0.5 * NEAR) else waited + 1
+        if waited == 2 or abs(gamma / best - 1) < 0.5 * NEAR:
+            break
+        # Above the optimum R and S are moderate; where the solver has none there, those at the optimum serve.
+        _, softer, _ = _projection(plants, 1.05 * gamma + 1e-9, 1.5, budget)
+        turn = turn @ _balancing(*(outer if softer is None else softer))
+    return found, text
+
+
+def _frozen_states(p: PlantMatrices, budget: Budget) -> tuple[Array | None, float]:
+    """States in which ``X^-1`` and ``Y^-1`` of a frozen plant are equal and diagonal, and its smallest gamma."""
+    found: list[tuple[float, TwoRiccatiProblem]] = []
+    for size in ADDED:
+        try:
+            problem = TwoRiccatiProblem(p.with_channels(size, size, size, size), True, budget)
+        except NoTrustworthyNumber:
+            break
+        gamma = problem.smallest_gamma(found[-1][0] if found else 1.0, 1e-2, ())
+        if gamma is None:
+            break
+        found.append((gamma, problem))
+        if len(found) > 2 and gamma > 0.9 * found[-3][0]:
+            break
+    smallest = min((gamma for gamma, _ in found), default=0.0)
+    pair = next((problem.solve(1.1 * gamma) for gamma, problem in found if gamma <= COST * smallest), None)
+    return None if pair is None else _balancing(np.linalg.inv(pair.X), np.linalg.inv(pair.Y)), smallest
 
 
 def _turned(p: PlantMatrices, T: Array) -> PlantMatrices:
@@ -319,6 +242,112 @@ def _balancing(R: Array, S: Array) -> Array:
     root = vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1]))
     squares, turn = np.linalg.eigh(root.T @ S @ root)
     return root @ turn / np.maximum(squares, 1e-14 * squares[-1]) ** 0.25
+
+
+def _projection(
+    plants: Sequence[PlantMatrices], level: float | None, coupling: float, budget: Budget
+) -> tuple[float | None, tuple[Array, Array] | None, str]:
+    """Smallest gamma (``level`` None), or R and S of small trace at a level, with ``[R t I; t I S] >= 0``."""
+    import cvxpy as cp
+
+    n = plants[0].sizes[0]
+    R, S, gamma = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
+    conditions = [cp.bmat([[R, coupling * np.eye(n)], [coupling * np.eye(n), S]]) >> 0]
+    conditions += [LARGEST * np.eye(n) - X >> 0 for X in (R, S)]
+    asked = gamma if level is None else level
+    conditions += [_outer(q, X, asked) for p in plants for q, X in ((dual(p), R), (p, S))]
+    failed = least(gamma if level is None else cp.trace(R) + cp.trace(S), conditions, budget)
+    if failed:
+        return None, None, failed
+    outer = np.asarray(R.value), np.asarray(S.value)
+    return level if level is not None else float(gamma.value), outer, ""
+
+
+def _outer(p: PlantMatrices, S: Any, gamma: Any) -> Any:
+    """The second inequality of a plant, in an orthonormal basis of its null space and rows of one size."""
+    import cvxpy as cp
+    from scipy.linalg import block_diag, null_space
+
+    _, m, _, q, _ = p.sizes
+    N = np.asarray(block_diag(null_space(np.hstack([p.C2, p.D21]), NULL), np.eye(q)))
+    a, b, c, d = (np.abs(x) for x in (p.A, p.B1, p.C1, p.D11))
+    sizes = np.block([[a + a.T, b, c.T], [b.T, np.eye(m), d.T], [c, d, np.eye(q)]])
+    size = np.diag(np.abs(N).T @ sizes @ np.abs(N))
+    N = N / np.sqrt(np.where(size > 0, size, 1.0))
+    return -(N.T @ bounded_real(cp.hstack([p.A.T @ S + S @ p.A, S @ p.B1]), p.C1, p.D11, gamma) @ N) >> 0
+
+
+def _shared(R: Array, S: Array) -> Array | None:
+    """The closed loop's Lyapunov matrix of one R and S, with ``M N^T = I - R S`` split evenly; None where singular."""
+    U, s, Vt = np.linalg.svd(np.eye(len(R)) - R @ S)
+    M, N = U * np.sqrt(s), Vt.T * np.sqrt(s)
+    zero, eye = np.zeros_like(R), np.eye(len(R))
+    try:
+        X = np.linalg.solve(np.block([[R, eye], [M.T, zero]]).T, np.block([[eye, S], [zero, N.T]]).T)
+    except np.linalg.LinAlgError:
+        return None
+    return 0.5 * (X + X.T)
+
+
+def _controller(
+    plant: LPVModel, problem: _Conditioned, X: Array, level: float, budget: Budget
+) -> tuple[LPVModel, Array] | None:
+    """The controllers of the grid points for a given X, in the units of the plant, and the units of their states."""
+    made: list[Array] = []
+    for p in problem.plants:
+        K = _reconstructed(p, X, level, budget)
+        if K is None:
+            return None
+        A, B, C, D = problem.scaling.controller_to_plant(K)
+        made.append(np.block([[A, B], [C, D]]))
+    n, whole = len(X) // 2, np.array(made)
+    size, units = np.abs(whole).sum(axis=0), np.ones(n)
+    size[range(n), range(n)] = 0.0
+    for i in [*range(n)] * SWEEPS:  # rows and columns of a state alike in size, all points as one (Osborne 1960)
+        row, column = size[i].sum(), size[:, i].sum()
+        if row > 0 and column > 0:
+            unit = 2.0 ** np.round(0.5 * np.log2(row / column))
+            units[i], size[i], size[:, i] = units[i] * unit, size[i] / unit, size[:, i] * unit
+    whole[:, :n] /= units[:, None]
+    whole[:, :, :n] *= units
+    n_meas, n_con = (len(side) for side in (problem.plants[0].C2, problem.plants[0].B2.T))
+    taken = [s if isinstance(s, Taken) else Taken(*s) for s in plant.outputs[-n_meas:]]
+    states = [Signal(f"k{i + 1}") for i in range(n)]
+    stacked = whole.reshape(*plant.grid, *whole.shape[1:])
+    return LPVModel.of(plant.parameters, stacked, n, taken, plant.inputs[-n_con:], states), units
+
+
+def _reconstructed(p: PlantMatrices, X: Array, gamma: float, budget: Budget) -> Realisation | None:
+    """Controller of full order for a given X: the bounded real LMI, linear in it, at the largest margin."""
+    import cvxpy as cp
+
+    n, m, n_u, q, n_y = p.sizes
+    values, vectors = np.linalg.eigh(X)
+    if values[0] <= 1e-12 * values[-1]:
+        return None
+    T, T_inv = vectors / np.sqrt(values), (vectors * np.sqrt(values)).T  # in these coordinates X is the identity
+    # The closed loop's [A B; C D] is that without a controller and left K right.
+    zero, eye = np.zeros, np.eye(n)
+    left = np.block([[zero((n, n)), p.B2], [eye, zero((n, n_u))], [zero((q, n)), p.D12]])
+    right = np.block([[zero((n, n)), eye, zero((n, m))], [p.C2, zero((n_y, n)), p.D21]])
+    open_loop = np.block([[p.A, zero((n, n)), p.B1], [zero((n, 2 * n + m))], [p.C1, zero((q, n)), p.D11]])
+    for one in (left, open_loop):
+        one[: 2 * n] = T_inv @ one[: 2 * n]
+    for one in (right, open_loop):
+        one[:, : 2 * n] = one[:, : 2 * n] @ T
+    K, margin = cp.Variable((n + n_u, n + n_y)), cp.Variable()
+
+    def whole(loop: Any) -> Any:
+        top = loop[: 2 * n]
+        drift = top[:, : 2 * n] + top[:, : 2 * n].T
+        return bounded_real(cp.hstack([drift, top[:, 2 * n :]]), loop[2 * n :, : 2 * n], loop[2 * n :, 2 * n :], gamma)
+
+    unit = np.diag(equal_rows(whole(open_loop).value))
+    inside = -(unit @ whole(open_loop + left @ K @ right) @ unit) - margin * np.eye(len(unit)) >> 0
+    if least(-margin, [inside], budget):
+        return None
+    found = np.asarray(K.value)
+    return Realisation(found[:n, :n], found[:n, n:], found[n:, :n], found[n:, n:])
 
 
 def plant_matrices(plant: LPVModel, n_meas: int, n_con: int, where: str) -> list[PlantMatrices]:

@@ -9,7 +9,7 @@ from robustlab import frequency_response
 from robustlab.dynamics import LayeredController, TorqueGains, Trim, upper_layer
 from robustlab.errors import InputError
 from robustlab.statespace import Signal
-from robustlab.synthesis import PID, Decentralised, FixedOrder, FixedPoles, MultichannelPID, Part, Series, StaticGain
+from robustlab.synthesis import PID, Decentralised, FixedOrder, FixedPoles, MultichannelPID, Part, StaticGain
 
 OMEGA = np.array([0.1, 0.7, 3.0])
 
@@ -36,7 +36,6 @@ CASES = [
     (FixedPoles([-1, -2 + 1j, -2 - 1j]), 2, 2, 0.0),
     (Decentralised([PID(tau=(0.1, 1.0)), FixedOrder(2)]), 2, 2, 0.0),
     (StaticGain() + FixedPoles([-1], strictly_proper=True), 2, 2, 0.0),
-    (Series(PID(tau=(0.1, 1.0)), FixedOrder(2), ["a", "b"]), 2, 1, 0.0),
 ]
 
 
@@ -134,7 +133,6 @@ def test_decentralised_parts_take_named_channels():
         (FixedPoles([]), 1, 1, "at least one finite pole"),
         (Decentralised([StaticGain()]), 2, 2, "1 parts for 2 measurements"),
         (Decentralised([Part(StaticGain(), ["z1"], ["u1"])]), 1, 1, "'z1': no such signal"),
-        (Series(StaticGain(), StaticGain(), []), 1, 1, "no signal between"),
     ],
 )
 def test_bad_structures_are_named(structure, n_y, n_u, text):
