@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -39,18 +39,6 @@ class RiccatiSolution(NamedTuple):
     residual: float
 
 
-class _Candidate(NamedTuple):
-    """A symmetric X with the loop that it closes, the left-hand side of its equation, and the relative residual."""
-
-    X: AnyArray
-    loop: AnyArray
-    left: AnyArray
-    residual: float
-
-
-Judge = Callable[[AnyArray], _Candidate | None]
-
-
 @told_as("care")
 def care(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
@@ -63,40 +51,31 @@ def care(
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
-
-    def judged(X: AnyArray) -> _Candidate | None:
-        with np.errstate(over="ignore", invalid="ignore"):
-            try:
-                gain = -np.linalg.solve(r, b.T @ X + s.T)
-            except np.linalg.LinAlgError:
-                return None
-            loop = a + b @ gain
-            if not np.isfinite(loop).all() or np.linalg.eigvals(loop).real.max() >= 0:
-                return None
-            quadratic = (X @ b + s) @ gain
-            size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
-            left = a.T @ X + X @ a + q + quadratic
-            residual = float(np.linalg.norm(left) / size) if size else 0.0
-        return _Candidate(X, loop, left, residual) if np.isfinite(residual) else None
-
     try:
         back = np.linalg.inv(r)
         with np.errstate(over="ignore", invalid="ignore"):
             whole = a - b @ back @ s.T, b @ back @ b.T, q - s @ back @ s.T
     except np.linalg.LinAlgError:
-        whole = None
-    best: _Candidate | None = None
+        raise NoTrustworthyNumber("care", "no stabilising solution was found; R is singular", SOLVABLE) from None
+    least = np.inf
     for pencil in (False, True):
-        X = _extended_pencil(a, b, q, r, s, False) if pencil else None if whole is None else _stable_graph(*whole)
-        found = None if X is None else _refined(judged(0.5 * (X + X.T)), judged)
-        if found is not None and (best is None or found.residual < best.residual):
-            best = found
-        if best is not None and best.residual <= tolerance:
-            return RiccatiSolution(best.X, -np.linalg.solve(r, b.T @ best.X + s.T), best.residual)
-    if best is None:
-        nearest = "R is singular" if whole is None else _nearest_to_axis(*whole)
-        raise NoTrustworthyNumber("care", f"no stabilising solution was found; {nearest}", SOLVABLE)
-    raise NoTrustworthyNumber("care", f"relative residual {best.residual:.1e}", f"at most {tolerance:.1e}")
+        X = _extended_pencil(a, b, q, r, s, False) if pencil else _stable_graph(*whole)
+        X = None if X is None else _refined(0.5 * (X + X.T), *whole)[0]
+        if X is None:
+            continue
+        with np.errstate(over="ignore", invalid="ignore"):
+            gain = -np.linalg.solve(r, b.T @ X + s.T)
+            loop, quadratic = a + b @ gain, (X @ b + s) @ gain
+            size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
+            residual = float(np.linalg.norm(a.T @ X + X @ a + q + quadratic) / size) if size else 0.0
+        if not np.isfinite(loop).all() or np.linalg.eigvals(loop).real.max() >= 0:
+            continue
+        if residual <= tolerance:
+            return RiccatiSolution(X, gain, residual)
+        least = min(least, residual)
+    if least == np.inf:
+        raise NoTrustworthyNumber("care", f"no stabilising solution was found; {_nearest_to_axis(*whole)}", SOLVABLE)
+    raise NoTrustworthyNumber("care", f"relative residual {least:.1e}", f"at most {tolerance:.1e}")
 
 
 @told_as("dare")
@@ -137,24 +116,13 @@ def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: flo
     >>> float(np.round(hamiltonian_riccati(0 * one, one, 4 * one)[0, 0], 12))
     2.0
     """
-
-    def weighed(X: AnyArray) -> _Candidate:
-        with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
-            linear, quadratic = A.T @ X, X @ G @ X
-            size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
-            left = linear + linear.T - quadratic + Q
-            return _Candidate(X, A - G @ X, left, float(np.linalg.norm(left) / size) if size else 0.0)
-
-    def judged(X: AnyArray) -> _Candidate | None:
-        found = weighed(X)
-        stable = np.isfinite(found.loop).all() and np.linalg.eigvals(found.loop).real.max() < 0
-        return found if stable else None
-
     if not len(A):
         return np.zeros((0, 0))
     X = _stable_graph(A, G, Q)
-    found = None if X is None else _refined(weighed(X), judged)  # stable at first: the Schur form was ordered
-    return found.X if found is not None and found.residual <= tolerance else None
+    if X is None:
+        return None
+    X, residual = _refined(X, A, G, Q)  # stable at first: the Schur form was ordered
+    return X if residual <= tolerance else None
 
 
 def _matrices(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None) -> list[Array]:
@@ -245,27 +213,36 @@ def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array, discrete:
     return X if np.isfinite(X).all() else None
 
 
-def _refined(found: _Candidate | None, judged: Judge) -> _Candidate | None:
-    """The solution after Newton's steps ``A_X^T dX + dX A_X + left = 0``, as long as they help (Kleinman 1968).
+def _refined(X: AnyArray, A: AnyArray, G: AnyArray, Q: AnyArray) -> tuple[AnyArray, float]:
+    """The solution after Newton's steps, as long as they help (Kleinman 1968), and its relative residual.
 
     The Schur vectors of a Hamiltonian are known to eps times its norm; where its eigenvalues span ten decades X may
     be wrong by tens of per cent while the relative residual is 1e-3. Newton converges quadratically from there.
     """
     from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 
+    def weighed(X: AnyArray) -> tuple[AnyArray, AnyArray, float]:
+        with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
+            linear, quadratic = A.T @ X, X @ G @ X
+            size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
+            left = linear + linear.T - quadratic + Q
+            return A - G @ X, left, float(np.linalg.norm(left) / size) if size else 0.0
+
+    loop, left, residual = weighed(X)
     for _ in range(NEWTON_STEPS):
-        if found is None or found.residual <= REFINED:
+        if not residual > REFINED or not np.isfinite(loop).all():
             break
         with judged_afterwards():  # eigenvalues may nearly mirror each other
             try:  # scipy's: X of 16 decades loses digits in SB03MD, and levels of D-K half a percent with them
-                step = solve_continuous_lyapunov(found.loop.T, -0.5 * (found.left + found.left.T))
+                step = solve_continuous_lyapunov(loop.T, -0.5 * (left + left.T))
             except (LinAlgError, ValueError):
                 break
-        after = judged(found.X + 0.5 * (step + step.T))
-        if after is None or not after.residual < found.residual:
+        better = X + 0.5 * (step + step.T)
+        after = weighed(better)
+        if not after[2] < residual or not np.linalg.eigvals(after[0]).real.max() < 0:
             break
-        found = after
-    return found
+        X, (loop, left, residual) = better, after
+    return X, residual
 
 
 def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> Array:

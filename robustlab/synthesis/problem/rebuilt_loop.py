@@ -9,11 +9,11 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
+from robustlab.linear_analysis.narrow_peaks import in_states
+from robustlab.norms.hinfinity import eigenvalue_blur
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
-from robustlab.verification.balls import exact, midpoints, precision
-from robustlab.verification.balls import inverse as inverse_in_balls
 
 # Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
 ILL_POSED = 1e10
@@ -21,7 +21,6 @@ ILL_POSED = 1e10
 DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)
 # Above this condition number modes are no basis.
 NO_BASIS = 1e12
-BITS = 128  # in which coordinates change
 # From this on the errors of entries count so much that other states are better.
 HIDDEN = 1e6
 
@@ -105,15 +104,8 @@ def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
     basis = np.where(np.imag(values) < 0, np.imag(vectors), np.real(vectors))
     if not np.isfinite(basis).all() or not np.linalg.cond(basis) < NO_BASIS:
         return None
-    with precision(BITS):
-        A, B, C, T = (exact(part) for part in (m.A, m.B, m.C, basis))
-        back = inverse_in_balls(T)
-        if back is None:
-            return None
-        a, b, c = (midpoints(part) for part in (back * A * T, back * B, C * T))
-    if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(c).all()):
-        return None
-    return balanced_states(StateSpaceModel(a, b, c, m.D, m.dt, m.inputs, m.outputs))
+    modes = in_states(m, basis)
+    return None if modes is None else balanced_states(modes)
 
 
 def rebuilt_loop(
@@ -131,8 +123,4 @@ def rebuilt_loop(
 
 def surely_stable(loop: StateSpaceModel) -> bool:
     """True where every pole is further inside the stability region than the rounding of eigenvalues may move it."""
-    if not loop.n_states:
-        return True
-    t = balancing_factors(loop.A)
-    size = max(float(np.linalg.norm(loop.A / t[:, None] * t, 1)), 1.0 if loop.is_discrete else 0.0)
-    return loop.spectral_abscissa() < -10 * float(np.finfo(float).eps) * size
+    return not loop.n_states or loop.spectral_abscissa() < -eigenvalue_blur(loop)

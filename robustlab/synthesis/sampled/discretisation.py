@@ -23,7 +23,8 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
-from robustlab.statespace import StateSpaceModel, as_model, series
+from robustlab.realisations import cascade
+from robustlab.statespace import StateSpaceModel, as_model
 
 Method = Literal["tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
 SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
@@ -206,21 +207,7 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
     wanted = gain * np.prod(at - zeros) / np.prod(at - poles)
     z = np.exp(at * dt)
     k = float((wanted * np.prod(z - z_poles) / np.prod(z - z_zeros)).real)
-    return _from_roots(z_zeros, z_poles, k)
-
-
-def _from_roots(zeros: AnyArray, poles: AnyArray, gain: float) -> StateSpaceModel:
-    """As many zeros as poles: real sections of first and second order in series."""
-    from scipy.signal import zpk2sos
-
-    model = StateSpaceModel([], [], [], [[1.0]])
-    for section in zpk2sos(_conjugate(zeros), _conjugate(poles), gain):
-        n = 2 if section[[2, 5]].any() else 1
-        direct, num, den = section[0], section[1 : n + 1], section[4 : n + 4]
-        a = np.eye(n, k=1)
-        a[:, 0] = -den
-        model = series(model, StateSpaceModel(a, (num - direct * den)[:, None], np.eye(1, n), [[direct]]))
-    return StateSpaceModel(model.A, model.B, model.C, model.D)
+    return cascade(_conjugate(z_zeros), _conjugate(z_poles), k, dt, "discretise (matched)")
 
 
 def _conjugate(roots: AnyArray) -> AnyArray:
