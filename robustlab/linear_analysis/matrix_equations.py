@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -29,6 +29,9 @@ UNBLOCKED = 32
 # Room for LAPACK's work on a matrix with blocks, in columns of it.
 ROOM = 64
 SOLVABLE = "a stabilisable model, and no eigenvalue there"
+
+
+Weighed = tuple[AnyArray, AnyArray, float]  # the loop of an X, the left-hand side of its equation, relative residual
 
 
 class RiccatiSolution(NamedTuple):
@@ -57,21 +60,23 @@ def care(
             whole = a - b @ back @ s.T, b @ back @ b.T, q - s @ back @ s.T
     except np.linalg.LinAlgError:
         raise NoTrustworthyNumber("care", "no stabilising solution was found; R is singular", SOLVABLE) from None
+
+    def weighed(X: AnyArray) -> Weighed:
+        with np.errstate(over="ignore", invalid="ignore"):
+            gain = -np.linalg.solve(r, b.T @ X + s.T)
+            quadratic = (X @ b + s) @ gain
+            size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
+            left = a.T @ X + X @ a + q + quadratic
+            return a + b @ gain, left, float(np.linalg.norm(left) / size) if size else 0.0
+
     least = np.inf
     for pencil in (False, True):
         X = _extended_pencil(a, b, q, r, s, False) if pencil else _stable_graph(*whole)
-        X = None if X is None else _refined(0.5 * (X + X.T), *whole)[0]
-        if X is None:
+        if X is None or not _is_stable(weighed(0.5 * (X + X.T))[0]):
             continue
-        with np.errstate(over="ignore", invalid="ignore"):
-            gain = -np.linalg.solve(r, b.T @ X + s.T)
-            loop, quadratic = a + b @ gain, (X @ b + s) @ gain
-            size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
-            residual = float(np.linalg.norm(a.T @ X + X @ a + q + quadratic) / size) if size else 0.0
-        if not np.isfinite(loop).all() or np.linalg.eigvals(loop).real.max() >= 0:
-            continue
+        X, residual = _refined(0.5 * (X + X.T), weighed)
         if residual <= tolerance:
-            return RiccatiSolution(X, gain, residual)
+            return RiccatiSolution(X, -np.linalg.solve(r, b.T @ X + s.T), residual)
         least = min(least, residual)
     if least == np.inf:
         raise NoTrustworthyNumber("care", f"no stabilising solution was found; {_nearest_to_axis(*whole)}", SOLVABLE)
@@ -121,7 +126,15 @@ def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: flo
     X = _stable_graph(A, G, Q)
     if X is None:
         return None
-    X, residual = _refined(X, A, G, Q)  # stable at first: the Schur form was ordered
+
+    def weighed(X: AnyArray) -> Weighed:
+        with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
+            linear, quadratic = A.T @ X, X @ G @ X
+            size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
+            left = linear + linear.T - quadratic + Q
+            return A - G @ X, left, float(np.linalg.norm(left) / size) if size else 0.0
+
+    X, residual = _refined(X, weighed)  # stable at first: the Schur form was ordered
     return X if residual <= tolerance else None
 
 
@@ -213,20 +226,13 @@ def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array, discrete:
     return X if np.isfinite(X).all() else None
 
 
-def _refined(X: AnyArray, A: AnyArray, G: AnyArray, Q: AnyArray) -> tuple[AnyArray, float]:
+def _refined(X: AnyArray, weighed: Callable[[AnyArray], Weighed]) -> tuple[AnyArray, float]:
     """The solution after Newton's steps, as long as they help (Kleinman 1968), and its relative residual.
 
     The Schur vectors of a Hamiltonian are known to eps times its norm; where its eigenvalues span ten decades X may
     be wrong by tens of per cent while the relative residual is 1e-3. Newton converges quadratically from there.
     """
     from scipy.linalg import LinAlgError, solve_continuous_lyapunov
-
-    def weighed(X: AnyArray) -> tuple[AnyArray, AnyArray, float]:
-        with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
-            linear, quadratic = A.T @ X, X @ G @ X
-            size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
-            left = linear + linear.T - quadratic + Q
-            return A - G @ X, left, float(np.linalg.norm(left) / size) if size else 0.0
 
     loop, left, residual = weighed(X)
     for _ in range(NEWTON_STEPS):
@@ -239,10 +245,14 @@ def _refined(X: AnyArray, A: AnyArray, G: AnyArray, Q: AnyArray) -> tuple[AnyArr
                 break
         better = X + 0.5 * (step + step.T)
         after = weighed(better)
-        if not after[2] < residual or not np.linalg.eigvals(after[0]).real.max() < 0:
+        if not after[2] < residual or not _is_stable(after[0]):
             break
         X, (loop, left, residual) = better, after
     return X, residual
+
+
+def _is_stable(loop: AnyArray) -> bool:
+    return bool(np.isfinite(loop).all()) and np.linalg.eigvals(loop).real.max() < 0
 
 
 def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> Array:

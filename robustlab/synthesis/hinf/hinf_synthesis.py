@@ -22,7 +22,7 @@ from robustlab.synthesis.problem.certify import EFFORT, certified
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.gamma_bounds import pointwise_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
-from robustlab.synthesis.problem.rebuilt_loop import moderate_states, named_controller, with_direct_term
+from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 
 # Work of a design at effort 1; few plants need a tenth. More: longer searches on hard plants.
@@ -130,8 +130,7 @@ class Verifier:
     def _rebuilt(self, candidate: Candidate) -> Verified | None:
         plant, dt = self.plant, self.plant.model.dt
         model = with_direct_term(StateSpaceModel(*candidate.K), self.D22)
-        # Large entries hide slow modes: in coordinates of its modes the same controller is the sounder one.
-        model = moderate_states(bilinear_to_discrete(model, dt) if dt else model)
+        model = bilinear_to_discrete(model, dt) if dt else model
         K = named_controller(model, plant.measurements, plant.controls, dt)
         loop = plant.close(K)
         self.budget.spend(dense(loop.n_states, 10))
@@ -203,7 +202,7 @@ def _designed(
     require_stabilisable(scaled, plant.model.state_names, f"synth {method}", rate)
     lower, assumptions = pointwise_bound(matrices, scalings, plant.model.dt), broken_assumptions(scaled, plant, rate)
     verifier = Verifier(plant, continuous.D22, budget)
-    leader, other, disagree = portfolio(matrices, scalings, budget, lower.value, continuous.D22)
+    leader, other, disagree = portfolio(matrices, scalings, budget, lower.value)
     best = verifier.smallest(leader.candidates + other.candidates)
     if best is None:
         ended = f": {NOT_REPEATABLE}" if budget.struck else " within the work budget" if budget.over else ""
