@@ -92,13 +92,11 @@ _PUBLIC = {
     "LPVModel": "synthesis.scheduling.parameter_varying",
     "lpv_model": "synthesis.scheduling.lpv_sources",
     # reduction and discretisation
-    "hankel_singular_values": "synthesis.reduction.model_reduction",
     "reduce_model": "synthesis.reduction.model_reduction",
-    "minimal": "synthesis.reduction.minimal_realisation",
+    "minimal": "synthesis.reduction.model_reduction",
     "reduce_controller": "synthesis.reduction.controller_reduction",
     "discretise": "synthesis.sampled.sampled_controller",
     "d2c": "synthesis.sampled.discretisation",
-    "d2d": "synthesis.sampled.discretisation",
     "sampled_data_norm": "synthesis.sampled.sampled_norm",
     # measurements
     "compare": "identification.comparison.comparison",

@@ -57,11 +57,9 @@ from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.problem.controller import Controller as Controller
 from robustlab.synthesis.problem.partition import generalized_plant as generalized_plant
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce_controller
-from robustlab.synthesis.reduction.minimal_realisation import minimal as minimal
-from robustlab.synthesis.reduction.model_reduction import hankel_singular_values as hankel_singular_values
+from robustlab.synthesis.reduction.model_reduction import minimal as minimal
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
 from robustlab.synthesis.sampled.discretisation import d2c as d2c
-from robustlab.synthesis.sampled.discretisation import d2d as d2d
 from robustlab.synthesis.sampled.sampled_controller import discretise as discretise
 from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model
@@ -168,13 +166,11 @@ __all__ = [
     "Controller",
     "LPVModel",
     "lpv_model",
-    "hankel_singular_values",
     "reduce_model",
     "minimal",
     "reduce_controller",
     "discretise",
     "d2c",
-    "d2d",
     "sampled_data_norm",
     "compare",
     "discover",

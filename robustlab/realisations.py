@@ -165,7 +165,7 @@ def zpk(
         if k.shape != (len(rows[0]), len(rows[0][0])):
             raise InputError("zpk: gain", f"of shape {k.shape}", f"({len(rows[0])}, {len(rows[0][0])})")
         entries = {
-            (i, j): _cascade(z, p, float(k[i, j]), dt, f"zpk: [{i}][{j}]")
+            (i, j): cascade(z, p, float(k[i, j]), dt, f"zpk: [{i}][{j}]")
             for i, row in enumerate(zip(*rows, strict=True))
             for j, (z, p) in enumerate(zip(*row, strict=True))
         }
@@ -180,7 +180,7 @@ def zpk(
     k = real_array("gain", np.reshape(gain, (1, 1)) if np.size(gain) == 1 else gain, 2, "zpk")
     if k.shape != (1, 1):
         raise InputError("zpk: gain", f"of shape {k.shape}", "a number, or zeros[i][j] and poles[i][j] with a matrix")
-    model = _cascade(zeros, poles, k.item(), dt, "zpk")
+    model = cascade(zeros, poles, k.item(), dt, "zpk")
     return model.renamed(inputs, outputs)
 
 
@@ -235,7 +235,9 @@ def ss(
         return StateSpaceModel([], [], [], real_array("D", A, 2, "ss"), dt, inputs, outputs, where="ss")
     model = _converted(A)
     if dt:
-        raise InputError("ss", f"dt = {dt!r} beside a model", "its own", "rl.discretise, rl.d2d: another sample time")
+        raise InputError(
+            "ss", f"dt = {dt!r} beside a model", "its own", "rl.discretise(rl.d2c(G), dt): another sample time"
+        )
     given = {"inputs": inputs, "outputs": outputs}
     return model.renamed(**given) if any(given.values()) else model
 
@@ -326,7 +328,7 @@ def _warn_of_sensitive_poles(den: Array, dt: float) -> None:
 # --- zeros, poles, gain ----------------------------------------------------------------------------------------------
 
 
-def _cascade(zeros: Any, poles: Any, gain: float, dt: float, where: str) -> StateSpaceModel:
+def cascade(zeros: Any, poles: Any, gain: float, dt: float, where: str) -> StateSpaceModel:
     """Realise a transfer function by sections of first and second order in series, the last one's states first."""
     (z, real_z), (p, real_p) = (_roots(name, given, where) for name, given in (("zeros", zeros), ("poles", poles)))
     n_zeros, n_poles = 2 * len(z) + len(real_z), 2 * len(p) + len(real_p)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from robustlab.arrays import AnyArray
@@ -12,12 +10,10 @@ from robustlab.statespace import StateSpaceModel
 
 # A matrix is ordinary where its largest entry lies between these: products of several neither overflow nor vanish.
 # Single entries may be smaller, as long as their squares do not vanish.
-SMALLEST, LARGEST = 2.0**-166, 2.0**166
-LEAST = 2.0**-500
+SMALLEST, LARGEST, LEAST = 2.0**-166, 2.0**166, 2.0**-500
 SWEEPS = 20
 # Products of entries between these neither overflow nor vanish.
 FAINTEST, STRONGEST = 1e-100, 1e100
-TINY = float(np.finfo(float).tiny)
 
 
 def is_moderate(*matrices: AnyArray) -> bool:
@@ -37,8 +33,7 @@ def balancing_factors(matrix: AnyArray) -> AnyArray:
         return np.ones(len(matrix))
     if not np.isfinite(matrix).all():
         raise ValueError("a matrix to be balanced has entries that are NaN or infinite")
-    balance: Any = getattr(lapack, "zgebal" if np.iscomplexobj(matrix) else "dgebal")
-    return np.asarray(balance(matrix, scale=1, permute=0)[3])
+    return np.asarray(lapack.dgebal(np.abs(matrix), scale=1, permute=0)[3])
 
 
 def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:
@@ -99,12 +94,6 @@ def refuse_overflow(where: str, *arrays: AnyArray) -> None:
     if not all(np.isfinite(array).all() for array in arrays):
         hint = "choose units in which the model's entries are closer to one another"
         raise NoTrustworthyNumber(where, "a product of the model's entries overflows", "numbers below 1e308", hint)
-
-
-def times_power(matrix: Any, exponents: Any) -> Any:
-    """``matrix * 2^exponents``, entry by entry; inf and 0 where that is no floating-point number, never on the way."""
-    with np.errstate(over="ignore", under="ignore"):
-        return np.ldexp(matrix, np.asarray(exponents, dtype=int))
 
 
 def _exponents(matrix: AnyArray) -> AnyArray:

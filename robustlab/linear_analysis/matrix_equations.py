@@ -31,24 +31,15 @@ ROOM = 64
 SOLVABLE = "a stabilisable model, and no eigenvalue there"
 
 
+Weighed = tuple[AnyArray, AnyArray, float]  # the loop of an X, the left-hand side of its equation, relative residual
+
+
 class RiccatiSolution(NamedTuple):
     """The stabilising X (n, n), the gain ``F = -R^-1 (B^T X + S^T)`` (m, n), and the relative residual."""
 
     X: Array
     gain: Array
     residual: float
-
-
-class _Candidate(NamedTuple):
-    """A symmetric X with the loop that it closes, the left-hand side of its equation, and the relative residual."""
-
-    X: AnyArray
-    loop: AnyArray
-    left: AnyArray
-    residual: float
-
-
-Judge = Callable[[AnyArray], _Candidate | None]
 
 
 @told_as("care")
@@ -63,40 +54,33 @@ def care(
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
-
-    def judged(X: AnyArray) -> _Candidate | None:
-        with np.errstate(over="ignore", invalid="ignore"):
-            try:
-                gain = -np.linalg.solve(r, b.T @ X + s.T)
-            except np.linalg.LinAlgError:
-                return None
-            loop = a + b @ gain
-            if not np.isfinite(loop).all() or np.linalg.eigvals(loop).real.max() >= 0:
-                return None
-            quadratic = (X @ b + s) @ gain
-            size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
-            left = a.T @ X + X @ a + q + quadratic
-            residual = float(np.linalg.norm(left) / size) if size else 0.0
-        return _Candidate(X, loop, left, residual) if np.isfinite(residual) else None
-
     try:
         back = np.linalg.inv(r)
         with np.errstate(over="ignore", invalid="ignore"):
             whole = a - b @ back @ s.T, b @ back @ b.T, q - s @ back @ s.T
     except np.linalg.LinAlgError:
-        whole = None
-    best: _Candidate | None = None
+        raise NoTrustworthyNumber("care", "no stabilising solution was found; R is singular", SOLVABLE) from None
+
+    def weighed(X: AnyArray) -> Weighed:
+        with np.errstate(over="ignore", invalid="ignore"):
+            gain = -np.linalg.solve(r, b.T @ X + s.T)
+            quadratic = (X @ b + s) @ gain
+            size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
+            left = a.T @ X + X @ a + q + quadratic
+            return a + b @ gain, left, float(np.linalg.norm(left) / size) if size else 0.0
+
+    least = np.inf
     for pencil in (False, True):
-        X = _extended_pencil(a, b, q, r, s, False) if pencil else None if whole is None else _stable_graph(*whole)
-        found = None if X is None else _refined(judged(0.5 * (X + X.T)), judged)
-        if found is not None and (best is None or found.residual < best.residual):
-            best = found
-        if best is not None and best.residual <= tolerance:
-            return RiccatiSolution(best.X, -np.linalg.solve(r, b.T @ best.X + s.T), best.residual)
-    if best is None:
-        nearest = "R is singular" if whole is None else _nearest_to_axis(*whole)
-        raise NoTrustworthyNumber("care", f"no stabilising solution was found; {nearest}", SOLVABLE)
-    raise NoTrustworthyNumber("care", f"relative residual {best.residual:.1e}", f"at most {tolerance:.1e}")
+        X = _extended_pencil(a, b, q, r, s, False) if pencil else _stable_graph(*whole)
+        if X is None or not _is_stable(weighed(0.5 * (X + X.T))[0]):
+            continue
+        X, residual = _refined(0.5 * (X + X.T), weighed)
+        if residual <= tolerance:
+            return RiccatiSolution(X, -np.linalg.solve(r, b.T @ X + s.T), residual)
+        least = min(least, residual)
+    if least == np.inf:
+        raise NoTrustworthyNumber("care", f"no stabilising solution was found; {_nearest_to_axis(*whole)}", SOLVABLE)
+    raise NoTrustworthyNumber("care", f"relative residual {least:.1e}", f"at most {tolerance:.1e}")
 
 
 @told_as("dare")
@@ -137,24 +121,21 @@ def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: flo
     >>> float(np.round(hamiltonian_riccati(0 * one, one, 4 * one)[0, 0], 12))
     2.0
     """
+    if not len(A):
+        return np.zeros((0, 0))
+    X = _stable_graph(A, G, Q)
+    if X is None:
+        return None
 
-    def weighed(X: AnyArray) -> _Candidate:
+    def weighed(X: AnyArray) -> Weighed:
         with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
             linear, quadratic = A.T @ X, X @ G @ X
             size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
             left = linear + linear.T - quadratic + Q
-            return _Candidate(X, A - G @ X, left, float(np.linalg.norm(left) / size) if size else 0.0)
+            return A - G @ X, left, float(np.linalg.norm(left) / size) if size else 0.0
 
-    def judged(X: AnyArray) -> _Candidate | None:
-        found = weighed(X)
-        stable = np.isfinite(found.loop).all() and np.linalg.eigvals(found.loop).real.max() < 0
-        return found if stable else None
-
-    if not len(A):
-        return np.zeros((0, 0))
-    X = _stable_graph(A, G, Q)
-    found = None if X is None else _refined(weighed(X), judged)  # stable at first: the Schur form was ordered
-    return found.X if found is not None and found.residual <= tolerance else None
+    X, residual = _refined(X, weighed)  # stable at first: the Schur form was ordered
+    return X if residual <= tolerance else None
 
 
 def _matrices(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None) -> list[Array]:
@@ -245,27 +226,33 @@ def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array, discrete:
     return X if np.isfinite(X).all() else None
 
 
-def _refined(found: _Candidate | None, judged: Judge) -> _Candidate | None:
-    """The solution after Newton's steps ``A_X^T dX + dX A_X + left = 0``, as long as they help (Kleinman 1968).
+def _refined(X: AnyArray, weighed: Callable[[AnyArray], Weighed]) -> tuple[AnyArray, float]:
+    """The solution after Newton's steps, as long as they help (Kleinman 1968), and its relative residual.
 
     The Schur vectors of a Hamiltonian are known to eps times its norm; where its eigenvalues span ten decades X may
     be wrong by tens of per cent while the relative residual is 1e-3. Newton converges quadratically from there.
     """
     from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 
+    loop, left, residual = weighed(X)
     for _ in range(NEWTON_STEPS):
-        if found is None or found.residual <= REFINED:
+        if not residual > REFINED or not np.isfinite(loop).all():
             break
         with judged_afterwards():  # eigenvalues may nearly mirror each other
             try:  # scipy's: X of 16 decades loses digits in SB03MD, and levels of D-K half a percent with them
-                step = solve_continuous_lyapunov(found.loop.T, -0.5 * (found.left + found.left.T))
+                step = solve_continuous_lyapunov(loop.T, -0.5 * (left + left.T))
             except (LinAlgError, ValueError):
                 break
-        after = judged(found.X + 0.5 * (step + step.T))
-        if after is None or not after.residual < found.residual:
+        better = X + 0.5 * (step + step.T)
+        after = weighed(better)
+        if not after[2] < residual or not _is_stable(after[0]):
             break
-        found = after
-    return found
+        X, (loop, left, residual) = better, after
+    return X, residual
+
+
+def _is_stable(loop: AnyArray) -> bool:
+    return bool(np.isfinite(loop).all()) and np.linalg.eigvals(loop).real.max() < 0
 
 
 def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> Array:

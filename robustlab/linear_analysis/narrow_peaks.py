@@ -8,8 +8,6 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.statespace import StateSpaceModel
 
-__all__ = ["modes_apart", "narrow_frequencies"]
-
 # Distance of a pole from the axis, in shares of its frequency, below which a grid may step over its peak.
 NARROW = 0.02
 # Where in a peak to look, in half widths: there the response has turned by equal angles.

@@ -75,8 +75,6 @@ class StructuralTest(Shown):
         The eigenvalue where the margin is attained; None without states.
     eigenvalues, margins
         The same for every mode, shape (n_states,).
-    smallest_kept, largest_dropped
-        Singular values next to the rank decision, each relative to the scaled model (inf, 0 where there is none).
     status
         CONVERGED where the decision is clear of rounding, INACCURATE where it is not.
     """
@@ -89,8 +87,6 @@ class StructuralTest(Shown):
     weakest: complex | None
     eigenvalues: ComplexArray
     margins: Array
-    smallest_kept: float
-    largest_dropped: float
     status: Status
 
     @property
@@ -124,25 +120,11 @@ class StructuralTest(Shown):
 
 @dataclass(frozen=True, eq=False)
 class Structure(Shown):
-    """Poles of a model, whether it is stable, and which of its modes are hidden.
+    """Poles of a model, whether it is stable, and which of its modes are hidden."""
 
-    Attributes
-    ----------
-    poles
-        In rad/s, or in the z plane for a discrete model, the rightmost first.
-    stable
-        Whether all decay.
-    spectral_abscissa
-        Largest real part, in 1/s; of a discrete model the largest modulus less one.
-    discrete
-        Whether time is.
-    controllability, observability
-        The tests of both.
-    """
-
-    poles: ComplexArray
+    poles: ComplexArray  # in rad/s, or in the z plane for a discrete model, the rightmost first
     stable: bool
-    spectral_abscissa: float
+    spectral_abscissa: float  # largest real part, in 1/s; of a discrete model the largest modulus less one
     discrete: bool
     controllability: StructuralTest
     observability: StructuralTest
@@ -276,32 +258,20 @@ def drop_unconnected(model: Any) -> StateSpaceModel:
 
 def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralTest:
     """Controllability of (a, b), worded for ``kind``."""
-    n = model.n_states
-    found = _Reached.of(a, b)
-    stairs, outer, rate = found.stairs, found.outer, found.rate
+    n, found = model.n_states, _Reached.of(a, b)
     # The spectrum of the two groups, each mode with its margin in the scaled model.
-    parts = slice(stairs.rank), slice(stairs.rank, None)
-    inside = np.concatenate([np.linalg.eigvals(stairs.a[k, k]).astype(np.complex128) for k in parts])
-    inside_margins = _margins(found.scaled, found.into, inside)
-    off_graph = np.linalg.eigvals(a[outer[:, None], outer]).astype(np.complex128)
-    eigenvalues = np.concatenate([inside * rate, off_graph])
-    margins = np.concatenate([inside_margins, np.zeros(len(outer))])
+    parts = slice(found.rank), slice(found.rank, None)
+    inside = np.concatenate([np.linalg.eigvals(found.stairs[k, k]).astype(np.complex128) for k in parts])
+    off_graph = np.linalg.eigvals(a[found.outer[:, None], found.outer]).astype(np.complex128)
+    eigenvalues = np.concatenate([inside * found.rate, off_graph])
+    margins = np.concatenate([_margins(found.scaled, found.into, inside), np.zeros(len(found.outer))])
     worst = int(np.argmin(margins)) if n else None
     margin = float(margins.min()) if n else np.inf
-    consistent = margin > ROUNDING * n if stairs.rank == n else margin < CLEAR
-    return StructuralTest(
-        kind,
-        stairs.rank,
-        n,
-        found.modes(model, kind),
-        margin,
-        complex(eigenvalues[worst]) if worst is not None else None,
-        eigenvalues,
-        margins,
-        stairs.smallest_kept,
-        stairs.largest_dropped,
-        Status.CONVERGED if found.clear and consistent else Status.INACCURATE,
-    )
+    consistent = margin > ROUNDING * n if found.rank == n else margin < CLEAR
+    status = Status.CONVERGED if found.clear and consistent else Status.INACCURATE
+    weakest = None if worst is None else complex(eigenvalues[worst])
+    modes = found.modes(model, kind)
+    return StructuralTest(kind, found.rank, n, modes, margin, weakest, eigenvalues, margins, status)
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,28 +286,40 @@ class _Reached:
     into: Array
     rate: float
     exponent: NDArray[np.int64]
-    stairs: _Stairs
-    clear: bool
+    stairs: Array  # `q^T scaled q`, with its controllable part in the first `rank` rows and columns
+    q: Array
+    rank: int
+    dropped: float  # largest singular value that counted as zero
+    clear: bool  # whether the rank is clear of rounding
 
     @classmethod
     def of(cls, a: Array, b: Array, tolerance: float | None = None) -> _Reached:
-        """Decide the rank: singular values up to the tolerance count as zero; None: as `_rank_decision` does."""
+        """Decide the rank: singular values up to the tolerance count as zero; None: as clear of rounding as can be.
+
+        It is clear where nothing lies between what is kept (above CLEAR) and what is dropped (below ROUNDING). Noise
+        that grew on the way through a weakly controllable part may fill that gap; then the modes themselves are asked:
+        as many eigenvalues of A as directions were dropped must be uncontrollable to rounding.
+        """
         connected = _reach(a != 0, (b != 0).any(axis=1))
         inner, outer = np.flatnonzero(connected), np.flatnonzero(~connected)
-        scaled = _scaled(a[inner[:, None], inner], b[inner])
-        stairs = _rank_decision(*scaled[:2]) if tolerance is None else (_staircase(*scaled[:2], tolerance), True)
-        return cls(a, b, inner, outer, *scaled, *stairs)
+        scaled, into, rate, exponent = _scaled(a[inner[:, None], inner], b[inner])
+        n, clear = len(inner), True
+        steps = _staircase(scaled, into, CLEAR if tolerance is None else tolerance)
+        if tolerance is None and steps[-1] >= ROUNDING * max(n, 1):
+            margins = _margins(scaled, into, np.linalg.eigvals(scaled).astype(np.complex128))
+            clear = bool((margins < ROUNDING * n).sum() >= n - steps[2] > 0)
+            steps = steps if clear else _staircase(scaled, into, ZERO)
+        return cls(a, b, inner, outer, scaled, into, rate, exponent, *steps, clear)
 
     def modes(self, model: StateSpaceModel, kind: Kind) -> tuple[HiddenMode, ...]:
         """Modes of the states off the graph, and of the part that the staircase does not reach."""
-        names = np.array(model.state_names, dtype=object)
-        off = _left_modes(self.a[self.outer[:, None], self.outer])
-        modes = [_hidden_mode(m, names[self.outer], model.is_discrete, kind) for m in off]
-        rank, q = self.stairs.rank, self.stairs.q
-        for mode in _left_modes(self.stairs.a[rank:, rank:], float(np.linalg.norm(self.stairs.a, 2)) if rank else 0.0):
-            moved = _LeftMode(mode.eigenvalue * self.rate, mode.rounding * self.rate, q[:, rank:] @ mode.vector)
-            modes.append(_hidden_mode(moved, names[self.inner], model.is_discrete, kind))
-        return tuple(modes)
+        names, rest = np.array(model.state_names, dtype=object), slice(self.rank, None)
+        size = float(np.linalg.norm(self.stairs, 2)) if self.rank else 0.0
+        off, beyond = self.a[self.outer[:, None], self.outer], self.stairs[rest, rest]
+        return (
+            *_hidden_modes(off, np.eye(len(off)), names[self.outer], model.is_discrete, kind),
+            *_hidden_modes(beyond, self.q[:, rest], names[self.inner], model.is_discrete, kind, self.rate, size),
+        )
 
     def basis(self) -> tuple[Array, Indices, float]:
         r"""Return T and rows ``kept``, where it is the identity, with ``A T = T (A T)[kept]`` and ``B = T B[kept]``.
@@ -347,8 +329,8 @@ class _Reached:
         """
         from scipy.linalg import qr
 
-        rank, inner, exponent = self.stairs.rank, self.inner, self.exponent
-        v = self.stairs.q[:, :rank]
+        rank, inner, exponent = self.rank, self.inner, self.exponent
+        v = self.q[:, :rank]
         order = np.asarray(qr(v.T, mode="r", pivoting=True)[-1])
         kept, rest = np.sort(order[:rank]), np.sort(order[rank:])
         share = np.linalg.solve(v[kept].T, v[rest].T).T
@@ -371,32 +353,17 @@ class _Reached:
 
 @dataclass(frozen=True, eq=False)
 class LeastOrder:
-    """A model without the modes that no input moves or no output shows.
+    """A model without the modes that no input moves or no output shows."""
 
-    Attributes
-    ----------
-    model
-        With the inputs and outputs of the one given, and a subset of its states where no output was needed to choose.
-    given, reached
-        The model as given, and without what no input moves.
-    right, left
-        Bases: states of ``given`` are ``right`` times those of ``reached``; those of ``model`` are ``left`` times them.
-    hidden
-        The modes that were left out.
-    dropped
-        Largest singular value that counted as zero, relative to the scaled model.
-    clear
-        Whether the rank is clear of rounding.
-    """
-
-    model: StateSpaceModel
+    model: StateSpaceModel  # with a subset of the given states where no output was needed to choose
     given: StateSpaceModel
-    reached: StateSpaceModel
+    reached: StateSpaceModel  # without what no input moves
+    # Bases: states of `given` are `right` times those of `reached`; those of `model` are `left` times them.
     right: Array
     left: Array
-    hidden: tuple[HiddenMode, ...]
-    dropped: float
-    clear: bool
+    hidden: tuple[HiddenMode, ...]  # the modes that were left out
+    dropped: float  # largest singular value that counted as zero, relative to the scaled model
+    clear: bool  # whether the rank is clear of rounding
 
 
 def least_order(model: StateSpaceModel, tolerance: float | None = None) -> LeastOrder:
@@ -415,8 +382,8 @@ def least_order(model: StateSpaceModel, tolerance: float | None = None) -> Least
     A, B = _product(reached.A[:, kept].T, s, missed).T, _product(reached.B.T, s, missed).T
     least = replace(reached, A=A, B=B, C=reached.C[:, kept], states=names)
     hidden = first.modes(model, "controllability") + second.modes(reached, "observability")
-    dropped = max(first.stairs.largest_dropped, second.stairs.largest_dropped)
-    return LeastOrder(least, model, reached, t, s.T, hidden, dropped, first.clear and second.clear)
+    clear = first.clear and second.clear
+    return LeastOrder(least, model, reached, t, s.T, hidden, max(first.dropped, second.dropped), clear)
 
 
 def _product(a: Array, t: Array, missed: float) -> Array:
@@ -442,47 +409,17 @@ def with_hidden(text: str, *models: StateSpaceModel) -> str:
     return "; ".join([text, *(f"hidden: {mode.meaning}" for model in models for mode in hidden_unstable(model))])
 
 
-def _rank_decision(a: Array, b: Array) -> tuple[_Stairs, bool]:
-    """The staircase form, and whether its rank is clear of rounding.
-
-    It is, where nothing lies between what is kept (above CLEAR) and what is dropped (below ROUNDING). Noise that grew
-    on the way through a weakly controllable part may fill that gap; then the modes themselves are asked: as many
-    eigenvalues of A as directions were dropped must be uncontrollable to rounding.
-    """
-    n = len(a)
-    stairs = _staircase(a, b, CLEAR)
-    if stairs.largest_dropped < ROUNDING * max(n, 1):
-        return stairs, True
-    margins = _margins(a, b, np.linalg.eigvals(a).astype(np.complex128))
-    if (margins < ROUNDING * n).sum() >= n - stairs.rank > 0:
-        return stairs, True
-    return _staircase(a, b, ZERO), False
-
-
-@dataclass(frozen=True)
-class _Stairs:
-    """``q^T A q`` with its controllable part in the first ``rank`` rows and columns."""
-
-    a: Array
-    q: Array
-    rank: int
-    smallest_kept: float
-    largest_dropped: float
-
-
-def _staircase(a: Array, b: Array, zero: float) -> _Stairs:
+def _staircase(a: Array, b: Array, zero: float) -> tuple[Array, Array, int, float]:
     """Orthogonal steps into the controllable subspace: range of B, then what A adds to it, until nothing is added.
 
-    Singular values up to ``zero`` count as nothing.
+    Singular values up to ``zero`` count as nothing. ``q^T A q``, q, the rank, and the largest value that was dropped.
     """
     n = len(a)
     a, q = a.copy(order="F"), np.eye(n, order="F")
-    block, done = b, 0
-    kept, dropped = np.inf, 0.0
+    block, done, dropped = b, 0, 0.0
     while done < n and block.size:
         u, s, _ = np.linalg.svd(block, full_matrices=False)
         r = int((s > zero).sum())
-        kept = min(kept, float(s[:r].min(initial=np.inf)))
         dropped = max(dropped, float(s[r:].max(initial=0.0)))
         if r == 0:
             break
@@ -494,7 +431,7 @@ def _staircase(a: Array, b: Array, zero: float) -> _Stairs:
         q[:, done:] = lapack().dormqr("R", "N", reflectors, tau, q[:, done:], width)[0]
         block = a[done + r :, done : done + r]
         done += r
-    return _Stairs(a, q, done, kept, dropped)
+    return a, q, done, dropped
 
 
 def _scaled(a: Array, b: Array) -> tuple[Array, Array, float, NDArray[np.int64]]:
@@ -542,17 +479,16 @@ def _margins(a: Array, b: Array, eigenvalues: ComplexArray) -> Array:
     return result
 
 
-@dataclass(frozen=True)
-class _LeftMode:
-    """An eigenvalue, how far rounding may have moved it, and its left eigenvector."""
-
-    eigenvalue: complex
-    rounding: float
-    vector: ComplexArray
-
-
-def _left_modes(a: Array, size: float = 0.0) -> list[_LeftMode]:
-    """Return the modes of a matrix, whose entries carry the rounding of numbers of ``size`` at least."""
+def _hidden_modes(
+    a: Array,
+    basis: Array,
+    states: NDArray[np.object_],
+    discrete: bool,
+    kind: Kind,
+    rate: float = 1.0,
+    size: float = 0.0,
+) -> list[HiddenMode]:
+    """The modes of ``rate a``, whose entries carry the rounding of numbers of ``size`` at least, in these states."""
     from scipy.linalg import eig
 
     if len(a) == 0:
@@ -561,24 +497,18 @@ def _left_modes(a: Array, size: float = 0.0) -> list[_LeftMode]:
     # First-order bound of a backward-stable eigenvalue: ||A|| eps / |y^H x|; a defective one gets eps^(1/2) or worse.
     overlap = np.abs(np.einsum("ij,ij->j", left.conj(), right))
     size = max(size, float(np.linalg.norm(a, 2)))
-    rounding = 10 * len(a) * np.finfo(float).eps * size / np.maximum(overlap, 1e-16)
-    return [_LeftMode(complex(v), float(rounding[k]), left[:, k]) for k, v in enumerate(values)]
-
-
-def _hidden_mode(mode: _LeftMode, states: NDArray[np.object_], discrete: bool, kind: Kind) -> HiddenMode:
-    value, weight = mode.eigenvalue, np.abs(mode.vector)
-    inside = 1 - abs(value) if discrete else -value.real
-    stable = inside > mode.rounding
-    involved = tuple(states[weight >= SHARE * weight.max()])
-    shown = complex(*(0.0 if abs(part) <= mode.rounding else part for part in (value.real, value.imag)))
-    where = f"z = {_number(shown)}" if discrete else f"{_number(shown)} rad/s"
-    word = "no input moves it" if kind == "controllability" else "no output shows it"
-    text = f"{'stable' if stable else 'unstable'} mode {where} in {', '.join(involved)}: {word}"
-    return HiddenMode(value, stable, involved, text)
-
-
-def _number(value: complex) -> str:
-    return f"{value.real:.6g}" if value.imag == 0 else f"{value.real:.6g}{value.imag:+.6g}j"
+    rounding = 10 * len(a) * np.finfo(float).eps * size / np.maximum(overlap, 1e-16) * rate
+    word, found = "no input moves it" if kind == "controllability" else "no output shows it", list[HiddenMode]()
+    for value, blur, weight in zip((rate * values).tolist(), rounding, np.abs(basis @ left).T, strict=True):
+        value = complex(value)
+        stable = bool((1 - abs(value) if discrete else -value.real) > blur)
+        involved = tuple(states[weight >= SHARE * weight.max()])
+        shown = complex(*(0.0 if abs(part) <= blur else part for part in (value.real, value.imag)))
+        number = f"{shown.real:.6g}" if shown.imag == 0 else f"{shown.real:.6g}{shown.imag:+.6g}j"
+        where = f"z = {number}" if discrete else f"{number} rad/s"
+        text = f"{'stable' if stable else 'unstable'} mode {where} in {', '.join(involved)}: {word}"
+        found.append(HiddenMode(value, stable, involved, text))
+    return found
 
 
 def strong_components(acts: Mask) -> Indices:

@@ -144,7 +144,7 @@ def _same_sample_times(parts: Sequence[_Part]) -> None:
     for part in timed[1:]:
         first = timed[0]
         if part.model.dt != first.model.dt:
-            hint = "rl.discretise, rl.d2c and rl.d2d change sample times"
+            hint = "rl.discretise and rl.d2c change sample times"
             expected = f"{first.model.dt:g} s as in {first.label}"
             raise InputError(f"connect: {part.label}", f"sample time {part.model.dt:g} s", expected, hint)
 

@@ -17,7 +17,6 @@ REFUSED = {
     "compare window": lambda: rl.compare(made.lag(), run(), window=-1.0),
     "ComplexScalar name": lambda: rl.ComplexScalar(""),
     "control_weight limit": lambda: rl.control_weight(limit=0.0),
-    "d2d dt": lambda: rl.d2d(rl.ss([[0.5]], ONE, ONE, [[0.0]], dt=0.1), dt=-0.2),
     "delay n": lambda: rl.delay(0.1, n=-1),
     "discretise method": lambda: rl.discretise(made.lag(), 0.1, method="tusting"),
     "elementwise signals": lambda: rl.elementwise(made.lag(), made.problem()),

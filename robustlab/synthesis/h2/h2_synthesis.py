@@ -11,11 +11,12 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.linear_analysis.magnitude import refuse_extremes
 from robustlab.linear_analysis.matrix_equations import care, dare
-from robustlab.norms import H2Norm, h2_by_channels, h2_by_gramians
+from robustlab.norms import H2Norm, h2_by_channels
 from robustlab.result import Status
 from robustlab.shown import Facts
-from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.assumptions import require_stabilisable
 from robustlab.synthesis.problem.certify import CANCELLED, Certificate, certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
@@ -27,7 +28,7 @@ from robustlab.synthesis.problem.partition import (
     require_performance,
 )
 from robustlab.synthesis.problem.rebuilt_loop import rebuilt_loop
-from robustlab.synthesis.problem.scaling import Scaling, by_magnitude, equilibrated, paths_first
+from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
 # Work of a design at effort 1.
 WORK = 60 * MILLION
@@ -54,28 +55,18 @@ class H2Synthesis(Synthesis):
     regularisation
         Size of the added penalties and noises in the scaled plant; 0 where the plant was solved as it is, and K is then
         optimal.
-    regularised_norm
-        Optimal H2 norm of the problem that was solved, in the plant's units: what the optimum of the plant as given is
-        certainly below. Equal to ``gamma`` where nothing was added.
-    regularised_channels
-        Which controls have no penalty and which measurements no noise of their own, so that K was kept finite by added
-        ones.
     smallest_norm
         Smallest verified H2 norm of the search; K may belong to a larger regularisation within the allowed ratio of it.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
-        **Synthesis.quantities, **dict.fromkeys(("regularisation", "regularised_norm", "smallest_norm"), float),
+        **Synthesis.quantities, **dict.fromkeys(("regularisation", "smallest_norm"), float),
     }  # fmt: skip
-    saved = (
-        *Synthesis.saved, "norm", "regularisation", "regularised_norm", "regularised_channels", "smallest_norm",
-    )  # fmt: skip
+    saved = (*Synthesis.saved, "norm", "regularisation", "smallest_norm")
 
     norm: H2Norm
     regularisation: float
-    regularised_norm: float
-    regularised_channels: tuple[str, ...] = ()
-    smallest_norm: float = float("nan")
+    smallest_norm: float
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (H2 norm, verified by both Gramians)"
@@ -84,8 +75,7 @@ class H2Synthesis(Synthesis):
         rows = super().facts()
         if not self.regularisation:
             return rows
-        text = f"{self.regularisation:.0e} in scaled units; optimal norm with it {self.regularised_norm:.6g}"
-        return [*rows[:2], ("regularisation", text), *rows[2:]]
+        return [*rows[:2], ("regularisation", f"{self.regularisation:.0e} in scaled units"), *rows[2:]]
 
 
 @told_as("synth h2")
@@ -179,25 +169,26 @@ class _Trial:
     norm: H2Norm
     loudest: str
     eps: float
-    scaling: Scaling
-    regularised: PlantMatrices
-    bare: StateSpaceModel
 
 
 def _designed(
     plant: GeneralizedPlant, method: str, gamma_rel: float, budget: Budget, say: Callable[[str], None]
 ) -> H2Synthesis:
     where, dt, matrices = f"synth {method}", plant.model.dt, plant.matrices()
+    refuse_extremes(plant.model, where)
     # What the search is for is the rest of K beside the direct term that cancels D11.
     gain = _cancelling_gain(matrices, dt, where)
     shifted, trials = _with_gain(matrices, gain), list[_Trial]()
-    for scale in (paths_first, equilibrated, by_magnitude):
-        if scale is by_magnitude and trials:
-            break
-        scaling = scale(shifted, dt > 0)
+    try:
+        moving = plant.continuous().matrices() if dt else shifted
+    except NoTrustworthyNumber:  # a pole at z = -1: the rebuilt loop will tell
+        moving = None
+    if moving is not None:
+        first = paths_first(moving)
+        require_stabilisable(first.apply(moving), plant.model.state_names, where, first.rate)
+    for scale in (paths_first, equilibrated):
+        scaling = scale(shifted)
         scaling = scaling.in_steps() if dt else scaling
-        if not trials:
-            _require_stabilisable(plant, shifted, scaling, where)
         if _ladder(plant, shifted, gain, scaling, trials, budget, say) or budget.over:
             break
     by_norm = sorted(trials, key=lambda t: t.norm.value)
@@ -218,13 +209,9 @@ def _designed(
             break
     chosen, (gamma, doubt) = proofs[0] if proofs[-1][1].doubt else proofs[-1]
     parts = [doubt or "loop rebuilt from K is stable; both Gramians give its norm, proved in ball arithmetic"]
-    regularised = chosen.norm.value
     if chosen.eps:
         parts.append(f"kept finite by penalties and noises of {chosen.eps:.0e} in scaled units")
         parts.append(f"the smallest norm found with smaller ones is {best.norm.value:.6g}")
-        scaled = (StateSpaceModel(*Realisation.of(m), dt) for m in (chosen.regularised.model(), chosen.bare))
-        unit = np.sqrt(chosen.scaling.rate) / chosen.scaling.gain
-        regularised = max(h2_by_gramians(lower_lft(*scaled)).value * unit, regularised)
     else:
         parts.append("the plant is regular: this is the optimum")
     status, reason = told(Status.INACCURATE if doubt else chosen.norm.status, parts, budget, "a smaller norm")
@@ -239,8 +226,6 @@ def _designed(
         method=method,
         norm=chosen.norm,
         regularisation=chosen.eps,
-        regularised_norm=regularised,
-        regularised_channels=_lacking(plant, matrices) if chosen.eps else (),
         smallest_norm=best.norm.value,
     )
 
@@ -290,8 +275,7 @@ def _trial(
     """K of this regularisation in its loop; None where that is unstable or its norm not finite."""
     dt = plant.model.dt
     try:
-        bare = _controller(regularised, dt)
-        K = scaling.controller_to_plant(Realisation.of(bare))
+        K = scaling.controller_to_plant(Realisation.of(_controller(regularised, dt)))
         K = StateSpaceModel(K.A, K.B, K.C, K.D + gain, dt)
     except (NoTrustworthyNumber, InputError):  # InputError: entries overflow when scaled back
         return None
@@ -308,7 +292,7 @@ def _trial(
     norm, out, into = h2_by_channels(loop)
     if not np.isfinite(norm.value):
         return None
-    return _Trial(full, loop, norm, _loudest(loop, out, into), eps, scaling, regularised, bare)
+    return _Trial(full, loop, norm, _loudest(loop, out, into), eps)
 
 
 def _least_direct(D: AnyArray) -> float:
@@ -360,33 +344,6 @@ def _with_gain(p: PlantMatrices, gain: AnyArray) -> PlantMatrices:
         return p
     A, B1, C1 = p.A + p.B2 @ gain @ p.C2, p.B1 + p.B2 @ gain @ p.D21, p.C1 + p.D12 @ gain @ p.C2
     return replace(p, A=A, B1=B1, C1=C1, D11=np.zeros_like(p.D11))
-
-
-def _require_stabilisable(plant: GeneralizedPlant, shifted: PlantMatrices, scaling: Scaling, where: str) -> None:
-    """The test of modes, in discrete time through ``z -> (z - 1)/(z + 1)``, which keeps modes and their sides."""
-    scaled = scaling.apply(shifted)
-    if plant.model.dt:
-        n = scaled.A.shape[0]
-        plus = np.eye(n) + scaled.A  # in balanced states
-        if n and np.linalg.cond(plus) > 1e12:
-            return  # a pole at z = -1: the Riccati equations and the rebuilt loop will tell
-        scaled = replace(scaled, A=np.linalg.solve(plus, scaled.A - np.eye(n)), B2=np.linalg.solve(plus, scaled.B2))
-    require_stabilisable(scaled, plant.model.state_names, where, scaling.rate)
-
-
-def _lacking(plant: GeneralizedPlant, p: PlantMatrices) -> tuple[str, ...]:
-    """Controls without a penalty of their own and measurements without noise of their own."""
-    found: list[str] = []
-    for D, signals, text in (
-        (p.D12, plant.controls, "control {} has no penalty of its own"),
-        (p.D21.T, plant.measurements, "measurement {} has no noise of its own"),
-    ):
-        for i, signal in enumerate(signals):
-            others = np.delete(D, i, axis=1)
-            rank = np.linalg.matrix_rank(D) - (np.linalg.matrix_rank(others) if others.size else 0)
-            if rank == 0:
-                found.append(text.format(signal.name))
-    return tuple(found)
 
 
 def _loudest(loop: StateSpaceModel, out: AnyArray, into: AnyArray) -> str:

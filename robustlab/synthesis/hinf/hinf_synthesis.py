@@ -12,16 +12,17 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.linear_analysis.magnitude import refuse_extremes
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.hinf.search import Candidate, portfolio, soften
+from robustlab.synthesis.hinf.search import Candidate, estimated_optimum, portfolio, soften
 from robustlab.synthesis.problem.assumptions import broken_assumptions, require_stabilisable
 from robustlab.synthesis.problem.certify import EFFORT, certified
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.gamma_bounds import pointwise_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
-from robustlab.synthesis.problem.rebuilt_loop import moderate_states, named_controller, with_direct_term
+from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 
 # Work of a design at effort 1; few plants need a tenth. More: longer searches on hard plants.
@@ -129,8 +130,7 @@ class Verifier:
     def _rebuilt(self, candidate: Candidate) -> Verified | None:
         plant, dt = self.plant, self.plant.model.dt
         model = with_direct_term(StateSpaceModel(*candidate.K), self.D22)
-        # Large entries hide slow modes: in coordinates of its modes the same controller is the sounder one.
-        model = moderate_states(bilinear_to_discrete(model, dt) if dt else model)
+        model = bilinear_to_discrete(model, dt) if dt else model
         K = named_controller(model, plant.measurements, plant.controls, dt)
         loop = plant.close(K)
         self.budget.spend(dense(loop.n_states, 10))
@@ -194,6 +194,7 @@ def _designed(
     budget: Budget,
     say: Callable[[str], None],
 ) -> HinfSynthesis:
+    refuse_extremes(plant.model, f"synth {method}")
     continuous = plant.continuous()
     matrices = continuous.matrices()
     scalings = (paths_first(matrices), equilibrated(matrices))
@@ -201,28 +202,28 @@ def _designed(
     require_stabilisable(scaled, plant.model.state_names, f"synth {method}", rate)
     lower, assumptions = pointwise_bound(matrices, scalings, plant.model.dt), broken_assumptions(scaled, plant, rate)
     verifier = Verifier(plant, continuous.D22, budget)
-    found = portfolio(matrices, scalings, budget, lower.value, continuous.D22)
-    best = verifier.smallest(found.candidates)
+    leader, other, disagree = portfolio(matrices, scalings, budget, lower.value)
+    best = verifier.smallest(leader.candidates + other.candidates)
     if best is None:
         ended = f": {NOT_REPEATABLE}" if budget.struck else " within the work budget" if budget.over else ""
         raise NoTrustworthyNumber(
             f"synth {method}",
-            f"no controller could be verified{ended} ({len(found.candidates)} were found by two Riccati equations in "
-            "two scalings)",
+            f"no controller could be verified{ended} ({len(leader.candidates) + len(other.candidates)} were found by "
+            "two Riccati equations in two scalings)",
             hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
             more=assumptions,
         )
     say(f"two Riccati equations: gamma {best.gamma:.6g}")
     if best.doubt:  # so fast a controller that digits are lost: a little more gamma buys a calmer one
-        soften(found.leader, best.candidate, (0.2 + 0.8 * CALMER) * best.gamma)
-        best = verifier.sanest(found.candidates, best, CALMER)
+        soften(leader, best.candidate, (0.2 + 0.8 * CALMER) * best.gamma)
+        best = verifier.sanest(leader.candidates + other.candidates, best, CALMER)
     chosen = best
     if gamma_rel > 1:
-        soften(found.leader, best.candidate, gamma_rel * best.gamma)
-        chosen = verifier.sanest(found.candidates, best, gamma_rel)
+        soften(leader, best.candidate, gamma_rel * best.gamma)
+        chosen = verifier.sanest(leader.candidates + other.candidates, best, gamma_rel)
         say(f"softened: gamma {chosen.gamma:.6g}, fastest pole {chosen.candidate.pace:.4g} rad/s")
     if bandwidth is not None and chosen.candidate.pace > bandwidth:
-        chosen = verifier.within(found.candidates, best, gamma_rel, bandwidth)
+        chosen = verifier.within(leader.candidates + other.candidates, best, gamma_rel, bandwidth)
     if chosen.gamma < best.gamma:  # on the way to a softer one a smaller one was found
         best = chosen
     parts = [
@@ -242,9 +243,9 @@ def _designed(
         reason=reason,
         limit=limiting_channels(chosen.loop, chosen.norm.frequency),
         smallest_gamma=best.gamma,
-        scalings_disagree=found.disagree,
+        scalings_disagree=disagree,
         lower_bound=lower,
-        estimated_optimum=min(found.estimated_optimum(), best.gamma),
+        estimated_optimum=min(estimated_optimum(leader), best.gamma),
         assumptions=assumptions,
         norm=chosen.norm,
         plant=plant,

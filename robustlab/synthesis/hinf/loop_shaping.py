@@ -11,12 +11,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robustlab.arrays import AnyArray
 from robustlab.budget import one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import AllFields, Facts
+from robustlab.shown import Facts
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, series
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
@@ -35,26 +34,6 @@ from robustlab.uncertainty.distances.coprime import (
 
 # How much the verified gamma may exceed the one asked for before digits count as lost.
 SHAPED_LOSS = 1.001
-
-
-@dataclass(frozen=True, eq=False)
-class ObserverForm(AllFields):
-    r"""The controller of a strictly proper continuous shaped plant as an observer with state feedback.
-
-    .. math:: \dot{\hat x} = A \hat x + B u_s + H (C \hat x - y_s), \qquad u_s = F \hat x
-
-    Attributes
-    ----------
-    F, H
-        Shapes (n_u, n) and (n, n_y), in the states of ``NcfSynthesis.shaped_plant``.
-
-    References
-    ----------
-    Sefton, Glover 1990; Skogestad, Postlethwaite 2005, eqs 9.95 to 9.97.
-    """
-
-    F: AnyArray
-    H: AnyArray
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,21 +57,18 @@ class NcfSynthesis(Synthesis):
         kept.
     K_shaped, shaped_plant
         Controller of the shaped plant and that plant, ``W2 G W1``.
-    observer
-        K_shaped in observer form, where the shaped plant is continuous and strictly proper; else None.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("gamma_min", "factor"), float),
     }  # fmt: skip
-    saved = (*Synthesis.saved, "gamma_min", "factor", "margin", "K_shaped", "shaped_plant", "observer")
+    saved = (*Synthesis.saved, "gamma_min", "factor", "margin", "K_shaped", "shaped_plant")
 
     gamma_min: float
     factor: float
     margin: CoprimeMargin
     K_shaped: StateSpaceModel
     shaped_plant: StateSpaceModel
-    observer: ObserverForm | None
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (verified upper bound; margin {self.margin.lower:.4g})"
@@ -171,9 +147,9 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
         hint = "a zero of the plant or of a weight may cancel an unstable or integrating pole of the other"
         raise NoTrustworthyNumber("synth ncf", f"W2 G W1: {error.found}", error.expected, hint) from None
     gamma_min = 1 / equations.best_margin
-    inner, observer = _central(equations, factor * gamma_min)
+    inner = _central(equations, factor * gamma_min)
     if mapped.dt:
-        inner, observer = bilinear_to_discrete(inner, mapped.dt), None
+        inner = bilinear_to_discrete(inner, mapped.dt)
         if mapped.mirrored:  # the map was taken of -z
             inner = StateSpaceModel(-inner.A, -inner.B, inner.C, inner.D, inner.dt)
     inner = named_controller(inner, shaped.outputs, shaped.inputs, shaped.dt)
@@ -207,25 +183,17 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
         margin=margin,
         K_shaped=inner,
         shaped_plant=shaped,
-        observer=observer,
     )
 
 
-def _central(equations: CoprimeRiccati, gamma: float) -> tuple[StateSpaceModel, ObserverForm | None]:
-    """The central controller at gamma in the model's own time unit, and its observer form where D = 0."""
+def _central(equations: CoprimeRiccati, gamma: float) -> StateSpaceModel:
+    """The central controller at gamma in the model's own time unit."""
     m, X, Z, F = equations.model, equations.control.X, equations.filtering.X, equations.control.gain
-    n, g2 = m.n_states, gamma**2
-    L = (1 - g2) * np.eye(n) + X @ Z
+    g2, root = gamma**2, np.sqrt(equations.rate)
+    L = (1 - g2) * np.eye(m.n_states) + X @ Z
     Q = g2 * np.linalg.solve(L.T, Z @ m.C.T)
-    root = np.sqrt(equations.rate)
     A = m.A + m.B @ F + Q @ (m.C + m.D @ F)
-    K = StateSpaceModel(equations.rate * A, root * Q, root * m.B.T @ X, -m.D.T)
-    if m.D.any():
-        return K, None
-    # The balanced states carry the time unit too: its root is split between inputs and outputs.
-    gain = -m.B.T @ np.linalg.solve((1 - 1 / g2) * np.eye(n) - X @ Z / g2, X)
-    states = equations.states
-    return K, ObserverForm(gain / states, -equations.rate * states[:, None] * (Z @ m.C.T))
+    return StateSpaceModel(equations.rate * A, root * Q, root * m.B.T @ X, -m.D.T)
 
 
 def four_block_plant(g: StateSpaceModel) -> GeneralizedPlant:

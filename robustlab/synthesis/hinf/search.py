@@ -12,14 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.synthesis.hinf.two_riccati import PROBES, TwoRiccatiProblem
 from robustlab.synthesis.nonsmooth.objectives import ModalLoop, PeakFinder
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
-from robustlab.synthesis.problem.rebuilt_loop import well_posed_neighbours
-from robustlab.synthesis.problem.scaling import Scaling, by_magnitude
+from robustlab.synthesis.problem.scaling import Scaling
 
 # Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum.
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
@@ -76,11 +75,7 @@ class Candidate:
 class Search:
     """Trials on one scaled continuous plant without D22; every controller that stabilises is kept."""
 
-    def __init__(
-        self, plant: PlantMatrices, scaling: Scaling, budget: Budget, floor: float = 0.0, D22: Array | None = None
-    ) -> None:
-        # What is found must be able to take D22 back in.
-        self.D22 = None if D22 is None or not D22.any() else scaling.y[:, None] * D22 * scaling.u
+    def __init__(self, plant: PlantMatrices, scaling: Scaling, budget: Budget, floor: float = 0.0) -> None:
         self.scaling, self.plant = scaling, scaling.apply(plant)
         self.budget, self.floor = budget, floor  # floor: a proved lower bound of gamma in the plant's units
         self.careful, self.probes = False, PROBES[:1]
@@ -218,11 +213,6 @@ class Search:
 
     def _kept(self, K: Realisation, limit: float) -> Candidate | None:
         """A scaled controller as a candidate, where its loop is stable with a gain of at most limit (plant's units)."""
-        # One that cannot take D22 back in gives way to the best of its neighbours that can.
-        near = [K] if self.D22 is None else well_posed_neighbours(K, self.D22)
-        return smallest([candidate for each in near if (candidate := self._entered(each, limit)) is not None])
-
-    def _entered(self, K: Realisation, limit: float) -> Candidate | None:
         scale, loop = self.scaling, trial_loop(self.plant, K)
         self.budget.spend(dense(len(loop.A), 3))  # its poles, responses on a grid, a few Hamiltonians of twice its size
         if not all(np.isfinite(part).all() for part in loop):
@@ -248,53 +238,40 @@ def smallest(candidates: list[Candidate]) -> Candidate | None:
     return min(candidates, key=lambda c: c.gamma, default=None)
 
 
-@dataclass(frozen=True, eq=False)
-class Portfolio:
-    """The searches over two scalings."""
-
-    leader: Search  # the search that found the smallest gamma
-    other: Search
-    disagree: float  # relative difference of the gammas they reached; NaN where one found none or was not asked
-
-    def estimated_optimum(self) -> float:
-        """The infimum of gamma over all controllers as the search sees it; NaN where it cannot tell."""
-        best, regular = self.leader.best, self.leader.regular_gamma
-        if best is not None and regular is not None and regular <= best.gamma * (1 + 1e-9) <= 1.0006 * regular:
-            return regular
-        by_share = dict(self.leader.optima[-2:])
-        if len(by_share) < 2:
-            return float("nan")
-        # The regularised optimum rises with the square of the size of the regularisation.
-        (small, low), (large, high) = sorted(by_share.items())
-        return max(low - max(high - low, 0.0) * small**2 / (large**2 - small**2), self.leader.floor)
-
-    @property
-    def candidates(self) -> list[Candidate]:
-        """Of both."""
-        return self.leader.candidates + self.other.candidates
+def estimated_optimum(leader: Search) -> float:
+    """The infimum of gamma over all controllers as the search sees it; NaN where it cannot tell."""
+    best, regular = leader.best, leader.regular_gamma
+    if best is not None and regular is not None and regular <= best.gamma * (1 + 1e-9) <= 1.0006 * regular:
+        return regular
+    by_share = dict(leader.optima[-2:])
+    if len(by_share) < 2:
+        return float("nan")
+    # The regularised optimum rises with the square of the size of the regularisation.
+    (small, low), (large, high) = sorted(by_share.items())
+    return max(low - max(high - low, 0.0) * small**2 / (large**2 - small**2), leader.floor)
 
 
 def portfolio(
-    matrices: PlantMatrices, scalings: tuple[Scaling, Scaling], budget: Budget, floor: float, D22: Array
-) -> Portfolio:
-    """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma."""
-    one, two = (Search(matrices, scaling, budget, floor, D22) for scaling in scalings)
+    matrices: PlantMatrices, scalings: tuple[Scaling, Scaling], budget: Budget, floor: float
+) -> tuple[Search, Search, float]:
+    """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma.
+
+    The search that found the smallest gamma, the other one, and the relative difference of what they reached.
+    """
+    one, two = (Search(matrices, scaling, budget, floor) for scaling in scalings)
     for search, other in ((one, two), (two, one)):
         search.ladder()
         if search.proved(search.best):
-            return Portfolio(search, other, float("nan"))
+            return search, other, float("nan")
     if one.best is None and two.best is None:
         for search in (one, two):
             search.take_care()
             search.ladder()
-    if one.best is None and two.best is None:  # a control or a measurement of quite another size than its cost
-        one = Search(matrices, by_magnitude(matrices), budget, floor, D22)
-        one.ladder()
     leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
     if not leader.settled:
         leader.polish(leader.best)
     if leader.proved(leader.best):
-        return Portfolio(leader, other, _difference(leader, _gamma(other.best)))
+        return leader, other, _difference(leader, _gamma(other.best))
     # Settled or not (the Riccati test may have failed by rounding alone), one regularisation has to confirm it.
     reached, best = min(_gamma(other.best), _confirmed(leader, other, SHARES[3:4])), leader.best
     if best is not None and not leader.negligible(best) and not abs(reached - best.gamma) <= DISAGREEMENT * best.gamma:
@@ -306,7 +283,7 @@ def portfolio(
         if reached < _gamma(leader.best) * (1 - IMPROVEMENT):
             leader, other = other, leader
             reached = _gamma(other.best)
-    return Portfolio(leader, other, _difference(leader, reached))
+    return leader, other, _difference(leader, reached)
 
 
 def _difference(leader: Search, reached: float) -> float:

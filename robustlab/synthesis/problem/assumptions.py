@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import is_moderate, refuse_overflow
+from robustlab.linear_analysis import slicot
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, dual
 
 # sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to
@@ -29,10 +28,6 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
     """Popov-Belevitch-Hautus test of all unstable and marginal modes."""
     if not p.A.size:
         return
-    refuse_overflow(where, p.A, p.B2, p.C2)
-    ordinary = 1.0 if is_moderate(p.A) else float(np.ldexp(1.0, np.clip(np.frexp(np.abs(p.A).max())[1], -1000, 1000)))
-    if ordinary != 1.0:  # modes are told apart in their own unit of time
-        p, rate = replace(p, A=p.A / ordinary), rate * ordinary
     poles = np.linalg.eigvals(p.A)
     size = max(float(np.abs(poles).max()), 1e-300)
     # How strong a control or a measurement is depends on its unit: each counts as if it were as large as A.
@@ -112,22 +107,12 @@ def _free_channels(D: Array, names: list[str], kind: str) -> list[str]:
 
 def _axis_zeros(A: Any, B: Any, C: Any, D: Any) -> list[tuple[float, int]]:
     """Frequencies at which ``[A - jw, B; C, D]`` loses column rank, with the state that takes part in it most."""
-    from scipy.linalg import eigvals
-
     n, m = B.shape
-    if n == 0 or C.shape[0] < m:
+    if n == 0 or len(C) < m:
         return []
-    # Squared down by fixed random combinations of the rows, the zeros of the tall matrix stay zeros; others come in,
-    # and are told apart by the singular values of the tall one.
-    mix = np.random.default_rng(0).standard_normal((m, C.shape[0])) if C.shape[0] > m else np.eye(m)
-    shift = np.zeros((n + m, n + m))
-    shift[:n, :n] = np.eye(n)
-    square = np.block([[A, B], [mix @ C, mix @ D]])
-    zeros = np.asarray(eigvals(square, shift, check_finite=False))
-    found: list[tuple[float, int]] = []
-    whole = np.block([[A, B], [C, D]]).astype(complex)
+    found, whole = list[tuple[float, int]](), np.block([[A, B], [C, D]]).astype(complex)
     size = float(np.linalg.norm(whole, 2))
-    for zero in zeros[np.isfinite(zeros) & (np.abs(zeros) < 1e8 * size)]:
+    for zero in slicot.invariant_zeros(A, B, C, D)[0]:
         if abs(zero.real) > NEAR * max(abs(zero), 1e-3 * size) or zero.imag < 0:
             continue
         matrix = whole.copy()

@@ -6,24 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
+from robustlab.norms.hinfinity import eigenvalue_blur
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
-from robustlab.verification.balls import exact, midpoints, precision
-from robustlab.verification.balls import inverse as inverse_in_balls
+from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 # Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
 ILL_POSED = 1e10
-# Smallest singular values of I + D22 D_K that are aimed at where it has smaller ones.
-DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)
-# Above this condition number modes are no basis.
-NO_BASIS = 1e12
-BITS = 128  # in which coordinates change
-# From this on the errors of entries count so much that other states are better.
-HIDDEN = 1e6
 
 
 def with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
@@ -38,19 +30,6 @@ def with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
         A, B = K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D
     refuse_overflow("controller", A, B, C, D)
     return StateSpaceModel(A, B, C, D, K.dt)
-
-
-def well_posed_neighbours(K: Realisation, D22: AnyArray) -> list[Realisation]:
-    """K itself where ``I + D22 D_K`` is far from singular; else controllers with the smallest change of ``D_K``."""
-    with np.errstate(all="ignore"):
-        back = np.eye(len(D22)) + D22 @ K.D
-    if not np.isfinite(back).all():  # K overflows
-        return []
-    U, s, Vt = np.linalg.svd(back)
-    if s[-1] >= DISTANCES[0]:
-        return [K]
-    inverse = np.linalg.pinv(D22, rcond=1e-10)
-    return [K._replace(D=K.D + inverse @ (U * np.maximum(delta - s, 0.0)) @ Vt) for delta in DISTANCES]
 
 
 def named_controller(K: StateSpaceModel, inputs: Any, outputs: Any, dt: float) -> StateSpaceModel:
@@ -79,43 +58,6 @@ def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
     return model._in_states(A, B, C)
 
 
-def moderate_states(model: StateSpaceModel) -> StateSpaceModel:
-    """A model in the states that keep its digits."""
-    balanced = balanced_states(model)
-    hidden = _cancellation(balanced.A)
-    modes = separated_modes(model) if hidden > HIDDEN else None
-    return balanced if modes is None or _cancellation(modes.A) >= 1e-2 * hidden else modes
-
-
-def _cancellation(A: Array) -> float:
-    """Skeel's condition number: by how much the errors of A's entries, each relative to itself, count in A^-1."""
-    try:
-        return float((np.abs(np.linalg.inv(A)) @ np.abs(A)).sum(axis=1).max(initial=0.0))
-    except np.linalg.LinAlgError:
-        return float("inf")
-
-
-def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
-    """The same response in coordinates of the modes, each entry rounded once; None where these are no basis."""
-    if model.n_states < 2:
-        return None
-    m = balanced_states(model)
-    values, vectors = np.linalg.eig(m.A)
-    # Of a conjugate pair the real and the imaginary part.
-    basis = np.where(np.imag(values) < 0, np.imag(vectors), np.real(vectors))
-    if not np.isfinite(basis).all() or not np.linalg.cond(basis) < NO_BASIS:
-        return None
-    with precision(BITS):
-        A, B, C, T = (exact(part) for part in (m.A, m.B, m.C, basis))
-        back = inverse_in_balls(T)
-        if back is None:
-            return None
-        a, b, c = (midpoints(part) for part in (back * A * T, back * B, C * T))
-    if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(c).all()):
-        return None
-    return balanced_states(StateSpaceModel(a, b, c, m.D, m.dt, m.inputs, m.outputs))
-
-
 def rebuilt_loop(
     plant: GeneralizedPlant, K: StateSpaceModel, D22: Array
 ) -> tuple[StateSpaceModel, StateSpaceModel] | None:
@@ -131,8 +73,4 @@ def rebuilt_loop(
 
 def surely_stable(loop: StateSpaceModel) -> bool:
     """True where every pole is further inside the stability region than the rounding of eigenvalues may move it."""
-    if not loop.n_states:
-        return True
-    t = balancing_factors(loop.A)
-    size = max(float(np.linalg.norm(loop.A / t[:, None] * t, 1)), 1.0 if loop.is_discrete else 0.0)
-    return loop.spectral_abscissa() < -10 * float(np.finfo(float).eps) * size
+    return not loop.n_states or loop.spectral_abscissa() < -eigenvalue_blur(loop)

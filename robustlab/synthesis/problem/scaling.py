@@ -10,19 +10,12 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import LARGEST, SMALLEST, TINY, balancing_exponents, times_power
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
-
-# Powers of two by which a loop is faster than A where it gives the unit of time, and the largest factor of a scaling.
-FASTER, LIMIT = 40, 1000
 
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """Factors of a scaling; ``x = states * x_scaled``, ``u = u * u_scaled``, ``y_scaled = y * y``, time unit
-    ``1/rate``.
-    """
+    """Powers of two; ``x = states * x_scaled``, ``u = u * u_scaled``, ``y_scaled = y * y``, time unit ``1/rate``."""
 
     rate: float
     states: AnyArray
@@ -34,13 +27,7 @@ class Scaling:
     @property
     def gain(self) -> float:
         """Factor from a closed-loop gain of the plant to that of the scaled plant."""
-        gain = float(self.w) * float(self.z)
-        if not TINY <= gain <= 1 / TINY:
-            found = f"gains of the loop are about 1e{-np.log10(self.w) - np.log10(self.z):.0f}"
-            raise NoTrustworthyNumber(
-                "scaling", found, "gains between 1e-307 and 1e307", "choose other units of w and z"
-            )
-        return gain
+        return float(self.w) * float(self.z)
 
     def in_steps(self) -> Scaling:
         """The same for a discrete plant, whose step has no other unit of time."""
@@ -48,29 +35,24 @@ class Scaling:
 
     def apply(self, p: PlantMatrices) -> PlantMatrices:
         """The scaled plant."""
-        k, w, z = _exponent(self.rate), _exponent(self.w), _exponent(self.z)
-        t, u, y = _exponent(self.states), _exponent(self.u), _exponent(self.y)[:, None]
-        rows = -t[:, None] - k
+        t, u, y, w, z = self.states, self.u, self.y[:, None], self.w, self.z
+        rows = t[:, None] * self.rate
         with np.errstate(over="ignore", under="ignore"):
-            A = times_power(p.A, rows + t)
-            A = np.where((A == 0) & (p.A != 0), np.copysign(TINY, p.A), A)  # a pole keeps its side of the axis
-            others = (p.B1, rows + w), (p.B2, rows + u), (p.C1, t + z), (p.C2, t + y)
-            direct = (p.D11, w + z), (p.D12, u + z), (p.D21, w + y)
-            return PlantMatrices(A, *(np.ldexp(matrix, exponents) for matrix, exponents in (*others, *direct)))
+            return PlantMatrices(
+                p.A / rows * t, p.B1 / rows * w, p.B2 / rows * u, p.C1 * t * z, p.C2 * t * y,
+                p.D11 * w * z, p.D12 * u * z, p.D21 * w * y,
+            )  # fmt: skip
 
-    def controller_to_plant(self, K: Realisation, sign: int = 1) -> Realisation:
-        """The controller for the plant that belongs to one for the scaled plant; the inverse with ``sign=-1``."""
-        k, u, y = sign * _exponent(self.rate), sign * _exponent(self.u)[:, None], sign * _exponent(self.y)
-        return Realisation(times_power(K.A, k), times_power(K.B, k + y), times_power(K.C, u), times_power(K.D, u + y))
+    def controller_to_plant(self, K: Realisation) -> Realisation:
+        """The controller for the plant that belongs to one for the scaled plant."""
+        u, y = self.u[:, None], self.y
+        with np.errstate(over="ignore", under="ignore"):
+            return Realisation(K.A * self.rate, K.B * self.rate * y, K.C * u, K.D * u * y)
 
     def controller_from_plant(self, K: Realisation) -> Realisation:
         """Inverse of `controller_to_plant`."""
-        return self.controller_to_plant(K, -1)
-
-
-def _exponent(factor: AnyArray | float) -> AnyArray:
-    """Exponents of factors, which are powers of two."""
-    return np.frexp(factor)[1] - 1
+        u, y = self.u[:, None], self.y
+        return Realisation(K.A / self.rate, K.B / self.rate / y, K.C / u, K.D / u / y)
 
 
 def _power(x: AnyArray | float) -> AnyArray:
@@ -84,58 +66,12 @@ def _rms(x: AnyArray) -> float:
     return float(np.linalg.norm(x) / np.sqrt(max(1, min(x.shape)))) if x.size else 0.0
 
 
-def _is_ordinary(p: PlantMatrices) -> bool:
-    """Whether products of the plant's entries neither overflow nor vanish."""
-    # The largest entries count, of each control and each measurement by itself: small ones may be rounding.
-    sizes = [np.abs(m).max(axis=0, initial=0.0) for m in (p.B2, p.D12, p.C2.T, p.D21.T)]
-    sizes.append(np.array([np.abs(m).max(initial=0.0) for m in (p.A, p.B1, p.C1, p.D11)]))
-    found = np.concatenate(sizes)
-    return bool(((found == 0) | ((found >= SMALLEST) & (found <= LARGEST))).all())
-
-
-def _start(p: PlantMatrices, discrete: bool) -> Scaling:
-    if not _is_ordinary(p):
-        return by_magnitude(p, discrete)
+def _start(p: PlantMatrices) -> Scaling:
     size = np.abs(np.linalg.eigvals(p.A)) if p.A.size else np.zeros(0)
-    size = size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)]
-    size.sort()
+    size = np.sort(size[size > 1e-9 * max(size.max(initial=0.0), 1e-300)])
     rate = float(_power(0.5 * (size[(len(size) - 1) // 2] + size[len(size) // 2]))) if len(size) else 1.0
     n, _, n_u, _, n_y = p.sizes
     return Scaling(rate, np.ones(n), np.ones(n_u), np.ones(n_y))
-
-
-def by_magnitude(p: PlantMatrices, discrete: bool = False) -> Scaling:
-    """B2 and C2 to order one, then what z and w weigh; by exponents, for plants whose squares overflow or vanish."""
-    t = balancing_exponents(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]))
-    rows, k = -t[:, None], -_to_one((p.A, -t[:, None] + t))
-    if discrete:
-        if k > FASTER:
-            found = f"A grows by 2^{k} in one step: digits of everything else are lost beside it"
-            raise NoTrustworthyNumber("scaling", found, None, "a shorter sample time")
-        k = 0
-    elif all(m.any() for m in (p.B1, p.B2, p.C1, p.C2, p.D12, p.D21)):
-        control = _to_one((p.D12, 0)) - _to_one((p.B2, rows)) - _to_one((p.C1, t))
-        filtering = _to_one((p.D21, 0)) - _to_one((p.C2, t)) - _to_one((p.B1, rows))
-        pace = min(control, filtering)
-        k = pace if pace > k + FASTER or not p.A.any() else k
-    rows = rows - k
-    _, _, n_u, _, n_y = p.sizes
-    acts, shows = [column.any() for column in p.B2.T], [row.any() for row in p.C2]
-    u = [_to_one((p.B2[:, [i]], rows) if acts[i] else (p.D12[:, [i]], 0)) for i in range(n_u)]
-    y = [_to_one((p.C2[[i]], t) if shows[i] else (p.D21[[i]], 0)) for i in range(n_y)]
-    w = _to_one((p.B1, rows), (p.D21, np.reshape(y, (-1, 1))))
-    z = _to_one((p.C1, t), (p.D12, np.array(u)))
-    exponents = [np.asarray(e) for e in (k, t, u, y, w, z)]
-    if max(np.abs(e).max(initial=0) for e in exponents) > LIMIT:
-        raise NoTrustworthyNumber("scaling", "gains of the controller overflow", None, "choose other units of u and y")
-    rate, states, into, out, w, z = (np.ldexp(1.0, e) for e in exponents)
-    return Scaling(float(rate), states, into, out, float(w), float(z))
-
-
-def _to_one(*scaled: tuple[AnyArray, AnyArray | int]) -> int:
-    """Exponent that takes the largest entry of several ``matrix * 2^exponents`` to order one; 0 where all vanish."""
-    found = [int((np.frexp(m)[1] + e)[m != 0].max()) for m, e in scaled if m.any()]
-    return -max(found, default=0)
 
 
 def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
@@ -165,10 +101,9 @@ def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
     return t
 
 
-def paths_first(p: PlantMatrices, discrete: bool = False, slower: float = 1.0) -> Scaling:
+def paths_first(p: PlantMatrices) -> Scaling:
     """Three fixed passes: direct paths D12, D21 (C1, B1 where they vanish) to size one, then states, then u and y."""
-    s = _start(p, discrete)
-    s = replace(s, rate=s.rate / slower)
+    s = _start(p)
     q = s.apply(p)
     for last in (False, False, True):
         if (s.z, s.w) == (1.0, 1.0):
@@ -196,9 +131,9 @@ def _channel(direct: AnyArray, dynamic: AnyArray) -> AnyArray:
     return _power(np.where(direct > 1e-8, direct, dynamic))
 
 
-def equilibrated(p: PlantMatrices, discrete: bool = False) -> Scaling:
+def equilibrated(p: PlantMatrices) -> Scaling:
     """Everything towards rows and columns of size one, until nothing changes or after 30 passes."""
-    s = _start(p, discrete)
+    s = _start(p)
     for _ in range(30):
         before = s
         s = replace(s, states=_osborne(s.apply(p), s.states, 1))

@@ -19,19 +19,9 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.linear_analysis.matrix_equations import small_residual
-from robustlab.linear_analysis.structural import LeastOrder, least_order
+from robustlab.linear_analysis.structural import HiddenMode, LeastOrder, least_order
 from robustlab.statespace import StateSpaceModel, parallel
 from robustlab.verification.balls import exact, midpoints, precision
-
-__all__ = [
-    "Balancing",
-    "Projection",
-    "SplitModel",
-    "block_factor",
-    "gramian_factors",
-    "split_stable",
-    "triangular_root",
-]
 
 Projection = Literal["truncation", "residualisation"]
 BITS = 128  # in which residuals are taken
@@ -46,35 +36,23 @@ STABLE_MARGIN = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class SplitModel:
-    """A model as the sum of a stable part, which can be balanced, and the rest, which is kept; D is in the former.
-
-    The parts have no names of signals, so that weights of any units go with them.
-    ``whole`` is the model in balanced states, ``basis`` T, shape (n, n), the states of both parts in terms of these;
-    None where one of the parts is the model itself. ``least`` is what was split, where unstable modes of the model that
-    its inputs or outputs miss were removed before.
-    """
+    """A model as the sum of a stable part with D, which can be balanced, and the rest; without names of signals."""
 
     stable: StateSpaceModel
     apart: StateSpaceModel
-    whole: StateSpaceModel
-    basis: AnyArray | None = None
-    least: LeastOrder | None = None
+    lost: StateSpaceModel | None = None  # the model less that sum; None where it is zero
+    hidden: tuple[HiddenMode, ...] = ()  # modes removed before, where unstable ones do not move or show
 
     def joined(self, reduced: StateSpaceModel) -> StateSpaceModel:
         """The sum, with a reduced stable part; states of that first."""
-        both = parallel(reduced, self.apart) if self.apart.n_states else reduced
-        return both.renamed(self.whole.inputs, self.whole.outputs)
-
-    def rounding(self) -> StateSpaceModel | None:
-        """Return the model less the sum of its parts; None where that is zero."""
-        split = None if self.basis is None else _lost(self.whole, self.basis, parallel(self.stable, self.apart))
-        return _sum(split, None if self.least is None else lost_at_least_order(self.least))
+        return parallel(reduced, self.apart) if self.apart.n_states else reduced
 
 
 def lost_at_least_order(least: LeastOrder) -> StateSpaceModel | None:
     """Return the model given less that of least order; None where that is zero."""
+    first = _lost(least.given, least.right, least.reached)
     dual = _lost(_transposed(least.reached), least.left.T, _transposed(least.model))
-    return _sum(_lost(least.given, least.right, least.reached), None if dual is None else _transposed(dual))
+    return first if dual is None else _sum(first, _transposed(dual))
 
 
 def _lost(m: StateSpaceModel, t: AnyArray, parts: StateSpaceModel) -> StateSpaceModel | None:
@@ -97,9 +75,7 @@ def _lost(m: StateSpaceModel, t: AnyArray, parts: StateSpaceModel) -> StateSpace
 
 
 def _sum(first: StateSpaceModel | None, second: StateSpaceModel | None) -> StateSpaceModel | None:
-    if first is None or second is None:
-        return second if first is None else first
-    return parallel(first, second)
+    return parallel(first, second) if first and second else first or second
 
 
 def _transposed(m: StateSpaceModel) -> StateSpaceModel:
@@ -125,14 +101,15 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
     a, b, c = model.A / scale[:, None] * scale, model.B / scale[:, None], model.C * scale
     poles = model.poles()
     stable = _surely_stable(a, poles, dt)
+    static = StateSpaceModel([], [], [], model.D, dt)
     if stable.all():
-        bare = StateSpaceModel(model.A, model.B, model.C, model.D, dt)
-        return SplitModel(bare, _static(model, 0 * model.D), model)
+        return SplitModel(StateSpaceModel(model.A, model.B, model.C, model.D, dt), replace(static, D=0 * model.D))
     least = least_order(model)
     if not all(mode.stable for mode in least.hidden):
-        return replace(split_stable(least.model), least=least)
+        split = split_stable(least.model)
+        return replace(split, lost=_sum(split.lost, lost_at_least_order(least)), hidden=least.hidden)
     if not stable.any():
-        return SplitModel(_static(model, model.D), model._in_states(model.A, model.B, model.C, 0 * model.D), model)
+        return SplitModel(static, StateSpaceModel(model.A, model.B, model.C, 0 * model.D, dt))
     try:
         form = schur(a, output="real", sort=lambda x, y: bool(stable[np.abs(poles - complex(x, y)).argmin()]))
         t, q, k = np.asarray(form[0]), np.asarray(form[1]), int(form[-1])
@@ -145,19 +122,12 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
     if not np.isfinite(x).all() or not residual <= 1e-8 * (1 + np.linalg.norm(x)) * size < np.inf:
         raise NoTrustworthyNumber("stable part", f"its poles cannot be told from the others (residual {residual:.1e})")
     basis = np.hstack([q[:, :k], q[:, :k] @ x + q[:, k:]])
-    out = c @ basis
-    low = q.T @ b
-    return SplitModel(
+    out, low = c @ basis, q.T @ b
+    parts = (
         StateSpaceModel(t[:k, :k], low[:k] - x @ low[k:], out[:, :k], model.D, dt),
         StateSpaceModel(t[k:, k:], low[k:], out[:, k:], 0 * model.D, dt),
-        StateSpaceModel(a, b, c, model.D, dt, model.inputs, model.outputs),
-        basis,
     )
-
-
-def _static(like: StateSpaceModel, D: AnyArray) -> StateSpaceModel:
-    n_y, n_u = D.shape
-    return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n_u)), np.zeros((n_y, 0)), D, like.dt)
+    return SplitModel(*parts, _lost(StateSpaceModel(a, b, c, model.D, dt), basis, parallel(*parts)))
 
 
 def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
@@ -172,14 +142,9 @@ def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
     return t[:, None] * reach, see / t[:, None]
 
 
-def triangular_root(rows: AnyArray) -> AnyArray:
-    """R with ``R^T R = rows^T rows``, upper triangular, with no more rows than columns."""
-    return np.asarray(np.linalg.qr(rows, mode="r"))
-
-
 def block_factor(rows: AnyArray) -> AnyArray:
     """Square factor of the diagonal block of ``L L^T`` that belongs to some rows of L."""
-    return triangular_root(rows.T).T
+    return np.asarray(np.linalg.qr(rows.T, mode="r")).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,11 +206,9 @@ def _surely_stable(a: AnyArray, poles: AnyArray, dt: float) -> AnyArray:
 
     with its eigenvalues and eigenvectors x.
     """
-    if not len(a):
-        return np.zeros(0, dtype=bool)
     inside = 1 - np.abs(poles) if dt else -np.real(poles)
-    least = np.full(len(a), STABLE_MARGIN) if dt else STABLE_MARGIN * np.abs(poles)
-    rounding = np.full(len(a), 10 * EPS * float(np.linalg.norm(a, 1)))
+    least = STABLE_MARGIN * (1.0 if dt else np.abs(poles))
+    rounding = np.full(len(a), 10 * EPS * float(np.linalg.norm(a, 1)) if len(a) else 0.0)
     if (inside > np.maximum(least, rounding)).all():
         return np.ones(len(a), dtype=bool)
     values, modes = np.linalg.eig(a)

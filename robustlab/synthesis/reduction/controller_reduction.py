@@ -18,17 +18,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar, NamedTuple, get_args
 
 import numpy as np
 
-from robustlab.budget import MILLION, Budget, dense, one_thread
+from robustlab.arrays import AnyArray
+from robustlab.budget import MILLION, dense, one_thread
 from robustlab.closing import wired
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
-from robustlab.shown import Facts
-from robustlab.statespace import StateSpaceModel, as_model, lower_lft
+from robustlab.shown import AllFields, Facts
+from robustlab.statespace import StateSpaceModel, as_model, lower_lft, parallel
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.nonsmooth.parameter_search import descend
 from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
@@ -40,16 +42,8 @@ from robustlab.synthesis.problem.performance_measure import (
     PerformanceMeasure,
     make_measure,
 )
-from robustlab.synthesis.reduction.balancing import (
-    Balancing,
-    Projection,
-    SplitModel,
-    block_factor,
-    gramian_factors,
-    split_stable,
-)
-from robustlab.synthesis.reduction.coprime_reduction import CoprimeReduction
-from robustlab.synthesis.reduction.model_reduction import weighted_factors
+from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
+from robustlab.synthesis.reduction.ways import coprime_way, weighted_factors
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
@@ -59,39 +53,19 @@ WORTH_IMPROVING = 10.0  # candidates up to this multiple of the loss allowed are
 IMPROVEMENT_SHARE = 0.25  # ... and each gets this share of the work left
 GAIN = 1e-3  # relative gain that makes another candidate of the same order worth a proof
 
-__all__ = ["OrderTried", "ReducedController", "reduce_controller"]
-
 WHERE = "reduce_controller"
-Improvement = Callable[[GeneralizedPlant, StateSpaceModel, Budget], StateSpaceModel]
 Found = tuple[str, StateSpaceModel, Performance]
 
 
 @dataclass(frozen=True)
-class OrderTried:
-    """The best controller that was found of one order.
+class OrderTried(AllFields):
+    """The best controller that was found of one order."""
 
-    Attributes
-    ----------
-    order
-        Its number of states.
-    method
-        What made it; empty where none of this order left the loop stable.
-    value
-        Verified upper bound of the measure; inf where the loop is not stable.
-    loss
-        ``value / value of the full controller - 1``.
-    status
-        How much ``value`` can be trusted.
-    """
-
-    order: int
-    method: str
-    value: float
-    loss: float
-    status: Status
-
-    def to_json(self) -> dict[str, Any]:
-        return vars(self).copy()
+    order: int  # its number of states
+    method: str  # what made it; empty where none of this order left the loop stable
+    value: float  # verified upper bound of the measure; inf where the loop is not stable
+    loss: float  # `value / value of the full controller - 1`
+    status: Status  # how much `value` can be trusted
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -119,6 +93,10 @@ class ReducedController(Tabular, Synthesis):
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("original_order", "original_gamma", "loss", "allowed_loss"), float),
     }  # fmt: skip
+    saved = (
+        *Synthesis.saved, "measure", "original_order", "original_gamma", "loss", "allowed_loss", "orders", "evidence",
+        "original",
+    )  # fmt: skip
 
     original: StateSpaceModel
     original_gamma: float
@@ -154,18 +132,6 @@ class ReducedController(Tabular, Synthesis):
         columns = {key: [getattr(tried, key) for tried in self.orders] for key in ("method", "value", "loss")}
         return Table(("order", [tried.order for tried in self.orders]), columns)
 
-    def to_json(self) -> dict[str, Any]:
-        return super().to_json() | {
-            "measure": self.measure,
-            "original_order": self.original_order,
-            "original_gamma": self.original_gamma,
-            "loss": self.loss,
-            "allowed_loss": self.allowed_loss,
-            "orders": [tried.to_json() for tried in self.orders],
-            "evidence": self.evidence.to_json(),
-            "original": self.original.to_json(),
-        }
-
 
 @told_as("reduce_controller")
 def reduce_controller(
@@ -179,7 +145,6 @@ def reduce_controller(
     scalings: Any = None,
     n_meas: int | None = None,
     n_con: int | None = None,
-    improve: Improvement | None = descend,
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
@@ -190,7 +155,8 @@ def reduce_controller(
 
     Candidates of every order come from the controller's blocks of the closed loop's Gramians, from balanced coprime
     factors of K, and from balanced truncation of K with the loop as weights on both sides; each truncated and
-    residualised. The loop of every candidate is rebuilt, and J of the best one is proved anew.
+    residualised; nonsmooth descent improves one that loses too much, but less than ten times the loss allowed. The loop
+    of every candidate is rebuilt, and J of the best one is proved anew.
 
     Parameters
     ----------
@@ -218,11 +184,6 @@ def reduce_controller(
         a design whose scalings hold G for real blocks.
     n_meas, n_con
         Numbers of measurements and controls, where a plain plant is given.
-    improve
-        Called as ``improve(plant, K_r, budget)`` with the (scaled) plant and the best controller of an order that
-        loses too much, but less than ten times the loss allowed; what comes back, a controller of that order with a
-        smaller H-infinity norm, is verified like any other. Nonsmooth descent where left out; None for nothing. Not
-        called for H2, nor for ``"mu"`` without scalings.
     time_limit
         Time in s, asked between candidates; none where left out. The lowest order verified by then is returned, with
         status TIMEOUT.
@@ -270,7 +231,7 @@ def reduce_controller(
     name = measure or _default_measure(design_or_plant, scalings, blocks)
     judge = make_measure(plant, name, blocks, scalings, WHERE, budget)
     with one_thread():
-        return _Descent(judge, full, loss, order, improve, progress or (lambda _: None)).run()
+        return _descended(judge, full, loss, order, progress or (lambda _: None))
 
 
 def _plant_and_controller(
@@ -318,149 +279,116 @@ def _loss(value: float, reference: float) -> float:
     return 0.0 if value == reference else value / reference - 1 if reference > 0 else np.inf
 
 
-class _Descent:
-    """The way down from the full order, with the lowest order that is good enough so far."""
+def _descended(
+    judge: PerformanceMeasure, full: StateSpaceModel, allowed: float, order: int | None, say: Callable[[str], None]
+) -> ReducedController:
+    """Order by order; the search ends at the order wanted, or where three orders in a row lose too much."""
+    reference, budget, plant = judge.certified(full), judge.budget, judge.gramian_plant
+    if not np.isfinite(reference.value) or not reference.status.trustworthy:
+        reason = getattr(reference.evidence, "reason", "") or reference.doubt or reference.status
+        raise NoTrustworthyNumber(
+            WHERE,
+            f"the loop with the full controller has no trustworthy {judge.text} ({reason})",
+            hint=None if judge.plant.close(full).is_stable() else _sign_hint(judge.plant, full),
+        )
+    limit = np.inf if order is not None else (1 + allowed) * reference.value
+    worth = (1 + WORTH_IMPROVING * allowed) * reference.value
+    families, tried = _families(plant, full), list[OrderTried]()
+    chosen, performance, how, failed = full, reference, "", 0
+    stage = full  # the best of the order before: what matters in its loop is a second way down
+    for n in range(full.n_states - 1, (order or 0) - 1, -1):
+        if (order is None and failed == PATIENCE) or budget.over:
+            break
+        again = stage is not full and stage.n_states > n
+        budget.spend(dense(plant.model.n_states + stage.n_states, 5 if again else 1))
+        more = [f._replace(name=f"{f.name}, step by step") for f in _families(plant, stage)] if again else []
+        found = _best(judge, full, [*families, *more], n, limit)
+        if found is not None and (n == order or (order is None and limit < found[2].value <= worth)):
+            found = _improved(judge, *found)
+        stage = full if found is None else found[1]
+        tried.append(_tried(n, found, reference.value))
+        say(_line(tried[-1], judge.name))
+        enough = found is not None and found[2].value <= limit and found[2].status.trustworthy
+        failed = 0 if enough else failed + 1
+        if found is not None and enough and order in (None, n):
+            how, chosen, performance = found
+    if order is not None and chosen is full and order < full.n_states:
+        ended = f" ({budget.remark})" if budget.remark else ""
+        raise NoTrustworthyNumber(
+            WHERE, f"no controller of order {order} could be verified{ended}", hint="a higher order"
+        )
+    reason = f"{how}; loop rebuilt, {judge.text} proved anew" if how else "no lower order keeps the loss allowed"
+    status, reason = told(performance.status, [reason], budget, "a lower order")
+    loop = judge.plant.close(chosen)
+    shown = loop if judge.scaled is None else judge.scaled.close(chosen)
+    peaks = judge.name != "h2" and performance.frequency >= 0
+    return ReducedController(
+        K=chosen,
+        gamma=performance.value,
+        closed_loop=loop,
+        status=status,
+        reason=reason,
+        limit=limiting_channels(shown, performance.frequency) if peaks else "",
+        plant=judge.plant,
+        method=f"reduced {judge.name}",
+        original=full,
+        original_gamma=reference.value,
+        measure=judge.text,
+        allowed_loss=allowed,
+        orders=tuple(tried),
+        evidence=performance.evidence,
+        scaled=judge.scaled,
+    )
 
-    def __init__(
-        self,
-        judge: PerformanceMeasure,
-        full: StateSpaceModel,
-        allowed: float,
-        order: int | None,
-        improve: Improvement | None,
-        progress: Callable[[str], None],
-    ) -> None:
-        self.judge, self.full, self.allowed, self.order, self.budget = judge, full, allowed, order, judge.budget
-        self.improve = improve if judge.name == "hinf" or judge.scaled is not None else None
-        self.progress = progress
-        self.reference = judge.certified(full)
-        if not np.isfinite(self.reference.value) or not self.reference.status.trustworthy:
-            reason = getattr(self.reference.evidence, "reason", "") or self.reference.doubt or self.reference.status
-            raise NoTrustworthyNumber(
-                WHERE,
-                f"the loop with the full controller has no trustworthy {judge.text} ({reason})",
-                hint=None if judge.plant.close(full).is_stable() else _sign_hint(judge.plant, full),
-            )
-        self.limit = np.inf if order is not None else (1 + allowed) * self.reference.value
-        self.families = candidate_families(judge.gramian_plant, full)
 
-    def run(self) -> ReducedController:
-        """Order by order; the search ends at the order wanted, or where three orders in a row lose too much."""
-        tried: list[OrderTried] = []
-        chosen, performance, failed = self.full, self.reference, 0
-        stage = self.full  # the best of the order before: what matters in its loop is a second way down
-        for n in range(self.full.n_states - 1, (self.order or 0) - 1, -1):
-            if (self.order is None and failed == PATIENCE) or self.budget.over:
-                break
-            again = stage is not self.full and stage.n_states > n
-            self.budget.spend(dense(self.judge.gramian_plant.model.n_states + stage.n_states, 5 if again else 1))
-            more = candidate_families(self.judge.gramian_plant, stage) if again else []
-            more = [replace(family, name=f"{family.name}, step by step") for family in more]
-            found = self._improved(self._best([*self.families, *more], n), n)
-            stage = self.full if found is None else found[1]
-            tried.append(self._tried(n, found))
-            self.progress(_line(tried[-1], self.judge.name))
-            enough = found is not None and found[2].value <= self.limit and found[2].status.trustworthy
-            failed = 0 if enough else failed + 1
-            if found is not None and enough and self.order in (None, n):
-                chosen, performance = found[1], found[2]
-        if self.order is not None and chosen is self.full and self.order < self.full.n_states:
-            ended = f" ({self.budget.remark})" if self.budget.remark else ""
-            text = f"no controller of order {self.order} could be verified{ended}"
-            raise NoTrustworthyNumber(WHERE, text, hint="a higher order")
-        return self._finished(chosen, performance, tried)
-
-    def _best(self, families: list[CandidateFamily], order: int) -> Found | None:
-        """The candidate of best verified measure; None where none of this order leaves the loop stable."""
-        full = self.full
-        estimated: list[tuple[float, str, StateSpaceModel]] = []
-        for family in families:
-            if not family.least <= order <= family.most or self.judge.budget.over:
-                continue
-            try:
-                made = family.make(order)
-            except (NoTrustworthyNumber, InputError):
-                continue
-            named = StateSpaceModel(
-                made.A, made.B, made.C, made.D, full.dt, full.inputs, full.outputs,
-                [f"k{i + 1}" for i in range(made.n_states)],
-            )  # fmt: skip
-            estimated.append((self.judge.estimate(named), family.name, named))
-        best: Found | None = None
-        for estimate, name, K in sorted(estimated, key=lambda entry: entry[0]):
-            if not np.isfinite(estimate) or (best is not None and estimate >= min(best[2].value, self.limit)):
-                break
-            try:
-                value = self.judge.certified(K)
-            except (InputError, NoTrustworthyNumber):
-                continue
-            if not np.isfinite(value.value):
-                continue
-            if best is None or _rank(value) < _rank(best[2]):
+def _best(
+    judge: PerformanceMeasure, full: StateSpaceModel, families: list[Family], order: int, limit: float
+) -> Found | None:
+    """The candidate of best verified measure; None where none of this order leaves the loop stable."""
+    estimated: list[tuple[float, str, StateSpaceModel]] = []
+    for family in families:
+        if not family.least <= order <= family.most or judge.budget.over:
+            continue
+        with suppress(NoTrustworthyNumber, InputError):
+            made = family.make(order)
+            names = [f"k{i + 1}" for i in range(made.n_states)]
+            K = StateSpaceModel(made.A, made.B, made.C, made.D, full.dt, full.inputs, full.outputs, names)
+            estimated.append((judge.estimate(K), family.name, K))
+    best: Found | None = None
+    for estimate, name, K in sorted(estimated, key=lambda entry: entry[0]):
+        if not np.isfinite(estimate) or (best is not None and estimate >= min(best[2].value, limit)):
+            break
+        with suppress(NoTrustworthyNumber, InputError):
+            value = judge.certified(K)
+            if np.isfinite(value.value) and (best is None or _rank(value) < _rank(best[2])):
                 best = (name, K, value)
-            if best[2].value <= self.limit and best[2].value <= estimate * (1 + GAIN):
-                break  # what the others can gain is not worth a proof
-        return best
+        if best is not None and best[2].value <= limit and best[2].value <= estimate * (1 + GAIN):
+            break  # what the others can gain is not worth a proof
+    return best
 
-    def _tried(self, order: int, found: Found | None) -> OrderTried:
-        if found is None:
-            return OrderTried(order, "", np.inf, np.inf, Status.CONVERGED)
-        method, K, value = found
-        return OrderTried(K.n_states, method, value.value, _loss(value.value, self.reference.value), value.status)
 
-    def _improved(self, found: Found | None, order: int) -> Found | None:
-        """What ``improve`` makes of a controller that is almost good enough, where that is better."""
-        if found is None or self.improve is None:
-            return found
-        name, K, value = found
-        most = (1 + WORTH_IMPROVING * self.allowed) * self.reference.value
-        if order != self.order if self.order is not None else not self.limit < value.value <= most:
-            return found
-        if self.budget.over:
-            return found
-        better = self.improve(self.judge.gramian_plant, K, self.budget.share(IMPROVEMENT_SHARE))
-        if better.n_states > K.n_states:
-            return found
+def _improved(judge: PerformanceMeasure, name: str, K: StateSpaceModel, value: Performance) -> Found:
+    """What nonsmooth descent makes of a controller, where that is better; there is none of H2 and of mu by margins."""
+    if judge.budget.over or (judge.name != "hinf" and judge.scaled is None):
+        return name, K, value
+    with suppress(InputError, NoTrustworthyNumber):
+        better = descend(judge.gramian_plant, K, judge.budget.share(IMPROVEMENT_SHARE))
         named = StateSpaceModel(better.A, better.B, better.C, better.D, K.dt, K.inputs, K.outputs)
-        try:
-            verified = self.judge.certified(named)
-        except (InputError, NoTrustworthyNumber):
-            return found
-        return (f"{name}, improved", named, verified) if verified.value < value.value else found
-
-    def _finished(
-        self, chosen: StateSpaceModel, performance: Performance, tried: list[OrderTried]
-    ) -> ReducedController:
-        judge = self.judge
-        loop = judge.plant.close(chosen)
-        how = next((o.method for o in reversed(tried) if o.value == performance.value and chosen is not self.full), "")
-        reason = f"{how}; loop rebuilt, {judge.text} proved anew" if how else "no lower order keeps the loss allowed"
-        status, reason = told(performance.status, [reason], judge.budget, "a lower order")
-        shown = loop if judge.scaled is None else judge.scaled.close(chosen)
-        limit = (
-            limiting_channels(shown, performance.frequency) if judge.name != "h2" and performance.frequency >= 0 else ""
-        )
-        return ReducedController(
-            K=chosen,
-            gamma=performance.value,
-            closed_loop=loop,
-            status=status,
-            reason=reason,
-            limit=limit,
-            plant=judge.plant,
-            method=f"reduced {judge.name}",
-            original=self.full,
-            original_gamma=self.reference.value,
-            measure=judge.text,
-            allowed_loss=self.allowed,
-            orders=tuple(tried),
-            evidence=performance.evidence,
-            scaled=judge.scaled,
-        )
+        verified = judge.certified(named)
+        if better.n_states <= K.n_states and verified.value < value.value:
+            return f"{name}, improved", named, verified
+    return name, K, value
 
 
 def _rank(value: Performance) -> tuple[bool, float]:
     return not value.status.trustworthy, value.value
+
+
+def _tried(order: int, found: Found | None, reference: float) -> OrderTried:
+    if found is None:
+        return OrderTried(order, "", np.inf, np.inf, Status.CONVERGED)
+    method, K, value = found
+    return OrderTried(K.n_states, method, value.value, _loss(value.value, reference), value.status)
 
 
 def _line(tried: OrderTried, name: str) -> str:
@@ -472,12 +400,8 @@ def _line(tried: OrderTried, name: str) -> str:
 # --- candidates ---------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class CandidateFamily:
-    """A way to reduce K: its name, the lowest and highest order it offers, and what makes the controller of an order.
-
-    ``make`` raises `NoTrustworthyNumber` or `InputError` where there is no such controller.
-    """
+class Family(NamedTuple):
+    """A way to reduce K: the lowest and highest order it offers, and what makes the controller of an order."""
 
     name: str
     least: int
@@ -485,90 +409,57 @@ class CandidateFamily:
     make: Callable[[int], StateSpaceModel]
 
 
-def candidate_families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[CandidateFamily]:
+def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
     """All ways that K and the loop admit; ``plant`` carries the weights and scalings that count."""
-    K = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)
-    return _tried(
-        lambda: _projected("closed-loop Gramians", _of_loop(plant.close(K), K), K),
-        lambda: _projected("loop from measurement noise to control", _of_loop(_signal_loop(plant, K), K), K),
-        lambda: [_coprime(K)],
-        lambda: _weighted(plant, K),
-    )
+    K, found = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt), list[Family]()
+    m, n_w, n_z, D22 = plant.model, plant.n_w, plant.n_z, plant.D22
+    n_u, n_y, k = plant.n_con, plant.n_meas, K.n_states
 
+    def loop(into: AnyArray, out: AnyArray, direct: AnyArray) -> StateSpaceModel:
+        """The loop of K and the plant with other disturbances and performance."""
+        B, C = np.hstack([into, m.B[:, n_w:]]), np.vstack([out, m.C[n_z:]])
+        return lower_lft(StateSpaceModel(m.A, B, C, direct, m.dt), K)
 
-def _tried(*ways: Callable[[], list[CandidateFamily]]) -> list[CandidateFamily]:
-    """What the ways give; nothing for one whose Gramians do not exist for this K, or lost their digits."""
-    families: list[CandidateFamily] = []
-    for way in ways:
-        with suppress(NoTrustworthyNumber, InputError):
-            families += way()
-    return families
+    def projected(
+        name: str, balancing: Balancing, model: StateSpaceModel, apart: StateSpaceModel | None = None
+    ) -> None:
+        """Both projections of a balanced model; ``apart``: what is added to it."""
+        more = 0 if apart is None else apart.n_states
 
+        def make(order: int, kind: Projection) -> StateSpaceModel:
+            small = balancing.reduced(model, order - more, kind)
+            return small if apart is None or not more else parallel(small, apart)
 
-def _projected(
-    name: str, balancing: Balancing, model: StateSpaceModel, split: SplitModel | None = None
-) -> list[CandidateFamily]:
-    """Both projections of a balanced model; ``split``: of which it is the stable part."""
-    apart = 0 if split is None else split.apart.n_states
+        for kind in get_args(Projection):
+            made = partial(make, kind=kind)
+            found.append(Family(f"{name}, {kind}", more, more + len(balancing.left), made))
 
-    def family(kind: Projection) -> CandidateFamily:
-        def make(order: int) -> StateSpaceModel:
-            small = balancing.reduced(model, order - apart, kind)
-            return small if split is None else split.joined(small)
+    def of_loop(name: str, closed: StateSpaceModel) -> None:
+        """By the controller's blocks in the Gramians of a loop whose last states are those of K."""
+        reach, see = gramian_factors(closed)
+        own = slice(closed.n_states - k, None)
+        projected(name, Balancing.of(block_factor(reach[own]), block_factor(see[own])), K)
 
-        return CandidateFamily(f"{name}, {kind}", apart, apart + len(balancing.left), make)
-
-    return [family("truncation"), family("residualisation")]
-
-
-def _of_loop(loop: StateSpaceModel, K: StateSpaceModel) -> Balancing:
-    """Balancing of the controller's blocks in the Gramians of a loop whose last states are those of K."""
-    reach, see = gramian_factors(loop)
-    k = slice(loop.n_states - K.n_states, None)
-    return Balancing.of(block_factor(reach[k]), block_factor(see[k]))
-
-
-def _signal_loop(plant: GeneralizedPlant, K: StateSpaceModel) -> StateSpaceModel:
-    """From noise on the measurements to the controls, in the loop of plant and K."""
-    m, n_y, n_u = plant.model, plant.n_meas, plant.n_con
-    b, c = m.B[:, m.n_inputs - n_u :], m.C[m.n_outputs - n_y :]
-    P = StateSpaceModel(
-        m.A, np.hstack([np.zeros((m.n_states, n_y)), b]), np.vstack([np.zeros((n_u, m.n_states)), c]),
-        np.block([[np.zeros((n_u, n_y)), np.eye(n_u)], [np.eye(n_y), plant.D22]]), m.dt,
-    )  # fmt: skip
-    return lower_lft(P, K)
-
-
-def _coprime(K: StateSpaceModel) -> CandidateFamily:
-    reduction = CoprimeReduction(K)
-    return CandidateFamily("normalised coprime factors", 0, len(reduction.balancing.left), reduction.reduced)
-
-
-def _weighted(plant: GeneralizedPlant, K: StateSpaceModel) -> list[CandidateFamily]:
-    """Balanced truncation of K's stable part, plain and with the loop as weights on either side."""
-    split = split_stable(K)
-    if not split.stable.n_states:
-        return []
-    stable = split.stable
-    into, out = _sensitivity_weights(plant, K)
-    return _tried(
-        lambda: _projected("balanced", Balancing.of(*weighted_factors(stable, None, None)), stable, split),
-        lambda: _projected(
-            "weighted by the loop on both sides", Balancing.of(*weighted_factors(stable, into, out)), stable, split
-        ),
-    )
-
-
-def _sensitivity_weights(plant: GeneralizedPlant, K: StateSpaceModel) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """``T_yw`` and ``T_zu``."""
-    m, n_y, n_u = plant.model, plant.n_meas, plant.n_con
-    n_w, n_z = m.n_inputs - n_u, m.n_outputs - n_y
-    b1, b2, c1, c2 = m.B[:, :n_w], m.B[:, n_w:], m.C[:n_z], m.C[n_z:]
-    d12, d21, d22 = m.D[:n_z, n_w:], m.D[n_z:, :n_w], plant.D22
-    seen = StateSpaceModel(
-        m.A, np.hstack([b1, b2]), np.vstack([c2, c2]), np.block([[d21, d22], [d21, d22]]), m.dt
-    )  # the measurements once more as outputs
-    moved = StateSpaceModel(
-        m.A, np.hstack([b2, b2]), np.vstack([c1, c2]), np.block([[d12, d12], [d22, d22]]), m.dt
-    )  # a disturbance on the controls as input
-    return lower_lft(seen, K), lower_lft(moved, K)
+    # Each where its Gramians exist for this K and keep their digits.
+    with suppress(NoTrustworthyNumber, InputError):
+        of_loop("closed-loop Gramians", plant.close(K))
+    with suppress(NoTrustworthyNumber, InputError):
+        noise = np.block([[np.zeros((n_u, n_y)), np.eye(n_u)], [np.eye(n_y), D22]])
+        nothing = np.zeros((m.n_states, n_y)), np.zeros((n_u, m.n_states))
+        of_loop("loop from measurement noise to control", loop(*nothing, noise))
+    with suppress(NoTrustworthyNumber, InputError):
+        way = coprime_way(K)
+        found.append(Family("normalised coprime factors", 0, way.most, lambda order: way.whole(way.reduced(order))))
+    with suppress(NoTrustworthyNumber, InputError):
+        split = split_stable(K)
+        stable = split.stable
+        if stable.n_states:
+            balanced = Balancing.of(*weighted_factors(stable, None, None))
+            projected("balanced", balanced, stable, split.apart)
+            # T_yw: the measurements once more as outputs; T_zu: a disturbance on the controls as input.
+            direct = np.tile(m.D[n_z:], (2, 1)), np.tile(m.D[:, n_w:], (1, 2))
+            into = loop(m.B[:, :n_w], m.C[n_z:], direct[0])
+            out = loop(m.B[:, n_w:], m.C[:n_z], direct[1])
+            weighted = Balancing.of(*weighted_factors(stable, into, out))
+            projected("weighted by the loop on both sides", weighted, stable, split.apart)
+    return found

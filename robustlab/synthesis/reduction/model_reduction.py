@@ -1,31 +1,29 @@
-"""Reduction of models by truncation, residualisation, Hankel, stochastic or coprime methods; errors are certified."""
+"""Reduction of models, with certified errors: by five methods, or to the least order with the same gain."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
 from typing import Any, Literal, get_args, overload
 
 import numpy as np
 
-from robustlab.arrays import Array
+from robustlab.arrays import AnyArray
 from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import refuse_extremes
-from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete, hinf_norm
+from robustlab.linear_analysis.structural import least_order
+from robustlab.norms import HinfNorm, hinf_norm, linf_norm
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, append, as_model, parallel, series
-from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
-from robustlab.synthesis.reduction.coprime_reduction import CoprimeReduction
-from robustlab.synthesis.reduction.hankel_norm import error_bound, hankel_bound, hankel_norm, nearest_in_hankel_norm
+from robustlab.statespace import StateSpaceModel, append, as_model, parallel
+from robustlab.synthesis.reduction.balancing import lost_at_least_order, split_stable
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
-from robustlab.synthesis.reduction.relative_error import Spectrum, relative_bound
-from robustlab.synthesis.reduction.split_error import SplitError, widened
+from robustlab.synthesis.reduction.ways import Way, Weights, coprime_way, hankel_norm, way_of
 from robustlab.uncertainty.algebra import Reduction, reduction
 from robustlab.uncertainty.lft import UncertainModel
 
-Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
 Method = Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"]
+Band = tuple[float, float]
 
 METHODS = get_args(Method)
 # A certified error may exceed what theory promises by this share of the largest Hankel value: rounding of the model.
@@ -35,42 +33,11 @@ RTOL, CLOSE_RTOL = 1e-6, 1e-9
 # Share of the error that splitting parts off may add to it, before frequencies next to a mode on the boundary are left
 # out; the error counts as at least the second share of the largest Hankel value for that.
 SPLIT_SHARE, OVERLOOKED = 1e-3, 1e-9
+# A pole counts as one on the boundary up to this share of its frequency (one at zero: of the slowest stable one).
+NEAR = 1e-6
+# Half widths of what is left out, as shares of the same.
+WIDTHS = np.logspace(-2, -13, 23)
 TINY = float(np.finfo(float).tiny)
-
-
-@told_as("hankel_singular_values")
-def hankel_singular_values(model: Any) -> Array:
-    r"""Hankel singular values of the stable part of a model, shape (n_stable,), in decreasing order.
-
-    .. math:: \sigma_i = \sqrt{\lambda_i(P Q)}
-
-    with the controllability and observability Gramians P, Q (continuous or discrete), from factors of them.
-
-    Parameters
-    ----------
-    model
-        StateSpaceModel, controller or python-control object; states of modes that are not stable are left out.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (n_stable,), in output units per input unit.
-
-    Raises
-    ------
-    NoTrustworthyNumber
-        Stable modes cannot be told from the others, or Gramians that are no floating-point numbers.
-
-    Examples
-    --------
-    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[3.0]], [[0.0]])
-    >>> hankel_singular_values(lag)
-    array([1.5])
-    """
-    where = "hankel_singular_values"
-    full = as_model(model, where)
-    refuse_extremes(full, where)
-    return Balancing.of(*gramian_factors(split_stable(full).stable)).values
 
 
 @overload
@@ -193,25 +160,29 @@ def reduce_model(
     weights = _weights(full, input_weight, output_weight)
     _check_request(full, order, tolerance, method, weights != (None, None), floor)
     refuse_extremes(full, "reduce_model")
-    candidate, n_least, n_most, limits = (
-        _coprime(full) if method == "coprime" else _balanced(full, method, weights, floor)
-    )
+    way = coprime_way(full) if method == "coprime" else way_of(split_stable(full), method, weights, floor)
+    apart = way.split.apart.n_states
+
+    def candidate(order: int) -> ReducedModel:
+        return _reduced(full, way, method, weights, order - apart)
+
     if order is not None:
-        if order < n_least:
-            text = f"{n_least} modes are not stable and are kept apart"
-            raise InputError("reduce_model", f"order {order}: {text}", f"at least {n_least}", "method='coprime'")
-        return candidate(min(order, n_most))
+        if order < apart:
+            text = f"{apart} modes are not stable and are kept apart"
+            raise InputError("reduce_model", f"order {order}: {text}", f"at least {apart}", "method='coprime'")
+        return candidate(min(order, apart + way.most))
     assert tolerance is not None
-    for n in range(n_least, n_most):
-        if limits[n - n_least] > tolerance * (1 + 1e-6):  # no model of this order is as close
+    for n in range(way.most):
+        # No model of this order is nearer than its first value left out, if anything is promised.
+        if not np.isnan(way.bound(0)) and way.values[n] > tolerance * (1 + 1e-6):
             continue
         try:
-            found = candidate(n)
+            found = candidate(apart + n)
         except NoTrustworthyNumber:  # this order is not stable (two weights) or not well posed
             continue
         if found.error.upper <= tolerance and found.status.trustworthy:
             return found
-    return candidate(n_most)
+    return candidate(apart + way.most)
 
 
 def _check_request(
@@ -254,174 +225,175 @@ def _weights(full: StateSpaceModel, into: Any, out: Any) -> Weights:
     return found[0], found[1]
 
 
-# Makes the candidate of an order; least and largest order; for each of them what no model of that order is nearer than.
-Candidates = tuple[Callable[[int], ReducedModel], int, int, Array]
-
-
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """One way to reduce the stable part of a model: Hankel values, the largest order, and the part of an order.
-
-    ``measured`` is the certified size of a difference and ``bound`` what is promised for it; ``per_gain`` bounds how
-    much the former is for a gain of 1.
-    """
-
-    values: Array
-    most: int
-    reduced: Callable[[int], StateSpaceModel]
-    measured: Callable[[StateSpaceModel, float], HinfNorm] = hinf_norm
-    bound: Callable[[int], float] = lambda _: np.nan
-    per_gain: Callable[[], float] = lambda: 1.0
-
-
-def _balanced(full: StateSpaceModel, method: str, weights: Weights, floor: float) -> Candidates:
-    split = split_stable(full)
-    stable, apart, relative = split.stable, split.apart.n_states, method == "stochastic"
-    lost = SplitError(split.rounding(), split.apart.poles(), stable.poles(), stable.dt)
-    name = method if weights == (None, None) else f"weighted {method}"
-    way = _way(stable, method, weights, floor)
-    removed = () if split.least is None else tuple(mode.meaning for mode in split.least.hidden)
-
-    def candidate(order: int) -> ReducedModel:
-        small = way.reduced(order - apart)
-        if not small.is_stable():
-            hint = "another order" if weights == (None, None) else "another order, or one weight instead of two"
-            raise NoTrustworthyNumber(
-                "reduce_model", f"the model of order {small.n_states + apart} is not stable", hint=hint
-            )
-        difference, promised = parallel(stable, small, -1), way.bound(small.n_states)
-        error = _measured(way, difference, promised)
-        whole = hinf_norm(difference) if relative else None
-        left_out: tuple[tuple[float, float], ...] = ()
-        if not lost.nothing:
-            per_gain, size = way.per_gain(), 1.0 if relative else float(way.values.max(initial=0.0))
-            wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * size) / max(per_gain, TINY)
-            axis = lost.bound(wanted)
-            error = widened(error, per_gain * axis.upper if axis.upper else 0.0, axis.reason)
-            whole = None if whole is None else widened(whole, axis.upper, axis.reason)
-            left_out = axis.left_out
-        found = _result(full, split.joined(small), name, way, error, promised, apart)
-        found = replace(found, difference=whole, left_out=left_out, weights=weights, removed=removed)
-        return _with_hankel_norm(found, hankel_norm(difference)) if method == "hankel" else found
-
-    limits = np.zeros(way.most + 1) if np.isnan(way.bound(0)) else np.append(way.values, 0.0)
-    return candidate, apart, apart + way.most, limits
-
-
-def _way(stable: StateSpaceModel, method: str, weights: Weights, floor: float) -> _Way:
-    dt = stable.dt
-    if method == "stochastic":
-        spectrum = Spectrum.of(_in_continuous_time(stable), floor)
-        balancing = spectrum.balancing
-
-        def measured(difference: StateSpaceModel, rtol: float) -> HinfNorm:
-            found = spectrum.relative(_in_continuous_time(difference), rtol)
-            return replace(found, frequency=2 / dt * float(np.arctan(found.frequency * dt / 2))) if dt else found
-
-        return _Way(
-            balancing.values, len(balancing.left),
-            lambda order: _back(balancing.reduced(spectrum.model, order, "truncation"), dt), measured,
-            lambda order: relative_bound(balancing.values, order), spectrum.per_gain,
-        )  # fmt: skip
-    if method == "hankel":
-        continuous = _in_continuous_time(stable)
-        balancing = Balancing.of(*gramian_factors(continuous))
-        return _Way(
-            balancing.values, len(balancing.left),
-            lambda order: _back(nearest_in_hankel_norm(continuous, balancing, order), dt),
-            bound=lambda order: hankel_bound(balancing.values, order),
-        )  # fmt: skip
-    projection: Projection = "residualisation" if method == "residualisation" else "truncation"
-    balancing = Balancing.of(*weighted_factors(stable, *weights))
-    way = _Way(balancing.values, len(balancing.left), lambda order: balancing.reduced(stable, order, projection))
-    if weights == (None, None):
-        return replace(way, bound=lambda order: error_bound(balancing.values, order))
-    return replace(
-        way,
-        measured=lambda difference, rtol: hinf_norm(_weighted(difference, *weights), rtol),
-        per_gain=lambda: float(np.prod([hinf_norm(w, 1e-2).upper for w in weights if w is not None])),
+def _reduced(full: StateSpaceModel, way: Way, method: str, weights: Weights, order: int) -> ReducedModel:
+    """The model whose part has this order, with its error."""
+    split, small, weighted, relative = way.split, way.reduced(order), weights != (None, None), method == "stochastic"
+    if not small.is_stable():
+        hint = "another order, or one weight instead of two" if weighted else "another order"
+        n = small.n_states + split.apart.n_states
+        raise NoTrustworthyNumber("reduce_model", f"the model of order {n} is not stable", hint=hint)
+    difference, promised = parallel(way.part, small, -1), way.bound(small.n_states)
+    largest = float(way.values.max(initial=0.0))
+    error = way.measured(difference, RTOL)
+    if promised < error.upper <= promised * (1 + 2 * RTOL):  # wider where rounding leaves no more digits
+        closer = way.measured(difference, CLOSE_RTOL)
+        error = closer if closer.status.trustworthy and closer.upper < error.upper else error
+    whole, left_out = hinf_norm(difference) if relative else None, ()
+    if split.lost is not None:
+        per_gain, size = way.per_gain(), 1.0 if relative else largest
+        wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * size) / max(per_gain, TINY)
+        upper, left_out, doubt = _lost_gain(split.lost, split.apart.poles(), split.stable.poles(), wanted)
+        error = _widened(error, per_gain * upper if upper else 0.0, doubt)
+        whole = None if whole is None else _widened(whole, upper, doubt)
+    reason, size = error.reason, np.nan
+    if not reason and error.lower > promised + BOUND_ROUNDING * largest + 1e-12 * error.lower:
+        reason = f"the error {error.lower:.6g} exceeds what theory promises, {promised:.6g}: digits were lost"
+    if method == "hankel":  # theory says that it is the first value left out
+        size, wanted = hankel_norm(difference), float(way.values[small.n_states :].max(initial=0.0))
+        if not reason and abs(size - wanted) > 1e-6 * wanted + BOUND_ROUNDING * largest:
+            reason = f"the Hankel norm of the error is {size:.6g}, not {wanted:.6g}: digits were lost"
+    removed = tuple(mode.meaning for mode in split.hidden)
+    if way.inexact:
+        reason = reason or f"what was removed before is not exactly hidden: {', '.join(removed)}"
+    model = way.whole(small)
+    model = StateSpaceModel(
+        model.A, model.B, model.C, model.D, full.dt, full.inputs, full.outputs, where="reduced model"
     )
-
-
-def _measured(way: _Way, difference: StateSpaceModel, promised: float) -> HinfNorm:
-    """The size of a difference; more closely where what is promised may be attained, so that it need not be raised."""
-    found = way.measured(difference, RTOL)
-    if not promised < found.upper <= promised * (1 + 2 * RTOL):  # wider where rounding leaves no more digits
-        return found
-    closer = way.measured(difference, CLOSE_RTOL)
-    return closer if closer.status.trustworthy and closer.upper < found.upper else found
-
-
-def _result(
-    full: StateSpaceModel, small: StateSpaceModel, name: str, way: _Way, error: HinfNorm, bound: float, apart: int
-) -> ReducedModel:
-    named = StateSpaceModel(
-        small.A, small.B, small.C, small.D, full.dt, full.inputs, full.outputs, where="reduced model"
-    )
-    largest, reason = float(way.values.max(initial=0.0)), error.reason
-    if not reason and not np.isnan(bound) and error.lower > bound + BOUND_ROUNDING * largest + 1e-12 * error.lower:
-        reason = f"the error {error.lower:.6g} exceeds what theory promises, {bound:.6g}: digits were lost"
-    # Theory knows no rounding. That of the reduced model is a share of the whole gain, which may be more than what is
-    # left out.
-    bound = bound if np.isnan(bound) else max(bound, error.upper)
-    status = Status.CERTIFIED if not reason and error.status is Status.CERTIFIED else Status.INACCURATE
     values = np.array(way.values)
     values.setflags(write=False)
-    return ReducedModel(named, name, error, bound, values, apart, full, status, reason)
+    # Theory knows no rounding. That of the reduced model is a share of the whole gain, which may be more than what is
+    # left out.
+    bound = promised if np.isnan(promised) else max(promised, error.upper)
+    status = Status.CERTIFIED if not reason and error.status is Status.CERTIFIED else Status.INACCURATE
+    name = f"weighted {method}" if weighted else method
+    return ReducedModel(
+        model, name, error, bound, values, split.apart.n_states, full, status, reason, whole, left_out, size, weights,
+        removed,
+    )  # fmt: skip
 
 
-def _in_continuous_time(model: StateSpaceModel) -> StateSpaceModel:
-    return bilinear_to_continuous(model) if model.is_discrete else model
+def _widened(norm: HinfNorm, by: float, reason: str) -> HinfNorm:
+    """The bracket of a norm to which so much may be added; not certified where there is a reason against it."""
+    status = Status.INACCURATE if reason else norm.status
+    return HinfNorm(max(norm.lower - by, 0.0), norm.upper + by, norm.frequency, status, norm.reason or reason)
 
 
-def _back(model: StateSpaceModel, dt: float) -> StateSpaceModel:
-    return bilinear_to_discrete(model, dt) if dt else model
+@told_as("minimal")
+def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
+    r"""Remove the modes that no input moves or no output shows, unstable and integrating ones too.
+
+    The controllable subspace is built by orthogonal steps, ``range(B), A range(B), ...``, in states and signals scaled
+    so that no unit matters, then the observable one of what is left. The states kept are a subset of those given, or
+    sums of them with short factors where these are exact, so that integer data are reduced without rounding.
+
+    Parameters
+    ----------
+    model
+        StateSpaceModel, controller or python-control object; continuous or discrete, stable or not.
+    tolerance
+        Singular values of the scaled steps up to this count as zero. Where left out, those below 1e-14 do, and those
+        below 1e-10 where the eigenvalues confirm it.
+
+    Returns
+    -------
+    ReducedModel
+        Of method ``"minimal"``, with the certified largest gain of the difference of both models (zero where
+        everything cancels exactly), and the modes that were removed. INACCURATE where the order depends on rounding.
+
+    Raises
+    ------
+    InputError
+        No linear model, a tolerance that is not between 0 and 1.
+
+    References
+    ----------
+    Van Dooren, "The generalized eigenstructure problem in linear system theory", IEEE TAC 26 (1981).
+
+    Examples
+    --------
+    Two copies of an integrator, one behind a lag; the input moves their difference by the lag alone:
+
+    >>> from robustlab.realisations import ss
+    >>> G = ss([[0, 0, 0], [0, -1, 0], [0, 1, 0]], [[1], [1], [0]], [[1, 0, 0], [0, 0, 1]], [[0], [0]])
+    >>> found = minimal(G)
+    >>> found.order, found.error.upper, found.removed
+    (2, 0.0, ('unstable mode 0 rad/s in x1, x2, x3: no input moves it',))
+    """
+    full = as_model(model, "minimal")
+    if tolerance is not None:
+        number("minimal: tolerance", tolerance, "a number between 0 and 1", above=0, below=1)
+    found = least_order(full, tolerance)
+    poles = full.poles()
+    inside = 1 - np.abs(poles) if full.is_discrete else -poles.real
+    stable = inside > NEAR * np.abs(poles).max(initial=0.0)
+    lost = lost_at_least_order(found)
+    upper, left_out, doubt = (0.0, (), "") if lost is None else _lost_gain(lost, poles[~stable], poles[stable])
+    unclear = f"the order depends on rounding: a singular value of {found.dropped:.1e} counted as zero; tolerance="
+    reason = doubt or ("" if found.clear else unclear)
+    status = Status.INACCURATE if reason else Status.CERTIFIED
+    proved = Status.INACCURATE if doubt else Status.CERTIFIED
+    return ReducedModel(
+        found.model, "minimal", HinfNorm(0.0, upper, np.nan, proved, doubt), np.nan, np.zeros(0), 0, full,
+        status, reason, left_out=left_out, removed=tuple(mode.meaning for mode in found.hidden),
+    )  # fmt: skip
 
 
-def _with_hankel_norm(found: ReducedModel, size: float) -> ReducedModel:
-    """With the Hankel norm of the difference, which theory says is the first value left out."""
-    left = found.hankel[found.order - found.n_apart :]
-    wanted, largest = float(left.max(initial=0.0)), float(found.hankel.max(initial=0.0))
-    status, reason = found.status, found.reason
-    if status is Status.CERTIFIED and abs(size - wanted) > 1e-6 * wanted + BOUND_ROUNDING * largest:
-        reason = f"the Hankel norm of the error is {size:.6g}, not {wanted:.6g}: digits were lost"
-        status = Status.INACCURATE
-    return replace(found, hankel_error=size, status=status, reason=reason)
+# --- what splitting or removing modes costs ---------------------------------------------------------------------------
 
 
-def weighted_factors(
-    model: StateSpaceModel, into: StateSpaceModel | None, out: StateSpaceModel | None
-) -> tuple[Array, Array]:
-    r"""Factors of the blocks that belong to the model in the Gramians of ``G W_i`` and ``W_o G`` (Enns)."""
-    n = model.n_states
-    reach, see = gramian_factors(model)
-    if into is not None:  # states of the series connection: weight first, then model
-        reach = block_factor(gramian_factors(series(into, model))[0][into.n_states :])
-    if out is not None:
-        see = block_factor(gramian_factors(series(model, out))[1][:n])
-    return reach, see
+def _lost_gain(
+    lost: StateSpaceModel, apart: AnyArray, stable: AnyArray, wanted: float = 0.0
+) -> tuple[float, tuple[Band, ...], str]:
+    """Bound of the gain of what was lost, the bands in rad/s that are left out of it, and why it is not proved.
+
+    At a mode on the stability boundary that gain is not finite: an interval around it is left out, as narrow as the
+    bound ``wanted`` allows. ``apart``, ``stable``: the poles of the model that are not stable, and the others.
+    """
+    if not lost.D.size:
+        return 0.0, (), ""
+    dt = lost.dt
+    if dt:  # in rad/s
+        apart, stable = (np.log(poles[np.abs(poles) > 1e-12].astype(complex)) / dt for poles in (apart, stable))
+    slow = (
+        float(np.abs(stable).min()) if len(stable) else 1 / dt if dt else float(np.abs(apart).max(initial=0.0)) or 1.0
+    )
+    at = np.abs(np.imag(apart))
+    centre = np.where(at > 1e-3 * slow, at, 0.0)
+    scale = np.where(centre > 0, centre, slow)
+    near = np.abs(np.real(apart)) <= NEAR * scale
+    centre, scale = centre[near], scale[near]
+    beside = scale[:, None] * WIDTHS
+    sizes = _gains(lost, np.abs(np.stack([centre[:, None] - beside, centre[:, None] + beside]))).max(axis=0)
+    elsewhere = max(_gains(lost, np.abs(apart[~near])).max(initial=0.0), sizes[:, :1].max(initial=0.0))
+    small = np.logical_and.accumulate(sizes <= max(wanted, 2 * elsewhere), axis=1).sum(axis=1) - 1
+    low, high = 0.0, np.pi / dt if dt else np.inf
+    while True:
+        half = scale * WIDTHS[np.maximum(small, 0)]
+        around = np.clip([centre - half, centre + half], low, high)
+        left_out = _merged((float(a), float(b)) for a, b in around.T)
+        ends = [low, *(end for interval in left_out for end in interval), high]
+        found = [linf_norm(lost, 0.01, band=(a, b)) for a, b in zip(ends[::2], ends[1::2], strict=True) if a < b]
+        doubt = next((norm.reason or "not proved" for norm in found if norm.status is not Status.CERTIFIED), "")
+        small = small - 2  # ten times as wide, where rounding leaves open what is so near to a pole
+        if not doubt or not (small >= 0).any():
+            return max((norm.upper for norm in found), default=0.0), left_out, doubt
 
 
-def _weighted(model: StateSpaceModel, into: StateSpaceModel | None, out: StateSpaceModel | None) -> StateSpaceModel:
-    if into is not None:
-        model = series(into, model)
-    return model if out is None else series(model, out)
+def _gains(model: StateSpaceModel, omega: AnyArray) -> AnyArray:
+    """``sigma_max``, in the shape of omega; infinite where a frequency cannot be told from a pole."""
+    try:
+        response = frequency_response(model, omega.ravel())
+    except NoTrustworthyNumber:
+        return np.full(omega.shape, np.inf)
+    return np.linalg.norm(response, 2, axis=(1, 2)).reshape(omega.shape)
 
 
-def _coprime(full: StateSpaceModel) -> Candidates:
-    reduction = CoprimeReduction(full)
-    values = reduction.balancing.values
-    way = _Way(values, len(reduction.balancing.left), reduction.reduced)
-
-    def candidate(order: int) -> ReducedModel:
-        promised = error_bound(values, order)
-        error = _measured(way, parallel(reduction.factors, reduction.reduced_factors(order), -1), promised)
-        found = replace(
-            _result(full, way.reduced(order), "coprime", way, error, promised, 0), removed=reduction.removed
-        )
-        if reduction.lost is None:
-            return found
-        reason = f"what was removed before is not exactly hidden: {', '.join(reduction.removed)}"
-        return replace(found, status=Status.INACCURATE, reason=found.reason or reason)
-
-    return candidate, 0, way.most, np.append(values, 0.0)
+def _merged(intervals: Iterable[Band]) -> tuple[Band, ...]:
+    """The intervals in order, those that overlap as one, those without width left out."""
+    found: list[Band] = []
+    for low, high in sorted(intervals):
+        if found and low <= found[-1][1]:
+            found[-1] = found[-1][0], max(found[-1][1], high)
+        elif low < high:
+            found.append((low, high))
+    return tuple(found)

@@ -23,7 +23,8 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
-from robustlab.statespace import StateSpaceModel, as_model, series
+from robustlab.realisations import cascade
+from robustlab.statespace import StateSpaceModel, as_model
 
 Method = Literal["tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
 SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched"]
@@ -147,7 +148,7 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
         found = (
             f"a pole at z = {0.0 if singular else real.min():.6g}: no continuous model of this order has such samples"
         )
-        hint = "rl.d2d to a whole multiple of the sample time needs no logarithm; method='tustin' maps this pole"
+        hint = "method='tustin' maps this pole"
         raise NoTrustworthyNumber("d2c (zoh)", found, "poles off the closed negative real axis", hint)
     held = _held(m)
     with warnings.catch_warnings():  # scipy's own estimate; the exponential below decides
@@ -159,56 +160,6 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
         raise NoTrustworthyNumber("d2c (zoh)", f"the exponential of log A gives A back to {off:.1e} of its size only")
     rate = rate.real / m.dt
     return replace(m, A=rate[:n, :n], B=rate[:n, n:], dt=0.0)
-
-
-@told_as("d2d")
-def d2d(model: Any, dt: float, method: Hold = "zoh") -> StateSpaceModel:
-    r"""Discrete model with another sample time.
-
-    With ``"zoh"`` and a whole multiple k of the sample time, k steps are one, whatever the poles:
-
-    .. math:: x_{i+k} = A_d^k x_i + (A_d^{k-1} + \cdots + A_d + I) B_d u_i
-
-    Every other case is `d2c`, then `discretise`.
-
-    Parameters
-    ----------
-    model
-        Discrete StateSpaceModel, controller or python-control object.
-    dt
-        The new sample time in s.
-    method
-        As for `d2c`.
-
-    Returns
-    -------
-    StateSpaceModel
-        With sample time ``dt``.
-
-    Raises
-    ------
-    InputError
-        A continuous model, a sample time that is not positive, an unknown method.
-    NoTrustworthyNumber
-        What `d2c` and `discretise` refuse. A whole multiple: numbers that overflow.
-
-    Examples
-    --------
-    >>> found = d2d(StateSpaceModel([[-0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1), 0.2)
-    >>> found.A, found.B
-    (array([[0.25]]), array([[0.5]]))
-    """
-    m = _discrete(model, method, "d2d")
-    _require_sample_time(dt, "d2d")
-    steps, n = dt / m.dt, m.n_states
-    if method != "zoh" or not 0.5 < steps < 1e9 or abs(steps - round(steps)) > 1e-9 * steps:
-        return by_formula(d2c(m, method), float(dt), method)
-    with np.errstate(over="ignore", invalid="ignore"):
-        power = np.linalg.matrix_power(_held(m), round(steps))
-    if not np.isfinite(power).all():
-        found = f"A^{round(steps)} overflows: a pole of modulus {1 + m.spectral_abscissa():.6g}"
-        raise NoTrustworthyNumber("d2d", found)
-    return replace(m, A=power[:n, :n], B=power[:n, n:], dt=float(dt))
 
 
 def _discrete(model: Any, method: str, where: str) -> StateSpaceModel:
@@ -256,21 +207,7 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
     wanted = gain * np.prod(at - zeros) / np.prod(at - poles)
     z = np.exp(at * dt)
     k = float((wanted * np.prod(z - z_poles) / np.prod(z - z_zeros)).real)
-    return _from_roots(z_zeros, z_poles, k)
-
-
-def _from_roots(zeros: AnyArray, poles: AnyArray, gain: float) -> StateSpaceModel:
-    """As many zeros as poles: real sections of first and second order in series."""
-    from scipy.signal import zpk2sos
-
-    model = StateSpaceModel([], [], [], [[1.0]])
-    for section in zpk2sos(_conjugate(zeros), _conjugate(poles), gain):
-        n = 2 if section[[2, 5]].any() else 1
-        direct, num, den = section[0], section[1 : n + 1], section[4 : n + 4]
-        a = np.eye(n, k=1)
-        a[:, 0] = -den
-        model = series(model, StateSpaceModel(a, (num - direct * den)[:, None], np.eye(1, n), [[direct]]))
-    return StateSpaceModel(model.A, model.B, model.C, model.D)
+    return cascade(_conjugate(z_zeros), _conjugate(z_poles), k, dt, "discretise (matched)")
 
 
 def _conjugate(roots: AnyArray) -> AnyArray:

@@ -19,33 +19,6 @@ SHORT = 1e-3  # doubling starts where |A| h is below this; smaller: more doublin
 DOUBLINGS = 12  # at least so many: the error of the start falls by 4 in each
 
 
-class HeldControls:
-    """Controls that act a delay after their sample: which one when, and those of the past that the states remember."""
-
-    def __init__(self, delay: float, dt: float, n_con: int) -> None:
-        self.n_con, self.whole = n_con, int(np.floor(delay / dt + 1e-12))
-        part = delay - self.whole * dt
-        self.part = float(part) if part > 1e-9 * dt else 0.0
-        self.n_past = self.whole + (self.part > 0)
-
-    def acting(self, early: bool, past: slice, now: slice) -> AnyArray:
-        """The control before (``early``) or after the change within a period, as a map of a vector that ends with the
-        control of now, (n_u, width).
-        """
-        age, control = self.whole + early, np.zeros((self.n_con, now.stop))
-        start = now.start if age == 0 else past.start + (age - 1) * self.n_con
-        control[:, start : start + self.n_con] = np.eye(self.n_con)
-        return control
-
-    def shifted(self, past: slice, now: slice) -> AnyArray:
-        """The past controls a period later, as a map of that vector, (n_past n_u, width)."""
-        moved, n_u = np.zeros((self.n_past * self.n_con, now.stop)), self.n_con
-        if self.n_past:
-            moved[:n_u, now] = np.eye(n_u)
-            moved[n_u:, past.start : past.stop - n_u] = np.eye(len(moved) - n_u)
-        return moved
-
-
 @dataclass(frozen=True, eq=False)
 class Rest:
     """What the parts of w of mean zero can do, at most."""
@@ -94,9 +67,12 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     n_w, n_z = m.n_inputs - n_u, m.n_outputs - n_y
     held = np.flatnonzero(m.D[n_z:, :n_w].any(axis=0))
     free = np.setdiff1d(np.arange(n_w), held)
-    held_u = HeldControls(delay, dt, n_u)
-    ends = _breakpoints(dt, n_intervals, held_u.part)
-    past = [f"{s.name} {k + 1} samples ago" for k in range(held_u.n_past) for s in plant.controls]
+    # Controls act a delay after their sample: those of the past that are still under way are states.
+    whole = int(np.floor(delay / dt + 1e-12))
+    part = delay - whole * dt if delay - whole * dt > 1e-9 * dt else 0.0
+    n_past = whole + (part > 0)
+    ends = _breakpoints(dt, n_intervals, part)
+    past = [f"{s.name} {k + 1} samples ago" for k in range(n_past) for s in plant.controls]
     names = [*m.state_names, *past]
     lengths = _lengths(ends)
     steps = {h: _Interval.of(m, free, n_z, h) for h in lengths}
@@ -104,15 +80,16 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     # The state at the start of each interval as a linear map of (x, past controls, all w, u).
     N = len(intervals)
     n_free = len(free)
-    at_w = n + held_u.n_past * n_u
+    at_w = n + n_past * n_u
     at_u = at_w + N * n_free + len(held)
     width = at_u + n_u
-    past_u, now_u = slice(n, at_w), slice(at_u, width)
+    # The controls as a map of (x, past controls, all w, u), by how many samples ago they were computed.
+    aged = [np.eye(n_u, width, k) for k in (at_u, *range(n, at_w, n_u))]
     held_w = np.zeros((n_w, width))
     held_w[held, at_u - len(held) : at_u] = np.eye(len(held)) / np.sqrt(dt)
     state, means, rests = np.zeros((n, width)), [], []
     state[:, :n] = np.eye(n)
-    controls = [held_u.acting(bool(end < held_u.part * (1 - 1e-12)), past_u, now_u) for end in ends[:-1]]
+    controls = [aged[whole + bool(end < part * (1 - 1e-12))] for end in ends[:-1]]
     for i, (step, control) in enumerate(zip(intervals, controls, strict=True)):
         disturbance = held_w.copy()
         disturbance[free, at_w + i * n_free : at_w + (i + 1) * n_free] = np.eye(n_free) / np.sqrt(step.h)
@@ -124,7 +101,7 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     measured[:, :n] = m.C[n_z:]
     measured += m.D[n_z:, n_w:] @ controls[0] + m.D[n_z:, :n_w] @ held_w
     rest = _rest(intervals, n, m.D[:n_z, free])
-    maps = np.vstack([state, held_u.shifted(past_u, now_u)]), np.vstack(means), _compressed(np.vstack(rests)), measured
+    maps = np.vstack([state, *aged[:-1]]), np.vstack(means), _compressed(np.vstack(rests)), measured
     wide = [f"{m.input_names[j]}[{i}]" for i in range(N) for j in free] + [m.input_names[j] for j in held]
     return _assembled(plant, dt, (names, wide), maps, N, rest, tuple(int(j) for j in held))
 

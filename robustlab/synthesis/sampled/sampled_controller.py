@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, overload
 
 import numpy as np
@@ -14,7 +14,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts
+from robustlab.shown import AllFields, Facts
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
@@ -46,7 +46,7 @@ WHERE = "discretise"
 
 
 @dataclass(frozen=True)
-class SampledTrial:
+class SampledTrial(AllFields):
     """One digital controller with the proved norm of its sampled loop."""
 
     method: str  # what made it
@@ -57,9 +57,6 @@ class SampledTrial:
     loss: float  # `upper / norm of the continuous loop - 1`
     status: Status  # status of the bracket
     reason: str = ""  # why there is no finite norm, or no controller; else empty
-
-    def to_json(self) -> dict[str, Any]:
-        return vars(self).copy()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -307,10 +304,9 @@ def discretise(
         continuous = hinf_norm(judged.close(full))
         if not np.isfinite(continuous.upper):
             raise NoTrustworthyNumber(WHERE, f"the continuous loop is not stable ({continuous.reason})")
-        filtered = with_antialiasing(judged, antialiasing, WHERE)
-        search = _Trials(filtered, full, float(dt), delay, continuous, budget, progress or (lambda _: None))
-        search.run(method or "auto", loss, prewarp)
-    return _finished(search, p, full, loss, antialiasing)
+        search = _Search(with_antialiasing(judged, antialiasing, WHERE), full, float(dt), delay, continuous)
+        _try_methods(search, method or "auto", loss, prewarp, budget, progress or (lambda _: None))
+    return _finished(search, p, full, loss, antialiasing, budget)
 
 
 def _loss(value: float, reference: HinfNorm) -> float:
@@ -323,83 +319,84 @@ def _loss_text(trial: SampledTrial) -> str:
     return "not stable" if trial.order >= 0 else "none"
 
 
-class _Trials:
-    """The digital controllers tried so far, each with the norm of its loop."""
+@dataclass
+class _Search:
+    """The loop, and the digital controllers tried so far, each with the norm of its loop."""
 
-    def __init__(
-        self, plant: GeneralizedPlant, K: StateSpaceModel, dt: float, delay: float, continuous: HinfNorm,
-        budget: Budget, say: Callable[[str], None],
-    ) -> None:  # fmt: skip
-        self.plant, self.K, self.dt, self.delay, self.continuous = plant, K, dt, delay, continuous
-        self.budget, self.say, self.merged = budget, say, merged_modes(plant.model, dt)
-        self.trials: list[SampledTrial] = []
-        self.best: tuple[str, StateSpaceModel, SampledDataNorm] | None = None
+    plant: GeneralizedPlant
+    K: StateSpaceModel
+    dt: float
+    delay: float
+    continuous: HinfNorm
+    trials: list[SampledTrial] = field(default_factory=list)
+    best: tuple[str, StateSpaceModel, SampledDataNorm] | None = None
 
-    def run(self, method: str, loss: float, prewarp: float | None) -> None:
-        """Try what ``method`` asks for: of "auto" the formulas, and the direct design where they lose more."""
-        names = [] if method == "direct" else [method]
-        if method == "auto":
-            below = 0 < self.continuous.frequency < 0.9 * np.pi / self.dt
-            names = ["tustin", *["tustin-prewarp"] * below, "zoh", "foh"]
-            names += ["matched"] * ((self.K.n_inputs, self.K.n_outputs) == (1, 1))
-        for name in names:
-            if self.budget.over:
-                return
-            corner = None if name != "tustin-prewarp" else self.continuous.frequency if prewarp is None else prewarp
-            try:
-                self._judge(name, by_formula(self.K, self.dt, name, corner))
-            except NoTrustworthyNumber as error:
-                self._none(name, error.line)
-        enough = self.best is not None and _loss(self.best[2].upper, self.continuous) <= loss
-        if (method == "direct" or (method == "auto" and not enough)) and not self.budget.over:
-            self._direct()
 
-    def _direct(self) -> None:
-        """H-infinity synthesis on the lifted plant."""
-        channels = max(self.plant.n_w, self.plant.n_z, 1)
-        n_intervals = int(np.clip(MOST_DESIGN // channels, 1, DESIGN_INTERVALS))
-        lifted = lift(self.plant, self.dt, n_intervals, self.delay).generalized_plant()
+def _try_methods(
+    search: _Search, method: str, loss: float, prewarp: float | None, budget: Budget, say: Callable[[str], None]
+) -> None:
+    """Try what ``method`` asks for: of "auto" the formulas, and the direct design where they lose more."""
+    names = [] if method == "direct" else [method]
+    if method == "auto":
+        below = 0 < search.continuous.frequency < 0.9 * np.pi / search.dt
+        names = ["tustin", *["tustin-prewarp"] * below, "zoh", "foh"]
+        names += ["matched"] * ((search.K.n_inputs, search.K.n_outputs) == (1, 1))
+    corner = search.continuous.frequency if prewarp is None else prewarp
+    for name in [*names, *["direct"] * (method in ("direct", "auto"))]:
+        enough = search.best is not None and _loss(search.best[2].upper, search.continuous) <= loss
+        if budget.over or (method == "auto" and name == "direct" and enough):
+            return
         try:
-            K = synthesize(lifted, "hinf", DESIGN_GAMMA_REL, self.budget).K
+            if name == "direct":
+                K = _designed(search, budget)
+            else:
+                K = by_formula(search.K, search.dt, name, corner if name == "tustin-prewarp" else None)
+            say(f"{name}: {_judged(search, name, K, budget)}")
         except NoTrustworthyNumber as error:
-            named = [str(merged) for merged in self.merged if not merged.stable]
-            self._none("direct", "; ".join([error.line, *named]))
-            return
-        self._judge("direct", StateSpaceModel(K.A, K.B, K.C, K.D, self.dt, self.K.inputs, self.K.outputs))
+            named = [str(merged) for merged in merged_modes(search.plant.model, search.dt) if not merged.stable]
+            reason = "; ".join([error.line, *named]) if name == "direct" else error.line
+            search.trials.append(SampledTrial(name, -1, np.inf, np.inf, np.inf, Status.FAILED, reason))
+            say(f"{name}: {reason}")
 
-    def _none(self, name: str, reason: str) -> None:
-        self.trials.append(SampledTrial(name, -1, np.inf, np.inf, np.inf, Status.FAILED, reason))
-        self.say(f"{name}: {reason}")
 
-    def _judge(self, name: str, K: StateSpaceModel) -> None:
-        self.budget.spend(dense(self.plant.model.n_states + K.n_states, 200))  # as measured
-        # One that is larger than the best is not looked at more closely, unless that one is in doubt.
-        sure = self.best is not None and self.best[2].status.trustworthy
-        enough = self.best[2].upper if self.best is not None and sure else np.inf
-        try:
-            norm = sampled_loop_norm(self.plant, K, self.delay, 1e-2, enough)
-        except (InputError, NoTrustworthyNumber) as error:  # the loop is not well posed
-            self._none(name, error.line)
-            return
-        loss = _loss(norm.upper, self.continuous)
-        trial = SampledTrial(name, K.n_states, norm.lower, norm.upper, loss, norm.status, norm.reason)
-        self.trials.append(trial)
-        self.say(f"{name}: sampled-data norm {norm.upper:.6g}, loss {_loss_text(trial)}")
-        key = (not norm.status.trustworthy, norm.upper)
-        if np.isfinite(norm.upper) and (self.best is None or key < (not sure, self.best[2].upper)):
-            self.best = name, K, norm
+def _designed(search: _Search, budget: Budget) -> StateSpaceModel:
+    """H-infinity synthesis on the lifted plant."""
+    plant, K = search.plant, search.K
+    n_intervals = int(np.clip(MOST_DESIGN // max(plant.n_w, plant.n_z, 1), 1, DESIGN_INTERVALS))
+    lifted = lift(plant, search.dt, n_intervals, search.delay).generalized_plant()
+    found = synthesize(lifted, "hinf", DESIGN_GAMMA_REL, budget).K
+    return StateSpaceModel(found.A, found.B, found.C, found.D, search.dt, K.inputs, K.outputs)
+
+
+def _judged(search: _Search, name: str, K: StateSpaceModel, budget: Budget) -> str:
+    """Enter a controller with the norm of its loop, which is told in words."""
+    budget.spend(dense(search.plant.model.n_states + K.n_states, 200))  # as measured
+    # One that is larger than the best is not looked at more closely, unless that one is in doubt.
+    best = np.inf if search.best is None else search.best[2].upper
+    sure = search.best is not None and search.best[2].status.trustworthy
+    try:
+        norm = sampled_loop_norm(search.plant, K, search.delay, 1e-2, best if sure else np.inf)
+    except InputError as error:
+        raise NoTrustworthyNumber("loop", error.found, error.expected) from None  # not well posed
+    loss = _loss(norm.upper, search.continuous)
+    trial = SampledTrial(name, K.n_states, norm.lower, norm.upper, loss, norm.status, norm.reason)
+    search.trials.append(trial)
+    if np.isfinite(norm.upper) and (not norm.status.trustworthy, norm.upper) < (not sure, best):
+        search.best = name, K, norm
+    return f"sampled-data norm {norm.upper:.6g}, loss {_loss_text(trial)}"
 
 
 def _finished(
-    search: _Trials, plant: GeneralizedPlant, full: StateSpaceModel, loss: float, antialiasing: float | None
-) -> SampledController:
+    search: _Search, plant: GeneralizedPlant, full: StateSpaceModel, loss: float, antialiasing: float | None,
+    budget: Budget,
+) -> SampledController:  # fmt: skip
+    merged = merged_modes(search.plant.model, search.dt)
     if search.best is None:
-        late = f" ({search.budget.remark})" if search.budget.remark else ""
+        late = f" ({budget.remark})" if budget.remark else ""
         fates = [f"{trial.method}: {trial.reason or 'not stable'}" for trial in search.trials]
-        named = [str(merged) for merged in search.merged]
         raise NoTrustworthyNumber(
             WHERE, f"no digital controller with dt = {search.dt:g} s left the sampled loop stable{late}",
-            hint="a shorter sample time", more=(*named, *fates),
+            hint="a shorter sample time", more=(*map(str, merged), *fates),
         )  # fmt: skip
     name, K, norm = search.best
     achieved = _loss(norm.upper, search.continuous)
@@ -407,7 +404,7 @@ def _finished(
     reason = f"{name}: sampled loop rebuilt, {how}"
     if achieved > loss:
         reason += f"; no method tried keeps the loss to {100 * loss:g} %"
-    status, reason = told(norm.status, [reason], search.budget, "one that loses less")
+    status, reason = told(norm.status, [reason], budget, "one that loses less")
     return SampledController(
         K=K,
         gamma=norm.upper,
@@ -424,7 +421,7 @@ def _finished(
         trials=tuple(search.trials),
         delay=search.delay,
         antialiasing=antialiasing,
-        pathological=search.merged,
+        pathological=merged,
         chosen=name,
     )
 

@@ -29,12 +29,12 @@ def test_hankel_values_of_two_lags_in_closed_form():
     a, b = np.array([1.0, 4.0]), np.array([1.0, 3.0])
     G = rl.StateSpaceModel(-np.diag(a), b[:, None], b[None], [[0.0]])
     gramian = np.outer(b, b) / np.add.outer(a, a)
-    np.testing.assert_allclose(rl.hankel_singular_values(G), np.sort(np.linalg.eigvalsh(gramian))[::-1], rtol=1e-13)
+    np.testing.assert_allclose(rl.reduce_model(G, 1).hankel, np.sort(np.linalg.eigvalsh(gramian))[::-1], rtol=1e-13)
 
 
 def test_hankel_values_of_slicots_documented_example():
     # The example in the documentation of AB09AD (SLICOT 5.0): its Hankel singular values, printed to four digits.
-    values = rl.hankel_singular_values(model_of_ab09ad())
+    values = rl.reduce_model(model_of_ab09ad(), 5).hankel
     np.testing.assert_allclose(values, [2.5139, 2.0846, 1.9178, 0.7666, 0.5473, 0.0253, 0.0246], atol=6e-5)
 
 

@@ -1,0 +1,352 @@
+r"""The ways to reduce a model: what is balanced, the part of an order, how its error is measured and what is promised.
+
+Stochastic balancing keeps the error small relative to the model's own gain. W is the minimum-phase factor of the power
+spectrum, P the controllability Gramian of G, X the observability Gramian of W; beta is a floor of the gain, below which
+errors count absolutely.
+
+.. math:: G G^\sim + \beta^2 I = W^\sim W, \quad R = D D^T + \beta^2 I, \quad B_W = P C^T + B D^T, \quad
+   A^T X + X A + (C - B_W^T X)^T R^{-1} (C - B_W^T X) = 0
+
+.. math:: \left\| (W^\sim)^{-1} (G - G_r) \right\|_\infty =
+   \sup_\omega \sigma_{max}\big( (G G^* + \beta^2 I)^{-1/2} (G - G_r) \big) \le
+   \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1, \qquad \mu_i^2 = \lambda_i(P X)
+
+Optimal Hankel-norm approximation is the all-pass dilation of balanced states. With
+:math:`\Sigma = \mathrm{diag}(\Sigma_1, \sigma I)`, :math:`\sigma = \sigma_{k+1}`, and A, B, C cut alike,
+
+.. math:: U = -(C_2^T)^+ B_2, \quad \Gamma = \Sigma_1^2 - \sigma^2 I, \quad
+   \hat A = \Gamma^{-1} (\sigma^2 A_{11}^T + \Sigma_1 A_{11} \Sigma_1 - \sigma C_1^T U B_1^T), \quad
+   \hat B = \Gamma^{-1} (\Sigma_1 B_1 + \sigma C_1^T U), \quad \hat C = C_1 \Sigma_1 + \sigma U B_1^T, \quad
+   \hat D = D - \sigma U
+
+differs from the model by no more than sigma at any frequency. Its k stable modes are the nearest model of order k in
+the Hankel norm, at a distance of exactly sigma; a constant stands for the others, which are not stable. U is a
+contraction: a block of a unitary matrix that does the same for the model with rows and columns of zeros, so that models
+need not be square, and no part of U is left to choice.
+
+References
+----------
+Glover, Int. J. Control 39 (1984), theorems 6.3 and 9.7; Desai, Pal, IEEE TAC 29 (1984); Green, "A relative error bound
+for balanced stochastic truncation", IEEE TAC 33 (1988); Varga, Fasol 1993 for beta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robustlab.arrays import AnyArray
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.linear_analysis import slicot
+from robustlab.linear_analysis.magnitude import balancing_exponents
+from robustlab.linear_analysis.matrix_equations import care
+from robustlab.linear_analysis.structural import least_order
+from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete, hinf_norm, linf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel, inverse, series
+from robustlab.synthesis.reduction.balancing import (
+    Balancing,
+    Projection,
+    SplitModel,
+    block_factor,
+    gramian_factors,
+    lost_at_least_order,
+    split_stable,
+)
+from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
+
+Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
+
+HINT = "floor=: the gain below which errors count absolutely"
+# D D^T of a smaller share in its smallest eigenvalue has no full row rank: the model has no gain somewhere far out.
+FULL_RANK = 1e-12
+# Both ends of the bracket allow for what the factor may be off; up to this share of the spectrum it is certified.
+TRUSTED_SHARE = 1e-2
+# Hankel values that agree to this share are one repeated value: dividing by their difference would cost more digits.
+REPEATED = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """One way to reduce a part of a model: its Hankel values, and that part of an order."""
+
+    split: SplitModel
+    part: StateSpaceModel
+    values: AnyArray
+    most: int  # the largest order of the part
+    reduced: Callable[[int], StateSpaceModel]
+    whole: Callable[[StateSpaceModel], StateSpaceModel]  # the model that belongs to a reduced part
+    measured: Callable[[StateSpaceModel, float], HinfNorm] = hinf_norm  # certified size of a difference of parts
+    bound: Callable[[int], float] = lambda _: np.nan  # what is promised for it
+    per_gain: Callable[[], float] = lambda: 1.0  # how much it is at most for a gain of 1
+    inexact: bool = False  # whether the modes that the split took out before are hidden to rounding only
+
+
+def way_of(split: SplitModel, method: str, weights: Weights, floor: float) -> Way:
+    """The way of a method for the stable part of a model."""
+    stable, dt = split.stable, split.stable.dt
+    continuous = bilinear_to_continuous(stable) if dt and method in ("stochastic", "hankel") else stable
+
+    def back(model: StateSpaceModel) -> StateSpaceModel:
+        return bilinear_to_discrete(model, dt) if dt else model
+
+    if method == "stochastic":
+        spectrum = Spectrum.of(continuous, floor)
+        values, balancing = spectrum.balancing.values, spectrum.balancing
+
+        def measured(difference: StateSpaceModel, rtol: float) -> HinfNorm:
+            found = spectrum.relative(bilinear_to_continuous(difference) if dt else difference, rtol)
+            return replace(found, frequency=2 / dt * float(np.arctan(found.frequency * dt / 2))) if dt else found
+
+        return Way(
+            split, stable, values, len(balancing.left),
+            lambda order: back(balancing.reduced(spectrum.model, order, "truncation")), split.joined, measured,
+            lambda order: relative_bound(values, order), spectrum.per_gain,
+        )  # fmt: skip
+    balancing = Balancing.of(*weighted_factors(continuous, *weights))
+    values = balancing.values
+    if method == "hankel":
+        return Way(
+            split, stable, values, len(balancing.left),
+            lambda order: back(nearest_in_hankel_norm(continuous, balancing, order)), split.joined,
+            bound=lambda order: hankel_bound(values, order),
+        )  # fmt: skip
+    projection: Projection = "residualisation" if method == "residualisation" else "truncation"
+    way = Way(
+        split,
+        stable,
+        values,
+        len(balancing.left),
+        lambda order: balancing.reduced(stable, order, projection),
+        split.joined,
+    )
+    if weights == (None, None):
+        return replace(way, bound=lambda order: error_bound(values, order))
+
+    def between(difference: StateSpaceModel, rtol: float) -> HinfNorm:
+        into, out = weights
+        difference = difference if into is None else series(into, difference)
+        return hinf_norm(difference if out is None else series(difference, out), rtol)
+
+    gain = lambda: float(np.prod([hinf_norm(w, 1e-2).upper for w in weights if w is not None]))  # noqa: E731
+    return replace(way, measured=between, per_gain=gain)
+
+
+def weighted_factors(
+    model: StateSpaceModel, into: StateSpaceModel | None, out: StateSpaceModel | None
+) -> tuple[AnyArray, AnyArray]:
+    r"""Factors of the blocks that belong to the model in the Gramians of ``G W_i`` and ``W_o G`` (Enns)."""
+    reach, see = gramian_factors(model)
+    if into is not None:  # states of the series connection: weight first, then model
+        reach = block_factor(gramian_factors(series(into, model))[0][into.n_states :])
+    if out is not None:
+        see = block_factor(gramian_factors(series(model, out))[1][: model.n_states])
+    return reach, see
+
+
+def coprime_way(full: StateSpaceModel) -> Way:
+    """Truncation of the normalised right coprime factors ``[N; M]`` of a model of any stability, in continuous time."""
+    least = least_order(full)
+    hidden = least.hidden if any(not mode.stable for mode in least.hidden) else ()
+    inexact = bool(hidden) and lost_at_least_order(least) is not None
+    full = least.model if hidden else full
+    mapped = continuous_models(full)
+    factors = coprime_factors(mapped.models[0]).right
+    balancing = Balancing.of(*gramian_factors(factors))
+
+    def quotient(small: StateSpaceModel) -> StateSpaceModel:
+        """``N M^{-1}``."""
+        p = full.n_outputs
+        if small.n_inputs and np.linalg.cond(small.D[p:]) > 1e12:
+            raise NoTrustworthyNumber("reduce_model", "the factor M of the reduced model has no inverse")
+        back = np.linalg.inv(small.D[p:])
+        gain, into = back @ small.C[p:], small.B @ back
+        model = StateSpaceModel(
+            small.A - into @ small.C[p:], into, small.C[:p] - small.D[:p] @ gain, small.D[:p] @ back
+        )
+        if not full.dt:
+            return model
+        model = bilinear_to_discrete(model, full.dt)
+        return StateSpaceModel(-model.A, -model.B, model.C, model.D, full.dt) if mapped.mirrored else model
+
+    nothing = StateSpaceModel([], [], [], 0 * full.D, full.dt)
+    return Way(
+        SplitModel(full, nothing, None, hidden), factors, balancing.values, len(balancing.left),
+        lambda order: balancing.reduced(factors, order, "truncation"), quotient,
+        bound=lambda order: error_bound(balancing.values, order), inexact=inexact,
+    )  # fmt: skip
+
+
+def error_bound(values: AnyArray, order: int) -> float:
+    """Twice the sum of the Hankel values after the first ``order``, each counted once where it is repeated.
+
+    Values that agree to 1e-10 count as repeated only where the cut does not separate them from kept ones.
+    """
+    tail = values[order:]
+    if not len(tail):
+        return 0.0
+    new = np.append(True, tail[1:] < tail[:-1] * (1 - 1e-10))
+    cut_in_two = order and tail[0] >= values[order - 1] * (1 - 1e-10)
+    return 2 * float((tail if cut_in_two else tail[new]).sum())
+
+
+# --- Hankel norm ------------------------------------------------------------------------------------------------------
+
+
+def _dilated(m: StateSpaceModel, values: AnyArray, k: int, unitary: bool = False) -> tuple[StateSpaceModel, AnyArray]:
+    """The dilation of a balanced model that leaves out the value at index k, however often it comes, and the others.
+
+    Its states are times the root of ``|Gamma|``; U may be completed to a unitary matrix for a square model.
+    """
+    level = values[k]
+    cut = np.abs(values - level) <= REPEATED * level
+    u = -np.linalg.pinv(m.C[:, cut].T) @ m.B[cut]
+    if unitary:
+        eye = np.eye(len(u))
+        left, _, right = np.linalg.svd(u + (eye - u @ u.T) @ (eye - u.T @ u))
+        u = left @ right
+    s, a, b, c = values[~cut], m.A[np.ix_(~cut, ~cut)], m.B[~cut], m.C[:, ~cut]
+    gamma = s**2 - level**2
+    root = np.sqrt(np.abs(gamma))
+    inverse = (np.sign(gamma) / root)[:, None]
+    middle = level**2 * a.T + s[:, None] * a * s - level * c.T @ u @ b.T
+    dilated = StateSpaceModel(
+        inverse * middle / root,
+        inverse * (s[:, None] * b + level * c.T @ u),
+        (c * s + level * u @ b.T) / root,
+        m.D - level * u,
+    )
+    return dilated, s
+
+
+def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: int) -> StateSpaceModel:
+    """The nearest model of at most this order; of fewer where the value after the cut is a repeated one."""
+    values = balancing.values[: len(balancing.left)]
+    if order >= len(values):
+        return balancing.reduced(model, order, "truncation")
+    order = int((values > values[order] * (1 + REPEATED)).sum())
+    parts = split_stable(_dilated(balancing.reduced(model, len(values), "truncation"), values, order)[0])
+    if parts.stable.n_states != order:
+        found = f"{parts.stable.n_states} stable modes where there should be {order}: digits were lost"
+        raise NoTrustworthyNumber("Hankel-norm approximation", found, hint="another order, or method='truncation'")
+    m = parts.stable
+    return StateSpaceModel(m.A, m.B, m.C, m.D + _constant_near(parts.apart), 0.0, model.inputs, model.outputs)
+
+
+def _constant_near(unstable: StateSpaceModel) -> AnyArray:
+    """A constant no farther from a strictly proper model without stable modes than the sum of its Hankel values.
+
+    One value after another, the smallest first: each dilation moves the model by no more than the value that it takes,
+    and is balanced again with the other values, as long as the model is square and U unitary.
+    """
+    mirrored = StateSpaceModel(-unstable.A, -unstable.B, unstable.C, unstable.D)
+    balancing = Balancing.of(*gramian_factors(mirrored))
+    values = balancing.values[: len(balancing.left)]
+    left = balancing.reduced(mirrored, len(values), "truncation")
+    (p, m), n = left.D.shape, left.n_states
+    into, out = np.zeros((n, max(0, p - m))), np.zeros((max(0, m - p), n))
+    direct = np.pad(left.D, ((0, len(out)), (0, into.shape[1])))
+    left = StateSpaceModel(left.A, np.hstack([left.B, into]), np.vstack([left.C, out]), direct)
+    while len(values):
+        left, values = _dilated(left, values, len(values) - 1, unitary=True)
+    return left.D[:p, :m]
+
+
+def hankel_bound(values: AnyArray, order: int) -> float:
+    """What the H-infinity error cannot exceed: the value after the cut once, and the sum of all that are smaller."""
+    if order >= len(values):
+        return 0.0
+    level = values[order]
+    return float(level + values[values < level * (1 - REPEATED)].sum())
+
+
+def hankel_norm(model: StateSpaceModel) -> float:
+    """The largest Hankel value of a stable model, continuous or discrete."""
+    return float(Balancing.of(*gramian_factors(model)).values.max(initial=0.0))
+
+
+# --- relative error ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """The power spectrum of a stable continuous model and its factor."""
+
+    model: StateSpaceModel
+    factor: StateSpaceModel  # W, with the states of G
+    balancing: Balancing  # of P and X; its values are the mu_i, at most 1
+    doubt: float  # share of the spectrum by which `W~ W` may be off, from the residuals of both equations
+
+    @classmethod
+    def of(cls, model: StateSpaceModel, floor: float) -> Spectrum:
+        """The factor by a Riccati equation."""
+        # Residuals are weighed by gains from and to all states, which must be alike in size for that.
+        t = 2.0 ** balancing_exponents(model.A, model.B, model.C)
+        a, b, c, d = model.A / t[:, None] * t, model.B / t[:, None], model.C * t, model.D
+        model = StateSpaceModel(a, b, c, d)
+        sizes, turn = np.linalg.eigh(d @ d.T + floor**2 * np.eye(len(d)))
+        if not len(d) or sizes[0] <= FULL_RANK * sizes[-1]:
+            found = "the gain vanishes at infinite frequency: D has no full row rank"
+            raise InputError("reduce_model", found, "a gain that vanishes nowhere", HINT)
+        root, back = (turn * np.sqrt(sizes) @ turn.T, turn / np.sqrt(sizes) @ turn.T)
+        reach = slicot.gramian_factors(a, b, c, False)[0]
+        P = reach @ reach.T
+        into = P @ c.T + b @ d.T
+        try:
+            X = care(a, into, np.zeros_like(a), -root @ root, -c.T).X
+        except NoTrustworthyNumber as error:
+            found = "the power spectrum has no factor: the gain vanishes at some frequency, or nearly"
+            raise NoTrustworthyNumber("reduce_model", f"{found} ({error.found})", hint=HINT) from None
+        out = back @ (c - into.T @ X)
+        factor = StateSpaceModel(a, into, out, root)
+        doubt = _doubt(factor, c, a @ P + P @ a.T + b @ b.T, a.T @ X + X @ a + out.T @ out)
+        return cls(model, factor, Balancing.of(reach, slicot.gramian_factors(a, b, out, False)[1]), doubt)
+
+    def per_gain(self) -> float:
+        """What an error of gain 1 is at most relative to the model."""
+        found = linf_norm(inverse(_conjugate(self.factor)), 1e-2)
+        return self._widened(found.upper) if found.status.trustworthy else np.inf
+
+    def relative(self, error: StateSpaceModel, rtol: float) -> HinfNorm:
+        """The norm of an error relative to the model, proved for every frequency."""
+        found = linf_norm(series(error, inverse(_conjugate(self.factor))), rtol)
+        lower = found.lower / np.sqrt(1 + self.doubt) if self.doubt < np.inf else 0.0
+        found = replace(found, lower=lower, upper=self._widened(found.upper))
+        if found.status is Status.CERTIFIED and not self.doubt <= TRUSTED_SHARE:
+            reason = f"the factor of the spectrum may be off by {self.doubt:.1e} of it"
+            return replace(found, status=Status.INACCURATE, reason=reason)
+        return found
+
+    def _widened(self, upper: float) -> float:
+        """What is relative to the factor at most, relative to the spectrum."""
+        return upper / np.sqrt(1 - self.doubt) if self.doubt < 1 else np.inf
+
+
+def relative_bound(values: AnyArray, order: int) -> float:
+    """``prod (1 + mu) / (1 - mu) - 1`` over the values after the first ``order``; infinite where one of them is 1."""
+    tail = values[order:]
+    if (tail >= 1 - 1e-8).any():  # a zero in the right half-plane, whose state must stay
+        return np.inf
+    return float(np.expm1(np.sum(np.log1p(tail) - np.log1p(-tail))))
+
+
+def _conjugate(model: StateSpaceModel) -> StateSpaceModel:
+    """``G(-s)^T``."""
+    return StateSpaceModel(-model.A.T, model.C.T, -model.B.T, model.D.T)
+
+
+def _doubt(factor: StateSpaceModel, c: AnyArray, into: AnyArray, out: AnyArray) -> float:
+    r"""Bound of :math:`\|(W^\sim)^{-1} (G G^\sim + \beta^2 I - W^\sim W) W^{-1}\|_\infty`.
+
+    Residuals E_P and E_X of the two equations leave ``C F E_P F~ C^T + B_W^T F~ E_X F B_W`` with ``F = (sI - A)^-1``.
+    """
+    n, p = factor.n_states, factor.n_outputs
+    if not n:
+        return 0.0
+    gain = factor.B @ np.linalg.inv(factor.D)
+    right = StateSpaceModel(factor.A - gain @ factor.C, gain, np.eye(n), np.zeros((n, p)))
+    left = series(StateSpaceModel(factor.A, np.eye(n), c, np.zeros((p, n))), inverse(_conjugate(factor)))
+    sizes = [float(np.linalg.norm(residual, 2)) for residual in (into, out)]
+    return sizes[0] * linf_norm(left, 1e-2).upper ** 2 + sizes[1] * hinf_norm(right, 1e-2).upper ** 2
