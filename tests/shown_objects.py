@@ -259,7 +259,6 @@ OBJECTS: dict[str, Any] = {
     "DiskMarginAt": lambda: made("DiskMarginsAt").simultaneous,
     "CriticalResponse": critical_response,
     "PerformanceMargin": lambda: rl.robust_performance(loop(), tolerance=0.2),
-    "SmallGain": lambda: rl.small_gain(rl.unstructured(lag(), 0.2).feedback(2.0)),
     "DiskMargins": lambda: rl.disk_margin(spring().nominal, INTEGRAL),
     "DiskMargin": lambda: rl.disk_margin(spring().nominal, INTEGRAL).simultaneous,
     "DelayStability": lambda: rl.robust_stability(rl.with_delays(lag(), inputs={"u": 0.5}).feedback()),

@@ -15,20 +15,12 @@ from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.margins.delay_loops import DelayDiskMargins
 from robustlab.mu_analysis.margins.delay_margins import DelayGain, DelayProof, DelayStability, covering_set
 from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
-from robustlab.mu_analysis.margins.small_gain import SmallGain
 from robustlab.norms import HinfNorm
 from robustlab.norms.claims import loop_claims, norm_claims
 from robustlab.norms.numbers import ABOVE, Numbers, block_rows, model_numbers
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
 from robustlab.uncertainty.distances.coprime import CoprimeMargin, four_block
 from robustlab.verification.claim import Claim
-
-
-def small_gain_claims(found: SmallGain) -> list[Claim]:
-    """That what Delta sees is stable, with a norm of at most one over ``lower``."""
-    if found.system is None or found.K is None:
-        return norm_claims(found.norm)
-    return loop_claims(found.system.M, found.K, found.norm.upper)
 
 
 def coprime_claims(found: CoprimeMargin) -> list[Claim]:

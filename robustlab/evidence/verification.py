@@ -30,7 +30,6 @@ CLAIMS: Mapping[str, str] = {
     "ReducedController": "evidence.designs.reduced_controller_claims",
     "ReducedModel": "evidence.models.reduction_claims",
     "BuiltModel": "evidence.models.set_claims",
-    "SmallGain": "evidence.loops.small_gain_claims",
     "CoprimeMargin": "evidence.loops.coprime_claims",
     "DiskMargins": "evidence.loops.disk_claims",
     "DiskMargin": "evidence.loops.one_disk_claims",

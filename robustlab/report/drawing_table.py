@@ -42,7 +42,6 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "DiskMarginAt": {"margin": "robustness_figures.bounds_at"},
     "DiskMarginsAt": {"margin": "robustness_figures.bounds_at", **_DISK},
     "MuBounds": {"mu": "result_figures.mu_bars"},
-    "SmallGain": {"gain": "result_figures.small_gain_figure"},
     **dict.fromkeys(("DiskBounds", "DiskMargins"), _DISK),
     "SampledDataNorm": {"history": "result_figures.norm_history"},
     "Cover": {"set": "set_figures.cover_figure"},

@@ -17,7 +17,6 @@ from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.linear_analysis.structural import StructuralTest
 from robustlab.mu_analysis import MuBounds
 from robustlab.mu_analysis.margins.disk_margin import DiskBounds, DiskMargins
-from robustlab.mu_analysis.margins.small_gain import SmallGain
 from robustlab.record import Record
 from robustlab.report.figures import (
     COLOURS,
@@ -182,27 +181,6 @@ def mu_bars(bounds: MuBounds) -> Figure:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("matrix")
         axes.set_ylabel("structured singular value μ")
-        legend_below(figure, (axes,), 2)
-    return figure
-
-
-def small_gain_figure(found: SmallGain) -> Figure:
-    """Largest singular value of what Delta sees, its proved norm, and the limit that a Delta of norm one allows."""
-    omega = default_grid(found.M, 400)
-    gain = (
-        np.linalg.norm(frequency_response(found.M, omega), 2, axis=(1, 2)) if found.M.D.size else np.zeros(len(omega))
-    )
-    figure, (axes,) = new_figure(height=3.4)
-    with house_style():
-        axes.plot(omega, gain, color=COLOURS["nominal"], label="largest singular value of what Δ sees")
-        text = f"{found.norm.upper:.4g}: proved at all frequencies"
-        axes.axhline(found.norm.upper, color=COLOURS["good"], lw=1.1, label=text)
-        axes.axhline(1.0, color=COLOURS["limit"], ls=(0, (5, 2)), lw=1.1, label="1: limit for every Δ of norm one")
-        if found.frequency is not None and omega[0] <= found.frequency <= omega[-1]:
-            axes.plot(found.frequency, found.norm.lower, "o", color=COLOURS["worst"], ms=6, label="peak, attained")
-        frequency_axis(axes, (omega[0], omega[-1]))
-        axes.set_ylim(0, 1.12 * max(1.0, found.norm.upper if np.isfinite(found.norm.upper) else 1.0))
-        axes.set_ylabel("largest singular value")
         legend_below(figure, (axes,), 2)
     return figure
 

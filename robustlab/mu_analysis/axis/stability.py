@@ -22,7 +22,7 @@ from robustlab.mu_analysis.axis.axis_model import (
 )
 from robustlab.mu_analysis.axis.axis_problems import MarginProblem, Proved
 from robustlab.mu_analysis.axis.critical_delta import pole_block_sensitivities
-from robustlab.mu_analysis.axis.intervals import AxisCover, cover_axis, cover_parts
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis, cover_parts
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.mode_ascent import smaller_destabilising
 from robustlab.mu_analysis.axis.pole_migration import (
@@ -34,7 +34,8 @@ from robustlab.mu_analysis.constants import COARSE, SINGULAR, WORK
 from robustlab.mu_analysis.matrix.box import block_entries, box_model, centre_matrix, gauge, lowest, root_box
 from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
 from robustlab.mu_analysis.matrix.lower import lower_bounds
-from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
+from robustlab.mu_analysis.matrix.upper import UpperBound, compile_kernels, upper_bounds
+from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, delta_values
@@ -42,12 +43,13 @@ from robustlab.uncertainty.lft import UncertainModel
 
 FEW_CORNERS = 5  # real blocks at most whose corners are tried where the centre of a one-sided set is unstable
 FIRST_BRANCHES = 0.02  # share of the work for it before a smaller Delta is sought by modes
-SHARPENED = (0.1, 5.0, 8e-4)
+SHARPENED, MOST_SHARPENINGS = (0.1, 5.0, 8e-4), 60
 # half width, in log frequency, of the first neighbourhood in which a smaller complex Delta is sought, the factor by
 # which the next are smaller, and the last one in shares of the distance of the nearest pole
 SIZES = 12  # of an asymmetric set, tried for the largest one that D, G prove ...
 LARGE = 1e3  # ... the first of them where nothing is known
 ASCENT_SHARE = 0.25  # of the work left, for all of it
+NORM_WIDTH = 1e-9  # relative width of the bracket of the norm that answers for one full block
 
 __all__ = ["margin_within", "robust_stability"]
 
@@ -133,6 +135,10 @@ def _bounds(
     seed: int,
     expected: float | None,
 ) -> _Found:
+    if len(blocks) == 1 and blocks[0].is_ball and blocks[0].d_order == 1 and not blocks[0].g_basis():
+        norm = _of_one_full_block(model, blocks, expected)
+        if norm is not None:
+            return norm
     seeds = seed_frequencies(model)
     symmetric = bool((lowest(blocks) == -1).all())
     worst = smallest_destabilising(model, blocks, seeds, seed) if expected is None else None
@@ -176,6 +182,26 @@ def _bounds(
     return found
 
 
+def _of_one_full_block(model: StateSpaceModel, blocks: Sequence[Block], expected: float | None) -> _Found | None:
+    """Of one full block mu is the largest singular value: the H-infinity norm answers; None where it is not sure."""
+    norm = hinf_norm(model, NORM_WIDTH)
+    if norm.status is not Status.CERTIFIED or not np.isfinite(norm.upper):
+        return None
+    q, p = model.n_inputs, model.n_outputs
+    scalings = UpperBound(norm.upper, np.eye(q) + 0j, np.eye(p) + 0j, np.zeros((q, p), dtype=complex))
+    piece = Piece(0.0, np.inf, norm.upper, scalings)
+    found = _Found(norm.upper, AxisCover([piece], [], norm.upper, 1), (piece,), model=model, blocks=blocks)
+    if norm.lower > 0 and expected is None:
+        # An end of the axis, where M is real, if the peak is as high there.
+        for omega in (0.0, np.inf, norm.frequency):
+            u, sigma, vh = np.linalg.svd(frequency_response(model, [omega])[0])
+            if sigma[0] >= norm.lower * (1 - NORM_WIDTH):
+                break
+        delta = np.outer(vh[0].conj(), u[:, 0].conj()) / sigma[0]
+        found.worst = Destabilising(1 / float(sigma[0]), delta, complex(0.0, omega) if omega < np.inf else np.inf + 0j)
+    return found
+
+
 def _apart(found: _Found, tolerance: float) -> bool:
     """Whether a Delta is known and what is proved of all is farther from it than asked for."""
     return 0 < found.attained * (1 + tolerance) < found.level
@@ -201,16 +227,20 @@ def _sharpened(
     if not np.isfinite(worst.pole) or omega <= 0 or all(b.interval for b in blocks):
         return worst
     distance = np.abs(1j * omega - model.poles()).min(initial=omega)
-    first, step, last = SHARPENED
-    for k in range(int(np.ceil(np.log(first / last * omega / distance) / np.log(step))) + 1):
-        reach = first / step**k
-        points = omega * np.exp(np.linspace(-reach, reach, 9))
-        found = lower_bounds(frequency_response(model, points), blocks, seed, restarts=4, steps=24)
+    reach, factor, last = SHARPENED
+    for _ in range(MOST_SHARPENINGS):
+        response = frequency_response(model, omega * np.exp(np.linspace(-reach, reach, 9)))
+        found = lower_bounds(response, blocks, seed, restarts=4, steps=24, upper=upper_bounds(response, blocks))
         k = int(np.argmax([value for value, _ in found]))
         value, delta = found[k]
         if delta is not None and value > 1 / worst.norm:
-            omega = float(points[k])
+            omega *= float(np.exp(reach * (k / 4 - 1)))
             worst = Destabilising(1 / value, delta, complex(0.0, omega))
+            if k in (0, 8):  # the peak lies beyond
+                continue
+        if reach * omega < last * distance:
+            break
+        reach /= factor
     return worst
 
 
