@@ -230,7 +230,7 @@ def _sharpened(
     reach, factor, last = SHARPENED
     for _ in range(MOST_SHARPENINGS):
         response = frequency_response(model, omega * np.exp(np.linspace(-reach, reach, 9)))
-        found = lower_bounds(response, blocks, seed, restarts=4, steps=24, upper=upper_bounds(response, blocks))
+        found = lower_bounds(response, blocks, seed)
         k = int(np.argmax([value for value, _ in found]))
         value, delta = found[k]
         if delta is not None and value > 1 / worst.norm:
