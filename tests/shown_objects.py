@@ -263,7 +263,6 @@ OBJECTS: dict[str, Any] = {
     "DiskMargin": lambda: rl.disk_margin(spring().nominal, INTEGRAL).simultaneous,
     "DelayStability": lambda: rl.robust_stability(rl.with_delays(lag(), inputs={"u": 0.5}).feedback()),
     "DelayGain": lambda: rl.peak_gain(rl.with_delays(lag(), inputs={"u": 0.5})),
-    "DelayDiskMargins": lambda: rl.disk_margin(2.0 * rl.with_delays(lag(), inputs={"u": 0.5})),
     "GapMetric": lambda: rl.gap(lag(), 2.0 * lag()),
     "RobustGain": lambda: rl.robust_gain(rl.elementwise(lag(), 2.0 * lag()), 15.0, tolerance=0.2),
     "NuGap": lambda: rl.nu_gap(spring().nominal, four_models()[1]),

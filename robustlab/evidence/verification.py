@@ -36,7 +36,6 @@ CLAIMS: Mapping[str, str] = {
     "Cover": "evidence.covers.cover_claims",
     "DelayStability": "evidence.loops.delayed_stability_claims",
     "DelayGain": "evidence.loops.delayed_gain_claims",
-    "DelayDiskMargins": "evidence.loops.delayed_disk_claims",
     "UncertainModel": "evidence.delays.set_claims",
 }
 

@@ -26,7 +26,7 @@ from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Bracket, Status
 from robustlab.shown import Facts, Part, bracket, number
-from robustlab.statespace import StateSpaceModel, append, as_model, feedback
+from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
@@ -118,7 +118,7 @@ class DiskBounds(Bracket):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        kept = {name: x for name, x in vars(self).items() if name not in ("system", "gains", "proof")}
+        kept = {name: x for name, x in vars(self).items() if name not in ("system", "proof")}
         return {"type": type(self).__name__, **kept}
 
 
@@ -138,13 +138,14 @@ class DiskMargin(DiskBounds):
         2``. Empty where a factor is infinite, or where only complex numbers at frequency zero are critical.
     status
         CERTIFIED where ``lower`` is proved; TIMEOUT where the time limit ended the proof.
-    system
-        The loop as the deltas of its factors see it, for `robustlab.verify`; None with exact delays.
+    system, proof
+        The loop as the deltas of its factors see it, and with exact delays the scalings, for `robustlab.verify`.
     """
 
     factor: Mapping[str, complex]
     perturbation: Mapping[str, StateSpaceModel]
-    system: UncertainModel | None = None
+    system: Any = None
+    proof: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +240,10 @@ def disk_margin(
     """Of a rational plant and controller: `robustlab.disk_margin`."""
     p = as_model(plant, "disk_margin: plant")
     found = closed_around(p, K, sign, "disk_margin")
-    loop, names = disk_channels(found.plant, found.K, at, skew, found.sign)
+    check_disk(at, skew, "disk_margin")
+    p, K = modes_apart(found.plant), modes_apart(found.K)  # what closes the loop is rounded in their states
+    loop = disk_channels(p, K, at, skew, found.sign)
+    names = channel_names(p.input_names, p.output_names, at)
     compile_kernels()
     budget = search_budget("disk_margin", WORK, effort, time_limit)
     with one_thread():
@@ -269,21 +273,43 @@ def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> Closing:
 
 
 def disk_channels(
-    plant: StateSpaceModel, K: StateSpaceModel, at: Place, skew: float, sign: Literal[-1, 1]
-) -> tuple[StateSpaceModel, tuple[str, ...]]:
-    """The closed loop as the disks see it, ``S + (sigma - 1)/2``, and the names of its channels."""
-    check_disk(at, skew, "disk_margin")
-    plant, K = modes_apart(plant), modes_apart(K)  # what closes the loop is rounded in their states
-    m, p = plant.n_inputs, plant.n_outputs
-    names = [f"channel{i}" for i in range(m + p)]
-    parts = (K.renamed(names[m:], names[:m]), plant.renamed(names[:m], names[m:]))
-    around = append(*parts).select(names, names)  # [u; y] = [0, K; P, 0] [u; y]
-    signs = np.r_[np.full(m, float(sign)), np.ones(p)][:, None]
-    around = StateSpaceModel(around.A, around.B, signs * around.C, signs * around.D, plant.dt, names, names)
-    S = feedback(StateSpaceModel([], [], [], np.eye(m + p), plant.dt, names, names), around, 1)
-    seen = StateSpaceModel(S.A, S.B, S.C, S.D + 0.5 * (skew - 1.0) * np.eye(m + p), S.dt, names, names)
-    kept = [names[i] for i in channel_places(m, p, at)]
-    return seen.select(kept, kept), tuple(channel_names(plant.input_names, plant.output_names, at))
+    plant: StateSpaceModel, K: StateSpaceModel, at: Place, skew: float, sign: int, apart: tuple[int, int] = (0, 0)
+) -> StateSpaceModel:
+    """The closed loop as the disks see it, ``S + (sigma - 1)/2``.
+
+    As many first channels of plant and K as ``apart`` says, those of delays, come first and stay open.
+    """
+    a, b = apart
+    m, p, q = plant.n_inputs - a, plant.n_outputs - a, plant.n_inputs + plant.n_outputs - 2 * a
+    joint = append(_numbered(plant, "p"), _numbered(K, "k"))
+    # Inputs: what leaves delays, u, y; outputs: what enters delays, u, y.
+    at_p, at_k = np.arange(a + max(m, p)), np.arange(b + max(m, p))
+    ins = np.r_[at_p[:a], a + m + at_k[:b], at_p[a : a + m], a + m + at_k[b : b + p]]
+    outs = np.r_[at_p[:a], a + p + at_k[:b], a + p + at_k[b : b + m], at_p[a : a + p]]
+    B, C, D = joint.B[:, ins], joint.C[outs], joint.D[np.ix_(outs, ins)]
+    d, places = a + b, channel_places(m, p, at)
+    C[d : d + m] *= sign
+    D[d : d + m] *= sign
+    kept, eye = np.eye(q)[list(places)], np.eye(q)
+    # What goes on at the channels is what enters there (seen: with (sigma - 1)/2 of it) and what comes around.
+    general = StateSpaceModel(
+        joint.A,
+        np.hstack([B[:, :d], B[:, d:] @ kept.T, B[:, d:]]),
+        np.vstack([C[:d], np.zeros((len(kept), joint.n_states)), C[d:]]),
+        np.block([
+            [D[:d, :d], D[:d, d:] @ kept.T, D[:d, d:]],
+            [np.zeros((len(kept), d)), 0.5 * (skew + 1.0) * kept @ kept.T, kept],
+            [D[d:, :d], D[d:, d:] @ kept.T, D[d:, d:]],
+        ]),
+        plant.dt,
+    )  # fmt: skip
+    return lower_lft(general, StateSpaceModel([], [], [], eye, plant.dt))
+
+
+def _numbered(model: StateSpaceModel, prefix: str) -> StateSpaceModel:
+    """With names and without units that meet no others: the parts of a loop may name their signals alike."""
+    names = ([f"{prefix}.{kind}{i}" for i in range(n)] for kind, n in (("u", model.n_inputs), ("y", model.n_outputs)))
+    return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt, *names)
 
 
 def check_disk(at: Place, skew: float, where: str) -> None:
@@ -318,7 +344,8 @@ def with_factors(
     skew: float,
     dt: float = 0.0,
     remarks: Sequence[str] = (),
-    system: UncertainModel | None = None,
+    system: Any = None,
+    proof: Any = None,
 ) -> DiskMargin:
     """A margin with the factors that its critical values are, and models of them where real systems take these."""
     half = 0.5 * (1.0 + skew)
@@ -340,7 +367,18 @@ def with_factors(
                 notes.append("a critical factor is infinite: no model of it is given")
     low, high, phase = gain_and_phase(bounds[0], skew)
     return DiskMargin(
-        *bounds, frequency, status, (low, high), phase, skew, dict(delta), tuple(notes), factor, perturbation, system
+        *bounds,
+        frequency,
+        status,
+        (low, high),
+        phase,
+        skew,
+        dict(delta),
+        tuple(notes),
+        factor,
+        perturbation,
+        system,
+        proof,
     )
 
 
