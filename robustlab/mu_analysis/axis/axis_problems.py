@@ -5,12 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget, dense
@@ -20,12 +17,11 @@ from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, exten
 from robustlab.mu_analysis.axis.mode_ascent import ascended, is_stable_member, member_work, shrunk
 from robustlab.mu_analysis.constants import ASCENT_REACH
 from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, gauge, root_box
-from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights, tighten
+from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights
 from robustlab.mu_analysis.matrix.gain import ascend_corners
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
-from robustlab.uncertainty.lft import UncertainModel
 
 INSIDE = 0.98  # level aimed at in a region; smaller: wider intervals, more cuts
 PROVED = 0.9999  # a level below this proves the point
@@ -33,41 +29,7 @@ MISSES = 3  # frequencies in a row that cannot be proved cut a region; more: les
 LOOK = 200  # work of a step of an ascent beside its eigenvalues, as measured
 NEAR_MISS = 0.01  # log width around a missed frequency in which no other is tried before the cut
 
-__all__ = ["GainProblem", "MarginProblem", "Proved"]
-
-
-@dataclass
-class Proved:
-    """The smallest level (mu, or a gain) proved over the axis so far, and what proves it."""
-
-    level: float = np.inf
-    cover: AxisCover = field(default_factory=lambda: AxisCover(open=[]))
-    proof: tuple[Piece, ...] | tuple[Region, ...] = ()
-    boxes: tuple[tuple[Box, Piece], ...] = ()
-
-    def cut(
-        self, problem: MarginProblem | GainProblem, attained: float, tolerance: float, budget: Budget
-    ) -> NDArray[Any] | None:
-        """Close the gap that D, G leave by boxes of the real parameters; the entries of a worse Delta met there."""
-        found = tighten(problem, attained, self.level, tolerance, budget)
-        if found.upper < self.level:
-            self.level, self.proof, self.boxes = found.upper, tuple(found.leaves), tuple(problem.proved)
-            self.cover.open.clear()
-        return found.values
-
-    def fields(
-        self, uncertain: UncertainModel, delta: Mapping[str, Any], budget: Budget, notes: Sequence[str], last: str = ""
-    ) -> dict[str, Any]:
-        """What every result over the axis tells of its proof and of its Delta; notes that say nothing are left out."""
-        intervals, left_open = self.cover.reported(uncertain, self.level)
-        if self.proof and isinstance(self.proof[0], Region):
-            notes = [*notes, f"proved by branch and bound; regions of parameters and frequency: {len(self.proof)}"]
-        every = [*notes, budget.remark, last, *uncertain.impossible(delta), *uncertain.remarks]
-        return {
-            "delta": delta, "physical": uncertain.physical(delta) if delta else {}, "intervals": intervals,
-            "open": left_open, "proof": self.proof, "boxes": self.boxes, "system": uncertain,
-            "notes": tuple(note for note in every if note),
-        }  # fmt: skip
+__all__ = ["GainProblem", "MarginProblem"]
 
 
 class _AxisProblem:

@@ -21,7 +21,7 @@ from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.closing import Closing, closing
 from robustlab.errors import InputError, told_as
 from robustlab.linear_analysis.narrow_peaks import modes_apart
-from robustlab.mu_analysis.axis.stability import margin_within
+from robustlab.mu_analysis.axis.robustness import margin_within
 from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Bracket, Status
