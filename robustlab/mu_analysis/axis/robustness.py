@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import Budget, one_thread, search_budget
@@ -101,7 +101,7 @@ class _Search(ABC):
         """Prove a level by constant D, G."""
 
     @abstractmethod
-    def meet(self, values: NDArray[Any]) -> None:
+    def meet(self, values: Any) -> None:
         """Take a member that branch and bound has met."""
 
     @abstractmethod
@@ -373,7 +373,7 @@ class _Stability(_Search):
             )
             self.worst = _as_seen(self.model, better)
 
-    def meet(self, values: NDArray[Any]) -> None:
+    def meet(self, values: Array) -> None:
         found = first_crossing(self.model, self.blocks, centre_matrix(self.blocks, values).astype(complex))
         if found is not None and (self.worst is None or self._size(found) < self._size(self.worst)):
             self.worst = found
@@ -573,9 +573,7 @@ class _Gain(_Search):
             if (gain := largest_gain(M, self.blocks, box, rng, 4)) is not None
         ]
         for gain, w in sorted(met, key=lambda pair: -pair[0].value)[:MEMBERS]:
-            lower, delta, frequency = self._followed(gain, w, box)
-            if lower > self.lower:
-                self.lower, self.delta, self.frequency = lower, delta, frequency
+            self._take(*self._followed(gain, w, box))
 
     def _followed(self, gain: Gain, omega: float, box: Box) -> tuple[float, Mapping[str, Any], float | None]:
         """In turn the peak frequency of a member and the ascent at that frequency, as long as the gain rises."""
@@ -625,13 +623,13 @@ class _Gain(_Search):
         shifted = box_model(self.model, self.blocks, Box(box.centre, np.append(box.half[:-1], 1.0)))
         return None if shifted is None or not shifted.is_stable() else shifted
 
-    def meet(self, values: NDArray[Any]) -> None:
-        member = delta_values(self.uncertain.blocks, centre_matrix(self.blocks[:-1], values[:-1]).astype(complex))
-        if not all(b.interval for b in self.uncertain.blocks):
-            member = {name: value for name, value in member.items() if np.any(value)}
-        norm = hinf_norm(self.uncertain.evaluate(member))
-        if norm.lower > self.lower:
-            self.lower, self.delta, self.frequency = norm.lower, member, norm.frequency
+    def meet(self, values: tuple[ComplexArray, float]) -> None:
+        self._take(*self._member(*values))
+
+    def _take(self, lower: float, delta: Mapping[str, Any], frequency: float | None) -> None:
+        """Keep a member of larger gain."""
+        if lower > self.lower:
+            self.lower, self.delta, self.frequency = lower, delta, frequency
 
     def better_member(self) -> None:
         return
