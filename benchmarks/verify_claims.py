@@ -390,7 +390,7 @@ def split_boxes(numbers: Numbers, set_of: rl.UncertainModel, rng: Rng) -> Number
         if seen is None:
             return None
         try:
-            found = rl.robust_stability(rl.UncertainModel(seen, inner), expected=1.0)
+            found = rl.robust_stability(rl.UncertainModel(seen, inner))
         except rl.RobustlabError:
             return None
         part = to_the_end(_claim(found, "mu-axis"))

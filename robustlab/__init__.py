@@ -61,7 +61,6 @@ _PUBLIC = {
     "classical_margins": "analysis.margins",
     "robust_performance": "mu_analysis",
     "robust_gain": "analysis.robust_gain",
-    "small_gain": "mu_analysis.margins.small_gain",
     "gap": "analysis.gap",
     "nu_gap": "uncertainty.distances.gap_metric",
     "coprime_margin": "uncertainty.distances.coprime",

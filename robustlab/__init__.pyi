@@ -36,7 +36,6 @@ from robustlab.linear_analysis.structural import observability as observability
 from robustlab.mu_analysis import mu as mu
 from robustlab.mu_analysis import robust_performance as robust_performance
 from robustlab.mu_analysis.margins.cover import cover as cover
-from robustlab.mu_analysis.margins.small_gain import small_gain as small_gain
 from robustlab.norms import h2_norm as h2_norm
 from robustlab.realisations import ss as ss
 from robustlab.realisations import tf as tf
@@ -139,7 +138,6 @@ __all__ = [
     "classical_margins",
     "robust_performance",
     "robust_gain",
-    "small_gain",
     "gap",
     "nu_gap",
     "coprime_margin",

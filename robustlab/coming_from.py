@@ -17,6 +17,7 @@ NAMES = {  # answer -> names that it answers; docs/coming-from has them in full
     "rl.star": "lft",
     "rl.cover; rl.overbound for a weight": "ucover fitmagfrd",
     "rl.robust_stability": "robstab robuststab",
+    "rl.robust_stability of the set with one full block, or rl.peak_gain": "small_gain",
     "rl.robust_performance": "robustperf",
     "rl.robust_gain": "robgain",
     "rl.peak_gain": "wcgain hinfnorm hinf_norm linfnorm linf_norm getPeakGain system_norm norm iqc_gain lpv_gain",

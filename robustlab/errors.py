@@ -226,7 +226,7 @@ _STEPS = {
 def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorator of a function that is built on others: its errors begin with its own name, whoever raised them.
 
-    The user called ``disk_margin``; that it takes a `small_gain` test on its way is nothing that they could look up.
+    The user called ``disk_margin``; that it takes a `robust_stability` on its way is nothing that they could look up.
     What such functions share says ``": K"`` of an argument K, whoever called: the name is put before it.
     What is no step of ours, a file or a signal for example, stays as it is.
 

@@ -75,7 +75,7 @@ def disk_margin(
     -------
     DiskMargins
         ``lower`` proved and ``upper`` attained, of all loops at once; ``channels`` by the name of the plant's signal.
-        `DelayDiskMargins` and `DiskMarginsAt` are such answers with more evidence.
+        `DiskMarginsAt` is such an answer with more evidence.
 
     Raises
     ------

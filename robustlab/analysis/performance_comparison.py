@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from robustlab.analysis.gain import peak_gain
 from robustlab.errors import InputError
 from robustlab.mu_analysis.axis.margin import Margin
-from robustlab.mu_analysis.axis.worst_gain import robust_performance
+from robustlab.mu_analysis.axis.robustness import robust_performance
 from robustlab.result import Status, least_trusted
 from robustlab.shown import Facts, Part, Shown
 from robustlab.synthesis.specifications.loop_functions import frequencies

@@ -32,7 +32,6 @@ def robust_stability(
     omega: ArrayLike | None = None,
     tolerance: float | None = None,
     accuracy: float | None = None,
-    expected: float | None = None,
     variation: float | None = None,
     order: int | None = None,
     pole: float | None = None,
@@ -68,9 +67,6 @@ def robust_stability(
         Of an uncertain model: relative gap that branch and bound aims at, 0.01 where left out; inf: none.
     accuracy
         Of an uncertain model: relative distance to the best margin that D, G can prove, 3e-5 where left out.
-    expected
-        Of an uncertain model: size at which the margin is expected; the proof alone is made, nothing is sought that
-        attains it (``upper`` is inf, ``delta`` empty).
     variation
         At frequencies: V in 1/(rad/s) with :math:`\|M_{11}(j\omega) - M_{11}(j\omega')\| \le V |\omega - \omega'|`
         between neighbours (spectral norm). It is yours to know. With it the gaps are proved, too.
@@ -116,7 +112,7 @@ def robust_stability(
     >>> [rl.robust_stability((integrator @ rl.delay(tau)).feedback()).stable for tau in (1.5, 1.65)]  # until pi / 2
     [True, False]
     """
-    own = {"omega": omega, "tolerance": tolerance, "accuracy": accuracy, "expected": expected}
+    own = {"omega": omega, "tolerance": tolerance, "accuracy": accuracy}
     given = {**own, "variation": variation, "order": order, "pole": pole, "time_limit": time_limit}
     data = isinstance(system, UncertainFrequencyData)
     if natures is not None:
@@ -143,7 +139,7 @@ def robust_stability(
         names = {"order": "highest_order"}
         chosen = options_of("robust_stability", "a model with exact delays", given, names, hint)
         return delay_stability(system, effort=effort, **chosen)
-    from robustlab.mu_analysis.axis.stability import robust_stability as of_set
+    from robustlab.mu_analysis.axis.robustness import robust_stability as of_set
 
     names = {name: name for name in (*own, "time_limit")}
     chosen = options_of("robust_stability", "an uncertain model over the whole axis", given, names)

@@ -13,8 +13,7 @@ from robustlab.evidence.delays import weight_claims
 from robustlab.mu_analysis.axis.axis_model import model_frequency
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.axis.joined_scalings import interval_scalings, joined_scalings
-from robustlab.mu_analysis.axis.margin import Margin
-from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, WorstCaseGain
+from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, WorstCaseGain
 from robustlab.mu_analysis.matrix.bounds import BoxProof, MuBounds
 from robustlab.mu_analysis.matrix.box import Box, lowest, root_box
 from robustlab.norms.numbers import ABOVE, Numbers, block_rows, model_numbers

@@ -10,25 +10,16 @@ from robustlab.budget import search_budget
 from robustlab.delays.model import DelayedModel
 from robustlab.evidence.axis import joined_scalings, margin_claims
 from robustlab.evidence.delays import weight_claims
-from robustlab.mu_analysis.axis.stability import margin_within
+from robustlab.mu_analysis.axis.robustness import margin_within
 from robustlab.mu_analysis.constants import WORK
-from robustlab.mu_analysis.margins.delay_loops import DelayDiskMargins
 from robustlab.mu_analysis.margins.delay_margins import DelayGain, DelayProof, DelayStability, covering_set
 from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
-from robustlab.mu_analysis.margins.small_gain import SmallGain
 from robustlab.norms import HinfNorm
 from robustlab.norms.claims import loop_claims, norm_claims
 from robustlab.norms.numbers import ABOVE, Numbers, block_rows, model_numbers
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
 from robustlab.uncertainty.distances.coprime import CoprimeMargin, four_block
 from robustlab.verification.claim import Claim
-
-
-def small_gain_claims(found: SmallGain) -> list[Claim]:
-    """That what Delta sees is stable, with a norm of at most one over ``lower``."""
-    if found.system is None or found.K is None:
-        return norm_claims(found.norm)
-    return loop_claims(found.system.M, found.K, found.norm.upper)
 
 
 def coprime_claims(found: CoprimeMargin) -> list[Claim]:
@@ -46,14 +37,16 @@ def disk_claims(found: DiskMargins) -> list[Claim]:
 
 def one_disk_claims(found: DiskMargin) -> list[Claim]:
     """That no deltas below ``lower`` in the factors' disks destabilise: of one loop a norm, of several mu."""
-    uncertain = found.system
-    if uncertain is None or not 0 < found.lower < np.inf:
+    system = found.system
+    if system is None or not 0 < found.lower < np.inf:
         return []
-    if len(uncertain.blocks) == 1:
-        norm = HinfNorm(0.0, 1 / found.lower, np.nan, found.status, system=uncertain.delta_channels)
+    if isinstance(system, DelayedModel):
+        return _delayed_disk_claims(found, system)
+    if len(system.blocks) == 1:
+        norm = HinfNorm(0.0, 1 / found.lower, np.nan, found.status, system=system.delta_channels)
         return norm_claims(norm)
     budget = search_budget("verify", WORK, 1.0, None)
-    margin = margin_within(uncertain, budget, accuracy=1e-4)
+    margin = margin_within(system, budget, accuracy=1e-4)
     return [claim for claim in margin_claims(margin) if claim.kind == "mu-axis"]
 
 
@@ -75,15 +68,14 @@ def delayed_gain_claims(found: DelayGain) -> list[Claim]:
     return _claims_of_set("worst-gain", found.system, found.proof, [block], {"gamma": np.array(found.upper * ABOVE)})
 
 
-def delayed_disk_claims(found: DelayDiskMargins) -> list[Claim]:
-    """Of each loop its gain, and of several mu of all at once."""
-    claims = [claim for gain in found.gains.values() for claim in delayed_gain_claims(gain)]
-    if found.system is None or found.proof is None:
-        return claims
-    blocks = [ComplexScalar(name) for name in found.channels]
-    delays = len(covering_set(found.system, found.proof.order).blocks)
-    level = np.array([1.0] * delays + [ABOVE / found.simultaneous.lower] * len(blocks))
-    return _claims_of_set("mu-axis", found.system, found.proof, blocks, {"level": level}) + claims
+def _delayed_disk_claims(found: DiskMargin, system: DelayedModel) -> list[Claim]:
+    """The bound of mu of the deltas beside the blocks of the delays."""
+    if found.proof is None:
+        return []
+    blocks = [ComplexScalar(name) for name in found.factor] or [ComplexScalar("delta")]
+    delays = len(covering_set(system, found.proof.order).blocks)
+    level = np.array([1.0] * delays + [ABOVE / found.lower] * len(blocks))
+    return _claims_of_set("mu-axis", system, found.proof, blocks, {"level": level})
 
 
 def _claims_of_set(

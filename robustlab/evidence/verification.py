@@ -30,14 +30,12 @@ CLAIMS: Mapping[str, str] = {
     "ReducedController": "evidence.designs.reduced_controller_claims",
     "ReducedModel": "evidence.models.reduction_claims",
     "BuiltModel": "evidence.models.set_claims",
-    "SmallGain": "evidence.loops.small_gain_claims",
     "CoprimeMargin": "evidence.loops.coprime_claims",
     "DiskMargins": "evidence.loops.disk_claims",
     "DiskMargin": "evidence.loops.one_disk_claims",
     "Cover": "evidence.covers.cover_claims",
     "DelayStability": "evidence.loops.delayed_stability_claims",
     "DelayGain": "evidence.loops.delayed_gain_claims",
-    "DelayDiskMargins": "evidence.loops.delayed_disk_claims",
     "UncertainModel": "evidence.delays.set_claims",
 }
 

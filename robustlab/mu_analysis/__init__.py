@@ -3,9 +3,8 @@
 from importlib import import_module
 from typing import Any
 
-from robustlab.mu_analysis.axis.margin import Margin
-from robustlab.mu_analysis.axis.stability import robust_stability
-from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, robust_performance, worst_case_gain
+from robustlab.mu_analysis.axis.margin import Margin, WorstCaseGain
+from robustlab.mu_analysis.axis.robustness import robust_performance, robust_stability, worst_case_gain
 from robustlab.mu_analysis.matrix.bounds import MuBounds, mu
 
 __all__ = [

@@ -131,7 +131,7 @@ def robust_stability(
     return InLoop(found, words, (), beside, (found.proved_intervals(),) if intervals else ())
 
 
-@operation("worst-gain", "worst-gain", result=f"mu_analysis.axis.worst_gain.WorstCaseGain, {AT}GainAt")
+@operation("worst-gain", "worst-gain", result=f"mu_analysis.axis.margin.WorstCaseGain, {AT}GainAt")
 def worst_case_gain(
     system: OfSet,
     around: Loop = NO_LOOP,

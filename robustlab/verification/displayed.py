@@ -36,7 +36,7 @@ ANY = "peak h2 1/peak"
 SHOWN: Mapping[str, Rules] = {
     "HinfNorm": {**GAIN, "lower": "gain", "value": "gain"},
     **dict.fromkeys(("WorstCaseGain", "DelayGain", "IqcGain", "EffectGain", "LPVGain"), GAIN),
-    **dict.fromkeys(("SmallGain", "DiskMargin", "DiskMargins", "DelayDiskMargins", "DelayStability"), MARGIN),
+    **dict.fromkeys(("DiskMargin", "DiskMargins", "DelayStability"), MARGIN),
     "CoprimeMargin": {**MARGIN, "value": "1/peak"},
     "IqcStability": {**MARGIN, "margin": "1/peak"},
     **dict.fromkeys(("Margin", "PerformanceMargin"), MARGIN_FOUND),

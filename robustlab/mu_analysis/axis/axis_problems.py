@@ -5,12 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget, dense
@@ -19,55 +16,21 @@ from robustlab.mu_analysis.axis.axis_model import typical_speed
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, extend_work
 from robustlab.mu_analysis.axis.mode_ascent import ascended, is_stable_member, member_work, shrunk
 from robustlab.mu_analysis.constants import ASCENT_REACH
-from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, gauge, root_box
-from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights, tighten
-from robustlab.mu_analysis.matrix.gain import ascend_corners
+from robustlab.mu_analysis.matrix.box import Box, box_model, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights
+from robustlab.mu_analysis.matrix.gain import ascend
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
-from robustlab.uncertainty.lft import UncertainModel
 
 INSIDE = 0.98  # level aimed at in a region; smaller: wider intervals, more cuts
 PROVED = 0.9999  # a level below this proves the point
 MISSES = 3  # frequencies in a row that cannot be proved cut a region; more: less is proved twice, more in vain
 LOOK = 200  # work of a step of an ascent beside its eigenvalues, as measured
+CORNERS = 4  # steps of the ascent of a gain from the centre of a region
 NEAR_MISS = 0.01  # log width around a missed frequency in which no other is tried before the cut
 
-__all__ = ["GainProblem", "MarginProblem", "Proved"]
-
-
-@dataclass
-class Proved:
-    """The smallest level (mu, or a gain) proved over the axis so far, and what proves it."""
-
-    level: float = np.inf
-    cover: AxisCover = field(default_factory=lambda: AxisCover(open=[]))
-    proof: tuple[Piece, ...] | tuple[Region, ...] = ()
-    boxes: tuple[tuple[Box, Piece], ...] = ()
-
-    def cut(
-        self, problem: MarginProblem | GainProblem, attained: float, tolerance: float, budget: Budget
-    ) -> NDArray[Any] | None:
-        """Close the gap that D, G leave by boxes of the real parameters; the entries of a worse Delta met there."""
-        found = tighten(problem, attained, self.level, tolerance, budget)
-        if found.upper < self.level:
-            self.level, self.proof, self.boxes = found.upper, tuple(found.leaves), tuple(problem.proved)
-            self.cover.open.clear()
-        return found.values
-
-    def fields(
-        self, uncertain: UncertainModel, delta: Mapping[str, Any], budget: Budget, notes: Sequence[str], last: str = ""
-    ) -> dict[str, Any]:
-        """What every result over the axis tells of its proof and of its Delta; notes that say nothing are left out."""
-        intervals, left_open = self.cover.reported(uncertain, self.level)
-        if self.proof and isinstance(self.proof[0], Region):
-            notes = [*notes, f"proved by branch and bound; regions of parameters and frequency: {len(self.proof)}"]
-        every = [*notes, budget.remark, last, *uncertain.impossible(delta), *uncertain.remarks]
-        return {
-            "delta": delta, "physical": uncertain.physical(delta) if delta else {}, "intervals": intervals,
-            "open": left_open, "proof": self.proof, "boxes": self.boxes, "system": uncertain,
-            "notes": tuple(note for note in every if note),
-        }  # fmt: skip
+__all__ = ["GainProblem", "MarginProblem"]
 
 
 class _AxisProblem:
@@ -162,10 +125,8 @@ class GainProblem(_AxisProblem):
         return Region(Box(whole.centre, half), [(0.0, float("inf"))], self.hot)
 
     def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
-        """From the centre to the corner that raises the gain at the frequency in question, as long as that helps."""
-        M = frequency_response(self.model, np.array([region.hot if region.hot is not None else self.scale]))[0]
-        met = ascend_corners(M, self.blocks, region.box, region.box.centre)
-        best = max(met, key=lambda gain: gain.value, default=None)
-        if best is None:
-            return None
-        return Improved(best.value, np.append(block_entries(self.blocks[:-1], best.delta), 0.0))
+        """From the centre to what raises the gain at the frequency in question; the Delta met, and that frequency."""
+        omega = region.hot if region.hot is not None else self.scale
+        M, centre = frequency_response(self.model, np.array([omega]))[0], region.box.centre[:-1]
+        best = ascend(M, self.blocks, centre_matrix(self.blocks[:-1], centre) + 0j, region.box, CORNERS)
+        return None if best is None else Improved(best.value, (best.delta, omega))

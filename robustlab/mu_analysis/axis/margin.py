@@ -1,7 +1,8 @@
-"""The robust stability margin with its evidence, and that evidence confirmed in ball arithmetic."""
+"""The robust stability margin and the worst-case gain with their evidence."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -12,6 +13,7 @@ from robustlab.arrays import Array
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.box import Box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region
+from robustlab.norms import PeakGain
 from robustlab.result import Bracket
 from robustlab.shown import SHOWN_BLOCKS, Facts, Part, bracket, listed, member, number
 from robustlab.tables import Table, Tabular
@@ -22,6 +24,7 @@ __all__ = [
     "Margin",
     "PerformanceMargin",
     "StabilityMargin",
+    "WorstCaseGain",
     "delta_rows",
 ]
 
@@ -177,6 +180,91 @@ class PerformanceMargin(Margin):
             return f"not robust: the member at k = {number(self.upper)} does not perform"
         kept = "proved for every Delta of the set" if self.stable else "not proved over the whole set"
         return f"performance is {kept}"
+
+
+@dataclass(frozen=True, eq=False)
+class WorstCaseGain(Tabular, PeakGain):
+    """Bounds of the largest gain ``sigma_max`` of any member of the set at any frequency.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= worst gain <= upper``. ``lower`` is the gain of the member at ``delta``; ``upper`` is proved over the
+        whole frequency axis and the whole set. Both are inf where a member is unstable.
+    frequency
+        Frequency in rad/s at which the member at ``delta`` has the gain ``lower`` (of an unstable one: of its pole).
+    delta
+        The worst Delta found, one value per block name.
+    physical
+        The worst values and units of the physical parameters.
+    nominal
+        Gain of the nominal member.
+    status
+        CERTIFIED: ``upper`` is proved. INCONCLUSIVE: it is not, and reads inf. TIMEOUT: the time limit ended the
+        proof; ``upper`` is what was proved by then. INACCURATE: there is no uncertainty, and digits of the nominal
+        gain were lost.
+    omega, nominal_gain, gain_lower, gain_upper
+        Curves over the frequencies that were asked for.
+    intervals
+        ``(low, high, bound)`` in rad/s: what is proved with D, G scalings.
+    open
+        Frequency intervals for which nothing is proved.
+    proof
+        What ``upper`` rests on: pieces of the axis with their D, G, or regions of parameters and frequency.
+    notes
+        Remarks for the reader of a report.
+    system, boxes
+        The set that it is about, and each box of a branch and bound with an interval proved in it, for
+        `robustlab.verify`.
+    """
+
+    delta: Mapping[str, Any]
+    physical: Mapping[str, tuple[float, str]]
+    nominal: float
+    omega: Array
+    nominal_gain: Array
+    gain_lower: Array
+    gain_upper: Array
+    intervals: tuple[tuple[float, float, float], ...]
+    open: tuple[tuple[float, float], ...]
+    proof: tuple[Piece, ...] | tuple[Region, ...]
+    system: UncertainModel | None = None
+    boxes: tuple[tuple[Box, Piece], ...] = ()
+
+    quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s", "nominal": float}
+    unsaved: ClassVar[tuple[str, ...]] = ("proof", "system", "boxes")
+
+    @property
+    def gap(self) -> float:
+        """``upper / lower - 1``; 0 where both are zero or both infinite."""
+        if self.lower == self.upper:
+            return 0.0
+        return self.upper / self.lower - 1 if self.lower > 0 else float("inf")
+
+    def evidence(self) -> Facts:
+        """The worst member, and what proves the bound."""
+        return [
+            ("nominal gain", number(self.nominal)),
+            ("worst member", member(self.delta, self.physical)),
+            ("proof", f"{len(self.proof)} parts, {len(self.open)} intervals of frequency left open"),
+        ]
+
+    def details(self) -> list[Part]:
+        return [Part("worst Delta found:", ("block", "delta", "parameter"), delta_rows(self.delta, self.physical))]
+
+    def proved(self) -> Part:
+        """The frequency intervals with the bound of the gain that is proved in each; inf: none is."""
+        rows = [*self.intervals, *((low, high, math.inf) for low, high in self.open)]
+        texts = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(rows)]
+        return Part("proved intervals:", ("from rad/s", "to rad/s", "gain at most"), texts)
+
+    def table(self) -> Table:
+        """Nominal gain and both bounds over the frequencies that were asked for."""
+        columns = {"nominal": self.nominal_gain, "lower": self.gain_lower, "upper": self.gain_upper}
+        return Table(("omega", self.omega), columns, {"omega": "rad/s"})
+
+    def to_json(self) -> dict[str, Any]:
+        return {**super().to_json(), "gap": self.gap}
 
 
 def delta_rows(

@@ -20,12 +20,12 @@ from robustlab.closing import closing
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, StabilityMargin
 from robustlab.mu_analysis.margins.disk_margin import (
-    PLACES,
     DiskBounds,
     DiskMargins,
     Place,
     channel_names,
     channel_places,
+    check_disk,
     gain_and_phase,
 )
 from robustlab.mu_analysis.matrix.bounds import MuBounds, mu
@@ -255,8 +255,7 @@ def disk_margin_at(
 ) -> DiskMarginsAt:
     """Of a loop of models or of data at frequencies: `robustlab.disk_margin`."""
     where = "disk_margin_at"
-    if at not in PLACES or not abs(skew) <= 1e6:
-        raise InputError(where, f"at {at!r}, skew {skew!r}", "a place, a finite skew")
+    check_disk(at, skew, where)
     closed = closing(_data(plant, frequency, where), K, sign, where)
     p, sign = closed.plant, closed.sign
     k = frequency_data(np.eye(len(p.inputs)) if closed.K is None else closed.K, p.omega)

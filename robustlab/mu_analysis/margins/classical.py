@@ -19,9 +19,10 @@ from robustlab.linear_analysis.structural import with_hidden
 from robustlab.mu_analysis.margins.disk_margin import (
     AT,
     Place,
+    channel_names,
     channel_places,
+    check_disk,
     closed_around,
-    disk_channels,
     in_decibels,
     in_degrees,
 )
@@ -202,7 +203,8 @@ def classical_margins(
     p = as_model(plant, "classical_margins: plant")
     closed = closed_around(p, K, sign, "classical_margins")
     p = closed.plant
-    _, names = disk_channels(p, closed.K, at, -1.0, closed.sign)
+    check_disk(at, 0.0, "classical_margins")
+    names = channel_names(p.input_names, p.output_names, at)
     stable, loops = loop_fractions(p, closed.K, closed.sign, channel_places(p.n_inputs, p.n_outputs, at))
     unstable = "" if stable else with_hidden("the closed loop is unstable", p, closed.K)
     channels = {name: _margin(L, unstable, name) for name, L in zip(names, loops, strict=True)}

@@ -14,7 +14,7 @@ import numpy as np
 
 from robustlab.budget import NOT_REPEATABLE, USED_UP, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, is_function, told_as
-from robustlab.mu_analysis.axis.worst_gain import worst_case_gain
+from robustlab.mu_analysis.axis.robustness import worst_case_gain
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts, Part, Shown, bracket, number

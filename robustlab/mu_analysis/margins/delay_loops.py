@@ -8,9 +8,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
 
 import numpy as np
 
@@ -30,30 +29,28 @@ from robustlab.mu_analysis.margins.classical import (
 from robustlab.mu_analysis.margins.delay_axis import DelayAxis
 from robustlab.mu_analysis.margins.delay_margins import (
     FINEST,
-    DelayGain,
-    DelayProof,
+    TINY,
     DelayStability,
-    delay_gain,
     delay_stability,
     highest,
     proved_level,
 )
 from robustlab.mu_analysis.margins.disk_margin import (
-    PLACES,
     DiskMargin,
     DiskMargins,
     Place,
     channel_names,
+    check_disk,
+    disk_channels,
     with_factors,
 )
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.upper import upper_bounds
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.algebra import beside, stacked
 from robustlab.uncertainty.blocks import ComplexScalar, delta_values
 
-__all__ = ["DelayDiskMargins", "delay_classical_margins", "delay_disk_margins"]
+__all__ = ["delay_classical_margins", "delay_disk_margins"]
 
 # Intervals that are looked at, at most, and their smallest width relative to the frequency.
 MOST, NARROW = 400_000, 1e-10
@@ -63,48 +60,17 @@ ROUNDING = 1e-12
 LOOKS = 200  # frequencies at which the largest mu is looked for first, twice
 
 
-class _Loop(NamedTuple):
-    """The sensitivity from what enters at each channel to what goes on there, and the channels' names."""
-
-    S: DelayedModel
-    names: tuple[str, ...]
-    said: str
-
-
-@dataclass(frozen=True, eq=False)
-class DelayDiskMargins(DiskMargins):
-    """Disk margins of a loop with exact delays, with the attributes of `DiskMargins`; there is no ``pole``.
-
-    Attributes
-    ----------
-    lower, upper
-        Proved on the whole axis; attained at ``frequency`` by the exact response.
-    status
-        CERTIFIED: the bounds are within the tolerance. INACCURATE: they are not.
-    gains
-        Of each channel the gain whose inverse its margin is.
-    system, proof
-        What the deltas of all factors see, and the scalings that prove their margin, for `robustlab.verify`.
-    """
-
-    gains: Mapping[str, DelayGain] = field(default_factory=dict)
-    system: DelayedModel | None = None
-    proof: DelayProof | None = None
-
-
 @told_as("delay_classical_margins")
 @one_thread()
 def delay_classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None, highest_order: int = 16
 ) -> ClassicalMargins:
     """Of a loop with exact delays: `robustlab.classical_margins`."""
-    loop = _closed(plant, K, at, sign, "delay_classical_margins")
-    stable = _stability(delay_stability(loop.S, highest_order), highest_order, "delay_classical_margins")
-    channels = {}
-    for i, name in enumerate(loop.names):
-        channels[name] = _classical(DelayAxis(loop.S, [i], [i]), stable, name)
+    S, names, said = _closed(plant, K, at, 1.0, sign, "delay_classical_margins")
+    stable = _stability(delay_stability(S, highest_order), highest_order, "delay_classical_margins")
+    channels = {name: _classical(DelayAxis(S, [i], [i]), stable, name) for i, name in enumerate(names)}
     good = all(m.status is Status.CERTIFIED for m in channels.values())
-    return ClassicalMargins(channels, at, Status.CERTIFIED if good else Status.INACCURATE, loop.said)
+    return ClassicalMargins(channels, at, Status.CERTIFIED if good else Status.INACCURATE, said)
 
 
 @told_as("delay_disk_margins")
@@ -120,24 +86,19 @@ def delay_disk_margins(
     highest_order: int = 16,
     seed: int = 0,
     effort: float = 1.0,
-) -> DelayDiskMargins:
+) -> DiskMargins:
     """Of a loop with exact delays: `robustlab.disk_margin`."""
-    if not abs(skew) <= 1e6 or not FINEST <= tolerance < 1:
-        found = f"skew {skew!r}, tolerance {tolerance!r}"
-        raise InputError("delay_disk_margins", found, f"a finite skew, {FINEST:g} <= tolerance < 1")
-    loop = _closed(plant, K, at, sign, "delay_disk_margins")
-    known = delay_stability(loop.S, highest_order, effort)
-    if not _stability(known, highest_order, "delay_disk_margins"):
-        raise NoTrustworthyNumber("delay_disk_margins", "the closed loop is unstable", "a stable one")
-    seen = loop.S + 0.5 * (skew - 1.0) * np.eye(len(loop.names))
-    gains, channels = {}, {}
-    for i, name in enumerate(loop.names):
-        gains[name] = delay_gain(seen[i, i], tolerance, highest_order, effort, known)
-        channels[name] = _of_gain(seen[i, i], gains[name], name, skew)
-    every, proof = next(iter(channels.values())), None
-    if len(channels) > 1:
-        every, proof = _at_once(seen, loop.names, skew, tolerance, known, highest_order, seed, effort)
-    return DelayDiskMargins.of(every, channels, at, loop.said, gains=gains, system=seen, proof=proof)
+    where = "delay_disk_margins"
+    if not FINEST <= tolerance < 1:
+        raise InputError(f"{where}: tolerance", f"{tolerance!r}", f"a number from {FINEST:g} to 1")
+    seen, names, said = _closed(plant, K, at, skew, sign, where)
+    known = delay_stability(seen, highest_order, effort)
+    if not _stability(known, highest_order, where):
+        raise NoTrustworthyNumber(where, "the closed loop is unstable", "a stable one")
+    options = skew, tolerance, known, highest_order, seed, effort
+    channels = {name: _margin(seen[i, i], [name], *options) for i, name in enumerate(names)}
+    whole = channels[names[0]] if len(names) == 1 else _margin(seen, names, *options)
+    return DiskMargins.of(whole, channels, at, said)
 
 
 def _stability(known: DelayStability, highest_order: int, where: str) -> bool:
@@ -148,37 +109,19 @@ def _stability(known: DelayStability, highest_order: int, where: str) -> bool:
     return known.stable
 
 
-def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1] | None, where: str) -> _Loop:
-    """The loop as its channels see it."""
-    p = as_delayed(plant, f"{where}: plant")
-    if at not in PLACES:
-        raise InputError(where, f"at {at!r}", "input, output or both")
-    found = closing(p, K, sign, where)
-    p, sign = found.plant, found.sign
-    if not p.n_inputs * p.n_outputs:
-        raise InputError(where, f"an open loop of {p.n_outputs} x {p.n_inputs}", "a square one, or a K")
-    k = _renamed(as_delayed(found.K, f"{where}: K") if found.K is not None else as_delayed(_gain(p.n_inputs)), "k")
-    q, m, n = _renamed(p, "p"), p.n_inputs, p.n_outputs
-    around: Any
-    if at == "both":  # [u; y] = [0, sign K; P, 0] [u; y]
-        around = stacked(beside(np.zeros((m, m)), sign * k), beside(q, np.zeros((n, n))))
-    else:
-        around = sign * (q @ k if at == "output" else k @ q)
-    S = _renamed(as_delayed(_gain(around.n_inputs)), "s").feedback(_renamed(around, "l"), 1)
+def _closed(
+    plant: Any, K: Any, at: Place, skew: float, sign: Literal[-1, 1] | None, where: str
+) -> tuple[DelayedModel, list[str], str]:
+    """The closed loop as its disks see it, the names of its channels, and its law in words."""
+    check_disk(at, skew, where)
+    found = closing(as_delayed(plant, f"{where}: plant"), K, sign, where)
+    p, m = found.plant, found.plant.n_inputs
+    if not m * p.n_outputs:
+        raise InputError(where, f"an open loop of {p.n_outputs} x {m}", "a square one, or a K")
+    k = as_delayed(StateSpaceModel([], [], [], np.eye(m)) if found.K is None else found.K, f"{where}: K")
+    H = disk_channels(p.H, k.H, at, skew, found.sign, (len(p.delays), len(k.delays)))
     names = channel_names(p.input_names, p.output_names, at)
-    return _Loop(S, tuple(names), found.said)
-
-
-def _gain(n: int) -> StateSpaceModel:
-    return StateSpaceModel([], [], [], np.eye(n))
-
-
-def _renamed(model: DelayedModel, prefix: str) -> DelayedModel:
-    """With plain names and no units: the parts of a loop may name their signals alike."""
-    H, k = model.H, len(model.delays)
-    ins = [f"{prefix}z{i}" for i in range(k)] + [f"{prefix}u{i}" for i in range(model.n_inputs)]
-    outs = [f"{prefix}w{i}" for i in range(k)] + [f"{prefix}y{i}" for i in range(model.n_outputs)]
-    return DelayedModel(StateSpaceModel(H.A, H.B, H.C, H.D, 0.0, ins, outs), model.delays)
+    return DelayedModel(H, np.append(p.delays, k.delays)), names, found.said
 
 
 # --- classical margins ------------------------------------------------------------------------------------------------
@@ -304,27 +247,20 @@ def _phase_crossings(axis: DelayAxis, places: list[float]) -> tuple[PhaseCrossin
 # --- disk margins -----------------------------------------------------------------------------------------------------
 
 
-def _at_once(
-    seen: DelayedModel, names: Sequence[str], skew: float, tolerance: float, known: DelayStability, *options: Any
-) -> tuple[DiskMargin, DelayProof | None]:
-    """The margin of all channels at once: the peak of mu, found with its Delta, and proved."""
-    blocks, (highest_order, seed, effort) = [ComplexScalar(name) for name in names], options
-    value, frequency = highest(seen, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), LOOKS)
+def _margin(
+    seen: DelayedModel, names: Sequence[str], skew: float, tolerance: float, known: DelayStability, order: int,
+    seed: int, effort: float,
+) -> DiskMargin:  # fmt: skip
+    """The margin of these channels at once: the peak of mu, found with its Delta, and proved."""
+    blocks = [ComplexScalar(name) for name in names]
+    if len(names) == 1:
+        _, frequency = highest(seen, lambda M: np.abs(M[:, 0, 0]))
+    else:
+        _, frequency = highest(seen, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), LOOKS)
     found = mu(frequency_response(seen, [frequency]), blocks, seed)
     value = float(found.lower[0])
-    upper, proof = np.inf, None
-    if value:
-        upper, proof = proved_level(seen, blocks, value, 0.5 * tolerance, highest_order, effort, known.order)
-    delta = delta_values(blocks, found.delta[0]) if found.delta[0] is not None else {}
+    upper, proof = proved_level(seen, blocks, value or TINY, tolerance, order, effort, known.order)
+    delta = delta_values(blocks, found.delta[0]) if value else {}
     status = Status.CERTIFIED if upper <= value * (1.0 + tolerance) else Status.INACCURATE
     bounds = 1.0 / upper, 1.0 / value if value else np.inf
-    return with_factors(bounds, frequency, status, blocks, delta, skew), proof
-
-
-def _of_gain(seen: DelayedModel, gain: DelayGain, name: str, skew: float) -> DiskMargin:
-    """The margin of one channel: the inverse of the largest gain of what its disk sees."""
-    lower, upper = (1.0 / value if value else np.inf for value in (gain.upper, gain.lower))
-    delta = {}
-    if gain.lower:
-        delta[name] = 1.0 / complex(frequency_response(seen, [gain.frequency])[0, 0, 0])
-    return with_factors((lower, upper), gain.frequency, gain.status, [ComplexScalar(name)], delta, skew)
+    return with_factors(bounds, frequency, status, blocks, delta, skew, system=seen, proof=proof)

@@ -41,7 +41,7 @@ BELOW, ACCURACY = 1.0 - 2e-5, 1e-5  # mu that is asked for first, and how near t
 LEAST_GAP = 1e-4  # between the bounds of a gain
 SHARE_OF_WORK = 0.1  # of the usual search: a set that needs more is too large to decide
 SHARE = 0.1  # of the tolerance that a bound aims at: it is cheap
-WIDER = (1.001, 1.01, 1.1, 2.0, 10.0)  # levels that are tried where no order proves the one aimed at
+WIDER = (1.001, 1.005, 1.01, 1.1, 2.0, 10.0)  # levels that are tried where no order proves the one aimed at
 POINTS, PEAKS = 4000, 4
 TINY = 1e-100
 
@@ -237,18 +237,23 @@ def delay_gain(
         return DelayGain(lower, np.inf, frequency, Status.INCONCLUSIVE, known)
     size = lower or TINY  # without a path from an input to an output, any level can be proved
     block = FullBlock("performance", g.n_inputs, g.n_outputs)
-    gap = max(SHARE * tolerance, LEAST_GAP)
-    upper, proof = proved_level(g, [block], size, gap, highest_order, effort, known.order)
+    upper, proof = proved_level(g, [block], size, tolerance, highest_order, effort, known.order)
     near = upper <= (1.0 + tolerance) * size
     status = Status.CERTIFIED if near else Status.INACCURATE if proof else Status.INCONCLUSIVE
     return DelayGain(lower, upper, frequency, status, known, g, proof)
 
 
 def proved_level(
-    g: DelayedModel, blocks: Sequence[Block], lower: float, gap: float, highest_order: int, effort: float, order: int
+    g: DelayedModel,
+    blocks: Sequence[Block],
+    lower: float,
+    tolerance: float,
+    highest_order: int,
+    effort: float,
+    order: int,
 ) -> tuple[float, DelayProof | None]:
     """Return the lowest level that is proved of the blocks at the channels of a stable model, from orders on."""
-    orders = _orders(g, order, highest_order)
+    orders, gap = _orders(g, order, highest_order), max(SHARE * tolerance, LEAST_GAP)
     ends = dict.fromkeys((orders[0], orders[-1]))
     tried = [(n, 1.0 + gap) for n in orders] + [(n, share) for share in WIDER if share > 1.0 + gap for n in ends]
     for n, share in tried:

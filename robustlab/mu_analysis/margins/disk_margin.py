@@ -20,24 +20,18 @@ import numpy as np
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.closing import Closing, closing
 from robustlab.errors import InputError, told_as
-from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.linear_analysis.narrow_peaks import modes_apart
-from robustlab.mu_analysis.axis.stability import margin_within
+from robustlab.mu_analysis.axis.robustness import margin_within
 from robustlab.mu_analysis.constants import WORK
-from robustlab.mu_analysis.margins.small_gain import replayed_pole, signed, small_gain
-from robustlab.mu_analysis.matrix.bounds import mu
-from robustlab.mu_analysis.matrix.certificate import singularity
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Bracket, Status
 from robustlab.shown import Facts, Part, bracket, number
-from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, delta_matrix, delta_values
+from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft
+from robustlab.uncertainty.blocks import Block, ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
-DISK_CLOSE = 1e-5  # bounds of several loops that are farther apart get a closer search along the axis
-DISK_SINGULAR = 1e-7  # relative smallest singular value of a loop that a critical disk closes
-AT_END = 1e-12  # the same at an end of the axis, where a pole runs off to infinity
+ACCURACY = 1e-4  # of the proof of several loops; that of one loop is its H-infinity norm
 
 __all__ = [
     "AT",
@@ -48,11 +42,10 @@ __all__ = [
     "Place",
     "channel_names",
     "channel_places",
+    "check_disk",
     "closed_around",
     "disk_channels",
     "disk_margin",
-    "disk_margin_of",
-    "factor_model",
     "gain_and_phase",
     "in_decibels",
     "in_degrees",
@@ -125,7 +118,7 @@ class DiskBounds(Bracket):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        kept = {name: x for name, x in vars(self).items() if name not in ("system", "gains", "proof")}
+        kept = {name: x for name, x in vars(self).items() if name not in ("system", "proof")}
         return {"type": type(self).__name__, **kept}
 
 
@@ -143,21 +136,16 @@ class DiskMargin(DiskBounds):
     perturbation
         Models of the critical factors: stable (of first order, second at most, per loop) where ``(1 + sigma) |delta| <
         2``. Empty where a factor is infinite, or where only complex numbers at frequency zero are critical.
-    pole
-        The pole of the loop with these perturbations that lies next to the stability boundary at ``frequency``; None
-        where the loop is then ill-posed (``frequency`` inf, or no states), where no perturbation with real
-        coefficients takes the critical values, or with exact delays.
     status
-        CERTIFIED where ``lower`` is proved and ``pole`` is where it was foretold; TIMEOUT where the time limit ended
-        the proof.
-    system
-        The loop as the deltas of its factors see it, for `robustlab.verify`; None with exact delays.
+        CERTIFIED where ``lower`` is proved; TIMEOUT where the time limit ended the proof.
+    system, proof
+        The loop as the deltas of its factors see it, and with exact delays the scalings, for `robustlab.verify`.
     """
 
     factor: Mapping[str, complex]
     perturbation: Mapping[str, StateSpaceModel]
-    pole: complex | None
-    system: UncertainModel | None = None
+    system: Any = None
+    proof: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,28 +240,29 @@ def disk_margin(
     """Of a rational plant and controller: `robustlab.disk_margin`."""
     p = as_model(plant, "disk_margin: plant")
     found = closed_around(p, K, sign, "disk_margin")
-    loop, names = disk_channels(found.plant, found.K, at, skew, found.sign)
-    if len(names) > 1:
-        compile_kernels()
+    check_disk(at, skew, "disk_margin")
+    p, K = modes_apart(found.plant), modes_apart(found.K)  # what closes the loop is rounded in their states
+    loop = disk_channels(p, K, at, skew, found.sign)
+    names = channel_names(p.input_names, p.output_names, at)
+    compile_kernels()
     budget = search_budget("disk_margin", WORK, effort, time_limit)
     with one_thread():
         channels = {
-            name: disk_margin_of(loop.select([loop.input_names[i]], [loop.output_names[i]]), [name], skew, budget)
+            name: _margin_of(loop.select([loop.input_names[i]], [loop.output_names[i]]), [name], skew, budget, seed)
             for i, name in enumerate(names)
         }
-        if len(names) == 1:
-            return DiskMargins.of(channels[names[0]], channels, at, found.said)
-        return DiskMargins.of(disk_margin_of(loop, names, skew, budget, seed), channels, at, found.said)
+        whole = channels[names[0]] if len(names) == 1 else _margin_of(loop, names, skew, budget, seed)
+    return DiskMargins.of(whole, channels, at, found.said)
 
 
-def disk_margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Budget, seed: int = 0) -> DiskMargin:
+def _margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Budget, seed: int = 0) -> DiskMargin:
     """The margin of all channels of M (what the disks see: see `disk_channels`) at once."""
-    if len(names) > 1:
-        return _many_loops(M, names, skew, budget, seed)
-    uncertain = UncertainModel(M, [FullBlock(names[0], 1, 1)])
-    test = small_gain(uncertain)  # exact: the H-infinity norm of S + (sigma - 1)/2
-    delta = {name: complex(value[0, 0]) for name, value in test.delta.items()}
-    return _result(uncertain, (test.lower, test.upper), test.frequency, delta, test.status, skew)
+    uncertain = UncertainModel(M, [ComplexScalar(name) for name in names])
+    found = margin_within(uncertain, budget, seed=seed, accuracy=ACCURACY)
+    delta = {name: complex(value) for name, value in found.delta.items()}
+    notes = [budget.remark] if budget.remark else []
+    bounds = found.lower, found.upper
+    return with_factors(bounds, found.frequency, found.status, uncertain.blocks, delta, skew, M.dt, notes, uncertain)
 
 
 def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> Closing:
@@ -284,34 +273,51 @@ def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> Closing:
 
 
 def disk_channels(
-    plant: StateSpaceModel, K: StateSpaceModel, at: Place, skew: float, sign: Literal[-1, 1]
-) -> tuple[StateSpaceModel, tuple[str, ...]]:
-    """The closed loop as the disks see it, and the names of its channels."""
-    if at not in PLACES:
-        raise InputError("disk_margin: at", f"{at!r}", "input, output or both")
-    if not abs(skew) <= 1e6:
-        raise InputError("disk_margin: skew", f"{skew}", "a number of at most 1e6 either way")
-    plant, K = modes_apart(plant), modes_apart(K)  # what closes the loop is rounded in their states
-    m, p = plant.n_inputs, plant.n_outputs
-    half = (1 + skew) / 2
-    # Columns: w at the inputs, w at the outputs, u of the controller.
-    w_in, w_out, u = np.split(np.eye(m + p + m), np.cumsum([m, p]))
-    driven = u + w_in
-    through = plant.D @ driven
-    names = [*(f"in{i}" for i in range(m)), *(f"out{i}" for i in range(p))]
+    plant: StateSpaceModel, K: StateSpaceModel, at: Place, skew: float, sign: int, apart: tuple[int, int] = (0, 0)
+) -> StateSpaceModel:
+    """The closed loop as the disks see it, ``S + (sigma - 1)/2``.
+
+    As many first channels of plant and K as ``apart`` says, those of delays, come first and stay open.
+    """
+    a, b = apart
+    m, p, q = plant.n_inputs - a, plant.n_outputs - a, plant.n_inputs + plant.n_outputs - 2 * a
+    joint = append(_numbered(plant, "p"), _numbered(K, "k"))
+    # Inputs: what leaves delays, u, y; outputs: what enters delays, u, y.
+    at_p, at_k = np.arange(a + max(m, p)), np.arange(b + max(m, p))
+    ins = np.r_[at_p[:a], a + m + at_k[:b], at_p[a : a + m], a + m + at_k[b : b + p]]
+    outs = np.r_[at_p[:a], a + p + at_k[:b], a + p + at_k[b : b + m], at_p[a : a + p]]
+    B, C, D = joint.B[:, ins], joint.C[outs], joint.D[np.ix_(outs, ins)]
+    d, places = a + b, channel_places(m, p, at)
+    C[d : d + m] *= sign
+    D[d : d + m] *= sign
+    kept, eye = np.eye(q)[list(places)], np.eye(q)
+    # What goes on at the channels is what enters there (seen: with (sigma - 1)/2 of it) and what comes around.
     general = StateSpaceModel(
-        plant.A,
-        plant.B @ driven,
-        np.vstack([np.zeros((m, plant.n_states)), plant.C, plant.C]),
-        np.vstack([u + half * w_in, through + half * w_out, through + w_out]),
+        joint.A,
+        np.hstack([B[:, :d], B[:, d:] @ kept.T, B[:, d:]]),
+        np.vstack([C[:d], np.zeros((len(kept), joint.n_states)), C[d:]]),
+        np.block([
+            [D[:d, :d], D[:d, d:] @ kept.T, D[:d, d:]],
+            [np.zeros((len(kept), d)), 0.5 * (skew + 1.0) * kept @ kept.T, kept],
+            [D[d:, :d], D[d:, d:] @ kept.T, D[d:, d:]],
+        ]),
         plant.dt,
-        [*names, *(f"u{i}" for i in range(m))],
-        [*names, *(f"y{i}" for i in range(p))],
-        plant.states,
-    )
-    kept = [names[i] for i in channel_places(m, p, at)]
-    loop = lower_lft(general, signed(K, sign)).select(kept, kept)
-    return loop, tuple(channel_names(plant.input_names, plant.output_names, at))
+    )  # fmt: skip
+    return lower_lft(general, StateSpaceModel([], [], [], eye, plant.dt))
+
+
+def _numbered(model: StateSpaceModel, prefix: str) -> StateSpaceModel:
+    """With names and without units that meet no others: the parts of a loop may name their signals alike."""
+    names = ([f"{prefix}.{kind}{i}" for i in range(n)] for kind, n in (("u", model.n_inputs), ("y", model.n_outputs)))
+    return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt, *names)
+
+
+def check_disk(at: Place, skew: float, where: str) -> None:
+    """Refuse what is no place of disks, or no skew."""
+    if at not in PLACES:
+        raise InputError(f"{where}: at", f"{at!r}", "input, output or both")
+    if not abs(skew) <= 1e6:
+        raise InputError(f"{where}: skew", f"{skew!r}", "a number of at most 1e6 either way")
 
 
 def channel_places(n_inputs: int, n_outputs: int, at: Place) -> range:
@@ -329,80 +335,6 @@ def channel_names(inputs: Sequence[str], outputs: Sequence[str], at: Place) -> l
     return chosen
 
 
-# --- one loop, many loops --------------------------------------------------------------------------------------------
-
-
-def _many_loops(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Budget, seed: int) -> DiskMargin:
-    uncertain = UncertainModel(M, [ComplexScalar(name) for name in names])
-    margin = margin_within(uncertain, budget, seed=seed, accuracy=1e-4)
-    upper, frequency, values = margin.upper, margin.frequency, margin.delta
-    if margin.pole is not None and margin.pole.imag < 0:  # the same crossing seen at the positive frequency
-        values = {name: np.conj(value) for name, value in values.items()}
-    if upper > margin.lower * (1 + DISK_CLOSE):
-        found = _largest_on_the_axis(uncertain, frequency)
-        if found is not None and found[0] < upper:
-            upper, frequency, values = found
-    delta = {name: complex(value) for name, value in values.items()}
-    if frequency is not None:
-        frequency = _crossing(uncertain, delta, frequency)
-    notes = [budget.remark] if budget.remark else []
-    return _result(uncertain, (margin.lower, upper), frequency, delta, margin.status, skew, notes)
-
-
-def _crossing(uncertain: UncertainModel, delta: Mapping[str, complex], frequency: float) -> float:
-    """Where this Delta makes the loop singular: an end of the axis if it does so there, else ``frequency``."""
-    # A loop that is about to become ill-posed has a pole that runs off to infinity, and eigenvalues show another one.
-    M = uncertain.delta_channels
-    matrix = delta_matrix(uncertain.blocks, delta).astype(complex)
-    ends = np.array([0.0, np.pi / M.dt if M.is_discrete else np.inf])
-    for omega, response in zip(ends, frequency_response(M, ends), strict=True):
-        if singularity(response, matrix) <= AT_END:
-            return float(omega)
-    return frequency
-
-
-def _largest_on_the_axis(
-    uncertain: UncertainModel, frequency: float | None
-) -> tuple[float, float, Mapping[str, Any]] | None:
-    """The smallest Delta that mu finds at frequencies around the model's dynamics, and closer at the best of them."""
-    M, blocks = uncertain.delta_channels, uncertain.blocks
-    grid = default_grid(M, 40) if M.n_states else np.zeros(1)
-    omega = np.unique(np.append(grid, [0.0, *([frequency] if frequency is not None and frequency < np.inf else [])]))
-    best: tuple[float, float, Mapping[str, Any]] | None = None
-    for _ in range(4):
-        bounds = mu(frequency_response(M, omega), blocks)
-        k = int(np.argmax(bounds.lower))
-        size = float(np.asarray(bounds.lower)[k])
-        if size > 0 and (best is None or 1 / size < best[0]):
-            best = 1 / size, float(omega[k]), delta_values(blocks, bounds.delta[k])
-        omega = np.linspace(omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)], 9)
-    return best
-
-
-def _result(
-    uncertain: UncertainModel,
-    bounds: tuple[float, float],
-    frequency: float | None,
-    delta: Mapping[str, complex],
-    status: Status,
-    skew: float,
-    remarks: Sequence[str] = (),
-) -> DiskMargin:
-    pole = None
-    if frequency is not None:
-        loop = frequency_response(uncertain.delta_channels, [frequency])[0]
-        seen = singularity(loop, delta_matrix(uncertain.blocks, delta).astype(complex)) <= DISK_SINGULAR
-        try:
-            pole, on_axis = replayed_pole(uncertain, delta, frequency)
-        except InputError:  # no real system takes these values there
-            on_axis = True
-        if status is Status.CERTIFIED and not (seen and on_axis):
-            status = Status.INACCURATE
-    return with_factors(
-        bounds, frequency, status, uncertain.blocks, delta, skew, uncertain.dt, remarks, pole, uncertain
-    )
-
-
 def with_factors(
     bounds: tuple[float, float],
     frequency: float | None,
@@ -412,8 +344,8 @@ def with_factors(
     skew: float,
     dt: float = 0.0,
     remarks: Sequence[str] = (),
-    pole: complex | None = None,
-    system: UncertainModel | None = None,
+    system: Any = None,
+    proof: Any = None,
 ) -> DiskMargin:
     """A margin with the factors that its critical values are, and models of them where real systems take these."""
     half = 0.5 * (1.0 + skew)
@@ -428,7 +360,7 @@ def with_factors(
                 "real: no such system takes them there"
             )
         else:
-            models = {name: factor_model(as_model(made[name]), skew) for name in delta}
+            models = {name: _factor_model(as_model(made[name]), skew) for name in delta}
             perturbation = {name: model for name, model in models.items() if model is not None}
             if len(perturbation) < len(models):
                 perturbation = {}
@@ -445,12 +377,12 @@ def with_factors(
         tuple(notes),
         factor,
         perturbation,
-        pole,
         system,
+        proof,
     )
 
 
-def factor_model(delta: StateSpaceModel, skew: float) -> StateSpaceModel | None:
+def _factor_model(delta: StateSpaceModel, skew: float) -> StateSpaceModel | None:
     """``f = 1 + delta / (1 - (1 + sigma)/2 delta)`` as a model; None where it is not proper."""
     half = (1 + skew) / 2
     below = 1 - half * float(delta.D[0, 0])

@@ -220,7 +220,7 @@ def _bounds(stack: ComplexArray, structure: tuple[Block, ...], seed: int) -> tup
     scale = _scale(stack)
     stack = stack * scale[:, None, None]
     uppers = upper_bounds(stack, structure)
-    lowers = lower_bounds(stack, structure, seed, upper=uppers)
+    lowers = lower_bounds(stack, structure, seed)
     q, p = structure_size(structure)
     zero = np.zeros((q, p), dtype=complex)
     lower = np.array([value for value, _ in lowers])

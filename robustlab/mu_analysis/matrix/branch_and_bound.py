@@ -12,10 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.budget import Budget
@@ -34,12 +33,11 @@ KEPT = 0.0625  # share of the work kept for a smaller set, and spent before a se
 NARROW = 1e-7  # relative width below which a box is not cut again: rounding decides there
 
 
-@dataclass(frozen=True)
-class Improved:
+class Improved(NamedTuple):
     """A better lower bound met on the way: its level, and the Delta that attains it."""
 
     level: float
-    values: NDArray[Any]
+    values: Any
 
 
 @dataclass
@@ -56,50 +54,30 @@ class Region(Shown):
 
 @dataclass
 class Proof:
-    """What branch and bound has come to."""
+    """Bounds of the level (mu, or a gain), what attains the lower one if it was met here, and the regions proved."""
 
-    # lower, upper: bounds of the level (mu, or the worst gain)
     lower: float
     upper: float
-    # What attains `lower`, as in `Improved`; None where the lower bound that was given is still the best.
-    values: NDArray[Any] | None = None
-    # Regions proved, each with the frequencies that its ancestors had left to it.
+    values: Any = None
     leaves: list[Region] = field(default_factory=list)
-    solves: int = 0  # D-G problems solved
 
 
 class Problem(Protocol):
-    """What `tighten` needs to know of a problem."""
+    """What `tighten` needs to know of a problem: its blocks, the set that a level leaves, the work of so many regions.
 
-    @property
-    def blocks(self) -> Sequence[Block]:
-        """All blocks."""
-        ...
+    ``examine`` takes what can be proved off each region's open frequencies: None, or weights of the blocks where it is
+    to be cut. ``attack`` is the worst Delta found cheaply from the region's centre, where that is above the level.
+    """
 
-    def work(self, count: int) -> int:
-        """Work of one look at so many regions."""
-        ...
+    blocks: tuple[Block, ...]
 
-    def root(self, level: float) -> Region:
-        """The whole set in which nothing may be singular if the level is an upper bound."""
-        ...
-
-    def examine(self, regions: list[Region]) -> list[Array | None]:
-        """Take what can be proved off each region's open frequencies."""
-        ...
-
-    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
-        """The worst Delta found cheaply from the region's centre, where it lies above the level attained."""
-        ...
+    def work(self, count: int) -> int: ...
+    def root(self, level: float) -> Region: ...
+    def examine(self, regions: list[Region]) -> list[Array | None]: ...
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None: ...
 
 
-def tighten(
-    problem: Problem,
-    lower: float,
-    upper: float,
-    tolerance: float,
-    budget: Budget,
-) -> Proof:
+def tighten(problem: Problem, lower: float, upper: float, tolerance: float, budget: Budget) -> Proof:
     """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows."""
     # That level is tried at once. Where a larger lower bound is met, or the work will not do, what is left is cut back
     # to the smaller set of a larger level: what was proved holds there, too, and nothing begins anew.
@@ -118,20 +96,12 @@ def tighten(
 class _Descent:
     """One proof of a set that may get smaller on the way: what is open of it, a stack, and what is proved."""
 
-    def __init__(
-        self,
-        problem: Problem,
-        proof: Proof,
-        tolerance: float,
-        budget: Budget,
-    ) -> None:
+    def __init__(self, problem: Problem, proof: Proof, tolerance: float, budget: Budget) -> None:
         self.problem, self.proof, self.tolerance, self.budget = problem, proof, tolerance, budget
-        self.real = real_blocks(problem.blocks)
-        self.regions: list[Region] = []
-        self.leaves: list[Region] = []
+        self.real = np.array([b.interval is not None for b in problem.blocks], dtype=bool)
         self.level = proof.lower * (1 + tolerance)
         self.root = problem.root(self.level)
-        self.regions.append(self.root)
+        self.regions, self.leaves = [self.root], list[Region]()
         self._begin()
 
     def run(self) -> bool:
@@ -152,7 +122,6 @@ class _Descent:
         chosen = self.regions[-REGIONS:]
         del self.regions[-REGIONS:]
         before = [list(r.open) for r in chosen]
-        self.proof.solves += len(chosen)
         weights = self.problem.examine(chosen)
         self.budget.spend(self.problem.work(len(chosen)))
         sound = True
@@ -166,7 +135,7 @@ class _Descent:
             found = self.problem.attack(region, self.proof.lower, self.budget)
             if found is not None and found.level > self.proof.lower:
                 self.proof.lower, self.proof.values = found.level, found.values
-            index = _where_to_cut(region.box, weight, self.real, self.root.box, NARROW)
+            index = _where_to_cut(region.box, weight, self.real, self.root.box)
             if index is None:
                 self.regions.append(region)
                 sound = False
@@ -187,19 +156,12 @@ class _Descent:
     def _out_of_reach(self) -> bool:
         """Whether the work, or the time, will not do, as far as the volume proved so far tells."""
         left = self._volume() / self.open
-        if self._too_little(self.budget.left, self.work, left):
+        if _too_little(self.budget.left, self.work, left):
             return True
-        if self._too_little(self.budget.seconds_left, self.seconds, left):
+        if _too_little(self.budget.seconds_left, self.seconds, left):
             self.budget.strike()  # the clock chooses the set: not repeatable
             return True
         return False
-
-    def _too_little(self, there: float, begun_with: float, left: float) -> bool:
-        """Whether what there is will not do for the volume left, by what was done with the rest of it."""
-        if begun_with == np.inf:
-            return False
-        done = (1 - max(there, 0.0) / begun_with) / (1 - KEPT) if begun_with > 0 else 1.0
-        return done >= 1 or (done >= KEPT and done**2 * left > (1 - done) * (1 - left))
 
     def _give_way(self) -> bool:
         """A quarter of the way back to what is proved already; False where that is next to it."""
@@ -220,14 +182,17 @@ class _Descent:
         return [Region(box, list(r.open), r.hot, proof=r.proof) for box, r in cut if box is not None]
 
 
-def real_blocks(blocks: Sequence[Block]) -> Mask:
-    """Which blocks are real scalars, shape (n_blocks,): those whose interval can be cut."""
-    return np.array([b.interval is not None for b in blocks], dtype=bool)
+def _too_little(there: float, begun_with: float, left: float) -> bool:
+    """Whether what there is will not do for the volume left, by what was done with the rest of it."""
+    if begun_with == np.inf:
+        return False
+    done = (1 - max(there, 0.0) / begun_with) / (1 - KEPT) if begun_with > 0 else 1.0
+    return done >= 1 or (done >= KEPT and done**2 * left > (1 - done) * (1 - left))
 
 
-def _where_to_cut(box: Box, weight: Array, real: Mask, root: Box, narrow: float) -> int | None:
+def _where_to_cut(box: Box, weight: Array, real: Mask, root: Box) -> int | None:
     """The real block that weighs most in what is not proved, wide intervals first; None where all are narrow."""
-    share = np.where(real & (box.half > narrow * root.half), box.half / np.maximum(root.half, 1e-300), 0.0)
+    share = np.where(real & (box.half > NARROW * root.half), box.half / np.maximum(root.half, 1e-300), 0.0)
     if not share.any():
         return None
     return int(np.argmax((weight / max(float(weight.sum()), 1e-300) + 1e-6) * np.sqrt(share)))
@@ -246,11 +211,7 @@ def block_weights(M: ComplexArray, bound: UpperBound, blocks: Sequence[Block]) -
 class MatrixProblem:
     """mu of one matrix M (p, q)."""
 
-    def __init__(
-        self,
-        M: ComplexArray,
-        blocks: Sequence[Block],
-    ) -> None:
+    def __init__(self, M: ComplexArray, blocks: Sequence[Block]) -> None:
         self.M, self.blocks = M, tuple(blocks)
         self._found: Improved | None = None
         self._batches = 0

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robustlab.arrays import Array, ComplexArray
+from robustlab.arrays import ComplexArray
 from robustlab.mu_analysis.matrix.box import Box, centre_matrix
 from robustlab.uncertainty.blocks import Block, block_slices
 
@@ -33,14 +33,6 @@ class Gain:
         """The performance block of size ``1 / value`` that makes the whole loop singular."""
         return np.outer(self.v, np.conj(self.u)) / self.value
 
-    def slopes(self, blocks: Sequence[Block]) -> Array:
-        """Derivative by the entry of each real block; zero for the others, the performance included."""
-        slopes = [
-            (self.left[w] * self.right[z]).sum().real if b.interval else 0.0
-            for b, (w, z) in zip(blocks[:-1], block_slices(blocks[:-1]), strict=True)
-        ]
-        return np.array([*slopes, 0.0])
-
 
 def gain_at(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Gain | None:
     """The gain with the given Delta of all blocks but the last; None where the loop is singular."""
@@ -58,10 +50,12 @@ def gain_at(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Ga
     return Gain(float(sigma[0]), delta, np.conj(u[:, 0]) @ outside, inside @ np.conj(vh[0]), u[:, 0], np.conj(vh[0]))
 
 
-def ascend(M: ComplexArray, blocks: Sequence[Block], start: ComplexArray, box: Box) -> Gain | None:
+def ascend(
+    M: ComplexArray, blocks: Sequence[Block], start: ComplexArray, box: Box, steps: int = ASCENTS
+) -> Gain | None:
     """A large gain with every block inside the box, from a Delta (q, p): each step aligns all blocks with l and r."""
     best = gain_at(M, blocks, start)
-    for _ in range(ASCENTS if best is not None else 0):
+    for _ in range(steps if best is not None else 0):
         assert best is not None
         aim = _aligned(blocks, best, box)
         step, better = 1.0, None
@@ -108,19 +102,3 @@ def _aligned(blocks: Sequence[Block], gain: Gain, box: Box) -> ComplexArray:
         aligned = block.aligned(gain.left[w], gain.right[z], half)
         delta[w, z] = gain.delta[w, z] if aligned is None else delta[w, z] + aligned
     return delta
-
-
-def ascend_corners(M: ComplexArray, blocks: Sequence[Block], box: Box, values: Array, steps: int = 4) -> list[Gain]:
-    """Gains met on the way from real values, corner after corner of the box."""
-    met: list[Gain] = []
-    for _ in range(steps):
-        gain = gain_at(M, blocks, centre_matrix(blocks[:-1], values[:-1]).astype(complex))
-        if gain is None:
-            break
-        met.append(gain)
-        real = np.array([b.interval is not None for b in blocks], dtype=bool)
-        corner = np.where(real, box.centre + box.half * np.sign(gain.slopes(blocks)), 0.0)
-        if np.array_equal(corner, values):
-            break
-        values = corner
-    return met

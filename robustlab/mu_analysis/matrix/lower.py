@@ -26,7 +26,6 @@ from robustlab.mu_analysis.matrix.minimum_norm import (
     smallest_step,
     unit_rows,
 )
-from robustlab.mu_analysis.matrix.upper import UpperBound
 from robustlab.uncertainty.blocks import Block, structure_size
 
 # Share of the norm of a Delta that attains its bound, within which an exactly singular one is seen to first order;
@@ -44,11 +43,6 @@ STACK = 4_000_000  # numbers that one stack of paths may hold: memory, not the a
 
 Found = tuple[float, ComplexArray | None]
 
-ATTAINED = 1e-6  # share of its upper bound by which a lower one may be below it and still be the answer
-# A candidate that is changed by more than this share is not one of the structure; then so many rounds of leading back.
-OUTSIDE = 1e-9
-SHRINKING, LEAST_SHRINK, NEWTON_STEPS = 40, 1e-6, 12
-
 
 def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40) -> Found:
     """``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``."""
@@ -56,26 +50,13 @@ def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restart
 
 
 def lower_bounds(
-    stack: ComplexArray,
-    blocks: Sequence[Block],
-    seed: int = 0,
-    restarts: int = 12,
-    steps: int = 40,
-    upper: Sequence[UpperBound] = (),
+    stack: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40
 ) -> list[Found]:
     """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time."""
     best: list[Found] = [(0.0, None)] * len(stack)
     jobs: dict[tuple[int, ...], list[tuple[int, Component, float]]] = {}
-    split = [components(m, blocks) for m in stack]
-    whole = [k for k, parts in enumerate(split) if upper and len(parts) == 1]
-    for k, delta in zip(
-        whole, _at_the_bound([split[k][0] for k in whole], blocks, [upper[k] for k in whole]), strict=False
-    ):
-        best[k] = _verified(stack[k], blocks, split[k][0], [delta] if np.isfinite(delta).all() else [], best[k])
-    for k, parts in enumerate(split):
-        if upper and best[k][0] >= upper[k].beta * (1 - ATTAINED):
-            continue
-        for component in parts:
+    for k, m in enumerate(stack):
+        for component in components(m, blocks):
             if component.matrix.any():
                 # The steps are sized for a matrix of order one.
                 size = float(np.exp2(max(np.rint(np.log2(np.abs(component.matrix).max())), -1000.0)))
@@ -97,32 +78,12 @@ def lower_bounds(
     return best
 
 
-def _at_the_bound(parts: list[Component], blocks: Sequence[Block], upper: list[UpperBound]) -> list[ComplexArray]:
-    """The Deltas that the largest singular vectors of the scaled matrices point to, led to singularity."""
-    if not parts or any(block.interval is not None for block in blocks):
-        return []
-    layout, M = delta_layout(blocks), np.stack([part.matrix for part in parts])
-    w, z = (np.exp2(-np.array(e)) for e in zip(*(expand(blocks, part.exponents) for part in parts), strict=True))
-    with np.errstate(all="ignore"):  # a Delta that overflows does not verify
-        try:
-            right = np.linalg.cholesky(np.stack([bound.Dw for bound in upper]) * w[:, :, None] * w[:, None])
-            left = np.linalg.cholesky(np.stack([bound.Dz for bound in upper]) * z[:, :, None] * z[:, None])
-            back = np.linalg.solve(right, np.conj(np.swapaxes(M, 1, 2)) @ left)
-            v, sigma, uh = np.linalg.svd(back)
-        except np.linalg.LinAlgError:
-            return []
-        row, x = np.conj(v[:, :, 0]), np.conj(uh[:, 0])
-        gains = layout.gains(row, x)
-        start = layout.deltas(np.conj(gains) / positive(np.abs(gains) * sigma[:, :1]), row, x)
-        return list(sharpened(M, layout, start))
-
-
 def _verified(
     M: ComplexArray, blocks: Sequence[Block], component: Component, candidates: list[ComplexArray], best: Found
 ) -> Found:
     """The smallest candidate that is better than ``best`` and singular to rounding, on the whole of M."""
     part = [blocks[i] for i in component.members]
-    exact = [d for c in candidates for d in _of_the_structure(component.matrix, part, c)]
+    exact = [project(part, c) for c in candidates]
     for norm, candidate in sorted(((delta_norm(part, c), c) for c in exact), key=lambda pair: pair[0]):
         if not 0 < norm < np.inf:
             continue
@@ -134,42 +95,6 @@ def _verified(
         if close and _singular_nearby(component.matrix, part, candidate):
             return 1 / delta_norm(blocks, delta), delta
     return best
-
-
-def _of_the_structure(M: ComplexArray, blocks: Sequence[Block], candidate: ComplexArray) -> list[ComplexArray]:
-    """The candidate without what the structure has no room for."""
-    delta = project(blocks, candidate)
-    if np.abs(delta - candidate).max() <= OUTSIDE * np.abs(candidate).max():
-        return [delta]
-    met: list[ComplexArray] = []
-    shrink = 0.0
-    for _ in range(SHRINKING):
-        found = _led_back(M, blocks, (1 - shrink) * delta)
-        if found is not None and (not met or delta_norm(blocks, found) < delta_norm(blocks, met[-1]) * (1 - 1e-9)):
-            met.append(found)
-            delta, shrink = found, min(max(2 * shrink, 0.1), 0.5)
-        elif not met or shrink < LEAST_SHRINK:
-            break
-        else:
-            shrink /= 4
-    return met
-
-
-def _led_back(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray | None:
-    """A Delta of the structure that makes ``I - M Delta`` singular, by Newton steps of least change, or None."""
-    for _ in range(NEWTON_STEPS):
-        u, sigma, vh = np.linalg.svd(np.eye(len(M)) - M @ delta)
-        if sigma[-1] <= EPS * sigma[0]:
-            break
-        row, x = np.conj(u[:, -1]) @ M, np.conj(vh[-1])
-        along = np.outer(np.conj(row), np.conj(x))
-        moves = [project(blocks, along), project(blocks, 1j * along)]
-        gains = np.array([row @ move @ x for move in moves])
-        parts = np.linalg.lstsq(np.stack([np.real(gains), np.imag(gains)]), np.array([sigma[-1], 0.0]), rcond=1e-8)[0]
-        delta = delta + parts[0] * moves[0] + parts[1] * moves[1]
-        if not np.isfinite(delta).all():
-            return None
-    return delta if singularity(M, delta) <= SINGULAR else None
 
 
 def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> bool:
@@ -377,58 +302,29 @@ def _power_directions(
 ) -> tuple[ComplexArray, ComplexArray]:
     """Null directions x = a and y = z, each (k, p), after some steps from b and w, each (k, q); M is (k, p, q)."""
     back = np.conj(np.swapaxes(M, 1, 2))
+    scalar_w, scalar_z = ~layout.full[layout.of_w], ~layout.full[layout.of_z]
     b, w = unit_rows(b), unit_rows(w)
-    q_real = np.ones((len(M), layout.n))
     a = unit_rows((M @ b[..., None])[..., 0])
-    z = np.zeros_like(a)
+    z = a
     for _ in range(steps):
-        q_w, q_z, q_real = _alignment(layout, a, w, b, q_real)
-        z = _onto_z(layout, q_w, w, a)
+        # z_i = q_i^* w_i and b_i = q_i a_i for scalar blocks; for full ones along a_i, w_i with the size of the other.
+        phase, ratio = _alignment(layout, a, w)
+        z = a / ratio[:, layout.of_z]
+        z[:, scalar_z] = np.conj(phase[:, layout.of_w[scalar_w]]) * w[:, scalar_w]
         w = unit_rows((back @ z[..., None])[..., 0], w)
-        q_w, q_z, q_real = _alignment(layout, a, w, b, q_real)
-        b = unit_rows(_onto_w(layout, q_z, a, w), b)
+        phase, ratio = _alignment(layout, a, w)
+        b = w * ratio[:, layout.of_w]
+        b[:, scalar_w] = phase[:, layout.of_z[scalar_z]] * a[:, scalar_z]
+        b = unit_rows(b, b)
         a = unit_rows((M @ b[..., None])[..., 0], a)
     return a, z
 
 
-def _alignment(
-    layout: DeltaLayout, a: ComplexArray, w: ComplexArray, b: ComplexArray, q_real: Array
-) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Factors of ``z_i`` from ``w_i`` and of ``b_i`` from ``a_i``, per block (k, n_blocks), and the real q_i."""
-    size_a, size_w = layout.vector_sizes(a, layout.of_z), layout.vector_sizes(w, layout.of_w)
-    if layout.full.all():
-        return size_w / positive(size_a) + 0j, size_a / positive(size_w) + 0j, q_real
+def _alignment(layout: DeltaLayout, a: ComplexArray, w: ComplexArray) -> tuple[ComplexArray, Array]:
+    """The phase of each block's ``w^* a``, and the size of its a over that of its w, (k, n_blocks)."""
     inner = layout.gains(w, np.conj(a))
-    phase = inner / positive(np.abs(inner))
-    q = np.where(layout.full, 1.0, phase)
-    if layout.real.any():
-        ratio = layout.vector_sizes(b, layout.of_w) / positive(size_a)
-        q_real = np.clip(np.sign(q_real) * ratio + inner.real, -1.0, 1.0)
-        q_real = np.where(q_real == 0, 1e-3, q_real)
-        q = np.where(layout.real, q_real, q)
-    to_z = np.where(layout.full, size_w / positive(size_a), np.conj(q))
-    to_b = np.where(layout.full, size_a / positive(size_w), q)
-    return to_z, to_b, q_real
-
-
-def _onto_z(layout: DeltaLayout, factors: ComplexArray, w: ComplexArray, a: ComplexArray) -> ComplexArray:
-    """``z_i = q_i^* w_i`` for scalar blocks, along ``a_i`` with the size of ``w_i`` for full ones."""
-    if layout.diagonal:
-        return factors[:, layout.of_w] * w
-    z = factors[:, layout.of_z] * a
-    scalar_w, scalar_z = ~layout.full[layout.of_w], ~layout.full[layout.of_z]
-    z[:, scalar_z] = factors[:, layout.of_w[scalar_w]] * w[:, scalar_w]
-    return z
-
-
-def _onto_w(layout: DeltaLayout, factors: ComplexArray, a: ComplexArray, w: ComplexArray) -> ComplexArray:
-    """``b_i = q_i a_i`` for scalar blocks, along ``w_i`` with the size of ``a_i`` for full ones."""
-    if layout.diagonal:
-        return factors[:, layout.of_w] * a
-    b = factors[:, layout.of_w] * w
-    scalar_w, scalar_z = ~layout.full[layout.of_w], ~layout.full[layout.of_z]
-    b[:, scalar_w] = factors[:, layout.of_z[scalar_z]] * a[:, scalar_z]
-    return b
+    ratio = positive(layout.vector_sizes(a, layout.of_z)) / positive(layout.vector_sizes(w, layout.of_w))
+    return inner / positive(np.abs(inner)), ratio
 
 
 def _gain_ascent(

@@ -13,7 +13,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import default_grid
 from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import AxisCover, cover_axis
-from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE
+from robustlab.mu_analysis.axis.margin import PERFORMANCE
 from robustlab.mu_analysis.matrix.certificate import project
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work

@@ -14,7 +14,8 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
-from robustlab.mu_analysis.axis.worst_gain import WorstCaseGain, gain_within
+from robustlab.mu_analysis.axis.margin import WorstCaseGain
+from robustlab.mu_analysis.axis.robustness import gain_within
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.result import Status
 from robustlab.shown import Facts

@@ -11,9 +11,8 @@ import numpy as np
 from robustlab.budget import MILLION, Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.axis.margin import Margin
-from robustlab.mu_analysis.axis.stability import margin_within
-from robustlab.mu_analysis.axis.worst_gain import PERFORMANCE, with_performance
+from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin
+from robustlab.mu_analysis.axis.robustness import margin_within, with_performance
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.upper import points_work
 from robustlab.norms import H2Norm, HinfNorm, bilinear_to_discrete, h2_by_gramians, hinf_norm

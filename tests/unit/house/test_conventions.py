@@ -144,7 +144,6 @@ NCF = rl.ncf(OSCILLATORS.nominal, 4.0)  # u = K y: with negative feedback, the d
 SIGNED = {
     "disk_margin": lambda **s: rl.disk_margin(OSCILLATORS.nominal, NCF.K, **s).simultaneous.lower,
     "classical_margins": lambda **s: rl.classical_margins(OSCILLATORS.nominal, NCF.K, **s).channels["y1"],
-    "small_gain": lambda **s: rl.small_gain(rl.unstructured(OSCILLATORS.nominal, 0.1, "additive"), NCF.K, **s).lower,
     "coprime_margin": lambda **s: rl.coprime_margin(OSCILLATORS.nominal, NCF.K, **s).lower,
     "disk_margin at": lambda **s: rl.disk_margin(OSCILLATORS.nominal, NCF.K, frequency=[0.5, 2.0], **s).lower,
     "disk_margin with a delay": lambda **s: rl.disk_margin(

@@ -75,7 +75,6 @@ CALLS: dict[str, tuple[Callable[[Model], Any], str, bool]] = {
     "worst_case_gain": (lambda m: rl.peak_gain(real(m)), "peak_gain", False),
     "worst_case": (lambda m: rl.worst_case(real(m), "hinf"), "worst_case", False),
     "disk_margin": (lambda m: rl.disk_margin(m, K), "disk_margin", True),
-    "small_gain": (lambda m: rl.small_gain(uncertain(m, rl.FullBlock("k", 1, 1))), "small_gain", True),
     "nu_gap": (lambda m: rl.nu_gap(m, Model(m.A, m.B, 1.1 * m.C, m.D, m.dt)), "nu_gap", True),
     "coprime_margin": (lambda m: rl.coprime_margin(m, K), "coprime_margin", True),
     "controllability": (rl.controllability, "controllability", True),

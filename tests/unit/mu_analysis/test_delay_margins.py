@@ -129,7 +129,7 @@ def test_the_disk_margins_of_a_pair_of_loops_are_those_found_without_approximati
         assert found.channels[name].upper == pytest.approx(upper, rel=1e-6)
         assert lower <= found.channels[name].lower <= upper
     assert found.simultaneous.upper == pytest.approx(0.8627549947803579, rel=1e-6)
-    assert found.simultaneous.lower == pytest.approx(0.8585473874026984, rel=1e-3)
+    assert 0.8585473874026984 <= found.simultaneous.lower <= 0.8627549947803579
 
 
 @pytest.mark.parametrize(("skew", "sign"), [(0.0, -1), (1.0, -1), (-1.0, -1), (0.0, 1)])

@@ -1,0 +1,686 @@
+"""Robust stability and worst-case gain of an uncertain model over the whole frequency axis; robust performance."""
+
+# Each asks for the peak of skewed mu. The blocks that grow with the level are all of them (stability: a level is mu),
+# or the performance alone (a level is a gain). A member is sought that attains a level; constant D, G on intervals
+# that cover the axis prove another; branch and bound over the real parameters brings both together.
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robustlab.arrays import Array, ComplexArray
+from robustlab.budget import Budget, one_thread, search_budget
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.mu_analysis.axis.axis_model import (
+    around,
+    check_nominal,
+    continuous,
+    frequencies,
+    model_frequency,
+    seed_frequencies,
+)
+from robustlab.mu_analysis.axis.axis_problems import GainProblem, MarginProblem
+from robustlab.mu_analysis.axis.critical_delta import pole_block_sensitivities
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis, cover_parts
+from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin, WorstCaseGain
+from robustlab.mu_analysis.axis.mode_ascent import smaller_destabilising
+from robustlab.mu_analysis.axis.pole_migration import Destabilising, first_crossing, smallest_destabilising
+from robustlab.mu_analysis.constants import COARSE, MEMBERS, SINGULAR, WORK
+from robustlab.mu_analysis.matrix.box import (
+    Box,
+    block_entries,
+    box_model,
+    centre_matrix,
+    gauge,
+    lowest,
+    root_box,
+)
+from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
+from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
+from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gain
+from robustlab.mu_analysis.matrix.lower import lower_bounds
+from robustlab.mu_analysis.matrix.skew import gain_curves
+from robustlab.mu_analysis.matrix.upper import UpperBound, compile_kernels, upper_bounds
+from robustlab.norms import QUIET, gain_rounding, hinf_norm
+from robustlab.result import Status
+from robustlab.statespace import StateSpaceModel
+from robustlab.uncertainty.blocks import Block, FullBlock, delta_matrix, delta_values
+from robustlab.uncertainty.lft import UncertainModel
+
+__all__ = [
+    "gain_within", "margin_within", "robust_performance", "robust_stability", "with_performance", "worst_case_gain",
+]  # fmt: skip
+
+FINEST = 1e-9  # bounds closer together than this are told apart by rounding alone
+CONTRADICTS = 1e-5  # what attains a level to rounding may pass a proof that is as tight, by that much and no more
+GAIN_ACCURACY = 1e-4  # of the cover of a gain
+FIRST_BRANCHES = 0.02  # share of the work for branch and bound before a smaller Delta is sought by modes
+ASCENT_SHARE = 0.25  # of the work left, for that search
+NORM_WIDTH = 1e-9  # relative width of the bracket of the norm that answers for one full block
+# Half width, in log frequency, of the first neighbourhood in which a smaller complex Delta is sought, the factor by
+# which the next are smaller, the last one in shares of the distance of the nearest pole, and how many at most.
+WIDEST, NARROWER, NARROWEST, NEIGHBOURHOODS = 0.1, 5.0, 8e-4, 60
+SIZES = 12  # of an asymmetric set, tried for the largest one that D, G prove ...
+LARGE = 1e3  # ... the first of them where nothing is known
+FINEST_SIDE = 1e-5  # relative to the width of a box, a cover in it comes no closer to the narrower side
+BLURRED = 1e-3  # share of the gain beyond which the bound of rounding leaves out what a zero nearly cancels
+
+
+@dataclass
+class _Search(ABC):
+    """The level that a member attains, the smallest one that is proved, and what shows them."""
+
+    uncertain: UncertainModel
+    model: StateSpaceModel
+    blocks: Sequence[Block]
+    budget: Budget
+    level: float = np.inf
+    cover: AxisCover = field(default_factory=lambda: AxisCover(open=[]))
+    proof: tuple[Piece, ...] | tuple[Region, ...] = ()
+    boxes: tuple[tuple[Box, Piece], ...] = ()
+
+    @property
+    @abstractmethod
+    def attained(self) -> float:
+        """The level that the worst member known attains."""
+
+    @property
+    @abstractmethod
+    def problem(self) -> MarginProblem | GainProblem:
+        """What branch and bound cuts."""
+
+    @abstractmethod
+    def over_the_axis(self, first: Array, accuracy: float) -> None:
+        """Prove a level by constant D, G."""
+
+    @abstractmethod
+    def meet(self, values: Any) -> None:
+        """Take a member that branch and bound has met."""
+
+    @abstractmethod
+    def better_member(self) -> None:
+        """Seek a worse member in another way, where there is one."""
+
+    def prove(self, first: Array, accuracy: float, tolerance: float) -> None:
+        """Cover the axis, more closely where that may do, then cut the set where the bounds are farther apart."""
+        self.over_the_axis(first, max(accuracy, COARSE))
+        near = self.level <= self.attained * (1 + tolerance) * (1 + 2 * COARSE)
+        if not self.cover.open and accuracy < COARSE and (near or not self.attained):
+            middles = [p.low + 0.5 * (p.high - p.low) for p in self.cover.pieces if np.isfinite(p.high)]
+            again = replace(self)
+            again.over_the_axis(np.append(first, np.unique(middles)), accuracy)
+            if again.level < self.level:
+                self.level, self.cover, self.proof = again.level, again.cover, again.proof
+        if any(b.interval for b in self.blocks):
+            if self.apart(tolerance):  # most gaps are closed soon
+                soon = self.budget.apart(FIRST_BRANCHES * max(self.budget.left, 0.0))
+                self.cut(tolerance, soon)
+                if soon.struck:
+                    self.budget.strike()
+            if self.apart(tolerance) and not self.budget.over:
+                self.better_member()
+            if self.apart(tolerance):
+                self.cut(tolerance, self.budget)
+        if self.level < self.attained * (1 - CONTRADICTS):
+            text = f"a member attains the level {self.attained:.9g} above the proved {self.level:.9g}: digits were lost"
+            raise NoTrustworthyNumber("robustness", text)
+
+    def apart(self, tolerance: float) -> bool:
+        """Whether a member is known and what is proved of all is farther from it than asked for."""
+        return 0 < self.attained * (1 + tolerance) < self.level
+
+    def cut(self, tolerance: float, budget: Budget) -> None:
+        """Close the gap that D, G leave by boxes of the real parameters."""
+        problem = self.problem
+        found = tighten(problem, self.attained, self.level, tolerance, budget)
+        if found.upper < self.level:
+            self.level, self.proof, self.boxes = found.upper, tuple(found.leaves), tuple(problem.proved)
+            self.cover.open.clear()
+        if found.values is not None:
+            self.meet(found.values)
+
+    def fields(self, delta: Mapping[str, Any], notes: Sequence[str], last: str = "") -> dict[str, Any]:
+        """What every result tells of its proof and of its Delta; notes that say nothing are left out."""
+        uncertain = self.uncertain
+        intervals, left_open = self.cover.reported(uncertain, self.level)
+        if self.proof and isinstance(self.proof[0], Region):
+            notes = [*notes, f"proved by branch and bound; regions of parameters and frequency: {len(self.proof)}"]
+        every = [*notes, self.budget.remark, last, *uncertain.impossible(delta), *uncertain.remarks]
+        return {
+            "delta": delta, "physical": uncertain.physical(delta) if delta else {}, "intervals": intervals,
+            "open": left_open, "proof": self.proof, "boxes": self.boxes, "system": uncertain,
+            "notes": tuple(note for note in every if note),
+        }  # fmt: skip
+
+
+# --- stability -------------------------------------------------------------------------------------------------------
+
+
+@told_as("robust_stability")
+def robust_stability(
+    uncertain: UncertainModel,
+    omega: ArrayLike | None = None,
+    accuracy: float = 3e-5,
+    time_limit: float | None = None,
+    seed: int = 0,
+    tolerance: float = 0.01,
+    effort: float = 1.0,
+) -> Margin:
+    r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis."""
+    compile_kernels()
+    budget = search_budget("robust_stability", WORK, effort, time_limit)
+    with one_thread():
+        return margin_within(uncertain, budget, omega, accuracy, seed, tolerance)
+
+
+def margin_within(
+    uncertain: UncertainModel,
+    budget: Budget,
+    omega: ArrayLike | None = None,
+    accuracy: float = 3e-5,
+    seed: int = 0,
+    tolerance: float = 0.01,
+) -> Margin:
+    """`robust_stability` within the budget of a search that it is a part of."""
+    check_nominal(uncertain, "robust_stability")
+    if not FINEST <= accuracy < 1 or not tolerance > 0:
+        found = f"accuracy {accuracy}, tolerance {tolerance}"
+        raise InputError("robust_stability", found, f"{FINEST:g} <= accuracy < 1, tolerance > 0")
+    grid = frequencies(omega, "robust_stability")
+    blocks = uncertain.blocks
+    search = _Stability(uncertain, continuous(uncertain.delta_channels), blocks, budget)
+    if not blocks:
+        search.level = 0.0
+        return search.answer(grid, np.zeros(len(grid)), np.zeros(len(grid)), "no uncertainty: mu = 0")
+    first = search.look(seed)
+    if not search.proof:
+        search.prove(first, accuracy, tolerance)
+    response = frequency_response(uncertain.delta_channels, grid)
+    mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
+    mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
+    return search.answer(grid, mu_lower, mu_upper, _SYMMETRIC_CURVES if len(grid) and not search.symmetric else "")
+
+
+_SYMMETRIC_CURVES = (
+    "the curves over frequency are those of ranges as wide below as above; the margin itself takes ranges as they are"
+)
+
+
+@dataclass
+class _Stability(_Search):
+    """Levels are mu: the smallest destabilising Delta known has the size of one over ``attained``."""
+
+    worst: Destabilising | None = None
+    seed: int = 0
+
+    @property
+    def attained(self) -> float:
+        return 0.0 if self.worst is None else 1 / self._size(self.worst)
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether every range is as wide below as above."""
+        return bool((lowest(self.blocks) == -1).all())
+
+    @property
+    def problem(self) -> MarginProblem:
+        pole = complex(np.inf) if self.worst is None else self.worst.pole
+        return MarginProblem(self.model, self.blocks, abs(pole.imag) if np.isfinite(pole) else None)
+
+    def _size(self, found: Destabilising) -> float:
+        return gauge(self.blocks, block_entries(self.blocks, found.delta))
+
+    def look(self, seed: int) -> Array:
+        """Seek a small destabilising Delta; the frequencies that a cover begins with."""
+        self.seed = seed
+        if self._of_one_full_block():
+            return np.zeros(0)
+        seeds = seed_frequencies(self.model)
+        worst = smallest_destabilising(self.model, self.blocks, seeds, seed)
+        if not self.symmetric:
+            worst = self._smallest_asymmetric(worst, seeds)
+        if worst is None:
+            return seeds
+        self.worst = _as_seen(self.model, worst)
+        if self.symmetric:  # the search below measures entries of Delta, not their share of each side of a range
+            self._sharpen()
+        pole = self.worst.pole
+        return np.append(seeds, abs(pole.imag)) if np.isfinite(pole) else seeds
+
+    def _of_one_full_block(self) -> bool:
+        """Whether mu is the largest singular value of one full block: then the H-infinity norm answers."""
+        model, block = self.model, self.blocks[0]
+        if len(self.blocks) > 1 or not block.is_ball or block.d_order > 1 or block.g_basis():
+            return False
+        norm = hinf_norm(model, NORM_WIDTH)
+        if norm.status is not Status.CERTIFIED or not np.isfinite(norm.upper):
+            return False
+        q, p = model.n_inputs, model.n_outputs
+        scalings = UpperBound(norm.upper, np.eye(q) + 0j, np.eye(p) + 0j, np.zeros((q, p), dtype=complex))
+        self.level, self.proof = norm.upper, (Piece(0.0, np.inf, norm.upper, scalings),)
+        self.cover = AxisCover(list(self.proof), [], norm.upper, 1)
+        if norm.lower > 0:  # at an end of the axis, where M is real, if the peak is as high there
+            for omega in (0.0, np.inf, norm.frequency):
+                u, sigma, vh = np.linalg.svd(frequency_response(model, [omega])[0])
+                if sigma[0] >= norm.lower * (1 - NORM_WIDTH):
+                    break
+            delta = np.outer(vh[0].conj(), u[:, 0].conj()) / sigma[0]
+            pole = complex(0.0, omega) if omega < np.inf else complex(np.inf)
+            self.worst = Destabilising(1 / float(sigma[0]), delta, pole)
+        return True
+
+    def _sharpen(self) -> None:
+        """With complex blocks mu changes smoothly over frequency: the smallest Delta ever closer around its peak."""
+        assert self.worst is not None
+        model, blocks, omega = self.model, self.blocks, self.worst.pole.imag
+        if not np.isfinite(self.worst.pole) or omega <= 0 or all(b.interval for b in blocks):
+            return
+        distance = np.abs(1j * omega - model.poles()).min(initial=omega)
+        reach = WIDEST
+        for _ in range(NEIGHBOURHOODS):
+            response = frequency_response(model, omega * np.exp(np.linspace(-reach, reach, 9)))
+            found = lower_bounds(response, blocks, self.seed)
+            k = int(np.argmax([value for value, _ in found]))
+            value, delta = found[k]
+            if delta is not None and value > 1 / self.worst.norm:
+                omega *= float(np.exp(reach * (k / 4 - 1)))
+                self.worst = Destabilising(1 / value, delta, complex(0.0, omega))
+                if k in (0, 8):  # the peak lies beyond
+                    continue
+            if reach * omega < NARROWEST * distance:
+                break
+            reach /= NARROWER
+
+    def _smallest_asymmetric(self, worst: Destabilising | None, seeds: Array) -> Destabilising | None:
+        """A destabilising Delta that is small in proportion to each side of its range, from the set's own centre."""
+        model, blocks = self.model, self.blocks
+        best, size = worst, np.inf if worst is None else self._size(worst)
+        for _ in range(4):
+            box = root_box(blocks, size if np.isfinite(size) else LARGE)
+            inside = box_model(model, blocks, box)
+            whole = centre_matrix(blocks, box.centre).astype(complex)
+            found: Destabilising | None = None
+            if inside is not None and inside.is_stable():
+                again = smallest_destabilising(inside, blocks, seeds, self.seed)
+                if again is None:
+                    break
+                whole = whole + np.repeat(box.half, [b.rows for b in blocks])[:, None] * again.delta
+                if not np.isfinite(again.pole):  # a pole that runs off to infinity crosses no axis
+                    found = Destabilising(delta_norm(blocks, whole), whole, complex(np.inf))
+            found = found or first_crossing(model, blocks, whole)
+            if found is None or not self._size(found) < size * (1 - 1e-7):
+                break
+            best, size = found, self._size(found)
+        return best
+
+    def over_the_axis(self, first: Array, accuracy: float) -> None:
+        if not self.symmetric:
+            return self._over_the_axis_asymmetric(first, accuracy)
+        cover = cover_parts(self.model, self.blocks, self.attained, first=first, budget=self.budget, accuracy=accuracy)
+        self.cover, self.proof, self.level = cover, tuple(cover.pieces), np.inf if cover.open else cover.beta
+        return None
+
+    def _over_the_axis_asymmetric(self, first: Array, accuracy: float) -> None:
+        """The largest size of the set, about the nominal point, that a cover with the box's own centre proves."""
+        # What the size changes by moves the narrower side of a range by so much less of the width of the box.
+        low = -lowest(self.blocks)
+        stretch = float(np.max((1 + low) / 2 / np.minimum(1.0, low)))
+        fine = max(accuracy / stretch, FINEST_SIDE)
+        room = fine * stretch
+        self.proof, self.level = (), np.inf
+        failed = 1 / self.attained if self.attained else np.inf
+        size = failed / (1 + room) if self.attained else LARGE
+        before: tuple[float, float] | None = None  # the last size that was too large, and the logarithm of its level
+        ratio, near = 1.0, 1 + max(2 * room, COARSE)
+        for _ in range(SIZES):
+            inside = box_model(self.model, self.blocks, root_box(self.blocks, size))
+            if inside is None or not inside.is_stable():
+                failed, size = size, size / 2
+                continue
+            cover = cover_axis(inside, self.blocks, 1 / (1 + fine), first=first, budget=self.budget, accuracy=fine)
+            if cover.open:
+                self.cover = self.cover if self.proof else cover
+                break
+            if cover.beta > 1 + 1e-12:
+                over, failed = float(np.log(cover.beta * (1 + fine))), size
+                if before:  # a secant: how much the level falls with the size depends on the side that it is met on
+                    ratio = float(np.clip(np.log(before[0] / size) / max(before[1] - over, 1e-12), 0.5, stretch))
+                if self.proof and failed * self.level < near:
+                    break
+                before = size, over
+                least = float(np.sqrt(size / self.level)) if self.proof else 0.0
+                size = max(size * float(np.exp(-ratio * over)), least)
+                continue
+            self.level, self.proof = 1 / size, tuple(cover.pieces)
+            # Inside the box the level is one; what it says of the set is one over the size of the box.
+            self.cover = AxisCover([replace(p, beta=self.level) for p in cover.pieces], [], self.level, cover.points)
+            if np.isinf(failed) or failed < size * near:
+                break
+            size = min(float(np.sqrt(size * failed)), size * near if before else np.inf)
+
+    def better_member(self) -> None:
+        # The gap may be that of the search: only modes that meet inside the box tell of a smaller Delta.
+        if self.worst is not None and all(b.interval for b in self.blocks):
+            better = smaller_destabilising(
+                self.model, self.blocks, self.worst, self.budget.share(ASCENT_SHARE), self.seed, proved=1 / self.level
+            )
+            self.worst = _as_seen(self.model, better)
+
+    def meet(self, values: Array) -> None:
+        found = first_crossing(self.model, self.blocks, centre_matrix(self.blocks, values).astype(complex))
+        if found is not None and (self.worst is None or self._size(found) < self._size(self.worst)):
+            self.worst = found
+
+    def answer(self, grid: Array, mu_lower: Array, mu_upper: Array, note: str) -> Margin:
+        """The margin, with its evidence."""
+        uncertain, worst, left = self.uncertain, self.worst, self.cover.open
+        delta = delta_values(uncertain.blocks, worst.delta) if worst else {}
+        upper = 1 / self.attained if self.attained else np.inf
+        lower = 0.0 if left else 1 / self.level if self.level > 0 else np.inf
+        for array in (grid, mu_lower, mu_upper):
+            array.setflags(write=False)
+        frequency, pole = None, None
+        if worst is not None:
+            pole, end = worst.pole, not np.isfinite(worst.pole)
+            frequency = model_frequency(uncertain, np.inf if end else abs(pole.imag))
+            if uncertain.M.is_discrete:
+                pole = -1.0 + 0j if end else (1 + pole) / (1 - pole)
+        unproved = f"{len(left)} frequency intervals not proved: mu_upper holds on the grid only" if left else ""
+        return Margin(
+            lower=min(lower, upper),
+            upper=upper,
+            frequency=frequency,
+            status=Status.TIMEOUT if self.budget.struck else Status.INCONCLUSIVE if left else Status.CERTIFIED,
+            pole=pole,
+            omega=grid,
+            mu_lower=mu_lower,
+            mu_upper=mu_upper,
+            shares=self._shares(),
+            **self.fields(delta, [note, unproved]),
+        )
+
+    def _shares(self) -> dict[str, float]:
+        """Share of each block in the margin, summing to one; empty where the margin has no derivative."""
+        worst = self.worst
+        if worst is None or not np.isfinite(worst.pole) or not self.model.n_states:
+            return {}
+        try:
+            slopes = pole_block_sensitivities(self.model, self.blocks, worst.delta, worst.pole)
+        except (NoTrustworthyNumber, np.linalg.LinAlgError):
+            return {}
+        shares = -slopes / worst.norm
+        # Parts that cancel to rounding say nothing.
+        if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9:
+            return {}
+        return {b.name: float(share) for b, share in zip(self.blocks, shares, strict=True)}
+
+
+def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
+    """The pole in the upper half plane, with the Delta that belongs to it; at infinity where the loop is ill-posed."""
+    if singularity(model.D.astype(complex), worst.delta) <= SINGULAR * 1e3:
+        return Destabilising(worst.norm, worst.delta, complex(np.inf))
+    if np.isfinite(worst.pole) and worst.pole.imag < 0:
+        return Destabilising(worst.norm, np.conj(worst.delta), np.conj(worst.pole))
+    return worst
+
+
+# --- performance -----------------------------------------------------------------------------------------------------
+
+
+@told_as("robust_performance")
+def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
+    r"""Robust performance margin: the largest k with gain below ``1 / k`` for all Delta of size below k.
+
+    It is the stability margin of the set with a full performance block between the outputs and the inputs, called
+    ``"performance"``: :math:`1 / \sup_\omega \mu_{\Delta, P}(M(j \omega))`. Above 1, every member of the set has a gain
+    below 1.
+
+    Parameters
+    ----------
+    uncertain
+        Uncertain model whose inputs and outputs are weighted.
+    **options
+        Those of `robust_stability`.
+
+    Returns
+    -------
+    Margin
+        As of `robust_stability`; ``delta`` holds the performance block ``(n_inputs, n_outputs)`` as well.
+
+    Raises
+    ------
+    InputError
+        No inputs or no outputs, or a block that is called ``"performance"`` already.
+    NoTrustworthyNumber
+        The nominal model is unstable.
+
+    References
+    ----------
+    Doyle, Wall, Stein, "Performance and robustness analysis for structured uncertainty" (1982), main loop theorem.
+    """
+    return PerformanceMargin(**vars(robust_stability(with_performance(uncertain), **options)))
+
+
+def with_performance(uncertain: UncertainModel) -> UncertainModel:
+    """The model with a full performance block between its outputs and its inputs; see `robust_performance`."""
+    check_nominal(uncertain, "robust_performance")
+    n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
+    if not n_u or not n_y:
+        raise InputError("robust_performance", f"{n_u} inputs and {n_y} outputs", "at least one of each")
+    if PERFORMANCE in [b.name for b in uncertain.blocks]:
+        raise InputError("robust_performance", f"a block is called {PERFORMANCE!r}", "another name for it")
+    return UncertainModel(uncertain.M, (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y)))
+
+
+@told_as("worst_case_gain")
+def worst_case_gain(
+    uncertain: UncertainModel,
+    omega: ArrayLike | None = None,
+    tolerance: float = 0.01,
+    time_limit: float | None = None,
+    seed: int = 0,
+    effort: float = 1.0,
+) -> WorstCaseGain:
+    """`robustlab.peak_gain` of an uncertain model."""
+    compile_kernels()
+    budget = search_budget("worst_case_gain", WORK, effort, time_limit)
+    with one_thread():
+        return gain_within(uncertain, budget, omega, tolerance, seed)
+
+
+def gain_within(
+    uncertain: UncertainModel,
+    budget: Budget,
+    omega: ArrayLike | None = None,
+    tolerance: float = 0.01,
+    seed: int = 0,
+) -> WorstCaseGain:
+    """`worst_case_gain` within the budget of a search that it is a part of."""
+    check_nominal(uncertain, "worst_case_gain")
+    if not tolerance > 0:
+        raise InputError("worst_case_gain", f"tolerance {tolerance}", "tolerance > 0")
+    grid = frequencies(omega, "worst_case_gain")
+    n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
+    nominal = hinf_norm(uncertain.nominal)
+    blocks = (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y)) if n_u and n_y else ()
+    search = _Gain(uncertain, continuous(uncertain.M), blocks, budget, seed=seed)
+    if not blocks:
+        search.level = 0.0
+        return search.answer(nominal.value, grid)
+    if not uncertain.blocks:
+        search.level, search.lower, search.frequency = nominal.upper, nominal.lower, nominal.frequency
+        notes = ("no uncertainty: the gain is the nominal one", *([nominal.reason] if nominal.reason else []))
+        found = search.answer(nominal.value, grid, *notes)
+        return found if nominal.status is Status.CERTIFIED else replace(found, status=nominal.status)
+    seeds = seed_frequencies(search.model)
+    unstable = smallest_destabilising(continuous(uncertain.delta_channels), uncertain.blocks, seeds, seed)
+    if unstable is not None and gauge(uncertain.blocks, block_entries(uncertain.blocks, unstable.delta)) <= 1:
+        at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
+        search.lower, search.delta, search.frequency = np.inf, delta_values(uncertain.blocks, unstable.delta), at
+        return search.answer(nominal.value, grid, "a member of the set is unstable")
+    search.look(seeds, nominal.frequency)
+    search.prove(np.append(seeds, search.peak), GAIN_ACCURACY, tolerance)
+    search.level = max(search.level, search.lower)
+    with np.errstate(all="ignore"):
+        error = search.rounding()
+    if not error <= QUIET * search.lower:
+        # Four times: the member is rounded, mapped to continuous time, scaled, and its response is solved for.
+        search.lower = max(search.lower - 4.0 * error, 0.0) if np.isfinite(error) else 0.0
+    return search.answer(nominal.value, grid)
+
+
+@dataclass
+class _Gain(_Search):
+    """Levels are gains: the last block stands for the performance, the member at ``delta`` has the gain ``lower``."""
+
+    lower: float = 0.0
+    delta: Mapping[str, Any] = field(default_factory=dict)
+    frequency: float | None = None
+    seed: int = 0
+
+    @property
+    def attained(self) -> float:
+        return self.lower
+
+    @property
+    def peak(self) -> float:
+        """Where the member has its gain, in the model's own frequency."""
+        return self._mapped(self.frequency or 0.0)
+
+    @property
+    def problem(self) -> GainProblem:
+        return GainProblem(self.model, self.blocks, self.peak)
+
+    def _mapped(self, omega: float) -> float:
+        """Frequency on the axis of the continuous model that belongs to one of the model itself."""
+        return float(np.tan(omega * self.uncertain.dt / 2)) if self.uncertain.M.is_discrete else float(omega)
+
+    def look(self, seeds: Array, nominal_peak: float) -> None:
+        """Ascents to large gains at many frequencies, the best ones followed to their own peaks."""
+        rng, box = np.random.default_rng(self.seed), root_box(self.blocks)
+        omega = np.unique(np.concatenate([[0.0], seeds, [self._mapped(nominal_peak)]]))
+        omega = omega[np.isfinite(omega)]
+        met = [
+            (gain, float(w))
+            for w, M in zip(omega, frequency_response(self.model, omega), strict=True)
+            if (gain := largest_gain(M, self.blocks, box, rng, 4)) is not None
+        ]
+        for gain, w in sorted(met, key=lambda pair: -pair[0].value)[:MEMBERS]:
+            self._take(*self._followed(gain, w, box))
+
+    def _followed(self, gain: Gain, omega: float, box: Box) -> tuple[float, Mapping[str, Any], float | None]:
+        """In turn the peak frequency of a member and the ascent at that frequency, as long as the gain rises."""
+        best: tuple[float, Mapping[str, Any], float | None] = 0.0, {}, None
+        higher: Gain | None = gain
+        for _ in range(20):
+            if higher is None or not np.isfinite(omega):
+                break
+            reached = self._member(higher.delta, omega)
+            if reached[0] <= best[0] * (1 + 1e-9):
+                break
+            best, omega = reached, self._mapped(reached[2])
+            if np.isfinite(omega):
+                M = frequency_response(self.model, np.array([omega]))[0]
+                higher = ascend(M, self.blocks, higher.delta, box)
+        return best
+
+    def _member(self, delta: ComplexArray, omega: float) -> tuple[float, Mapping[str, Any], float]:
+        """Gain of a member: its H-infinity norm where Delta is real, else its largest one over frequency nearby."""
+        uncertain = self.uncertain
+        values = delta_values(uncertain.blocks, delta)
+        if all(b.interval for b in uncertain.blocks):
+            clipped = {name: float(np.clip(value, -1.0, 1.0)) for name, value in values.items()}
+            norm = hinf_norm(uncertain.evaluate(clipped))
+            return norm.lower, clipped, norm.frequency
+        at = around(self.model, omega)
+        gains = [gain_at(M, self.blocks, delta) for M in frequency_response(self.model, at)]
+        sizes = [0.0 if g is None else g.value for g in gains]
+        k = int(np.argmax(sizes))
+        return sizes[k], values, model_frequency(uncertain, float(at[k]))
+
+    def over_the_axis(self, first: Array, accuracy: float) -> None:
+        centred = self._about_the_centre()
+        self.cover = AxisCover()
+        if centred is not None:
+            varying = np.arange(self.model.n_inputs) >= self.model.n_inputs - self.blocks[-1].rows
+            self.cover = cover_axis(
+                centred, self.blocks, self.lower, first=first, budget=self.budget, accuracy=accuracy, varying=varying
+            )
+        self.proof, self.level = tuple(self.cover.pieces), np.inf if self.cover.open else self.cover.beta
+
+    def _about_the_centre(self) -> StateSpaceModel | None:
+        """The model as the normalised Delta sees it where ranges are asymmetric; None where it is not stable there."""
+        box = root_box(self.blocks)
+        if not box.centre.any():
+            return self.model
+        shifted = box_model(self.model, self.blocks, Box(box.centre, np.append(box.half[:-1], 1.0)))
+        return None if shifted is None or not shifted.is_stable() else shifted
+
+    def meet(self, values: tuple[ComplexArray, float]) -> None:
+        self._take(*self._member(*values))
+
+    def _take(self, lower: float, delta: Mapping[str, Any], frequency: float | None) -> None:
+        """Keep a member of larger gain."""
+        if lower > self.lower:
+            self.lower, self.delta, self.frequency = lower, delta, frequency
+
+    def better_member(self) -> None:
+        return
+
+    def rounding(self) -> float:
+        """What rounding may have added to the lower bound; 0 where there is none."""
+        if not 0 < self.lower < np.inf or self.frequency is None:
+            return 0.0
+        M, delta = self.uncertain.M, np.asarray(delta_matrix(self.uncertain.blocks, self.delta))
+        q, p = delta.shape
+        left = delta @ np.linalg.inv(np.eye(p) - M.D[:p, :q] @ delta)
+        A, B = M.A + M.B[:, :q] @ left @ M.C[:p], M.B[:, q:] + M.B[:, :q] @ left @ M.D[:p, q:]
+        C, D = M.C[p:] + M.D[p:, :q] @ left @ M.C[:p], M.D[p:, q:] + M.D[p:, :q] @ left @ M.D[:p, q:]
+        # What cancels in the member's matrices is rounded before it cancels.
+        across, onto = np.abs(M.B[:, :q]) @ np.abs(left), np.abs(M.D[p:, :q]) @ np.abs(left)
+        into, through = np.abs(M.C[:p]), np.abs(M.D[:p, q:])
+        sums = (
+            np.abs(M.A) + across @ into, np.abs(M.B[:, q:]) + across @ through,
+            np.abs(M.C[p:]) + onto @ into, np.abs(M.D[p:, q:]) + onto @ through,
+        )  # fmt: skip
+        s = np.exp(1j * self.frequency * M.dt) if M.is_discrete else 1j * self.frequency
+        at = complex(s) if np.isfinite(self.frequency) else complex(np.inf)
+        error = gain_rounding(A, B, C, D, at, sums)
+        if error <= BLURRED * self.lower or not np.isfinite(at):
+            return error
+        # What a zero nearly cancels in a mode is not seen: C (sI - A)^-1 in the place of |C| |(sI - A)^-1|.
+        n, eps = len(A), float(np.finfo(float).eps)
+        inverse = np.linalg.inv(at * np.eye(n) - A)
+        X, terms, seen = np.abs(inverse @ B), sums[0] + abs(at) * np.eye(n), np.abs(C @ inverse)
+        seen = seen + n * eps * (seen @ terms) @ np.abs(inverse)
+        return n * eps * float(np.linalg.norm(sums[3] + sums[2] @ X + seen @ (terms @ X + sums[1])))
+
+    def answer(self, nominal: float, grid: Array, *notes: str) -> WorstCaseGain:
+        """The worst gain, with its evidence and the curves over the grid: nominal gain, largest one found, bound."""
+        uncertain, proved = self.uncertain, np.isfinite(self.level) or np.isinf(self.lower)
+        response = frequency_response(uncertain.nominal, grid)
+        curve = np.linalg.norm(response, 2, axis=(1, 2)) if response.size else np.zeros(len(grid))
+        low, high = curve.copy(), curve.copy()
+        if len(grid) and uncertain.blocks and self.blocks and np.isfinite(self.lower):
+            response, rng = frequency_response(uncertain.M, grid), np.random.default_rng(self.seed)
+            low, high, _ = gain_curves(response, self.blocks, rng, 4, 1e-3)
+            high = np.maximum(high, low)
+        return WorstCaseGain(
+            lower=self.lower,
+            upper=self.level,
+            frequency=self.frequency,
+            status=Status.TIMEOUT if self.budget.struck else Status.CERTIFIED if proved else Status.INCONCLUSIVE,
+            nominal=nominal,
+            omega=grid,
+            nominal_gain=curve,
+            gain_lower=low,
+            gain_upper=high,
+            **self.fields(self.delta, notes, "" if proved else "no upper bound: the set was not proved stable"),
+        )
