@@ -50,7 +50,6 @@ from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.upper import upper_bounds
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.algebra import beside, stacked
 from robustlab.uncertainty.blocks import ComplexScalar, delta_values
 
 __all__ = ["DelayDiskMargins", "delay_classical_margins", "delay_disk_margins"]
@@ -161,7 +160,8 @@ def _closed(plant: Any, K: Any, at: Place, sign: Literal[-1, 1] | None, where: s
     q, m, n = _renamed(p, "p"), p.n_inputs, p.n_outputs
     around: Any
     if at == "both":  # [u; y] = [0, sign K; P, 0] [u; y]
-        around = stacked(beside(np.zeros((m, m)), sign * k), beside(q, np.zeros((n, n))))
+        first, last = np.eye(m + n)[:m], np.eye(m + n)[m:]
+        around = first.T @ (sign * k) @ last + last.T @ q @ first
     else:
         around = sign * (q @ k if at == "output" else k @ q)
     S = _renamed(as_delayed(_gain(around.n_inputs)), "s").feedback(_renamed(around, "l"), 1)

@@ -21,8 +21,8 @@ from robustlab.synthesis.reduction.hankel_norm import error_bound, hankel_bound,
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.synthesis.reduction.relative_error import Spectrum, relative_bound
 from robustlab.synthesis.reduction.split_error import SplitError, widened
-from robustlab.uncertainty.algebra import Reduction, reduction
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.reduction import Reduction, reduction
 
 Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
 Method = Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"]
