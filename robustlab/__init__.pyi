@@ -68,9 +68,6 @@ from robustlab.synthesis.specifications.weight_design import complementary_weigh
 from robustlab.synthesis.specifications.weight_design import control_weight as control_weight
 from robustlab.synthesis.specifications.weight_design import makeweight as makeweight
 from robustlab.synthesis.specifications.weight_design import performance_weight as performance_weight
-from robustlab.uncertainty.algebra import beside as beside
-from robustlab.uncertainty.algebra import stacked as stacked
-from robustlab.uncertainty.algebra import star as star
 from robustlab.uncertainty.blocks import ComplexScalar as ComplexScalar
 from robustlab.uncertainty.blocks import FullBlock as FullBlock
 from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
@@ -82,6 +79,7 @@ from robustlab.uncertainty.elementwise import elementwise as elementwise
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData as UncertainFrequencyData
 from robustlab.uncertainty.frequency_responses import frequency_data as frequency_data
 from robustlab.uncertainty.lft import UncertainModel as UncertainModel
+from robustlab.uncertainty.lft import star as star
 from robustlab.uncertainty.named_wiring import connect as connect
 from robustlab.uncertainty.parametric import parametric as parametric
 from robustlab.uncertainty.unstructured import unstructured as unstructured
@@ -121,8 +119,6 @@ __all__ = [
     "UncertainFrequencyData",
     "frequency_data",
     "star",
-    "beside",
-    "stacked",
     "connect",
     "unstructured",
     "cover",

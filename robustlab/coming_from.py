@@ -15,6 +15,9 @@ NAMES = {  # answer -> names that it answers; docs/coming-from has them in full
     "set.evaluate({name: value})": "usubs",
     "rl.connect": "sumblk sysic interconnect feedback",
     "rl.star": "lft",
+    "rl.connect, or G @ [[1, 0]] + H @ [[0, 1]] for [G, H] and [[1], [0]] @ G + [[0], [1]] @ H for [G; H]": (
+        "append beside stacked"
+    ),
     "rl.cover; rl.overbound for a weight": "ucover fitmagfrd",
     "rl.robust_stability": "robstab robuststab",
     "rl.robust_stability of the set with one full block, or rl.peak_gain": "small_gain",

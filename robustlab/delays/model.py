@@ -32,10 +32,18 @@ from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, short, with_units
 from robustlab.signals import Signal, is_constant, picked, real_array
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.uncertainty.algebra import inverse, star
 from robustlab.uncertainty.blocks import ComplexScalar
 from robustlab.uncertainty.interconnection import Wiring
-from robustlab.uncertainty.lft import UncertainModel, as_uncertain, feedback, interconnected, parallel, product
+from robustlab.uncertainty.lft import (
+    UncertainModel,
+    as_uncertain,
+    feedback,
+    interconnected,
+    inverse,
+    parallel,
+    product,
+    star,
+)
 
 
 @dataclass(frozen=True, init=False, eq=False)

@@ -26,8 +26,8 @@ from robustlab.norms import balancing_units, hinf_norm, well_scaled
 from robustlab.result import Evidence
 from robustlab.shown import listed
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.uncertainty.algebra import centred, upper
 from robustlab.uncertainty.blocks import Block, ParameterRange, RealScalar, block_slices
+from robustlab.uncertainty.interconnection import recentred
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
@@ -182,12 +182,11 @@ def _opened(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> Uncerta
 def _normalised(opened: UncertainModel, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
     """The gains of the laws, the last blocks, about the middles of their sectors."""
     (q, p), k = opened.delta_shape, len(laws)
-    # [z'; w] = [0 I; R C] [w'; z]: w = (middle + half Delta) z in the new channels, the set's own as they are
+    # w = (middle + half Delta) z in the new channels, the set's own as they are
     centre = np.zeros((q, p))
     centre[q - k :, p - k :] = np.diag([0.5 * sum(law.sector) for law in laws.values()])
     scale = np.diag([*np.ones(q - k), *(0.5 * (law.sector[1] - law.sector[0]) for law in laws.values())])
-    change = np.block([[np.zeros((p, q)), np.eye(p)], [scale, centre]])
-    return upper(opened.M, UncertainModel(StateSpaceModel([], [], [], change), opened.blocks))
+    return UncertainModel(recentred(opened.M, opened.blocks, centre, scale, "iqc"), opened.blocks)
 
 
 def posed(
@@ -222,7 +221,7 @@ def posed(
             raise InputError(
                 f"{where}: {name!r}", "no such block", f"one of {listed(known)}", did_you_mean(name, known)
             )
-    problem = Problem(where, centred(whole), named, order, pole)
+    problem = Problem(where, whole.centred(), named, order, pole)
     problem.posed = _posed(opened, laws, problem)
     return problem, budget
 

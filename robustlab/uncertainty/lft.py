@@ -13,29 +13,37 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robustlab.closing import fed_back
-from robustlab.closing import wired as wired_controller
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab import statespace
+from robustlab.arrays import is_rank_deficient
+from robustlab.checks import whole
+from robustlab.closing import fed_back, wired
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.operators import TransferMatrix
+from robustlab.operators import TransferMatrix, carried_by_rank
 from robustlab.provenance import Traced
 from robustlab.shown import SHOWN_BLOCKS, Facts, Shown, listed, number, with_units
 from robustlab.shown import Part as TablePart
 from robustlab.signals import (
     Signal,
     indices,
-    inputs_of_product,
     is_constant,
     is_number,
-    names_of,
     picked,
     real_array,
     same_units,
 )
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
-from robustlab.uncertainty.blocks import Block, as_blocks, delta_matrix, structure_size
-from robustlab.uncertainty.interconnection import Part, Wiring, join, weighted, wired
-from robustlab.uncertainty.reduction import reduced
+from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, delta_matrix, structure_size
+from robustlab.uncertainty.interconnection import (
+    Wiring,
+    joined,
+    ones,
+    recentred,
+    unique_names,
+    unnamed,
+    weighted,
+)
+from robustlab.uncertainty.reduction import reduction
 from robustlab.uncertainty.upper_lft import closed_response, is_singular, upper_lft
 
 
@@ -155,7 +163,9 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     def _split(self, delta: Mapping[str, Any]) -> tuple[NDArray[Any], dict[str, StateSpaceModel]]:
         """Delta of the constant values, and the dynamic ones by name."""
         dynamic = {name: value for name, value in delta.items() if isinstance(value, StateSpaceModel)}
-        return delta_matrix(self.blocks, {name: v for name, v in delta.items() if name not in dynamic}), dynamic
+        zero = {b.name: b.zero for b in self.blocks}
+        constant = {name: zero.get(name, 0.0) if name in dynamic else value for name, value in delta.items()}
+        return delta_matrix(self.blocks, constant), dynamic
 
     def _with_dynamics(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
         """The member for a Delta with models in it."""
@@ -179,31 +189,19 @@ class UncertainModel(TransferMatrix, Shown, Traced):
 
     def _delta_system(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
         """Delta(s), q x p: the constant values with the dynamic ones in their places."""
-        known = {b.name for b in self.blocks}
-        for name in dynamic:
-            if name not in known:
-                delta_matrix(self.blocks, {name: 0.0})  # says so
         parts: list[StateSpaceModel] = []
-        row, col = 0, 0
-        for b in self.blocks:
-            value = constant[row : row + b.rows, col : col + b.cols]
-            row, col = row + b.rows, col + b.cols
-            if b.name not in dynamic:
-                parts.append(StateSpaceModel([], [], [], value, self.dt))
+        for b, (w, z) in zip(self.blocks, block_slices(self.blocks), strict=True):
+            system, shape = dynamic.get(b.name), b.value_shape
+            if system is None:
+                parts.append(StateSpaceModel([], [], [], constant[w, z], self.dt))
                 continue
-            system = dynamic[b.name]
             if b.is_real:
                 raise InputError(f"delta {b.name!r}", "a dynamic value for a real block", "a real number")
-            shape, count = b.value_shape, b.rows // b.value_shape[0]
             if (system.n_outputs, system.n_inputs) != shape:
                 found = f"a model of {system.n_outputs} x {system.n_inputs}"
                 raise InputError(f"delta {b.name!r}", found, f"{shape[0]} x {shape[1]}")
-            parts += [system] * count
-        plain: list[StateSpaceModel] = []
-        for i, s in enumerate(parts):
-            names = [f"z{i}.{j}" for j in range(s.n_inputs)], [f"w{i}.{j}" for j in range(s.n_outputs)]
-            plain.append(StateSpaceModel(s.A, s.B, s.C, s.D, s.dt, *names))
-        return append(*plain)
+            parts += [system] * (b.rows // shape[0])
+        return append(*(unnamed(part, f"{i}") for i, part in enumerate(parts)))
 
     def named(self, delta: Mapping[str, Any]) -> str:
         """A Delta in words: normalised values, and the parameters' where they stand for any."""
@@ -242,9 +240,8 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return self.select(inputs, outputs)
 
     def inverse(self) -> UncertainModel:
-        """The set of the inverses; see `robustlab.uncertainty.algebra.inverse`."""
-        # By its name: it is built on this class.
-        return import_module("robustlab.uncertainty.algebra").inverse(self)
+        """The set of the inverses of a square set; inputs and outputs change places."""
+        return inverse(self)
 
     def weighted(self, weights: Mapping[str, Any], side: str = "z") -> UncertainModel:
         """The set with a stable weight in the channels of each named block; block names are kept.
@@ -277,7 +274,8 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         >>> plant.weighted({"dynamics": weight}).evaluate({"dynamics": 0.5}).dc_gain()
         array([[1.5]])
         """
-        return UncertainModel(*weighted(self.M, self.blocks, weights, side, _part))
+        read = {name: as_uncertain(given, f"weighted: {name!r}") for name, given in weights.items()}
+        return UncertainModel(*weighted(self.M, self.blocks, {k: (g.M, g.blocks) for k, g in read.items()}, side))
 
     def physical(self, delta: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
         """Parameter values and units that belong to a Delta, for real blocks that stand for a physical parameter."""
@@ -347,8 +345,18 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         >>> [float(m.evaluate({"tau": -1.0}).A[0, 0].round(12)) for m in (lag, middle)]
         [-1.333333333333, -1.333333333333]
         """
-        # By its name: it is built on this class.
-        return import_module("robustlab.uncertainty.algebra").centred(self, level)
+        # [-rho m, m] becomes c + r [-1, 1] by Delta = C + R Delta', c = m (1 - rho) / 2, r = m (1 + rho) / 2.
+        if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0 < level < np.inf:
+            raise InputError("centred", f"level {level!r}", "a positive finite number")
+        q, p = self.delta_shape
+        centre, scale, blocks = np.zeros((q, p)), np.eye(q), []
+        for block, (w, z) in zip(self.blocks, block_slices(self.blocks), strict=True):
+            middle, half, symmetric = block.centred(level)
+            if middle:
+                centre[w, z] = middle * np.eye(block.rows)
+            scale[w, w] *= half
+            blocks.append(symmetric)
+        return UncertainModel(recentred(self.M, self.blocks, centre, scale, "centred"), blocks)
 
     def realised(self, delta: Mapping[str, Any], frequency: float) -> dict[str, float | StateSpaceModel]:
         r"""A stable system for each block of a complex Delta, of the same norm, equal to it at one frequency.
@@ -396,7 +404,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         """
         k = as_model(K, "close: K")
         y, u = self.M.outputs[self.M.n_outputs - k.n_inputs :], self.M.inputs[self.M.n_inputs - k.n_outputs :]
-        return UncertainModel(lower_lft(self.M, wired_controller(k, y, u, "close")), self.blocks)
+        return UncertainModel(lower_lft(self.M, wired(k, y, u, "close")), self.blocks)
 
     def reduce(self, tolerance: float = 1e-12) -> UncertainModel:
         """The same set with each scalar block repeated as rarely as its channels allow; evidence: `reduce_model`.
@@ -414,8 +422,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         ----------
         D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation representations" (1997).
         """
-        found = reduced(self.M, self.blocks, tolerance)
-        return self if found.blocks == self.blocks else UncertainModel(found.M, found.blocks, self.operating_point)
+        return reduction(self, tolerance).model
 
     def to_json(self) -> dict[str, object]:
         data: dict[str, object] = {"M": self.M, "blocks": [b.to_json() for b in self.blocks]}
@@ -477,51 +484,31 @@ def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:
     return UncertainModel(model, (), model.operating_point)
 
 
-def _part(system: Any, where: str) -> Part:
-    """M and blocks of anything that `as_uncertain` takes."""
-    given = as_uncertain(system, where)
-    return given.M, given.blocks
+def _nominal(operand: Any) -> Any:
+    return operand.nominal if isinstance(operand, UncertainModel) else operand
 
 
 def product(second: Any, first: Any) -> UncertainModel:
     """``second @ first``: the transfer matrix :math:`G_2(s) G_1(s)`; what leaves ``first`` enters ``second``."""
-    if is_number(second):
-        second = float(second) * np.eye(len(as_uncertain(first, "product").outputs))
-    elif is_number(first):
-        first = float(first) * np.eye(len(as_uncertain(second, "product").inputs))
-    g2, g1 = as_uncertain(second, "product"), as_uncertain(first, "product")
-    n_v, n_m, n_o = len(g1.inputs), len(g1.outputs), len(g2.outputs)
-    if n_m != len(g2.inputs):
-        raise InputError("product", f"{n_m} outputs into {len(g2.inputs)} inputs", "equal numbers")
-    same_units("product", zip(g1.outputs, g2.inputs, strict=True))
-    inputs = inputs_of_product(second, first, g2.inputs, g1.inputs)
-    outputs = names_of(first, second, g2.outputs, g1.outputs)
-    wiring = Wiring(
-        K=np.block([[np.zeros((n_v, n_m + n_o))], [np.eye(n_m), np.zeros((n_m, n_o))]]),
-        E=np.vstack([np.eye(n_v), np.zeros((n_m, n_v))]),
-        F=np.hstack([np.zeros((n_o, n_m)), np.eye(n_o)]),
+    plain = statespace.product(_nominal(second), _nominal(first))
+    n_y, n_u = plain.D.shape
+    g2, g1 = (
+        as_uncertain(float(g) * np.eye(n) if is_number(g) else g, "product") for g, n in ((second, n_y), (first, n_u))
     )
-    return interconnected([g1, g2], wiring, inputs, outputs, "product")
+    n = len(g1.outputs)
+    K, F = ones(n_u + n, n + n_y, (n_u, 0, n)), ones(n_y, n + n_y, (0, n, n_y))
+    wiring = Wiring(K, ones(n_u + n, n_u, (0, 0, n_u)), F)
+    return interconnected([g1, g2], wiring, plain.inputs, plain.outputs, "product")
 
 
 def parallel(first: Any, second: Any, sign: int = 1) -> UncertainModel:
     """``first + sign * second`` for two sets of one size."""
-    if sign not in (1, -1):
-        raise InputError("parallel", f"sign {sign!r}", "1 or -1")
-    a, b = as_uncertain(first, "parallel"), as_uncertain(second, "parallel")
-    shape = len(a.outputs), len(a.inputs)
-    if shape != (len(b.outputs), len(b.inputs)):
-        found = f"{shape[0]} x {shape[1]} and {len(b.outputs)} x {len(b.inputs)}"
-        raise InputError("parallel", found, "equal sizes", "write a number c as c * numpy.eye(n), or as a full matrix")
-    same_units("parallel", [*zip(a.inputs, b.inputs, strict=True), *zip(a.outputs, b.outputs, strict=True)])
-    n_y, n_u = shape
-    wiring = Wiring(
-        K=np.zeros((2 * n_u, 2 * n_y)),
-        E=np.vstack([np.eye(n_u), np.eye(n_u)]),
-        F=np.hstack([np.eye(n_y), sign * np.eye(n_y)]),
-    )
-    inputs, outputs = names_of(second, first, a.inputs, b.inputs), names_of(second, first, a.outputs, b.outputs)
-    return interconnected([a, b], wiring, inputs, outputs, "parallel")
+    plain = statespace.parallel(_nominal(first), _nominal(second), sign)
+    parts = [as_uncertain(first, "sum"), as_uncertain(second, "sum")]
+    n_y, n_u = plain.D.shape
+    F = np.hstack([np.eye(n_y), sign * np.eye(n_y)])
+    wiring = Wiring(np.zeros((2 * n_u, 2 * n_y)), np.vstack([np.eye(n_u)] * 2), F)
+    return interconnected(parts, wiring, plain.inputs, plain.outputs, "sum")
 
 
 def feedback(forward: Any, back: Any = 1.0, sign: int | None = None) -> UncertainModel:
@@ -538,16 +525,80 @@ def feedback(forward: Any, back: Any = 1.0, sign: int | None = None) -> Uncertai
         found = f"what is fed back is {len(h.outputs)} x {len(h.inputs)}"
         raise InputError("feedback", found, f"{n_u} x {n_y} for a model of {n_y} x {n_u}")
     same_units("feedback", [*zip(g.outputs, h.inputs, strict=True), *zip(h.outputs, g.inputs, strict=True)])
-    wiring = Wiring(
-        K=np.block([[np.zeros((n_u, n_y)), sign * np.eye(n_u)], [np.eye(n_y), np.zeros((n_y, n_u))]]),
-        E=np.vstack([np.eye(n_u), np.zeros((n_y, n_u))]),
-        F=np.hstack([np.eye(n_y), np.zeros((n_y, n_u))]),
-    )
+    n = n_u + n_y
+    K = ones(n, n, (n_u, 0, n_y)) + sign * ones(n, n, (0, n_y, n_u))
+    wiring = Wiring(K, ones(n, n_u, (0, 0, n_u)), ones(n_y, n, (0, 0, n_y)))
     return interconnected([g, h], wiring, g.inputs, g.outputs, "feedback")
+
+
+def inverse(g: UncertainModel) -> UncertainModel:
+    """The set of the inverses of a square set; inputs and outputs change places."""
+    n_u, n_y = len(g.inputs), len(g.outputs)
+    if n_u != n_y:
+        raise InputError("inverse", f"{n_y} x {n_u}", "a square model")
+    m, (q, p), n = g.M, g.delta_shape, g.M.n_states
+    if n_u and is_rank_deficient(m.D[p:, q:]):
+        found = "D is singular at Delta = 0 (every block at its nominal value): the inverse is not proper"
+        raise NoTrustworthyNumber("inverse", found)
+    # u = D22^-1 (y - C2 x - D21 w), of (x, w, y)
+    u = np.linalg.solve(m.D[p:, q:], np.hstack([-m.C[p:], -m.D[p:, :q], np.eye(n_u)]))
+    rest = np.block([[m.A, m.B[:, :q], np.zeros((n, n_u))], [m.C[:p], m.D[:p, :q], np.zeros((p, n_u))]])
+    rows = np.vstack([rest + np.vstack([m.B[:, q:], m.D[:p, q:]]) @ u, u])
+    sides = unique_names([*m.inputs[:q], *g.outputs]), unique_names([*m.outputs[:p], *g.inputs])
+    parts = rows[:n, :n], rows[:n, n:], rows[n:, :n], rows[n:, n:]
+    return UncertainModel(StateSpaceModel(*parts, m.dt, *sides, m.states, where="inverse"), g.blocks)
+
+
+@told_as("star")
+@carried_by_rank
+def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: int | None = None) -> UncertainModel:
+    r"""Redheffer star product: the last outputs of ``first`` drive the first inputs of ``second``, and its first
+    outputs the last inputs of ``first``.
+
+    Parameters
+    ----------
+    first, second
+        Sets, models, matrices or numbers.
+    n_to_second
+        Number of signals from ``first`` to ``second``; left out, as many as fit: the smaller of the two counts.
+    n_to_first
+        Number of signals back; likewise.
+
+    Returns
+    -------
+    UncertainModel
+        From (remaining inputs of first, remaining inputs of second) to (remaining outputs of first, of second).
+
+    Raises
+    ------
+    InputError
+        Numbers that do not fit.
+    NoTrustworthyNumber
+        The nominal loop is not well posed.
+
+    References
+    ----------
+    Zhou, Doyle, Glover (1996), section 10.3.
+    """
+    a, b = as_uncertain(first, "star"), as_uncertain(second, "star")
+    (a_in, a_out), (b_in, b_out) = ((len(m.inputs), len(m.outputs)) for m in (a, b))
+    go = min(a_out, b_in) if n_to_second is None else n_to_second
+    back = min(a_in, b_out) if n_to_first is None else n_to_first
+    whole("star: n_to_second", go, 0, min(a_out, b_in))
+    whole("star: n_to_first", back, 0, min(a_in, b_out))
+    meet = [*zip(a.outputs[a_out - go :], b.inputs[:go], strict=True)]
+    same_units("star", [*meet, *zip(b.outputs[:back], a.inputs[a_in - back :], strict=True)])
+    n_u, n_y, v, o = a_in + b_in, a_out + b_out, a_in - back, a_out - go  # v, o: of the first that remain
+    wiring = Wiring(
+        K=ones(n_u, n_y, (v, a_out, back), (a_in, o, go)),
+        E=ones(n_u, n_u - back - go, (0, 0, v), (a_in + go, v, b_in - go)),
+        F=ones(n_y - go - back, n_y, (0, 0, o), (o, a_out + back, b_out - back)),
+    )
+    return interconnected([a, b], wiring, a.inputs[:v] + b.inputs[go:], a.outputs[:o] + b.outputs[back:], "star")
 
 
 def interconnected(
     parts: Sequence[UncertainModel], wiring: Wiring, inputs: Sequence[Signal], outputs: Sequence[Signal], where: str
 ) -> UncertainModel:
     """The sets in one interconnection; see `robustlab.uncertainty.interconnection`."""
-    return UncertainModel(*wired(join([(g.M, g.blocks) for g in parts], where), wiring, inputs, outputs, where))
+    return UncertainModel(*joined([(g.M, g.blocks) for g in parts], wiring, inputs, outputs, where))

@@ -12,11 +12,11 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.statespace import SignalLike, StateSpaceModel
-from robustlab.uncertainty.algebra import reduction
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.decomposition_tree import ConstantLft, assemble, plans
 from robustlab.uncertainty.laurent import Algebra, Laurent, walk
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.reduction import reduction
 
 # Boxes and vertices in which a zero of a denominator is looked for: fewer refuse more ranges that are good.
 DENOMINATOR_BOXES = 4000

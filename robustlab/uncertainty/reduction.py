@@ -15,15 +15,17 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix
+from robustlab.result import Status
+from robustlab.shown import Facts, Shown, listed, number
+from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix, structure_size
 from robustlab.uncertainty.upper_lft import balancing_scale, closed_response
 
 # A reduced block must give the same F(delta) to this share of the entries' natural magnitude, or it is not reduced.
@@ -34,44 +36,87 @@ POINTS = 8  # deltas and frequencies at which a reduced set is compared, and how
 PROVED = 1e-9
 
 
-class Reduced(NamedTuple):
-    """M and blocks after a reduction, or as given where it did not stand the comparison; see `Reduction`."""
+@dataclass(frozen=True, eq=False)
+class Reduction(Shown):
+    """A reduced set, and the evidence that its input-output behaviour is that of the given one.
 
-    M: StateSpaceModel
-    blocks: tuple[Block, ...]
+    Attributes
+    ----------
+    model
+        The reduced set; a scalar block without any effect is gone.
+    before, after
+        Block name -> size (repetitions, or the larger side of a full block).
+    invariance
+        Largest part of what enters or leaves the kept channels through the dropped ones, relative to the largest
+        singular value of the (scaled) channel matrices: zero for an exact reduction. This is the algebraic certificate,
+        valid for every Delta at once.
+    difference
+        Largest difference of the two frequency responses at random complex Delta inside the set and random
+        frequencies, relative to each response's largest entry (or to a thousandth of the largest summand, where
+        the summands cancel).
+    points
+        How many (Delta, omega) were compared; none where nothing was removed.
+    status
+        CONVERGED where both are below 1e-9, INACCURATE otherwise (then ``model`` is the given one).
+    """
+
+    model: Any  # UncertainModel, which is built on this module
+    before: dict[str, int]
+    after: dict[str, int]
     invariance: float
     difference: float
     points: int
-    proved: bool
+    status: Status
+
+    def facts(self) -> Facts:
+        sizes = [f"{name} {size} -> {self.after.get(name, 0)}" for name, size in self.before.items()]
+        return [
+            ("sizes", listed(sizes)),
+            ("set", repr(self.model)),
+            ("invariance", number(self.invariance)),
+            ("difference", f"{number(self.difference)} at {self.points} points"),
+        ]
+
+    def to_json(self) -> dict[str, object]:
+        return {**vars(self), "model": self.model.to_json()}
+
+    def __str__(self) -> str:
+        changed = [f"{k} {v} -> {self.after.get(k, 0)}" for k, v in self.before.items() if self.after.get(k, 0) != v]
+        said = ", ".join(changed) or "nothing to remove"
+        return f"{said}; invariance {self.invariance:.1e}, difference {self.difference:.1e} ({self.status})"
 
 
-def reduced(M: StateSpaceModel, blocks: Sequence[Block], tolerance: float, seed: int = 0) -> Reduced:
-    """Block by block, then all blocks jointly, until nothing goes; and the evidence."""
+def reduction(uncertain: Any, tolerance: float = 1e-12, seed: int = 0) -> Reduction:
+    """`reduce_model` of a set: block by block, then all blocks jointly, until nothing goes; and the evidence.
+
+    ``seed`` is that of the Deltas and frequencies at which both are compared.
+    """
     if not 0 < tolerance < 1:
         raise InputError("reduce_model", f"tolerance {tolerance}", "a number between 0 and 1")
-    given = M, tuple(blocks)
+    M, blocks = uncertain.M, uncertain.blocks
     invariance = 0.0
     while True:
         M, blocks = reduce_blocks(M, blocks, tolerance)
         step = _step(M, blocks, {b.name for b in blocks if b.is_scalar}, tolerance)
         if step is None:
             break
-        M, blocks = step.M, step.blocks
-        invariance = max(invariance, step.invariance)
-    if blocks == given[1]:
-        return Reduced(*given, 0.0, 0.0, 0, True)
-    small = M, tuple(blocks)
-    difference = _difference(given, small, seed)
+        M, blocks, missed = step
+        invariance = max(invariance, missed)
+    before = {b.name: max(b.rows, b.cols) for b in uncertain.blocks}
+    if blocks == uncertain.blocks:
+        return Reduction(uncertain, before, before, 0.0, 0.0, 0, Status.CONVERGED)
+    small = type(uncertain)(M, blocks, uncertain.operating_point)
+    difference = _difference(uncertain, small, seed)
     proved = invariance <= PROVED and difference <= PROVED
-    return Reduced(*(small if proved else given), invariance, difference, POINTS, proved)
+    model, status = (small, Status.CONVERGED) if proved else (uncertain, Status.INACCURATE)
+    after = {b.name: max(b.rows, b.cols) for b in model.blocks}
+    return Reduction(model, before, after, invariance, difference, POINTS, status)
 
 
-def _difference(
-    first: tuple[StateSpaceModel, Sequence[Block]], second: tuple[StateSpaceModel, Sequence[Block]], seed: int
-) -> float:
+def _difference(first: Any, second: Any, seed: int) -> float:
     """Largest relative difference of the frequency responses at random Deltas and frequencies."""
     rng = np.random.default_rng(seed)
-    (M, blocks), (small, left) = first, second
+    M, blocks, left = first.M, first.blocks, second.blocks
     poles = np.abs(M.poles())
     poles = poles[poles > 0]
     low, high = (float(poles.min()), float(poles.max())) if len(poles) else (1.0, 1.0)
@@ -85,7 +130,7 @@ def _difference(
         m, d = frequency_response(M, [omega]), delta_matrix(blocks, values)
         a = closed_response(m, d)
         remaining = delta_matrix(left, {name: v for name, v in values.items() if name in known})
-        b = closed_response(frequency_response(small, [omega]), remaining)
+        b = closed_response(frequency_response(second.M, [omega]), remaining)
         # What is added up to the response: |M22| + |M21| |Delta| |(I - M11 Delta)^-1| |M12|.
         cut = d.shape[0]
         (m11, m12), (m21, m22) = (np.split(rows, [cut], axis=1) for rows in np.split(m[0], [d.shape[1]]))
@@ -112,20 +157,13 @@ def reduce_blocks(
     for block in blocks:
         if block.is_scalar and (names is None or block.name in names):
             step = _step(M, blocks, {block.name}, tolerance, keep)
-            M, blocks = (M, blocks) if step is None else (step.M, step.blocks)
+            M, blocks = (M, blocks) if step is None else step[:2]
     return M, tuple(blocks)
-
-
-@dataclass(frozen=True)
-class _Step:
-    M: StateSpaceModel
-    blocks: tuple[Block, ...]
-    invariance: float
 
 
 def _step(
     M: StateSpaceModel, blocks: Sequence[Block], names: Collection[str], tolerance: float, keep: bool = False
-) -> _Step | None:
+) -> tuple[StateSpaceModel, tuple[Block, ...], float] | None:
     """One joint reduction of the scalar blocks of these names; None where nothing goes."""
     n = M.n_states
     whole = _constant(M)
@@ -145,10 +183,10 @@ def _step(
     # What the second step sees may be rounding of the first: it is judged by the size that b and c had before.
     b_size, c_size = _norm(b), _norm(c)
     reach, miss_1 = _invariant(a, b, sizes, tolerance, b_size)
-    v = _diagonal(reach)
+    v = _block_diag(reach)
     a1, b1, c1 = v.T @ a @ v, v.T @ b, c @ v
     show, miss_2 = _invariant(a1.T, c1.T, [part.shape[1] for part in reach], tolerance, c_size)
-    t = _diagonal(show)
+    t = _block_diag(show)
     a2, b2, c2 = t.T @ a1 @ t, t.T @ b1, c1 @ t
     left = [part.shape[1] for part in show]
     if keep and not any(left):  # of one block
@@ -156,46 +194,36 @@ def _step(
     if left == sizes or not _same((a, b, c), sizes, (a2, b2, c2), left):
         return None
     by_name = {block.name: size for block, size in zip(scalar, left, strict=True)}
-    return _Step(*_rebuilt(M, blocks, by_name, a2, b2 * into, c2 * out[:, None]), max(miss_1, miss_2))
+    whole = np.block([[whole[other_rows[:, None], other_cols], c2 * out[:, None]], [b2 * into, a2]])
+    return *_rebuilt(M, blocks, by_name, whole, other_rows, other_cols), max(miss_1, miss_2)
 
 
 def _rebuilt(
-    M: StateSpaceModel, blocks: Sequence[Block], left: Mapping[str, int], a: Array, b: Array, c: Array
+    M: StateSpaceModel, blocks: Sequence[Block], left: Mapping[str, int], whole: Array, rows: Array, cols: Array
 ) -> tuple[StateSpaceModel, tuple[Block, ...]]:
-    """The model with the channels of some blocks replaced, ``left`` of each by name, the others' where they were."""
-    n = M.n_states
-    whole = _constant(M)
-    kept: list[Block] = []
-    keep_in, keep_out = list(range(n)), list(range(n))
-    new_in: list[int] = []
-    new_out: list[int] = []
-    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
-        if block.name not in left:
-            kept.append(block)
-            keep_in += range(n + w.start, n + w.stop)
-            keep_out += range(n + z.start, n + z.stop)
-            continue
-        size = left[block.name]
-        if size:
-            kept.append(block.resized(size, size))
-        new_in += range(len(keep_in), len(keep_in) + size)
-        new_out += range(len(keep_out), len(keep_out) + size)
-        keep_in += range(n + w.start, n + w.start + size)
-        keep_out += range(n + z.start, n + z.start + size)
-    q, p = sum(x.rows for x in blocks), sum(x.cols for x in blocks)
-    keep_in += range(n + q, whole.shape[1])
-    keep_out += range(n + p, whole.shape[0])
-    result = whole[keep_out][:, keep_in]
-    rest_in, rest_out = np.delete(np.arange(len(keep_in)), new_in), np.delete(np.arange(len(keep_out)), new_out)
-    channels_in, channels_out = np.array(new_in, dtype=int), np.array(new_out, dtype=int)
-    result[channels_out[:, None], channels_in] = a
-    result[channels_out[:, None], rest_in] = b
-    result[rest_out[:, None], channels_in] = c
-    model = StateSpaceModel(
-        result[:n, :n], result[:n, n:], result[n:, :n], result[n:, n:], M.dt,
-        [M.inputs[k - n] for k in keep_in[n:]], [M.outputs[k - n] for k in keep_out[n:]], M.states, where="reduction",
-    )  # fmt: skip
-    return model, tuple(kept)
+    """The model of ``whole``: rows and columns of M that stay, then new channels, ``left`` of each block by name."""
+    n, kept = M.n_states, []
+    signals: list[list[Signal]] = [[], []]
+    order: list[list[int]] = [list(range(n)), list(range(n))]  # of columns, of rows
+    stay = [dict(zip(places.tolist(), range(len(places)), strict=True)) for places in (cols, rows)]
+    new = [len(cols), len(rows)]
+    q, p = structure_size(blocks)
+    rest = (slice(q, M.n_inputs), slice(p, M.n_outputs))
+    for block, places in [*zip(blocks, block_slices(blocks), strict=True), (None, rest)]:
+        size = None if block is None else left.get(block.name)
+        if block is not None and size != 0:
+            kept.append(block if size is None else block.resized(size, size))
+        for i, (part, own) in enumerate(zip(places, (M.inputs, M.outputs), strict=True)):
+            if size is None:
+                order[i] += [stay[i][n + k] for k in range(part.start, part.stop)]
+                signals[i] += own[part]
+            else:
+                order[i] += range(new[i], new[i] + size)
+                signals[i] += own[part.start : part.start + size]
+                new[i] += size
+    whole = whole[np.ix_(order[1], order[0])]
+    parts = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+    return StateSpaceModel(*parts, M.dt, *signals, M.states, where="reduction"), tuple(kept)
 
 
 def _invariant(a: Array, b: Array, sizes: Sequence[int], tolerance: float, b_size: float) -> tuple[list[Array], float]:
@@ -212,8 +240,8 @@ def _invariant(a: Array, b: Array, sizes: Sequence[int], tolerance: float, b_siz
             bases[i] = np.hstack([bases[i], new])
         if not any(new.shape[1] for new in found):
             break
-        fresh, size = a @ _diagonal(found), _norm(a)
-    whole = _diagonal(bases)
+        fresh, size = a @ _block_diag(found), _norm(a)
+    whole = _block_diag(bases)
     norm = max(b_size, _norm(a)) or 1.0
     missed = max(_norm(inside - whole @ (whole.T @ inside)) / norm for inside in (b, a @ whole))
     return bases, missed
@@ -230,18 +258,14 @@ def _fresh_directions(fresh: Array, basis: Array, limit: float) -> Array:
     return np.linalg.qr(new - basis @ (basis.T @ new))[0] if new.shape[1] else new
 
 
+def _block_diag(parts: Sequence[Array]) -> Array:
+    from scipy.linalg import block_diag
+
+    return np.asarray(block_diag(*parts))
+
+
 def _norm(matrix: Array) -> float:
     return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
-
-
-def _diagonal(parts: Sequence[Array]) -> Array:
-    """Block-diagonal matrix; empty blocks count with their rows or columns."""
-    result = np.zeros((sum(p.shape[0] for p in parts), sum(p.shape[1] for p in parts)))
-    row = col = 0
-    for p in parts:
-        result[row : row + p.shape[0], col : col + p.shape[1]] = p
-        row, col = row + p.shape[0], col + p.shape[1]
-    return result
 
 
 def _channel_scale(a: Array, b: Array, c: Array) -> Array:

@@ -42,8 +42,6 @@ def test_products_sums_and_stacks(g, h):
     close(at(g @ h), at(g) @ at(h))
     close(at(g + h), at(g) + at(h))
     close(at(g - 2.0 * h), at(g) - 2.0 * at(h))
-    close(at(rl.beside(g, h)), np.concatenate([at(g), at(h)], axis=2))
-    close(at(rl.stacked(g, h)), np.concatenate([at(g), at(h)], axis=1))
     close(at(g[1, [1, 0]]), at(g)[:, 1:, ::-1])
 
 

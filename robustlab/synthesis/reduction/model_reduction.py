@@ -19,8 +19,8 @@ from robustlab.statespace import StateSpaceModel, append, as_model, parallel
 from robustlab.synthesis.reduction.balancing import lost_at_least_order, split_stable
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.synthesis.reduction.ways import Way, Weights, coprime_way, hankel_norm, way_of
-from robustlab.uncertainty.algebra import Reduction, reduction
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.reduction import Reduction, reduction
 
 Method = Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"]
 Band = tuple[float, float]

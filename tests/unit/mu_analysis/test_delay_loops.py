@@ -82,8 +82,9 @@ def test_disk_margins_of_several_loops():
     found = rl.disk_margin(P, K2).simultaneous
     for size, stable in ((0.97, True), (1.03, False)):
         parts = [_grown(found.perturbation[name], size) for name in found.delta]
-        none = np.zeros((1, 1))
-        loop = (rl.stacked(rl.beside(parts[0], none), rl.beside(none, parts[1])) @ P @ K2).feedback(np.eye(2))
+        one = np.eye(2)
+        both = one[:, :1] @ parts[0] @ one[:1] + one[:, 1:] @ parts[1] @ one[1:]
+        loop = (both @ P @ K2).feedback(one)
         assert rl.robust_stability(loop).stable is stable
 
 

@@ -43,7 +43,7 @@ def test_an_unstable_model_has_no_gain_but_a_peak_over_the_axis():
 
 
 def test_channels_are_chosen_by_name():
-    both = rl.stacked(LAG, 3.0 * LAG)
+    both = [[1.0], [3.0]] @ LAG
     last = both.outputs[-1].name
     assert rl.peak_gain(both, outputs=[last]).upper == pytest.approx(3.0, rel=1e-5)
     assert rl.peak_gain(both, outputs=[last], frequency=[0.0]).upper == pytest.approx(3.0, rel=1e-5)

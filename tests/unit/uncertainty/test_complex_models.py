@@ -46,7 +46,6 @@ UNCERTAIN = rl.UncertainModel(
         (lambda _: rl.StateSpaceModel(-B, B, C, D + 0j), "D"),
         (lambda _: rl.descriptor(-B, B, C, D, A), "E"),
         (lambda _: np.array([[1j]]) @ LAG, "gain"),
-        (lambda _: rl.stacked(UNCERTAIN, [[1j]]), "gain"),
         (lambda folder: rl.load(hdf5(folder / "m.h5", A=A)), "A"),
         (lambda folder: rl.load(hdf5(folder / "m.h5", E=A)), "E"),
         (lambda folder: rl.load(matlab(folder / "m.mat")), "A"),
