@@ -168,12 +168,17 @@ class ExtendedPlant(ExtendedEquations):
         return About(model, model.A @ x + model.B @ seen, model.C @ x + model.D @ seen)
 
     def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
+        return self.forced(u, dt, t0, x0, step)[:2]
+
+    def forced(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array, Array]:
+        """States and outputs, and the mean of each law's force over the samples, (n, n_laws)."""
         parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
         held = np.repeat(u, parts, axis=0)
         run = Simulator(self.plant, [(e.effect, e.site) for e in self.effects], held, dt / parts, t0)
         whole = Windows(np.zeros(1, dtype=np.int64), len(held))
         motion = run.run({}, [e.values for e in self.effects], x0[None], whole)
-        return motion.states[0, ::parts], motion.outputs[0, ::parts]
+        forces = motion.forces[0, [*range(1, len(held)), -1]].reshape(len(u), parts, -1).mean(axis=1)
+        return motion.states[0, ::parts], motion.outputs[0, ::parts], forces
 
     def to_model(self) -> StateSpaceModel:
         return self.linear_model()
