@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,8 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from robustlab.arrays import Array
 from robustlab.dynamics.control.platform import MOST_TORQUE, MOST_VOLTAGE, TrajectoryFollowing
 from robustlab.dynamics.simulation import simulate
-from robustlab.dynamics.stewart import condition_map, inverse_kinematics, stewart_platform
-from robustlab.dynamics.stewart.kinematics import ConditionMap
+from robustlab.dynamics.stewart import inverse_kinematics, stewart_platform
 from robustlab.report.drawings import Picture
 from robustlab.report.style import COLOURS, house_style, new_figure, plain_label
 from robustlab.thesis.numbers import PublishedNumbers
@@ -20,71 +20,68 @@ from robustlab.thesis.runs import UP_TO, Case, SineRun
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.worst_case_analysis.sampling import sample
 
+Curves = list[tuple[Array, dict[str, Any]]]  # values (n,), and how they are drawn
+
 # Six lines in one panel: colours of Okabe and Ito, the second three dashed, so that they are told apart in grey too.
 SIX = [("#0072B2", "-"), ("#D55E00", "-"), ("#009E73", "-"), ("#56B4E9", "--"), ("#E69F00", "--"), ("#CC79A7", "--")]
 # Curves that lie on one another: wide, dashed and thin, dotted and thinner.
 THREE = [("#56B4E9", "-"), ("#D55E00", (0, (4, 3))), ("#222222", ":")]
 
 
-def condition_figure(maps: Sequence[ConditionMap]) -> Figure:
-    """Condition number of the Jacobian over two coordinates of the pose each; white is out of the workspace."""
-    figure, panels = new_figure(1, len(maps), width=5.0 * len(maps), height=4.0)
-    lowest = min(float(np.nanmin(m.condition)) for m in maps)
-    highest = max(float(np.nanmax(m.condition)) for m in maps)
-    image = None
+def over_time(
+    t: Array, panels: Sequence[tuple[str, Curves, float | None]], title: str = "", columns: int = 1, height: float = 2.4
+) -> Figure:
+    """Panels over time: label with unit, curves (n,) with their look, and a limit to draw (None: none)."""
+    width = 9.4 if columns == 1 else 3.6 * columns
+    figure, axes_list = new_figure(len(panels) // columns, columns, width=width, height=height, sharex=True)
+    beside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if columns == 1 else {}
     with house_style():
-        for axes, found in zip(panels, maps, strict=True):
-            first, second = 1e3 * found.first, 1e3 * found.second
-            edges = (first[0], first[-1], second[0], second[-1])
-            image = axes.imshow(
-                found.condition.T,
-                origin="lower",
-                extent=edges,
-                aspect="auto",
-                vmin=lowest,
-                vmax=highest,
-                cmap="viridis",
-            )
-            labels = [f"{name} [{'mm' if name.startswith('t') else 'mrad'}]" for name in found.names]
-            axes.set(xlabel=labels[0], ylabel=labels[1])
-            axes.grid(visible=False)
-        if image is not None:
-            figure.colorbar(image, ax=panels, label="condition number of the Jacobian")
+        for axes, (label, curves, limit) in zip(axes_list, panels, strict=True):
+            for values, look in curves:
+                axes.plot(t, values, **look)
+            if limit is not None and np.abs(curves[0][0]).max() > 0.4 * limit:  # a far limit would flatten the curves
+                for edge, word in ((-limit, "motor's limit"), (limit, None)):
+                    axes.axhline(edge, color=COLOURS["reference"], ls=":", lw=1.3, label=word)
+            elif limit is not None:
+                axes.set_title(
+                    f"the motor's limit of {limit:g} is beyond this panel", fontsize=8.5, fontweight="normal"
+                )
+            axes.set_ylabel(label)
+            if axes.get_legend_handles_labels()[1]:
+                axes.legend(**beside)
+        if title:
+            axes_list[0].set_title(title, fontweight="normal", fontsize=8.5)
+        for axes in axes_list[-columns:]:
+            axes.set_xlabel("time [s]")
     return figure
 
 
-def excitation_figure(run: SineRun, until: float) -> Figure:
-    """What drives the machine up to the time ``until`` in s, and where it goes: torque of every motor, height."""
-    figure, (drive, height) = new_figure(1, 2, width=9.0, height=3.2)
-    shown = run.t <= until
-    t = run.t[shown]
-    with house_style():
-        torque = 1e3 * run.amplitude * np.sin(2 * np.pi * run.frequency * t)
-        drive.plot(t, torque, color=COLOURS["nominal"])
-        drive.set(xlabel="time [s]", ylabel="torque of each motor [mN m]")
-        height.plot(t, 1e3 * run.height[shown], color=COLOURS["nominal"], label="nonlinear, simulated")
-        height.axhline(140.7, color=COLOURS["worst"], ls=(0, (5, 2)), lw=1.3, label="thesis: 140.7 mm")
-        height.set(xlabel="time [s]", ylabel="height of the platform [mm]")
-        height.legend()
-    return figure
+def lines(values: Array, names: Sequence[str], scale: float = 1e3) -> Curves:
+    """A curve for each column of the values (n, k), in units of 1/scale."""
+    looks = zip(names, SIX if len(names) > 3 else THREE, strict=True)
+    drawn = [{"color": colour, "ls": dashes, "lw": 1.2, "label": name} for name, (colour, dashes) in looks]
+    return list(zip(scale * values.T, drawn, strict=True))
 
 
 def sine_figure(run: SineRun, until: float) -> Figure:
-    """Nut 1 up to the time ``until`` in s: angle and rate, nonlinear and linear, and the difference in percent."""
-    figure, (angle, rate, gap) = new_figure(1, 3, width=10.8, height=3.3)
+    """Torque of every motor, height; angle and rate of nut 1, nonlinear and linear; all up to ``until`` in s."""
     t, angle_gap, rate_gap = run.percent(until)
     n = len(t)
-    with house_style():
-        for axes, column, label in ((angle, 0, "nut angle [rad]"), (rate, 6, "nut rate [rad/s]")):
-            axes.plot(t, run.nonlinear[:n, column], color=COLOURS["nominal"], lw=2.4, label="nonlinear")
-            axes.plot(t, run.linear[:n, column], color=COLOURS["worst"], ls=(0, (4, 2)), label="linear, at home")
-            axes.set(xlabel="time [s]", ylabel=label)
-        gap.plot(t, angle_gap, color=COLOURS["nominal"], label="angle")
-        gap.plot(t, rate_gap, color=COLOURS["worst"], ls=(0, (4, 2)), label="rate")
-        gap.set(xlabel="time [s]", ylabel="linear minus nonlinear [%]")
-        for axes in (angle, gap):
-            axes.legend()
-    return figure
+    torque = 1e3 * run.amplitude * np.sin(2 * np.pi * run.frequency * t)
+    wide, thin = {"color": COLOURS["nominal"], "lw": 2.4}, {"color": COLOURS["worst"], "ls": (0, (4, 2))}
+    both = [{**wide, "label": "nonlinear"}, {**thin, "label": "linear, at home"}]
+    height = [(1e3 * run.height[:n], wide), (np.full(n, 140.7), {**thin, "label": "thesis: 140.7 mm"})]
+    nut = [[(run.nonlinear[:n, c], both[0]), (run.linear[:n, c], both[1])] for c in (0, 6)]
+    gaps = [(angle_gap, {**wide, "label": "angle"}), (rate_gap, {**thin, "label": "rate"})]
+    panels: list[tuple[str, Curves, float | None]] = [
+        ("torque of each motor [mN m]", [(torque, wide)], None),
+        ("height of the platform [mm]", height, None),
+        ("linear minus nonlinear [%]", gaps, None),
+        ("nut angle [rad]", nut[0], None),
+        ("nut rate [rad/s]", nut[1], None),
+        ("largest actuator length [mm]", [(1e3 * run.lengths[:n].max(axis=1), wide)], None),
+    ]
+    return over_time(t, panels, columns=3, height=3.0)
 
 
 def percent_figure(t: Array, bands: Mapping[str, Array], published: float) -> Figure:
@@ -161,90 +158,47 @@ def case_figure(
     return figure
 
 
+LINKS = [f"link {i + 1}" for i in range(6)]
+
+
 def tracking_path_figure(run: TrajectoryFollowing, lengths: Array) -> Figure:
     """Desired and reached: position, orientation, and the actuators' lengths (``lengths`` (n, 6) in m are desired)."""
-    figure, panels = new_figure(3, 1, width=9.4, height=2.4, sharex=True)
     home = run.reference[0]
     shown = (
-        (1e3 * (run.reference - home)[:, :3], 1e3 * (run.pose - home)[:, :3], "from home [mm]", ("x", "y", "z")),
-        (1e3 * run.reference[:, 3:], 1e3 * run.pose[:, 3:], "orientation [mrad]", ("about x", "about y", "about z")),
-        (1e3 * lengths, 1e3 * run.lengths, "actuator length [mm]", tuple(f"link {i + 1}" for i in range(6))),
+        ((run.reference - home)[:, :3], (run.pose - home)[:, :3], "from home [mm]", ["x", "y", "z"]),
+        (run.reference[:, 3:], run.pose[:, 3:], "orientation [mrad]", ["about x", "about y", "about z"]),
+        (lengths, run.lengths, "actuator length [mm]", LINKS),
     )
-    with house_style():
-        for axes, (desired, reached, label, names) in zip(panels, shown, strict=True):
-            for i, (name, (colour, dashes)) in enumerate(zip(names, SIX if len(names) > 3 else THREE, strict=True)):
-                axes.plot(run.t, desired[:, i], color=colour, lw=4.0, alpha=0.3)
-                axes.plot(run.t, reached[:, i], color=colour, ls=dashes, lw=1.2, label=name)
-            axes.set_ylabel(label)
-            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        panels[0].set_title("wide and pale: desired; thin: reached, simulated", fontweight="normal", fontsize=8.5)
-        panels[-1].set_xlabel("time [s]")
-    return figure
+    panels: list[tuple[str, Curves, float | None]] = []
+    for desired, reached, label, names in shown:
+        pale = [(v, {"color": look["color"], "lw": 4.0, "alpha": 0.3}) for v, look in lines(desired, names)]
+        panels.append((label, [*pale, *lines(reached, names)], None))
+    return over_time(run.t, panels, "wide and pale: desired; thin: reached, simulated")
 
 
 def tracking_error_figure(run: TrajectoryFollowing) -> Figure:
-    """Errors of position and orientation over time."""
-    figure, (position, angle) = new_figure(2, 1, width=8.4, height=2.6, sharex=True)
-    with house_style():
-        panels = (
-            (position, 1e3 * run.error[:, :3], "position error [mm]", ("x", "y", "z")),
-            (angle, 1e3 * run.error[:, 3:], "orientation error [mrad]", ("about x", "about y", "about z")),
-        )
-        for axes, values, label, names in panels:
-            for column, name, (colour, dashes), width in zip(values.T, names, THREE, (4.0, 2.4, 1.4), strict=True):
-                axes.plot(run.t, column, color=colour, ls=dashes, lw=width, label=name)
-            axes.set_ylabel(label)
-            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        angle.set_xlabel("time [s]")
-    return figure
-
-
-def tracking_effort_figure(run: TrajectoryFollowing) -> Figure:
-    """Torques and voltages of the six motors with their limits, and lengths of the actuators."""
-    figure, panels = new_figure(3, 1, width=8.4, height=2.3, sharex=True)
-    shown = (
-        (1e3 * run.torque, "torque [mN m]", 1e3 * MOST_TORQUE),
-        (run.voltage, "voltage [V]", MOST_VOLTAGE),
-        (1e3 * run.lengths, "length [mm]", None),
-    )
-    with house_style():
-        for axes, (values, label, limit) in zip(panels, shown, strict=True):
-            for i, (column, (colour, dashes)) in enumerate(zip(values.T, SIX, strict=True)):
-                axes.plot(run.t, column, color=colour, ls=dashes, lw=1.2, label=f"link {i + 1}")
-            axes.set_ylabel(label)
-            if limit is not None and np.abs(values).max() > 0.4 * limit:  # a far limit would flatten the curves
-                for i, edge in enumerate((-limit, limit)):
-                    axes.axhline(edge, color=COLOURS["reference"], ls=":", lw=1.3, label=None if i else "motor's limit")
-            elif limit is not None:
-                axes.set_title(
-                    f"the motor's limit of {limit:g} is beyond this panel", fontsize=8.5, fontweight="normal"
-                )
-        lines = {text: line for axes in panels for line, text in zip(*axes.get_legend_handles_labels(), strict=True)}
-        panels[0].legend(lines.values(), lines, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        panels[-1].set_xlabel("time [s]")
-    return figure
+    """Errors of position and orientation over time, and torques and voltages of the six motors."""
+    turned = lines(run.error[:, 3:], ["about x", "about y", "about z"])
+    panels: list[tuple[str, Curves, float | None]] = [
+        ("position error [mm]", lines(run.error[:, :3], ["x", "y", "z"]), None),
+        ("orientation error [mrad]", turned, None),
+        ("torque [mN m]", lines(run.torque, LINKS), 1e3 * MOST_TORQUE),
+        ("voltage [V]", lines(run.voltage, LINKS, 1.0), MOST_VOLTAGE),
+    ]
+    return over_time(run.t, panels)
 
 
 SIGNS = {"thesis": "all signs +", "link-4": "signs +++-+-", "rotors": "all signs +, with the rotors' inertia"}
 
 
 def pictures_of_numbers(found: PublishedNumbers) -> Iterator[tuple[str, Picture]]:
-    """Pictures by name: poses near singular ones, the sine runs, and the runs of section 9.1.3."""
+    """Pictures by name: the sine runs, and the runs of section 9.1.3."""
     geometry = stewart_platform().geometry
-    side, tilt = np.linspace(-0.025, 0.025, 101), np.linspace(-0.15, 0.15, 101)
-    maps = [condition_map(geometry, ("tx", "ty"), side, side), condition_map(geometry, ("ax", "ay"), tilt, tilt)]
-    words = "How near poses about home are to a singular one; white is out of the workspace (6.2.1)."
-    yield "condition", Picture(condition_figure(maps), words)
     for name, run in found.sines.items():
         until = run.when_height(0.1407) if name == "0.1 N m at 2 Hz" else run.t[-1]
         words = (
-            f"{name} on all motors: the torque, and the platform's height, simulated (figures 8.1, 8.2; how long they "
-            "last is not printed)."
-        )
-        yield f"height-{name}", Picture(excitation_figure(run, until), words)
-        words = (
-            f"{name} on all motors: the nonlinear simulation, the linear model at home, and their difference (figures "
-            "8.3-8.6)."
+            f"{name} on all motors: the torque and the platform's height, simulated (figures 8.1, 8.2; how long they "
+            "last is not printed); the nonlinear simulation, the linear model at home, their difference (8.3-8.6)."
         )
         yield f"sine-{name}", Picture(sine_figure(run, until), words)
     for name, run in found.tracking.items():
@@ -254,9 +208,7 @@ def pictures_of_numbers(found: PublishedNumbers) -> Iterator[tuple[str, Picture]
             "called measured there is simulated here."
         )
         yield f"path-{name}", Picture(tracking_path_figure(run, lengths), words)
-        yield f"error-{name}", Picture(tracking_error_figure(run), f"{where}: errors of the pose.")
-        words = f"{where}: torques, voltages, lengths of the actuators."
-        yield f"effort-{name}", Picture(tracking_effort_figure(run), words)
+        yield f"error-{name}", Picture(tracking_error_figure(run), f"{where}: errors of the pose, torques, voltages.")
 
 
 def case_picture(case: Case, n: int, seed: int) -> tuple[Picture, dict[str, float]]:

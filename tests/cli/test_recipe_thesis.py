@@ -35,16 +35,15 @@ def test_thesis_meets_its_requirements(tmp_path):
     for key, case in (("15", "1"), ("16", "2a"), ("17", "2b"), ("18", "2c")):
         assert step["numbers"]["bands"][case]["phi_1"] == pytest.approx(rows[key]["ours"], rel=1e-8)
     captions = {f["stem"]: f["caption"] for f in step["figures"]}
-    drawn = {f"numbers-{kind}-{run}" for kind in ("path", "error", "effort") for run in ("thesis", "link-4", "rotors")}
+    drawn = {f"numbers-{kind}-{run}" for kind in ("path", "error") for run in ("thesis", "link-4", "rotors")}
     sines = ("0_1_N_m_at_2_Hz", "1_mN_m_at_2_Hz", "0_1_N_m_at_20_Hz")
-    drawn |= {f"numbers-{kind}-{run}" for kind in ("height", "sine") for run in sines}
-    drawn |= {f"numbers-case-{case}" for case in ("1", "2a", "2b", "2c")} | {"numbers-condition"}
+    drawn |= {f"numbers-sine-{run}" for run in sines} | {f"numbers-case-{case}" for case in ("1", "2a", "2b", "2c")}
     assert set(captions) == drawn
     for stem in captions:
         assert (result.folder / f"figures/{stem}.svg").stat().st_size > 5_000
     assert "worst Δ = +I" in captions["numbers-case-1"]
     assert all("worst Δ = -I" in captions[f"numbers-case-{case}"] for case in ("2a", "2b", "2c"))
-    assert "figures 8.1, 8.2" in captions[f"numbers-height-{sines[0]}"]
+    assert "figures 8.1, 8.2" in captions[f"numbers-sine-{sines[0]}"]
     assert "figures 9.3-9.5" in captions["numbers-path-thesis"]
     page = (result.folder / "report.html").read_text(encoding="utf-8")
     assert "not reproducible from the text" in page

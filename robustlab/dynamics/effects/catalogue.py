@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from robustlab.dynamics.effects import (
-    friction_effects,
-    load_effects,
-    parameter_effects,
-    signal_effects,
-    spring_effects,
-)
-from robustlab.dynamics.effects.contract import Effect
+from robustlab.dynamics.effects import friction_effects, load_effects, parameter_effects, signal_effects, spring_effects
+from robustlab.dynamics.effects.contract import OWN, Effect
 from robustlab.errors import InputError, unknown_name
 
-_MODULES = (friction_effects, load_effects, parameter_effects, signal_effects, spring_effects)
-_OWN = {e.id: e for module in _MODULES for e in module.EFFECTS}
+__all__ = ["friction_effects", "load_effects", "parameter_effects", "signal_effects", "spring_effects"]  # they fill OWN
 _ADDED: dict[str, Effect] = {}
 
 
 def catalogue() -> dict[str, Effect]:
     """Id -> effect, in the order of their ids."""
-    return dict(sorted({**_OWN, **_ADDED}.items()))
+    return dict(sorted({**OWN, **_ADDED}.items()))
 
 
 def add_effect(added: Effect) -> None:
@@ -29,7 +22,7 @@ def add_effect(added: Effect) -> None:
     for attribute in ("id", "title", "equation", "site_kind"):
         if not isinstance(getattr(added, attribute, None), str):
             raise InputError(f"add_effect: {type(added).__name__}", f"no {attribute}", f"a text as its {attribute}")
-    if added.id in _OWN:
+    if added.id in OWN:
         raise InputError("add_effect", f"the id {added.id!r}, which robustlab's own catalogue has", "an id of its own")
     _ADDED[added.id] = added
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -139,9 +140,42 @@ class Footprint:
     describing: float = math.nan
 
 
-class Effect(ABC):
-    """One physical effect; its file holds the instance in ``EFFECTS``. All that is known of it stands here: who looks
-    for effects, fits them, builds sets of them or advises on experiments asks the effect.
+# What an effect of the catalogue is, and its parameters: id -> row.
+TABLE = tomllib.loads(Path(__file__).with_name("effects.toml").read_text(encoding="utf-8"))
+OWN: dict[str, Effect] = {}  # id -> effect, of all modules of effects that are loaded
+
+
+def _measure(kind: str, s: Scales) -> tuple[str, float]:
+    """Unit and size at a site of a quantity as `effects.toml` has it: ``"F/q"``, ``"dt"``, or a unit by itself."""
+    force, speed, at = s.force_unit, s.speed_unit, s.position_unit or s.speed_unit.removesuffix("/s")
+    known = {
+        "F": (force, s.force),
+        "v": (speed, s.speed),
+        "q": (s.position_unit, s.position),
+        "F/q": (f"{force}/{at}" if force and at else "", s.force / s.position),
+        "F/v": (f"{force} s/{at}" if force and at else "", s.force / s.speed),
+        "F/v2": (f"{force}/({speed})2" if force and speed else "", s.force / s.speed**2),
+        "F/q3": (f"{force}/{at}3" if force and at else "", s.force / s.position**3),
+        "rad/q": (f"rad/{s.position_unit}" if s.position_unit else "", 1.0),
+        "rad/y": (f"rad/{s.signal_unit}" if s.signal_unit else "", 1.0),
+        "u": (s.signal_unit, s.input),
+        "y": (s.signal_unit, s.output),
+        "dt": ("s", s.dt),
+        "duration": ("s", s.duration),
+    }
+    return known.get(kind, (kind, 1.0))
+
+
+def _prior(size: float, kind: Any, centre: float, spread: float) -> Prior:
+    """The prior of a row of `effects.toml`, whose numbers are in units of the size."""
+    if kind == "share":
+        return Prior(kind, centre * size, spread, top=size)
+    return Prior(kind, centre * size, spread * size if kind == "linear" else spread)
+
+
+class Effect:
+    """One physical effect; all that is known of it stands here: who looks for effects, fits them, builds sets of them
+    or advises on experiments asks the effect. Those of the catalogue have their texts and parameters in `effects.toml`.
     """
 
     id: str  # name in the catalogue
@@ -186,10 +220,32 @@ class Effect(ABC):
     # Its force law at the port of its site (`robustlab.dynamics.ports.law_kernel.law`), and that law's memory cells.
     force: Any = None
     memory: int = 0
+    # The table's rows of its parameters, and of one from which several starts are made: values in units of its size.
+    rows: Mapping[str, tuple[Any, ...]] = {}
+    started: Mapping[str, tuple[float, ...]] = {}
 
-    @abstractmethod
+    def __init_subclass__(cls, row: str = "") -> None:
+        """``row``: its id, where it is one of the catalogue."""
+        if row:
+            cls.id = row
+            for name, value in TABLE[row].items():
+                setattr(cls, name, tuple(value) if isinstance(value, list) else value)
+            OWN[row] = cls()
+
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         """Parameters with priors at these magnitudes."""
+        return self._of_rows(self.rows, scales)
+
+    def _of_rows(self, rows: Mapping[str, tuple[Any, ...]], scales: Scales) -> tuple[EffectParameter, ...]:
+        own, found = self.priors(scales), []
+        for name, (kind, meaning, *prior) in rows.items():
+            unit, size = _measure(kind, scales)
+            found.append(EffectParameter(name, unit, meaning, own[name] if name in own else _prior(size, *prior)))
+        return tuple(found)
+
+    def priors(self, scales: Scales) -> dict[str, Prior]:
+        """Priors of parameters whose rows have none."""
+        return {}
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         """All places of this plant where the effect can sit; empty where it makes no sense."""
@@ -209,7 +265,14 @@ class Effect(ABC):
         return not split_again and (port.position is not None or not self.needs_position)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        return ({p.name: p.prior.value(0.0) for p in self.parameters(scales)},)
+        """Values from which a fit begins: the centres of the priors, one parameter at several values."""
+        centres = {p.name: p.prior.value(0.0) for p in self.parameters(scales)}
+        return tuple({**centres, name: x} for name, tried in self.tried(scales).items() for x in tried) or (centres,)
+
+    def tried(self, scales: Scales) -> dict[str, tuple[float, ...]]:
+        """The parameter of which several values are tried, and these."""
+        sizes = {name: _measure(self.rows[name][0], scales)[1] for name in self.started}
+        return {name: tuple(x * sizes[name] for x in values) for name, values in self.started.items()}
 
     def variants(self, scales: Scales) -> tuple[Scales, ...]:
         """The magnitudes at which it is tried, each a candidate of its own: one for each line, where it has one."""
@@ -287,10 +350,9 @@ class Effect(ABC):
 
     def checked(self, values: Mapping[str, float]) -> dict[str, float]:
         """The values by name, all there and finite."""
-        return self._checked(values, self.parameters(Scales()))
+        return self._checked(values, [p.name for p in self.parameters(Scales())])
 
-    def _checked(self, values: Mapping[str, float], parameters: tuple[EffectParameter, ...]) -> dict[str, float]:
-        names = [p.name for p in parameters]
+    def _checked(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
         for name in values:
             if name not in names:
                 raise InputError(

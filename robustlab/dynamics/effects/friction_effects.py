@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numba as nb
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
-from robustlab.dynamics.effects.load_effects import order_parameter, orders_or_usual, wave_mean
+from robustlab.dynamics.effects.contract import Effect, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.load_effects import WaveEffect, wave_mean
 from robustlab.dynamics.ports.law_kernel import (
     CLOSE,
     GQ,
@@ -34,21 +34,10 @@ def dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], 0.0, 1.0)
 
 
-class CoulombFriction(Effect):
+class CoulombFriction(Effect, row="coulomb-friction"):
     """Dry friction: a force of constant size against the motion that holds the joint at rest."""
 
-    id = "coulomb-friction"
-    title = "Coulomb (dry) friction"
-    equation = "f = -Fc sgn(v), |f| <= Fc at rest"
-    independently = "measure the breakaway force or torque with a spring balance in both directions"
-    person = "Coulomb"
-    constant_loss = "torque"
-    site_kind = "joint"
     force = dry_force
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        prior = Prior("log", 0.1 * scales.force, 1.2)
-        return (EffectParameter("Fc", scales.force_unit, "friction level", prior),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Describing function of the relay for a sinusoidal speed of this amplitude: 4 Fc / (pi a); the sector of all
@@ -69,24 +58,10 @@ def uneven_dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return sticks if abs(force - sticks) <= ROUNDING * level else force  # at rest exactly, whatever the load rounded
 
 
-class AsymmetricCoulombFriction(Effect):
+class AsymmetricCoulombFriction(Effect, row="asymmetric-coulomb-friction"):
     """Dry friction whose level differs between the directions."""
 
-    id = "asymmetric-coulomb-friction"
-    title = "Direction-dependent Coulomb friction"
-    equation = "f = -F_pos for v > 0, F_neg for v < 0, -F_pos <= f <= F_neg at rest"
-    independently = "turn the machine on its side: a load changes, friction does not"
-    site_kind = "joint"
     force = uneven_dry_force
-    refines = "coulomb-friction"
-    equals = ("coulomb-friction", "constant-load")
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        prior = Prior("log", 0.1 * scales.force, 1.2)
-        return (
-            EffectParameter("F_pos", scales.force_unit, "friction level forwards", prior),
-            EffectParameter("F_neg", scales.force_unit, "friction level backwards", prior),
-        )
 
     def unrefined(self, values: Mapping[str, float]) -> Mapping[str, float]:
         return {"Fc": 0.5 * (values["F_pos"] + values["F_neg"])}
@@ -103,32 +78,13 @@ def stribeck_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], p[1], p[2])
 
 
-class StribeckFriction(Effect):
+class StribeckFriction(Effect, row="stribeck-friction"):
     """Stribeck friction: dry friction whose level falls from breakaway to sliding as the joint gathers speed."""
 
     # Armstrong-Helouvry, Dupont, Canudas de Wit, *A survey of models, analysis tools and compensation methods for the
     # control of machines with friction*, Automatica 30 (1994), eq. 5.
 
-    id = "stribeck-friction"
-    title = "Stribeck friction"
-    equation = "f = -(Fc + dF exp(-(v/vs)^2)) sgn(v), |f| <= Fc + dF at rest"
-    independently = "measure the breakaway force and the force at a slow constant speed with a spring balance"
-    person = "Stribeck"
-    site_kind = "joint"
     force = stribeck_force
-    refines = "coulomb-friction"
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        force, speed = scales.force, scales.speed
-        return (
-            EffectParameter("Fc", scales.force_unit, "friction level at speed", Prior("log", 0.1 * force, 1.2)),
-            EffectParameter("dF", scales.force_unit, "breakaway above that level", Prior("log", 0.1 * force, 1.2)),
-            EffectParameter("vs", scales.speed_unit, "Stribeck velocity", Prior("log", 0.02 * speed, 1.2)),
-        )
-
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        level = 0.1 * scales.force
-        return tuple({"Fc": level, "dF": level, "vs": share * scales.speed} for share in (0.005, 0.03))
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
         return values["vs"] <= scales.speed
@@ -192,31 +148,14 @@ def presliding_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return force
 
 
-class Presliding(Effect):
+class Presliding(Effect, row="presliding"):
     """Presliding: dry friction whose contact gives way like a spring before it slides."""
 
     # Dahl, *A solid friction model* (1968); Canudas de Wit, Olsson, Astrom, Lischinsky, *A new model for control of
     # systems with friction*, IEEE Trans. Automatic Control 40 (1995).
 
-    id = "presliding"
-    title = "Presliding (elastic dry friction)"
-    equation = "f = -sigma0 z, z' = v - |v| z sigma0 / Fc"
-    site_kind = "joint"
     force = presliding_force
     memory = 1
-    refines = "coulomb-friction"
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        unit = f"{scales.force_unit}/{scales.speed_unit.removesuffix('/s')}" if scales.force_unit else ""
-        stiffness = 0.1 * scales.force / (1e-3 * scales.position)
-        return (
-            EffectParameter("Fc", scales.force_unit, "friction level", Prior("log", 0.1 * scales.force, 1.2)),
-            EffectParameter("sigma0", unit, "stiffness of the contact", Prior("log", stiffness, 2.5)),
-        )
-
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        level = 0.1 * scales.force
-        return tuple({"Fc": level, "sigma0": level / (g * scales.position)} for g in (1e-4, 1e-3, 1e-2))
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
         # What never slides is a spring; where no position is known, neither is whether it did.
@@ -264,32 +203,10 @@ def uneven_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return _level_force(b[0], args)
 
 
-class PositionDependentFriction(Effect):
+class PositionDependentFriction(WaveEffect, row="position-dependent-friction"):
     """Dry friction whose level goes up and down over the position: a bent shaft, an uneven screw or gear."""
 
-    id = "position-dependent-friction"
-    title = "Position-dependent friction"
-    equation = "f = -max(0, Fc + Pc cos(k q) + Ps sin(k q)) sgn(v)"
-    site_kind = "joint"
-    amplitude = ("P", "Pc", "Ps")
-    needs_position = True
     force = uneven_force
-    refines = "coulomb-friction"
-    spatial = True
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        wave = Prior("linear", 0.0, 0.1 * scales.force)
-        return (
-            EffectParameter("Fc", scales.force_unit, "mean friction level", Prior("log", 0.1 * scales.force, 1.2)),
-            EffectParameter("Pc", scales.force_unit, "cosine part of the level", wave),
-            EffectParameter("Ps", scales.force_unit, "sine part of the level", wave),
-            order_parameter(scales),
-        )
-
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        # Both parts start at zero, where every phase is equally near.
-        level = 0.1 * scales.force
-        return tuple({"Fc": level, "Pc": 0.0, "Ps": 0.0, "k": k} for k in orders_or_usual(scales))
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # As Coulomb friction of the highest level: 4 F / (pi a) at a sine of the speed amplitude a.
@@ -304,18 +221,10 @@ def loss_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return dry_mean_force(seen[V0], seen[V], seen[GV], level, 0.0, 1.0)
 
 
-class GearEfficiency(Effect):
+class GearEfficiency(Effect, row="gear-efficiency"):
     """Gear losses: dry friction in proportion to the force that drives the joint."""
 
-    id = "gear-efficiency"
-    title = "Gear efficiency"
-    equation = "f = -(1 - eta) |T| sgn(v), T the net force at the joint"
-    independently = "measure the input torque at two known loads"
-    site_kind = "joint"
     force = loss_force
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        return (EffectParameter("eta", "", "efficiency of the transmission", Prior("share", 0.85, 1.0)),)
 
     def arguments(self, values: Mapping[str, float]) -> tuple[float, ...]:
         return (1.0 - values["eta"],)
@@ -339,25 +248,13 @@ def directional_loss(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return ((1.0 - share) * (1.0 - driven) * drive - seen[V]) / seen[GV]
 
 
-class LoadDependentFriction(Effect):
+class LoadDependentFriction(Effect, row="load-dependent-friction"):
     """Friction in proportion to the load that a gear passes on: one share while driven, another while braking."""
 
     # Duclusaud, Passault, Padois, Ly, *Extended Friction Models for the Physics Simulation of Servo Actuators*, arXiv
     # 2410.08650 (2024): load-dependent and directional models, there of the torques of motor and load.
 
-    id = "load-dependent-friction"
-    title = "Load-dependent friction, driven and back-driven"
-    equation = "f = -k |T| sgn(v), k = kd while T drives, kb while it brakes; T the net force at the joint"
-    independently = "measure the input torque while lifting and while lowering a known load"
-    site_kind = "joint"
     force = directional_loss
-    refines = "gear-efficiency"
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        return (
-            EffectParameter("kd", "", "share lost while driven", Prior("share", 0.15, 1.0)),
-            EffectParameter("kb", "", "share lost while back-driven", Prior("log", 0.15, 1.0)),
-        )
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # A gain on the driving force between -kd (driving) and kb (braking), at any amplitude.
@@ -388,19 +285,10 @@ def asymmetric_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return -last / (linear + math.sqrt(inside))
 
 
-class AsymmetricViscousFriction(Effect):
+class AsymmetricViscousFriction(Effect, row="asymmetric-viscous-friction"):
     """Viscous friction that differs between the directions: the plant's own, more one way and less the other."""
 
-    id = "asymmetric-viscous-friction"
-    title = "Direction-dependent viscous friction"
-    equation = "f = -dFv |v|: viscous coefficient +dFv forwards, -dFv backwards"
-    site_kind = "joint"
     force = asymmetric_force
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        unit = f"{scales.force_unit} s/{scales.speed_unit.removesuffix('/s')}" if scales.force_unit else ""
-        prior = Prior("linear", 0.0, 0.3 * scales.force / scales.speed)
-        return (EffectParameter("dFv", unit, "half of the difference of the directions' coefficients", prior),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Sector of -dFv |v| over v: either sign, at any amplitude.
@@ -416,40 +304,20 @@ def drag_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return -p[0] * v * abs(v)
 
 
-class QuadraticDrag(Effect):
+class QuadraticDrag(Effect, row="quadratic-drag"):
     """Quadratic drag: fans, fluids, windage."""
 
-    id = "quadratic-drag"
-    title = "Quadratic drag"
-    equation = "f = -c v |v|"
-    independently = "let it run down from full speed without drive"
-    site_kind = "joint"
     force = drag_force
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        unit = f"{scales.force_unit}/({scales.speed_unit})2" if scales.force_unit else ""
-        prior = Prior("log", 0.1 * scales.force / scales.speed**2, 1.5)
-        return (EffectParameter("c", unit, "drag coefficient", prior),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Sector of c v |v| over |v| <= a; its describing function is 8 c a / (3 pi), inside.
         return Footprint(site.name, "speed", 0.0, values["c"] * amplitude)
 
 
-class BrushDrop(Effect):
+class BrushDrop(Effect, row="brush-drop"):
     """Voltage drop of brushes: a constant voltage against the current."""
 
-    id = "brush-drop"
-    title = "Brush voltage drop"
-    equation = "f = -Vb sgn(i), |f| <= Vb at i = 0"
-    independently = "measure voltage and current at the terminals with the rotor held"
-    constant_loss = "voltage"
-    site_kind = "current"
     force = dry_force
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        prior = Prior("log", 0.05 * scales.force, 1.2)
-        return (EffectParameter("Vb", scales.force_unit, "voltage drop", prior),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Describing function of the relay at a sine of the current amplitude a: 4 Vb / (pi a).
@@ -471,51 +339,20 @@ def heating_drop(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 QUICKEST = 0.5  # s: no winding heats faster; a resistance that follows the current within less has another cause
 
 
-class ResistanceHeating(Effect):
+class ResistanceHeating(Effect, row="resistance-heating"):
     """A winding that warms up: a resistance that grows with the heat it has taken."""
 
-    id = "resistance-heating"
-    title = "Heating of the winding"
-    equation = "f = -dR i, T dR' = kappa i^2 - dR"
-    independently = "measure the winding with an ohmmeter, cold and right after a long run"
-    site_kind = "current"
     force = heating_drop
     memory = 1
-    long_memory = True
 
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        time = Prior("log", 3.0 * scales.duration, 1.5)
-        return (
-            EffectParameter("kappa", "Ohm/A2", "final rise per squared current", Prior("log", _rise(scales), 1.5)),
-            EffectParameter("T", "s", "thermal time constant", time),
-        )
+    def priors(self, scales: Scales) -> dict[str, Prior]:
+        # A fifth of a resistance of the winding's size, at a third of the largest current.
+        rise = 0.2 * scales.force / scales.current / (scales.current / 3.0) ** 2
+        return {"kappa": Prior("log", rise, 1.5)}
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
         return values["T"] >= QUICKEST
 
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        return tuple({"kappa": _rise(scales), "T": share * scales.duration} for share in (0.5, 5.0))
-
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # A resistance anywhere between cold and the warmest that this current can make it.
         return Footprint(site.name, "current", 0.0, values["kappa"] * amplitude**2)
-
-
-def _rise(scales: Scales) -> float:
-    """A fifth of a resistance of the winding's size, at a third of the largest current."""
-    return 0.2 * scales.force / scales.current / (scales.current / 3.0) ** 2
-
-
-EFFECTS = (
-    CoulombFriction(),
-    AsymmetricCoulombFriction(),
-    StribeckFriction(),
-    Presliding(),
-    PositionDependentFriction(),
-    GearEfficiency(),
-    LoadDependentFriction(),
-    AsymmetricViscousFriction(),
-    QuadraticDrag(),
-    BrushDrop(),
-    ResistanceHeating(),
-)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numba as nb
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import CLOSE, GQ, Q0, STEP, TIME, Q, bracket, guess, is_open, law, narrowed
 from robustlab.dynamics.ports.port_model import Port
 
@@ -41,12 +41,6 @@ def orders_or_usual(scales: Scales) -> tuple[float, ...]:
     return tuple(2.0 * math.pi * n / scales.position for n in USUAL_PERIODS)
 
 
-def order_parameter(scales: Scales) -> EffectParameter:
-    """The spatial frequency k of a force over the position."""
-    unit = f"rad/{scales.position_unit}" if scales.position_unit else ""
-    return EffectParameter("k", unit, "spatial frequency", order_prior(scales))
-
-
 def order_prior(scales: Scales) -> Prior:
     """Prior of a spatial frequency: half a line's width around the line that was seen, else a decade."""
     centre = orders_or_usual(scales)[0]
@@ -56,28 +50,26 @@ def order_prior(scales: Scales) -> Prior:
     return Prior("log", centre, min(0.3, 0.5 / periods))
 
 
+class WaveEffect(Effect):
+    """A wave of the spatial frequency k; its cosine and sine part start at zero, where every phase is equally near."""
+
+    def priors(self, scales: Scales) -> dict[str, Prior]:
+        return {"k": order_prior(scales)}
+
+    def tried(self, scales: Scales) -> dict[str, tuple[float, ...]]:
+        return {"k": orders_or_usual(scales)}
+
+
 @law
 def load_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     """Parameters p = (T_0,)."""
     return -p[0]
 
 
-class ConstantLoad(Effect):
+class ConstantLoad(Effect, row="constant-load"):
     """Constant load: gravity along the axis, a preload, or an offset."""
 
-    id = "constant-load"
-    title = "Constant load"
-    equation = "f = -T0"
-    independently = "turn the machine on its side or take the weight off"
-    site_kind = "joint"
     force = load_force
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        prior = Prior("linear", 0.0, 0.3 * scales.force)
-        return (EffectParameter("T0", scales.force_unit, "load against the positive direction", prior),)
-
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        return tuple({"T0": side * 0.15 * scales.force} for side in (1.0, -1.0))
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, "speed", 0.0, 0.0, offset=abs(values["T0"]))
@@ -113,30 +105,10 @@ def cogging_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return b[0]
 
 
-class Cogging(Effect):
+class Cogging(WaveEffect, row="cogging"):
     """Cogging, torque ripple: a force that is periodic in the position and the same both ways."""
 
-    id = "cogging"
-    title = "Cogging (force ripple)"
-    equation = "f = Ac cos(k q) + As sin(k q)"
-    independently = "turn it slowly by hand without power"
-    site_kind = "joint"
-    amplitude = ("A", "Ac", "As")
-    needs_position = True
     force = cogging_force
-    spatial = True
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        wave = Prior("linear", 0.0, 0.2 * scales.force)
-        return (
-            EffectParameter("Ac", scales.force_unit, "cosine part", wave),
-            EffectParameter("As", scales.force_unit, "sine part", wave),
-            order_parameter(scales),
-        )
-
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        # Both parts start at zero, where every phase is equally near.
-        return tuple({"Ac": 0.0, "As": 0.0, "k": k} for k in orders_or_usual(scales))
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Its slope over the position, a stiffness of either sign, lies within k A; its size within A.
@@ -144,27 +116,13 @@ class Cogging(Effect):
         return Footprint(site.name, "position", -values["k"] * size, values["k"] * size, offset=size)
 
 
-class PendulumGravity(Effect):
+class PendulumGravity(Effect, row="pendulum-gravity"):
     """Gravity of a pendulum: a weight off the axis of a joint that turns."""
 
-    id = "pendulum-gravity"
-    title = "Gravity of a pendulum"
-    equation = "f = -(G sin(q) + H cos(q)), m g l = sqrt(G^2 + H^2)"
-    independently = "weigh the load at a known distance from the axis, or turn the axis upright"
-    site_kind = "joint"
-    amplitude = ("m g l", "G", "H")
-    needs_position = True
     force = cogging_force
 
     def fits(self, port: Port) -> bool:
         return super().fits(port) and port.position_unit == "rad"
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        prior = Prior("linear", 0.0, 0.5 * scales.force)
-        return (
-            EffectParameter("G", scales.force_unit, "m g l times the cosine of the position of rest", prior),
-            EffectParameter("H", scales.force_unit, "-m g l times the sine of the position of rest", prior),
-        )
 
     def arguments(self, values: Mapping[str, float]) -> tuple[float, ...]:
         return -values["H"], -values["G"], 1.0
@@ -189,32 +147,23 @@ def ripple_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 FEWEST_TURNS = 2.0  # of a ripple within the record: fewer are a slope or a bow
 
 
-class TorqueRipple(Effect):
+class TorqueRipple(Effect, row="torque-ripple"):
     """Ripple of the force over time: mains, a beat of two clocks, an unbalanced neighbour."""
 
-    id = "torque-ripple"
-    title = "Ripple over time"
-    equation = "f = Ac cos(2 pi f t) + As sin(2 pi f t)"
-    independently = "record the position while the machine stands under power"
-    site_kind = "joint"
-    amplitude = ("A", "Ac", "As")
     force = ripple_force
-    timed = "f"
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        wave = Prior("linear", 0.0, 0.2 * scales.force)
-        return (
-            EffectParameter("Ac", scales.force_unit, "cosine part", wave),
-            EffectParameter("As", scales.force_unit, "sine part", wave),
-            EffectParameter("f", "Hz", "frequency", _frequency_prior(scales)),
-        )
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
         return values["f"] * scales.duration >= FEWEST_TURNS
 
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        # Both parts start at zero, where every phase is equally near.
-        return tuple({"Ac": 0.0, "As": 0.0, "f": f} for f in _lines_or_mains(scales))
+    def priors(self, scales: Scales) -> dict[str, Prior]:
+        # Half a line's width around the line that was seen, else the range of the mains.
+        starts = _lines_or_mains(scales)
+        centre = math.exp(sum(map(math.log, starts)) / len(starts))
+        width = 0.5 / (centre * scales.duration)
+        return {"f": Prior("log", centre, min(0.3, width) if len(scales.lines) == 1 else 0.5)}
+
+    def tried(self, scales: Scales) -> dict[str, tuple[float, ...]]:
+        return {"f": _lines_or_mains(scales)}
 
     def begun(self, values: Mapping[str, float], later: float) -> Mapping[str, float]:
         angle = 2.0 * math.pi * values["f"] * later
@@ -231,15 +180,3 @@ def _lines_or_mains(scales: Scales) -> tuple[float, ...]:
     """Frequencies to start from: the lines seen, else those of the mains that the sampling shows."""
     shown = tuple(f for f in MAINS if f < 0.5 / scales.dt)
     return scales.lines or shown or (0.1 / scales.dt,)
-
-
-def _frequency_prior(scales: Scales) -> Prior:
-    """Prior of the frequency: half a line's width around the line that was seen, else the range of the mains."""
-    starts = _lines_or_mains(scales)
-    centre = math.exp(sum(map(math.log, starts)) / len(starts))
-    if len(scales.lines) == 1:
-        return Prior("log", centre, min(0.3, 0.5 / (centre * scales.duration)))
-    return Prior("log", centre, 0.5)
-
-
-EFFECTS = (ConstantLoad(), Cogging(), PendulumGravity(), TorqueRipple())

@@ -5,13 +5,13 @@ r"""Effects that are a misjudged parameter of the plant: one physical quantity, 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups, port_model
 from robustlab.errors import InputError
@@ -23,15 +23,10 @@ class ParameterEffect(Effect):
     site_kind = "parameter"
     gain_like = True
     scale = "s"
-    spread: float  # standard deviation of log s
-    quantity: str  # what is scaled, in words
 
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        meaning = f"{self.quantity}, true value over the nominal one"
-        return (EffectParameter("s", "", meaning, Prior("log", 1.0, self.spread)),)
-
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        return ({"s": math.exp(self.spread)}, {"s": math.exp(-self.spread)})
+    def tried(self, scales: Scales) -> dict[str, tuple[float, ...]]:
+        (s,) = self._of_rows(self.rows, scales)
+        return {"s": (s.prior.value(1.0), s.prior.value(-1.0))}
 
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
         if site.kind != "parameter":
@@ -94,46 +89,40 @@ class MisplacedEffect(ParameterEffect):
 
     gain_like = False
     scale = ""
-    components: tuple[str, ...]  # names of the shifts; the plant has as many parameters of the effect's role
-    unit: str  # of the shifts
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
-        found = super().sites(plant, model)
-        return tuple(s for s in found if len(s.name.split("+")) == len(self.components))
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        prior = Prior("linear", 0.0, self.spread)
-        return tuple(EffectParameter(n, self.unit, f"{self.quantity}, {n}", prior) for n in self.components)
+        return tuple(s for s in super().sites(plant, model) if len(s.name.split("+")) == len(self.rows))
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        return (dict.fromkeys(self.components, 0.1 * self.spread),)
+        return ({p.name: p.prior.value(0.1) for p in self.parameters(scales)},)
 
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
         names = self._group(plant, site)
         own = [plant.parameters[name] for name in names]
-        return {p.name: (p.value + values[n]) / p.reference for p, n in zip(own, self.components, strict=True)}
+        return {p.name: (p.value + values[n]) / p.reference for p, n in zip(own, self.rows, strict=True)}
 
 
 class GroundedEffect(ParameterEffect):
     """A parameter effect that can also sit at a joint whose equation lacks the term: a force to ground, linear in the
-    joint's position or velocity, whose coefficient is the parameter named `symbol`.
+    joint's position or velocity, whose coefficient has the row `at_joint`.
     """
 
-    symbol: str  # name of the coefficient at a joint
+    at_joint: Mapping[str, tuple[Any, ...]]
     of: str  # what the force is proportional to: ``"position"`` or ``"velocity"``
 
-    def at_joint(self, scales: Scales) -> EffectParameter:
-        """The coefficient at a joint, with its prior."""
-        raise NotImplementedError
+    @property
+    def symbol(self) -> str:
+        """Name of the coefficient at a joint."""
+        return next(iter(self.at_joint))
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        return (self.at_joint(scales),) if scales.force_unit else super().parameters(scales)
+        return self._of_rows(self.at_joint if scales.force_unit else self.rows, scales)
 
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
+    def tried(self, scales: Scales) -> dict[str, tuple[float, ...]]:
         if not scales.force_unit:
-            return super().starts(scales)
-        prior = self.at_joint(scales).prior
-        return ({self.symbol: prior.value(0.0)}, {self.symbol: prior.value(-1.5)})
+            return super().tried(scales)
+        (p,) = self.parameters(scales)
+        return {p.name: (p.prior.value(0.0), p.prior.value(-1.5))}
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         joints = tuple(p for p in model.ports.values() if p.kind == "joint" and getattr(p, self.of) is not None)
@@ -161,124 +150,43 @@ class GroundedEffect(ParameterEffect):
     def checked(self, values: Mapping[str, float]) -> dict[str, float]:
         if self.symbol not in values:
             return super().checked(values)
-        return self._checked(values, self.parameters(Scales(force_unit="N")))
+        return self._checked(values, list(self.at_joint))
 
 
-class Inertia(ParameterEffect):
+class Inertia(ParameterEffect, row="inertia"):
     """Misjudged inertia: the true value is a multiple of the nominal one."""
 
-    id = "inertia"
-    title = "Misjudged inertia"
-    equation = "J' = s J"
-    independently = "weigh the parts, or add a known inertia and compare"
-    spread = 0.4
-    tolerance = 0.05
-    quantity = "inertia or mass"
 
-
-class CentreOfMass(MisplacedEffect):
+class CentreOfMass(MisplacedEffect, row="centre-of-mass"):
     """A centre of mass that is not where the plant has it."""
 
-    id = "centre-of-mass"
-    title = "Misplaced centre of mass"
-    equation = "c' = c + (x, y, z)"
-    independently = "balance the body on an edge in two positions, or hang it from two points"
-    components = ("x", "y", "z")
-    unit = "m"
-    spread = 0.03
-    tolerance = 0.0
-    quantity = "shift of the centre of mass"
 
-
-class GravityDirection(MisplacedEffect):
+class GravityDirection(MisplacedEffect, row="gravity-direction"):
     """A base that does not stand level: gravity acts in another direction than the plant says."""
 
-    id = "gravity-direction"
-    title = "Base that is not level"
-    equation = "t' = t + (x, y)"
-    independently = "lay a level on the base, along both axes"
-    components = ("x", "y")
-    unit = "rad"
-    spread = 0.05
-    tolerance = 0.0
-    quantity = "tilt of the base"
 
-
-class Resistance(MotorEffect):
+class Resistance(MotorEffect, row="resistance"):
     """Misjudged resistance: the true value is a multiple of the nominal one."""
-
-    id = "resistance"
-    title = "Misjudged resistance"
-    equation = "R' = s R"
-    independently = "measure the winding with an ohmmeter, rotor held, in several positions"
-    spread = 0.3
-    tolerance = 0.05
-    quantity = "resistance"
 
     def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
         return [(current, current)]
 
 
-class TorqueConstant(MotorEffect):
+class TorqueConstant(MotorEffect, row="torque-constant"):
     """Misjudged torque constant: the true value is a multiple of the nominal one."""
-
-    id = "torque-constant"
-    title = "Misjudged torque constant"
-    equation = "K' = s K (torque and back-EMF)"
-    independently = "turn the motor from outside and measure its open-circuit voltage per speed"
-    spread = 0.12
-    tolerance = 0.03
-    quantity = "torque constant and back-EMF constant"
 
     def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
         others = [k for k in range(model.own) if k != current]
         return [(k, current) for k in others] + [(current, k) for k in others]
 
 
-class Stiffness(GroundedEffect):
+class Stiffness(GroundedEffect, row="stiffness"):
     """Stiffness: a misjudged spring, or a spring to ground at a joint that has none."""
 
-    id = "stiffness"
-    title = "Stiffness, misjudged or missing"
-    equation = "k' = s k; f = -k q at a joint without a spring"
-    independently = "push with known forces and read the displacement"
-    spread = 0.4
-    tolerance = 0.05
-    quantity = "stiffness"
-    symbol = "k"
     of = "position"
 
-    def at_joint(self, scales: Scales) -> EffectParameter:
-        unit = f"{scales.force_unit}/{scales.position_unit}" if scales.position_unit else ""
-        prior = Prior("log", 0.3 * scales.force / scales.position, 1.5)
-        return EffectParameter("k", unit, "stiffness of a spring to ground", prior)
 
-
-class ViscousFriction(GroundedEffect):
+class ViscousFriction(GroundedEffect, row="viscous-friction"):
     """Viscous friction: a misjudged coefficient, or friction at a joint whose equation has none."""
 
-    id = "viscous-friction"
-    title = "Viscous friction, misjudged or missing"
-    equation = "b' = s b; f = -b v at a joint without friction"
-    independently = "measure the no-load current at several speeds"
-    spread = 1.5
-    tolerance = 1.0
-    quantity = "viscous friction"
-    symbol = "b"
     of = "velocity"
-
-    def at_joint(self, scales: Scales) -> EffectParameter:
-        unit = f"{scales.force_unit} s/{scales.speed_unit.removesuffix('/s')}" if scales.speed_unit else ""
-        prior = Prior("log", 0.1 * scales.force / scales.speed, 1.5)
-        return EffectParameter("b", unit, "viscous friction to ground", prior)
-
-
-EFFECTS = (
-    Inertia(),
-    CentreOfMass(),
-    GravityDirection(),
-    Resistance(),
-    TorqueConstant(),
-    Stiffness(),
-    ViscousFriction(),
-)

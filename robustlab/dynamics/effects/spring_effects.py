@@ -10,7 +10,7 @@ import numba as nb
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.contract import Effect, Footprint, Law, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, STEP, V0, Q, V, bracket, guess, is_open, law, narrowed
 from robustlab.dynamics.ports.port_model import PortModel
 from robustlab.dynamics.ports.split_joint import with_load_side
@@ -42,23 +42,12 @@ def cubic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return b[0]
 
 
-class CubicStiffness(Effect):
+class CubicStiffness(Effect, row="cubic-stiffness"):
     """Cubic stiffness: a spring that hardens (or softens) away from the position's zero."""
 
     # Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear Science 6 (1996).
 
-    id = "cubic-stiffness"
-    title = "Cubic stiffness"
-    equation = "f = -k3 q^3"
-    independently = "push with known forces and read the displacement"
-    site_kind = "joint"
-    needs_position = True
     force = cubic_force
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        unit = f"{scales.force_unit}/{scales.position_unit}3" if scales.position_unit else ""
-        prior = Prior("linear", 0.0, scales.force / (0.5 * scales.position) ** 3)
-        return (EffectParameter("k3", unit, "cubic stiffness; negative: softening", prior),)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Sector of k3 q^3 over |q| <= a; its describing function is 3/4 k3 a^2, inside.
@@ -108,27 +97,14 @@ def stop_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return _push(p[0] - seen[Q0], p[0] - seen[Q], -seen[V], seen[GQ], seen[GV], h, p[2], p[3])
 
 
-class EndStop(Effect):
+class EndStop(Effect, row="end-stop"):
     """End stops: springs with damping beyond the limits of the travel, which push and never pull."""
 
-    id = "end-stop"
-    title = "End stop"
-    equation = "f = -max(0, kc (q - q_max) + dc v) beyond q_max, mirrored below q_min"
-    independently = "move it slowly by hand to its ends"
-    site_kind = "joint"
-    needs_position = True
     force = stop_force
 
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        stiffness, damping = contact_scales(scales)
-        per_position = f"{scales.force_unit}/{scales.position_unit}" if scales.position_unit else ""
-        per_speed = f"{scales.force_unit} s/{scales.position_unit}" if scales.position_unit else ""
-        return (
-            EffectParameter("q_min", scales.position_unit, "lower limit", limit_prior(scales, -1)),
-            EffectParameter("q_max", scales.position_unit, "upper limit", limit_prior(scales, 1)),
-            EffectParameter("kc", per_position, "stiffness of the contact", Prior("log", stiffness, 2.5)),
-            EffectParameter("dc", per_speed, "damping of the contact", Prior("log", damping, 2.0)),
-        )
+    def priors(self, scales: Scales) -> dict[str, Prior]:
+        damping = Prior("log", contact_scales(scales)[1], 2.0)
+        return {"q_min": limit_prior(scales, -1), "q_max": limit_prior(scales, 1), "dc": damping}
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         # Soft stops that the record presses in, and hard ones near its extremes.
@@ -180,30 +156,18 @@ def contact_scales(scales: Scales) -> tuple[float, float]:
 STARTS = ((0.02, 1.0), (0.003, 5.0), (0.3, 0.03))
 
 
-class OneSidedSpring(Effect):
+class OneSidedSpring(Effect, row="one-sided-spring"):
     """A spring with a damper that a joint meets beyond one position: a stop on one side, free play before a spring."""
 
-    id = "one-sided-spring"
-    title = "Spring or stop on one side"
-    equation = "f = -max(0, k (q - q0) + d v) above q0; with k < 0 the same below it"
-    independently = "move it slowly by hand to both of its ends"
-    site_kind = "joint"
-    needs_position = True
     force = stop_force
 
     def variants(self, scales: Scales) -> tuple[Scales, ...]:
         return replace(scales, side=1), replace(scales, side=-1)
 
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
+    def priors(self, scales: Scales) -> dict[str, Prior]:
         stiffness, damping = contact_scales(scales)
-        per_position = f"{scales.force_unit}/{scales.position_unit}" if scales.position_unit else ""
-        per_speed = f"{scales.force_unit} s/{scales.position_unit}" if scales.position_unit else ""
         signed = Prior("log", scales.side * stiffness, 2.5) if scales.side else Prior("linear", 0.0, 5.0 * stiffness)
-        return (
-            EffectParameter("k", per_position, "stiffness; negative: of a spring below q0", signed),
-            EffectParameter("q0", scales.position_unit, "where the contact begins", limit_prior(scales, scales.side)),
-            EffectParameter("d", per_speed, "damping of the contact", Prior("log", damping, 2.0)),
-        )
+        return {"k": signed, "q0": limit_prior(scales, scales.side), "d": Prior("log", damping, 2.0)}
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         stiffness, damping = contact_scales(scales)
@@ -293,33 +257,14 @@ def hysteretic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return b[0]
 
 
-class BoucWen(Effect):
+class BoucWen(Effect, row="bouc-wen"):
     """Hysteretic spring: a force that lags behind the displacement and yields, at any speed (Bouc, Wen)."""
 
     # Wen, *Method for random vibration of hysteretic systems*, J. Engineering Mechanics 102 (1976); Ikhouane, Rodellar,
     # *On the hysteretic Bouc-Wen model*, Nonlinear Dynamics 42 (2005), normalised form.
 
-    id = "bouc-wen"
-    title = "Hysteretic spring"
-    equation = "f = -Fy z, qy z' = v (1 - |z|) while |z| grows, v (1 + rho |z|) while it falls"
-    independently = "push slowly forth and back with known forces and read the displacement"
-    site_kind = "joint"
-    needs_position = True
     force = hysteretic_force
     memory = 1
-    long_memory = True  # the way over which it forgets may be longer than that of a window
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        return (
-            EffectParameter("Fy", scales.force_unit, "force at which it yields", Prior("log", 0.2 * scales.force, 1.2)),
-            EffectParameter(
-                "qy", scales.position_unit, "displacement to yield", Prior("log", 0.1 * scales.position, 1.2)
-            ),
-            EffectParameter("rho", "", "stiffening on the way back; 1: Dahl's friction", Prior("log", 0.3, 1.0)),
-        )
-
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        return tuple({"Fy": 0.2 * scales.force, "qy": part * scales.position, "rho": 0.3} for part in (0.02, 0.1, 0.4))
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
         # What never yields is a spring; where no position is known, neither is whether it did.
@@ -401,32 +346,16 @@ def flank_frequency(share: float) -> float:
     return FLANK * math.sqrt(SHARE * (1.0 - SHARE) / (share * (1.0 - share)))
 
 
-class Backlash(Effect):
+class Backlash(Effect, row="backlash"):
     """Backlash: a gap between the drive and its load, who push each other at its flanks and never pull."""
 
     # Nordin, Galic, Gutman, New models for backlash and gear play, Int. J. Adaptive Control and Signal Processing 11
     # (1997) 49-63; Greenspan, Discrete numerical methods in physics and engineering (1974) for the exact balance of
     # energy.
 
-    id = "backlash"
-    title = "Backlash"
-    equation = "F = -m (w^2 e + 2 zeta w e') sgn(delta) outside |delta| <= gap/2, w = 2 pi f, m = share (1 - share) J"
-    independently = "hold the motor and move the output by hand against a dial gauge"
-    site_kind = "joint"
-    structural = True
-    told_from_below = "gap"  # of a load that never reaches its other flank
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        return (
-            EffectParameter("gap", scales.position_unit, "width of the gap", Prior("log", 1e-3 * scales.position, 2.0)),
-            EffectParameter("share", "", "load's share of the inertia", share_prior(scales)),
-            EffectParameter(
-                "f",
-                "Hz",
-                "frequency of the closed contact",
-                Prior("log", flank_frequency(share_prior(scales).value(0.0)), 0.4),
-            ),
-        )
+    def priors(self, scales: Scales) -> dict[str, Prior]:
+        share = share_prior(scales)
+        return {"share": share, "f": Prior("log", flank_frequency(share.value(0.0)), 0.4)}
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         # Of a load that pulls the flights are short, and told by when they end: from half or twice the gap none is
@@ -452,31 +381,11 @@ class Backlash(Effect):
         return Footprint(site.name, "position", 1.0, 1.0, offset=0.5 * values["gap"])
 
 
-HIGHEST = 200.0  # Hz
-LOWEST = 10.0
-
-
-class FlexibleCoupling(Effect):
+class FlexibleCoupling(Effect, row="flexible-coupling"):
     """Flexible coupling: the joint's inertia is two, with a spring and a damper between them."""
 
-    id = "flexible-coupling"
-    title = "Flexible coupling"
-    equation = "F = -w^2 m delta - 2 zeta w m delta', w = 2 pi f, m = share (1 - share) J"
-    independently = "hold the motor and twist the output with a known torque"
-    site_kind = "joint"
-    structural = True
-
-    def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        middle = math.sqrt(LOWEST * HIGHEST)
-        return (
-            EffectParameter("f", "Hz", "frequency of the drive against the load", Prior("log", middle, 0.9)),
-            EffectParameter("zeta", "", "damping ratio of that mode", Prior("log", 0.03, 0.8)),
-            EffectParameter("share", "", "load's share of the inertia", share_prior(scales)),
-        )
-
-    def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        share = share_prior(scales).value(0.0)
-        return tuple({"f": f, "zeta": 0.03, "share": share} for f in (18.0, 45.0, 110.0))
+    def priors(self, scales: Scales) -> dict[str, Prior]:
+        return {"share": share_prior(scales)}
 
     def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
         wide = with_load_side(model, site.name, values["share"], "twist", f"effect {self.id}")
@@ -488,6 +397,3 @@ class FlexibleCoupling(Effect):
 
     def resting(self, values: Mapping[str, float], pull: Array) -> Array:
         return pull / (2.0 * math.pi * values["f"]) ** 2
-
-
-EFFECTS = (CubicStiffness(), EndStop(), OneSidedSpring(), BoucWen(), Backlash(), FlexibleCoupling())

@@ -1,4 +1,9 @@
-"""Effects become uncertainty: the linear model of a plant with effects, and a block for all that it is not."""
+r"""Effects become uncertainty: the linear model of a plant with effects, and a block or a bounded input for all that it
+is not; those inputs along a record.
+
+.. math::
+    \dot x = A x + B\,(u + d) + \sum_j b_j f_j, \qquad |f_j| \le F_j, \quad |d| \le d_{max}
+"""
 # Gelb, Vander Velde, *Multiple-Input Describing Functions* (1968), chapter 2; Wang, Lundström, Skogestad,
 # "Representation of uncertain time delays in the H-infinity framework", Int. J. Control 59 (1994); Březina 2010,
 # section 4.2.
@@ -9,7 +14,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Literal, cast, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, cast, get_args
 
 import numpy as np
 
@@ -17,17 +22,24 @@ from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.delays.approximation import checked_order
 from robustlab.delays.channels import covering
-from robustlab.dynamics.effects.contract import Footprint
-from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.extended_plant import ExtendedPlant, without_signals
+from robustlab.dynamics.effects.contract import Footprint, Law
+from robustlab.dynamics.extended.attached_effect import AttachedEffect, is_set_valued, rest_band, steady_force
+from robustlab.dynamics.extended.extended_plant import (
+    ExtendedNonlinearPlant,
+    ExtendedPlant,
+    with_effects,
+    without_signals,
+)
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant
-from robustlab.dynamics.ports.port_model import Port, port_model
+from robustlab.dynamics.plant_contract import Trim
+from robustlab.dynamics.ports.port_model import Port, PortModel, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.structural import drop_unconnected
+from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.shown import AllFields, Facts, Part, Shown, listed, number
-from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, product
 
@@ -38,6 +50,7 @@ NOMINAL_EXACT = 1e-8
 STRETCHES = (0.5, 1.0, 2.0)
 
 Amplitude = float | tuple[float, float]
+AnyLinear = LinearPlant | ExtendedPlant
 Dry = Literal["gain", "load", "both"]
 
 
@@ -90,38 +103,31 @@ class NoiseInput(AllFields):
     origin: str  # where it comes from
 
 
-@dataclass(frozen=True, eq=False)
-class ForceParts:
+class ForceParts(NamedTuple):
     """What stands in for all laws of a plant."""
 
     # sectors, bounded: the gains; the bounded forces as inputs, each with its port
-    sectors: tuple[ForceSector, ...]
-    bounded: tuple[tuple[NoiseInput, Port], ...]
+    sectors: list[ForceSector]
+    bounded: list[tuple[NoiseInput, Port]]
     # index of a law -> row (n_x,) with which the nominal member has ``f = -row x`` in place of its slope
-    stand_in: Mapping[int, Array]
-    left_out: Mapping[str, str]  # effect at its place -> why only its slope at the point is in the model
+    stand_in: dict[int, Array]
+    left_out: dict[str, str]  # effect at its place -> why only its slope at the point is in the model
 
 
-def force_parts(
-    plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: Dry | None = None, width: float = 2.0
-) -> ForceParts:
+def _force_parts(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: Dry | None, width: float) -> ForceParts:
     """Choose for every force law what stands in for it."""
-    sectors: list[ForceSector] = []
-    bounded: list[tuple[NoiseInput, Port]] = []
-    left: dict[str, str] = {}
-    stand_in: dict[int, Array] = {}
-    missing: dict[str, str] = {}
+    parts, missing = ForceParts([], [], {}, {}), dict[str, str]()
     for j, (e, _, port) in enumerate(plant.laws):
         seen = e.footprint()
         reason = _no_part(e, seen, port)
         if reason or seen is None:
-            left[f"{e!r}"] = reason
+            parts.left_out[f"{e!r}"] = reason
             continue
-        key = signal_name(plant, port, seen.signal)
+        key = _signal_name(plant, port, seen.signal)
         as_gain, as_load = _ways(e, seen, key in amplitude, dry)
         if as_gain and key not in amplitude and not _same_everywhere(e):
             if seen.signal == "position" and not seen.offset:
-                left[f"{e!r}"] = f"only its slope at the point is in the model: give an amplitude of {key}"
+                parts.left_out[f"{e!r}"] = f"only its slope at the point is in the model: give an amplitude of {key}"
             else:
                 missing[key] = e.effect.title
             continue
@@ -130,45 +136,48 @@ def force_parts(
             found = _sector(e, port, seen, amplitude.get(key), width)
             row = found.middle * found.row
             if found.radius > 0:
-                sectors.append(found)
+                parts.sectors.append(found)
         if as_load:
-            (name,) = free_names([e.load_name], [load.name for load, _ in bounded])
+            (name,) = _free_names([e.load_name], [load.name for load, _ in parts.bounded])
             words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
-            bounded.append((NoiseInput(name, e.largest_offset(width), port.unit, words), port))
-        stand_in[j] = row
+            parts.bounded.append((NoiseInput(name, e.largest_offset(width), port.unit, words), port))
+        parts.stand_in[j] = row
     if missing:
-        name, title = next(iter(missing.items()))
-        raise InputError(
-            "effect_blocks", f"{title} at {name} without an amplitude", f"amplitude for {', '.join(missing)}",
-            'the amplitude of the signal there at which the effect is described; dry="load" for friction needs none',
-        )  # fmt: skip
-    return ForceParts(tuple(sectors), tuple(bounded), stand_in, left)
+        raise _no_amplitude(missing, '; dry="load" for friction needs none')
+    return parts
 
 
-def signal_name(plant: ExtendedPlant, port: Port, signal: str) -> str:
+def _no_amplitude(missing: Mapping[str, str], more: str = "") -> InputError:
+    """The error for places of effects (place -> title) that need an amplitude."""
+    name, title = next(iter(missing.items()))
+    return InputError(
+        "effect_blocks", f"{title} at {name} without an amplitude", f"amplitude for {', '.join(missing)}",
+        f"the amplitude of the signal there at which the effect is described{more}",
+    )  # fmt: skip
+
+
+def _signal_name(plant: ExtendedPlant, port: Port, signal: str) -> str:
     """The name under which the amplitude of what a law sees is given: its joint, or the state of its position."""
     if signal != "position" or port.position is None:
         return port.name
     return plant.states[int(np.flatnonzero(port.position)[0])].name
 
 
-def check_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> None:
+def _check_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> None:
     """Every amplitude is positive (a pair: increasing) and has an effect at its place."""
-    joints = {signal_name(plant, port, s) for _, _, port in plant.laws for s in ("speed", "position")}
+    joints = {_signal_name(plant, port, s) for _, _, port in plant.laws for s in ("speed", "position")}
     known = tuple(dict.fromkeys([*(e.site.name for e in plant.effects), *sorted(joints)]))
     for name, value in amplitude.items():
         where = f"effect_blocks: amplitude {name!r}"
         if name not in known:
             raise unknown_name(where, "no effect there", name, known)
-        pair = _pair(value)
-        if not (len(pair) == 2 and all(_is_positive(a) for a in pair) and pair[0] <= pair[1]):
-            raise InputError(where, f"{value!r}", "a positive number, or (least, largest) of two")
+        pair, expected = _pair(value), "a positive number, or (least, largest) of two"
+        for end in pair:
+            checks.number(where, end, expected, above=0)
+        if len(pair) != 2 or pair[0] > pair[1]:
+            raise InputError(where, f"{value!r}", expected)
         if name not in joints and pair[0] != pair[1]:
             raise InputError(where, f"{value!r} at a driver or sensor", "one positive number")
-
-
-def _is_positive(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value < math.inf
 
 
 def _pair(value: Amplitude) -> tuple[float, ...]:
@@ -188,14 +197,10 @@ def _no_part(e: AttachedEffect, seen: Footprint | None, port: Port) -> str:
 
 def _ways(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> tuple[bool, bool]:
     """Whether the law becomes a gain, and whether a bounded force."""
-    has_gain = seen.signal == "force" or any(
-        f is not None and f.gain_upper > f.gain_lower
-        for a in STRETCHES
-        for f in [e.footprint(1e3 * a)]
-    ) or seen.gain_upper > seen.gain_lower  # fmt: skip
     if not seen.offset:
         return True, False
-    if not has_gain:
+    wide = [seen, *(f for a in STRETCHES if (f := e.footprint(1e3 * a)) is not None)]
+    if seen.signal != "force" and all(f.gain_upper <= f.gain_lower for f in wide):
         return False, True
     mode = dry or ("gain" if known else "load")
     if mode == "both" and seen.signal == "position":  # it does not oppose a speed: |e| would be F + k |s|
@@ -231,25 +236,7 @@ def _sector(e: AttachedEffect, port: Port, seen: Footprint, amplitude: Amplitude
     return ForceSector(e, port, seen.signal, low, high, valid, dry and seen.signal != "force")
 
 
-def force_columns(
-    plant_matrices: Sequence[Array], ports: Sequence[Port], sectors: Sequence[ForceSector]
-) -> tuple[Array, Array, Array]:
-    """Columns of G for a force at each port; rows of C and of D (over u and those forces) for what the sectors see."""
-    e, f, g = plant_matrices
-    push = e @ np.array([p.force for p in ports]).T if ports else np.zeros((len(f), 0))
-    c, d = np.zeros((len(sectors), len(f))), np.zeros((len(sectors), g.shape[1] + len(ports)))
-    for k, s in enumerate(sectors):
-        if s.signal != "force":
-            c[k] = s.row
-            continue
-        dual = push[:, k] / float(push[:, k] @ push[:, k])
-        others = push.copy()
-        others[:, k] = 0.0
-        c[k], d[k] = dual @ f, np.concatenate([dual @ g, dual @ others])
-    return push, c, d
-
-
-def free_names(names: list[str], taken: Sequence[str]) -> list[str]:
+def _free_names(names: list[str], taken: Sequence[str]) -> list[str]:
     """The names, with primes where they are taken already."""
     found: list[str] = []
     for name in names:
@@ -348,21 +335,19 @@ def effect_blocks(
     width = float(real_array("sigmas", sigmas, 0, "effect_blocks"))
     checks.number("effect_blocks: sigmas", width, "0 or more", at_least=0)
     checks.whole("effect_blocks: pade", pade, 1, 8)
+    if dry not in (None, *get_args(Dry)):
+        raise InputError("effect_blocks: dry", f"{dry!r}", f"one of {', '.join(get_args(Dry))}")
     if isinstance(plant, LinearPlant):
         if amplitude:
             raise InputError("effect_blocks: amplitude", f"{plant.name} has no effects", "none")
         loads = _unnamed(port_model(plant), unnamed)
         inner = tied_plant(plant, tied)
-        whole = _told(with_forces(inner, [port for _, port in loads]).uncertain(), inner)
-        return _kept(_with_noise(plant, whole, loads, ()), outputs)
-    if not isinstance(plant, ExtendedPlant):
+        whole = _with_origins(_with_forces(inner, [port for _, port in loads]).uncertain(), inner)
+        made = EffectBlocks(*_errors_first(whole, plant, _at_forces(plant, loads)), {})
+    elif isinstance(plant, ExtendedPlant):
+        made = _of_extended(plant, width, dict(amplitude or {}), dry, pade, unnamed, tied)
+    else:
         raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
-    if dry not in (None, *get_args(Dry)):
-        raise InputError("effect_blocks: dry", f"{dry!r}", f"one of {', '.join(get_args(Dry))}")
-    return _kept(_of_extended(plant, width, dict(amplitude or {}), dry, pade, unnamed, tied), outputs)
-
-
-def _kept(made: EffectBlocks, outputs: Sequence[str] | None) -> EffectBlocks:
     if outputs is None:
         return made
     m, (_, p) = made.model.M, made.model.delta_shape
@@ -379,50 +364,50 @@ def _of_extended(
     unnamed: tuple[float, str] | None,
     tied: Sequence[tuple[str, tuple[str, ...]]],
 ) -> EffectBlocks:
-    check_amplitudes(plant, amplitude)
-    parts = force_parts(plant, amplitude, dry, width)
+    _check_amplitudes(plant, amplitude)
+    parts = _force_parts(plant, amplitude, dry, width)
     levels = _signal_amplitudes(plant, amplitude)
     linear = plant.linear_model(None, levels, stand_in=parts.stand_in)
     point = linear.operating_point
     assert point is not None
     loads = [*parts.bounded, *_unnamed(plant.model, unnamed)]
-    drivers = _driver_errors(plant, amplitude, width)
     inner = tied_plant(without_signals(plant, linear, width), tied)
     ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
-    whole = _told(with_forces(inner, ways, parts.sectors).uncertain(), inner)
+    whole = _with_origins(_with_forces(inner, ways, parts.sectors).uncertain(), inner)
     whole, approximate = _with_sectors(whole, parts.sectors, len(plant.inputs))
     signals = plant.signal_levels(point.x, point.u)
-    for e, k, level in reversed([s for s in signals if s[0].site.kind == "input"]):
-        for gadget in _gadgets(e, level, levels, width, pade):
-            whole = product(whole, _at_channel(gadget, whole.inputs, k, e.key))
-    for e, k, level in [s for s in signals if s[0].site.kind == "output"]:
-        for gadget in _gadgets(e, level, levels, width, pade):
-            whole = product(_at_channel(gadget, whole.outputs, k, e.key), whole)
-    made = _with_noise(plant, whole, loads, signals, width, drivers)
+    into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
+    whole = with_signals(whole, signals, levels, width, pade)
+    errors = _at_forces(plant, loads)
+    for e, k, _ in into:
+        if e.site.name not in amplitude and _is_bounded_error(plant, e):  # as what it adds to its input at most
+            words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
+            errors.append((NoiseInput(e.load_name, e.input_error(width) or 0.0, plant.inputs[k].unit, words), k))
+    for e, k, _ in out:
+        if bound := e.largest_offset(width):
+            signal, words = plant.outputs[k], f"{e.in_words} as a bounded error; {e.values_in_words}"
+            noise = NoiseInput(f"noise {signal.name}: {e.effect.id}", bound, signal.unit, words)
+            errors.append((noise, len(plant.inputs) + len(loads) + k))
+    left = {f"{e!r}": "a bounded error of an input" for e, _, _ in into if (f := e.footprint()) and f.offset}
+    made = EffectBlocks(*_errors_first(whole, plant, errors), {**parts.left_out, **left}, tuple(approximate))
     _check(plant.linear_model(None, levels, pade, stand_in=parts.stand_in), plant.name, made)
-    left = {**parts.left_out, **_left_out(signals)}
-    return dataclasses.replace(made, left_out=left, approximate=tuple(approximate))
+    return made
 
 
 def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> dict[str, float]:
     """The amplitudes of drivers and sensors; those with a sector must have one."""
+    signals = [e for e in plant.effects if e.on_signal]
     missing = {
         e.site.name: e.effect.title
-        for e in plant.effects
-        if e.on_signal
-        and e.scale is None
+        for e in signals
+        if e.scale is None
         and e.site.name not in amplitude
         and e.sector({e.site.name: 1.0}, ("input", "output")) is not None
         and not _is_bounded_error(plant, e)
     }
     if missing:
-        name, title = next(iter(missing.items()))
-        raise InputError(
-            "effect_blocks", f"{title} at {name} without an amplitude", f"amplitude for {', '.join(missing)}",
-            "the amplitude of the signal there at which the effect is to be described",
-        )  # fmt: skip
-    places = {e.site.name for e in plant.effects if e.on_signal}
-    return {n: float(a[1] if isinstance(a, (tuple, list)) else a) for n, a in amplitude.items() if n in places}
+        raise _no_amplitude(missing)
+    return {e.site.name: float(_pair(amplitude[e.site.name])[1]) for e in signals if e.site.name in amplitude}
 
 
 def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
@@ -431,23 +416,30 @@ def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
     return e.site.kind == "input" and e.input_error() is not None and not others
 
 
-def _driver_errors(
-    plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], width: float
-) -> list[tuple[NoiseInput, int]]:
-    """A driver without an amplitude as what it adds to its input at most, and the number of the input."""
-    found = []
-    for e in plant.effects:
-        if e.site.name in amplitude or not _is_bounded_error(plant, e):
-            continue
-        k = [s.name for s in plant.inputs].index(e.site.name)
-        bound = e.input_error(width)
-        assert bound is not None
-        words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
-        found.append((NoiseInput(e.load_name, bound, plant.inputs[k].unit, words), k))
-    return found
+def _at_forces(plant: AnyLinear, loads: Sequence[tuple[NoiseInput, Port]]) -> list[tuple[NoiseInput, int]]:
+    """The loads, each with its place among the inputs and forces."""
+    return [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
 
 
-def _unnamed(model: Any, given: tuple[float, str] | None) -> list[tuple[NoiseInput, Any]]:
+def _errors_first(
+    whole: UncertainModel, plant: AnyLinear, errors: Sequence[tuple[NoiseInput, int]]
+) -> tuple[UncertainModel, tuple[NoiseInput, ...]]:
+    """Bounded errors as inputs of size one before the plant's own; each has its place among the inputs, the forces, and
+    what is added to the outputs.
+    """
+    m, (q, p) = whole.M, whole.delta_shape
+    n_u, n_y = len(plant.inputs), len(plant.outputs)
+    columns = [*range(q), *(q + k for _, k in errors), *range(q, q + n_u)]
+    scale = np.array([*[1.0] * q, *(e.bound for e, _ in errors), *[1.0] * n_u])
+    b = np.hstack([m.B, np.zeros((m.n_states, n_y))])[:, columns] * scale
+    d = np.hstack([m.D, np.eye(m.n_outputs)[:, p : p + n_y]])[:, columns] * scale
+    inputs = [*m.inputs[:q], *((e.name, "1") for e, _ in errors), *plant.inputs]
+    outputs = [*m.outputs[:p], *plant.outputs]
+    model = StateSpaceModel(m.A, b, m.C, d, m.dt, inputs, outputs, m.states, where="effect_blocks")
+    return UncertainModel(model, whole.blocks), tuple(e for e, _ in errors)
+
+
+def _unnamed(model: PortModel, given: tuple[float, str] | None) -> list[tuple[NoiseInput, Port]]:
     """An input for a force that nothing explains, at the first joint."""
     if given is None:
         return []
@@ -460,15 +452,22 @@ def _unnamed(model: Any, given: tuple[float, str] | None) -> list[tuple[NoiseInp
     return [(NoiseInput(f"load {port.name}: unnamed", bound, port.unit, given[1]), port)]
 
 
-def with_forces(plant: LinearPlant, ports: Sequence[Any], sectors: Sequence[ForceSector] = ()) -> LinearPlant:
+def _with_forces(plant: LinearPlant, ports: Sequence[Port], sectors: Sequence[ForceSector] = ()) -> LinearPlant:
     """The plant with a force at each port as further inputs, and what the first ones' sectors see as outputs, too."""
     if not ports:
         return plant
-    nominal = plant.matrices(plant.values)[0]
+    push = plant.matrices(plant.values)[0] @ np.array([p.force for p in ports]).T
 
     def equations(p: Mapping[str, float]) -> Descriptor:
         e, f, g, c, d = plant.matrices(p)
-        push, seen_c, seen_d = force_columns((nominal, f, g), ports, sectors)
+        seen_c, seen_d = np.zeros((len(sectors), len(f))), np.zeros((len(sectors), g.shape[1] + len(ports)))
+        for k, s in enumerate(sectors):
+            if s.signal != "force":
+                seen_c[k] = s.row
+                continue
+            dual = push[:, k] / float(push[:, k] @ push[:, k])
+            others = push * (np.arange(len(ports)) != k)
+            seen_c[k], seen_d[k] = dual @ f, np.concatenate([dual @ g, dual @ others])
         wide = np.vstack([np.hstack([d, np.zeros((len(c), len(ports)))]), seen_d])
         return Descriptor(e, f, np.hstack([g, push]), np.vstack([c, seen_c]), wide)
 
@@ -479,7 +478,7 @@ def with_forces(plant: LinearPlant, ports: Sequence[Any], sectors: Sequence[Forc
     )
 
 
-def _told(uncertain: UncertainModel, plant: LinearPlant) -> UncertainModel:
+def _with_origins(uncertain: UncertainModel, plant: LinearPlant) -> UncertainModel:
     """The same with an origin for every parameter."""
     blocks = []
     for b in uncertain.blocks:
@@ -495,38 +494,29 @@ def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: in
     k = len(sectors)
     if not k:
         return whole, []
-    m, (q, p) = whole.M, whole.delta_shape
-    n_y = len(whole.outputs)
-    force = list(range(q + n_u, q + n_u + k))
-    rest_in = [j for j in range(m.n_inputs) if j not in force]
-    seen = list(range(p + n_y - k, p + n_y))
-    columns = rest_in[:q] + force + rest_in[q:]
-    rows = [*range(p), *seen, *range(p, p + n_y - k)]
+    m, (q, p), n_y = whole.M, whole.delta_shape, len(whole.outputs) - k
+    ins, outs = np.arange(m.n_inputs), np.arange(m.n_outputs)
+    columns = [*ins[:q], *ins[q + n_u : q + n_u + k], *ins[q : q + n_u], *ins[q + n_u + k :]]
+    rows = [*outs[:p], *outs[p + n_y :], *outs[p : p + n_y]]
     scale = np.ones(m.n_inputs)
     scale[q : q + k] = [s.radius if s.signal == "force" else -s.radius for s in sectors]
-    names = free_names([s.effect.key for s in sectors], [b.name for b in whole.blocks])
-    ins, outs = list(m.inputs), list(m.outputs)
+    names = _free_names([s.effect.key for s in sectors], [b.name for b in whole.blocks])
+    inputs, outputs = [m.inputs[j] for j in columns], [m.outputs[j] for j in rows]
+    inputs[q : q + k], outputs[p : p + k] = ([Signal(f"{w}_{n}") for n in names] for w in "wz")
     model = StateSpaceModel(
-        m.A, m.B[:, columns] * scale, m.C[rows], m.D[np.ix_(rows, columns)] * scale, m.dt,
-        [*ins[:q], *(f"w_{n}" for n in names), *(ins[j] for j in rest_in[q:])],
-        [*outs[:p], *(f"z_{n}" for n in names), *outs[p : p + n_y - k]],
-        m.states, where="effect_blocks",
+        m.A, m.B[:, columns] * scale, m.C[rows], m.D[np.ix_(rows, columns)] * scale, m.dt, inputs, outputs, m.states,
+        where="effect_blocks",
     )  # fmt: skip
-    blocks = [
-        RealScalar(name, 1, ParameterRange(s.middle, s.radius, s.unit), origin=_sector_words(s))
-        for name, s in zip(names, sectors, strict=True)
-    ]
+    blocks = []
+    for name, s in zip(names, sectors, strict=True):
+        seen = "of the force there" if s.signal == "force" else f"of its {s.signal}"
+        words = f"{s.effect.in_words} as a sector {seen}; {s.valid}; {s.effect.values_in_words}"
+        blocks.append(RealScalar(name, 1, ParameterRange(s.middle, s.radius, s.unit), origin=words))
     found = UncertainModel(model, [*whole.blocks, *blocks], whole.operating_point)
     return found, [name for name, s in zip(names, sectors, strict=True) if s.approximate]
 
 
-def _sector_words(s: ForceSector) -> str:
-    e = s.effect
-    seen = "of the force there" if s.signal == "force" else f"of its {s.signal}"
-    return f"{e.in_words} as a sector {seen}; {s.valid}; {e.values_in_words}"
-
-
-def lag_block(time: float, spread: float, name: str) -> UncertainModel:
+def _lag_block(time: float, spread: float, name: str, origin: str) -> UncertainModel:
     """All lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s, exactly."""
     if not 0.0 <= spread < time:
         raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")
@@ -534,7 +524,7 @@ def lag_block(time: float, spread: float, name: str) -> UncertainModel:
     if not spread:
         return UncertainModel(StateSpaceModel([[a]], [[-a]], [[1.0]], [[0.0]]), [])
     model = StateSpaceModel([[a]], [[a * spread, -a]], [[a], [1.0]], [[a * spread, -a], [0.0, 0.0]])
-    return UncertainModel(model, [RealScalar(name, 1, ParameterRange(time, spread, "s"))])
+    return UncertainModel(model, [RealScalar(name, 1, ParameterRange(time, spread, "s"), origin=origin)])
 
 
 def delay_block(delay: float, spread: float, pade: int, name: str, origin: str = "") -> UncertainModel:
@@ -547,98 +537,65 @@ def delay_block(delay: float, spread: float, pade: int, name: str, origin: str =
     return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin, covers=made.blocks[0].covers)])
 
 
+def with_signals(
+    whole: UncertainModel,
+    signals: Sequence[tuple[AttachedEffect, int, float]],
+    amplitude: Mapping[str, float],
+    width: float,
+    pade: int = 0,
+) -> UncertainModel:
+    """The model with what the effects put into its inputs and outputs: gains with a range, and with an order of Padé's
+    approximation delays and lags; each effect with the index of its signal and the level there.
+    """
+    into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
+    for e, k, level in [*reversed(into), *out]:  # the effect next to the plant first
+        for gadget in _gadgets(e, level, amplitude, width, pade):
+            if e.site.kind == "input":
+                whole = product(whole, _at_channel(gadget, whole.inputs, k, e.key))
+            else:
+                whole = product(_at_channel(gadget, whole.outputs, k, e.key), whole)
+    return whole
+
+
 def _gadgets(
     e: AttachedEffect, level: float, amplitude: Mapping[str, float], width: float, pade: int
 ) -> list[UncertainModel]:
     """What an effect puts into its signal: a gain with a range, a delay, a lag."""
     found: list[UncertainModel] = []
-    gain = e.gain(level, amplitude)
-    seen = e.sector(amplitude, ("input", "output"))
-    reach = width * e.scale_std
-    if seen is not None:
-        reach = 0.5 * (seen.gain_upper - seen.gain_lower)
+    gain, seen = e.gain(level, amplitude), e.sector(amplitude, ("input", "output"))
+    reach = width * e.scale_std if seen is None else 0.5 * (seen.gain_upper - seen.gain_lower)
     if reach:
         words = f"{e.in_words}" + ("" if seen is None else " as a sector") + f"; {e.values_in_words}"
         block = RealScalar(e.key, 1, ParameterRange(gain, reach), origin=words)
         found.append(UncertainModel(StateSpaceModel([], [], [], [[0.0, reach], [1.0, gain]]), [block]))
     elif gain != 1.0:
         found.append(UncertainModel(StateSpaceModel([], [], [], [[gain]]), []))
-    if e.delay:
+    if e.delay and pade:
         spread = width * e.std.get(e.effect.delay, 0.0)
         words = f"{e.in_words}, {e.delay:.6g} s +- {spread:.3g} s, as Padé of order {pade} and a weight proved to cover"
         words = f"{words} what that misses; {e.values_in_words}"
         found.append(delay_block(e.delay, spread, pade, e.key, words))
-    if e.time_constant:
+    if e.time_constant and pade:
         spread = width * e.std.get(e.effect.time_constant, 0.0)
-        model = lag_block(e.time_constant, spread, e.key)
         words = f"{e.in_words}, {e.time_constant:.6g} s +- {spread:.3g} s; {e.values_in_words}"
-        found.append(UncertainModel(model.M, [dataclasses.replace(cast("Any", b), origin=words) for b in model.blocks]))
+        found.append(_lag_block(e.time_constant, spread, e.key, words))
     return found
 
 
 def _at_channel(gadget: UncertainModel, signals: Sequence[Signal], k: int, name: str) -> UncertainModel:
     """The gadget of this name in signal k, all others passed on."""
     g, (q, p), n = gadget.M, gadget.delta_shape, len(signals)
-    b, c = np.zeros((g.n_states, q + n)), np.zeros((p + n, g.n_states))
-    b[:, :q], b[:, q + k] = g.B[:, :q], g.B[:, q]
-    c[:p], c[p + k] = g.C[:p], g.C[p]
-    d = np.zeros((p + n, q + n))
-    d[p:, q:] = np.eye(n)
-    d[:p, :q], d[:p, q + k], d[p + k, :q], d[p + k, q + k] = g.D[:p, :q], g.D[:p, q], g.D[p, :q], g.D[p, q]
+    into, out = np.zeros((q + 1, q + n)), np.zeros((p + n, p + 1))
+    into[:q, :q], into[q, q + k] = np.eye(q), 1.0
+    out[:p, :p], out[p + k, p] = np.eye(p), 1.0
+    passed = np.zeros((p + n, q + n))
+    passed[p:, q:] = np.diag(np.arange(n) != k)
     model = StateSpaceModel(
-        g.A, b, c, d, 0.0, [*(f"w_{name}" for _ in range(q)), *signals], [*(f"z_{name}" for _ in range(p)), *signals],
+        g.A, g.B @ into, out @ g.C, out @ g.D @ into + passed, 0.0,
+        [*(f"w_{name}" for _ in range(q)), *signals], [*(f"z_{name}" for _ in range(p)), *signals],
         [f"{name} {i + 1}" for i in range(g.n_states)], where="effect_blocks",
     )  # fmt: skip
     return UncertainModel(model, gadget.blocks)
-
-
-def _with_noise(
-    plant: LinearPlant | ExtendedPlant,
-    whole: UncertainModel,
-    loads: Sequence[tuple[NoiseInput, Any]],
-    signals: Sequence[tuple[AttachedEffect, int, float]],
-    width: float = 0.0,
-    drivers: Sequence[tuple[NoiseInput, int]] = (),
-) -> EffectBlocks:
-    """Bounded errors as inputs of size one, before the plant's own."""
-    m, (q, p) = whole.M, whole.delta_shape
-    n_u = len(plant.inputs)
-    noise: list[NoiseInput] = []
-    columns_b, columns_d = [], []
-    for i, (load, _) in enumerate(loads):
-        j = q + n_u + i
-        noise.append(load)
-        columns_b.append(load.bound * m.B[:, j])
-        columns_d.append(load.bound * m.D[:, j])
-    for load, k in drivers:
-        noise.append(load)
-        columns_b.append(load.bound * m.B[:, q + k])
-        columns_d.append(load.bound * m.D[:, q + k])
-    for e, k, _ in signals:
-        bound = e.largest_offset(width)
-        if e.site.kind == "output" and bound:
-            signal = plant.outputs[k]
-            noise.append(NoiseInput(f"noise {signal.name}: {e.effect.id}", bound, signal.unit, _bounded(e)))
-            columns_b.append(np.zeros(m.n_states))
-            columns_d.append(bound * np.eye(m.n_outputs)[p + k])
-    between_b = np.array(columns_b).reshape(len(noise), m.n_states).T
-    between_d = np.array(columns_d).reshape(len(noise), m.n_outputs).T
-    model = StateSpaceModel(
-        m.A,
-        np.hstack([m.B[:, :q], between_b, m.B[:, q : q + n_u]]),
-        m.C,
-        np.hstack([m.D[:, :q], between_d, m.D[:, q : q + n_u]]),
-        m.dt,
-        [*m.inputs[:q], *((n.name, "1") for n in noise), *plant.inputs],
-        [*m.outputs[:p], *plant.outputs],
-        m.states,
-        where="effect_blocks",
-    )
-    return EffectBlocks(UncertainModel(model, whole.blocks), tuple(noise), {})
-
-
-def _bounded(e: AttachedEffect) -> str:
-    return f"{e.in_words} as a bounded error; {e.values_in_words}"
 
 
 def _check(own: StateSpaceModel, name: str, made: EffectBlocks) -> None:
@@ -654,11 +611,153 @@ def _check(own: StateSpaceModel, name: str, made: EffectBlocks) -> None:
         )
 
 
-def _left_out(signals: Sequence[tuple[AttachedEffect, int, float]]) -> dict[str, str]:
-    """Bounded errors of drivers."""
-    left = {}
-    for e, _, _ in signals:
-        seen = e.footprint()
-        if e.site.kind == "input" and seen is not None and seen.offset:
-            left[f"{e!r}"] = "a bounded error of an input"
-    return left
+# Samples, those of the largest force, at which a law is asked with other values of its parameters.
+ASKED_SAMPLES = 200
+
+
+@dataclass(frozen=True, eq=False)
+class EffectLoads:
+    """A plant as a linear set with loads."""
+
+    plant: AnyLinear  # what it was made of
+    # its inputs are the loads, each over its bound, so that they are at most one, then the plant's
+    model: UncertainModel
+    loads: tuple[NoiseInput, ...]  # name of the input, bound, unit and origin of each load
+    effects: tuple[AttachedEffect, ...] = ()  # that of each load
+
+    def along(self, record: Record) -> Record:
+        """The record with the loads as further inputs, as the plant with its effects makes them under its inputs."""
+        if not self.loads:
+            return record
+        assert isinstance(self.plant, ExtendedPlant)
+        made = _along(self.plant, self.effects, record)[0]
+        added = {load.name: signal / load.bound for load, signal in zip(self.loads, made, strict=True)}
+        units = {**record.units, **{load.name: "1" for load in self.loads}}
+        return Record(record.t, {**record.inputs, **added}, record.outputs, units, record.name, record.meaning)
+
+
+def _along(plant: ExtendedPlant, effects: Sequence[AttachedEffect], record: Record) -> tuple[list[Array], Array]:
+    """What each effect does along a record, (n,): the mean of its force over the sample, or what a driver adds to its
+    input; and the states (n, n_x).
+    """
+    where, names = f"loads along {record.name}", [s.name for s in plant.inputs]
+    missing = [name for name in names if name not in record.inputs]
+    if missing:
+        raise InputError(where, f"no input {missing[0]!r}", ", ".join(names))
+    if not record.is_uniform:
+        raise InputError(where, "irregular sampling", "equal steps", "resample the record")
+    seen = {name: record.inputs[name] for name in names}
+    # the smallest state of the plant alone that shows the outputs measured first
+    shown = [k for k, s in enumerate(plant.outputs) if s.name in record.outputs]
+    first = np.array([record.outputs[plant.outputs[k].name][0] for k in shown])
+    own = plant.model.own
+    x0 = np.linalg.pinv(plant.model.C[shown, :own]) @ first if shown else np.zeros(own)
+    states, _, forces = plant.forced(np.column_stack(list(seen.values())), record.dt, float(record.t[0]), x0, None)
+    found = []
+    for e in effects:
+        if e.site.kind == "input":
+            after = e.effect.input(seen[e.site.name], e.values, record.dt)
+            found.append(after - seen[e.site.name])
+            seen[e.site.name] = after
+        else:
+            found.append(forces[:, [other is e for other, _, _ in plant.laws]].sum(axis=1))
+    return found, states
+
+
+def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = (), margin: float = 1.0) -> EffectLoads:
+    """A plant with effects as its linear part with bounded loads; those without a bound whatever the motion get the
+    largest value along the records.
+    """
+    if isinstance(plant, LinearPlant):
+        return EffectLoads(plant, plant.uncertain(), ())
+    if not isinstance(plant, ExtendedPlant):
+        raise InputError("effect_loads", type(plant).__name__, "a linear plant, with or without effects")
+    linear = [e for e in plant.effects if _is_linear(e)]
+    base: LinearPlant = plant.plant
+    ports = port_model(base).ports
+    if linear:
+        rest = with_effects(plant.plant, linear)
+        base, ports = without_signals(rest, rest.linear_model(), sigmas), rest.model.ports
+    effects = tuple(e for e in plant.effects if e not in linear and e.effect.nameable)
+    made = [_load(plant, ports, e, sigmas) for e in effects]
+    free = [k for k, (load, _) in enumerate(made) if not np.isfinite(load.bound)]
+    if free and not records:
+        where = f"effect_loads: {made[free[0]][0].name}"
+        raise InputError(where, "no bound whatever the motion", "records whose motion bounds it")
+    runs = [_along(plant, effects, record) for record in records] if free else []
+    times = "" if margin == 1.0 else f"{margin:g} times the largest "
+    within = f"{times}within the motion of {', '.join(r.name for r in records)}"
+    for k in free:
+        (load, way), e = made[k], effects[k]
+        size = margin * max(_largest(plant, e, signals[k], states, sigmas) for signals, states in runs)
+        made[k] = dataclasses.replace(load, bound=size, origin=f"{load.origin}; {within}"), way
+    pushed = [way for _, way in made if isinstance(way, Port)]
+    forces = iter(range(len(plant.inputs), len(plant.inputs) + len(pushed)))
+    at = [(load, way if isinstance(way, int) else next(forces)) for load, way in made]
+    return EffectLoads(plant, *_errors_first(_with_forces(base, pushed).uncertain(), plant, at), effects)
+
+
+def _largest(plant: ExtendedPlant, e: AttachedEffect, signal: Array, states: Array, sigmas: float) -> float:
+    """Largest size of a load along a motion, for all values of its effect."""
+    law, port = next((law, port) for other, law, port in plant.laws if other is e)
+    seen = e.footprint()
+    if law.memory or seen is None or seen.signal in ("force", "time") or is_set_valued(law, 0.0):
+        nominal = e.largest_gain(0.0)
+        return float(np.abs(signal).max()) * (e.largest_gain(sigmas) / nominal if nominal else 1.0)
+    most = states[np.argsort(-np.abs(_law_along(law, port, states)))[:ASKED_SAMPLES]]
+    laws = [other for values in e.corners(sigmas) for other in e.effect.laws(e.site, values)]
+    return max(float(np.abs(_law_along(other, port, most)).max()) for other in laws)
+
+
+def _law_along(law: Law, port: Port, states: Array) -> Array:
+    """Force of a law that position and speed tell, at each state (n,)."""
+    v = states @ port.velocity
+    q = np.zeros_like(v) if port.position is None else states @ port.position
+    return np.array([
+        steady_force(law, at, speed) if speed else 0.5 * sum(rest_band(law, at))
+        for at, speed in zip(q.tolist(), v.tolist(), strict=True)
+    ])  # fmt: skip
+
+
+def loaded_model(
+    plant: ExtendedNonlinearPlant, at: Trim, sigmas: float = 2.0
+) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
+    """A nonlinear plant with effects at rest as its linear model with bounded loads, and these loads."""
+    linear, ports = plant.linear_model(at), plant.about(at.x, plant.mapped_input(at.u)).model.ports
+    loads, columns = [], []
+    for e in plant.effects:
+        if _is_linear(e) or not e.effect.nameable:
+            continue
+        load, way = _load(plant, ports, e, sigmas)
+        if not np.isfinite(load.bound):
+            raise InputError(f"loads of {e.in_words}", "no bound whatever the motion", "effects that have one")
+        loads.append(load)
+        columns.append(load.bound * (linear.B[:, way] if isinstance(way, int) else way.force))
+    b = np.column_stack([*columns, linear.B])
+    d = np.hstack([np.zeros((len(linear.C), len(loads))), linear.D])
+    inputs = [*((load.name, "1") for load in loads), *linear.inputs]
+    point = OperatingPoint(at.x, np.concatenate([np.zeros(len(loads)), at.u]), at.y)
+    model = StateSpaceModel(linear.A, b, linear.C, d, 0.0, inputs, linear.outputs, linear.states, point, plant.name)
+    return model, tuple(loads)
+
+
+def _is_linear(e: AttachedEffect) -> bool:
+    return not e.on_signal and not e.laws()
+
+
+def _load(
+    plant: ExtendedPlant | ExtendedNonlinearPlant, ports: Mapping[str, Port], e: AttachedEffect, sigmas: float
+) -> tuple[NoiseInput, Port | int]:
+    """The load of an effect, its bound infinite where it has none, and the port or the number of the input there."""
+    words = f"{e.in_words}; {e.values_in_words}"
+    if e.site.kind == "input":
+        bound = e.input_error(sigmas)
+        k = [s.name for s in plant.inputs].index(e.site.name)
+        if bound is not None:
+            return NoiseInput(e.load_name, float(bound), plant.inputs[k].unit, words), k
+    elif not e.on_signal and e.site.name in ports and not e.effect.structural:
+        port = ports[e.site.name]
+        return NoiseInput(e.load_name, e.largest_offset(sigmas) or math.inf, port.unit, words), port
+    hint = "rl.uncertain_from has sectors and weights for such effects"
+    where, expected = f"effect_loads: {e.in_words}", "effects that are one of these"
+    raise InputError(where, "neither linear nor bounded whatever the motion", expected, hint)

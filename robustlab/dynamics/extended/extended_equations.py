@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.checks import number
@@ -28,17 +28,20 @@ from robustlab.dynamics.extended.attached_effect import (
 )
 from robustlab.dynamics.extended.nonlinear_steps import About, somewhere
 from robustlab.dynamics.extended.simulator import Simulator
-from robustlab.dynamics.plant_contract import REST_PASSES, STILL, NonlinearPlant, SteppedPlant, Trim
+from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
+from robustlab.dynamics.rest import PASSES, asked
 from robustlab.dynamics.simulation import CLOCK_JITTER
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.result import Status
 from robustlab.shown import AllFields, listed
-from robustlab.statespace import OperatingPoint, StateSpaceModel, append, real_array, series
+from robustlab.statespace import OperatingPoint, StateSpaceModel, append, series
 
 # The laws' steps are laid out for samples of this length in s; longer samples are divided. Larger: quicker, and
 # reversals are located less well.
 NOMINAL_STEP = 1e-3
+# A rate is at rest where it is no more than this share of the terms that make it up.
+STILL = 1e-11
 # Sweeps over joints that rest together, and the share of the largest force at which they agree.
 REST_SWEEPS = 200
 REST_AGREED = 1e-13
@@ -237,10 +240,12 @@ class ExtendedEquations(SteppedPlant):
     def _rest(self, where: Mapping[str, Any]) -> tuple[Array, Array, float]:
         """State, input and the largest rate there."""
         n = len(self.states)
-        s, free, wanted = self._asked_rest(where)
-        rows = list(wanted)
+        s, where = self.nearby(where)
+        held, wanted = asked(self, where)
+        s[list(held)] = list(held.values())
+        free, rows = np.array([k for k in range(len(s)) if k not in held], dtype=np.intp), list(wanted)
         residual = np.zeros(n)
-        for _ in range(REST_PASSES):
+        for _ in range(PASSES):
             residual = np.concatenate([self.derivative(s[:n], s[n:]), self.output(s[:n], s[n:])[rows]])
             residual[n:] -= list(wanted.values())
             if self._is_still(s, residual):
@@ -265,26 +270,6 @@ class ExtendedEquations(SteppedPlant):
             None,
             "give an input that what holds the plant can bear, or leave the input to be found",
         )
-
-    def _asked_rest(self, where: Mapping[str, Any]) -> tuple[Array, NDArray[np.intp], dict[int, float]]:
-        """State and input with what is given in place, the indices of the others, and outputs that are wanted."""
-        n = len(self.states)
-        states, inputs, outputs = ([s.name for s in kind] for kind in (self.states, self.inputs, self.outputs))
-        s, where = self.nearby(where)
-        fixed = np.zeros(len(s), dtype=np.bool_)
-        wanted: dict[int, float] = {}
-        for name, value in where.items():
-            number = float(real_array(name, value, 0, f"{self.name}: trim"))
-            if name in states or name in inputs:
-                k = states.index(name) if name in states else n + inputs.index(name)
-                s[k], fixed[k] = number, True
-            elif name in outputs:
-                wanted[outputs.index(name)] = number
-            else:
-                known = (*inputs, *outputs, *(x for x in states if x not in outputs))
-                hint = did_you_mean(name, known)
-                raise InputError(f"{self.name}: trim", f"{name!r}", f"one of {', '.join(known)}", hint)
-        return s, np.flatnonzero(~fixed), wanted
 
     def _holding_columns(self, s: Array) -> Array:
         """Rates per unit of each force that holds its joint and may change: scaled to entries of 1, and one that is at

@@ -30,7 +30,6 @@ from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plan
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import Signal, StateSpaceModel, real_array
-from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 # Of a nonlinear plant the steps are halved until the states change by no more than this share of their root mean
@@ -168,12 +167,17 @@ class ExtendedPlant(ExtendedEquations):
         return About(model, model.A @ x + model.B @ seen, model.C @ x + model.D @ seen)
 
     def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
+        return self.forced(u, dt, t0, x0, step)[:2]
+
+    def forced(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array, Array]:
+        """States and outputs, and the mean of each law's force over the samples, (n, n_laws)."""
         parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
         held = np.repeat(u, parts, axis=0)
         run = Simulator(self.plant, [(e.effect, e.site) for e in self.effects], held, dt / parts, t0)
         whole = Windows(np.zeros(1, dtype=np.int64), len(held))
         motion = run.run({}, [e.values for e in self.effects], x0[None], whole)
-        return motion.states[0, ::parts], motion.outputs[0, ::parts]
+        forces = motion.forces[0, [*range(1, len(held)), -1]].reshape(len(u), parts, -1).mean(axis=1)
+        return motion.states[0, ::parts], motion.outputs[0, ::parts], forces
 
     def to_model(self) -> StateSpaceModel:
         return self.linear_model()
@@ -184,11 +188,13 @@ class ExtendedPlant(ExtendedEquations):
         """All models within the tolerances, as an exact LFT; `left_out` has what they do not cover."""
         width = float(real_array("sigmas", sigmas, 0, "uncertain"))
         number("uncertain: sigmas", width, "0 or more", at_least=0)
+        from robustlab.dynamics.extended.effect_blocks import with_signals
+
         linear = self.linear_model()
         point = linear.operating_point
         assert point is not None
-        into, out = self.signal_gains(point.x, point.u, {})
-        whole = _with_signal_gains(without_signals(self, linear, width).uncertain(), self, into, out, width)
+        signals = self.signal_levels(point.x, point.u)
+        whole = with_signals(without_signals(self, linear, width).uncertain(), signals, {}, width)
         _check(self, whole, linear, width)
         if outputs is None:
             return UncertainModel(whole.M, whole.blocks, point)
@@ -381,49 +387,6 @@ def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mappi
         return [e, f, g, np.hstack([c0, np.zeros((len(c0), size - own))]), d0]
 
     return matrices
-
-
-def _with_signal_gains(
-    inner: UncertainModel, plant: ExtendedPlant, into: Array, out: Array, width: float
-) -> UncertainModel:
-    r"""Gains at inputs and outputs around the model; fitted ones as :math:`s + r \delta`."""
-    m, n_u, n_y = inner.M, len(plant.inputs), len(plant.outputs)
-    q, p = m.n_inputs - n_u, m.n_outputs - n_y
-    fitted = {
-        kind: [e for e in plant.effects if e.site.kind == kind and e.scale and e.scale_std]
-        for kind in ("input", "output")
-    }
-    place_i, place_o = (
-        np.eye(len(signals))[[[s.name for s in signals].index(e.site.name) for e in fitted[kind]]]
-        for kind, signals in (("input", plant.inputs), ("output", plant.outputs))
-    )
-    share_i, share_o = (
-        np.array([width * e.scale_std / (e.scale or 1.0) for e in fitted[kind]]) for kind in ("input", "output")
-    )
-    k_i, k_o = len(share_i), len(share_o)
-    before = np.zeros((q + n_u, q + k_i + k_o + n_u))
-    before[:q, :q] = np.eye(q)
-    before[q:, q : q + k_i] = (into[:, None] * place_i.T) * share_i
-    before[q:, q + k_i + k_o :] = np.diag(into)
-    after = np.zeros((p + k_i + k_o + n_y, p + n_y))
-    after[:p, :p] = np.eye(p)
-    after[p + k_i : p + k_i + k_o, p:] = share_o[:, None] * (place_o * out)
-    after[p + k_i + k_o :, p:] = np.diag(out)
-    past = np.zeros((len(after), before.shape[1]))
-    past[p : p + k_i, q + k_i + k_o :] = place_i
-    past[p + k_i + k_o :, q + k_i : q + k_i + k_o] = place_o.T
-    gains = [*fitted["input"], *fitted["output"]]
-    names = [e.key for e in gains]
-    whole = StateSpaceModel(
-        m.A, m.B @ before, after @ m.C, after @ m.D @ before + past, 0.0,
-        [*m.inputs[:q], *(f"w_{name}" for name in names), *plant.inputs],
-        [*m.outputs[:p], *(f"z_{name}" for name in names), *plant.outputs],
-        m.states, None, f"{plant.name}: uncertain",
-    )  # fmt: skip
-    spans = [ParameterRange(e.scale or 1.0, width * e.scale_std) for e in gains]
-    return UncertainModel(
-        whole, [*inner.blocks, *(RealScalar(name, 1, span) for name, span in zip(names, spans, strict=True))]
-    )
 
 
 def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel, width: float) -> None:

@@ -2,9 +2,7 @@
 
 from robustlab.dynamics.stewart.geometry import Geometry
 from robustlab.dynamics.stewart.kinematics import (
-    ConditionMap,
     DirectPoses,
-    condition_map,
     direct_kinematics,
     inside,
     inverse_kinematics,
@@ -15,12 +13,10 @@ from robustlab.dynamics.stewart.kinematics import (
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform, bias_torque, mass_matrix, stewart_platform
 
 __all__ = [
-    "ConditionMap",
     "DirectPoses",
     "Geometry",
     "StewartPlatform",
     "bias_torque",
-    "condition_map",
     "direct_kinematics",
     "inside",
     "inverse_kinematics",

@@ -18,8 +18,6 @@ M0, M1, M2, X1, X2, XZ, SCREW, SCREW_CG = 8, 9, 10, 11, 12, 13, 14, 15
 LEG_I, LEG_J, LEG_K, NUT_I, NUT_J, NUT_K, ROTOR = 16, 17, 18, 19, 20, 21, 22
 R_OHM, L_HENRY, KM, KB, KF, CX, CY, CZ, UP_X, UP_Y, UP_Z = 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33
 
-IMAGINARY = 1e-40
-
 
 class Motion(NamedTuple):
     """Work arrays of the equations of motion: mass (6, 6), force (6,), Jacobian (6, 6), bias (6,), nut angles (6,)."""
@@ -413,115 +411,18 @@ def platform_acceleration(q, v, torque, legs, p, motion):
     _cholesky_solve(mass, force)
 
 
-@entry("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
-def forward_dynamics(poses, twists, torques, legs, constants, phi, rates, accelerations):
-    """Nut angles, rates and accelerations (n, 6) under motor torques (n, 6); constants (n, 34)."""
-    mass, force, jacobian, bias = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
+_REAL = "f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1]"
+_COMPLEX = (
+    "c16[:,::1], c16[:,::1], f8[:,::1], f8[:,::1], c16[:,:,::1], c16[:,::1], c16[:,:,::1], c16[:,::1], c16[:,::1]"
+)
+
+
+@entry(f"void({_REAL})", f"void({_COMPLEX})")
+def equations(poses, twists, legs, constants, mass, force, jacobian, bias, phi):
+    """`equations_of_motion` at poses and twists (n, 6) with constants (n, 34), the whole mass matrices filled."""
     for k in range(poses.shape[0]):
-        motion = Motion(mass, force, jacobian, bias, phi[k])
-        platform_acceleration(poses[k], twists[k], torques[k], legs, constants[k], motion)
+        motion = Motion(mass[k], force[k], jacobian[k], bias[k], phi[k])
+        equations_of_motion(poses[k], twists[k], legs, constants[k], motion)
         for i in range(6):
-            rate, acceleration = 0.0, bias[i]
-            for j in range(6):
-                rate += jacobian[i, j] * twists[k, j]
-                acceleration += jacobian[i, j] * force[j]
-            rates[k, i], accelerations[k, i] = rate, acceleration
-
-
-@entry("void(f8[::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1])")
-def equations(pose, twist, legs, constants, mass, force, jacobian, bias, phi):
-    """`equations_of_motion` at one pose, the whole mass matrix filled."""
-    equations_of_motion(pose, twist, legs, constants, Motion(mass, force, jacobian, bias, phi))
-    for i in range(6):
-        for j in range(i):
-            mass[j, i] = mass[i, j]
-
-
-@entry("b1(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
-def trim_torques(poses, legs, constants, phi, torques):
-    """Nut angles and motor torques (n, 6) that hold the poses still; False at a singular pose."""
-    mass, jacobian, bias, still = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.zeros(6)
-    transposed, force, right = np.empty((6, 6)), np.empty(6), np.empty((6, 1))
-    for k in range(poses.shape[0]):
-        equations_of_motion(poses[k], still, legs, constants[k], Motion(mass, force, jacobian, bias, phi[k]))
-        for i in range(6):
-            right[i, 0] = force[i]
-            for j in range(6):
-                transposed[i, j] = jacobian[j, i]
-        if not _solve(transposed, right, 6, 1):
-            return False
-        for i in range(6):
-            torques[k, i] = right[i, 0] / constants[k, RATIO]
-    return True
-
-
-@entry("b1(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1])")
-def linearisations(poses, twists, torques, legs, constants, stiffness, damping, gain):
-    """d(phidd)/d(phi, dphi, torque), each (n, 6, 6), at fixed torques; False at a singular pose."""
-    mass, force, jacobian = np.empty((6, 6), np.complex128), np.empty(6, np.complex128), np.empty((6, 6), np.complex128)
-    bias, phi = np.empty(6, np.complex128), np.empty(6, np.complex128)
-    motion = Motion(mass, force, jacobian, bias, phi)
-    q, v = np.empty(6, np.complex128), np.empty(6, np.complex128)
-    phi_q, rate_q = np.empty((6, 6)), np.empty((6, 6))
-    left, right, real_mass = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    for k in range(poses.shape[0]):
-        moving = False
-        for j in range(6):
-            moving = moving or twists[k, j] != 0.0
-            q[j], v[j] = poses[k, j], twists[k, j]
-        for direction in range(12 if moving else 6):
-            place = direction % 6
-            if direction < 6:
-                q[place] += 1j * IMAGINARY
-            else:
-                v[place] += 1j * IMAGINARY
-            platform_acceleration(q, v, torques[k], legs, constants[k], motion)
-            for i in range(6):
-                rate, acceleration = 0.0j, bias[i]
-                for j in range(6):
-                    rate += jacobian[i, j] * v[j]
-                    acceleration += jacobian[i, j] * force[j]
-                if direction < 6:
-                    phi_q[i, place] = phi[i].imag / IMAGINARY
-                    rate_q[i, place] = rate.imag / IMAGINARY
-                    stiffness[k, i, place] = acceleration.imag / IMAGINARY
-                else:
-                    damping[k, i, place] = acceleration.imag / IMAGINARY
-            q[place], v[place] = poses[k, place], twists[k, place]
-        equations_of_motion(q, v, legs, constants[k], motion)
-        # rows from the right by the transposed: X J = F  <=>  J^T X^T = F^T
-        if moving:
-            for i in range(6):
-                for j in range(6):
-                    left[i, j], right[i, j] = jacobian[j, i].real, damping[k, j, i]
-            if not _solve(left, right, 6, 6):
-                return False
-        for i in range(6):
-            for j in range(6):
-                damping[k, j, i] = right[i, j] if moving else 0.0
-        for i in range(6):
-            for j in range(6):
-                total = stiffness[k, j, i]
-                if moving:
-                    for m in range(6):
-                        total -= damping[k, j, m] * rate_q[m, i]
-                left[i, j], right[i, j] = phi_q[j, i], total
-        if not _solve(left, right, 6, 6):
-            return False
-        for i in range(6):
-            for j in range(6):
-                stiffness[k, j, i] = right[i, j]
-        # gain = J mass^-1 J^T ratio
-        for i in range(6):
-            for j in range(6):
-                real_mass[i, j] = mass[max(i, j), min(i, j)].real
-                right[i, j] = jacobian[j, i].real
-        if not _solve(real_mass, right, 6, 6):
-            return False
-        for i in range(6):
-            for j in range(6):
-                total = 0.0
-                for m in range(6):
-                    total += jacobian[i, m].real * right[m, j]
-                gain[k, i, j] = total * constants[k, RATIO]
-    return True
+            for j in range(i):
+                mass[k, j, i] = mass[k, i, j]

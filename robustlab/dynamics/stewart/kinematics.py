@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,6 @@ from robustlab.dynamics.integrator.compilation import compiled
 from robustlab.dynamics.stewart.geometry import Geometry
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
-from robustlab.shown import AllFields
 from robustlab.statespace import real_array
 
 HERE = Path(__file__).parent
@@ -47,7 +46,6 @@ def motion_kernels() -> ModuleType:
     return compiled(HERE / "motion_kernels.py", "robustlab.dynamics.stewart.motion_kernels", leaves, TEXT)
 
 
-Joint = Literal["shifted", "simple"]
 # Newton steps of the direct kinematics; a pose takes four or five.
 LIMIT = 60
 
@@ -61,13 +59,11 @@ def poses_array(value: ArrayLike, name: str = "pose", where: str = "stewart-plat
     return np.array(array.reshape(-1, 6), order="C"), one  # writable: the kernels take no read-only arrays
 
 
-def inverse_kinematics(geometry: Geometry, poses: ArrayLike, joint: Joint = "shifted") -> Array:
+def inverse_kinematics(geometry: Geometry, poses: ArrayLike) -> Array:
     """Actuator lengths in m at the poses (6,) or (n, 6), of the same shape."""
     array, one = poses_array(poses)
-    if joint not in ("shifted", "simple"):
-        raise InputError("inverse_kinematics: joint", f"{joint!r}", "'shifted' or 'simple'")
     lengths = np.empty_like(array)
-    kernels().inverse_lengths(array, geometry.legs, geometry.c if joint == "shifted" else 0.0, lengths)
+    kernels().inverse_lengths(array, geometry.legs, geometry.c, lengths)
     return lengths[0] if one else lengths
 
 
@@ -136,7 +132,6 @@ def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike |
     return DirectPoses(poses, target, proved, facts[:, 1], facts[:, 2], facts[:, 3], facts[:, 0].astype(np.int64))
 
 
-COORDINATES = ("tx", "ty", "tz", "ax", "ay", "az")
 # Lengths this little beyond a limit are within it: the rounding of a published limit pose.
 SLACK = 1e-9
 # Below this measure a pose counts as singular: six digits of the torques are gone.
@@ -194,35 +189,3 @@ def real_array_of_one(pose: ArrayLike, where: str) -> Array:
     if not one:
         raise InputError(where, f"{len(array)} poses", "one pose (tx, ty, tz, ax, ay, az)")
     return array[0]
-
-
-@dataclass(frozen=True, eq=False)
-class ConditionMap(AllFields):
-    """Condition of the Jacobian over two coordinates of the pose; NaN out of the workspace."""
-
-    names: tuple[str, str]  # the two coordinates, of tx ty tz ax ay az
-    # first, second: their values, (n1,), (n2,)
-    first: Array
-    second: Array
-    # condition, smallest: condition number and smallest singular value, (n1, n2)
-    condition: Array
-    smallest: Array
-
-
-def condition_map(
-    geometry: Geometry, names: tuple[str, str], first: ArrayLike, second: ArrayLike, pose: ArrayLike | None = None
-) -> ConditionMap:
-    """Map over the coordinates ``names``, the others as in ``pose`` (home where left out)."""
-    if len(names) != 2 or names[0] == names[1] or any(name not in COORDINATES for name in names):
-        raise InputError("condition_map: names", f"{names!r}", f"two of {', '.join(COORDINATES)}")
-    one, two = np.atleast_1d(np.asarray(first, float)), np.atleast_1d(np.asarray(second, float))
-    poses = np.tile(
-        real_array_of_one(geometry.home if pose is None else pose, "condition_map"), (len(one), len(two), 1)
-    )
-    poses[:, :, COORDINATES.index(names[0])] = one[:, None]
-    poses[:, :, COORDINATES.index(names[1])] = two[None, :]
-    flat = poses.reshape(-1, 6)
-    sigma = np.where(inside(geometry, flat)[:, None], singularity(geometry, flat), np.nan).reshape(
-        len(one), len(two), 2
-    )
-    return ConditionMap((names[0], names[1]), one, two, sigma[..., 1] / sigma[..., 0], sigma[..., 0])

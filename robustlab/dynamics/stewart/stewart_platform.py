@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +44,7 @@ from robustlab.result import Status
 from robustlab.statespace import Signal, real_array
 
 NAME = "stewart-platform"
+IMAGINARY = 1e-40  # step of a derivative: nothing is subtracted
 
 
 def places(motors: bool) -> tuple[PortPlace, ...]:
@@ -187,16 +188,21 @@ class StewartPlatform(PlantAlong):
         self, at: tuple[Array, Array], shape: Geometry, numbers: Array, p: Mapping[str, float], x: Array, u: Array
     ) -> LocalModels:
         """The local models with the poses and twists known."""
-        n, size = len(x), len(self.states)
-        every = np.array(np.broadcast_to(numbers, (n, len(numbers))), order="C")
-        stiffness, damping, gain = np.empty((3, n, 6, 6))
-        if not kernels().linearisations(*at, torques(p, x, u), shape.legs, every, stiffness, damping, gain):
-            raise NoTrustworthyNumber(self.name, "singular pose: no linear model in nut coordinates")
-        a, b = _assembled(stiffness, damping, gain, every, self.motors)
-        push = np.zeros((n, size, len(self.port_places)))
+        n, size, one = len(x), len(self.states), np.eye(6)
+        try:
+            stiffness, damping, gain = _slopes(shape, numbers, at, torques(p, x, u))
+        except np.linalg.LinAlgError:
+            raise NoTrustworthyNumber(self.name, "singular pose: no linear model in nut coordinates") from None
+        a, b, push = np.zeros((n, size, size)), np.zeros((n, size, 6)), np.zeros((n, size, size - 6))
+        a[:, :6, 6:12], a[:, 6:12, :6], a[:, 6:12, 6:12] = one, stiffness, damping
         push[:, 6:12, :6] = gain / p["ratio"]
         if self.motors:
-            push[:, 12:, 6:] = np.eye(6) / p["L"]
+            a[:, 6:12, 6:12] -= gain * p["Kf"] * p["ratio"]
+            a[:, 6:12, 12:] = gain * p["Km"]
+            a[:, 12:, 6:12], a[:, 12:, 12:] = -p["Kb"] * p["ratio"] / p["L"] * one, -p["R"] / p["L"] * one
+            b[:, 12:] = push[:, 12:, 6:] = one / p["L"]
+        else:
+            b[:, 6:12] = gain
         c = np.broadcast_to(np.eye(12, size), (n, 12, size))
         rates = self._rates(at, shape, numbers, p, x, u)
         return LocalModels(rates, self.outputs_along(x, u), a, b, c, np.zeros((n, 12, 6)), push)
@@ -205,9 +211,7 @@ class StewartPlatform(PlantAlong):
         self, at: tuple[Array, Array], shape: Geometry, numbers: Array, p: Mapping[str, float], x: Array, u: Array
     ) -> Array:
         """The rates with the poses and twists known."""
-        phi, rates, found = np.empty((3, len(x), 6))
-        every = np.array(np.broadcast_to(numbers, (len(x), len(numbers))), order="C")
-        kernels().forward_dynamics(*at, torques(p, x, u), shape.legs, every, phi, rates, found)
+        found = _accelerations(_equations(shape, numbers, *at), p["ratio"] * torques(p, x, u))
         if not self.motors:
             return np.hstack([x[:, 6:12], found])
         current = (u - p["R"] * x[:, 12:] - p["Kb"] * p["ratio"] * x[:, 6:12]) / p["L"]
@@ -229,14 +233,16 @@ class StewartPlatform(PlantAlong):
         if phi is not None:
             pose = self.poses(real_array("phi", phi, 1, self.name))
         at = check_pose(self.geometry, self.geometry.home if pose is None else pose, self.name)
-        angles, held = np.empty((1, 6)), np.empty((1, 6))
-        if not kernels().trim_torques(at[None], self.geometry.legs, np.array(self.constants[None]), angles, held):
-            raise NoTrustworthyNumber(self.name, "singular pose: the actuators cannot hold the platform there")
-        x, u = np.concatenate([angles[0], np.zeros(6)]), held[0]
+        rest, p = (at[None], np.zeros((1, 6))), self.values
+        try:
+            angles, held = _held(self.geometry, self.constants, at)
+        except np.linalg.LinAlgError:
+            raise NoTrustworthyNumber(
+                self.name, "singular pose: the actuators cannot hold the platform there"
+            ) from None
+        x, u = np.concatenate([angles, np.zeros(6)]), held
         if self.motors:
-            p = self.values
             x, u = np.concatenate([x, u / p["Km"]]), p["R"] * u / p["Km"]
-        rest = at[None], np.zeros((1, 6))
         residual = float(np.abs(self._rates(rest, *self._at(None), x[None], u[None])).max())
         # free fall accelerates a nut by about turns * gravity
         still = residual <= ROUNDING * max(self.geometry.turns * abs(self.values["gravity"]), 1.0)
@@ -276,52 +282,98 @@ class StewartPlatform(PlantAlong):
         return states
 
 
-def _equations(legs: Array, numbers: Array, pose: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
-    """Mass matrix, forces, nut Jacobian and bias in the platform's twist."""
-    mass, force, jacobian, bias = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
-    kernels().equations(pose, twist, legs, np.array(numbers), mass, force, jacobian, bias, np.empty(6))
-    return mass, force, jacobian, bias
+class _Bodies(NamedTuple):
+    """In the platform's twist: masses (n, 6, 6), forces (n, 6), nut Jacobians (n, 6, 6), biases; nut angles (n, 6)."""
+
+    mass: Any
+    force: Any
+    jacobian: Any
+    bias: Any
+    phi: Any
 
 
-def _nut_to_twist(plant: StewartPlatform, pose: Array) -> Array:
-    """J^-1 of ``V = J^-1 dphi/dt``, (6, 6)."""
+def _equations(shape: Geometry, numbers: Array, poses: Any, twists: Any) -> _Bodies:
+    """The equations of motion at poses and twists (n, 6), real or complex."""
+    n, kind = len(poses), poses.dtype
+    (mass, jacobian), (force, bias, phi) = np.empty((2, n, 6, 6), kind), np.empty((3, n, 6), kind)
+    every = np.array(np.broadcast_to(numbers, (n, len(numbers))), order="C")
+    kernels().equations(poses, twists, shape.legs, every, mass, force, jacobian, bias, phi)
+    return _Bodies(mass, force, jacobian, bias, phi)
+
+
+def _force(of: _Bodies, push: Array) -> Array:
+    """What accelerates the platform under torques at the nuts (n, 6)."""
+    return (np.swapaxes(of.jacobian, 1, 2) @ push[..., None])[..., 0] - of.force
+
+
+def _accelerations(of: _Bodies, push: Array) -> Array:
+    """Accelerations of the nuts (n, 6) under torques at them."""
+    return of.bias + (of.jacobian @ np.linalg.solve(of.mass, _force(of, push)[..., None]))[..., 0]
+
+
+def _held(shape: Geometry, numbers: Array, pose: Array) -> tuple[Array, Array]:
+    """Nut angles and motor torques (6,) that hold a pose still."""
+    of = _equations(shape, numbers, np.array(pose[None]), np.zeros((1, 6)))
+    return of.phi[0], np.linalg.solve(of.jacobian[0].T, of.force[0]) / numbers[CONSTANTS.index("ratio")]
+
+
+def _slopes(shape: Geometry, numbers: Array, at: tuple[Array, Array], torque: Array) -> tuple[Array, Array, Array]:
+    """d(phidd)/d(phi, dphi, torque), each (n, 6, 6), at fixed torques."""
+    (poses, twists), n, push = at, len(torque), numbers[CONSTANTS.index("ratio")] * torque
+    of, count = _equations(shape, numbers, poses, twists), 12 if twists.any() else 6
+    # each coordinate, then each velocity, by an imaginary step
+    z = np.repeat(np.hstack([poses, twists]).astype(np.complex128)[None], count, axis=0)
+    z[range(count), :, range(count)] += 1j * IMAGINARY
+    q, v = (np.ascontiguousarray(z[..., part].reshape(-1, 6)) for part in (slice(6), slice(6, 12)))
+    by = [(part.imag / IMAGINARY).reshape(count, n, *part.shape[1:]) for part in _equations(shape, numbers, q, v)]
+    mass, force, jacobian, bias, phi = by
+    turned, free = np.swapaxes(of.jacobian, 1, 2), np.linalg.solve(of.mass, _force(of, push)[..., None])
+    right = (np.swapaxes(jacobian, 2, 3) @ push[..., None] - mass @ free)[..., 0] - force
+    rates = np.moveaxis(bias + (jacobian @ free)[..., 0], 0, 2)
+    rates = rates + of.jacobian @ np.linalg.solve(of.mass, np.moveaxis(right, 0, 2))
+    damping = np.zeros((n, 6, 6)) if count == 6 else _over(rates[..., 6:], of.jacobian)
+    speeds = np.moveaxis((jacobian[:6] @ twists[..., None])[..., 0], 0, 2)
+    stiffness = _over(rates[..., :6] - damping @ speeds, np.moveaxis(phi[:6], 0, 2))
+    return stiffness, damping, numbers[CONSTANTS.index("ratio")] * of.jacobian @ np.linalg.solve(of.mass, turned)
+
+
+def _over(left: Array, right: Array) -> Array:
+    """X with X right = left, of matrices (n, 6, 6)."""
+    return np.swapaxes(np.linalg.solve(np.swapaxes(right, 1, 2), np.swapaxes(left, 1, 2)), 1, 2)
+
+
+def _at_nuts(plant: StewartPlatform, pose: Array, phidot: Array) -> tuple[Array, Array]:
+    """Mass matrix and bias torques at the nuts at one pose and nut rates (6,)."""
     smallest, largest = singularity(plant.geometry, pose)
     if not smallest > SINGULAR * largest:
         raise NoTrustworthyNumber(plant.name, f"singular pose: smallest singular value {smallest:.3g}")
-    return np.linalg.inv(_equations(plant.geometry.legs, plant.constants, pose, np.zeros(6))[2])
+    at = np.array(pose[None])
+    inverse = np.linalg.inv(_equations(plant.geometry, plant.constants, at, np.zeros((1, 6))).jacobian[0])
+    of = _equations(plant.geometry, plant.constants, at, np.array((inverse @ phidot)[None]))
+    return inverse.T @ of.mass[0] @ inverse, inverse.T @ (of.force[0] - of.mass[0] @ (inverse @ of.bias[0]))
 
 
 def mass_matrix(plant: StewartPlatform, pose: ArrayLike) -> Array:
     """M in kg m2 at the nuts, shape (6, 6)."""
-    array = real_array_of_one(pose, plant.name)
-    inverse = _nut_to_twist(plant, array)
-    mass = _equations(plant.geometry.legs, plant.constants, array, np.zeros(6))[0]
-    return np.asarray(inverse.T @ mass @ inverse, dtype=np.float64)
+    return _at_nuts(plant, real_array_of_one(pose, plant.name), np.zeros(6))[0]
 
 
 def bias_torque(plant: StewartPlatform, pose: ArrayLike, phidot: ArrayLike) -> Array:
     """Torques b in N m at the nuts: gravity and velocity terms at the nut rates phidot (6,)."""
-    array, rates = real_array_of_one(pose, plant.name), real_array("phidot", phidot, 1, plant.name)
-    inverse = _nut_to_twist(plant, array)
-    mass, force, _, bias = _equations(plant.geometry.legs, plant.constants, array, inverse @ rates)
-    return inverse.T @ (force - mass @ (inverse @ bias))
+    return _at_nuts(plant, real_array_of_one(pose, plant.name), real_array("phidot", phidot, 1, plant.name))[1]
 
 
 def _mass_and_stiffness(pose: Array, shape: Geometry, numbers: Array, where: str) -> tuple[Array, Array]:
     """M and K (6, 6) of ``M phidd = K phi + k tau`` at rest."""
-    at, twist = np.array(pose[None]), np.zeros((1, 6))
-    phi, torque = np.empty((1, 6)), np.empty((1, 6))
-    slopes, damping, gain = np.empty((1, 6, 6)), np.empty((1, 6, 6)), np.empty((1, 6, 6))
-    code, legs = kernels(), shape.legs
-    if not (
-        code.trim_torques(at, legs, numbers[None], phi, torque)
-        and code.linearisations(at, twist, torque, legs, numbers[None], slopes, damping, gain)
-    ):
-        raise NoTrustworthyNumber(where, "singular pose: no linear model in nut coordinates")
-    mass, _, jacobian, _ = _equations(legs, numbers, at[0], twist[0])
-    inverse = np.linalg.inv(jacobian)
-    nuts = inverse.T @ mass @ inverse
-    return nuts, nuts @ slopes[0]
+    at = np.array(pose[None]), np.zeros((1, 6))
+    try:
+        stiffness = _slopes(shape, numbers, at, _held(shape, numbers, pose)[1][None])[0]
+        of = _equations(shape, numbers, *at)
+        inverse = np.linalg.inv(of.jacobian[0])
+    except np.linalg.LinAlgError:
+        raise NoTrustworthyNumber(where, "singular pose: no linear model in nut coordinates") from None
+    nuts = inverse.T @ of.mass[0] @ inverse
+    return nuts, nuts @ stiffness[0]
 
 
 def _descriptor(mass: Array, stiffness: Array, p: Mapping[str, float], motors: bool) -> Array:
@@ -338,22 +390,3 @@ def _descriptor(mass: Array, stiffness: Array, p: Mapping[str, float], motors: b
         g[6:12] = k * one
     made[n:, :12] = np.eye(12)
     return made
-
-
-def _assembled(stiffness: Array, damping: Array, gain: Array, numbers: Array, motors: bool) -> tuple[Array, Array]:
-    """A (n, n_x, n_x) and B (n, n_x, 6) from the derivatives of the accelerations, with or without motors."""
-    n, size = len(stiffness), 18 if motors else 12
-    a, b, one = np.zeros((n, size, size)), np.zeros((n, size, 6)), np.eye(6)
-    a[:, :6, 6:12] = one
-    a[:, 6:12, :6], a[:, 6:12, 6:12] = stiffness, damping
-    if not motors:
-        b[:, 6:12] = gain
-        return a, b
-    names = ("ratio", "R", "L", "Km", "Kb", "Kf")
-    ratio, r, inductance, km, kb, kf = (numbers[:, CONSTANTS.index(name), None, None] for name in names)
-    a[:, 6:12, 6:12] -= gain * kf * ratio
-    a[:, 6:12, 12:] = gain * km
-    a[:, 12:, 6:12] = -kb * ratio / inductance * one
-    a[:, 12:, 12:] = -r / inductance * one
-    b[:, 12:] = one / inductance
-    return a, b

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from robustlab import checks
-from robustlab.dynamics.extended.effect_blocks import NoiseInput
-from robustlab.dynamics.extended.effect_loads import EffectLoads, effect_loads
+from robustlab.dynamics.extended.effect_blocks import EffectLoads, NoiseInput, effect_loads
 from robustlab.errors import InputError, told_as
 from robustlab.identification.validation.model_validation import validate
 from robustlab.identification.validation.sampled_problem import NoiseNorm

@@ -212,7 +212,7 @@ class WithLoadsStep(Step):
 
         Numbers: ``largest.INPUT`` along the record, ``bound.INPUT`` in its unit.
         """
-        from robustlab.dynamics.extended.effect_loads import effect_loads
+        from robustlab.dynamics.extended.effect_blocks import effect_loads
 
         record = work.record(self.record)
         made = effect_loads(work.values[self.of], self.sigmas, [record])
@@ -241,7 +241,7 @@ def _models(step: CoverModelsStep, work: Workspace) -> list[rl.StateSpaceModel]:
 
 def _at_pose(plant: Any, pose: list[float]) -> tuple[rl.StateSpaceModel, tuple[NoiseInput, ...]]:
     """The plant linearised at a pose, with its effects' loads before its inputs, and these."""
-    from robustlab.dynamics.extended.effect_loads import loaded_model
+    from robustlab.dynamics.extended.effect_blocks import loaded_model
     from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
 
     at = rl.trim(plant, pose=pose)

@@ -33,7 +33,8 @@ def test_points_of_appendix_b():
 )
 def test_published_lengths(z, shifted, simple):
     np.testing.assert_allclose(1e3 * stewart.inverse_kinematics(G, at(z)), shifted, atol=0.006)
-    np.testing.assert_allclose(1e3 * stewart.inverse_kinematics(G, at(z), joint="simple"), simple, atol=0.006)
+    plain = np.linalg.norm(at(z)[:3] + G.platform - G.base, axis=1)  # of a joint whose axes meet
+    np.testing.assert_allclose(1e3 * plain, simple, atol=0.006)
 
 
 def test_shifted_joint_closes_the_chain():
@@ -87,7 +88,7 @@ def test_certificate_is_refused_where_there_is_no_pose():
     assert found.status is rl.Status.INCONCLUSIVE
 
 
-def test_singularity_and_map():
+def test_singularity_and_workspace():
     # the neutral axis: the vertical motion of a symmetric platform moves all legs alike, J e_z = K_z
     smallest, largest = stewart.singularity(G, G.home)
     assert 0 < smallest < largest
@@ -95,9 +96,5 @@ def test_singularity_and_map():
     yaw = np.tile(G.home, (181, 1))
     yaw[:, 5] = np.linspace(0, np.pi, 181)
     assert stewart.singularity(G, yaw)[:, 0].min() < 0.02 * smallest
-    made = stewart.condition_map(G, ("tx", "ty"), np.linspace(-0.05, 0.05, 11), [0.0, 0.01])
-    assert made.condition.shape == (11, 2)
-    assert np.isnan(made.condition[0, 0])
-    assert made.condition[5, 0] == pytest.approx(largest / smallest)
     heights = np.vstack([at(0.1062), at(0.1462), at(0.15), at(0.10)])
     assert stewart.inside(G, heights).tolist() == [True, True, False, False]

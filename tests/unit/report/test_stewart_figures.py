@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import robustlab as rl
-from robustlab.dynamics import stewart
-from robustlab.report import save_figure
-from robustlab.thesis import (
-    case_figure,
-    condition_figure,
-)
+from robustlab.thesis import case_figure
 
 T = np.linspace(0.0, 1.0, 51)
 
@@ -30,14 +24,3 @@ def test_case_figure_has_nominal_worst_and_all_members():
         low, high = row[1].get_ylim()
         assert np.ptp(members[:, -1, k]) > 0.1 * (high - low)
         assert row[2].lines[21].get_ydata()[-1] == pytest.approx(0.01, rel=1e-6)
-
-
-def test_condition_figure_is_blank_out_of_the_workspace_and_deterministic(tmp_path):
-    geometry = rl.plant("stewart-platform").geometry
-    found = stewart.condition_map(geometry, ("tx", "ty"), np.linspace(-0.03, 0.03, 7), np.linspace(-0.03, 0.03, 5))
-    figure = condition_figure([found])
-    shown = figure.axes[0].images[0].get_array()
-    np.testing.assert_array_equal(np.ma.getmaskarray(shown), np.isnan(found.condition.T))
-    for folder in ("a", "b"):
-        save_figure(condition_figure([found]), tmp_path / folder, "c")
-    assert (tmp_path / "a/c.svg").read_bytes() == (tmp_path / "b/c.svg").read_bytes()
