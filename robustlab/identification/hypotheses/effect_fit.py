@@ -174,7 +174,6 @@ class FitPlan:
     # the parameters stay and only the window starts are fitted: a prediction of data that the fit did not see
     fixed: bool = False
     robust: bool = False  # with the sandwich covariance
-    draft: bool = False  # the Hessian may be that of the point before: the cost is compared, or it is fitted further
     # it is given up after its first step where twice the fall that can be expected does not bring V below this
     ceiling: float = np.inf
 
@@ -403,20 +402,20 @@ class Problem:
     ) -> list[Array]:  # fmt: skip
         """Averaged errors of the chosen windows, (n_windows, n_points, n_y) a record; NaN without samples."""
         return [
-            self._record_errors(k, simulator, hypothesis, z, starts[k], near)
+            self._errors_at(k, simulator, hypothesis, [(z, starts[k])], near)
             for k, simulator in enumerate(simulators or self.simulators(hypothesis))
         ]
 
-    def _record_errors(
-        self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array, near: Array | None = None
-    ) -> Array:
-        """Averaged errors of one record's chosen windows; of several starts of each, one copy after the other."""
-        record, chosen = self.records[k], self.chosen[k]
+    def _errors_at(
+        self, k: int, simulator: Simulator, hypothesis: Hypothesis, points: Sequence[tuple[Array, Array]],
+        near: Array | None = None,
+    ) -> Array:  # fmt: skip
+        """Averaged errors of one record's chosen windows at points (z, starts), one copy after the other."""
+        record, measured = self.records[k], self.records[k].measured[self.chosen[k]]
         around = None if near is None else self.split(hypothesis, near)
         with np.errstate(all="ignore"):
-            outputs = self.outputs(k, simulator, self.setting(hypothesis, z), xi, around)
-        outputs = np.nan_to_num(outputs, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
-        measured = record.measured[chosen]
+            found = [self.outputs(k, simulator, self.setting(hypothesis, z), xi, around) for z, xi in points]
+            outputs = np.nan_to_num(np.concatenate(found), nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
         errors = measured - outputs.reshape(-1, *measured.shape)
         return averaged(errors.reshape(-1, *measured.shape[1:]), record.thin)
 
@@ -438,8 +437,7 @@ class Problem:
             for own in (values, values if near is None else near[1])
         )
         everything = len(chosen) < record.count and any(effect.long_memory for effect, _ in simulator.effects)
-        used = np.arange(record.count) if everything else chosen
-        at = np.flatnonzero(np.isin(used, chosen))
+        used, at = (np.arange(record.count), chosen) if everything else (chosen, np.arange(len(chosen)))
         own = self.starts_seen(k, simulator, values)[used]
         x0 = np.tile(own, (len(xi) if xi.ndim == 3 else 1, 1, 1))
         x0[:, at] += record.x0_std[chosen] * xi
@@ -495,12 +493,11 @@ class Problem:
         z: Array,
         starts: Sequence[Array] | None = None,
         plan: FitPlan = FitPlan(),
-        borrowed: Sequence[tuple[Array, Array]] | None = None,
         prior: Prior | None = None,
     ) -> Fit:
-        """Levenberg-Marquardt from z; ``borrowed``: derivatives over nuisances and starts of another fit."""
+        """Levenberg-Marquardt from z."""
         # A nonlinear plant's matrices multiply what deviates from its motion: they are made anew where z has gone far,
-        # and where the fit ends, but not in a draft.
+        # and where the fit ends.
         fixed, tolerance = plan.fixed, plan.tolerance
         z = np.array(z, dtype=float)
         own = Prior(np.zeros(len(z)), np.eye(len(z))) if prior is None else prior
@@ -517,33 +514,27 @@ class Problem:
         def exact(there: _Place) -> _Place:
             return there if self._distance(there) == 0.0 else at(there.z, there.xi, there.z)
 
-        damping, count, rounds = DAMPING, 0, plan.iterations
+        damping, rounds = DAMPING, plan.iterations
         here = at(z, xi, z)
-        hessian = own.precision
-        parts: list[Linearised] = []
-        while rounds > 0 or not plan.draft:
-            parts = [
-                self._linearised(k, hypothesis, here, quick[k], noise, fixed, borrowed[k] if borrowed else None)
-                for k in range(len(xi))
-            ]
-            count += 1
+        while True:
+            parts = [self._linearised(k, hypothesis, here, quick[k], noise, fixed) for k in range(len(xi))]
             hessian = own.precision + sum(p.reduced(0.0).hessian for p in parts)
             fall = self._expected(own.gradient(here.z), hessian, parts, fixed)
             if (rounds <= 0 or fall < tolerance) and self._distance(here) > 0.0:
                 here = exact(here)
                 parts = [p.with_residual(r, x) for p, r, x in zip(parts, here.residual, here.xi, strict=True)]
                 fall = self._expected(own.gradient(here.z), hessian, parts, fixed)
-            hopeless = count > 1 and here.cost - HOPE * fall > plan.ceiling
+            hopeless = rounds < plan.iterations and here.cost - HOPE * fall > plan.ceiling
             if rounds <= 0 or fall < tolerance or hopeless:
                 break
             improved = 0.0
             for _ in range(TRIES):
                 dz, dxi = self._step(here.z, own, parts, damping, fixed)
-                if not fixed and not borrowed:
+                if not fixed:
                     bent = self._bent(here, parts, hypothesis, simulators, noise, (dz, dxi), damping, own)
                     dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
                 there = at(self._within(here.z + dz), [x + d for x, d in zip(here.xi, dxi, strict=True)], here.around)
-                if there.cost < here.cost and not plan.draft and self._distance(there) > NEAR:
+                if there.cost < here.cost and self._distance(there) > NEAR:
                     there = exact(there)
                 if there.cost < here.cost:
                     improved, here = here.cost - there.cost, there
@@ -553,8 +544,7 @@ class Problem:
             rounds -= 1
             if improved < max(tolerance, RELATIVE * here.cost):
                 break
-        if not plan.draft:
-            here = exact(here)
+        here = exact(here)
         window_cost = np.concatenate(
             [(r**2).sum(1) + (x**2).sum(1) for r, x in zip(here.residual, here.xi, strict=True)]
         )
@@ -620,48 +610,36 @@ class Problem:
         return np.zeros_like(dz), [np.zeros_like(d) for d in dxi]
 
     def _linearised(
-        self, k: int, hypothesis: Hypothesis, place: _Place, simulator: Simulator, noise: NoiseModel, fixed: bool,
-        borrowed: tuple[Array, Array] | None,
-    ) -> Linearised:  # fmt: skip
-        """Derivatives of one record's residuals by differences, with the window starts eliminated."""
+        self, k: int, hypothesis: Hypothesis, place: _Place, simulator: Simulator, noise: NoiseModel, fixed: bool
+    ) -> Linearised:
+        """One record's residuals and their derivatives, over the window starts alone where z is fixed."""
         z, xi, residual = place.z, place.xi[k], place.residual[k]
-        known = len(self.nuisances) if borrowed else 0
-        units = np.eye(len(z))[known:] if not fixed else np.zeros((0, len(z)))
-        own = None if simulator.rough and not self.clock.rough else residual
-        if borrowed:
-            over_z, _ = self._columns(k, simulator, hypothesis, z, xi, place.around, noise, units, False, own)
-            over_z = np.concatenate([borrowed[0] * self.moving(hypothesis), over_z], axis=2)
-            return Linearised.of(residual, over_z, borrowed[1], xi)
-        j, x = self._columns(k, simulator, hypothesis, z, xi, place.around, noise, units, True, own)
-        if fixed:
-            j = np.zeros((*residual.shape, len(z)))
-        return Linearised.of(residual, j, x, xi)
+        known = None if simulator.rough and not self.clock.rough else residual
+        count = 0 if fixed else len(z)
+        j, x = self._sensitivities(k, simulator, hypothesis, (z, xi), place.around, noise, count, known)
+        return Linearised.of(residual, np.zeros((*residual.shape, len(z))) if fixed else j, x, xi)
 
-    def _columns(
-        self, k: int, simulator: Simulator, hypothesis: Hypothesis, z: Array, xi: Array, around: Array,
-        noise: NoiseModel, units: Array, starts: bool, here: Array | None = None,
+    def _sensitivities(
+        self, k: int, simulator: Simulator, hypothesis: Hypothesis, at: tuple[Array, Array], around: Array,
+        noise: NoiseModel, count: int, known: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Derivatives of one record's residuals along the units of z and over the window starts."""
-        # All starts are moved in one simulation. ``here``: the residuals where both are as given, if known.
-        step, start_step = tuning.STEP, tuning.START_STEP
-
-        def at(there: Array, start: Array) -> Array:
-            errors = self._record_errors(k, simulator, hypothesis, there, start, around)
-            return noise.whitened(errors).reshape(*start.shape[:-1], -1)
-
-        moved = [xi + start_step * unit for unit in np.eye(xi.shape[1])] if starts else []
-        moved = moved if here is not None else [xi, *moved]
-        found = at(z, np.array(moved)) if moved else np.zeros((0, len(xi), 0))
-        at_rest, found = (found[0], found[1:]) if here is None else (here, found)
-        over_z = [(at(z + step * unit, xi) - at_rest) / step for unit in units]
-        j = np.stack(over_z, axis=2) if over_z else np.zeros((*at_rest.shape, 0))
-        return j, np.moveaxis((found - at_rest) / start_step, 0, 2) if starts else np.zeros((*at_rest.shape, 0))
+        """Derivatives of one record's residuals over the first ``count`` of z, and over the window starts."""
+        # By differences from the residuals there, which may be known; all starts are moved in one simulation.
+        (z, xi), n_x = at, at[1].shape[1]
+        moved = xi + tuning.START_STEP * np.eye(n_x)[:, None, :]
+        points = [(z, moved if known is not None else np.concatenate([xi[None], moved]))]
+        points += [(z + tuning.STEP * unit, xi) for unit in np.eye(len(z))[:count]]
+        found = noise.whitened(self._errors_at(k, simulator, hypothesis, points, around))
+        found = found.reshape(-1, len(xi), found.shape[1])
+        here, found = (found[0], found[1:]) if known is None else (known, found)
+        change = np.moveaxis(found - here, 0, 2)
+        return change[:, :, n_x:] / tuning.STEP, change[:, :, :n_x] / tuning.START_STEP
 
     def derivatives(self, fit: Fit, count: int | None = None) -> list[tuple[Array, Array]]:
         """Derivatives of the residuals over the first ``count`` (or all) parameters and the starts, a pair a record."""
-        units = np.eye(len(fit.z))[:count]
+        count, at = len(fit.z) if count is None else count, fit.z
         return [
-            self._columns(k, simulator, fit.hypothesis, fit.z, fit.starts[k], fit.z, fit.noise, units, True)
+            self._sensitivities(k, simulator, fit.hypothesis, (at, fit.starts[k]), at, fit.noise, count)
             for k, simulator in enumerate(self.simulators(fit.hypothesis))
         ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -69,7 +70,7 @@ class PreparedRecord:
         """Number of windows."""
         return len(self.windows.starts)
 
-    @property
+    @cached_property
     def measured(self) -> Array:
         """Measured outputs in the windows, (n_windows, length, n_measured)."""
         return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]

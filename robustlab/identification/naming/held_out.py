@@ -21,7 +21,7 @@ from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem
 from robustlab.identification.hypotheses.noise import clearly_larger, in_phase, restarted, spans, window_errors
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.naming.discovery_parts import LINEAR, Gap, overall
-from robustlab.identification.naming.first_look import without
+from robustlab.identification.naming.moves import without
 
 MOST_CLOCK = 3.0  # standard deviations of an input's clock
 LIKELY = 0.999  # probability within which the parameters lie together; within tolerances they always do

@@ -1,0 +1,158 @@
+"""The moves of the search from a set of effects: what may be added, replaced or left out, and what each promises.
+
+An addition is scored by the fall g^T h^-1 g of V in its linear problem, h = G^T P G and g = G^T P r with the change G
+of the residuals r where its fit would begin and the projection P off all that the set refits; or by the fall there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robustlab.arrays import Array
+from robustlab.identification import tuning
+from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Linearised, Problem
+
+KEPT = 5  # effects that are fitted in full on top of a set
+KEPT_GAINS = 2  # wrong gains beside them: at the same cost the prior may prefer one
+HOPE = 2.5  # times its score that an addition may lower V by
+ALIKE, AS_GOOD = 0.99, 0.5  # share of the best start's score: with more a start is the same, with less no other one
+MOST_STRETCHED = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
+LATE = 2.0  # standard deviations of a clock, beyond which it may stand for a delay
+NEGLIGIBLE = 1e-9  # of a column's own square: what the set refits makes all of it
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """An effect on top of a set, and the parameters where a fit of both begins."""
+
+    candidate: Candidate
+    hypothesis: Hypothesis
+    z: Array
+
+
+def promising(
+    problem: Problem, base: Fit, pool: Sequence[Candidate], wanted: float, said: Callable[[int, int], None]
+) -> list[Start]:
+    """Where full fits of the effects that promise most on top of a set begin, if V may fall by what is wanted."""
+    quick = problem.under(replace(problem.clock, rough=True))
+    residual = quick.whitened(quick.errors(base.hypothesis, base.z, base.starts), base.noise)
+    own = quick.derivatives(base)
+    jobs, scores = [start for candidate in pool for start in _starts(problem, base, candidate)], list[float]()
+    for done, start in enumerate(jobs, start=1):
+        scores.append(_score(quick, base, residual, own, start))
+        said(done, len(jobs))
+    order = sorted(range(len(jobs)), key=lambda k: -scores[k])
+    first = list(dict.fromkeys(jobs[k].candidate.key for k in order if HOPE * scores[k] > wanted))[:KEPT]
+    gains = [jobs[k].candidate for k in order if jobs[k].candidate.effect.gain_like]
+    further = list(dict.fromkeys(c.key for c in gains if c.key not in first))[:KEPT_GAINS]
+    found = []
+    for key in (*first, *further):
+        own = [k for k in order if jobs[k].candidate.key == key]
+        second = [k for k in own if AS_GOOD * scores[own[0]] < scores[k] < ALIKE * scores[own[0]]]
+        found += [jobs[k] for k in (own[0], *second[:1])]
+    return found
+
+
+def _score(
+    problem: Problem, base: Fit, residual: Sequence[Array], own: Sequence[tuple[Array, Array]], start: Start
+) -> float:
+    """Fall of V that an addition promises; of no effect with a negative strength."""
+    simulators, step, n = problem.simulators(start.hypothesis), tuning.STEP, len(base.z)
+
+    def there(z: Array) -> list[Array]:
+        return problem.whitened(problem.errors(start.hypothesis, z, base.starts, simulators), base.noise)
+
+    with np.errstate(all="ignore"):
+        at = there(start.z)
+        fall = sum(float(r.ravel() @ r.ravel() - a.ravel() @ a.ravel()) for r, a in zip(residual, at, strict=True))
+        fall += float(base.z @ base.z - start.z @ start.z)
+        columns = [[a - r for a, r in zip(at, residual, strict=True)]]
+        first = len(start.z) - len(start.candidate.parameters)
+        for i, p in enumerate(start.candidate.parameters):
+            if p.prior.kind == "linear":
+                moved = there(start.z + step * np.eye(len(start.z))[first + i])
+                columns.append([(m - a) / step for m, a in zip(moved, at, strict=True)])
+        hessian, gradient = np.zeros((n + len(columns),) * 2), np.zeros(n + len(columns))
+        for k, (over_z, over_x) in enumerate(own):
+            changes = np.concatenate([over_z, np.stack([c[k] for c in columns], axis=2)], axis=2)
+            part = Linearised.of(residual[k], changes, over_x, base.starts[k]).reduced(0.0)
+            hessian, gradient = hessian + part.hessian, gradient + part.gradient
+    if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
+        return fall
+    hessian[:n, :n] += np.eye(n)
+    gradient[:n] += base.z
+    size = np.diag(hessian)[n:].copy()
+    solved = np.linalg.solve(hessian[:n, :n], hessian[:n, n:])
+    h = hessian[n:, n:] - hessian[n:, :n] @ solved + np.diag(NEGLIGIBLE * size + np.finfo(float).tiny)
+    g = gradient[n:] - solved.T @ gradient[:n]
+    strength = np.linalg.solve(h, g)
+    return max(fall, 0.0 if len(columns) == 1 and strength[0] > 0.0 else float(g @ strength))
+
+
+def akin(a: Candidate, b: Candidate) -> bool:
+    """Whether they are one effect at one place, or one refines the other or what the other refines."""
+    ids = [{c.effect.id, c.effect.refines} - {"", None} for c in (a, b)]
+    return a.site == b.site and bool(ids[0] & ids[1])
+
+
+def may_follow(candidate: Candidate, base: Hypothesis) -> bool:
+    """An effect already there, the parent of a refinement that is there, or a second coupling, is not looked for."""
+    for there in base.candidates:
+        refined = candidate.effect.refines == there.effect.id
+        if akin(candidate, there) and not refined:
+            return False
+        if candidate.effect.structural and there.effect.structural:
+            return False
+    return True
+
+
+def without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
+    """The hypothesis without its k-th effect, and its standardised parameters."""
+    candidates = fit.hypothesis.candidates
+    gone = problem.slices(fit.hypothesis)[k][1]
+    return Hypothesis(candidates[:k] + candidates[k + 1 :]), np.delete(fit.z, gone)
+
+
+def extended(
+    problem: Problem, base: Hypothesis, base_z: Array, candidate: Candidate, start: Mapping[str, float]
+) -> tuple[Hypothesis, Array]:
+    """The base with the candidate, and the point from which its fit starts; a refinement replaces its parent."""
+    kept, z = [], list(base_z[: len(problem.nuisances)])
+    for there, own in problem.slices(base):
+        if candidate.effect.refines == there.effect.id and candidate.site == there.site:
+            start = {**start, **{k: v for k, v in there.values(base_z[own]).items() if k in start}}
+            continue
+        kept.append(there)
+        z.extend(base_z[own])
+    hypothesis = Hypothesis((*kept, candidate))
+    z[: len(problem.nuisances)] = z[: len(problem.nuisances)] * np.array(problem.moving(hypothesis))
+    return hypothesis, np.array([*z, *candidate.standardised(start)])
+
+
+def _starts(problem: Problem, base: Fit, candidate: Candidate) -> list[Start]:
+    """From where a fit of the effect begins: its own starts, or what the set's parameters and clocks stand for."""
+    effect, site, count = candidate.effect, candidate.site, len(problem.nuisances)
+
+    def at(start: Mapping[str, float]) -> Start:
+        return Start(candidate, *extended(problem, base.hypothesis, base.z, candidate, start))
+
+    found = [at(start) for start in candidate.starts]
+    pairs = list(zip(problem.nuisances, base.z[:count].tolist(), strict=True))
+    if site.kind == "parameter" and effect.scale:  # the factor that the refit has stretched it to
+        name = candidate.parameters[0].name
+        found += [at({name: n.factor(z)}) for n, z in pairs if n.label == site.name]
+    elif effect.gain_like and site.kind != "joint":  # at what the most stretched parameter had, all at their values
+        stretch = [n.spread * z for n, z in pairs if n.names and not n.additive]
+        likely = max(stretch, key=lambda s: abs(s) if abs(s) < MOST_STRETCHED else 0.0, default=0.0)
+        for sign in (1.0, -1.0) if pairs else ():
+            found.append(at({candidate.parameters[0].name: float(np.exp(sign * likely))}))
+            found[-1].z[:count] = 0.0
+    if effect.delay:  # the lateness that was given to an input's clock, which is back at its own time
+        for k, (clock, z) in enumerate(pairs):
+            if clock.input and z > LATE and (site.kind != "input" or clock.input == site.name):
+                found.append(at({effect.delay: clock.spread * z}))
+                found[-1].z[k] = 0.0
+    return found
