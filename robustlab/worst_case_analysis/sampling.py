@@ -102,6 +102,10 @@ class Samples(Tabular, Shown):
         NoTrustworthyNumber
             A sample is ill-posed, or a plant leaves its workspace.
         """
+        for block in self.deltas.blocks:
+            if not block.is_real:
+                hint = "a complex Delta has no response in real time; use worst_case(..., metric='hinf')"
+                raise InputError("respond", f"block {block.name!r} is complex", "real blocks", hint)
         drive = excitation(self.uncertain.inputs, getattr(self.uncertain, "dt", 0.0), t, u, "respond")
         count = len(self) * len(drive.t) * len(self.uncertain.outputs)
         if count > MAX_NUMBERS:
@@ -135,10 +139,6 @@ class Samples(Tabular, Shown):
     @one_thread()
     def _of_members(self, drive: Excitation, x0: ArrayLike | None, hold: Any) -> tuple[Array, Array, list[int]]:
         uncertain: Any = self.uncertain
-        for block in uncertain.blocks:
-            if not block.is_real:
-                hint = "a complex Delta has no response in real time; use worst_case(..., metric='hinf')"
-                raise InputError("respond", f"block {block.name!r} is complex", "real blocks", hint)
         start = np.zeros(uncertain.M.n_states) if x0 is None else real_array("x0", x0, 1, "respond")
         if len(start) != uncertain.M.n_states:
             raise InputError("respond", f"x0 has {len(start)} entries", f"{uncertain.M.n_states}")
