@@ -52,7 +52,6 @@ _PUBLIC = {
     "sample": "worst_case_analysis",
     "worst_case": "worst_case_analysis",
     "violation_probability": "worst_case_analysis",
-    "sample_size": "worst_case_analysis",
     "mu": "mu_analysis",
     "robust_stability": "analysis.stability",
     "disk_margin": "analysis.margins",

@@ -59,6 +59,7 @@ NAMES = {  # answer -> names that it answers; docs/coming-from has them in full
     "rl.performance_weight, rl.control_weight": "design_weights check_weights noise_weight",
     "rl.export_controller(..., anti_windup=)": "anti_windup",
     "rl.with_delays of a range, rl.cover, or a multiplicative weight in rl.unstructured": "neglected_dynamics",
+    "rl.violation_probability(..., probability=).samples_needed": "sample_size",
     "rl.sampled_data_norm": "sampled_robustness sdhinfnorm",
 }
 

@@ -240,7 +240,6 @@ OBJECTS: dict[str, Any] = {
     "DcMotor": motor,
     "Trim": lambda: rl.trim(rl.plant("stewart-platform"), pose=None),
     "Samples": lambda: rl.sample(spring(), 20, 1, 8),
-    "PlantSamples": lambda: rl.sample(rl.plant("stewart-platform", c=(0.01, 0.1)), 3),
     "Responses": lambda: rl.sample(spring(), 20, 1, 8).respond(np.linspace(0.0, 20.0, 201)),
     "Reduction": lambda: rl.reduce_model(spring() + spring()),
     "Cover": lambda: rl.cover(four_models(), "output-multiplicative"),

@@ -57,8 +57,10 @@ def hired(crew: Crew, samples: int) -> Iterator[Workers]:
 def _on_this_machine(wanted: int | None, samples: int) -> Iterator[Workers]:
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     count, others = min(wanted or processors, max(1, samples)), set(multiprocessing.active_children())
-    executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)
+    executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _end_with_parent)
     try:
+        with _ctrl_c_ignored():
+            executor.submit(int)  # starts all processes, which inherit that Ctrl-C is for the parent
         yield Workers(executor, count, lambda: None)
     finally:
         executor.shutdown(wait=False, cancel_futures=True)
@@ -66,17 +68,27 @@ def _on_this_machine(wanted: int | None, samples: int) -> Iterator[Workers]:
             child.terminate()
 
 
-def _begin() -> None:
-    """Begin a worker process: Ctrl-C is for the parent, and without a parent the process ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
+@contextmanager
+def _ctrl_c_ignored() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():  # where signals cannot be set
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
-    def end_with_parent() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(0)
 
-    threading.Thread(target=end_with_parent, daemon=True).start()
+def _end_with_parent() -> None:
+    """Begin a worker process: without a parent it ends."""
+    parent: Any = multiprocessing.parent_process()
+
+    def wait() -> None:
+        parent.join()
+        os._exit(0)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 @contextmanager

@@ -11,8 +11,6 @@ from robustlab.worst_case_analysis.statistics import (
     ViolationProbability,
     clopper_pearson,
     quantile_bounds,
-    sample_size,
-    upper_bound,
     violation_probability,
 )
 from robustlab.worst_case_analysis.worst_case_search import WorstCase, worst_case
@@ -30,8 +28,6 @@ __all__ = [
     "clopper_pearson",
     "quantile_bounds",
     "sample",
-    "sample_size",
-    "upper_bound",
     "violation_probability",
     "worst_case",
 ]

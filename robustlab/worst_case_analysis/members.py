@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, Mask
 from robustlab.clocks import UNIFORM_TOLERANCE
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.dynamics.simulation import sampled_inputs
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import is_moderate, refuse_overflow
 from robustlab.statespace import Signal, real_array
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
@@ -80,33 +81,9 @@ def _samples(inputs: Sequence[Signal], n: int, u: Mapping[str, ArrayLike] | Arra
             raise InputError(where, f"{len(names)} inputs and no u", "one input, or u", hint)
         return np.ones((n, 1))
     if isinstance(u, Mapping):
-        samples = np.zeros((n, len(names)))
-        for key, value in u.items():
-            if key not in names:
-                known = ", ".join(names) or "none"
-                raise InputError(
-                    f"{where}: input {key!r}", "no such input", f"one of {known}", did_you_mean(str(key), names)
-                )
-            samples[:, names.index(key)] = _column(f"{where}: {key}", value, n)
-        return samples
-    shape = np.shape(u)
-    if len(shape) == 2:
-        array = real_array("u", u, 2, where)
-        if array.shape != (n, len(names)):
-            raise InputError(where, f"u has shape {array.shape}", f"{(n, len(names))}")
-        return array
-    if len(names) != 1:
-        raise InputError(where, f"u has shape {shape}", f"{(n, len(names))}, or a dict of name -> samples")
-    return _column(where, u, n)[:, None]
-
-
-def _column(where: str, value: Any, n: int) -> Array:
-    if np.ndim(value) == 0:
-        return np.repeat(real_array("u", [value], 1, where), n)
-    column = real_array("u", value, 1, where)
-    if len(column) != n:
-        raise InputError(where, f"u has {len(column)} samples", f"{n} to match t")
-    return column
+        held = {name: np.repeat(value, n) if np.ndim(value) == 0 else value for name, value in u.items()}
+        u = {**dict.fromkeys(names, np.zeros(n)), **held}
+    return sampled_inputs(tuple(inputs), u, n)
 
 
 # --- Deltas -----------------------------------------------------------------------------------------------------------

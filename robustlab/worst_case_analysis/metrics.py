@@ -269,24 +269,34 @@ class H2Gain(Metric):
         return Evaluation(norm.value, accurate=norm.status.trustworthy, reason=norm.reason)
 
 
-class _OfPoles(Metric):
-    """What metrics of the poles share: states, and the number of a pole."""
+class PoleMetric(Metric):
+    """Largest real part of the poles, or smallest damping ratio -Re(s)/|s|; a pole at s = 0 has damping 0.
 
-    def __init__(self, uncertain: UncertainModel) -> None:
+    Of a discrete model the largest modulus minus one, and the damping ratio of ``s = log(z) / dt``.
+    """
+
+    def __init__(self, uncertain: UncertainModel, damping: bool) -> None:
         if not uncertain.M.n_states:
             raise InputError("worst_case", "a model without states", "states: a static gain has no poles")
-        self.uncertain = uncertain
+        self.uncertain, self._damping = uncertain, damping
+        self.sense = -1.0 if damping else 1.0
+        self.unit = "" if damping or uncertain.dt else "rad/s"
 
-    def _number(self, poles: NDArray[np.complex128]) -> Array:
-        """What is judged of each pole."""
-        raise NotImplementedError
+    def _worst(self, poles: NDArray[Any]) -> Array:
+        """The worst over the poles (..., n_x)."""
+        poles = poles.astype(complex)
+        if not self._damping:
+            return (np.abs(poles) - 1.0 if self.uncertain.dt else poles.real).max(axis=-1)
+        if self.uncertain.dt:
+            poles = np.log(np.where(np.abs(poles) > 1e-300, poles, 1e-300))
+        size = np.abs(poles)
+        return np.where(size > 0, -poles.real / np.where(size > 0, size, 1.0), 0.0).min(axis=-1)
 
     def of(self, ensemble: Ensemble) -> Array:
-        numbers = self._number(np.linalg.eigvals(ensemble.A).astype(complex))
-        return np.where(ensemble.ill_posed, self.unbounded, self.sense * (self.sense * numbers).max(axis=1))
+        return np.where(ensemble.ill_posed, self.unbounded, self._worst(np.linalg.eigvals(ensemble.A)))
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
-        return self._evaluation(model.poles())
+        return Evaluation(float(self._worst(model.poles())))
 
     def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
         """Complex Deltas have poles too."""
@@ -295,45 +305,12 @@ class _OfPoles(Metric):
             return super().evaluate(delta)
         m11 = self.uncertain.delta_channels
         a = m11.A + m11.B @ d @ np.linalg.solve(np.eye(d.shape[1]) - m11.D @ d, m11.C)
-        return self._evaluation(np.asarray(np.linalg.eigvals(a), dtype=np.complex128))
-
-    def _evaluation(self, poles: NDArray[np.complex128]) -> Evaluation:
-        numbers = self._number(poles)
-        return Evaluation(float(self.sense * (self.sense * numbers).max()))
+        return Evaluation(float(self._worst(np.linalg.eigvals(a))))
 
     def slack(self, value: float) -> float:
-        """Poles are as accurate as the largest of them."""
-        return self.tolerance * max(abs(value), float(np.abs(self.uncertain.nominal.poles()).max()))
-
-
-class SpectralAbscissa(_OfPoles):
-    """Largest real part of the poles in rad/s, or largest modulus minus one for discrete models; negative is stable."""
-
-    def __init__(self, uncertain: UncertainModel) -> None:
-        super().__init__(uncertain)
-        self.unit = "" if uncertain.dt else "rad/s"
-
-    def _number(self, poles: NDArray[np.complex128]) -> Array:
-        return np.abs(poles) - 1.0 if self.uncertain.dt else poles.real
-
-
-class Damping(_OfPoles):
-    r"""Smallest damping ratio :math:`-\mathrm{Re}\,s / |s|` of the poles; negative for an unstable one.
-
-    Of a discrete model ``s = log(z) / dt``. A pole at s = 0 has damping 0.
-    """
-
-    sense = -1.0
-
-    def _number(self, poles: NDArray[np.complex128]) -> Array:
-        if self.uncertain.dt:
-            poles = np.log(np.where(np.abs(poles) > 1e-300, poles, 1e-300))
-        size = np.abs(poles)
-        return np.where(size > 0, -poles.real / np.where(size > 0, size, 1.0), 0.0)
-
-    def slack(self, value: float) -> float:
-        """A ratio of at most one."""
-        return self.tolerance
+        """Poles are as accurate as the largest of them; a damping ratio is at most one."""
+        largest = float(np.abs(self.uncertain.nominal.poles()).max())
+        return self.tolerance * (1.0 if self._damping else max(abs(value), largest))
 
 
 class UserMetric(Metric):
@@ -376,25 +353,96 @@ class UserMetric(Metric):
 # --- of a response ---------------------------------------------------------------------------------------------------
 
 
-class TimeMetric(Metric):
-    """What metrics of a response share. It starts from zero initial state.
+class Measure(NamedTuple):
+    """What is measured of responses: (times (n_t,), responses (k, n_t), final values (k,), band) -> values (k,), and
+    the samples at which they are attained, where there are such.
+    """
 
-    ``uncertain``: set with real blocks.
-    ``output``: name of the output.
+    of: Callable[[Array, Array, Array, float], tuple[Array, NDArray[np.intp] | None]]
+    unit: str = ""  # empty: that of the output
+    deviation: bool = False  # from the nominal response
+    settled: bool = False  # relative to the final value of a step
+    smooth: bool = True
+    # Beside the value: what search and re-evaluation agree to a share of, and whether a time step counts there.
+    size: float = 0.0
+    steps: bool = False
+
+
+def _largest(size: Array) -> tuple[Array, NDArray[np.intp]]:
+    at = size.argmax(axis=1)
+    return size[np.arange(len(size)), at], at
+
+
+def _overshoot(t: Array, y: Array, final: Array, band: float) -> tuple[Array, NDArray[np.intp]]:
+    share, at = _largest(y / final[:, None])
+    return np.where(np.isfinite(final), 100.0 * np.maximum(share - 1.0, 0.0), np.inf), at
+
+
+def settling_times(t: Array, y: Array, final: Array, band: float) -> Array:
+    """When responses y (k, n_t) come to stay within ``band * |final|`` of their final values (k,), shape (k,).
+
+    Interpolated between samples; infinite where a response is still outside at the end.
+    """
+    gap = y - final[:, None]
+    edge = band * np.abs(final)
+    outside: NDArray[Any] = ~(np.abs(gap) <= edge[:, None])
+    last = len(t) - 1 - outside[:, ::-1].argmax(axis=1)
+    rows = np.arange(len(y))
+    following = np.minimum(last + 1, len(t) - 1)
+    here, there = gap[rows, last], gap[rows, following]
+    share = (np.abs(here) - edge) / (np.abs(here) - np.sign(here) * there)
+    crossing = t[last] + share * (t[following] - t[last])
+    settled = np.where(outside.any(axis=1), crossing, 0.0)
+    return np.where(outside[:, -1] | ~np.isfinite(final), np.inf, settled)
+
+
+MEASURES = {
+    "peak-deviation": Measure(lambda t, y, *_: _largest(np.abs(y)), deviation=True),
+    "peak": Measure(lambda t, y, *_: _largest(np.abs(y))),
+    "rms": Measure(lambda t, y, *_: (np.sqrt(np.trapezoid(y**2, t, axis=1) / np.ptp(t)), None)),
+    "overshoot": Measure(_overshoot, "%", settled=True, size=100.0),
+    "settling-time": Measure(
+        lambda *given: (settling_times(*given), None), "s", settled=True, smooth=False, steps=True
+    ),
+}
+
+
+class TimeMetric(Metric):
+    """A measure of the response of one output from zero initial state; infinite where that grows without bound.
+
     ``drive``, ``hold``: times, input, and what the input does between samples.
     """
 
-    name = "response"
     location = "t [s]"
 
-    def __init__(self, uncertain: UncertainModel, output: str, drive: Excitation, hold: Hold) -> None:
-        need_real(uncertain, self.name)
+    def __init__(
+        self, uncertain: UncertainModel, name: str, output: str, drive: Excitation, hold: Hold, band: float
+    ) -> None:
+        need_real(uncertain, name)
         self.uncertain = connected(selected(uncertain, None, output))
-        self.unit = self.uncertain.outputs[0].unit
-        self._drive = drive
-        self._hold: Hold = hold
-        self._centre = self.set.members(np.zeros((1, self.set.size)))
-        self._nominal = self._responses(self._centre)[0]
+        self._measure, self._drive, self._hold, self._band = MEASURES[name], drive, hold, band
+        self.unit = self._measure.unit or self.uncertain.outputs[0].unit
+        self.location = "" if name in ("rms", "settling-time") else "t [s]"
+        self.smooth = self._measure.smooth
+        centre = self.set.members(np.zeros((1, self.set.size)))
+        self._nominal = self._responses(centre)[0]
+        if self._measure.settled:
+            self._check_settles(name, centre)
+
+    def _check_settles(self, name: str, centre: Ensemble) -> None:
+        if not 0 < self._band < 1:
+            raise InputError("worst_case", f"band is {self._band!r}", "a share of the final value between 0 and 1")
+        if np.ptp(self._drive.u, axis=0).max(initial=0.0) > 0:
+            raise InputError("worst_case", "an input that changes", f"constant inputs: {name} is that of a step")
+        need_stable(self.uncertain.nominal, f"it has no {name}")
+        final = float(self._finals(centre)[0])
+        if abs(final) <= NO_FINAL_VALUE * float(np.abs(self._nominal).max(initial=0.0)):
+            raise NoTrustworthyNumber(
+                "worst_case",
+                f"the nominal response settles at {final:.3g}",
+                f"a final value other than zero: {name} is relative to it",
+                "use the metric peak",
+            )
 
     @property
     def clock(self) -> Array:
@@ -412,33 +460,49 @@ class TimeMetric(Metric):
         start = np.zeros(ensemble.A.shape[1])
         return time_responses(ensemble, self._drive, start, self._hold)[:, :, 0]
 
-    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
-        """Value of each response (k, n_t)."""
-        raise NotImplementedError
+    def _finals(self, ensemble: Ensemble) -> Array:
+        """Final values of all members (k,) where they are asked for; infinite where a member does not settle."""
+        final = np.full(len(ensemble), np.inf)
+        if self._measure.settled:
+            stable, n, u = ensemble.is_stable(), ensemble.A.shape[1], self._drive.u[0]
+            some = ensemble.part(np.flatnonzero(stable))
+            shift = np.eye(n) if ensemble.dt else np.zeros((n, n))
+            x = np.linalg.solve(shift - some.A, (some.B @ u)[:, :, None])
+            final[stable] = (some.C @ x)[:, 0, 0] + some.D[:, 0] @ u
+        return final
 
     def of(self, ensemble: Ensemble) -> Array:
         with np.errstate(all="ignore"):
-            value = self._measure(self._responses(ensemble), ensemble)
+            y = self._responses(ensemble)
+            y = y - self._nominal if self._measure.deviation else y
+            value, _ = self._measure.of(self._drive.t, y, self._finals(ensemble), self._band)
         return np.where(ensemble.ill_posed | np.isnan(value), np.inf, value)
-
-    def of_model(self, model: StateSpaceModel) -> Evaluation:
-        """See `Metric.of_model`; `robustlab.dynamics.simulation.simulate` is the second way."""
-        try:
-            y = self._simulated(model)
-        except NoTrustworthyNumber:
-            return Evaluation(np.inf, reason="the response outgrows double precision")
-        return self._judge(model, y)
 
     def _simulated(self, model: StateSpaceModel) -> Array:
         return np.asarray(simulate(model, self._drive.t, self._drive.u, hold=self._hold)[model.output_names[0]])
 
-    def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
-        """The metric of a simulated response (n_t,)."""
-        raise NotImplementedError
+    def of_model(self, model: StateSpaceModel) -> Evaluation:
+        """See `Metric.of_model`; `robustlab.dynamics.simulation.simulate` is the second way."""
+        t, final = self._drive.t, np.full(1, np.inf)
+        try:
+            y = self._simulated(model)
+            if self._measure.deviation:
+                y = y - self._simulated(self.uncertain.nominal)
+        except NoTrustworthyNumber:
+            return Evaluation(np.inf, reason="the response outgrows double precision")
+        if self._measure.settled:
+            if model.n_states and not model.is_stable():
+                return Evaluation(np.inf, reason="this member is unstable and never settles")
+            final[0] = model.dc_gain()[0] @ self._drive.u[0]
+        with np.errstate(all="ignore"):
+            values, at = self._measure.of(t, y[None], final, self._band)
+        last = f"this member has not settled by t = {t[-1]:.6g} s, the last of the times"
+        reason = "" if np.isfinite(values[0]) else last
+        return Evaluation(float(values[0]), np.nan if at is None else float(t[at[0]]), reason=reason)
 
-    def _attained(self, size: Array) -> Evaluation:
-        worst = int(size.argmax())
-        return Evaluation(float(size[worst]), float(self._drive.t[worst]))
+    def slack(self, value: float) -> float:
+        """Percent of a final value that both ways know to the tolerance; a crossing is known to a share of the step."""
+        return self.tolerance * (abs(value) + self._measure.size + self._drive.h * self._measure.steps)
 
     def work(self, count: int) -> float:
         """Members side by side share most of the steps."""
@@ -446,159 +510,7 @@ class TimeMetric(Metric):
         return 300 + steps * (0.1 + n**2 / 160) + count * (20 + n**3 / 50 + steps * (0.05 + n**2 / 6000))
 
 
-class PeakDeviation(TimeMetric):
-    """Largest ``|y(t; Delta) - y(t; 0)|`` over the given times."""
-
-    name = "peak-deviation"
-
-    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
-        return np.abs(y - self._nominal).max(axis=1)
-
-    def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
-        return self._attained(np.abs(y - self._simulated(self.uncertain.nominal)))
-
-
-class Peak(TimeMetric):
-    """Largest ``|y(t)|`` over the given times."""
-
-    name = "peak"
-
-    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
-        return np.abs(y).max(axis=1)
-
-    def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
-        return self._attained(np.abs(y))
-
-
-class Rms(TimeMetric):
-    r"""Root mean square over the given times, :math:`\sqrt{\frac1T \int_0^T y^2 dt}` by the trapezoidal rule."""
-
-    name = "rms"
-    location = ""
-
-    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
-        return np.sqrt(np.trapezoid(y**2, dx=1.0 / (y.shape[1] - 1), axis=1))
-
-    def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
-        return Evaluation(float(np.sqrt(np.trapezoid(y**2, self._drive.t) / np.ptp(self._drive.t))))
-
-
-class _Settled(TimeMetric):
-    """What metrics share that are relative to the final value."""
-
-    def __init__(self, uncertain: UncertainModel, output: str, drive: Excitation, hold: Hold) -> None:
-        super().__init__(uncertain, output, drive, hold)
-        if np.ptp(drive.u, axis=0).max(initial=0.0) > 0:
-            raise InputError("worst_case", "an input that changes", f"constant inputs: {self.name} is that of a step")
-        need_stable(self.uncertain.nominal, f"it has no {self.name}")
-        final = float(self._finals(self._centre)[0])
-        if abs(final) <= NO_FINAL_VALUE * float(np.abs(self._nominal).max(initial=0.0)):
-            raise NoTrustworthyNumber(
-                "worst_case",
-                f"the nominal response settles at {final:.3g}",
-                f"a final value other than zero: {self.name} is relative to it",
-                "use the metric peak",
-            )
-
-    def _finals(self, ensemble: Ensemble) -> Array:
-        """Final values of all members (k,); infinite where a member does not settle."""
-        n = ensemble.A.shape[1]
-        stable = ensemble.is_stable()
-        final = np.full(len(ensemble), np.inf)
-        some = ensemble.part(np.flatnonzero(stable))
-        u = self._drive.u[0]
-        shift = np.eye(n) if ensemble.dt else np.zeros((n, n))
-        x = np.linalg.solve(shift - some.A, (some.B @ u)[:, :, None])
-        final[stable] = (some.C @ x)[:, 0, 0] + some.D[:, 0] @ u
-        return final
-
-    def _judge(self, model: StateSpaceModel, y: Array) -> Evaluation:
-        if model.n_states and not model.is_stable():
-            return Evaluation(np.inf, reason="this member is unstable and never settles")
-        return self._relative(y, float(model.dc_gain()[0] @ self._drive.u[0]))
-
-    def _relative(self, y: Array, final: float) -> Evaluation:
-        raise NotImplementedError
-
-
-class Overshoot(_Settled):
-    """How far a step response goes beyond its final value, in percent of it; 0 where it never does."""
-
-    name = "overshoot"
-
-    def __init__(self, uncertain: UncertainModel, output: str, drive: Excitation, hold: Hold) -> None:
-        super().__init__(uncertain, output, drive, hold)
-        self.unit = "%"
-
-    def slack(self, value: float) -> float:
-        """Percent of a final value that both ways know to the tolerance."""
-        return self.tolerance * (100.0 + abs(value))
-
-    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
-        final = self._finals(ensemble)
-        share = y / final[:, None]
-        value = 100.0 * np.maximum(share.max(axis=1) - 1.0, 0.0)
-        return np.where(np.isfinite(final), value, np.inf)
-
-    def _relative(self, y: Array, final: float) -> Evaluation:
-        found = self._attained(y / final)
-        return Evaluation(max(0.0, 100.0 * (found.value - 1.0)), found.at)
-
-
-class SettlingTime(_Settled):
-    """Last time at which a step response is farther from its final value than ``band`` times it, in s.
-
-    Interpolated between samples. Infinite for a member that is unstable, or still outside at the last of the given
-    times; the re-evaluation says which.
-    """
-
-    name = "settling-time"
-    location = ""
-    smooth = False
-
-    def __init__(
-        self, uncertain: UncertainModel, output: str, drive: Excitation, hold: Hold, band: float = 0.02
-    ) -> None:
-        if not 0 < band < 1:
-            raise InputError("worst_case", f"band is {band!r}", "a share of the final value between 0 and 1")
-        super().__init__(uncertain, output, drive, hold)
-        self.unit, self.band = "s", band
-
-    def slack(self, value: float) -> float:
-        """A crossing is known to a share of the step only."""
-        return self.tolerance * (abs(value) + self._drive.h)
-
-    def _measure(self, y: Array, ensemble: Ensemble) -> Array:
-        return settling_times(self._drive.t, y, self._finals(ensemble), self.band)
-
-    def _relative(self, y: Array, final: float) -> Evaluation:
-        value = float(settling_times(self._drive.t, y[None], np.array([final]), self.band)[0])
-        last = f"{self._drive.t[-1]:.6g}"
-        reason = "" if np.isfinite(value) else f"this member has not settled by t = {last} s, the last of the times"
-        return Evaluation(value, reason=reason)
-
-
-def settling_times(t: Array, y: Array, final: Array, band: float) -> Array:
-    """When responses y (k, n_t) come to stay within ``band * |final|`` of their final values (k,), shape (k,)."""
-    gap = y - final[:, None]
-    edge = band * np.abs(final)
-    outside: NDArray[Any] = ~(np.abs(gap) <= edge[:, None])
-    last = len(t) - 1 - outside[:, ::-1].argmax(axis=1)
-    rows = np.arange(len(y))
-    following = np.minimum(last + 1, len(t) - 1)
-    here, there = gap[rows, last], gap[rows, following]
-    with np.errstate(all="ignore"):
-        share = (np.abs(here) - edge) / (np.abs(here) - np.sign(here) * there)
-        crossing = t[last] + share * (t[following] - t[last])
-    settled = np.where(outside.any(axis=1), crossing, 0.0)
-    return np.where(outside[:, -1] | ~np.isfinite(final), np.inf, settled)
-
-
 # --- by name, and at samples -----------------------------------------------------------------------------------------
-
-OF_A_RESPONSE: dict[str, type[TimeMetric]] = {
-    kind.name: kind for kind in (PeakDeviation, Peak, Rms, Overshoot, SettlingTime)
-}
 
 
 @dataclass(frozen=True)
@@ -634,28 +546,18 @@ def make_metric(uncertain: UncertainModel, request: MetricRequest, where: str = 
         return UserMetric(uncertain, metric, request.name)
     if metric not in METRICS:
         raise UsageError(where, f"metric {metric!r}", f"one of {', '.join(METRICS)}", did_you_mean(metric, [*METRICS]))
-    if metric in OF_A_RESPONSE:
-        return _of_a_response(uncertain, request, where)
-    if metric == "spectral-abscissa":
-        return SpectralAbscissa(uncertain)
-    if metric == "damping":
-        return Damping(uncertain)
-    return (HinfGain if metric == "hinf" else H2Gain)(uncertain, request.input, request.output)
-
-
-def _of_a_response(uncertain: UncertainModel, request: MetricRequest, where: str) -> Metric:
-    names = [s.name for s in uncertain.outputs]
-    output = request.output
+    if metric in ("spectral-abscissa", "damping"):
+        return PoleMetric(uncertain, metric == "damping")
+    if metric not in MEASURES:
+        return (HinfGain if metric == "hinf" else H2Gain)(uncertain, request.input, request.output)
+    names, output = [s.name for s in uncertain.outputs], request.output
     if output is None and len(names) != 1:
         expected, hint = f"output: one of {', '.join(names)}", f"name one: output={names[0]!r}"
         raise UsageError(where, f"{len(names)} outputs and none named", expected, hint)
     u: Any = {request.input: 1.0} if request.u is None and request.input is not None else request.u
     clock = default_clock(uncertain.nominal, where) if request.t is None else request.t
     drive = excitation(uncertain.inputs, uncertain.dt, clock, u, where)
-    kind = OF_A_RESPONSE[str(request.metric)]
-    if kind is SettlingTime:
-        return SettlingTime(uncertain, output or names[0], drive, request.hold, request.band)
-    return kind(uncertain, output or names[0], drive, request.hold)
+    return TimeMetric(uncertain, metric, output or names[0], drive, request.hold, request.band)
 
 
 @dataclass(frozen=True)

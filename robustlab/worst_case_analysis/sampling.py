@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, overload
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,14 +17,13 @@ from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError, told_as
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, listed, number, with_units
-from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.statespace import Signal, real_array
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import (
     Deltas,
     Excitation,
-    Hold,
     MemberSet,
     blocks_of,
     excitation,
@@ -39,14 +38,14 @@ MARGINAL = 1e-9  # share of the largest pole beyond the stability boundary that 
 LABEL = "sampled: the true envelope may be wider"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Samples(Tabular, Shown):
-    """Members of an uncertain model: seeded random ones first, then vertices.
+    """Members of an uncertain model, or of a nonlinear plant with tolerances: random ones first, then vertices.
 
     Attributes
     ----------
     uncertain
-        The model that was sampled.
+        The model or plant that was sampled; of a plant a parameter with a tolerance is a block.
     deltas
         One mapping of block names to values for each sample, made when it is asked for.
     seed
@@ -55,7 +54,7 @@ class Samples(Tabular, Shown):
         How many of the last samples are vertices: every real delta is -1 or +1.
     """
 
-    uncertain: UncertainModel
+    uncertain: UncertainModel | NonlinearPlant
     deltas: Deltas
     seed: int
     vertices: int
@@ -63,18 +62,26 @@ class Samples(Tabular, Shown):
     def __len__(self) -> int:
         return len(self.deltas)
 
-    def models(self) -> list[StateSpaceModel]:
-        """The sampled members (real Deltas only)."""
-        return [self.uncertain.evaluate(delta) for delta in self.deltas]
+    def models(self) -> list[Any]:
+        """The sampled models (real Deltas only), or plants."""
+        plant: Any = self.uncertain
+        if isinstance(plant, UncertainModel):
+            return [plant.evaluate(delta) for delta in self.deltas]
+        ranges = {name: p.range for name, p in plant.parameters.items()}
+        return [
+            plant.with_parameters(**{name: (ranges[name].value(d), 0.0) for name, d in delta.items()})
+            for delta in self.deltas
+        ]
 
+    @told_as("respond")
     def respond(
         self,
         t: ArrayLike,
         u: Mapping[str, ArrayLike] | ArrayLike | None = None,
         x0: ArrayLike | None = None,
-        hold: Literal["zoh", "foh"] = "zoh",
+        hold: Literal["zoh", "foh", "spline"] = "zoh",
     ) -> Responses:
-        """Time responses of all samples and of the nominal model to one input.
+        """Time responses of all samples and of the nominal model to one input; of plants stability is not judged.
 
         Parameters
         ----------
@@ -86,23 +93,72 @@ class Samples(Tabular, Shown):
         x0
             Initial state of every member, shape (n_x,); zero where left out.
         hold
-            What the input does between samples: "zoh" keeps its value, "foh" goes straight to the next one.
+            As of `robustlab.dynamics.simulation.simulate`.
 
         Raises
         ------
         InputError
             Complex Deltas (they have no response in real time), a clock that is not uniform, wrong sizes or names.
         NoTrustworthyNumber
-            A sample is ill-posed: it has no response at all.
+            A sample is ill-posed, or a plant leaves its workspace.
         """
-        return _respond(self, t, u, x0, hold)
+        for block in self.deltas.blocks:
+            if not block.is_real:
+                hint = "a complex Delta has no response in real time; use worst_case(..., metric='hinf')"
+                raise InputError("respond", f"block {block.name!r} is complex", "real blocks", hint)
+        drive = excitation(self.uncertain.inputs, getattr(self.uncertain, "dt", 0.0), t, u, "respond")
+        count = len(self) * len(drive.t) * len(self.uncertain.outputs)
+        if count > MAX_NUMBERS:
+            found, expected = f"{count:.3g} numbers of response", f"at most {MAX_NUMBERS:.3g}"
+            raise InputError("respond", found, expected, "fewer samples or times")
+        of = self._of_members if isinstance(self.uncertain, UncertainModel) else self._of_plants
+        y, nominal, unstable = of(drive, x0, hold)
+        lower, upper, deviation, finite = _envelope(y, nominal)
+        return Responses(
+            drive.t,
+            drive.u,
+            y,
+            nominal,
+            lower,
+            upper,
+            tuple(int(i) for i in deviation.argmax(axis=0)),
+            self.deltas,
+            self.uncertain.inputs,
+            self.uncertain.outputs,
+            tuple(unstable),
+            Status.CONVERGED if finite else Status.INACCURATE,
+        )
+
+    def _of_plants(self, drive: Excitation, x0: ArrayLike | None, hold: Any) -> tuple[Array, Array, list[int]]:
+        def response(plant: Any) -> Array:
+            record = simulate(plant, drive.t, drive.u, x0, hold=hold)
+            return np.column_stack([record.outputs[s.name] for s in plant.outputs])
+
+        return np.array([response(plant) for plant in self.models()]), response(self.uncertain), []
+
+    @one_thread()
+    def _of_members(self, drive: Excitation, x0: ArrayLike | None, hold: Any) -> tuple[Array, Array, list[int]]:
+        uncertain: Any = self.uncertain
+        start = np.zeros(uncertain.M.n_states) if x0 is None else real_array("x0", x0, 1, "respond")
+        if len(start) != uncertain.M.n_states:
+            raise InputError("respond", f"x0 has {len(start)} entries", f"{uncertain.M.n_states}")
+        if hold not in ("zoh", "foh") or (hold == "foh" and uncertain.dt):
+            raise InputError("respond", f"hold {hold!r}", "'zoh'" + ("" if uncertain.dt else " or 'foh'"))
+        y = np.empty((len(self), len(drive.t), len(uncertain.outputs)))
+        unstable: list[int] = []
+        members = MemberSet(uncertain)
+        for part in blocks_of(len(self), members.block):
+            ensemble = members.drawn(self.deltas, part, "respond")
+            unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
+            y[part] = time_responses(ensemble, drive, start, hold)
+        return y, time_responses(members.members(np.zeros((1, members.size))), drive, start, hold)[0], unstable
 
     def facts(self) -> Facts:
         """What a person wants to read, as (label, text)."""
         return [
             ("members", f"{len(self)}, of which {self.vertices} vertices; seed {self.seed}"),
-            ("set", repr(self.uncertain)),
-            ("blocks", listed(b.name for b in self.uncertain.blocks)),
+            ("of", repr(self.uncertain) if isinstance(self.uncertain, UncertainModel) else self.uncertain.name),
+            ("blocks", listed(b.name for b in self.deltas.blocks)),
         ]
 
     def table(self) -> Table:
@@ -110,10 +166,10 @@ class Samples(Tabular, Shown):
 
         A block that is a matrix has a column for each entry, ``NAME[row,column]`` counted from 1.
         """
-        known = {b.name: b.parameter for b in self.uncertain.blocks if b.parameter is not None}
+        known = {b.name: b.parameter for b in self.deltas.blocks if b.parameter is not None}
         rows = list(self.deltas)
         columns: dict[str, AnyArray] = {}
-        for block in self.uncertain.blocks:
+        for block in self.deltas.blocks:
             drawn = np.array([row[block.name] for row in rows])
             if block.is_scalar:
                 columns[block.name] = drawn.reshape(len(rows))
@@ -124,82 +180,6 @@ class Samples(Tabular, Shown):
         values = {name: [p.value(float(np.real(v))) for v in columns[name]] for name, p in known.items()}
         units = {name: p.unit for name, p in known.items()}
         return Table(("sample", np.arange(len(rows))), {**columns, **values}, units)
-
-    def to_json(self) -> dict[str, object]:
-        """Deltas, seed and number of vertices."""
-        return {"deltas": list(self.deltas), "seed": self.seed, "vertices": self.vertices}
-
-
-@dataclass(frozen=True, eq=False)
-class PlantSamples(Shown):
-    """Members of a nonlinear plant whose parameters have tolerances: seeded random ones first, then vertices.
-
-    Attributes
-    ----------
-    plant
-        The plant that was sampled.
-    deltas, seed, vertices
-        As of `Samples`; a block for each parameter with a tolerance.
-    """
-
-    plant: NonlinearPlant
-    deltas: Deltas
-    seed: int
-    vertices: int
-
-    def __len__(self) -> int:
-        return len(self.deltas)
-
-    def plants(self) -> Iterator[Any]:
-        """The sampled members, one after the other."""
-        plant: Any = self.plant
-        ranges = {name: p.range for name, p in plant.parameters.items()}
-        for delta in self.deltas:
-            yield plant.with_parameters(**{name: (ranges[name].value(d), 0.0) for name, d in delta.items()})
-
-    def respond(
-        self,
-        t: ArrayLike,
-        u: Mapping[str, ArrayLike] | ArrayLike | None = None,
-        x0: ArrayLike | None = None,
-        hold: Literal["zoh", "foh", "spline"] = "zoh",
-    ) -> Responses:
-        """Time responses of all samples and of the nominal plant to one input; stability is not judged.
-
-        Parameters
-        ----------
-        t, u
-            As of `Samples.respond`.
-        x0, hold
-            As of `robustlab.dynamics.simulation.simulate`.
-
-        Raises
-        ------
-        InputError, NoTrustworthyNumber
-            As of `robustlab.dynamics.simulation.simulate`, for any of them.
-        """
-        drive = excitation(self.plant.inputs, 0.0, t, u, "respond")
-        count = len(self) * len(drive.t) * len(self.plant.outputs)
-        if count > MAX_NUMBERS:
-            raise InputError("respond", f"{count:.3g} numbers of response", f"at most {MAX_NUMBERS:.3g}")
-
-        def response(plant: Any) -> Array:
-            record = simulate(plant, drive.t, drive.u, x0, hold=hold)
-            return np.column_stack([record.outputs[s.name] for s in plant.outputs])
-
-        nominal = response(self.plant)
-        y = np.array([response(plant) for plant in self.plants()])
-        lower, upper, deviation, _ = _envelope(y, nominal)
-        worst = tuple(int(i) for i in deviation.argmax(axis=0))
-        sides = self.plant.inputs, self.plant.outputs
-        return Responses(drive.t, drive.u, y, nominal, lower, upper, worst, self.deltas, *sides, (), Status.CONVERGED)
-
-    def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
-        return [
-            ("members", f"{len(self)}, of which {self.vertices} vertices; seed {self.seed}"),
-            ("plant", self.plant.name),
-        ]
 
     def to_json(self) -> dict[str, object]:
         """Deltas, seed and number of vertices."""
@@ -274,14 +254,8 @@ class Responses(Shown):
         return {**data, "peak_deviation": self.peak_deviation}
 
 
-@overload
-def sample(uncertain: UncertainModel, n: int, seed: int = 0, vertices: int | Literal["all"] = 0) -> Samples: ...
-@overload
-def sample(uncertain: Plant, n: int, seed: int = 0, vertices: int | Literal["all"] = 0) -> PlantSamples: ...
 @told_as("sample")
-def sample(
-    uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: int | Literal["all"] = 0
-) -> Samples | PlantSamples:
+def sample(uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: int | Literal["all"] = 0) -> Samples:
     """Draw members of an uncertain model, or of a nonlinear plant whose parameters have tolerances.
 
     Real parameters are uniform in their ranges (deltas in [-1, 1] where nominal is the middle), complex deltas in the
@@ -301,7 +275,7 @@ def sample(
 
     Returns
     -------
-    Samples or PlantSamples
+    Samples
         The random samples first, then the vertices; their models and responses are made when they are asked for.
 
     Raises
@@ -332,9 +306,7 @@ def sample(
         raise InputError("sample", "no samples and no vertices", "at least one of n and vertices")
     blocks = uncertain.blocks if isinstance(uncertain, UncertainModel) else tuple(_varied(uncertain))
     signs = vertex_signs(sum(b.interval is not None for b in blocks), vertices, seed)
-    deltas = Deltas(blocks, int(n), int(seed), signs)
-    kind: Any = Samples if isinstance(uncertain, UncertainModel) else PlantSamples
-    return kind(uncertain, deltas, int(seed), len(signs))
+    return Samples(uncertain, Deltas(blocks, int(n), int(seed), signs), int(seed), len(signs))
 
 
 def _varied(plant: NonlinearPlant) -> Iterator[RealScalar]:
@@ -345,66 +317,6 @@ def _varied(plant: NonlinearPlant) -> Iterator[RealScalar]:
     if not any(p.radius for p in plant.parameters.values()):
         known = ", ".join(plant.parameters) or "none"
         raise InputError("sample", f"no parameter of {plant.name} has a tolerance", f"one of {known} with (value, 0.1)")
-
-
-def _asked(
-    uncertain: UncertainModel,
-    t: ArrayLike,
-    u: Mapping[str, ArrayLike] | ArrayLike | None,
-    x0: ArrayLike | None,
-    hold: Hold,
-) -> tuple[Excitation, Array]:
-    """Clock and input, and the initial state, of a request that makes sense."""
-    for block in uncertain.blocks:
-        if not block.is_real:
-            raise InputError(
-                "respond",
-                f"block {block.name!r} is complex",
-                "real blocks",
-                "a complex Delta has no response in real time; use worst_case(..., metric='hinf')",
-            )
-    drive = excitation(uncertain.inputs, uncertain.dt, t, u, "respond")
-    start = np.zeros(uncertain.M.n_states) if x0 is None else real_array("x0", x0, 1, "respond")
-    if len(start) != uncertain.M.n_states:
-        raise InputError("respond", f"x0 has {len(start)} entries", f"{uncertain.M.n_states}")
-    if hold not in ("zoh", "foh") or (hold == "foh" and uncertain.dt):
-        raise InputError("respond", f"hold {hold!r}", "'zoh'" + ("" if uncertain.dt else " or 'foh'"))
-    return drive, start
-
-
-@one_thread()
-def _respond(
-    samples: Samples, t: ArrayLike, u: Mapping[str, ArrayLike] | ArrayLike | None, x0: ArrayLike | None, hold: Hold
-) -> Responses:
-    uncertain = samples.uncertain
-    drive, start = _asked(uncertain, t, u, x0, hold)
-    n_y, count = len(uncertain.outputs), len(samples) * len(drive.t) * len(uncertain.outputs)
-    if count > MAX_NUMBERS:
-        hint = "fewer samples or times"
-        raise InputError("respond", f"{count:.3g} numbers of response", f"at most {MAX_NUMBERS:.3g}", hint)
-    y = np.empty((len(samples), len(drive.t), n_y))
-    unstable: list[int] = []
-    members = MemberSet(uncertain)
-    for part in blocks_of(len(samples), members.block):
-        ensemble = members.drawn(samples.deltas, part, "respond")
-        unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
-        y[part] = time_responses(ensemble, drive, start, hold)
-    nominal = time_responses(members.members(np.zeros((1, members.size))), drive, start, hold)[0]
-    lower, upper, deviation, finite = _envelope(y, nominal)
-    return Responses(
-        drive.t,
-        drive.u,
-        y,
-        nominal,
-        lower,
-        upper,
-        tuple(int(i) for i in deviation.argmax(axis=0)),
-        samples.deltas,
-        uncertain.inputs,
-        uncertain.outputs,
-        tuple(unstable),
-        Status.CONVERGED if finite else Status.INACCURATE,
-    )
 
 
 def _envelope(y: Array, nominal: Array) -> tuple[Array, Array, Array, bool]:

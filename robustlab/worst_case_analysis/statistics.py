@@ -24,9 +24,9 @@ from robustlab.shown import Facts, Part, Shown, listed, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.members import is_count
 from robustlab.worst_case_analysis.metrics import MetricBatch, MetricRequest
 
+SMALLEST_SHARE = 1e-14  # shown by some 10^15 samples
 MOST_BINS = 32  # along each parameter, for the share of the variance that it explains
 
 
@@ -210,11 +210,7 @@ def _rank_regression(theta: Array, values: Array) -> tuple[Array, float]:
     return found, float(1.0 - (residual**2).mean())
 
 
-# Shares that are shown by more samples than 10^15 are not asked for.
-SMALLEST_SHARE = 1e-14
 FEWEST_SAMPLES = 32
-
-
 LABEL = "sampled: of deltas that are uniform and independent in their ranges; no statement on the worst case"
 DEFAULT_SAMPLES = 1000
 
@@ -228,62 +224,10 @@ def clopper_pearson(violations: int, n: int, confidence: float = 0.95) -> tuple[
     >>> low, round(high, 6) == round(1 - 0.05 ** (1 / 29), 6)
     (0.0, True)
     """
-    _check_share("confidence", confidence)
-    _check_count(violations, n)
-    rest = (1.0 - confidence) / 2.0
-    return _beta(rest, violations, n - violations + 1), _beta(1.0 - rest, violations + 1, n - violations)
+    from scipy.stats import binomtest
 
-
-def upper_bound(violations: int, n: int, confidence: float = 0.95) -> float:
-    """One-sided Clopper-Pearson bound: with this confidence the probability is at most so large."""
-    _check_share("confidence", confidence)
-    _check_count(violations, n)
-    return _beta(confidence, violations + 1, n - violations)
-
-
-@told_as("sample_size")
-def sample_size(probability: float, confidence: float = 0.95, violations: int = 0) -> int:
-    r"""Smallest number of samples that shows ``P(violation) <= probability`` where at most ``violations`` occur.
-
-    .. math:: n = \left\lceil \frac{\log(1 - c)}{\log(1 - p)} \right\rceil \text{ for none}, \qquad
-              \sum_{i=0}^{k} \binom{n}{i} p^i (1 - p)^{n - i} \le 1 - c \text{ for } k
-
-    Parameters
-    ----------
-    probability
-        p, what is to be shown; between 0 and 1.
-    confidence
-        c, with which it is to be shown; between 0 and 1.
-    violations
-        k, how many of the samples may violate.
-
-    Returns
-    -------
-    int
-        n.
-
-    Raises
-    ------
-    InputError
-        Shares that do not lie between 0 and 1, a negative number of violations.
-
-    Examples
-    --------
-    >>> sample_size(0.05, 0.95), sample_size(0.01, 0.99), sample_size(0.05, 0.95, violations=1)
-    (59, 459, 93)
-    """
-    from scipy.stats import nbinom
-
-    _check_share("probability", probability)
-    _check_share("confidence", confidence)
-    if not is_count(violations, 0):
-        raise InputError("sample_size", f"violations is {violations!r}", "a whole number, not negative")
-    if probability < SMALLEST_SHARE:
-        raise InputError("sample_size: probability", f"{probability:g}", f"at least {SMALLEST_SHARE:g}")
-    if violations == 0:
-        return max(1, math.ceil(math.log1p(-confidence) / math.log1p(-probability) * (1 - 1e-12)))
-    # At most k violations among n samples: the violation k + 1 comes after more than n - k - 1 samples that hold.
-    return int(violations) + 1 + int(nbinom.isf(1.0 - confidence, violations + 1, probability))
+    interval = binomtest(violations, n).proportion_ci(confidence, "exact")
+    return float(interval.low), float(interval.high)
 
 
 class Quantile(NamedTuple):
@@ -308,12 +252,8 @@ def quantile_bounds(values: ArrayLike, share: float, confidence: float = 0.95) -
     """
     from scipy.stats import binom
 
-    _check_share("quantile", share)
-    _check_share("confidence", confidence)
     ordered = np.sort(np.asarray(values, dtype=float))
     n = len(ordered)
-    if n == 0 or np.isnan(ordered).any():
-        raise InputError("quantile", "no values" if n == 0 else "NaN among the values", "numbers")
     rest = (1.0 - confidence) / 2.0
     # P(X_(l) > quantile) = P(fewer than l below it) = cdf(l - 1): the largest l with at most ``rest`` of that.
     counts = binom.cdf(np.arange(n), n, share)
@@ -522,13 +462,20 @@ def violation_probability(
     >>> found.lower < 1 / 12 < found.upper
     True
     """
+    from scipy.stats import binomtest
+
     where = "violation_probability"
     batch = MetricBatch(uncertain, MetricRequest(metric, output, input, t, u, hold, band), seed)
     judge = batch.judge
     if not uncertain.blocks:
         raise InputError(where, "a model without uncertainty", "blocks to sample", "every sample would be the nominal")
-    _check_share("confidence", confidence)
-    needed = None if probability is None else sample_size(probability, confidence)
+    for name, share in [("confidence", confidence), *(("quantile", q) for q in quantiles)]:
+        checks.number(name, share, "a number between 0 and 1", above=0, below=1)
+    needed = None
+    if probability is not None:
+        checks.number("probability", probability, "a number between 0 and 1", above=SMALLEST_SHARE, below=1)
+        # Without a violation n samples show p at confidence c where (1 - p)^n <= 1 - c.
+        needed = max(1, math.ceil(math.log1p(-confidence) / math.log1p(-probability) * (1 - 1e-12)))
     number, notes = _limit(limit, judge.unit, where)
     values = batch.all_values(n if n is not None else needed or DEFAULT_SAMPLES, workers)
     scores = judge.sense * values
@@ -537,7 +484,7 @@ def violation_probability(
     delta = batch.delta(worst)
     again = judge.evaluate(delta)
     low, high = clopper_pearson(violations, len(values), confidence)
-    at_most = upper_bound(violations, len(values), confidence)
+    at_most = float(binomtest(violations, len(values), alternative="less").proportion_ci(confidence, "exact").high)
     real = judge.set.all_real and len(values) >= FEWEST_SAMPLES
     return ViolationProbability(
         batch.request.name,
@@ -569,7 +516,8 @@ def violation_probability(
 
 def _limit(limit: float | str, unit: str, where: str) -> tuple[float, tuple[str, ...]]:
     """The limit's number, and a note where it came without the unit that the metric has."""
-    text, given = (str(limit), "") if not isinstance(limit, str) else _split(limit)
+    match = re.fullmatch(r"\s*(\S+)\s*(.*?)\s*", limit) if isinstance(limit, str) else None
+    text, given = match.groups() if match else (str(limit), "")
     try:
         number = float(text) if isinstance(limit, str) else float(limit)
     except (TypeError, ValueError):
@@ -580,28 +528,3 @@ def _limit(limit: float | str, unit: str, where: str) -> tuple[float, tuple[str,
     if given and given != unit:
         raise UnitMismatch(f"{where}: limit", f"in {given}", f"{unit or 'no unit'}: that of the metric")
     return number, (f"the limit {number:g} came without a unit and was taken in {unit}",) if unit and not given else ()
-
-
-def _split(text: str) -> tuple[str, str]:
-    match = re.fullmatch(r"\s*(\S+)\s*(.*?)\s*", text)
-    return (match.group(1), match.group(2)) if match else (text, "")
-
-
-def _beta(share: float, a: int, b: int) -> float:
-    from scipy.stats import beta
-
-    if a == 0:
-        return 0.0
-    return float(beta.ppf(share, a, b)) if b > 0 else 1.0
-
-
-def _check_share(name: str, value: float) -> None:
-    checks.number(name, value, "a number between 0 and 1", above=0, below=1)
-
-
-def _check_count(violations: int, n: int) -> None:
-    for name, count, least in (("n", n, 1), ("violations", violations, 0)):
-        if not is_count(count, least):
-            raise InputError("clopper_pearson", f"{name} is {count!r}", f"a whole number, at least {least}")
-    if violations > n:
-        raise InputError("clopper_pearson", f"{violations} violations of {n} samples", "at most as many as samples")

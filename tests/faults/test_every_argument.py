@@ -32,7 +32,7 @@ REFUSED = {
     "Record t": lambda: rl.Record([0.0, 0.0], {}, {"y": [0.0, 1.0]}),
     "reduce_model order": lambda: rl.reduce_model(made.lag(), order=-1),
     "sample n": lambda: rl.sample(made.spring(), n=0),
-    "sample_size probability": lambda: rl.sample_size(probability=2.0),
+    "violation_probability probability": lambda: rl.violation_probability(made.spring(), "hinf", 1.0, probability=2.0),
     "simulate t": lambda: rl.simulate(made.lag(), [0.0, NAN], [0.0, 0.0]),
     "simulate u": lambda: rl.simulate(made.lag(), [0.0, 0.1], np.full(2, NAN)),
     "ss A": lambda: rl.ss([[NAN]], ONE, ONE, [[0.0]]),

@@ -139,7 +139,7 @@ def test_what_cannot_respond():
         (T[::-1], None, None, "not uniform"),
         (np.delete(T, 3), None, None, "not uniform"),
         (T, {"g": 1.0}, None, "input 'g'"),
-        (T, np.ones(80), None, "80 samples"),
+        (T, np.ones(80), None, r"shape \(80, 1\)"),
         (T, np.ones((81, 2)), None, r"shape \(81, 2\)"),
         (T, {"f": np.where(T > 1, np.nan, 1.0)}, None, "NaN"),
         (T, None, [1.0], "x0 has 1 entries"),
