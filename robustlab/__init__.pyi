@@ -84,7 +84,6 @@ from robustlab.uncertainty.named_wiring import connect as connect
 from robustlab.uncertainty.parametric import parametric as parametric
 from robustlab.uncertainty.unstructured import unstructured as unstructured
 from robustlab.worst_case_analysis import sample as sample
-from robustlab.worst_case_analysis import sample_size as sample_size
 from robustlab.worst_case_analysis import violation_probability as violation_probability
 from robustlab.worst_case_analysis import worst_case as worst_case
 
@@ -127,7 +126,6 @@ __all__ = [
     "sample",
     "worst_case",
     "violation_probability",
-    "sample_size",
     "mu",
     "robust_stability",
     "disk_margin",

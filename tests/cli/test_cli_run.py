@@ -98,7 +98,9 @@ def test_a_run_with_all_requirements_met(recipe):
     speeds = [42 * 0.052 / (2.07 * 4.8e-5 * share + 0.052**2) for share in (1.35, 1.0, 0.65)]
     assert [final["lower"], final["nominal"], final["upper"]] == pytest.approx(speeds, rel=1e-5)
     assert (folder / "report.html").read_text(encoding="utf-8").count('<details class="step">') == 4
-    text = RECIPE.replace("cover.outputs.omega.covers.0", "set.spectral_abscissa").replace("equals = true", "at_most = 0")
+    text = RECIPE.replace("cover.outputs.omega.covers.0", "set.spectral_abscissa").replace(
+        "equals = true", "at_most = 0"
+    )
     (recipe / "small.toml").write_text(text)
     robustlab("run", "small.toml", "--png", code=0)
     assert not (folder / "figures").is_dir() or not list((folder / "figures").iterdir())

@@ -9,12 +9,11 @@ import subprocess
 import sys
 import zlib
 
-import numpy as np
 import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.files import MAX_DEPTH, Limits, parse_document, read_tree
+from robustlab.files import MAX_DEPTH, parse_document, read_tree
 from robustlab.recipe import load_recipe, read_result
 from robustlab.storage import load_parametric
 
