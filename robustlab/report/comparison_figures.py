@@ -27,30 +27,6 @@ FREE, WINDOWED = style.WORST, style.NOMINAL
 FREE_RUN = {"color": FREE, "ls": style.DASHED, "label": "simulated, free run"}
 
 
-def comparison_figures(comparison: Comparison) -> dict[str, Figure]:
-    """All figures of a comparison, for every output q; an output whose name is no plain word is called by its number.
-
-    ``where-q``, ``time-q``, ``speed-q`` (where a speed is known), ``spectrum-q`` (where the free run is whole),
-    ``response-q`` (where the record gives a frequency response), ``residual-q``; and once ``harmonics`` (where the
-    excitation allows the test).
-    """
-    c, figures = comparison, dict[str, Figure]()
-    for k, output in enumerate(c.outputs, start=1):
-        for kind, draw, known in (
-            ("where", where_figure, True),
-            ("time", time_figure, True),
-            ("speed", speed_figure, output in c.speed),
-            ("spectrum", spectrum_figure, output in c.frequency),
-            ("response", response_figure, bool(c.linear.get(output))),
-            ("residual", residual_figure, True),
-        ):
-            if known:
-                figures[f"{kind}-{style.stem(output, k)}"] = draw(c, output)
-    if c.nonlinearity.signals:
-        figures["harmonics"] = harmonics_figure(c)
-    return figures
-
-
 @style.house_style()
 def where_figure(comparison: Comparison, output: str | None = None) -> Figure:
     """RMS of the windowed error over time, direction, speed, position and input, on one scale; and frequency.

@@ -16,8 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from robustlab.errors import InputError, did_you_mean
-from robustlab.report.drawing_table import CAPTIONS, DRAWINGS, SETS
-from robustlab.report.style import drawn_on
+from robustlab.report.drawing_table import DRAWINGS, OUTPUTS
+from robustlab.report.style import drawn_on, stem
 
 
 def drawings_of(kind: type) -> Mapping[str, str]:
@@ -33,27 +33,27 @@ class Picture(NamedTuple):
 
 
 def pictures_of(shown: Any, remark: Callable[[str], None] | None = None) -> Iterator[tuple[str, Picture]]:
-    """Every drawing of an object that has something to show, by name; ``remark`` hears why another has not."""
-    whole = SETS.get(type(shown).__name__, "")
-    if whole:
-        made: Any = _function(whole)(shown)
-        yield from ((name, Picture(figure, caption_of(whole, name))) for name, figure in made.items())
-        return
-    for name, function in drawings_of(type(shown)).items():
-        try:
-            figure: Any = _function(function)(shown)
-        except InputError as error:
-            if remark is not None:
-                remark(f"no figure {name}: {error}")
-            continue
-        yield name, Picture(figure, CAPTIONS.get(function, f"{name.capitalize()}."))
+    """Every drawing of an object that has something to show, by name; ``remark`` hears why another has not.
 
-
-def caption_of(whole: str, name: str) -> str:
-    """What a figure of a set shows; its name is one of the set's, or that with an output's, or an output."""
-    kind, _, output = name.partition("-")
-    known = CAPTIONS.get(f"{whole} {kind}")
-    return CAPTIONS[whole].format(name) if known is None else known.format(output)
+    Where an object has outputs, a drawing of one is made of each, by the name NAME-OUTPUT.
+    """
+    of = OUTPUTS.get(type(shown).__name__)
+    outputs = [x if isinstance(x, str) else x[0] for x in getattr(shown, of)] if of else []
+    for kind, name in drawings_of(type(shown)).items():
+        drawing = _function(name)
+        caption = (inspect.getdoc(drawing) or "").partition("\n\n")[0].replace("\n", " ")
+        takes_one = "output" in inspect.signature(drawing).parameters
+        for number, output in enumerate(outputs if takes_one and of else [None], start=1):
+            try:
+                figure: Any = drawing(shown) if output is None else drawing(shown, output=output)
+            except InputError as error:
+                if remark is not None and not of:
+                    remark(f"no figure {kind}: {error}")
+                continue
+            if output is None:
+                yield kind, Picture(figure, caption)
+            else:
+                yield f"{kind}-{stem(output, number)}", Picture(figure, f"{output}: {caption}")
 
 
 def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> Any:

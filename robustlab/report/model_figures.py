@@ -116,7 +116,7 @@ def bode_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, se
 
 @style.house_style()
 def sigma_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
-    """Largest and smallest singular value over frequency; options as of `bode_figure`."""
+    """Largest and smallest singular value over frequency."""
     drawn = _drawn(shown, n, seed, MOST * 1000)
     model = drawn.nominal
     w = _frequencies(model, omega)
