@@ -103,7 +103,7 @@ def decode_model(
     if len(problems.lines) > found:
         return None
     _fit(matrices, node, problems, like)
-    e = matrices.pop("E", None)
+    e = matrices.get("E")
     own_dt = sample_time(node, problems)
     signals = decode_signals(node, problems)
     point = decode_point(node, problems)
@@ -115,9 +115,9 @@ def decode_model(
     step = own_dt if own_dt is not None else dt or 0.0
     where = problems.file if node.path == "/" else f"{problems.file}: {node.path}"
     try:
-        model = StateSpaceModel(
-            *matrices.values(), step, inputs, outputs, states, None if e is not None else point, where=where
-        )
+        a, b, c, d = (matrices[name] for name in NAMES)
+        at = point if e is None else None
+        model = StateSpaceModel(a, b, c, d, step, inputs, outputs, states, at, where=where)
         return model if e is None else _eliminated(model, e, point, problems, where)
     except InputError as error:
         problems.absorb(error)
