@@ -66,12 +66,16 @@ def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> A
     if ax is not None and not isinstance(ax, Axes):
         raise InputError(where, f"ax is a {type(ax).__name__}", "one matplotlib Axes")
     drawing = _function(known[kind or next(iter(known))])
-    _check_options(where, drawing, options)
+    names = list(inspect.signature(drawing).parameters)[1:]
+    for name in options:
+        if name not in names:
+            expected = f"one of {', '.join(names)}" if names else "none"
+            raise InputError(where, f"option {name!r}", expected, did_you_mean(name, names))
+    import matplotlib.pyplot as plt
+
     made: list[Figure] = []
 
     def figure_of(size: tuple[float, float]) -> Figure:
-        import matplotlib.pyplot as plt
-
         made.append(plt.figure(figsize=size, layout="constrained"))
         return made[-1]
 
@@ -79,38 +83,20 @@ def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> A
         with drawn_on(ax if ax is not None else figure_of):
             figure = drawing(shown, **options)
     except BaseException:
-        _discard(made)
+        for one in made:
+            plt.close(one)
         raise
-    return _panels(figure, ax)
-
-
-def _function(name: str) -> Callable[..., Figure | SubFigure]:
-    module, _, function = name.partition(".")
-    return getattr(import_module(f"robustlab.report.{module}"), function)
-
-
-def _check_options(where: str, drawing: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    known = list(inspect.signature(drawing).parameters)[1:]
-    for name in options:
-        if name not in known:
-            expected = f"one of {', '.join(known)}" if known else "none"
-            raise InputError(where, f"option {name!r}", expected, did_you_mean(name, known))
-
-
-def _discard(figures: list[Figure]) -> None:
-    import matplotlib.pyplot as plt
-
-    for figure in figures:
-        plt.close(figure)
-
-
-def _panels(figure: Figure | SubFigure, ax: Axes | None) -> Any:
-    """The Axes that were drawn into, in the order of the panels; an array where there are several."""
     if ax is not None and figure is ax.figure and ax in figure.axes:
         return ax
+    # The Axes that were drawn into, in the order of the panels; an array where there are several.
     panels = [axes for axes in figure.axes if axes.get_visible()]
     if len(panels) == 1:
         return panels[0]
     array = np.empty(len(panels), dtype=object)
     array[:] = panels
     return array
+
+
+def _function(name: str) -> Callable[..., Figure | SubFigure]:
+    module, _, function = name.partition(".")
+    return getattr(import_module(f"robustlab.report.{module}"), function)
