@@ -15,7 +15,7 @@ import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber, plain_text
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from robustlab.report.drawings import Picture
 
 
 SCHEMA = "robustlab.result/1"
@@ -95,25 +95,15 @@ def figure_place(path: str, name: str, suffix: str = "") -> tuple[Path, str]:
     return target.parent, (target.stem if target.suffix.lower() in (".svg", ".png") else target.name) + suffix
 
 
-def save_figures(figures: Mapping[str, Figure], path: str, prefix: str = "") -> list[str]:
-    """Write each figure as SVG and PNG where ``--figure`` says, in a folder with the prefix; the paths."""
-    from robustlab.report.style import save_figure
-
-    made: list[str] = []
-    for name, figure in figures.items():
-        place = figure_place(path, prefix + name, f"-{name}" if len(figures) > 1 else "")
-        made += map(str, save_figure(figure, *place))
-    return made
-
-
-def save_drawing(figure: Figure, path: str, suffix: str = "") -> list[str]:
-    """Write a figure as SVG and PNG where ``--figure`` says, one of several with its suffix, with a note for each.
+def save_figures(pictures: Mapping[str, Picture], path: str, part: str = "") -> list[str]:
+    """Write each figure as SVG and PNG where ``--figure`` says: the first by that name, others with their own behind.
 
     Gives the paths.
     """
     from robustlab.report.style import save_figure
 
-    files = [str(made) for made in save_figure(figure, *figure_place(path, suffix.lstrip("-") or "figure", suffix))]
-    for made in files:
-        note(f"written: {made}")
-    return files
+    made: list[str] = []
+    for name, picture in pictures.items():
+        own, suffix = "-".join(filter(None, (part, name))), "".join(f"-{t}" for t in (part, name if made else "") if t)
+        made += map(str, save_figure(picture.figure, *figure_place(path, own, suffix)))
+    return made

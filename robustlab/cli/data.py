@@ -87,9 +87,9 @@ def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[st
     if options["figures"] or options["folder"]:
         options["report"]("figures and files")
     if options["figures"]:
-        from robustlab.report.discovery import discovery_figures
+        from robustlab.report.drawings import pictures_of
 
-        written += save_figures(discovery_figures(found), options["figures"])
+        written += save_figures(dict(pictures_of(found)), options["figures"])
     if options["folder"]:
         written += _fill_folder(found, result, Path(options["folder"]), origin)
     for file in written:

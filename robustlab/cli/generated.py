@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import FIGURE, emit, note, require_trust, result_alone, save_drawing, save_figures
+from robustlab.cli.console import FIGURE, emit, note, require_trust, result_alone, save_figures
 from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, signals_of
 from robustlab.cli.plant import machine
@@ -308,31 +308,21 @@ def provenance_of(
 
 def _draw(one: InLoop, figure: str, part: str) -> list[str]:
     """Write every picture of the result that can be drawn, and of what stands beside it; the paths."""
-    from robustlab.report.drawing_table import PREFIXES, SETS
     from robustlab.report.drawings import pictures_of
 
     pictures = dict(pictures_of(one.result, note))
     for result in one.beside.values():
         pictures |= dict(pictures_of(result, note))
-    kind = type(one.result).__name__
-    if kind in SETS:
-        figures = {name: picture.figure for name, picture in pictures.items()}
-        files = save_figures(figures, figure, PREFIXES.get(kind, ""))
-        note("\n".join(f"written: {file}" for file in files))
-        return files
-    made: list[str] = []
-    for name, picture in pictures.items():
-        made += save_drawing(picture.figure, figure, "".join(f"-{t}" for t in (part, name if made else "") if t))
-    if not made:
-        note("nothing to draw")
-    return made
+    files = save_figures(pictures, figure, part)
+    note("\n".join(f"written: {file}" for file in files) or "nothing to draw")
+    return files
 
 
 def _draws(declared: Operation) -> bool:
     """Whether the results have pictures; asked by name, the classes need not be loaded."""
-    from robustlab.report.drawing_table import DRAWINGS, SETS
+    from robustlab.report.drawing_table import DRAWINGS
 
-    return declared.result.rpartition(".")[2] in {*DRAWINGS, *SETS}
+    return declared.result.rpartition(".")[2] in DRAWINGS
 
 
 # --- options ----------------------------------------------------------------------------------------------------------

@@ -141,19 +141,17 @@ def _link(walk: _Walk, gid: h5g.GroupID, raw: bytes, tree: Tree, depth: int) -> 
         walk.problem(tree.child_path(name[:40] + "..."), f"name of {len(name)} characters, limit {walk.limits.name}")
         return
     kind = gid.links.get_info(raw).type
-    if kind == h5l.TYPE_SOFT:
-        walk.problem(path, f"soft link to {_target(gid.links.get_val(raw))} is not allowed")
-    elif kind == h5l.TYPE_EXTERNAL:
-        file, target = gid.links.get_val(raw)
-        walk.problem(path, f"external link to {_target(file)} {_target(target)} is not allowed")
-    elif kind != h5l.TYPE_HARD:
-        walk.problem(path, "user-defined link is not allowed")
-    else:
+    if kind == h5l.TYPE_HARD:
         child = h5o.open(gid, raw)
         if isinstance(child, h5g.GroupID):
             tree.groups[name] = _group(walk, child, path, depth + 1)
         elif isinstance(child, h5d.DatasetID):
             tree.datasets[name] = _dataset(walk, child, path)
+        return
+    target = gid.links.get_val(raw) if kind in (h5l.TYPE_SOFT, h5l.TYPE_EXTERNAL) else ()
+    words = {h5l.TYPE_SOFT: "soft link to", h5l.TYPE_EXTERNAL: "external link to"}.get(kind, "user-defined link")
+    parts = [target] if isinstance(target, bytes) else target
+    walk.problem(path, " ".join([words, *map(_target, parts), "is not allowed"]))
 
 
 def _target(raw: bytes) -> str:
@@ -175,11 +173,25 @@ def _dataset(walk: _Walk, did: h5d.DatasetID, path: str) -> Dataset:
     shape, kind = did.shape, _kind(did.get_type())
     if shape is None:
         return Dataset(Unread("no values (null dataspace)", ()), attrs)
-    if kind not in ("number", "bool", "complex", "text") or not walk.is_wanted(path):
-        return Dataset(Unread(kind if kind not in ("number", "text") else "not read", shape), attrs)
+    if kind not in READ or not walk.is_wanted(path):
+        return Dataset(Unread("not read" if kind in ("number", "text") else kind, shape), attrs)
     if not _may_be_read(walk, did, plist, path, kind):
         return Dataset(Unread("too large", shape), attrs)
-    return Dataset(_values(walk, did, path, kind, shape), attrs)
+    if kind == "text" and math.prod(shape) > MAX_TEXTS:
+        walk.problem(path, f"{math.prod(shape)} texts, limit {MAX_TEXTS}")
+        return Dataset(Unread("text", shape), attrs)
+    dataset = h5py.Dataset(did)
+    try:
+        return Dataset(_plain(dataset[()], kind), attrs)
+    except UnicodeError:
+        walk.problem(path, "text is not UTF-8")
+    except OverflowError:
+        walk.problem(path, "a whole number beyond 64 bits")
+    except (OSError, RuntimeError) as error:
+        # the checksum is the first filter when reading
+        summed = dataset.fletcher32 and "filter" in str(error)
+        walk.problem(path, "checksum mismatch" if summed else f"damaged values ({_short(error)})")
+    return Dataset(Unread("damaged", shape), attrs)
 
 
 def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str, kind: str) -> bool:
@@ -190,53 +202,35 @@ def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str, kind: s
             word = f" ({label.decode(errors='replace')})" if label else ""
             walk.problem(path, f"filter {code}{word} is not known here; plugins are not loaded")
             return False
-    shape, limit = did.shape, walk.limits.dataset
-    stated = did.get_type().get_size()
+    shape, limit, stated = did.shape, walk.limits.dataset, did.get_type().get_size()
     declared = math.prod(shape) * {"number": 8, "complex": 16, "text": 4 * stated}.get(kind, stated)
-    size = " x ".join(str(n) for n in shape)
-    if declared > limit:
-        walk.problem(path, f"declares {size} ({size_text(declared)}), limit {size_text(limit)}")
-        return False
-    if plist.get_layout() == h5d.CHUNKED:
-        chunk = math.prod(plist.get_chunk()) * did.get_type().get_size()
-        if chunk > limit:
-            walk.problem(path, f"chunks of {size_text(chunk)} in memory, limit {size_text(limit)}")
+    chunk = math.prod(plist.get_chunk()) * stated if plist.get_layout() == h5d.CHUNKED else 0
+    stored, size = did.get_storage_size(), " x ".join(str(n) for n in shape)
+    total = walk.total + declared
+    for too_much, text in (
+        (declared > limit, f"declares {size} ({size_text(declared)}), limit {size_text(limit)}"),
+        (chunk > limit, f"chunks of {size_text(chunk)} in memory, limit {size_text(limit)}"),
+        (declared and not stored, f"declares {size or 'a number'}, but no values are stored"),
+        (
+            declared > max(limit // 64, MAX_EXPANSION * stored),
+            f"declares {size_text(declared)} in {stored} stored bytes: made to grow when it is read",
+        ),
+        (
+            total > walk.limits.total,
+            f"with this dataset {size_text(total)} in all, limit {size_text(walk.limits.total)}",
+        ),
+    ):
+        if too_much:
+            walk.problem(path, text)
             return False
-    stored = did.get_storage_size()
-    if declared and not stored:
-        walk.problem(path, f"declares {size or 'a number'}, but no values are stored")
-        return False
-    if declared > limit // 64 and declared > MAX_EXPANSION * stored:
-        walk.problem(path, f"declares {size_text(declared)} in {stored} stored bytes: made to grow when it is read")
-        return False
-    walk.total += declared
-    if walk.total > walk.limits.total:
-        walk.problem(path, f"with this dataset {size_text(walk.total)} in all, limit {size_text(walk.limits.total)}")
-        return False
+    walk.total = total
     return True
-
-
-def _values(walk: _Walk, did: h5d.DatasetID, path: str, kind: str, shape: tuple[int, ...]) -> Any:
-    dataset = h5py.Dataset(did)
-    if kind == "text" and math.prod(shape) > MAX_TEXTS:
-        walk.problem(path, f"{math.prod(shape)} texts, limit {MAX_TEXTS}")
-        return Unread("text", shape)
-    try:
-        return _plain(dataset[()], kind)
-    except UnicodeError:
-        walk.problem(path, "text is not UTF-8")
-    except OverflowError:
-        walk.problem(path, "a whole number beyond 64 bits")
-    except (OSError, RuntimeError) as error:
-        # the checksum is the first filter when reading
-        summed = dataset.fletcher32 and "filter" in str(error)
-        walk.problem(path, "checksum mismatch" if summed else f"damaged values ({_short(error)})")
-    return Unread("damaged", shape)
 
 
 # --- types -----------------------------------------------------------------------------------------------------------
 
 
+READ = ("number", "bool", "complex", "text")
 TYPES = {
     h5t.STRING: "text", h5t.OPAQUE: "opaque", h5t.REFERENCE: "reference", h5t.VLEN: "variable length",
     h5t.ARRAY: "array", h5t.BITFIELD: "bitfield", h5t.TIME: "time",
@@ -284,24 +278,19 @@ def _attributes(walk: _Walk, oid: Any, path: str) -> dict[str, Any]:
     values = (h5py.Group(oid) if isinstance(oid, h5g.GroupID) else h5py.Dataset(oid)).attrs
     for i in range(h5a.get_num_attrs(oid)):
         aid = h5a.open(oid, index=i)
+        name, kind, shape = aid.name.decode(errors="surrogateescape"), _kind(aid.get_type()), aid.shape
         try:
-            name = aid.name.decode()
-        except UnicodeDecodeError:
-            walk.problem(path, f"attribute name {aid.name[:40]!r} is not UTF-8")
-            continue
-        if len(name) > walk.limits.name:
-            walk.problem(path, f"attribute name of {len(name)} characters, limit {walk.limits.name}")
-            continue
-        kind, shape = _kind(aid.get_type()), aid.shape
-        if kind not in ("number", "bool", "complex", "text") or shape is None:
-            continue
-        if math.prod(shape) * aid.get_type().get_size() > MAX_ATTRIBUTE:
-            walk.problem(path, f"attribute {name} is larger than {size_text(MAX_ATTRIBUTE)}")
-            continue
-        try:
-            attrs[name] = _plain(values[name], kind)
+            name.encode()
+            if len(name) > walk.limits.name:
+                walk.problem(path, f"attribute name of {len(name)} characters, limit {walk.limits.name}")
+            elif kind not in READ or shape is None:
+                continue
+            elif math.prod(shape) * aid.get_type().get_size() > MAX_ATTRIBUTE:
+                walk.problem(path, f"attribute {name} is larger than {size_text(MAX_ATTRIBUTE)}")
+            else:
+                attrs[name] = _plain(values[name], kind)
         except UnicodeError:
-            walk.problem(path, f"attribute {name} is not UTF-8")
+            walk.problem(path, f"attribute {aid.name[:40]!r} is not UTF-8")
         except OverflowError:
             walk.problem(path, f"attribute {name} is a whole number beyond 64 bits")
         except (OSError, RuntimeError) as error:

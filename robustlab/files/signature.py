@@ -18,6 +18,10 @@ BINARY_SUFFIXES = {
     ".mat": "a MATLAB file of version 5 or 7.3",
 }
 _FORMATS = "HDF5, MATLAB (.mat) or text (.csv, .txt)"
+_OTHERS = {
+    b"SQLite format 3\x00": "an SQLite database",
+    b"PK\x03\x04": "a zip archive (npz, xlsx, ...) is refused: it can hide any amount of data or code",
+}
 
 
 @dataclass(frozen=True)
@@ -44,10 +48,9 @@ def size_text(n: int) -> str:
     >>> size_text(8 * 10**12), size_text(256 << 20)
     ('8 TB', '256 MiB')
     """
-    if n >= 1 << 10 and n % (1 << 20) == 0 and n < 1 << 30:
-        return f"{n >> 20} MiB"
-    if n >= 1 << 30 and n % (1 << 30) == 0 and n < 1 << 40:
-        return f"{n >> 30} GiB"
+    for unit, scale in (("GiB", 30), ("MiB", 20)):
+        if 0 < n < 1 << (scale + 10) and n % (1 << scale) == 0:
+            return f"{n >> scale} {unit}"
     for unit, scale in (("EB", 1e18), ("PB", 1e15), ("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if n >= scale:
             return f"{n / scale:.4g} {unit}"
@@ -56,14 +59,16 @@ def size_text(n: int) -> str:
 
 def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
     """First 520 bytes of ``path``, once it is a regular, readable, non-empty file within the size limit."""
-    path = Path(path)
+    path, limits = Path(path), limits or Limits()
     where = str(path)
-    limits = limits or Limits()
     try:
         state = path.stat()
-        _check_state(state, where, limits)
+        if stat.S_ISDIR(state.st_mode):
+            raise InputError(where, "is a directory", "a file")  # noqa: TRY301  beside what the system refuses
+        if not stat.S_ISREG(state.st_mode):
+            raise InputError(where, "is not a regular file (a device, a pipe or a socket)", "a file")  # noqa: TRY301
         with path.open("rb") as stream:
-            return stream.read(520)
+            head = stream.read(520)
     except InputError:
         raise
     except FileNotFoundError:
@@ -72,17 +77,11 @@ def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
         raise InputError(where, "no permission to read it", None, f"chmod u+r {where}") from None
     except (OSError, ValueError) as error:  # a name too long, a NUL in the name, a loop of links, a dead network disk
         raise InputError(where, f"cannot be opened ({getattr(error, 'strerror', None) or error})") from None
-
-
-def _check_state(state: os.stat_result, where: str, limits: Limits) -> None:
-    if stat.S_ISDIR(state.st_mode):
-        raise InputError(where, "is a directory", "a file")
-    if not stat.S_ISREG(state.st_mode):
-        raise InputError(where, "is not a regular file (a device, a pipe or a socket)", "a file")
     if state.st_size == 0:
         raise InputError(where, "empty file (0 bytes)", _FORMATS)
     if state.st_size > limits.file:
         raise InputError(where, f"{size_text(state.st_size)}", f"at most {size_text(limits.file)}")
+    return head
 
 
 def _missing(path: Path) -> InputError:
@@ -109,14 +108,12 @@ def content_of(path: str | Path, limits: Limits | None = None) -> Content:
         return "matlab5"
     if path.suffix.lower() in BINARY_SUFFIXES:
         raise InputError(where, f"not {BINARY_SUFFIXES[path.suffix.lower()]} (first bytes {head[:4].hex(' ')})")
-    if head.startswith(b"SQLite format 3\x00"):
-        raise InputError(where, "an SQLite database", _FORMATS)
-    if head.startswith(b"PK\x03\x04"):
-        raise InputError(
-            where, "a zip archive (npz, xlsx, ...) is refused: it can hide any amount of data or code", _FORMATS
-        )
-    if head.startswith(b"\x93NUMPY") or (head[:1] == b"\x80" and head[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")):
-        kind = ".npy" if head.startswith(b"\x93NUMPY") else ".pkl"
+    for magic, words in _OTHERS.items():
+        if head.startswith(magic):
+            raise InputError(where, words, _FORMATS)
+    pickled = head[:1] == b"\x80" and head[1:2] in b"\x02\x03\x04\x05"
+    if pickled or head.startswith(b"\x93NUMPY"):
+        kind = ".pkl" if pickled else ".npy"
         raise _refusal(path, kind, f"a pickle or npy file is {FOREIGN[kind][0]}")
     if b"\x00" in head:
         word = "UTF-16 text" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "unknown binary format"

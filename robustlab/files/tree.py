@@ -64,20 +64,15 @@ class Tree:
     def put(self, name: str, values: Any, **attrs: Any) -> Dataset:
         """Add a dataset; the values are brought to their canonical type."""
         where = self.child_path(name)
-        dataset = Dataset(
-            canonical(values, where), {key: canonical(item, f"{where}@{key}") for key, item in attrs.items()}
-        )
-        self.datasets[name] = dataset
-        return dataset
+        given = {key: canonical(item, f"{where}@{key}") for key, item in attrs.items()}
+        self.datasets[name] = Dataset(canonical(values, where), given)
+        return self.datasets[name]
 
     def find(self, path: str) -> Tree | None:
         """The group at ``path`` relative to this one, or None."""
-        node = self
-        for part in path.strip("/").split("/"):
-            if part:
-                if part not in node.groups:
-                    return None
-                node = node.groups[part]
+        node: Tree | None = self
+        for part in filter(None, path.split("/")):
+            node = node.groups.get(part) if node is not None else None
         return node
 
     def group_names(self) -> list[str]:
@@ -112,9 +107,8 @@ def canonical(values: Any, where: str) -> AnyArray:
     if kind == "U":
         for text in array.ravel().tolist():
             if "\x00" in text or any("\ud800" <= ch <= "\udfff" for ch in text):
-                raise InputError(
-                    where, f"text {text!r} cannot be stored", "text without NUL characters, valid as UTF-8"
-                )
+                expected = "text without NUL characters, valid as UTF-8"
+                raise InputError(where, f"text {text!r} cannot be stored", expected)
         return array
     raise InputError(where, f"dtype {array.dtype}", "numbers or text")
 
@@ -133,9 +127,8 @@ def content_sha256(tree: Tree) -> str:
         digest.update((b"D" if isinstance(item, Dataset) else b"G") + _text(path))
         if isinstance(item, Dataset):
             if isinstance(item.values, Unread):
-                raise InputError(
-                    tree.file, f"{path} has dtype {item.values.dtype}", "float64, int64, bool, complex128 or text"
-                )
+                expected = "float64, int64, bool, complex128 or text"
+                raise InputError(tree.file, f"{path} has dtype {item.values.dtype}", expected)
             digest.update(_array(item.values))
         for name in sorted(item.attrs, key=str.encode):
             if (path, name) != ("/", "content_sha256"):
@@ -239,12 +232,8 @@ def check_header(tree: Tree, no_verify: bool = False) -> tuple[str, list[str]]:
     if not parsed:
         raise InputError(where, f"attribute format_version is {_shown(attrs, 'format_version')}", f"{FORMAT_VERSION!r}")
     if int(parsed[1]) > 1:
-        raise InputError(
-            where,
-            f"written by schema {version}, this robustlab reads <= 1.x; upgrade",
-            None,
-            "pip install --upgrade robustlab",
-        )
+        found = f"written by schema {version}, this robustlab reads <= 1.x; upgrade"
+        raise InputError(where, found, None, "pip install --upgrade robustlab")
     if int(parsed[1]) < 1:
         raise InputError(where, f"written by schema {version}, which no robustlab ever wrote", f"{FORMAT_VERSION!r}")
     kind = text_attr(attrs, "kind")
@@ -261,28 +250,16 @@ def _check_hash(tree: Tree, no_verify: bool) -> list[str]:
             if name not in ATTRIBUTES and did_you_mean(name, ["content_sha256"]):
                 raise InputError(tree.file, f"unexpected attribute {name!r}", None, "did you mean content_sha256?")
         return ["the file carries no content_sha256: nothing shows that it is as it was written"]
-    if no_verify:
-        matches = _matches(tree, stored)
-        return (
-            []
-            if matches
-            else ["content_sha256 does not match; loaded all the same (--no-verify): certify nothing with it"]
-        )
-    if not _matches(tree, stored):
-        raise InputError(
-            tree.file,
-            "/: checksum mismatch (content_sha256): the content was changed after it was written",
-            None,
-            "make the file again, or look at it with no_verify=True",
-        )
-    return []
-
-
-def _matches(tree: Tree, stored: str) -> bool:
     try:
-        return content_sha256(tree) == stored
+        matches = content_sha256(tree) == stored
     except InputError:
-        return False  # a dataset of a type that format 1 never writes
+        matches = False  # a dataset of a type that format 1 never writes
+    if matches:
+        return []
+    if no_verify:
+        return ["content_sha256 does not match; loaded all the same (--no-verify): certify nothing with it"]
+    found = "/: checksum mismatch (content_sha256): the content was changed after it was written"
+    raise InputError(tree.file, found, None, "make the file again, or look at it with no_verify=True")
 
 
 def _shown(attrs: dict[str, Any], name: str) -> str:

@@ -8,9 +8,9 @@ __all__, __getattr__ = lazily(
         "style": "COLOURS house_style logarithmic new_figure save_figure",
         "html": "in_words junit_xml render verdict",
         "drawings": "drawings_of pictures_of",
-        "drawing_table": "DRAWINGS SETS",
+        "drawing_table": "DRAWINGS",
         "robustness_figures": "distribution_figure influence_figure mu_figure response_figure",
         "set_figures": "blocks_figure cloud_figure cover_figures weight_figure",
-        "discovery": "discovery_figures write_page",
+        "discovery": "write_page",
     },
 )

@@ -5,6 +5,8 @@ And of the linear part of a record and what is beyond it: its frequency response
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -24,31 +26,7 @@ FEWEST_SHOWN = 20  # lines
 BINS_PER_DECADE = 30  # densities are drawn as their means over such bins of frequency
 DECADES = 12  # shown below the largest density
 FREE, WINDOWED = style.WORST, style.NOMINAL
-FREE_RUN = {"color": FREE, "ls": style.DASHED, "label": "simulated, free run"}
-
-
-def comparison_figures(comparison: Comparison) -> dict[str, Figure]:
-    """All figures of a comparison, for every output q; an output whose name is no plain word is called by its number.
-
-    ``where-q``, ``time-q``, ``speed-q`` (where a speed is known), ``spectrum-q`` (where the free run is whole),
-    ``response-q`` (where the record gives a frequency response), ``residual-q``; and once ``harmonics`` (where the
-    excitation allows the test).
-    """
-    c, figures = comparison, dict[str, Figure]()
-    for k, output in enumerate(c.outputs, start=1):
-        for kind, draw, known in (
-            ("where", where_figure, True),
-            ("time", time_figure, True),
-            ("speed", speed_figure, output in c.speed),
-            ("spectrum", spectrum_figure, output in c.frequency),
-            ("response", response_figure, bool(c.linear.get(output))),
-            ("residual", residual_figure, True),
-        ):
-            if known:
-                figures[f"{kind}-{style.stem(output, k)}"] = draw(c, output)
-    if c.nonlinearity.signals:
-        figures["harmonics"] = harmonics_figure(c)
-    return figures
+FREE_RUN: dict[str, Any] = {"color": FREE, "ls": style.DASHED, "label": "simulated, free run"}
 
 
 @style.house_style()
@@ -204,11 +182,12 @@ def spectrum_figure(comparison: Comparison, output: str | None = None) -> Figure
     s, unit = comparison.frequency[output], comparison.outputs[output].unit or "unit"
     f = s.frequency[1:]  # frequency 0 has no place on a logarithmic axis
     figure, (above, below) = style.new_figure(2, 1, width=7.6, height=2.7, sharex=True)
-    for density, how in (
+    curves: list[tuple[Array, dict[str, Any]]] = [
         (s.measured, {"color": style.MEASURED, "label": "record"}),
         (s.simulated, FREE_RUN),
         (s.error, {"color": WINDOWED, "label": "error of the free run"}),
-    ):
+    ]
+    for density, how in curves:
         if density[1:].any():
             above.loglog(*_smoothed(f, density[1:]), lw=1.3, **how)
     top = max(float(density[1:].max()) for density in (s.measured, s.simulated, s.error))
@@ -221,7 +200,7 @@ def spectrum_figure(comparison: Comparison, output: str | None = None) -> Figure
     for name, colour in zip(most, (style.NOMINAL, style.GOOD, style.WORST), strict=False):
         label = f"{style.plain_label(name)} with the error (mean over narrow bands)"
         below.semilogx(*_smoothed(f, s.coherence[name][1:]), color=colour, lw=1.2, label=label)
-    level = {"color": style.LIMIT, "ls": (0, (4, 2)), "label": "99 % of independent signals lie below"}
+    level: dict[str, Any] = {"color": style.LIMIT, "ls": (0, (4, 2)), "label": "99 % of independent signals lie below"}
     below.axhline(s.coherence_level, lw=1.2, **level)
     below.set(ylim=(0.0, 1.3), yticks=[0.0, 0.5, 1.0], ylabel="coherence", xlabel="frequency [Hz]", xlim=(f[0], f[-1]))
     below.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -275,8 +254,8 @@ def response_figure(comparison: Comparison, output: str | None = None) -> Figure
     row = comparison.linear[output]
     ratios, width = {"height_ratios": [3, 2, 2]}, max(7.6, 4.6 * len(row))
     figure, axes = style.new_figure(3, len(row), width=width, height=2.2, sharex="col", gridspec_kw=ratios)
-    recorded: dict[str, object] = {"color": style.MEASURED, "lw": 1.2}
-    modelled: dict[str, object] = {"color": style.WORST, "ls": style.DASHED, "lw": 1.4}
+    recorded: dict[str, Any] = {"color": style.MEASURED, "lw": 1.2}
+    modelled: dict[str, Any] = {"color": style.WORST, "ls": style.DASHED, "lw": 1.4}
     for j, (u, g) in enumerate(row.items()):
         above, middle, below = axes[j :: len(row)]
         few = len(g.frequency) <= FEW_LINES

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from robustlab.synthesis.specifications.tracking_problem import TrackingLoop
 
 # Colour, dashes and width of the designs that a figure compares, in their order; a narrow curve shows on a wide one.
-DESIGNS = (
+DESIGNS: tuple[dict[str, Any], ...] = (
     {"color": style.MEASURED, "ls": (0, (4, 1.5)), "lw": 1.4},
     {"color": style.NOMINAL, "ls": "-", "lw": 3.0},
     {"color": style.WORST, "ls": "-", "lw": 1.4},

@@ -19,7 +19,7 @@ from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.residual_force import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.report import style
-from robustlab.report.drawings import caption_of
+from robustlab.report.drawings import pictures_of
 from robustlab.report.html import render
 from robustlab.result import plain
 
@@ -30,25 +30,8 @@ SHOWN = 9  # sets of effects
 DRAWN = 4000  # samples of a curve
 BEYOND = 0.6  # of the measured range, drawn of a model that leaves it
 ALONG = "one run, linear about the recorded motion"
-WHOLE = "discovery.discovery_figures"  # of `robustlab.report.drawing_table`
 ORDER = ("speed", "position", "time", "input")  # of the panels
 ASIDE = 0.03  # of the bands' ends may lie outside the vertical axis on either side
-
-
-def discovery_figures(discovery: Discovery) -> dict[str, Figure]:
-    """``story``; ``run-q`` and ``stretch-q`` for every output q; ``posterior``; ``force`` where a force is known."""
-    d = discovery
-    figures = {"story": gap_figure(d)}
-    for k, output in enumerate(d.series.get("free_run", {}).get("outputs", {}), start=1):
-        if output in d.free_run:
-            figures[f"run-{style.stem(output, k)}"] = free_run_figure(d, output)
-    for k, output in enumerate(d.series.get("outputs", {}), start=1):
-        figures[f"stretch-{style.stem(output, k)}"] = stretch_figure(d, output)
-    if d.posterior:
-        figures["posterior"] = posterior_figure(d)
-    if d.residual_force is not None and d.residual_force.curves:
-        figures["force"] = force_of(d)
-    return figures
 
 
 @style.house_style()
@@ -302,8 +285,8 @@ def _share(percent: float) -> str:
 
 def write_page(d: Discovery, folder: Path, provenance: Provenance) -> list[Path]:
     """Write the figures into ``folder/figures`` and ``folder/report.html``; the paths written, the page last."""
-    figures = discovery_figures(d)
-    files = [path for name, figure in figures.items() for path in style.save_figure(figure, folder / "figures", name)]
+    pictures = dict(pictures_of(d))
+    files = [path for name, p in pictures.items() for path in style.save_figure(p.figure, folder / "figures", name)]
     tone, mark = TONES[d.verdict] if d.complete or d.verdict != "named" else ("warn", "!")
     page = {
         "verdict": {"tone": tone, "mark": mark, "headline": f"{d.headline()}.", "detail": MEANINGS[d.verdict]},
@@ -316,7 +299,7 @@ def write_page(d: Discovery, folder: Path, provenance: Provenance) -> list[Path]
                 "facts": [{"label": label, "value": value, "source": ""} for label, value in d.facts()],
                 "notes": [f.message for f in d.findings],
                 "story": [dict(zip(("label", "value", "source"), part, strict=True)) for part in story(d)],
-                "figures": [{"stem": name, "caption": caption_of(WHOLE, name)} for name in figures],
+                "figures": [{"stem": name, "caption": p.caption} for name, p in pictures.items()],
             }
         ],
         "recipe": {

@@ -16,8 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from robustlab.errors import InputError, did_you_mean
-from robustlab.report.drawing_table import CAPTIONS, DRAWINGS, SETS
-from robustlab.report.style import drawn_on
+from robustlab.report.drawing_table import DRAWINGS, OUTPUTS
+from robustlab.report.style import drawn_on, stem
 
 
 def drawings_of(kind: type) -> Mapping[str, str]:
@@ -33,27 +33,27 @@ class Picture(NamedTuple):
 
 
 def pictures_of(shown: Any, remark: Callable[[str], None] | None = None) -> Iterator[tuple[str, Picture]]:
-    """Every drawing of an object that has something to show, by name; ``remark`` hears why another has not."""
-    whole = SETS.get(type(shown).__name__, "")
-    if whole:
-        made: Any = _function(whole)(shown)
-        yield from ((name, Picture(figure, caption_of(whole, name))) for name, figure in made.items())
-        return
-    for name, function in drawings_of(type(shown)).items():
-        try:
-            figure: Any = _function(function)(shown)
-        except InputError as error:
-            if remark is not None:
-                remark(f"no figure {name}: {error}")
-            continue
-        yield name, Picture(figure, CAPTIONS.get(function, f"{name.capitalize()}."))
+    """Every drawing of an object that has something to show, by name; ``remark`` hears why another has not.
 
-
-def caption_of(whole: str, name: str) -> str:
-    """What a figure of a set shows; its name is one of the set's, or that with an output's, or an output."""
-    kind, _, output = name.partition("-")
-    known = CAPTIONS.get(f"{whole} {kind}")
-    return CAPTIONS[whole].format(name) if known is None else known.format(output)
+    Where an object has outputs, a drawing of one is made of each, by the name NAME-OUTPUT.
+    """
+    of = OUTPUTS.get(type(shown).__name__)
+    outputs = [x if isinstance(x, str) else x[0] for x in getattr(shown, of)] if of else []
+    for kind, name in drawings_of(type(shown)).items():
+        drawing = _function(name)
+        caption = (inspect.getdoc(drawing) or "").partition("\n\n")[0].replace("\n", " ")
+        takes_one = "output" in inspect.signature(drawing).parameters
+        for number, output in enumerate(outputs if takes_one and of else [None], start=1):
+            try:
+                figure: Any = drawing(shown) if output is None else drawing(shown, output=output)
+            except InputError as error:
+                if remark is not None and not of:
+                    remark(f"no figure {kind}: {error}")
+                continue
+            if output is None:
+                yield kind, Picture(figure, caption)
+            else:
+                yield f"{kind}-{stem(output, number)}", Picture(figure, f"{output}: {caption}")
 
 
 def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> Any:
@@ -66,12 +66,16 @@ def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> A
     if ax is not None and not isinstance(ax, Axes):
         raise InputError(where, f"ax is a {type(ax).__name__}", "one matplotlib Axes")
     drawing = _function(known[kind or next(iter(known))])
-    _check_options(where, drawing, options)
+    names = list(inspect.signature(drawing).parameters)[1:]
+    for name in options:
+        if name not in names:
+            expected = f"one of {', '.join(names)}" if names else "none"
+            raise InputError(where, f"option {name!r}", expected, did_you_mean(name, names))
+    import matplotlib.pyplot as plt
+
     made: list[Figure] = []
 
     def figure_of(size: tuple[float, float]) -> Figure:
-        import matplotlib.pyplot as plt
-
         made.append(plt.figure(figsize=size, layout="constrained"))
         return made[-1]
 
@@ -79,38 +83,20 @@ def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> A
         with drawn_on(ax if ax is not None else figure_of):
             figure = drawing(shown, **options)
     except BaseException:
-        _discard(made)
+        for one in made:
+            plt.close(one)
         raise
-    return _panels(figure, ax)
-
-
-def _function(name: str) -> Callable[..., Figure | SubFigure]:
-    module, _, function = name.partition(".")
-    return getattr(import_module(f"robustlab.report.{module}"), function)
-
-
-def _check_options(where: str, drawing: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    known = list(inspect.signature(drawing).parameters)[1:]
-    for name in options:
-        if name not in known:
-            expected = f"one of {', '.join(known)}" if known else "none"
-            raise InputError(where, f"option {name!r}", expected, did_you_mean(name, known))
-
-
-def _discard(figures: list[Figure]) -> None:
-    import matplotlib.pyplot as plt
-
-    for figure in figures:
-        plt.close(figure)
-
-
-def _panels(figure: Figure | SubFigure, ax: Axes | None) -> Any:
-    """The Axes that were drawn into, in the order of the panels; an array where there are several."""
     if ax is not None and figure is ax.figure and ax in figure.axes:
         return ax
+    # The Axes that were drawn into, in the order of the panels; an array where there are several.
     panels = [axes for axes in figure.axes if axes.get_visible()]
     if len(panels) == 1:
         return panels[0]
     array = np.empty(len(panels), dtype=object)
     array[:] = panels
     return array
+
+
+def _function(name: str) -> Callable[..., Figure | SubFigure]:
+    module, _, function = name.partition(".")
+    return getattr(import_module(f"robustlab.report.{module}"), function)

@@ -116,7 +116,7 @@ def bode_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, se
 
 @style.house_style()
 def sigma_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
-    """Largest and smallest singular value over frequency; options as of `bode_figure`."""
+    """Largest and smallest singular value over frequency."""
     drawn = _drawn(shown, n, seed, MOST * 1000)
     model = drawn.nominal
     w = _frequencies(model, omega)
@@ -150,11 +150,12 @@ def pole_figure(shown: Any, n: int = MEMBERS, seed: int = 0) -> Figure:
         axes.axvline(0.0, label="stability boundary", **edge)
     axes.axhline(0.0, color="#888888", lw=0.8)
     cloud = np.concatenate([np.zeros(0), *(m.poles() for m in drawn.members)])
-    for points, label, marker, how in (
+    kinds: list[tuple[AnyArray, str, str, dict[str, Any]]] = [
         (cloud, "poles of members", ".", {"color": style.SAMPLE, "ms": 4, "alpha": 0.7}),
         (transmission_zeros(model), "zeros", "o", {"color": style.GOOD, "mfc": "none", "mew": 1.6, "ms": 8}),
         (model.poles(), "poles", "x", {"color": style.NOMINAL, "mew": 1.8, "ms": 8}),
-    ):
+    ]
+    for points, label, marker, how in kinds:
         if len(points):
             axes.plot(np.real(points), np.imag(points), marker, label=label, **how)
     unit = "" if model.dt else "rad/s"
@@ -260,7 +261,8 @@ def measured_response_figure(found: FrequencyData | UncertainFrequencyData) -> F
     omega, ratios = found.omega[seen], {"height_ratios": [3, 2]}
     figure, (above, below) = style.new_figure(2, 1, 7.2, 2.2, sharex=True, gridspec_kw=ratios)
     for k, name in enumerate(found.outputs):
-        curve, how = found.response[seen, k], {"color": CURVES[k % len(CURVES)], "ms": 4, "lw": 1.0}
+        curve = found.response[seen, k]
+        how: dict[str, Any] = {"color": CURVES[k % len(CURVES)], "ms": 4, "lw": 1.0}
         above.plot(omega, np.abs(curve), ".-", label=style.plain_label(name), **how)
         below.plot(omega, np.degrees(np.unwrap(np.angle(curve))), ".-", **how)
     style.logarithmic(above.yaxis)

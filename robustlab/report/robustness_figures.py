@@ -42,7 +42,7 @@ LARGEST_GAIN = 60  # dB; of a disk margin's curve
 
 @style.house_style()
 def mu_figure(margin: Margin) -> Figure:
-    """Bounds of mu at the frequencies of the margin, and what is proved between them."""
+    """Bounds of μ over frequency. The proved margin is the inverse of the highest shaded level."""
     figure, (axes,) = style.new_figure(1, 1, width=8.0, height=3.6)
     omega, lower, upper = _with_points_of_the_peak(margin)
     shown = _frame(axes, omega, margin.intervals)
@@ -154,7 +154,7 @@ def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> Mask:
 
 @style.house_style()
 def margin_shares(margin: Margin) -> Figure:
-    """Share of each block in the margin, the largest on top: which range to tighten first."""
+    """What each block weighs in the margin: the range of the one on top is to be tightened first."""
     if not margin.shares:
         raise InputError("plot('shares')", "a margin without shares of its blocks", "one at a simple critical pole")
     ranked = sorted(margin.shares.items(), key=lambda pair: -abs(pair[1]))[:SHOWN_BLOCKS]

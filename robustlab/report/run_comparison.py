@@ -80,9 +80,8 @@ def _step(name: str, a: Mapping[str, Any] | None, b: Mapping[str, Any] | None) -
     was, now = (None if s is None else s["status"] for s in (a, b))
     if a is None or b is None:
         return _row(name, was, now, FRESH if a is None else GONE)
-    if a["trustworthy"] != b["trustworthy"]:
-        return _row(name, was, now, BETTER if b["trustworthy"] else WORSE)
-    return _row(name, was, now, SAME if was == now else CHANGED)
+    change = b["trustworthy"] - a["trustworthy"]
+    return _row(name, was, now, (SAME if was == now else CHANGED, BETTER, WORSE)[change])
 
 
 def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -162,14 +162,6 @@ def _moved(m11: Any, m12: Any, m21: Any, full: bool) -> Array:
 # --- a record beside a set --------------------------------------------------------------------------------------------
 
 
-def validation_figures(found: Validation) -> dict[str, Figure]:
-    """All figures of a validation: one for each output, and ``delta`` in the frequency domain."""
-    figures = {name: validation_figure(found, name) for name, _ in found.outputs}
-    if found.domain == "frequency" and np.isfinite(found.upper):
-        figures["delta"] = delta_figure(found)
-    return figures
-
-
 @style.house_style()
 def validation_figure(found: Validation, output: str | None = None) -> Figure:
     """One output recorded, of the nominal model and as explained; below, what each leaves, in the noise bound.
@@ -227,25 +219,24 @@ def delta_figure(found: Validation) -> Figure:
 
 
 @style.house_style()
-def envelope_figures(found: EnvelopeCoverage) -> dict[str, Figure]:
-    """For each signal of a record: in the envelope of all members; below, both minus the nominal response."""
-    figures = {}
-    for name, signal in found.signals.items():
-        figures[name], (above, below) = style.new_figure(2, 1, width=9.0, height=2.3, sharex=True)
-        t = signal.t
-        for axes, origin in ((above, 0.0), (below, signal.nominal)):
-            band = signal.lower - origin, signal.upper - origin
-            axes.fill_between(t, *band, color=style.BAND, alpha=0.45, lw=0, label="envelope of all members")
-            axes.plot(t, signal.nominal - origin, color=style.NOMINAL, lw=1.0, label="nominal")
-            axes.plot(t, signal.measured - origin, **RECORD)
-        if signal.share < 1:
-            k = int(abs(t - signal.miss_time).argmin())
-            gap = signal.measured[k] - signal.nominal[k]
-            below.plot(t[k], gap, "o", color=style.WORST, ms=5, label="largest miss")
-        above.set_ylabel(style.axis_label(signal.name, signal.unit))
-        below.set(ylabel=style.axis_label("minus nominal", signal.unit), xlabel="time [s]")
-        style.legend_below(figures[name], (below,), 4)
-    return figures
+def envelope_figure(found: EnvelopeCoverage, output: str | None = None) -> Figure:
+    """The record in the envelope of all members; below, both minus the nominal response."""
+    signal = found.signals[style.chosen(list(found.signals), output, "output")]
+    figure, (above, below) = style.new_figure(2, 1, width=9.0, height=2.3, sharex=True)
+    t = signal.t
+    for axes, origin in ((above, 0.0), (below, signal.nominal)):
+        band = signal.lower - origin, signal.upper - origin
+        axes.fill_between(t, *band, color=style.BAND, alpha=0.45, lw=0, label="envelope of all members")
+        axes.plot(t, signal.nominal - origin, color=style.NOMINAL, lw=1.0, label="nominal")
+        axes.plot(t, signal.measured - origin, **RECORD)
+    if signal.share < 1:
+        k = int(abs(t - signal.miss_time).argmin())
+        gap = signal.measured[k] - signal.nominal[k]
+        below.plot(t[k], gap, "o", color=style.WORST, ms=5, label="largest miss")
+    above.set_ylabel(style.axis_label(signal.name, signal.unit))
+    below.set(ylabel=style.axis_label("minus nominal", signal.unit), xlabel="time [s]")
+    style.legend_below(figure, (below,), 4)
+    return figure
 
 
 # --- members ----------------------------------------------------------------------------------------------------------
@@ -257,11 +248,6 @@ def band_figure(found: Responses, output: str | None = None) -> Figure:
     k = names.index(style.chosen(names, output, "output"))
     envelope = found.lower[:, k], found.upper[:, k]
     return response_figure(found.t, found.y[:, :, k], found.nominal[:, k], envelope, output=found.outputs[k])
-
-
-def band_figures(found: Responses) -> dict[str, Figure]:
-    """A figure for each output."""
-    return {s.name: band_figure(found, s.name) for s in found.outputs}
 
 
 @style.house_style()

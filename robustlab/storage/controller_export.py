@@ -46,7 +46,7 @@ def saturation_limits(model: StateSpaceModel, saturation: Any, where: str) -> tu
     if saturation is None:
         return None
     names, limits = model.output_names, list[tuple[float, float]]()
-    given = saturation if isinstance(saturation, dict) else dict.fromkeys(names, saturation)
+    given: dict[str, Any] = saturation if isinstance(saturation, dict) else dict.fromkeys(names, saturation)
     odd = [f"no output {name!r}" for name in given if name not in names]
     odd += [f"no limits of {name!r}" for name in names if name not in given]
     if odd:

@@ -53,7 +53,7 @@ def load_parametric(path: str | Path) -> UncertainModel:
     try:
         ranges = {name: _range(name, given) for name, given in data["parameters"].items()}
         options = {key: data[key] for key in ("dt", *SIGNALS) if key in data}
-        return parametric(*(data[name] for name in MATRICES), ranges, **options)
+        return parametric(data["A"], data["B"], data["C"], data["D"], ranges, **options)
     except InputError as error:
         found = f"{error.where}: {error.found}"
         raise type(error)(where, found, error.expected, error.hint, error.more) from None

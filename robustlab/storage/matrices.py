@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from robustlab.errors import InputError, did_you_mean
 from robustlab.files.tree import Tree, Unread, type_name
 from robustlab.signals import COMPLEX, TAKES, Taken
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
-
-if TYPE_CHECKING:
-    from robustlab.dynamics.descriptor_elimination import Eliminated
 
 Made = TypeVar("Made")
 
@@ -105,8 +102,8 @@ def decode_model(
     matrices = _matrices(node, problems, transpose)
     if len(problems.lines) > found:
         return None
-    matrices = _fitting(matrices, node, problems, like)
-    e = _descriptor_matrix(node, problems, transpose, matrices["A"].shape)
+    _fit(matrices, node, problems, like)
+    e = matrices.get("E")
     own_dt = sample_time(node, problems)
     signals = decode_signals(node, problems)
     point = decode_point(node, problems)
@@ -119,16 +116,27 @@ def decode_model(
     where = problems.file if node.path == "/" else f"{problems.file}: {node.path}"
     try:
         a, b, c, d = (matrices[name] for name in NAMES)
-        if e is None:
-            return StateSpaceModel(a, b, c, d, step, inputs, outputs, states, point, where=where)
-        from robustlab.dynamics.descriptor_elimination import eliminated
-
-        found = eliminated(StateSpaceModel(a, b, c, d, step, inputs, outputs, states, where=where), e, where)
-        problems.notes.append(str(found))
-        return _at_point(found, point)
+        at = point if e is None else None
+        model = StateSpaceModel(a, b, c, d, step, inputs, outputs, states, at, where=where)
+        return model if e is None else _eliminated(model, e, point, problems, where)
     except InputError as error:
         problems.absorb(error)
         return None
+
+
+def _eliminated(
+    model: StateSpaceModel, e: Array, point: OperatingPoint | None, problems: Problems, where: str
+) -> StateSpaceModel:
+    """The model of a descriptor form at its operating point, as far as it has the states of that form."""
+    from robustlab.dynamics.descriptor_elimination import eliminated
+
+    found = eliminated(model, e, where)
+    problems.notes.append(str(found))
+    if point is None or found.kept is None:
+        return found.model
+    if len(point.x) != found.n_given:
+        raise InputError("", f"operating_point.x has {len(point.x)} entries", f"{found.n_given}")
+    return replace(found.model, operating_point=replace(point, x=np.asarray(point.x)[list(found.kept)]))
 
 
 def decode_state_space(tree: Tree, problems: Problems, transpose: bool = False) -> StateSpaceModel:
@@ -137,15 +145,6 @@ def decode_state_space(tree: Tree, problems: Problems, transpose: bool = False) 
     problems.raise_any()
     assert model is not None
     return model
-
-
-def _at_point(found: Eliminated, point: OperatingPoint | None) -> StateSpaceModel:
-    """The model at its operating point, as far as it has the states of the descriptor form."""
-    if point is None or found.kept is None:
-        return found.model
-    if len(point.x) != found.n_given:
-        raise InputError("", f"operating_point.x has {len(point.x)} entries", f"{found.n_given}")
-    return replace(found.model, operating_point=replace(point, x=np.asarray(point.x)[list(found.kept)]))
 
 
 # --- matrices --------------------------------------------------------------------------------------------------------
@@ -173,30 +172,17 @@ def find_children(
 
 
 def _matrices(node: Tree, problems: Problems, transpose: bool) -> dict[str, Array]:
-    find_children(node, NAMES, problems, known=("E",))
+    """A, B, C, D, and E of a descriptor form (MATLAB writes [] for the identity)."""
+    find_children(node, NAMES, problems, known=("E",), kind="dataset")
     matrices = {}
-    for name in NAMES:
-        if name in node.groups:
-            problems.add(f"{node.child_path(name)} is a group, expected a dataset")
-        elif name in node.datasets:
-            matrix = _real(node, name, problems)
-            if matrix is not None:
-                matrices[name] = np.ascontiguousarray(matrix.T) if transpose else matrix
+    for name in (*NAMES, "E"):
+        values = node.datasets[name].values if name in node.datasets else np.zeros(0)
+        if name == "E" and not isinstance(values, Unread) and not values.size:
+            continue
+        matrix = _real(node, name, problems) if name in node.datasets else None
+        if matrix is not None:
+            matrices[name] = np.ascontiguousarray(matrix.T) if transpose else matrix
     return matrices
-
-
-def _descriptor_matrix(node: Tree, problems: Problems, transpose: bool, shape: Shape) -> Array | None:
-    """E of a descriptor form, in the shape of A; None where there is none (MATLAB writes [] for the identity)."""
-    values = node.datasets["E"].values if "E" in node.datasets else np.zeros(0)
-    if not isinstance(values, Unread) and not values.size:
-        return None
-    matrix = _real(node, "E", problems)
-    if matrix is None:
-        return None
-    if matrix.shape != shape:
-        problems.add(f"{node.child_path('E')} is {matrix.shape}, expected {shape} as {node.child_path('A')}")
-        return None
-    return np.ascontiguousarray(matrix.T) if transpose else matrix
 
 
 def _real(node: Tree, name: str, problems: Problems) -> Array | None:
@@ -221,41 +207,29 @@ def _real(node: Tree, name: str, problems: Problems) -> Array | None:
     return array
 
 
-def _fitting(
-    matrices: dict[str, Array], node: Tree, problems: Problems, like: StateSpaceModel | None
-) -> dict[str, Array]:
-    """The matrices, with empty ones of a static gain in their proper shape; notes shapes that do not fit."""
-    shapes = {name: m.shape for name, m in matrices.items()}
-    if shapes["A"] == (0, 0):  # MATLAB writes [] for all three
-        p, m = shapes["D"]
-        proper = {"B": (0, m), "C": (p, 0)}
-        matrices.update({name: np.zeros(proper[name]) for name in "BC" if matrices[name].size == 0})
-        shapes = {name: m.shape for name, m in matrices.items()}
+def _fit(matrices: dict[str, Array], node: Tree, problems: Problems, like: StateSpaceModel | None) -> None:
+    """Bring empty matrices of a static gain to their proper shape; note shapes that do not fit."""
+    if matrices["A"].shape == (0, 0):  # MATLAB writes [] for all three
+        p, m = matrices["D"].shape
+        for name, proper in (("B", (0, m)), ("C", (p, 0))):
+            matrices[name] = matrices[name] if matrices[name].size else np.zeros(proper)
+    shapes = {name: matrices[name].shape for name in NAMES}
     expected = {name: getattr(like, name).shape for name in NAMES} if like is not None else _expected(shapes)
     wrong = [name for name in NAMES if shapes[name] != expected[name]]
-    if not wrong:
-        return matrices
     swapped = {name: shape[::-1] for name, shape in shapes.items()}
     hint = None
-    if swapped == expected or (like is None and _fits(swapped)):
+    if wrong and (swapped == expected or (like is None and swapped == _expected(swapped))):
         expected, hint = swapped, COLUMN_MAJOR
         wrong = [name for name in NAMES if shapes[name] != expected[name]]
-    elif all(swapped[name] == expected[name] for name in wrong):
+    elif wrong and all(swapped[name] == expected[name] for name in wrong):
         both = " and ".join(wrong)
         hint = f"only {both} looks transposed; store the transpose (transpose=True swaps all four matrices)"
     for name in wrong:
-        match = f" to match {_sibling(node, name)}" if like is not None else ""
+        match = f" to match {node.path.rsplit('/', 1)[0]}/nominal/{name}" if like is not None else ""
         problems.add(f"{node.child_path(name)} is {shapes[name]}, expected {expected[name]}{match}", hint)
-    return matrices
-
-
-def _sibling(node: Tree, name: str) -> str:
-    return f"{node.path.rsplit('/', 1)[0]}/nominal/{name}"
-
-
-def _fits(shapes: Mapping[str, Shape]) -> bool:
-    (n, n2), (p, m) = shapes["A"], shapes["D"]
-    return n == n2 and shapes["B"] == (n, m) and shapes["C"] == (p, n)
+    if not wrong and "E" in matrices and matrices["E"].shape != shapes["A"]:
+        same = f"expected {shapes['A']} as {node.child_path('A')}"
+        problems.add(f"{node.child_path('E')} is {matrices['E'].shape}, {same}")
 
 
 def _expected(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
@@ -272,33 +246,26 @@ def _expected(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
 
 def sample_time(node: Tree, problems: Problems) -> float | None:
     """``dt`` in s from an attribute or a scalar dataset (``dt`` or ``Ts``); None where the group states none."""
-    for name in ("dt", "Ts"):
-        if name in node.attrs:
-            value, path = np.asarray(node.attrs[name]), f"{node.path} attribute {name}"
-        elif name in node.datasets:
-            item = node.datasets[name].values
-            value, path = (np.zeros(0) if isinstance(item, Unread) else item), node.child_path(name)
-        else:
-            continue
-        if value.dtype.kind not in "fi" or value.size != 1:
+    held = {f"{node.path} attribute {name}": node.attrs[name] for name in ("dt", "Ts") if name in node.attrs}
+    held |= {node.child_path(name): node.datasets[name].values for name in ("dt", "Ts") if name in node.datasets}
+    for path, item in held.items():
+        value = np.zeros(0) if isinstance(item, Unread) else np.asarray(item)
+        number = float(value.flat[0]) if value.dtype.kind in "fi" and value.size == 1 else None
+        if number is None:
             problems.add(f"{path} is not one real number, expected a sample time in s (0 = continuous)")
-            return None
-        number = float(value.flat[0])
-        if not np.isfinite(number) or number < 0:
+        elif not np.isfinite(number) or number < 0:
             problems.add(f"{path} is {number:g}, expected 0 (continuous) or a positive sample time in s")
-            return None
         return number
     return None
 
 
 def real_attribute(node: Tree, name: str, problems: Problems) -> float | None:
     """An attribute that is one real number; None where there is none."""
-    if name not in node.attrs:
-        return None
-    value = np.asarray(node.attrs[name])
+    value = np.asarray(node.attrs.get(name, ""))
     if value.dtype.kind in "fi" and value.size == 1:
         return float(value.flat[0])
-    problems.add(f"attribute {name} is not one real number")
+    if name in node.attrs:
+        problems.add(f"attribute {name} is not one real number")
     return None
 
 

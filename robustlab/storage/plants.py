@@ -35,10 +35,11 @@ if TYPE_CHECKING:
 TAPES = ("rates", "outputs", "models")
 ROWS = {"operations": "i", "left": "i", "right": "i", "constants": "fi", "outputs": "i"}
 KINDS = ("joint", "current")
-PLACE = dict.fromkeys(("name", "kind", "unit", "position"), "U")
-PARAMETERS = dict.fromkeys(("name", "unit", "source", "meaning"), "U") | dict.fromkeys(("value", "tolerance"), "fi")
+PLACE: dict[str, str] = dict.fromkeys(("name", "kind", "unit", "position"), "U")
+TEXTS = ("name", "unit", "source", "meaning")
+PARAMETERS: dict[str, str] = {**dict.fromkeys(TEXTS, "U"), "value": "fi", "tolerance": "fi"}
 # Of a plant whose equations are stored: what its parameters may be is not known elsewhere.
-MORE = dict.fromkeys(("sign", "role"), "U")
+MORE: dict[str, str] = dict.fromkeys(("sign", "role"), "U")
 MATRICES = ("E", "F", "G", "C", "D")
 # Name of a bare model that stands as a plant; its matrices are stored with it.
 BARE = "model"
@@ -225,7 +226,9 @@ def _tapes(held: Tree, n_moving: int, n_parameters: int, problems: Problems) -> 
             where = error.where.removeprefix("tape").removeprefix(": ")
             path = group.child_path(where) if where in ROWS else group.path
             raise InputError(problems.file, f"{path}: {error.found}", error.expected) from None
-    return Equations(*tapes, tuple(PortPlace(*row) for row in zip(*found.values(), strict=True)))
+    rates, outputs, models = tapes
+    places = tuple(PortPlace(*row) for row in zip(*found.values(), strict=True))
+    return Equations(rates, outputs, models, places)
 
 
 def _known(group: Tree, name: str, found: Mapping[str, Any], words: Sequence[str], problems: Problems) -> None:

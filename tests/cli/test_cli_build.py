@@ -138,7 +138,7 @@ def test_samples_of_the_motor(folder):
     words = ("uncertain", "sample", "u.h5", "-n", "20", "--seed", "1", "--vertices", "all", *drive)
     first = robustlab(*words, "--figure", "figures/", code=0)
     assert (first.json["status"], len(first.json["deltas"]), first.json["vertices"]) == ("converged", 22, 2)
-    assert (folder / "figures" / "envelope-omega.svg").read_text(encoding="utf-8").startswith("<?xml")
+    assert (folder / "figures" / "step-omega.svg").read_text(encoding="utf-8").startswith("<?xml")
     assert robustlab(*words, code=0).out == robustlab(*words, code=0).out
 
 

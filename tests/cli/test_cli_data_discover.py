@@ -14,7 +14,7 @@ from robustlab.identification.record_check import Finding
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
 EXCLUDED = [word for name in catalogue() if name not in TRIED for word in ("--exclude", name)]
-FIGURES = ("force", "posterior", "run-q", "story", "stretch-q")
+FIGURES = ("force", "gap", "posterior", "run-q", "stretch-q")
 FC = 20.0
 
 
@@ -230,7 +230,7 @@ def test_figures_alone(files, tmp_path, answer, real):
     code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figure", f"{tmp_path}/f/")
     assert code == 0
     assert {p.stem for p in (tmp_path / "f").glob("*.png")} == set(FIGURES)
-    assert "story.png" in err
+    assert "gap.png" in err
 
 
 def test_a_tolerance_of_no_parameter_is_named(files):

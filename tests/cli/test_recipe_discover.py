@@ -94,11 +94,11 @@ def test_the_updated_plant_goes_on_through_the_recipe(run):
     page = (result.folder / "report.html").read_text(encoding="utf-8")
     assert "servo-axis lacks Coulomb (dry) friction" in page
     assert [f["stem"] for f in entry(result, "naming")["figures"]] == [
-        "naming-story",
+        "naming-gap",
+        "naming-force",
         "naming-run-q",
         "naming-stretch-q",
         "naming-posterior",
-        "naming-force",
     ]
     for name in ("naming-plant.h5", "machine.h5"):
         assert [e.effect.id for e in rl.load(result.folder / name).effects] == ["coulomb-friction"]

@@ -157,7 +157,7 @@ def test_the_command(files, capsys):
     result = json.loads(out)
     assert (code, result["command"], result["status"]) == (0, "data validate", "certified")
     assert result["upper"] == pytest.approx(0.4, rel=0.01)
-    assert (files / "f" / "validation-y.svg").exists()
+    assert (files / "f" / "record-y.svg").exists()
     assert rl.load(files / "v.h5").status is rl.Status.CERTIFIED
     assert command(capsys, files / "set.h5", files / "run.h5", "--noise", "y=0")[0] == 4
     assert command(capsys, files / "run.h5", files / "run.h5", "--noise", "y=0.1")[0] == 3
