@@ -6,6 +6,7 @@ And of the linear part of a record and what is beyond it: its frequency response
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.identification.comparison.comparison_result import Comparison
-from robustlab.identification.comparison.error_analysis import Bin, DirectionError
+from robustlab.identification.comparison.error_analysis import Bin
 from robustlab.report.figures import (
     COLOURS,
     axis_label,
@@ -112,7 +113,7 @@ def _where_panels(comparison: Comparison, output: str) -> list[tuple[str, str, t
     panels: list[tuple[str, str, tuple[Bin, ...]]] = []
     if output in comparison.direction:
         sides = enumerate(comparison.direction[output].values())
-        panels.append(("", "", tuple(Bin(k, k + 1, d.samples, d.mean or 0.0, d.rms or 0.0, d.share) for k, d in sides)))
+        panels.append(("", "", tuple(replace(side, low=k, high=k + 1) for k, side in sides)))
         panels.append(("speed", motion.speed_unit, comparison.speed[output]))
     if output in comparison.position:
         panels.append((motion.position_name, motion.position_unit, comparison.position[output]))
@@ -120,7 +121,7 @@ def _where_panels(comparison: Comparison, output: str) -> list[tuple[str, str, t
     return [*panels, *((f"|{name}|", comparison.measured.unit(name), bins) for name, bins in amplitudes)]
 
 
-def _name_directions(axes: Axes, direction: Mapping[str, DirectionError]) -> None:
+def _name_directions(axes: Axes, direction: Mapping[str, Bin]) -> None:
     axes.set_xticks([0.5, 1.5, 2.5], list(direction))
     axes.grid(visible=False, axis="x")
     axes.set_xlabel("direction (title: shares of the squared error)")

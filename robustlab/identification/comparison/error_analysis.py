@@ -65,17 +65,6 @@ class Bin(Evidence):
 
 
 @dataclass(frozen=True)
-class DirectionError(Evidence):
-    """Error of one output over the samples that move in one direction, or rest."""
-
-    samples: int  # how many samples lie within
-    # mean, rms: mean and RMS of the error in units of the output; None where there is no sample
-    mean: float | None
-    rms: float | None
-    share: float  # share of the record's squared error, 0..1
-
-
-@dataclass(frozen=True)
 class Spectrum(Evidence):
     r"""Power spectral densities by Welch's method, and the coherence of the inputs with the error.
 
@@ -171,20 +160,13 @@ def amplitude_edges(value: Array, count: int = 6) -> Array:
     return np.linspace(0.0, float(np.abs(value).max()) or 1.0, count + 1)
 
 
-def directions(speed: Array, error: Array) -> dict[str, DirectionError]:
+def directions(speed: Array, error: Array) -> dict[str, Bin]:
     """Sort an error (n,) by the direction of the speed (n,): ``"backward"``, ``"rest"`` (below 2 % of the largest
     speed), ``"forward"``.
     """
-    limit = REST * float(np.abs(speed).max())
-    total = float((error**2).sum()) or 1.0
-    sides = {"backward": speed < -limit, "rest": np.abs(speed) <= limit, "forward": speed > limit}
-    result: dict[str, DirectionError] = {}
-    for name, side in sides.items():
-        inside = error[side]
-        squared = float((inside**2).sum())
-        mean, rms = (float(inside.mean()), float(np.sqrt(squared / len(inside)))) if len(inside) else (None, None)
-        result[name] = DirectionError(len(inside), mean, rms, squared / total)
-    return result
+    top = float(np.abs(speed).max())
+    return dict(zip(("backward", "rest", "forward"), bins(speed, error, top * np.array([-1.0, -REST, REST, 1.0])),
+                    strict=True))  # fmt: skip
 
 
 def uniform_samples(t: Array, *signals: Array) -> tuple[float, list[Array]]:
