@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
@@ -91,13 +91,6 @@ class Spectrum(Evidence):
     def band_table(self) -> dict[str, object]:
         """The bands only."""
         return {"bands": self.bands, "error_share": self.error_share, "relative_error": self.relative_error}
-
-
-def time_shares(error: ArrayLike, edges: ArrayLike) -> Array:
-    """Share of the squared error in each window, shape (n_windows,); sum 1, or all 0 for an error of zeros."""
-    squared = np.add.reduceat(np.asarray(error, dtype=float) ** 2, np.asarray(edges, dtype=int)[:-1])
-    total = squared.sum()
-    return squared / total if total else squared
 
 
 def motion_of(record: Record, speed: str | None, position: str | None, window: int) -> Motion:
@@ -302,17 +295,10 @@ class WindowErrors(Evidence):
     # start, stop: first and last time of each window in s
     start: Array
     stop: Array
-    # rms, share: RMS of the free run's error, and its share of the record's squared error (sum 1); NaN where it does
-    # not reach the end of the record
+    # rms, windowed_rms: of the free run's error (NaN where it does not reach the end of the record), and in windows
     rms: Array
-    share: Array
-    # windowed_rms, windowed_share: the same of the windowed simulation
     windowed_rms: Array
-    windowed_share: Array
-    # worst, worst_free: index of the window with the largest windowed RMS, and with the largest free-run RMS (None
-    # without)
-    worst: int
-    worst_free: int | None
+    worst: int  # index of the window with the largest windowed RMS
 
 
 @dataclass(frozen=True)
@@ -453,21 +439,11 @@ def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) 
 
 
 def _window_errors(t: Array, error: Array | None, local: Array, edges: NDArray[np.int_]) -> WindowErrors:
-    def rms(e: Array) -> Array:
-        return np.sqrt(np.add.reduceat(e**2, edges[:-1]) / np.diff(edges))
-
-    none, local_rms = np.full(len(edges) - 1, np.nan), rms(local)
-    free = none if error is None else rms(error)
-    return WindowErrors(
-        t[edges[:-1]],
-        t[edges[1:] - 1],
-        free,
-        none if error is None else time_shares(error, edges),
-        local_rms,
-        time_shares(local, edges),
-        int(local_rms.argmax()),
-        None if error is None else int(free.argmax()),
+    rms, local_rms = (
+        np.full(len(edges) - 1, np.nan) if e is None else np.sqrt(np.add.reduceat(e**2, edges[:-1]) / np.diff(edges))
+        for e in (error, local)
     )
+    return WindowErrors(t[edges[:-1]], t[edges[1:] - 1], rms, local_rms, int(local_rms.argmax()))
 
 
 def samples_of(what: str, seconds: float, record: Record) -> int:
