@@ -325,8 +325,9 @@ class _Programme:
         """Smallest factor on the noise bound with which any w explains the record; w is zero where it is ``silent``."""
         p = self.problem
         held = np.zeros((p.n, p.B.shape[1]), dtype=bool)
-        for k, (rows, _, _) in enumerate(p.blocks if silent is not None else ()):
-            held[:, rows] = silent[:, k : k + 1]
+        if silent is not None:
+            for k, (rows, _, _) in enumerate(p.blocks):
+                held[:, rows] = silent[:, k : k + 1]
         still = Rows(self.w[held.ravel()], np.zeros(int(held.sum())), "zero")
         found = self._solved([*self._noise(None), still])
         if found is None:
