@@ -6,7 +6,6 @@ And of the linear part of a record and what is beyond it: its frequency response
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -113,7 +112,7 @@ def _where_panels(comparison: Comparison, output: str) -> list[tuple[str, str, t
     panels: list[tuple[str, str, tuple[Bin, ...]]] = []
     if output in comparison.direction:
         sides = enumerate(comparison.direction[output].values())
-        panels.append(("", "", tuple(replace(side, low=k, high=k + 1) for k, side in sides)))
+        panels.append(("", "", tuple(Bin(k, k + 1, d.samples, d.mean, d.rms, d.share) for k, d in sides)))
         panels.append(("speed", motion.speed_unit, comparison.speed[output]))
     if output in comparison.position:
         panels.append((motion.position_name, motion.position_unit, comparison.position[output]))
