@@ -82,7 +82,7 @@ def _where_panels(comparison: Comparison, output: str) -> list[tuple[str, str, t
     panels: list[tuple[str, str, tuple[Bin, ...]]] = []
     if output in comparison.direction:
         sides = enumerate(comparison.direction[output].values())
-        panels.append(("", "", tuple(Bin(k, k + 1, d.samples, d.mean or 0.0, d.rms or 0.0, d.share) for k, d in sides)))
+        panels.append(("", "", tuple(Bin(k, k + 1, d.samples, d.mean, d.rms, d.share) for k, d in sides)))
         panels.append(("speed", motion.speed_unit, comparison.speed[output]))
     if output in comparison.position:
         panels.append((motion.position_name, motion.position_unit, comparison.position[output]))

@@ -42,19 +42,6 @@ def test_missing_samples_are_found_one_by_one(rng):
 
 
 @settings(max_examples=40)
-@given(clocks)
-def test_pieces_are_the_measured_stretches_and_nothing_else(rng):
-    t, kept = lossy(rng, lost=0.05)
-    u, y = signals(rng, len(t))
-    pieces = uniform(Record(t[kept], {"u": u[kept]}, {"y": y[kept]})).pieces()
-    runs = [run for run in np.split(kept, np.flatnonzero(np.diff(kept) > 1) + 1) if len(run) > 1]
-    assert [piece.n for piece in pieces] == [len(run) for run in runs]
-    for piece, run in zip(pieces, runs, strict=True):
-        np.testing.assert_array_equal(piece["y"], y[run])
-        np.testing.assert_array_equal(piece["u"], u[run])
-
-
-@settings(max_examples=40)
 @given(clocks, st.floats(0.0, 0.2))
 def test_a_jittering_clock_keeps_lines_and_levels(rng, jitter):
     n = 150

@@ -7,10 +7,10 @@ __all__, __getattr__ = lazily(
     {
         "best_linear_approximation": "arbitrary_bla held_response periodic_bla",
         "comparison": "compare",
-        "error_analysis": "bins directions motion_of spectrum speed_edges time_shares position_edges",
+        "error_analysis": "bins directions motion_of spectrum",
         "envelope": "cover",
         "repeats": "NoiseFloor noise_floor period_of",
-        "residual_tests": "autocorrelation even_odd input_correlation whiteness",
+        "residual_tests": "even_odd input_correlation whiteness",
         "along_motion": "pose_of",
     },
 )

@@ -227,8 +227,8 @@ def linearisation(model: MotionResponse, windows: WindowedSimulation, names: Seq
         return Linearisation(np.zeros(0), {}, {}, np.array(broken))
     rms, error_rms = (np.sqrt((np.vstack(x) ** 2).mean(axis=0)) for x in (different, missed))
     share = np.divide(rms, error_rms, out=np.zeros_like(rms), where=error_rms > 0)
-    by_name = [dict(zip(names, values.tolist(), strict=True)) for values in (rms, share)]
-    return Linearisation(np.array(checked), *by_name, np.array(broken))
+    difference, part = (dict(zip(names, values.tolist(), strict=True)) for values in (rms, share))
+    return Linearisation(np.array(checked), difference, part, np.array(broken))
 
 
 def unstable(model: MotionResponse, run: FreeRun) -> list[str]:

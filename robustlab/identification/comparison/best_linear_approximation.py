@@ -1,7 +1,7 @@
 r"""Best linear approximation of a measured system, line by line or by Welch's H1, and the model's response.
 
-Noise from the scatter of the periods, distortions from that of realisations or of neighbouring lines (Pintelon,
-Schoukens, *System Identification*, 2012, sections 2.7, 4.3 and 7.2).
+Noise from the scatter of the periods, distortions from that of neighbouring lines (Pintelon, Schoukens, *System
+Identification*, 2012, sections 2.7, 4.3 and 7.2).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MISSED = 0.05  # of the lines of a right model lie outside their circle
 class BestLinearApproximation(Evidence):
     r"""Frequency response from one input to one output, measured and modelled; arrays have shape (n_f,)."""
 
-    method: str  # ``"periods"``, ``"realisations"`` or ``"Welch H1"``
+    method: str  # ``"periods"`` or ``"Welch H1"``
     frequency: Array  # in Hz; the excited lines only where the data are periodic
     response: ComplexArray  # the estimate, complex, in units of output per input
     std: Array  # standard deviation of ``response``: \sqrt{E|\hat G - G|^2}, everything included
@@ -96,52 +96,37 @@ class BestLinearApproximation(Evidence):
 def periodic_bla(
     u: ArrayLike, y: ArrayLike, dt: float, model: StateSpaceModel | None = None, lines: NDArray[np.int_] | None = None
 ) -> BestLinearApproximation | None:
-    r"""Best linear approximation from whole periods in steady state."""
+    """Best linear approximation from whole periods in steady state, u and y (count, n)."""
     u, y = (np.asarray(x, dtype=np.float64) for x in (u, y))
-    u, y = (x[None] if x.ndim == 2 else x for x in (u, y))
-    if u.shape != y.shape or u.ndim != 3 or u.shape[1] < 2:
+    if u.shape != y.shape or u.ndim != 2 or len(u) < 2:
         raise InputError("periodic_bla", f"shapes {u.shape} and {y.shape}", "equal, at least two periods")
-    realisations, count, n = u.shape
+    count, n = u.shape
     lines = np.arange(1, (n + 1) // 2) if lines is None else np.asarray(lines)
-    U, Y = (np.fft.rfft(x, axis=2)[:, :, lines] / n for x in (u, y))
-    mean_u, mean_y = U.mean(axis=1), Y.mean(axis=1)
-    power = (np.abs(mean_u) ** 2).min(axis=0)
-    noise_u = (np.abs(U - mean_u[:, None]) ** 2).sum(axis=1).max(axis=0) / (count - 1) / count
+    U, Y = (np.fft.rfft(x, axis=1)[:, lines] / n for x in (u, y))
+    mean_u, mean_y = U.mean(axis=0), Y.mean(axis=0)
+    power = np.abs(mean_u) ** 2
+    noise_u = (np.abs(U - mean_u) ** 2).sum(axis=0) / (count - 1) / count
     keep = (power > EXCITED * power.max(initial=0.0)) & (power > SIGNAL_TO_NOISE * noise_u)
     if not keep.any():
         return None
-    lines, U, Y, mean_u, mean_y = lines[keep], U[:, :, keep], Y[:, :, keep], mean_u[:, keep], mean_y[:, keep]
+    lines, U, Y, mean_u, mean_y = lines[keep], U[:, keep], Y[:, keep], mean_u[keep], mean_y[keep]
     f = lines / (n * dt)
-    G = mean_y / mean_u
+    response = mean_y / mean_u
     # First-order propagation: e_G = (e_y - G e_u) / U, from the same periods, so also for a noise that feeds back.
-    error = (Y - G[:, None] * U) / mean_u[:, None]
-    of_noise = (np.abs(error) ** 2).sum(axis=1) / (count - 1) / count
-    response = G.mean(axis=0)
-    noise_variance = of_noise.mean(axis=0) / realisations
+    noise = (np.abs((Y - response * U) / mean_u) ** 2).sum(axis=0) / (count - 1) / count
     at = held_response(model, f, dt)[:, 0, 0] if model is not None else np.zeros(len(f), complex)
-    notes: list[str] = []
-    degrees = realisations * (count - 1)
-    if realisations > 1:
-        method, degrees = "realisations", realisations - 1
-        total = (np.abs(G - response) ** 2).sum(axis=0) / (realisations - 1) / realisations
-    else:
-        method = "periods"
-        total = _local_scatter(lines, response, at)
-        if total is None:
-            notes.append(f"fewer than {LOCAL_LINES} lines: distortions are not separated from the linear response")
-        else:
-            degrees = LOCAL_LINES - PARABOLA
-    nonlinear = None if total is None else np.sqrt(np.maximum(0.0, total - noise_variance))
-    variance = noise_variance if total is None else np.maximum(total, noise_variance)
+    total = _local_scatter(lines, response, at)
+    nonlinear = None if total is None else np.sqrt(np.maximum(0.0, total - noise))
     linear = np.abs(response) ** 2
-    # In one period: the noise of a single period, and the distortions of a single realisation.
-    rest = noise_variance * count * realisations
-    if nonlinear is not None:
-        rest = rest + nonlinear**2 * realisations
+    # In one period: the noise of a single period, and the distortions.
+    rest = noise * count + (0.0 if nonlinear is None else nonlinear**2)
     coherence = np.divide(linear, linear + rest, out=np.zeros_like(linear), where=linear > 0)
+    few = f"fewer than {LOCAL_LINES} lines: distortions are not separated from the linear response"
     return _Estimate(
-        method, f, response, variance, degrees, coherence, at, tuple(notes), np.sqrt(noise_variance), nonlinear
-    ).judged()
+        "periods", f, response, noise if total is None else np.maximum(total, noise),
+        count - 1 if total is None else LOCAL_LINES - PARABOLA, coherence, at, (few,) if total is None else (),
+        np.sqrt(noise), nonlinear,
+    ).judged()  # fmt: skip
 
 
 def arbitrary_bla(

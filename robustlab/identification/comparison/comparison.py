@@ -158,7 +158,10 @@ def compare(
     length = _window_length(plant, beside, window)
     initial = starting_state(model, length if start is None else samples_of("start", start, record))
     windows = windowed_simulation(model, window_edges(record.n, length))
-    run, free = free_run(along, initial.x0, outputs) if along else _free_run(model.response, whole, record, initial)
+    if isinstance(model, MotionResponse):
+        run, free = free_run(model, initial.x0, outputs)
+    else:
+        run, free = _free_run(model.response, whole, record, initial)
     motions, of_joints = _motions(beside, speed, position, length)
     found = localised(
         whole, beside.outputs, free if run.whole else None, windows, motions, _sizes(beside), min(lags, record.n // 4)
@@ -167,11 +170,9 @@ def compare(
     noise, noise_reason = noise_of(record, tuple(other.record for other in others), outputs, period)
     rms = {name: (gap.rms, gap.windowed_rms) for name, gap in found["outputs"].items()}
     errors = [_windowed_error(*repeat, length) for repeat in _repeated(noise, beside, others)] if noise else []
-    linear, linear_reason = (
-        ({}, "a nonlinear plant has no one frequency response")
-        if along
-        else _linear(record, model.response, whole, noise)
-    )
+    linear, linear_reason = {}, "a nonlinear plant has no one frequency response"
+    if not isinstance(model, MotionResponse):
+        linear, linear_reason = _linear(record, model.response, whole, noise)
     error = whole.y - windows.y
     checked = linearisation(along, windows, outputs) if along else None
     compared = Comparison(
@@ -237,9 +238,10 @@ def _motions(
 def _disturbances(
     plant: Any, beside: Beside, error: Array, windows: WindowedSimulation, motions: Sequence[Motion]
 ) -> dict[str, InputDisturbance]:
-    if beside.smoothed is not None:
-        return joint_disturbances(beside.model, beside.smoothed, error, windows.edges, motions)
-    return input_disturbances(plant, beside.model, error, windows.edges, motions[0])
+    model = beside.model
+    if isinstance(model, LinearResponse):
+        return input_disturbances(plant, model, error, windows.edges, motions[0])
+    return joint_disturbances(model, beside.smoothed, error, windows.edges, motions) if beside.smoothed else {}
 
 
 def _sizes(beside: Beside) -> dict[str, Array]:

@@ -12,7 +12,6 @@ from robustlab.arrays import Array
 from robustlab.identification.comparison.best_linear_approximation import BestLinearApproximation
 from robustlab.identification.comparison.error_analysis import (
     Bin,
-    DirectionError,
     FreeRun,
     Linearisation,
     Motion,
@@ -126,7 +125,7 @@ class Comparison(Tabular, Evidence):
     recursive: Mapping[str, Array]
     disturbance: Mapping[str, InputDisturbance]
     warnings: tuple[str, ...]
-    direction: Mapping[str, Mapping[str, DirectionError]]
+    direction: Mapping[str, Mapping[str, Bin]]
     amplitude: Mapping[str, Mapping[str, tuple[Bin, ...]]]
     noise: NoiseFloor | None
     noise_reason: str
@@ -149,7 +148,7 @@ class Comparison(Tabular, Evidence):
         "worst_window": Each("outputs", ("s", "s")),
         "worst": {"output": str, "start": "s", "stop": "s", "pose": dict.fromkeys(POSE, float)},
         "residual": Each("outputs", ResidualTests),
-        "direction": Each("outputs", {"*": DirectionError}),
+        "direction": Each("outputs", {"*": Bin}),
         "amplitude": Each("outputs", {"*": [Bin]}),
         "disturbance": Each("inputs", InputDisturbance, ("torque at *", "force at *")),
         "nonlinearity": EvenOdd,

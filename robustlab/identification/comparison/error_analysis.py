@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
@@ -65,17 +65,6 @@ class Bin(Evidence):
 
 
 @dataclass(frozen=True)
-class DirectionError(Evidence):
-    """Error of one output over the samples that move in one direction, or rest."""
-
-    samples: int  # how many samples lie within
-    # mean, rms: mean and RMS of the error in units of the output; None where there is no sample
-    mean: float | None
-    rms: float | None
-    share: float  # share of the record's squared error, 0..1
-
-
-@dataclass(frozen=True)
 class Spectrum(Evidence):
     r"""Power spectral densities by Welch's method, and the coherence of the inputs with the error.
 
@@ -102,13 +91,6 @@ class Spectrum(Evidence):
     def band_table(self) -> dict[str, object]:
         """The bands only."""
         return {"bands": self.bands, "error_share": self.error_share, "relative_error": self.relative_error}
-
-
-def time_shares(error: ArrayLike, edges: ArrayLike) -> Array:
-    """Share of the squared error in each window, shape (n_windows,); sum 1, or all 0 for an error of zeros."""
-    squared = np.add.reduceat(np.asarray(error, dtype=float) ** 2, np.asarray(edges, dtype=int)[:-1])
-    total = squared.sum()
-    return squared / total if total else squared
 
 
 def motion_of(record: Record, speed: str | None, position: str | None, window: int) -> Motion:
@@ -171,20 +153,13 @@ def amplitude_edges(value: Array, count: int = 6) -> Array:
     return np.linspace(0.0, float(np.abs(value).max()) or 1.0, count + 1)
 
 
-def directions(speed: Array, error: Array) -> dict[str, DirectionError]:
+def directions(speed: Array, error: Array) -> dict[str, Bin]:
     """Sort an error (n,) by the direction of the speed (n,): ``"backward"``, ``"rest"`` (below 2 % of the largest
     speed), ``"forward"``.
     """
-    limit = REST * float(np.abs(speed).max())
-    total = float((error**2).sum()) or 1.0
-    sides = {"backward": speed < -limit, "rest": np.abs(speed) <= limit, "forward": speed > limit}
-    result: dict[str, DirectionError] = {}
-    for name, side in sides.items():
-        inside = error[side]
-        squared = float((inside**2).sum())
-        mean, rms = (float(inside.mean()), float(np.sqrt(squared / len(inside)))) if len(inside) else (None, None)
-        result[name] = DirectionError(len(inside), mean, rms, squared / total)
-    return result
+    top = float(np.abs(speed).max())
+    return dict(zip(("backward", "rest", "forward"), bins(speed, error, top * np.array([-1.0, -REST, REST, 1.0])),
+                    strict=True))  # fmt: skip
 
 
 def uniform_samples(t: Array, *signals: Array) -> tuple[float, list[Array]]:
@@ -320,17 +295,10 @@ class WindowErrors(Evidence):
     # start, stop: first and last time of each window in s
     start: Array
     stop: Array
-    # rms, share: RMS of the free run's error, and its share of the record's squared error (sum 1); NaN where it does
-    # not reach the end of the record
+    # rms, windowed_rms: of the free run's error (NaN where it does not reach the end of the record), and in windows
     rms: Array
-    share: Array
-    # windowed_rms, windowed_share: the same of the windowed simulation
     windowed_rms: Array
-    windowed_share: Array
-    # worst, worst_free: index of the window with the largest windowed RMS, and with the largest free-run RMS (None
-    # without)
-    worst: int
-    worst_free: int | None
+    worst: int  # index of the window with the largest windowed RMS
 
 
 @dataclass(frozen=True)
@@ -471,21 +439,11 @@ def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) 
 
 
 def _window_errors(t: Array, error: Array | None, local: Array, edges: NDArray[np.int_]) -> WindowErrors:
-    def rms(e: Array) -> Array:
-        return np.sqrt(np.add.reduceat(e**2, edges[:-1]) / np.diff(edges))
-
-    none, local_rms = np.full(len(edges) - 1, np.nan), rms(local)
-    free = none if error is None else rms(error)
-    return WindowErrors(
-        t[edges[:-1]],
-        t[edges[1:] - 1],
-        free,
-        none if error is None else time_shares(error, edges),
-        local_rms,
-        time_shares(local, edges),
-        int(local_rms.argmax()),
-        None if error is None else int(free.argmax()),
+    rms, local_rms = (
+        np.full(len(edges) - 1, np.nan) if e is None else np.sqrt(np.add.reduceat(e**2, edges[:-1]) / np.diff(edges))
+        for e in (error, local)
     )
+    return WindowErrors(t[edges[:-1]], t[edges[1:] - 1], rms, local_rms, int(local_rms.argmax()))
 
 
 def samples_of(what: str, seconds: float, record: Record) -> int:

@@ -21,7 +21,6 @@ SHORTEST_PERIOD = 8  # samples
 EXACT = 1e-9  # of the range: differences below are rounding
 FINEST_LEVELS = 200  # a signal with fewer levels than this over its range must repeat exactly
 ROUGHLY = 0.1  # an input whose repeats differ by less than this share of its standard deviation is driven alike
-ALMOST = 0.05  # a period that is suggested but not taken: the input repeats to this share
 LEVEL = 3.0  # a level that moves by more than this many standard deviations of a sample is drift
 TRANSIENT_P, TRANSIENT_F = 1e-3, 2.0  # a first period is a transient beyond both
 BLOCKS = 20  # of the period, over which the local variance is taken
@@ -229,7 +228,7 @@ def _found_period(record: Record, names: list[str]) -> tuple[int, str]:
     periods |= {name: period_of(x, 0.0) for name, x in record.outputs.items() if name not in names}
     found = {name: p for name, p in periods.items() if p}
     if not found:
-        hint = _suggestion(record)
+        hint = "if the machine was commanded periodically, state the period"
         raise NoTrustworthyNumber(where, "no recorded input or reference repeats", None, hint)
     common = lcm(*found.values())
     signal = ", ".join(found)
@@ -246,31 +245,6 @@ def _found_period(record: Record, names: list[str]) -> tuple[int, str]:
     if still:
         raise NoTrustworthyNumber(where, f"{signal} repeats, input {', '.join(still)} does not", "one common period")
     return common, signal
-
-
-def _suggestion(record: Record) -> str | None:
-    """Hint at the period with which the first moving input almost repeats."""
-    for name, x in record.inputs.items():
-        variance = float(x.var())
-        if not variance or record.n < 4 * SHORTEST_PERIOD:
-            continue
-        difference = _lag_differences(x)
-        # Beyond the first lag at which the signal has become unlike itself: neighbours are always alike.
-        unlike = np.flatnonzero(difference > variance)
-        if not len(unlike):
-            continue
-        beyond = difference[unlike[0] :]
-        alike = np.flatnonzero(beyond <= 1.5 * beyond.min())
-        # The first of the lags that are about as good as the best, and of its neighbourhood the best.
-        near = alike[alike < alike[0] + unlike[0]]
-        lag = int(unlike[0] + near[beyond[near].argmin()])
-        if difference[lag] <= 2.0 * ALMOST**2 * variance:
-            period, percent = lag * record.dt, 100 * np.sqrt(difference[lag] / 2 / variance)
-            return (
-                f"{name} repeats every {period:.6g} s to {percent:.2g} %: if it was commanded so, state the period "
-                f"({period:.6g} s)"
-            )
-    return None
 
 
 def _stated_period(record: Record, period: float) -> int:

@@ -10,10 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.plant_contract import NonlinearPlant
@@ -327,86 +325,69 @@ def response_factors(
     growth, shortest = float(poles.real.max(initial=0.0)), max(40, 8 * (2 * model.n_states + 1))
     lengths = [n for n in (record.n // parts for parts in (1, 6, 30))
                if n >= shortest and growth * n * record.dt < math.log(GROWTH)]  # fmt: skip
-    fits = [ResponseWindows(model, outputs, record.dt, u, y, good, length) for length in lengths]
+    found = [each for n in lengths if (each := _factors(model, outputs, record.dt, u, y, good, n))]
     none = np.zeros(model.n_inputs)
-    unknown = Factors(none, 0.0, none + 1, none, 0.0, none, 0.0)
-    found = [[fit.factors(j) for fit in fits if fit.keep] for j in range(len(outputs))]
+    if not found:
+        return (Factors(none, 0.0, none + 1, none, 0.0, none, 0.0),) * len(outputs)
     return tuple(
-        replace(max(each, key=lambda f: f.share), responds=max(f.plain_share for f in each)) if each else unknown
-        for each in found
+        replace(max(each, key=lambda f: f.share), responds=max(f.plain_share for f in each))
+        for each in zip(*found, strict=True)
     )
 
 
-class ResponseWindows:
-    """A record cut into windows of one length, with what no initial state or constant explains."""
+def _factors(
+    model: StateSpaceModel, outputs: tuple[str, ...], dt: float, u: Array, y: Array, good: Mask, length: int
+) -> list[Factors]:
+    """Factors of each output in windows of one length, beside springs, damping and friction; none without windows."""
+    from scipy.signal import savgol_filter
 
-    def __init__(
-        self, model: StateSpaceModel, outputs: tuple[str, ...], dt: float, u: Array, y: Array, good: Mask, length: int
-    ) -> None:
-        edges = np.arange(0, len(u) + 1, length)
-        self.keep = [(i, k) for i, k in pairwise(edges.tolist()) if good[i:k].all()]
-        self.model, self.dt, self.length = model, dt, length
-        self.rows = [model.output_names.index(name) for name in outputs]
-        self.ports = _ports(model)
-        self.phi, self.gamma = _with_state_inputs(model, dt)
-        if self.keep:
-            self.u, self.y = (np.stack([x[i:k] for i, k in self.keep]) for x in (u, y))
-            self.answers = self._response(self.u, np.arange(model.n_inputs))
+    kept = [k for k in range(0, len(u) - length + 1, length) if good[k : k + length].all()]
+    if not kept:
+        return []
+    u, y = (np.stack([x[k : k + length] for k in kept]) for x in (u, y))
+    n_u, n_x, ports, (phi, gamma) = model.n_inputs, model.n_states, _ports(model), _with_state_inputs(model, dt)
 
-    def _response(self, signals: Array, columns: NDArray[np.intp]) -> list[Array]:
+    def answers(signals: Array, columns: Sequence[int]) -> list[Array]:
         """Outputs (windows, n, n_y_of_model) to each signal (windows, n, columns) from rest, one at a time.
 
         Column k < n_u of the inputs is input k; column n_u + i drives the equation of state i.
         """
-        gamma, force = self.gamma[:, columns], signals.transpose(1, 2, 0)  # (n, columns, windows)
-        state = np.zeros((len(columns), force.shape[2], self.model.n_states))
-        states = np.empty((self.length, *state.shape))
-        for k in range(self.length):
-            states[k] = state
-            state = state @ self.phi.T + force[k][:, :, None] * gamma.T[:, None, :]
-        found = []
-        for c, column in enumerate(columns.tolist()):
-            y = states[:, c].transpose(1, 0, 2) @ self.model.C.T
-            through = self.model.D[:, column] if column < self.model.n_inputs else 0.0
-            found.append(y + signals[..., c : c + 1] * through)
-        return found
+        force, push = signals.transpose(1, 2, 0), gamma[:, list(columns)].T[:, None, :]  # (n, columns, windows)
+        states = np.zeros((length + 1, len(columns), len(kept), n_x))
+        for k in range(length):
+            states[k + 1] = states[k] @ phi.T + force[k][:, :, None] * push
+        return [
+            states[:-1, c].transpose(1, 0, 2) @ model.C.T
+            + signals[..., c : c + 1] * (model.D[:, column] if column < n_u else 0.0)
+            for c, column in enumerate(columns)
+        ]
 
-    def _free(self, row: int) -> Array:
-        """Output over a window from a unit of each state at its start, (n, n_x)."""
-        free = np.empty((self.length, self.model.n_states))
-        line = self.model.C[row]
-        for k in range(self.length):
-            free[k], line = line, line @ self.phi
-        return free
-
-    def factors(self, j: int) -> Factors:
-        """Factors of the inputs' responses in output j, beside springs, damping and friction."""
-        from scipy.signal import savgol_filter
-
-        row, y = self.rows[j], self.y[..., j]
-        free = self._free(row)
-        drive = self.gamma[:, self.model.n_inputs :]
-        held = np.vstack([np.zeros((1, self.model.n_states)), np.cumsum(free[:-1] @ drive, axis=0)])
-        constant = _orthonormal(np.column_stack([free, held, np.ones(self.length)]))
-        target = _projected(y, constant)
-        forced = np.column_stack([_projected(f[..., row], constant) for f in self.answers])
-        width = min(self.length - 1 + self.length % 2, max(5, (self.length // 40) | 1))
-        rate = np.asarray(savgol_filter(y, width, min(3, width - 1), deriv=1, delta=self.dt, axis=1), dtype=np.float64)
-        drives = np.stack([y - y.mean(axis=1, keepdims=True), rate, np.sign(y), np.sign(rate)], axis=2)
-        moved = self._response(np.tile(drives, len(self.ports)), np.repeat(self.ports, drives.shape[2]))
-        effects = np.column_stack([_projected(a[..., row], constant) for a in moved]) if moved else target[:, :0]
-        s, share = _fit(target, np.hstack([forced, effects]))
-        n_u = forced.shape[1]
-        without = [_fit(target, np.hstack([np.delete(forced, i, axis=1), effects]))[1] for i in range(n_u)]
+    forced, found = answers(u, range(n_u)), []
+    for row, y_j in zip([model.output_names.index(name) for name in outputs], np.moveaxis(y, 2, 0), strict=True):
+        free = np.empty((length, n_x))  # output over a window from a unit of each state at its start
+        line = model.C[row]
+        for k in range(length):
+            free[k], line = line, line @ phi
+        held = np.vstack([np.zeros((1, n_x)), np.cumsum(free[:-1] @ gamma[:, n_u:], axis=0)])
+        constant = _orthonormal(np.column_stack([free, held, np.ones(length)]))
+        target = _projected(y_j, constant)
+        inputs = np.column_stack([_projected(f[..., row], constant) for f in forced])
+        width = min(length - 1 + length % 2, max(5, (length // 40) | 1))
+        rate = np.asarray(savgol_filter(y_j, width, min(3, width - 1), deriv=1, delta=dt, axis=1), dtype=np.float64)
+        drives = np.stack([y_j - y_j.mean(axis=1, keepdims=True), rate, np.sign(y_j), np.sign(rate)], axis=2)
+        moved = answers(np.tile(drives, len(ports)), np.repeat(ports, drives.shape[2]).tolist()) if ports else []
+        effects = np.column_stack([target[:, None][:, :0], *(_projected(a[..., row], constant) for a in moved)])
+        s, share = _fit(target, np.hstack([inputs, effects]))
+        without = [_fit(target, np.hstack([np.delete(inputs, i, axis=1), effects]))[1] for i in range(n_u)]
         left = np.array([(1.0 - share) / max(1.0 - part, 1e-300) for part in without])
         start = _orthonormal(free)  # what a steady input does counts here, too
-        own = np.column_stack([_projected(f[..., row], start) for f in self.answers])
-        signs, told = _fit(_projected(y, start), own)
+        signs, told = _fit(_projected(y_j, start), np.column_stack([_projected(f[..., row], start) for f in forced]))
         raw = np.sign(signs) if told >= RAW_SHARE else np.zeros(n_u)
-        plain, plain_share = _fit(target, forced)
+        plain, plain_share = _fit(target, inputs)
         alone = (left > NEEDED) & (plain_share >= ALONE)  # in closed loop effects stand for the input as well
         s, left = np.where(alone, plain, s[:n_u]), np.where(alone, 0.0, left)
-        return Factors(s, share, left, plain, plain_share, raw, self.length * self.dt)
+        found.append(Factors(s, share, left, plain, plain_share, raw, length * dt))
+    return found
 
 
 def _projected(x: Array, basis: Array) -> Array:

@@ -6,7 +6,6 @@ Positions far from zero are counted from a point within the strokes: else an eff
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +24,6 @@ from robustlab.clocks import (
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.errors import InputError
 from robustlab.record import Record
-from robustlab.result import Evidence
 
 
 class Gap(NamedTuple):
@@ -36,45 +34,12 @@ class Gap(NamedTuple):
     missing: int
 
 
-@dataclass(frozen=True)
-class UniformRecord(Evidence):
+class UniformRecord(NamedTuple):
     """A record on a uniform clock, and what of it was measured."""
 
     record: Record  # the resampled record
     valid: Mapping[str, Mask]  # output name -> True where samples on both sides are near, shape (n,)
     gaps: tuple[Gap, ...]  # where samples are missing, in order; the inputs are held over them, which is a guess
-
-    def pieces(self, shortest: int = 2) -> tuple[Record, ...]:
-        """The stretches between the gaps as records of their own, of ``shortest`` samples at least."""
-        good = np.concatenate([[False], self._all_valid(), [False]])
-        edges = np.flatnonzero(np.diff(good.astype(int)))
-        r, found = self.record, []
-        for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-            # A gap of one sample leaves valid samples on both sides of it, with nothing marked between them.
-            inner = [k for k in self._breaks() if first < k < last]
-            for a, b in zip([first, *inner], [*inner, last], strict=True):
-                if b - a >= max(2, shortest):
-                    found.append(_cut(r, a, b))
-        return tuple(found)
-
-    def _all_valid(self) -> Mask:
-        masks = list(self.valid.values())
-        return np.logical_and.reduce(masks) if masks else np.ones(self.record.n, dtype=bool)
-
-    def _breaks(self) -> list[int]:
-        """Index of the first sample behind each gap."""
-        tolerance = SAME_TIME * self.record.dt
-        return [int(np.searchsorted(self.record.t, gap.stop - tolerance)) for gap in self.gaps]
-
-    def to_json(self) -> dict[str, object]:
-        """The clock, the gaps, and the share of each output that was measured."""
-        r = self.record
-        return {
-            "n": r.n,
-            "dt": r.dt,
-            "gaps": [gap._asdict() for gap in self.gaps],
-            "valid_share": {name: float(mask.mean()) for name, mask in self.valid.items()},
-        }
 
 
 def uniform(record: Record, dt: float | None = None) -> UniformRecord:
@@ -158,18 +123,6 @@ def _gaps(t: Array, step: float) -> tuple[Gap, ...]:
     steps = np.diff(t)
     holes = np.flatnonzero(steps > NEAR * step)
     return tuple(Gap(float(t[k]), float(t[k + 1]), max(1, round(float(steps[k]) / step) - 1)) for k in holes)
-
-
-def _cut(r: Record, first: int, last: int) -> Record:
-    part = slice(first, last)
-    return Record(
-        r.t[part],
-        {name: x[part] for name, x in r.inputs.items()},
-        {name: x[part] for name, x in r.outputs.items()},
-        r.units,
-        r.name,
-        r.meaning,
-    )
 
 
 FAR = 3.0  # strokes from zero

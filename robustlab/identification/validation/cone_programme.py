@@ -71,7 +71,9 @@ def solved_cones(cost: Array, rows: Sequence[Rows], budget: Budget) -> ConeSolut
         matrices.append(part.matrix.tocsr()[turn.ravel()])
         offsets.append(part.offset[turn.ravel()])
         turns.append(turn)
-        cones += [(part.cone, part.height)] * len(turn) if part.height > 1 else [(part.cone, len(turn))]
+        several = part.height > 1
+        whole: Cone = (part.cone, part.height if several else len(turn))
+        cones += [whole] * (len(turn) if several else 1)
     A = sparse_matrices().vstack(matrices).tocsc()
     each = 50 + ITERATION_WORK * A.nnz
     most = min(max(budget.left / each, FEWEST_ITERATIONS), MOST_ITERATIONS)

@@ -124,7 +124,7 @@ def _windows(recorded: Recorded, delta: Array, search: Search) -> _Windows | Non
     longest = max(b - a for a, b in cuts)
     moved = [states(A, np.zeros((longest, len(A))), x0) @ C.T for x0 in shown(A, C).T]
     columns = np.stack(moved, axis=2) if moved else np.zeros((longest, recorded.y.shape[1], 0))
-    e, free = np.empty(recorded.y.shape), []
+    e, free = np.empty_like(recorded.y), []
     for a, b in cuts:
         u = recorded.u[a:b]
         e[a:b] = (recorded.y[a:b] - u @ model.D.T) / recorded.bound - states(A, u @ B.T, np.zeros(len(A))) @ C.T

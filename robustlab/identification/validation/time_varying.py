@@ -7,7 +7,7 @@ maximum of L = sum D (gamma^2 |z|^2 - |w|^2) + Lambda(n) over w and starts is on
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,9 +28,6 @@ NOISE_MARGIN = 1e-7  # by which the solver aims inside the noise bound: larger r
 VARYING_ROUNDS = 25  # convex-concave steps at most
 SWEEP_WORK = 250.0  # a sample, of finding what multipliers disprove: some 15 sweeps over the record
 AHEAD = 3.0  # energy of z that the first guess has in advance: larger, and no early sample decides
-# Shares of the record at whose beginning a weaker problem leaves out the conditions on the energies; more of them
-# are tried only while the lower bound is not there.
-LATE = (0.004, 0.02, 0.1)
 
 # A multiplier of this share of the largest, everywhere, keeps every sweep strictly concave and is as valid.
 FLOOR = 1e-7
@@ -169,48 +166,11 @@ def smallest_contractions(problem: SampledProblem, search: Search) -> Contractio
         # As if the nominal z acted, with some energy ahead so that no early sample decides.
         guess = programme.smallest(z, known=True, ahead=AHEAD) or programme.least_noise()
         z = problem.respond(*programme.signals(guess.x))[0]
-    best, solution = _descend(programme, z, 0, VARYING_ROUNDS)
-    if solution is None:
-        return _by_noise(programme)
-    top = best.upper if best is not None else programme.gamma(solution)
-    multipliers = programme.multipliers(solution)
-    lower = disproved_by(problem, multipliers, search, top) if top > 0 else 0.0
-    # With a free state the first samples of z may have either sign: two valleys, and no concave Lagrangian over both.
-    # Without the conditions at the first samples there is a weaker problem whose bound holds all the same.
-    for share in () if programme.convex else LATE:
-        if lower >= (1 - search.precision) * top or search.budget.over:
-            break
-        _, weaker = _descend(programme, z, 1 + int(share * problem.n), 4)
-        if weaker is not None:
-            others = programme.multipliers(weaker)
-            found = disproved_by(problem, others, search, min(top, programme.gamma(weaker)))
-            lower, multipliers = (found, others) if found > lower else (lower, multipliers)
-    if best is None:
-        return _unexplained(lower, multipliers, 1.0)
-    return Contractions(
-        lower, best.upper, multipliers, best.noise, problem.excess(best.noise), best.w, best.z, best.states
-    )
-
-
-@dataclass(frozen=True)
-class _Point:
-    """An explanation that its replay confirms."""
-
-    upper: float
-    w: Array
-    z: Array
-    noise: Array
-    states: Mapping[int, Array]
-
-
-def _descend(programme: _Programme, z: Array, late: int, rounds: int) -> tuple[_Point | None, ConeSolution | None]:
-    """Best point that its replay confirms, and the last solution; no conditions before the sample ``late``."""
-    problem, search = programme.problem, programme.search
-    best: _Point | None = None
-    solution: ConeSolution | None = None
-    before = np.inf
-    for _ in range(1 if programme.convex else rounds):
-        found = programme.smallest(z, known=programme.convex, late=late)
+    solution, before = None, np.inf
+    nothing = Multipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
+    best = _unexplained(0.0, nothing, 1.0)
+    for _ in range(1 if programme.convex else VARYING_ROUNDS):
+        found = programme.smallest(z, known=programme.convex)
         if found is None:
             break
         solution = found
@@ -218,16 +178,21 @@ def _descend(programme: _Programme, z: Array, late: int, rounds: int) -> tuple[_
         for rows, cols, _ in problem.blocks:  # the solver's zeros are small numbers, for which no gain is enough
             w[_silent(problem, z, cols), rows] = 0.0
         z, noise = problem.respond(w, jumps)
-        if problem.excess(noise) > 1 + SLACK:
+        excess, gamma = problem.excess(noise), float(problem.sizes(w, z).max(initial=0.0))
+        if excess > 1 + SLACK:
             break
-        gamma = float(problem.sizes(w, z).max(initial=0.0))
-        if best is None or gamma < best.upper:
-            best = _Point(gamma, w, z, noise, jumps)
+        if gamma < best.upper:
+            best = replace(best, upper=gamma, noise=noise, excess=excess, w=w, z=z, states=jumps)
         reached = programme.gamma(found)
         if reached > before * (1 - 0.02 * search.precision) or search.budget.over:
             break
         before = reached
-    return best, solution
+    if solution is None:
+        return _by_noise(programme)
+    top = best.upper if np.isfinite(best.upper) else programme.gamma(solution)
+    multipliers = programme.multipliers(solution)
+    lower = disproved_by(problem, multipliers, search, top) if top > 0 else 0.0
+    return replace(best, lower=lower, multipliers=multipliers)
 
 
 def _silent(problem: SampledProblem, z: Array, cols: slice) -> Mask:
@@ -322,7 +287,7 @@ class _Programme:
                 found.append(Rows(cone, offset, "second-order", 1 + p.n, ("noise", j)))
         return found
 
-    def _energies(self, z: Array, known: bool, ahead: float, late: int) -> list[Rows]:
+    def _energies(self, z: Array, known: bool, ahead: float) -> list[Rows]:
         """Cumulative energies of w / g below those of z (or below their tangents at z, where z is not known).
 
         With ``ahead`` that many mean samples of energy are there before the first one: for a first guess.
@@ -344,8 +309,7 @@ class _Programme:
             found.append(Rows(added, each, "zero"))
             still = sparse.vstack([part[silent] for part in (*w, taken)])
             found.append(Rows(still, np.zeros(still.shape[0]), "zero"))
-            judged = np.flatnonzero(~silent & (np.arange(n) >= min(late, n - 1)))
-            found.append(Rows((taken - there)[judged], np.zeros(len(judged)), "positive", 1, ("energy", k)))
+            found.append(Rows((taken - there)[~silent], np.zeros(int((~silent).sum())), "positive", 1, ("energy", k)))
             # (s + g, s - g, 2 w) in the cone: s g >= |w|^2
             more = (new @ taken)[~silent]
             g = sparse.csr_matrix(np.ones((more.shape[0], 1))) @ self.last
@@ -353,16 +317,17 @@ class _Programme:
             found.append(Rows(cone, np.zeros(cone.shape[0]), "second-order", 2 + len(w)))
         return found
 
-    def smallest(self, z: Array, known: bool, ahead: float = 0.0, late: int = 0) -> ConeSolution | None:
+    def smallest(self, z: Array, known: bool, ahead: float = 0.0) -> ConeSolution | None:
         """Smallest g = gamma^2 with the energies of z, or their tangents at z; None where there is none."""
-        return self._solved([*self._noise(1 - NOISE_MARGIN), *self._energies(z, known, ahead, late)])
+        return self._solved([*self._noise(1 - NOISE_MARGIN), *self._energies(z, known, ahead)])
 
     def least_noise(self, silent: Mask | None = None) -> ConeSolution:
         """Smallest factor on the noise bound with which any w explains the record; w is zero where it is ``silent``."""
         p = self.problem
         held = np.zeros((p.n, p.B.shape[1]), dtype=bool)
-        for k, (rows, _, _) in enumerate(p.blocks if silent is not None else ()):
-            held[:, rows] = silent[:, k : k + 1]
+        if silent is not None:
+            for k, (rows, _, _) in enumerate(p.blocks):
+                held[:, rows] = silent[:, k : k + 1]
         still = Rows(self.w[held.ravel()], np.zeros(int(held.sum())), "zero")
         found = self._solved([*self._noise(None), still])
         if found is None:

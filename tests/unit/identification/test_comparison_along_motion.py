@@ -116,7 +116,6 @@ def test_an_unstable_plant_is_held_in_windows_and_its_free_run_ends():
         assert gap.windowed_rms == pytest.approx(NOISE, rel=0.06)
         assert np.isnan([gap.peak, gap.rms, gap.rms_percent, gap.fit, gap.peak_time]).all()
         assert np.isnan(found.windows[name].rms).all()
-        assert found.windows[name].worst_free is None
     assert 0.5 < found.free_run.end < 4.7
     assert not found.free_run.whole
     assert "10 times its recorded range" in found.free_run.reason
@@ -135,13 +134,6 @@ def test_the_platform_under_a_controller():
     assert max(found.linearisation.share.values()) < 1e-3
     assert [found.motions[f"phi_{k}"].speed_source for k in (1, 6)] == ["phidot_1 (smoothed)", "phidot_6 (smoothed)"]
     assert {d.speed_source for d in found.disturbance.values()} == {f"phidot_{k} (smoothed)" for k in range(1, 7)}
-
-
-def test_the_platform_with_another_load():
-    """The rotors are most of what moves: a tenth more of them is a tenth less of acceleration at all six."""
-    found = rl.compare(platform(rotor_J=1.1 * platform().values["rotor_J"]), platform_record()[0])
-    assert min(gap.windowed_rms for gap in found.outputs.values()) > 10 * 3e-4
-    assert max(found.linearisation.share.values()) < 0.01
 
 
 def test_a_free_run_that_leaves_the_workspace_ends_there():

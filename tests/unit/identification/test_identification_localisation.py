@@ -2,16 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robustlab.identification.comparison import (
-    bins,
     motion_of,
-    position_edges,
     spectrum,
-    speed_edges,
-    time_shares,
 )
 from robustlab.identification.record_check import clipped_runs
 from robustlab.record import Record
@@ -48,22 +43,6 @@ def test_coherence_is_one_for_an_error_made_by_the_input_and_low_otherwise():
 
 
 samples = st.lists(st.floats(-1e3, 1e3).filter(lambda x: x == 0 or abs(x) > 1e-3), min_size=4, max_size=60)
-
-
-@settings(max_examples=50)
-@given(samples, st.integers(1, 20))
-def test_shares_of_windows_and_bins_sum_to_one(values, length):
-    error = np.array(values)
-    shares = time_shares(error, [*range(0, len(error), length), len(error)])
-    expected = 1.0 if error.any() else 0.0
-    assert shares.sum() == pytest.approx(expected)
-    speed = np.roll(error, 1)
-    for edges in (speed_edges(speed), position_edges(speed)):
-        found = bins(speed, error, edges)
-        assert sum(b.share for b in found) == pytest.approx(expected)
-        assert sum(b.samples for b in found) == len(error)
-        assert sum(b.samples * b.rms**2 for b in found) == pytest.approx((error**2).sum())
-        assert sum(b.samples * b.mean for b in found) == pytest.approx(error.sum(), abs=1e-6)
 
 
 def test_speed_is_the_measured_one_else_the_derivative_of_the_position():
