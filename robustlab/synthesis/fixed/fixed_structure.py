@@ -209,10 +209,10 @@ def fixed_structure(
 
     .. math:: \min_p \max_i \|F_l(P_i, K(p))\|, \qquad K(p) \text{ stabilises every } P_i
 
-    From every start: BFGS on the spectral abscissa of all loops until they are stable and keep the limits, then a few
-    steps of BFGS on the norm; the better starts take more. The best go on along minimisers of :math:`\ln\gamma + \mu
-    \sum \varphi` for falling mu, with the entropy of the loops as a smooth barrier of their norms (the structure's own
-    start and all starts with limits do so from the beginning), and end with linear programs over all active peaks.
+    From every start: BFGS on the spectral abscissa of all loops until they are stable and keep the limits, then some
+    steps of BFGS on the norm. The best go on along minimisers of :math:`\ln\gamma + \mu \sum \varphi` for falling mu,
+    with the entropy of the loops as a smooth barrier of their norms (the structure's own start and all starts with
+    limits do so from the beginning), and end with linear programs over all active peaks.
     Gradients are analytic.
     The problem is not convex: what is returned is a local optimum, verified on the loops rebuilt from K.
 
