@@ -7,7 +7,6 @@ Frequencies are those of a continuous loop; a discrete loop is mapped by the bil
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -268,17 +267,8 @@ def _sigma_at(loop: Realisation, omega: float) -> float:
 # --- entropy ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Entropy:
-    """The entropy, its derivative with respect to gamma, and its gradients with respect to the loop's matrices."""
-
-    value: float
-    by_gamma: float
-    by_loop: Realisation
-
-
-def entropy(loop: Realisation, gamma: float) -> Entropy | None:
-    """The entropy with its derivatives; None where the loop is not stable or its norm not below gamma."""
+def entropy(loop: Realisation, gamma: float) -> tuple[float, float, Realisation] | None:
+    """The entropy, its derivative by gamma and its gradients by the loop; None where the norm is not below gamma."""
     a, b, c, d = loop
     n, m = b.shape
     r = gamma**2 * np.eye(m) - d.T @ d
@@ -292,7 +282,7 @@ def entropy(loop: Realisation, gamma: float) -> Entropy | None:
         value = -float(np.linalg.slogdet(r)[1]) + 2 * m * np.log(gamma)
         by_gamma = -2 * gamma * float(np.trace(r_inv)) + 2 * m / gamma
         by_loop = Realisation(nothing((0, 0)), nothing((0, m)), nothing((len(c), 0)), 2 * d @ r_inv)
-        return Entropy(value, by_gamma, by_loop)
+        return value, by_gamma, by_loop
     # Mustafa, Glover, *Minimum entropy H-infinity control* (1990): with A^T X + X A + C^T C + F^T R F = 0 the factor
     # R^(1/2) (I - F (sI - A)^-1 B) is outer, and Poisson's integral gives the entropy from its value at s = 1.
     real, _, _, _, info = lapack().dgeev(a, compute_vl=0, compute_vr=0)
@@ -321,4 +311,4 @@ def entropy(loop: Realisation, gamma: float) -> Entropy | None:
     by_gamma = -2 * gamma * float(np.trace(by_r)) + 2 * m / gamma
     by_a, by_b = 2 * (w_f - w + y @ x).T, 2 * (f @ w_f).T + 2 * x @ q
     by_c, by_d = 2 * d @ q.T + 2 * c @ y, 2 * c @ q + 2 * d @ by_r
-    return Entropy(value, by_gamma, Realisation(by_a, by_b, by_c, by_d))
+    return value, by_gamma, Realisation(by_a, by_b, by_c, by_d)

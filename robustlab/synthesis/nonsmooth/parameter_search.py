@@ -13,7 +13,7 @@ from robustlab.budget import Budget
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.laws.controller_laws import Law, LawBuilder, Parameter
-from robustlab.synthesis.nonsmooth.descent_methods import Descent, Function, bfgs, sequential_linear
+from robustlab.synthesis.nonsmooth.descent_methods import Function, bfgs, sequential_linear
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
@@ -149,7 +149,7 @@ def _polished(problem: DesignProblem, start: Start) -> Start:
     return start.moved(problem, p, [value])
 
 
-def _bfgs(problem: DesignProblem, function: Function, v: AnyArray, **steps: Any) -> Descent | None:
+def _bfgs(problem: DesignProblem, function: Function, v: AnyArray, **steps: Any) -> tuple[AnyArray, float] | None:
     return bfgs(function, v, late=problem.late, **steps)
 
 
@@ -167,10 +167,9 @@ def _below_zero(problem: DesignProblem, function: Function, v: AnyArray) -> tupl
     if value < STABLE:
         return v, value
     found = _bfgs(problem, function, v, max_steps=STABILISE_STEPS, stop_below=10 * STABLE)
-    if found is None or found.value >= STABLE:
-        return (v, value) if found is None else (found.x, found.value)
-    deeper = _bfgs(problem, function, found.x, max_steps=DEEPER_STEPS, stop_below=DEEP)
-    return (found.x, found.value) if deeper is None else (deeper.x, deeper.value)
+    if found is None or found[1] >= STABLE:
+        return found or (v, value)
+    return _bfgs(problem, function, found[0], max_steps=DEEPER_STEPS, stop_below=DEEP) or found
 
 
 def central_path(
@@ -188,7 +187,7 @@ def central_path(
         )
         if found is None or problem.late():
             break
-        z = found.x
+        z = found[0]
         value = problem.norm(z[:-1])[0]
         values.append(value)
         if value < best:
@@ -198,7 +197,7 @@ def central_path(
 
 def _descended(problem: DesignProblem, v: AnyArray, steps: int) -> tuple[AnyArray, float]:
     found = _bfgs(problem, problem.norm, v, max_steps=steps, rtol=DESCENT_RTOL)
-    return (v, problem.norm(v)[0]) if found is None else (found.x, found.value)
+    return found or (v, problem.norm(v)[0])
 
 
 def polished(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
