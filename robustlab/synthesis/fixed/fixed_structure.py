@@ -233,8 +233,8 @@ def fixed_structure(
     start
         Parameters by name to start from as well (or a list of such mappings, or an earlier result).
     starts
-        Number of random starts, after the given ones, for a `FixedOrder` the best static gain and the full-order
-        H-infinity design reduced to the order, and the structure's own.
+        Number of random starts, after the given ones, for a `FixedOrder` the full-order design reduced to the order,
+        and the structure's own.
     seed
         Seed of the random starts.
     time_limit
@@ -294,7 +294,7 @@ def fixed_structure(
         problem = DesignProblem(plants, law, objective, limits, budget)
         if objective == "h2":
             require_finite_h2(problem)
-        return design(problem, [*given, *informed_starts(problem, seed, say)])
+        return design(problem, [*given, *informed_starts(problem, seed)])
 
 
 def law_of(plant: GeneralizedPlant, structure: Any, bounds: Mapping[str, tuple[float, float]] | None) -> Law:

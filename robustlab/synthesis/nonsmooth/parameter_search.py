@@ -50,7 +50,7 @@ MANY = 700
 class Start:
     """What became of one start."""
 
-    kind: str  # `"given"`, `"static"`, `"reduced"`, `"structure"` (its own start) or `"random"`
+    kind: str  # `"given"`, `"reduced"`, `"structure"` (its own start) or `"random"`
     # Spectral abscissa (in the plant's scaled time) or violated limit where stabilisation ended; negative: feasible.
     instability: float
     gamma: float  # norm at its end, in the plant's units, before verification; inf where it was never stable
