@@ -119,8 +119,6 @@ class FixedSynthesis(ParametricDesign):
         Verified norm (H-infinity: upper bound) of every model's loop; of an uncertain plant, of every scenario.
     norms
         Their evidence.
-    closed_loops
-        The loops.
     peak_frequency
         Frequency in rad/s at which the worst loop attains its norm; NaN for H2.
     limits
@@ -148,7 +146,6 @@ class FixedSynthesis(ParametricDesign):
     objective: str
     gammas: tuple[float, ...]
     norms: tuple[HinfNorm | H2Norm, ...]
-    closed_loops: tuple[StateSpaceModel, ...]
     peak_frequency: float
     starts: tuple[Start, ...]
     scenarios: tuple[Mapping[str, Any], ...] = ()
@@ -210,10 +207,10 @@ def fixed_structure(
 
     .. math:: \min_p \max_i \|F_l(P_i, K(p))\|, \qquad K(p) \text{ stabilises every } P_i
 
-    From every start: BFGS on the spectral abscissa of all loops until they are stable and keep the limits, then a few
-    steps of BFGS on the norm; the better starts take more. The best go on along minimisers of :math:`\ln\gamma + \mu
-    \sum \varphi` for falling mu, with the entropy of the loops as a smooth barrier of their norms (the structure's own
-    start and all starts with limits do so from the beginning), and end with linear programs over all active peaks.
+    From every start: BFGS on the spectral abscissa of all loops until they are stable and keep the limits, then some
+    steps of BFGS on the norm. The best go on along minimisers of :math:`\ln\gamma + \mu \sum \varphi` for falling mu,
+    with the entropy of the loops as a smooth barrier of their norms (the structure's own start and all starts with
+    limits do so from the beginning), and end with linear programs over all active peaks.
     Gradients are analytic.
     The problem is not convex: what is returned is a local optimum, verified on the loops rebuilt from K.
 
@@ -237,8 +234,8 @@ def fixed_structure(
     start
         Parameters by name to start from as well (or a list of such mappings, or an earlier result).
     starts
-        Number of random starts, after the given ones, for a `FixedOrder` the best static gain and the full-order
-        H-infinity design reduced to the order, and the structure's own.
+        Number of random starts, after the given ones, for a `FixedOrder` the full-order design reduced to the order,
+        and the structure's own.
     seed
         Seed of the random starts.
     time_limit
@@ -298,7 +295,7 @@ def fixed_structure(
         problem = DesignProblem(plants, law, objective, limits, budget)
         if objective == "h2":
             require_finite_h2(problem)
-        return design(problem, [*given, *informed_starts(problem, seed, say)])
+        return design(problem, [*given, *informed_starts(problem, seed)])
 
 
 def law_of(plant: GeneralizedPlant, structure: Any, bounds: Mapping[str, tuple[float, float]] | None) -> Law:
@@ -420,7 +417,7 @@ def _for_worst_member(
     uncertain = UncertainModel(plant.model, plant.blocks)
     deltas: list[Mapping[str, Any]] = [{}]
     members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
-    best: FixedSynthesis | None = None
+    best: tuple[FixedSynthesis, WorstCaseGain] | None = None
     last: list[tuple[str, AnyArray]] = []
     for number in range(ROUNDS):
         if best is not None and budget.over:
@@ -438,44 +435,36 @@ def _for_worst_member(
         found = replace(found, worst=worst, scenarios=tuple(deltas), uncertain=uncertain)
         gains = f"gain {found.gamma:.5g}, worst member {worst.lower:.5g}"
         say(f"round {number + 1}: {len(members)} scenarios, {gains}")
-        if best is None or best.worst is None or (worst.lower, worst.upper) < (best.worst.lower, best.worst.upper):
-            best = found
+        if best is None or (worst.lower, worst.upper) < (best[1].lower, best[1].upper):
+            best = found, worst
         member = _member(uncertain, worst) if worst.lower > ENOUGH * found.gamma else None
         if member is None:
             break
         deltas.append(dict(worst.delta))
         members.append(GeneralizedPlant(member, plant.n_meas, plant.n_con))
     assert best is not None
-    return _with_worst_gain(best, budget)
+    found, worst = best
+    scenarios = f"{len(found.scenarios)} scenarios"
+    if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
+        gamma = worst.upper if found.status.trustworthy else max(worst.upper, found.gamma)
+        sound = Status.INACCURATE if found.status is Status.INACCURATE else Status.CERTIFIED
+        status, reason = told(sound, [found.reason, "worst-case gain over the whole set proved", scenarios], budget)
+        return replace(found, gamma=gamma, status=status, reason=reason)
+    text = "a member is unstable" if not np.isfinite(worst.lower) else "the worst-case gain was not proved"
+    status, reason = told(Status.INCONCLUSIVE, [text, scenarios], budget)
+    return replace(found, gamma=max(found.gamma, worst.lower), status=status, reason=reason)
 
 
 def _member(uncertain: UncertainModel, worst: WorstCaseGain) -> StateSpaceModel | None:
     """The member at the worst Delta as a model; complex values are realised as stable systems."""
-    frequency = worst.frequency
     try:
         if any(np.iscomplexobj(value) and np.abs(np.imag(value)).max() > 0 for value in worst.delta.values()):
-            if frequency is None:
+            if worst.frequency is None:
                 return None
-            return uncertain.evaluate(realise_delta(uncertain.blocks, worst.delta, frequency, uncertain.dt))
+            return uncertain.evaluate(realise_delta(uncertain.blocks, worst.delta, worst.frequency, uncertain.dt))
         return uncertain.evaluate({name: np.real(value) for name, value in worst.delta.items()})
     except NoTrustworthyNumber:
         return None
-
-
-def _with_worst_gain(design: FixedSynthesis, budget: Budget) -> FixedSynthesis:
-    """The design with gamma, status and reason as the worst-case gain has them, and what ended the search."""
-    worst = design.worst
-    assert worst is not None
-    scenarios = f"{len(design.scenarios)} scenarios"
-    if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
-        gamma = worst.upper if design.status.trustworthy else max(worst.upper, design.gamma)
-        sound = Status.INACCURATE if design.status is Status.INACCURATE else Status.CERTIFIED
-        parts = [design.reason, "worst-case gain over the whole set proved", scenarios]
-        status, reason = told(sound, parts, budget)
-        return replace(design, gamma=gamma, status=status, reason=reason)
-    text = "a member is unstable" if not np.isfinite(worst.lower) else "the worst-case gain was not proved"
-    status, reason = told(Status.INCONCLUSIVE, [text, scenarios], budget)
-    return replace(design, gamma=max(design.gamma, worst.lower), status=status, reason=reason)
 
 
 # --- verification -----------------------------------------------------------------------------------------------------
@@ -523,7 +512,7 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
         reason=doubt or f"{many} rebuilt from K: stable, norm proved in ball arithmetic",
         limit=limiting_channels(loops[worst], peak) if np.isfinite(peak) else "",
         plant=plants[worst], method="fixed", objective=problem.objective, parameters=parameter_values(law, start.p),
-        gammas=gammas, norms=norms, closed_loops=loops, peak_frequency=peak, limits=limits, starts=(start,),
+        gammas=gammas, norms=norms, peak_frequency=peak, limits=limits, starts=(start,),
         plants=tuple(plants),
     )  # fmt: skip
 

@@ -1,11 +1,9 @@
-"""Starts for controllers of a given order: the best static gain, and the full-order design brought to that order.
+"""A start for controllers of a given order: the full-order design brought to that order.
 
 With B_K = C_K = 0 a search stands still: here B_K is made nonzero, so that C_K has a slope.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 
@@ -16,31 +14,22 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.h2.h2_synthesis import synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.laws.controller_laws import Law
-from robustlab.synthesis.laws.controller_structures import StaticGain
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.parameter_search import law_around, multi_start
+from robustlab.synthesis.nonsmooth.parameter_search import law_around
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.reduction.model_reduction import reduce_model
 
-# Random starts of the search for the best static gain.
-STATIC_STARTS = 6
-# Shares of the work left for it and for the full order, and most for that.
-STATIC_SHARE = 0.3
-FULL_SHARE = 0.2
-FULL_WORK = 10 * MILLION
+FULL_SHARE, FULL_WORK = 0.2, 10 * MILLION  # of the work left for the full-order design, and most for it
 # The full-order design may be so much worse than the best one: it is calmer then, and easier to reduce.
 FULL_HINF_REL = 1.05
 FULL_H2_REL = 1.0005
-# First and last pole of the states beside a static gain, in units of the plant's rate (discrete: in the z-plane).
+# First and last pole of further states, in units of the plant's rate (discrete: in the z-plane).
 POLES = (0.3, 3.0)
 DISCRETE_POLES = (0.2, 0.8)
 
 
-def informed_starts(problem: DesignProblem, seed: int, progress: Callable[[str], None]) -> list[tuple[str, AnyArray]]:
-    """``("static", p)`` and ``("reduced", p)``: starts of a law whose B_K and C_K are free; none for other laws.
-
-    At most half of what is left of the budget is used; the full-order design is that of the first plant.
-    """
+def informed_starts(problem: DesignProblem, seed: int) -> list[tuple[str, AnyArray]]:
+    """``("reduced", p)``: a start of a law whose B_K and C_K are free, from the first plant; none for other laws."""
     law, budget = problem.law, problem.budget
     if not law.sizes[0] or len(law.entries) != len(law.parameters):
         return []
@@ -50,20 +39,12 @@ def informed_starts(problem: DesignProblem, seed: int, progress: Callable[[str],
     near = np.abs(np.subtract.outer(np.arange(k), np.arange(k))) <= 1
     if not (free[:k, k:].all() and free[k:, :k].all() and free[:k, :k][near].all()):
         return []
-    found: list[tuple[str, AnyArray]] = []
-    if free[k:, k:].any():
-        first = problem.plants[0]
-        static = StaticGain(free[k:, k:]).law(first.measurements, first.controls, problem.dt)
-        alone = DesignProblem(problem.plants, static, problem.objective, (), budget.share(STATIC_SHARE))
-        best = multi_start(alone, [], STATIC_STARTS, seed, lambda line: progress(f"static gain: {line}"))[0]
-        if np.isfinite(best.gamma):
-            found.append(("static", _held(problem, law, static.packed(best.p), 0, seed)))
     part = budget.share(min(FULL_SHARE, FULL_WORK / max(budget.left, 1.0)))
     K = _reduced(problem.plants[0], k, problem.objective, part)
-    if K is not None:
-        around, q = law_around(K)
-        found.append(("reduced", _held(problem, law, around.packed(q), K.n_states, seed)))
-    return found
+    if K is None:
+        return []
+    around, q = law_around(K)
+    return [("reduced", _held(problem, law, around.packed(q), K.n_states, seed))]
 
 
 def _held(problem: DesignProblem, law: Law, theta: AnyArray, order: int, seed: int) -> AnyArray:

@@ -31,18 +31,6 @@ WORTHWHILE = 1e-8
 Function = Callable[[AnyArray, float], tuple[float, AnyArray | None]]
 
 
-@dataclass(frozen=True)
-class Descent:
-    """Where a descent ended: point, value, gradient there, steps, values on the way, inverse Hessian to go on with."""
-
-    x: AnyArray
-    value: float
-    gradient: AnyArray
-    steps: int
-    values: tuple[float, ...]
-    inverse: AnyArray
-
-
 def bfgs(
     function: Function,
     x: AnyArray,
@@ -50,16 +38,13 @@ def bfgs(
     max_steps: int = 500,
     rtol: float = 1e-9,
     stop_below: float = -np.inf,
-    inverse: AnyArray | None = None,
     late: Callable[[], bool] = lambda: False,
-) -> Descent | None:
-    """Descent from x; None where the function has no finite value there."""
+) -> tuple[AnyArray, float] | None:
+    """Where a descent from x ends, and the value there; None where the function has no finite value at x."""
     value, gradient = function(x, np.inf)
     if gradient is None or not np.isfinite(value) or not np.isfinite(gradient).all():
         return None
-    values = [value]
-    fresh, stalled, steps = inverse is None, 0, 0
-    inverse = _steepest(gradient, 1.0) if inverse is None else inverse
+    inverse, fresh, stalled, steps = _steepest(gradient, 1.0), True, 0, 0
     while steps < max_steps and value >= stop_below and stalled < STALL_STEPS and not late():
         direction = -inverse @ gradient
         slope = float(gradient @ direction)
@@ -74,8 +59,7 @@ def bfgs(
         inverse, fresh = _updated(inverse, s, y, fresh)
         stalled = stalled + 1 if value - new_value < rtol * abs(value) else 0
         x, value, gradient, steps = new, new_value, new_gradient, steps + 1
-        values.append(value)
-    return Descent(x, value, gradient, steps, tuple(values), inverse)
+    return x, value
 
 
 def _steepest(gradient: AnyArray, length: float) -> AnyArray:

@@ -209,6 +209,7 @@ class LoopFamily:
         found = None if continuous is None else entropy(continuous, gamma)
         if found is None:
             return None
-        a, b, c, d = bilinear_pullback(member.loop, found.by_loop) if self.discrete else found.by_loop
+        value, by_gamma, by_loop = found
+        a, b, c, d = bilinear_pullback(member.loop, by_loop) if self.discrete else by_loop
         G = self.B.T @ (a @ self.C.T + b @ self.D21.T) + self.D12.T @ (c @ self.C.T + d @ self.D21.T)
-        return found.value, member.by_theta(G), found.by_gamma
+        return value, member.by_theta(G), by_gamma

@@ -7,12 +7,13 @@ Frequencies are those of a continuous loop; a discrete loop is mapped by the bil
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.linear_analysis.matrix_equations import lapack
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.linear_analysis.matrix_equations import hamiltonian_riccati, lapack
+from robustlab.linear_analysis.slicot import lyapunov_solution
 from robustlab.synthesis.problem.partition import Realisation
 
 # Relative height above the largest value met at which the Hamiltonian is asked for crossings, and how often.
@@ -266,17 +267,8 @@ def _sigma_at(loop: Realisation, omega: float) -> float:
 # --- entropy ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Entropy:
-    """The entropy, its derivative with respect to gamma, and its gradients with respect to the loop's matrices."""
-
-    value: float
-    by_gamma: float
-    by_loop: Realisation
-
-
-def entropy(loop: Realisation, gamma: float) -> Entropy | None:
-    """The entropy with its derivatives; None where the loop is not stable or its norm not below gamma."""
+def entropy(loop: Realisation, gamma: float) -> tuple[float, float, Realisation] | None:
+    """The entropy, its derivative by gamma and its gradients by the loop; None where the norm is not below gamma."""
     a, b, c, d = loop
     n, m = b.shape
     r = gamma**2 * np.eye(m) - d.T @ d
@@ -290,10 +282,14 @@ def entropy(loop: Realisation, gamma: float) -> Entropy | None:
         value = -float(np.linalg.slogdet(r)[1]) + 2 * m * np.log(gamma)
         by_gamma = -2 * gamma * float(np.trace(r_inv)) + 2 * m / gamma
         by_loop = Realisation(nothing((0, 0)), nothing((0, m)), nothing((len(c), 0)), 2 * d @ r_inv)
-        return Entropy(value, by_gamma, by_loop)
+        return value, by_gamma, by_loop
     # Mustafa, Glover, *Minimum entropy H-infinity control* (1990): with A^T X + X A + C^T C + F^T R F = 0 the factor
     # R^(1/2) (I - F (sI - A)^-1 B) is outer, and Poisson's integral gives the entropy from its value at s = 1.
-    x = _stabilising(loop, r_inv)
+    real, _, _, _, info = lapack().dgeev(a, compute_vl=0, compute_vr=0)
+    by_d = r_inv @ (d.T @ c)
+    if info or real.max() >= 0:
+        return None
+    x = hamiltonian_riccati(a + b @ by_d, -b @ r_inv @ b.T, c.T @ (c + d @ by_d), tolerance=ENTROPY_RESIDUAL)
     if x is None:
         return None
     f = r_inv @ (b.T @ x + d.T @ c)
@@ -303,8 +299,11 @@ def entropy(loop: Realisation, gamma: float) -> Entropy | None:
     value = -logs[0] + 2 * m * np.log(gamma) + 2 * (logs[1] - logs[2])
     v = w_f @ b @ r_inv
     s = v @ b.T
-    y = _lyapunov(a_f, s + s.T)
-    if y is None or not np.isfinite(value):
+    try:
+        y = lyapunov_solution(a_f, s + s.T, False)
+    except NoTrustworthyNumber:
+        return None
+    if not (np.isfinite(value) and np.isfinite(y).all()):
         return None
     q = v + y @ f.T
     fv = f @ v
@@ -312,41 +311,4 @@ def entropy(loop: Realisation, gamma: float) -> Entropy | None:
     by_gamma = -2 * gamma * float(np.trace(by_r)) + 2 * m / gamma
     by_a, by_b = 2 * (w_f - w + y @ x).T, 2 * (f @ w_f).T + 2 * x @ q
     by_c, by_d = 2 * d @ q.T + 2 * c @ y, 2 * c @ q + 2 * d @ by_r
-    return Entropy(value, by_gamma, Realisation(by_a, by_b, by_c, by_d))
-
-
-def _stabilising(loop: Realisation, r_inv: AnyArray) -> AnyArray | None:
-    """X from the stable invariant subspace of the Hamiltonian; None where there is none or A is not stable."""
-    a, b, c, d = loop
-    n = len(a)
-    by_d = r_inv @ (d.T @ c)
-    a1, low = a + b @ by_d, c.T @ (c + d @ by_d)
-    hamiltonian = np.block([[a1, b @ r_inv @ b.T], [-low, -a1.T]])
-    if not np.isfinite(hamiltonian).all():
-        return None
-    real, _, _, _, info = lapack().dgeev(a, compute_vl=0, compute_vr=0)
-    if info or real.max() >= 0:
-        return None
-    _, stable, real, _, z, _, info = lapack().dgees(lambda re, im: re < 0, hamiltonian, sort_t=1)
-    if info or stable != n or np.abs(real).min() < 1e-13 * np.abs(hamiltonian).max():
-        return None
-    try:
-        x = np.linalg.solve(z[:n, :n].T, z[n:, :n].T)
-    except np.linalg.LinAlgError:
-        return None
-    x = 0.5 * (x + x.T)
-    if not np.isfinite(x).all():
-        return None
-    terms = x @ a1, x @ hamiltonian[:n, n:] @ x
-    residual = np.abs(terms[0] + terms[0].T + low + terms[1]).max()
-    return x if residual <= ENTROPY_RESIDUAL * max(np.abs(t).max() for t in (*terms, low)) else None
-
-
-def _lyapunov(a: AnyArray, q: AnyArray) -> AnyArray | None:
-    """``A Y + Y A^T + Q = 0`` for a stable A."""
-    t, _, _, _, z, _, info = lapack().dgees(lambda re, im: 0, a)
-    if info:
-        return None
-    y, scale, info = lapack().dtrsyl(t, t, -(z.T @ q @ z), tranb=b"T")
-    y = z @ (y * scale) @ z.T
-    return y if not info and np.isfinite(y).all() else None
+    return value, by_gamma, Realisation(by_a, by_b, by_c, by_d)

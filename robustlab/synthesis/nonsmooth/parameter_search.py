@@ -13,7 +13,7 @@ from robustlab.budget import Budget
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.laws.controller_laws import Law, LawBuilder, Parameter
-from robustlab.synthesis.nonsmooth.descent_methods import Descent, Function, bfgs, sequential_linear
+from robustlab.synthesis.nonsmooth.descent_methods import Function, bfgs, sequential_linear
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
@@ -22,16 +22,12 @@ STABLE = -1e-6
 STABILISE_STEPS = 300
 DEEPER_STEPS = 15
 DEEP = -0.5
-# Steps down the norm that a round gives every start, and how many starts go on to the next round.
-ROUNDS = ((12, 8), (30, 4), (90, 3))
-ROUND_RTOL = 1e-5
-# Starts that are followed to the end of the path, and those of them that are polished. More: slower, seldom better.
-FOLLOWED = 3
-POLISHED = 2
+ENTRY_STEPS = 24  # down the norm that every start takes ...
+FOLLOWED = 3  # ... and how many of different ends go on to the end of the path ...
+POLISHED = 2  # ... of which so many are polished. More: slower, seldom better
 POLISH_ROUNDS = 8
 POLISH_STEPS = 40
-# Ends whose norms differ by less than this share count as the same optimum.
-SAME = 1e-4
+SAME = 1e-4  # ends whose norms differ by less than this share count as the same optimum
 # Weights of the barrier: the first finds the middle of the feasible set, the last ends within about a percent.
 BARRIER = (3.0, 1.0, 0.3)
 # Those for a start that has come down the norm already, and for a controller that is known to be good.
@@ -41,8 +37,8 @@ BARRIER_STEPS = 60
 BARRIER_RTOL = 1e-5
 # Level over the norm at which the path begins.
 HEADROOM = 1.5
-# Steps of a descent on the norm itself.
-DESCENT_STEPS = 40
+DESCENT_STEPS = 100  # of a descent on the norm itself
+POLISH_DESCENT = 40  # of those between linear programs
 DESCENT_RTOL = 1e-6
 # Condition number of the modes of A_K up to which they are taken as coordinates.
 MODES_WELL_APART = 1e6
@@ -54,26 +50,22 @@ MANY = 700
 class Start:
     """What became of one start."""
 
-    kind: str  # `"given"`, `"static"`, `"reduced"`, `"structure"` (its own start) or `"random"`
+    kind: str  # `"given"`, `"reduced"`, `"structure"` (its own start) or `"random"`
     # Spectral abscissa (in the plant's scaled time) or violated limit where stabilisation ended; negative: feasible.
     instability: float
     gamma: float  # norm at its end, in the plant's units, before verification; inf where it was never stable
     p: AnyArray  # its parameters
     values: tuple[float, ...]  # norms on the way
-    v: AnyArray | None = None  # its search variables, and the inverse Hessian, with which a descent goes on
-    inverse: AnyArray | None = None
-    stands: bool = False  # whether a descent gains nothing more
 
     def to_json(self) -> dict[str, Any]:
         return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "values")}
 
-    def lower(self, problem: DesignProblem, v: AnyArray, norms: Sequence[float]) -> Start:
-        """Moved to these variables on the way of these scaled norms, where it ends lower; else itself."""
+    def moved(self, problem: DesignProblem, p: AnyArray, norms: Sequence[float]) -> Start:
+        """Moved to these parameters on the way of these scaled norms, where it ends lower; else itself."""
         values = tuple(x / problem.gain for x in norms)
         if not values[-1] < self.gamma:
             return self
-        p = problem.parameters(v)[0]
-        return replace(self, gamma=values[-1], p=p, values=(*self.values, *values), v=v, inverse=None)
+        return replace(self, gamma=values[-1], p=p, values=(*self.values, *values))
 
 
 def multi_start(
@@ -100,12 +92,10 @@ def multi_start(
         best = min(start.gamma for start in field)
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
         progress(f"start {i + 1} of {total}: norm {field[-1].gamma:.6g}, {text}")
-    for steps, keep in ROUNDS:
+    for improved, most in ((_followed, FOLLOWED), (_polished, POLISHED)):
         field = _distinct_first(field)
-        field = [_further(problem, start, steps) if i < keep else start for i, start in enumerate(field)]
-    field = _distinct_first(field)
-    field = [_followed(problem, start) if i < FOLLOWED else start for i, start in enumerate(field)]
-    return _best_polished(problem, sorted(field, key=lambda s: s.gamma), progress)
+        field = [improved(problem, s) if i < most and 0 < s.gamma < np.inf else s for i, s in enumerate(field)]
+    return sorted(field, key=lambda s: s.gamma)
 
 
 def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> AnyArray:
@@ -119,32 +109,17 @@ def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> A
 
 
 def _entered(problem: DesignProblem, kind: str, v: AnyArray) -> Start:
-    """A start made stable; with limits, or where it is not a random one, taken along the central path."""
+    """A start made stable, and some steps down; with limits, or where it is not a random one, by the central path."""
     v, instability = stabilised(problem, v)
-    start = Start(kind, instability, np.inf, problem.parameters(v)[0], (), stands=True)
+    start = Start(kind, instability, np.inf, problem.parameters(v)[0], ())
     if instability >= STABLE:
         return start
     values = [problem.norm(v)[0]]
     if kind != "random" or problem.limits:
         v, values = central_path(problem, v)
-    gammas = tuple(x / problem.gain for x in values)
-    start = replace(start, gamma=min(gammas), p=problem.parameters(v)[0], values=gammas, v=v, stands=False)
-    return _further(problem, start, ROUNDS[0][0])
-
-
-def _goes_on(problem: DesignProblem, start: Start) -> bool:
-    return bool(np.isfinite(start.gamma)) and start.gamma != 0 and not problem.late()
-
-
-def _further(problem: DesignProblem, start: Start, steps: int) -> Start:
-    """A start some steps further down the norm."""
-    if start.stands or start.v is None or not _goes_on(problem, start):
-        return start
-    found = _bfgs(problem, problem.norm, start.v, max_steps=steps, rtol=ROUND_RTOL, inverse=start.inverse)
-    lower = start if found is None else start.lower(problem, found.x, [found.value])
-    if found is None or lower is start:
-        return replace(start, stands=True)
-    return replace(lower, inverse=found.inverse, stands=found.steps < steps)
+    start = start.moved(problem, problem.parameters(v)[0], [*values, min(values)])
+    v, value = _descended(problem, v, ENTRY_STEPS)
+    return start.moved(problem, problem.parameters(v)[0], [value])
 
 
 def _distinct_first(field: list[Start]) -> list[Start]:
@@ -159,31 +134,22 @@ def _distinct_first(field: list[Start]) -> list[Start]:
 
 def _followed(problem: DesignProblem, start: Start) -> Start:
     """A start taken along the path from where it is, and down the norm itself."""
-    if not _goes_on(problem, start):
+    if problem.late():
         return start
     v, values = central_path(problem, problem.variables(start.p), BARRIER_CLOSER)
-    v, value = _descended(problem, v)
-    return start.lower(problem, v, [*values[1:], value])
+    v, value = _descended(problem, v, DESCENT_STEPS)
+    return start.moved(problem, problem.parameters(v)[0], [*values[1:], value])
 
 
-def _best_polished(problem: DesignProblem, found: list[Start], progress: Callable[[str], None]) -> list[Start]:
-    done: list[Start] = []
-    ends: list[float] = []  # norms of the starts that were polished, before it: one of each optimum is enough
-    for start in found:
-        new = all(abs(end - start.gamma) > SAME * start.gamma for end in ends) and _goes_on(problem, start)
-        if len(ends) == POLISHED or not new:
-            done.append(start)
-            continue
-        ends.append(start.gamma)
-        p, value = polished(problem, start.p)
-        gamma = value / problem.gain
-        if gamma < start.gamma:
-            progress(f"polished: norm {start.gamma:.6g} -> {gamma:.6g}")
-        done.append(replace(start, gamma=gamma, p=p, values=(*start.values, gamma)))
-    return sorted(done, key=lambda s: s.gamma)
+def _polished(problem: DesignProblem, start: Start) -> Start:
+    """A start improved by `polished`."""
+    if problem.late():
+        return start
+    p, value = polished(problem, start.p)
+    return start.moved(problem, p, [value])
 
 
-def _bfgs(problem: DesignProblem, function: Function, v: AnyArray, **steps: Any) -> Descent | None:
+def _bfgs(problem: DesignProblem, function: Function, v: AnyArray, **steps: Any) -> tuple[AnyArray, float] | None:
     return bfgs(function, v, late=problem.late, **steps)
 
 
@@ -201,10 +167,9 @@ def _below_zero(problem: DesignProblem, function: Function, v: AnyArray) -> tupl
     if value < STABLE:
         return v, value
     found = _bfgs(problem, function, v, max_steps=STABILISE_STEPS, stop_below=10 * STABLE)
-    if found is None or found.value >= STABLE:
-        return (v, value) if found is None else (found.x, found.value)
-    deeper = _bfgs(problem, function, found.x, max_steps=DEEPER_STEPS, stop_below=DEEP)
-    return (found.x, found.value) if deeper is None else (deeper.x, deeper.value)
+    if found is None or found[1] >= STABLE:
+        return found or (v, value)
+    return _bfgs(problem, function, found[0], max_steps=DEEPER_STEPS, stop_below=DEEP) or found
 
 
 def central_path(
@@ -222,7 +187,7 @@ def central_path(
         )
         if found is None or problem.late():
             break
-        z = found.x
+        z = found[0]
         value = problem.norm(z[:-1])[0]
         values.append(value)
         if value < best:
@@ -230,9 +195,9 @@ def central_path(
     return at, values
 
 
-def _descended(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
-    found = _bfgs(problem, problem.norm, v, max_steps=DESCENT_STEPS, rtol=DESCENT_RTOL)
-    return (v, problem.norm(v)[0]) if found is None else (found.x, found.value)
+def _descended(problem: DesignProblem, v: AnyArray, steps: int) -> tuple[AnyArray, float]:
+    found = _bfgs(problem, problem.norm, v, max_steps=steps, rtol=DESCENT_RTOL)
+    return found or (v, problem.norm(v)[0])
 
 
 def polished(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
@@ -250,7 +215,7 @@ def polished(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
         )
         full = p.copy()
         full[free] = q
-        v, descended = _descended(problem, problem.variables(full))
+        v, descended = _descended(problem, problem.variables(full), POLISH_DESCENT)
         if descended < reached:
             full, reached = problem.parameters(v)[0], descended
         gained = reached < value * (1 - 3e-4)

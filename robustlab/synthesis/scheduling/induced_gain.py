@@ -306,7 +306,7 @@ class _Posed:
             def held(
                 P: Any, level: Any, models: Any = models, slopes: Any = slopes, out: Array = out
             ) -> Any:  # L_c for P at its vertices
-                top = sum(P[w] @ m[:n] / len(models) for m, w in models)
+                top: Any = sum(P[w] @ m[:n] / len(models) for m, w in models)
                 drift = top[:, :n] + top[:, :n].T + sum(f / s.rate * (P[a] - P[b]) for f, a, b in slopes)
                 return bounded_real(cp.hstack([drift, top[:, n:]]), out[:, :n], out[:, n:], level)
 
@@ -321,7 +321,7 @@ class _Posed:
             return None, None, failed
         found = np.array([X.value for X in P.values()]).reshape(*self.shape, n, n)
         found = self.back.T @ found @ self.back * (s.w / (s.z * s.rate))
-        return float(gamma.value) / s.gain if level is None else level, 0.5 * (found + np.swapaxes(found, -1, -2)), ""
+        return float(np.asarray(gamma.value)) / s.gain if level is None else level, 0.5 * (found + np.swapaxes(found, -1, -2)), ""
 
 
 def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, Array, Array]]:

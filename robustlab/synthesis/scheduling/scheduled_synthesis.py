@@ -260,7 +260,7 @@ def _projection(
     if failed:
         return None, None, failed
     outer = np.asarray(R.value), np.asarray(S.value)
-    return level if level is not None else float(gamma.value), outer, ""
+    return level if level is not None else float(np.asarray(gamma.value)), outer, ""
 
 
 def _outer(p: PlantMatrices, S: Any, gamma: Any) -> Any:

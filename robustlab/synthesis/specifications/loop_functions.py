@@ -135,24 +135,16 @@ def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None)
     g, k = as_model(G, "loop functions: G"), as_model(K, "loop functions: K")
     found = closing(g, k, sign, "loop functions")
     g, k, sign = found.plant, found.K, found.sign
-    n, n_y, n_u = g.n_states, g.n_outputs, g.n_inputs
+    n_y, n_u = g.n_outputs, g.n_inputs
     # From (r, d, u) to (r - y, y, u, r - y) with y = G (u + d); K acts on e = r - y.
-    none = np.zeros((n_u, n))
-    direct = np.hstack([np.zeros((n_y, n_y)), g.D, g.D])
-    error = np.hstack([np.eye(n_y), -g.D, -g.D])
-    control = np.hstack([np.zeros((n_u, n_y + n_u)), np.eye(n_u)])
-    plant = StateSpaceModel(
-        g.A,
-        np.hstack([np.zeros((n, n_y)), g.B, g.B]),
-        np.vstack([-g.C, g.C, none, -g.C]),
-        np.vstack([error, direct, control, error]),
-        g.dt,
-    )
+    r, d, u = np.split(np.eye(n_y + 2 * n_u), [n_y, n_y + n_u])
+    y = g.D @ (d + u)
+    C = np.vstack([-g.C, g.C, np.zeros((n_u, g.n_states)), -g.C])
+    plant = StateSpaceModel(g.A, g.B @ (d + u), C, np.vstack([r - y, y, u, r - y]), g.dt)
     # u = K (y - r) is u = -K e.
     signed = StateSpaceModel(k.A, k.B, -sign * k.C, -sign * k.D, k.dt)
     loop = lower_lft(plant, signed)
-    r, d = slice(0, n_y), slice(n_y, n_y + n_u)
-    e, y, u = slice(0, n_y), slice(n_y, 2 * n_y), slice(2 * n_y, 2 * n_y + n_u)
+    of_r, of_d = slice(0, n_y), slice(n_y, n_y + n_u)
 
     def part(rows: slice, columns: slice, inputs: Any, outputs: Any) -> StateSpaceModel:
         return StateSpaceModel(
@@ -163,10 +155,10 @@ def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None)
     errors = [(f"e {s.name}", s.unit) for s in g.outputs]
     disturbances = [(f"d {s.name}", s.unit) for s in g.inputs]
     return LoopFunctions(
-        part(e, r, references, errors),
-        part(y, r, references, g.outputs),
-        part(u, r, references, g.inputs),
-        part(y, d, disturbances, g.outputs),
+        part(slice(0, n_y), of_r, references, errors),
+        part(slice(n_y, 2 * n_y), of_r, references, g.outputs),
+        part(slice(2 * n_y, 2 * n_y + n_u), of_r, references, g.inputs),
+        part(slice(n_y, 2 * n_y), of_d, disturbances, g.outputs),
     )
 
 

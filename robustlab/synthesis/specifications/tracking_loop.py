@@ -98,7 +98,7 @@ def tracking_loop(system: Any, controller: Any) -> Any:
     takes: list[Any] = list(K.inputs)
     names = [s.name for s in base.outputs]
     m, (q, p) = base.M, base.delta_shape
-    n, n_u, n_y = m.n_states, m.n_inputs - q, m.n_outputs - p
+    n_u, n_y = m.n_inputs - q, m.n_outputs - p
     # v = F r + S y is what K takes; one with inputs for references gets those there, and y as it is.
     F, S = np.zeros((len(takes), n_y)), np.zeros((len(takes), n_y))
     referred = {s.of for s in takes if not s.sign}
@@ -106,22 +106,12 @@ def tracking_loop(system: Any, controller: Any) -> Any:
     for row, s in enumerate(takes):
         j = names.index(s.of) if s.of in names else next(order)
         S[row, j], F[row, j] = s.sign, 1.0 if not s.sign else 0.0 if s.of in referred else -s.sign
-    none = np.zeros((n_u, n_y))
-    plant = StateSpaceModel(
-        m.A,
-        np.hstack([m.B[:, :q], np.zeros((n, n_y)), m.B[:, q:]]),
-        np.vstack([m.C, np.zeros((n_u, n)), S @ m.C[p:]]),
-        np.block(
-            [
-                [m.D[:, :q], np.zeros((m.n_outputs, n_y)), m.D[:, q:]],
-                [np.zeros((n_u, q)), none, np.eye(n_u)],
-                [S @ m.D[p:, :q], F, S @ m.D[p:, q:]],
-            ]
-        ),
-        m.dt,
-        [*m.inputs[:q], *(Signal(f"{s.name}_ref", s.unit) for s in base.outputs), *base.inputs],
-        [*m.outputs, *base.inputs, *(Taken(f"{s.name} taken", s.unit, s.takes, s.of) for s in takes)],
-        m.states,
-        where="tracking loop",
-    )
+    w, r, u = np.split(np.eye(q + n_y + n_u), [q, q + n_y])
+    into = np.vstack([w, u])
+    through = m.D @ into
+    C = np.vstack([m.C, np.zeros((n_u, m.n_states)), S @ m.C[p:]])
+    D = np.vstack([through, u, F @ r + S @ through[p:]])
+    inputs = [*m.inputs[:q], *(Signal(f"{s.name}_ref", s.unit) for s in base.outputs), *base.inputs]
+    outputs = [*m.outputs, *base.inputs, *(Taken(f"{s.name} taken", s.unit, s.takes, s.of) for s in takes)]
+    plant = StateSpaceModel(m.A, m.B @ into, C, D, m.dt, inputs, outputs, m.states, where="tracking loop")
     return UncertainModel(plant, base.blocks).close(K)

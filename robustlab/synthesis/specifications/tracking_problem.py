@@ -10,8 +10,7 @@ requirement holds. Skogestad, Postlethwaite 2005, section 9.3; Březina 2010, eq
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -26,7 +25,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.shown import Facts, Shown, number
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lower_lft, series
-from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.uncertainty.lft import UncertainModel
 
 Sizes = float | Mapping[str, float]
@@ -252,34 +251,34 @@ def _signals(
     controls: list[str],
 ) -> StateSpaceModel:
     """From [w; r; d; n; u] to [z; e; u; y_c; v], all without weights."""
-    M, (q, p) = base.M, base.delta_shape
-    n_u, names_u = len(controls), [s.name for s in base.inputs]
-    rows_c, rows_m = [p + i for i in c], [p + i for i in m]
+    M, (q, p), n_r = base.M, base.delta_shape, len(reference)
+    follow, seen = [p + i for i in c], [p + i for i in m]
     names_v = [*(f"{base.outputs[i].name}_ref" for i in c), *(base.outputs[i].name for i in m)]
     size_r, size_d, size_n = (np.array(list(s.values())) for s in (reference, disturbance, noise))
-    n_r, n_d, n_n = len(size_r), len(size_d), len(size_n)
-    at_u, driven = np.zeros((len(names_u), n_d)), np.zeros((len(names_u), n_u))
-    driven[[names_u.index(name) for name in controls], range(n_u)] = 1.0
-    at_u[[names_u.index(name) for name in disturbance], range(n_d)] = size_d
-    at_v = np.zeros((n_r + len(m), n_n))
-    at_v[[names_v.index(name) for name in noise], range(n_n)] = size_n
-    # what acts on M: its own w, the controls u + d, and the loads; columns [w, r, d, n, u]
-    into = np.zeros((M.n_inputs, q + n_r + n_d + n_n + n_u))
-    into[:q, :q] = np.eye(q)
-    into[q:, q + n_r : q + n_r + n_d], into[q:, -n_u:] = at_u, driven
-    relative = np.eye(n_r) / size_r[:, None]
-    pick = np.zeros((p + n_r + n_u + n_r + n_r + len(m), M.n_outputs))
-    direct = np.zeros((len(pick), into.shape[1]))
-    edges = np.cumsum([0, p, n_r, n_u, n_r, n_r, len(m)])
-    z, e, u, out, r, y = (slice(a, b) for a, b in itertools.pairwise(edges))
-    pick[z, :p] = np.eye(p)
-    pick[e, rows_c], direct[e, q : q + n_r] = -relative, np.eye(n_r)
-    direct[u, -n_u:] = np.eye(n_u)
-    pick[out, rows_c] = relative
-    direct[r, q : q + n_r] = np.diag(size_r)
-    pick[y, rows_m] = np.eye(len(m))
-    direct[r.start :, q + n_r + n_d : q + n_r + n_d + n_n] = at_v
-    return StateSpaceModel(M.A, M.B @ into, pick @ M.C, pick @ M.D @ into + direct, M.dt, states=M.states)
+    counts = (q, n_r, len(disturbance), len(noise), len(controls))
+    w, r, d, n, u = np.split(np.eye(sum(counts)), np.cumsum(counts)[:-1])
+    # What acts on M: its own w, the controls u + d, and the loads.
+    names_u = [s.name for s in base.inputs]
+    acting = _placed(controls, names_u) @ u + _placed(disturbance, names_u) @ (size_d[:, None] * d)
+    heard = _placed(noise, names_v) @ (size_n[:, None] * n)
+    into = np.vstack([w, acting])
+    C, T, share = M.C, M.D @ into, np.diag(1 / size_r)
+    rows = [
+        (C[:p], T[:p]),
+        (-share @ C[follow], r - share @ T[follow]),
+        (np.zeros((len(u), M.n_states)), u),
+        (share @ C[follow], share @ T[follow]),
+        (np.zeros((n_r, M.n_states)), size_r[:, None] * r + heard[:n_r]),
+        (C[seen], T[seen] + heard[n_r:]),
+    ]
+    out, direct = (np.vstack(part) for part in zip(*rows, strict=True))
+    return StateSpaceModel(M.A, M.B @ into, out, direct, M.dt, states=M.states)
+
+
+def _placed(some: Iterable[str], names: Sequence[str]) -> Array:
+    """Ones where each of some signals stands among these names, shape (n_names, n_some)."""
+    some = list(some)
+    return np.array([[float(name == one) for one in some] for name in names]).reshape(len(names), len(some))
 
 
 def _weighted(
@@ -340,17 +339,13 @@ def _through(n: int, name: str, dt: float) -> StateSpaceModel:
 
 def _positions(names: Sequence[str], known: Sequence[Signal], what: str) -> list[int]:
     """Where the named outputs stand; each once."""
-    names, all_names = [names] if isinstance(names, str) else list(names), [s.name for s in known]
-    where = f"tracking problem: {what}"
+    names, where = [names] if isinstance(names, str) else list(names), f"tracking problem: {what}"
     if not names:
-        raise InputError(where, "no output", f"some of {', '.join(all_names)}")
+        raise InputError(where, "no output", f"some of {', '.join(s.name for s in known)}")
     for name in names:
-        if name not in all_names:
-            raise InputError(f"{where} {name!r}", "no such output", f"one of {', '.join(all_names)}",
-                             did_you_mean(name, all_names))  # fmt: skip
         if names.count(name) > 1:
             raise InputError(f"{where} {name!r}", "named twice", "each output once")
-    return [all_names.index(name) for name in names]
+    return signal_positions(names, [s.name for s in known], where)
 
 
 def _sizes(what: str, given: Sizes | None, known: Sequence[Signal], whole: bool = False) -> dict[str, float]:

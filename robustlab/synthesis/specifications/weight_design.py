@@ -61,15 +61,8 @@ def error_weight(error: float, corner: float, steady: float = 1e-3) -> StateSpac
 
     .. math:: W_1(s) = \frac{1}{\varepsilon} \frac{s + \omega_c}{s + \omega_c \varepsilon_0 / \varepsilon}
 
-    ``error``: epsilon: largest error above the corner, as a share of the reference.
-    ``corner``: omega_c in rad/s below which the error has to fall with the frequency.
-    ``steady``: epsilon_0: largest steady-state error (0 < epsilon_0 < epsilon).
-
-    Examples
-    --------
-    >>> W1 = error_weight(error=0.04, corner=1.0, steady=1e-3)
-    >>> round(float(W1.dc_gain()[0, 0]), 6), float(W1.D[0, 0])
-    (1000.0, 25.0)
+    epsilon: the largest error above the corner omega_c, as a share of the reference; below it the error falls with the
+    frequency to the largest steady-state error epsilon_0.
     """
     where = "error weight"
     _positive(where, error=error, corner=corner, steady=steady)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 
 import numpy as np
@@ -13,7 +12,7 @@ import robustlab as rl
 from robustlab.budget import MILLION, Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import hinf_norm
-from robustlab.result import Status, plain
+from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis import PID, Bandwidth, Damping, Decay, FixedOrder, RollOff, StableController, descend
 
@@ -135,12 +134,6 @@ def test_the_worst_member_of_an_uncertain_plant_is_bounded():
     assert len(design.scenarios) == len(design.gammas) >= 2
 
 
-def test_the_same_seed_gives_the_same_answer():
-    calls = [rl.fixed_structure(noisy_lag(1, 1), "static", n_meas=1, n_con=1, starts=1, seed=5) for _ in range(2)]
-    assert calls[0].values == calls[1].values
-    assert calls[0].gamma == calls[1].gamma
-
-
 def test_an_earlier_result_is_a_start_and_is_not_lost():
     P = noisy_lag(1, 1)
     first = rl.fixed_structure(P, "static", n_meas=1, n_con=1, starts=0)
@@ -164,17 +157,6 @@ def test_the_time_limit_is_kept_and_said():
     assert len(design.starts) < 1000
 
 
-def test_the_result_is_readable_and_plain():
-    design = rl.fixed_structure(noisy_lag(1, 1), "pi", n_meas=1, n_con=1, starts=0)
-    rows = dict(design.facts())
-    assert "verified upper bound" in rows["gamma"]
-    assert rows["starts"].startswith("1, of which 1 stabilised")
-    assert "Kp[1]" in rows
-    data = json.loads(json.dumps(plain(design.to_json())))
-    assert data["method"] == "fixed"
-    assert [p["name"] for p in data["parameters"]] == ["Kp[1]", "Ki[1]"]
-
-
 def position_loop():
     """Two masses on a spring, the first is driven and its position and velocity are measured with noise."""
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.array([[-1, 1], [1, -1]]), -0.05 * np.eye(2)]])
@@ -185,19 +167,14 @@ def position_loop():
 
 
 @pytest.mark.slow
-def test_a_given_order_starts_from_the_static_gain_and_from_the_reduced_full_order_design():
+def test_a_given_order_starts_from_the_reduced_full_order_design():
     P = position_loop()
     static = rl.fixed_structure(P, "static", n_meas=2, n_con=1, starts=0)
     second = rl.fixed_structure(P, 2, n_meas=2, n_con=1, starts=0)
     full = rl.hinf(P, 2, 1, gamma_rel=1.0)
-    assert {s.kind for s in second.starts} == {"static", "reduced", "structure"}
+    assert {s.kind for s in second.starts} == {"reduced", "structure"}
     assert full.gamma * (1 - 1e-3) <= second.gamma
     assert second.gamma <= 0.95 * static.gamma
-
-
-def test_no_time_at_all_is_said():
-    with pytest.raises(NoTrustworthyNumber, match=r"1 starts; .* not repeatable"):
-        rl.fixed_structure(lag(1, 1), "static", n_meas=1, n_con=1, time_limit=1e-9)
 
 
 # --- what cannot be done ---------------------------------------------------------------------------------------------
