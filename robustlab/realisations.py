@@ -245,12 +245,6 @@ def ss(
 def _converted(system: Any) -> StateSpaceModel:
     """A model of python-control or scipy, or anything that is one here."""
     program, kind = type(system).__module__.partition(".")[0], type(system).__mro__
-    if program == "control" and kind[0].__name__ == "TransferFunction":
-        if system.dt in (None, True):
-            raise InputError("ss", f"dt={system.dt}", "dt = 0 or a sample time in s")
-        one = (system.ninputs, system.noutputs) == (1, 1)
-        num, den = (side[0][0] if one else side for side in (system.num, system.den))
-        return tf(num, den, float(system.dt), system.input_labels, system.output_labels)
     if program == "scipy" and any(parent.__name__ in ("lti", "dlti") for parent in kind):
         if system.dt is True:
             raise InputError("ss", "dt=True (discrete, sample time unknown)", "a sample time in s")

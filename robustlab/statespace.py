@@ -271,20 +271,17 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         """
         import control
 
-        if isinstance(system, control.TransferFunction):
-            if system.ninputs != 1 or system.noutputs != 1:
-                hint = "control.ss(tf) makes one"
-                raise InputError("from_control", "a multivariable TransferFunction", "a control.StateSpace", hint)
-            try:
-                system = control.tf2ss(system)
-            except ValueError as error:  # improper: more zeros than poles
-                raise InputError("from_control", str(error), "no more zeros than poles") from None
-        if not isinstance(system, control.StateSpace):
+        if not isinstance(system, control.StateSpace | control.TransferFunction):
             found = type(system).__name__
             raise InputError("from_control", found, "a control.StateSpace or control.TransferFunction")
-        if system.dt is True or (system.dt is None and system.nstates):
+        if system.dt is True or (system.dt is None and len(system.poles())):
             found = "True (discrete, sample time unknown)" if system.dt else "None (timebase unspecified)"
             raise InputError("from_control", f"dt={found}", "dt = 0 or a sample time in s")
+        if isinstance(system, control.TransferFunction):
+            one = (system.ninputs, system.noutputs) == (1, 1)
+            num, den = (side[0][0] if one else side for side in (system.num, system.den))
+            tf = import_module("robustlab.realisations").tf
+            return tf(num, den, float(system.dt or 0.0), system.input_labels, system.output_labels)
         ins, outs, states = map(list, (system.input_labels, system.output_labels, system.state_labels))
         return cls(system.A, system.B, system.C, system.D, float(system.dt or 0.0), ins, outs, states)
 

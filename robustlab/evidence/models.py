@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from robustlab.norms import HinfNorm
-from robustlab.norms.claims import band_scalings, loop_claims, proof_of_norm
+from robustlab.norms.claims import band_scalings, loop_claims, norm_matrix
 from robustlab.norms.numbers import Numbers, above, block_rows, matrices, model_numbers
 from robustlab.statespace import StateSpaceModel, append
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
@@ -41,7 +41,7 @@ def _difference(found: ReducedModel, norm: HinfNorm) -> list[Claim]:
         np.hstack([full.C, -small.C]), full.D - small.D, full.dt,
     )  # fmt: skip
     if apart.is_stable():
-        proof = proof_of_norm(apart, level, norm.upper)
+        proof = norm_matrix(apart, level, norm.upper)
         return [Claim("difference-norm", {**numbers, "gamma": np.array(level), **proof})]
     scalings = band_scalings(full.n_inputs, full.n_outputs, (0.0, np.inf))
     return [Claim("mu-axis", {**numbers, "level": np.array(level), **scalings})]

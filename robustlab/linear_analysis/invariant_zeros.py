@@ -60,11 +60,10 @@ class Zeros(Shown):
     kinds
         For each "transmission", "input-decoupling" (a mode that no input moves), "output-decoupling" (one that no
         output shows) or "input-output-decoupling".
-    input_directions
-        Unit columns, shape (n_inputs, n_zeros): ``G(z) u = 0`` in the sense of P(z). NaN where it is not one direction:
-        with more inputs than the normal rank, or at a hidden mode that the inputs do not reach.
-    output_directions
-        Unit columns, shape (n_outputs, n_zeros), with ``y^H G(z) = 0``; NaN as for the inputs.
+    input_directions, output_directions
+        Unit columns, shapes (n_inputs, n_zeros) and (n_outputs, n_zeros): ``G(z) u = 0``, ``y^H G(z) = 0`` in the sense
+        of P(z). NaN where it is not one direction: with more inputs (outputs) than the normal rank, or at a hidden mode
+        that the inputs do not reach (the outputs do not show).
     normal_rank
         Rank of the transfer matrix at almost every s, to within rounding.
     residuals
@@ -89,12 +88,9 @@ class Zeros(Shown):
     dt: float = 0.0
 
     quantities: ClassVar[Mapping[str, Any]] = {
-        "count": "1",
-        "values": [{"re": float, "im": float}],
-        "kinds": [str],
-        "normal_rank": "1",
+        "count": "1", "values": [{"re": float, "im": float}], "kinds": [str], "normal_rank": "1",
         "not_minimum_phase": "1",
-    }
+    }  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.values)
@@ -166,8 +162,7 @@ def zeros(model: Any) -> Zeros:
     m = as_model(model, "zeros")
     values, rank, reason = _found(m)
     S, n = _system(m), m.n_states
-    upper = {z: _looked_at(S, z, n, rank) for z in {_above(z) for z in values.tolist()}}
-    looked = [upper[_above(z)] if z.imag >= 0 else upper[_above(z)].mirrored() for z in values.tolist()]
+    looked = [_looked_at(S, z, n, rank) for z in values.tolist()]
     residuals = np.array([x.residual for x in looked], dtype=float)
     reason = reason or _doubt(m, values, rank, residuals)
     return Zeros(
@@ -225,14 +220,6 @@ class _Look(NamedTuple):
     out: AnyArray
     residual: float
 
-    def mirrored(self) -> _Look:
-        """That of the conjugate zero."""
-        return self._replace(into=self.into.conj(), out=self.out.conj())
-
-
-def _above(z: complex) -> complex:
-    return z if z.imag >= 0 else z.conjugate()
-
 
 def _pencil(S: Array, s: complex, n: int) -> ComplexArray:
     P = S.astype(complex)
@@ -244,21 +231,14 @@ def _times_power(values: ComplexArray, exponents: AnyArray) -> ComplexArray:
     return np.ldexp(values.real, exponents) + 1j * np.ldexp(values.imag, exponents)
 
 
-class _Vectors(NamedTuple):
-    """Singular values of P with scaled rows and columns, its left and right vectors in columns, and the exponents."""
+def _singular(P: ComplexArray, size: Array) -> tuple[ComplexArray, Array, ComplexArray, AnyArray, AnyArray]:
+    """Left vectors, singular values and right vectors of P with scaled rows and columns, and the exponents of these.
 
-    sigma: Array
-    left: ComplexArray
-    right: ComplexArray
-    r: AnyArray
-    c: AnyArray
-
-
-def _singular(P: ComplexArray, size: Array) -> _Vectors:
-    """``size``: of P's entries before they cancel, by which its rows and columns are scaled."""
+    ``size``: of P's entries before they cancel, by which its rows and columns are scaled.
+    """
     r, c = equilibrating_exponents(size)
     left, sigma, right = np.linalg.svd(_times_power(P, r[:, None] + c))
-    return _Vectors(sigma, left, right.conj().T, r, c)
+    return left, sigma, right.conj().T, r, c
 
 
 def _rank_within_rounding(m: StateSpaceModel) -> int:
@@ -268,7 +248,7 @@ def _rank_within_rounding(m: StateSpaceModel) -> int:
     size = size[size > 0]
     low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
     for s in np.geomspace(low, high, 5) * 1.37 * np.exp(1.1j):
-        sigma = _singular(_pencil(S, s, n), _pencil(np.abs(S), -abs(s), n).real).sigma
+        sigma = _singular(_pencil(S, s, n), _pencil(np.abs(S), -abs(s), n).real)[1]
         best = max(best, int((sigma > NEARLY * sigma.max(initial=0.0)).sum()) - n)
         if best == min(m.n_inputs, m.n_outputs):
             break
@@ -277,7 +257,7 @@ def _rank_within_rounding(m: StateSpaceModel) -> int:
 
 def _looked_at(S: Array, z: complex, n: int, rank: int) -> _Look:
     P, size, k = _pencil(S, z, n), _pencil(np.abs(S), -abs(z), n).real, n + rank - 1
-    sigma, left, right, r, c = _singular(P, size)
+    left, sigma, right, r, c = _singular(P, size)
     unreached, unseen = _loses_rank(P[:n], size[:n]), _loses_rank(P[:, :n], size[:, :n])
     kind = {(True, True): "input-output-decoupling", (True, False): "input-decoupling",
             (False, True): "output-decoupling", (False, False): "transmission"}[unreached, unseen]  # fmt: skip
@@ -295,7 +275,7 @@ def _direction(vector: ComplexArray, exponents: AnyArray, single: bool) -> Compl
 
 
 def _loses_rank(block: ComplexArray, size: Array) -> bool:
-    sigma = _singular(block, size).sigma
+    sigma = _singular(block, size)[1]
     return bool(sigma[-1] <= HIDDEN * sigma[0])
 
 

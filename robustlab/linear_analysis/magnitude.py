@@ -6,6 +6,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.linear_analysis.matrix_equations import lapack
 from robustlab.statespace import StateSpaceModel
 
 # A matrix is ordinary where its largest entry lies between these: products of several neither overflow nor vanish.
@@ -27,13 +28,11 @@ def is_moderate(*matrices: AnyArray) -> bool:
 
 def balancing_factors(matrix: AnyArray) -> AnyArray:
     """Powers of two t, shape (n,): rows and columns of ``matrix / t[:, None] * t`` are alike in size (LAPACK gebal)."""
-    from scipy.linalg import lapack
-
     if not matrix.size:
         return np.ones(len(matrix))
     if not np.isfinite(matrix).all():
         raise ValueError("a matrix to be balanced has entries that are NaN or infinite")
-    return np.asarray(lapack.dgebal(np.abs(matrix), scale=1, permute=0)[3])
+    return np.asarray(lapack().dgebal(np.abs(matrix), scale=1, permute=0)[3])
 
 
 def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:

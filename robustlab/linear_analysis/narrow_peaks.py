@@ -47,8 +47,6 @@ def modes_apart(model: StateSpaceModel) -> StateSpaceModel:
     poles = poles[light & (distance < BLURRED * np.linalg.norm(A, 1))]
     if not len(poles):
         return model
-    from robustlab.verification.balls import exact, midpoints, precision
-
     if model.is_discrete:
         poles = np.exp(poles)
     right, left = (_eigenvectors(matrix, poles) for matrix in (A, A.T))
@@ -65,13 +63,23 @@ def modes_apart(model: StateSpaceModel) -> StateSpaceModel:
     right = right * np.where(np.isfinite(size) & (size > 0), size, 1.0)
     others = np.linalg.qr(np.hstack([np.real(left), np.imag(left)]), mode="complete")[0][:, 2 * len(inner) :]
     T = np.hstack([others, np.stack([np.real(right), np.imag(right)], axis=2).reshape(len(A), -1)])
+    apart = in_states(StateSpaceModel(A, B, C, model.D, model.dt, model.inputs, model.outputs), T)
+    return model if apart is None else apart  # None: the vectors are no basis: these modes do not come apart
+
+
+def in_states(model: StateSpaceModel, T: AnyArray) -> StateSpaceModel | None:
+    """The model in states whose old ones are T times these, each entry rounded once; None where T is no basis."""
+    from robustlab.verification.balls import exact, midpoints, precision
+
     with precision(BITS):
         basis = exact(T)
         try:
-            parts = basis.solve(exact(A) * basis), basis.solve(exact(B)), exact(C) * basis
-        except ZeroDivisionError:  # the vectors are no basis: these modes do not come apart
-            return model
+            parts = basis.solve(exact(model.A) * basis), basis.solve(exact(model.B)), exact(model.C) * basis
+        except ZeroDivisionError:
+            return None
         A, B, C = (midpoints(part) for part in parts)
+    if not all(np.isfinite(part).all() for part in (A, B, C)):
+        return None
     return StateSpaceModel(A, B, C, model.D, model.dt, model.inputs, model.outputs)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,23 +11,13 @@ import numpy as np
 from robustlab.errors import InputError, unknown_name
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
+from robustlab.shown import AllFields, Facts, Shown, number
 from robustlab.statespace import as_model
 
 
 @dataclass(frozen=True)
-class SteadyState(Shown):
-    """Outputs in steady state.
-
-    Attributes
-    ----------
-    inputs, outputs
-        Name -> value.
-    units
-        Name -> unit, of both.
-    status
-        CONVERGED: the model is stable.
-    """
+class SteadyState(AllFields, Shown):
+    """Outputs in steady state, by name, with the inputs and the units of both."""
 
     inputs: Mapping[str, float]
     outputs: Mapping[str, float]
@@ -42,9 +32,6 @@ class SteadyState(Shown):
 
     def facts(self) -> Facts:
         return [(name, number(value, self.units[name], 6)) for name, value in self.outputs.items()]
-
-    def to_json(self) -> dict[str, object]:
-        return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
 def steady_state(model: Any, inputs: Mapping[str, float], outputs: Sequence[str] | None = None) -> SteadyState:

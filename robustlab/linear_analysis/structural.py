@@ -242,9 +242,8 @@ def drop_unconnected(model: Any) -> StateSpaceModel:
     value rather than by structure stay.
     """
     model = as_model(model, "drop_unconnected")
-    reached = _reach(model.A != 0, (model.B != 0).any(axis=1))
-    seen = _reach((model.A != 0).T, (model.C != 0).any(axis=0))
-    keep = np.flatnonzero(reached & seen)
+    moved = reached(model.A != 0, (model.B != 0).any(axis=1))
+    keep = np.flatnonzero(moved & reached((model.A != 0).T, (model.C != 0).any(axis=0)))
     point = model.operating_point
     if point is not None:
         point = replace(point, x=point.x[keep])
@@ -300,7 +299,7 @@ class _Reached:
         that grew on the way through a weakly controllable part may fill that gap; then the modes themselves are asked:
         as many eigenvalues of A as directions were dropped must be uncontrollable to rounding.
         """
-        connected = _reach(a != 0, (b != 0).any(axis=1))
+        connected = reached(a != 0, (b != 0).any(axis=1))
         inner, outer = np.flatnonzero(connected), np.flatnonzero(~connected)
         scaled, into, rate, exponent = _scaled(a[inner[:, None], inner], b[inner])
         n, clear = len(inner), True
@@ -525,10 +524,10 @@ def strong_components(acts: Mask) -> Indices:
         paths = longer
 
 
-def _reach(edges: Mask, start: Mask) -> Mask:
+def reached(edges: Mask, start: Mask) -> Mask:
     """States that can be reached from ``start`` when ``edges[i, j]`` leads from j to i."""
-    reached, frontier = start.copy(), start.copy()
+    found, frontier = start.copy(), start.copy()
     while frontier.any():
-        frontier = edges[:, frontier].any(axis=1) & ~reached
-        reached |= frontier
-    return reached
+        frontier = edges[:, frontier].any(axis=1) & ~found
+        found |= frontier
+    return found

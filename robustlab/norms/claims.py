@@ -24,9 +24,7 @@ def norm_claims(found: HinfNorm) -> list[Claim]:
     level = above(found.upper)
     if found.band is None:
         return [
-            Claim(
-                "norm", {**model_numbers(model), "gamma": np.array(level), **proof_of_norm(model, level, found.upper)}
-            )
+            Claim("norm", {**model_numbers(model), "gamma": np.array(level), **norm_matrix(model, level, found.upper)})
         ]
     scalings = band_scalings(model.n_inputs, model.n_outputs, found.band)
     return [Claim("mu-axis", {**model_numbers(model), "level": np.array(level), **scalings})]
@@ -38,11 +36,6 @@ def band_scalings(q: int, p: int, band: tuple[float, float]) -> Numbers:
     whole = {"low": np.array([low]), "high": np.array([high]), "band": np.array([low, high])}
     scalings = {"D_w": np.eye(q)[None], "D_z": np.eye(p)[None], "G": np.zeros((1, q, p))}
     return {"blocks": np.array([[2, q, p]], dtype=np.int64), **whole, **scalings}
-
-
-def proof_of_norm(model: StateSpaceModel, level: float, norm: float, loop: Numbers | None = None) -> Numbers:
-    """P, where one was found; the checker does without, by boxes of frequency. ``loop``: what the model is made of."""
-    return norm_matrix(model, level, norm, loop)
 
 
 def h2_claims(found: H2Norm) -> list[Claim]:
@@ -68,7 +61,7 @@ def loop_claims(plant: StateSpaceModel, K: StateSpaceModel, gamma: float) -> lis
     if not np.isfinite(gamma):
         return []
     numbers, level = loop_numbers(plant, K), above(gamma)
-    proof = proof_of_norm(lower_lft(plant, K), level, gamma, numbers)
+    proof = norm_matrix(lower_lft(plant, K), level, gamma, numbers)
     return [Claim("loop-norm", {**numbers, "gamma": np.array(level), **proof})]
 
 

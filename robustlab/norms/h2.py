@@ -135,15 +135,15 @@ def _in_balls(found: H2Norm, m: StateSpaceModel) -> H2Norm:
     return replace(found, status=Status.INACCURATE, reason=reason)
 
 
+@told_as("h2_norm")
 def h2_by_gramians(model: Any) -> H2Norm:
     """`h2_norm` for searches: INACCURATE where the two Gramians differ by more than 1e-6."""
-    return h2_by_channels(model)[0]
+    return _by_gramians(as_model(model, "h2_norm"))[0]
 
 
-@told_as("h2_norm")
-def h2_by_channels(model: Any) -> tuple[H2Norm, AnyArray, AnyArray]:
+def h2_by_channels(m: StateSpaceModel) -> tuple[H2Norm, AnyArray, AnyArray]:
     """`h2_by_gramians`, and what outputs (n_y,) and inputs (n_u,) have of its square; zeros without one."""
-    found, _, out, into = _by_gramians(as_model(model, "h2_norm"))
+    found, _, out, into = _by_gramians(m)
     return found, out, into
 
 

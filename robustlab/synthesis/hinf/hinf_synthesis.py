@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
@@ -22,7 +23,7 @@ from robustlab.synthesis.problem.certify import EFFORT, certified
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, limiting_channels, told
 from robustlab.synthesis.problem.gamma_bounds import pointwise_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
-from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
+from robustlab.synthesis.problem.rebuilt_loop import moderate_states, named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 
 # Work of a design at effort 1; few plants need a tenth. More: longer searches on hard plants.
@@ -118,24 +119,22 @@ class Verifier:
         return None
 
     def closed(self, candidate: Candidate) -> Verified | None:
-        """The candidate with the norm of its loop, or None where that is not stable."""
+        """The candidate with the norm of its loop, or None where that is not stable or not well posed."""
         key = id(candidate)
         if key not in self._closed:
-            try:
-                self._closed[key] = self._rebuilt(candidate)
-            except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
-                self._closed[key] = None
+            self._closed[key] = None
+            with suppress(InputError, NoTrustworthyNumber):
+                plant, dt = self.plant, self.plant.model.dt
+                model = with_direct_term(StateSpaceModel(*candidate.K), self.D22)
+                # Large entries hide slow modes: in coordinates of its modes the same controller is the sounder one.
+                model = moderate_states(bilinear_to_discrete(model, dt) if dt else model)
+                K = named_controller(model, plant.measurements, plant.controls, dt)
+                loop = plant.close(K)
+                self.budget.spend(dense(loop.n_states, 10))
+                norm = hinf_norm(loop)
+                if np.isfinite(norm.upper):
+                    self._closed[key] = Verified(candidate, K, loop, norm)
         return self._closed[key]
-
-    def _rebuilt(self, candidate: Candidate) -> Verified | None:
-        plant, dt = self.plant, self.plant.model.dt
-        model = with_direct_term(StateSpaceModel(*candidate.K), self.D22)
-        model = bilinear_to_discrete(model, dt) if dt else model
-        K = named_controller(model, plant.measurements, plant.controls, dt)
-        loop = plant.close(K)
-        self.budget.spend(dense(loop.n_states, 10))
-        norm = hinf_norm(loop)
-        return Verified(candidate, K, loop, norm) if np.isfinite(norm.upper) else None
 
     def verified(self, closed: Verified, effort: int = 1) -> Verified:
         """What the checker says of it; without much ``effort`` what a matrix proves."""

@@ -89,7 +89,6 @@ class Search:
 
     @property
     def best(self) -> Candidate | None:
-        """The candidate of smallest gamma."""
         return smallest(self.candidates)
 
     @property
@@ -221,12 +220,9 @@ class Search:
         if not np.isfinite(gain) or gain > limit * scale.gain:
             return None
         poles, modes = (np.linalg.eigvals(a) if a.size else np.zeros(0) for a in (K.A, loop.A))
-        candidate = Candidate(
-            scale.controller_to_plant(K),
-            gain / scale.gain,
-            scale.rate * float(np.abs(poles).max(initial=0.0)),
-            -scale.rate * float(modes.real.max(initial=-1e300)),
-        )
+        pace = scale.rate * float(np.abs(poles).max(initial=0.0))
+        decay = -scale.rate * float(modes.real.max(initial=-1e300))
+        candidate = Candidate(scale.controller_to_plant(K), gain / scale.gain, pace, decay)
         if not all(np.isfinite(part).all() for part in candidate.K):
             return None
         self.candidates.append(candidate)

@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robustlab.arrays import AnyArray
 from robustlab.budget import NOT_REPEATABLE, Budget, search_budget
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.structural import reached
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
@@ -58,13 +58,7 @@ class Design(Shown):
         return f"{self.gamma:.6g} (verified upper bound)"
 
     def to_json(self) -> dict[str, Any]:
-        return {name: _told(getattr(self, name)) for name in self.saved}
-
-
-def _told(value: Any) -> Any:
-    if isinstance(value, (tuple, list)):
-        return [_told(item) for item in value]
-    return value.to_json() if hasattr(value, "to_json") else value
+        return {name: getattr(self, name) for name in self.saved}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -138,7 +132,8 @@ class Synthesis(Design):
         if p.dt != self.K.dt and (self.K.n_states or self.K.dt):  # sampled: the plant as given is none of its parts
             return self.closed_loop, StateSpaceModel([], [], [], np.zeros((0, 0)), self.K.dt)
         B, C = p.B[:, n_w:], p.C[n_z:]
-        inside = np.flatnonzero(_reached(p.A, B) & _reached(p.A.T, C.T))
+        acts = p.A != 0
+        inside = np.flatnonzero(reached(acts, (B != 0).any(axis=1)) & reached(acts.T, (C != 0).any(axis=0)))
         outside = np.setdiff1d(np.arange(p.n_states), inside)
         around = StateSpaceModel(p.A[inside][:, inside], B[inside], C[:, inside], p.D[n_z:, n_w:], p.dt)
         n, nothing = len(outside), np.zeros
@@ -228,14 +223,6 @@ class HinfSynthesis(Synthesis):
         """How far the smallest gamma found lies above the estimated optimum, as a share of it; NaN where unknown."""
         optimum = self.estimated_optimum
         return max(self.smallest_gamma / optimum - 1, 0.0) if optimum > 0 else float("nan")
-
-
-def _reached(A: AnyArray, B: AnyArray) -> AnyArray:
-    """Return which states the inputs reach through entries that are not zero, shape (n,) of bool."""
-    reached = (B != 0).any(axis=1)
-    for _ in range(len(A)):
-        reached = reached | (A != 0) @ reached
-    return reached
 
 
 def design_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:

@@ -13,6 +13,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.linear_analysis import slicot
+from robustlab.shown import AllFields
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, dual
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
@@ -34,15 +35,12 @@ LARGEST = 1e50  # responses beyond it prove nothing
 
 
 @dataclass(frozen=True)
-class GammaBound:
+class GammaBound(AllFields):
     """A lower bound of gamma and how it is known."""
 
     value: float  # no stabilising controller reaches a closed-loop norm below it; 0 where nothing was found
     known: str  # one sentence: proved at which point, or estimated how
     proved: bool  # False for an estimate
-
-    def to_json(self) -> dict[str, object]:
-        return vars(self).copy()
 
 
 def gamma_bound(plant: GeneralizedPlant) -> GammaBound:

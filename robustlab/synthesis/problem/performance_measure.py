@@ -78,10 +78,10 @@ class PerformanceMeasure:
 
     def certified(self, K: StateSpaceModel) -> Performance:
         """The measure of the loop with K, proved; infinite where the loop is not stable."""
-        if self.name == "mu" and self.scaled is None:
-            return self._margin(self.plant.close(K), K)
-        plant = self.scaled or self.plant
+        plant = self.gramian_plant
         loop = plant.close(K)
+        if self.name == "mu" and self.scaled is None:
+            return self._margin(loop, K)
         self.budget.spend(dense(loop.n_states, 2 if self.name == "h2" else 12))
         norm = h2_by_gramians(loop) if self.name == "h2" else hinf_norm(loop)
         value, frequency = (norm.value, np.nan) if isinstance(norm, H2Norm) else (norm.upper, norm.frequency)
@@ -103,7 +103,7 @@ class PerformanceMeasure:
     def estimate(self, K: StateSpaceModel) -> float:
         """A quick estimate from below, on a grid; inf where the loop is not stable or not well posed."""
         try:
-            loop = (self.scaled or self.plant).close(K)
+            loop = self.gramian_plant.close(K)
             self.budget.spend(dense(loop.n_states, 4))
             if not loop.is_stable():
                 return np.inf
@@ -115,13 +115,12 @@ class PerformanceMeasure:
             return np.inf
         if not np.isfinite(response).all():
             return np.inf
-        gain = np.linalg.norm(response, 2, axis=(1, 2)) if response.size else np.zeros(1)
         if self.name == "hinf" or self.scaled is not None:
-            return float(gain.max())
-        blocks = (*self.blocks, _performance_block(loop, self.blocks))
+            return float(np.linalg.norm(response, 2, axis=(1, 2)).max()) if response.size else 0.0
+        q, p = structure_size(self.blocks)
+        blocks = (*self.blocks, FullBlock(PERFORMANCE, loop.n_inputs - q, loop.n_outputs - p))
         self.budget.spend(2 * points_work(blocks, len(response)))
-        bounds = mu(response, blocks)
-        return float(np.max(bounds.upper))
+        return float(np.max(mu(response, blocks).upper))
 
 
 def make_measure(
@@ -159,8 +158,8 @@ def plant_with_scalings(plant: GeneralizedPlant, scalings: Scalings, where: str 
             raise InputError(where, f"{name} is {d.n_outputs} x {d.n_inputs}", f"{size} x {size}")
         if d.n_states and not d.is_stable():
             raise InputError(where, f"{name} is not stable", "a stable scaling with a stable inverse")
-    wide = series(append(_plain(on_w, m.dt), _straight(n_u, m.dt)), _plain(m, m.dt))
-    wide = series(wide, append(_plain(on_z, m.dt), _straight(n_y, m.dt)))
+    on_w, m_plain, on_z = (StateSpaceModel(g.A, g.B, g.C, g.D, g.dt or m.dt) for g in (on_w, m, on_z))  # without units
+    wide = series(series(append(on_w, _straight(n_u, m.dt)), m_plain), append(on_z, _straight(n_y, m.dt)))
     return GeneralizedPlant(wide.renamed(m.inputs, m.outputs), n_y, n_u, plant.blocks)
 
 
@@ -182,16 +181,6 @@ def given_scalings(scalings: Any, dt: float, where: str) -> Scalings:
     return pair
 
 
-def _plain(m: StateSpaceModel, dt: float) -> StateSpaceModel:
-    """With names and units left out, which the scalings' channels do not share."""
-    return StateSpaceModel(m.A, m.B, m.C, m.D, m.dt or dt)
-
-
 def _straight(n: int, dt: float) -> StateSpaceModel:
     names = [f"straight{i}" for i in range(n)]
-    return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.eye(n), dt, names, names)
-
-
-def _performance_block(loop: StateSpaceModel, blocks: tuple[Block, ...]) -> FullBlock:
-    q, p = structure_size(blocks)
-    return FullBlock(PERFORMANCE, loop.n_inputs - q, loop.n_outputs - p)
+    return StateSpaceModel([], [], [], np.eye(n), dt, names, names)

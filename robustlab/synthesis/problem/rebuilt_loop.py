@@ -9,6 +9,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
+from robustlab.linear_analysis.narrow_peaks import in_states
 from robustlab.norms.hinfinity import eigenvalue_blur
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
@@ -16,6 +17,10 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 # Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
 ILL_POSED = 1e10
+# Above this condition number modes are no basis.
+NO_BASIS = 1e12
+# From this on the errors of entries count so much that other states are better.
+HIDDEN = 1e6
 
 
 def with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
@@ -56,6 +61,36 @@ def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
         if not exact or not (C / scale == model.C).all():  # overflow, or digits lost to underflow
             return model
     return model._in_states(A, B, C)
+
+
+def moderate_states(model: StateSpaceModel) -> StateSpaceModel:
+    """A model in the states that keep its digits."""
+    balanced = balanced_states(model)
+    hidden = _cancellation(balanced.A)
+    modes = separated_modes(model) if hidden > HIDDEN else None
+    return balanced if modes is None or _cancellation(modes.A) >= 1e-2 * hidden else modes
+
+
+def _cancellation(A: Array) -> float:
+    """Skeel's condition number: by how much the errors of A's entries, each relative to itself, count in A^-1."""
+    try:
+        return float((np.abs(np.linalg.inv(A)) @ np.abs(A)).sum(axis=1).max(initial=0.0))
+    except np.linalg.LinAlgError:
+        return float("inf")
+
+
+def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
+    """The same response in coordinates of the modes, each entry rounded once; None where these are no basis."""
+    if model.n_states < 2:
+        return None
+    m = balanced_states(model)
+    values, vectors = np.linalg.eig(m.A)
+    # Of a conjugate pair the real and the imaginary part.
+    basis = np.where(np.imag(values) < 0, np.imag(vectors), np.real(vectors))
+    if not np.isfinite(basis).all() or not np.linalg.cond(basis) < NO_BASIS:
+        return None
+    modes = in_states(m, basis)
+    return None if modes is None else balanced_states(modes)
 
 
 def rebuilt_loop(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, overload
+from typing import Any, ClassVar, TypedDict, Unpack, overload
 
 import numpy as np
 
@@ -140,41 +140,31 @@ class SampledController(Synthesis):
         return [*head, *rows, ("loss by method", ", ".join(tried)), *notes]
 
 
+class LoopOptions(TypedDict, total=False):
+    """What goes with a plant, see `discretise`."""
+
+    prewarp: float | None
+    loss: float
+    delay: float
+    antialiasing: float | None
+    scalings: Any
+    time_limit: float | None
+    effort: float
+    progress: Callable[[str], None] | None
+
+
 @overload
 def discretise(
-    model: Synthesis,
-    dt: float,
-    method: SampledMethod | None = None,
-    *,
-    plant: Any = None,
-    prewarp: float | None = None,
-    loss: float = 0.1,
-    delay: float = 0.0,
-    antialiasing: float | None = None,
-    scalings: Any = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-    progress: Callable[[str], None] | None = None,
-) -> SampledController: ...
+    model: Synthesis, dt: float, method: SampledMethod | None = None, *, plant: Any = None,
+    **options: Unpack[LoopOptions],
+) -> SampledController: ...  # fmt: skip
 @overload
 def discretise(
     model: Any, dt: float, method: Method | None = None, *, plant: None = None, prewarp: float | None = None
 ) -> StateSpaceModel: ...
 @overload
 def discretise(
-    model: Any,
-    dt: float,
-    method: SampledMethod | None = None,
-    *,
-    plant: Any,
-    prewarp: float | None = None,
-    loss: float = 0.1,
-    delay: float = 0.0,
-    antialiasing: float | None = None,
-    scalings: Any = None,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-    progress: Callable[[str], None] | None = None,
+    model: Any, dt: float, method: SampledMethod | None = None, *, plant: Any, **options: Unpack[LoopOptions]
 ) -> SampledController: ...
 @told_as("discretise")
 def discretise(

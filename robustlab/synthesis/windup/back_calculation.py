@@ -13,7 +13,6 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.linear_analysis.matrix_equations import lyapunov
 from robustlab.statespace import StateSpaceModel
 
 # Modes are mirrored at exp(-MIRROR dt / T): a little inside of where a mode counts as slow, so that none lies on it.
@@ -41,7 +40,7 @@ def back_calculation(model: StateSpaceModel, limits: Any, time: float) -> Array:
 
 def _mirroring_gain(A: Array, C: Array, slowest: float, mirror: float) -> Array | None:
     """L for outputs scaled to one; None where no mode is slow."""
-    from scipy.linalg import schur
+    from scipy.linalg import schur, solve_discrete_lyapunov
 
     if not A.size:
         return None
@@ -53,18 +52,7 @@ def _mirroring_gain(A: Array, C: Array, slowest: float, mirror: float) -> Array 
     G = modes.conj().T @ C.T / mirror
     inverse = np.linalg.inv(F)
     driven = inverse @ G
-    Y = _stein(inverse, driven @ driven.conj().T)
+    Y = solve_discrete_lyapunov(inverse, driven @ driven.conj().T)
     X = np.linalg.pinv(Y, rcond=1e-13, hermitian=True)
     feedback = np.linalg.solve(np.eye(G.shape[1]) + G.conj().T @ X @ G, G.conj().T @ X @ F)
     return (feedback @ modes.conj().T).real.T
-
-
-def _stein(A: Any, Q: Any) -> Any:
-    """Y with ``A Y A^H - Y + Q = 0`` of complex matrices, through the real equation of twice the size."""
-    n = len(A)
-    real = lyapunov(_as_real(A), _as_real(Q), discrete=True)
-    return real[:n, :n] - 1j * real[:n, n:]
-
-
-def _as_real(matrix: Any) -> Array:
-    return np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])

@@ -81,13 +81,6 @@ def test_several_channels():
     assert rl.tf([[[1]], [[2]]], [1, 1]).n_states == 1
 
 
-def test_a_discrete_one():
-    G = rl.tf([1.0, 0.2], [1.0, -0.5, 0.1], 0.1)
-    assert G.dt == 0.1
-    z = np.exp(0.3j)
-    assert_allclose(G(z)[0, 0], ct.tf([1.0, 0.2], [1.0, -0.5, 0.1], 0.1)(z), rtol=1e-13)
-
-
 @pytest.mark.parametrize(
     ("num", "den", "text"),
     [

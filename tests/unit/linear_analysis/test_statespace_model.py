@@ -91,15 +91,6 @@ def test_select_keeps_names_order_and_matrices():
         model.select(outputs=["y11"])
 
 
-@pytest.mark.parametrize(
-    ("dt", "pole", "abscissa"), [(0.0, -0.5, -0.5), (0.1, -0.5, -0.5), (0.1, 1.5, 0.5), (0, 2.0, 2.0)]
-)
-def test_stability_measure(dt, pole, abscissa):
-    model = StateSpaceModel([[pole]], [[1]], [[1]], [[0]], dt)
-    assert model.spectral_abscissa() == abscissa
-    assert model.is_stable() == (abscissa < 0)
-
-
 def test_static_gain_works_everywhere():
     gain = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((3, 0)), np.arange(6.0).reshape(3, 2))
     assert gain.spectral_abscissa() == -np.inf
@@ -107,15 +98,6 @@ def test_static_gain_works_everywhere():
     np.testing.assert_array_equal(gain.dc_gain(), gain.D)
     np.testing.assert_array_equal(as_model(gain.to_control()).D, gain.D)
     np.testing.assert_array_equal(append(gain, gain.renamed(["a", "b"], ["c", "d", "e"])).D, np.kron(np.eye(2), gain.D))
-
-
-def test_no_inputs_or_no_outputs():
-    free = StateSpaceModel([[-1.0]], np.zeros((1, 0)), [[1.0]], np.zeros((1, 0)))
-    assert (free.n_inputs, free.n_outputs) == (0, 1)
-    blind = StateSpaceModel([[-1.0]], [[1.0]], np.zeros((0, 1)), np.zeros((0, 1)))
-    assert (blind.n_inputs, blind.n_outputs) == (1, 0)
-    both = append(free, blind)
-    assert both.D.shape == (1, 1)
 
 
 def test_dc_gain_by_hand_and_of_an_integrator():

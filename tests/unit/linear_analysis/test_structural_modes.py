@@ -91,12 +91,6 @@ def test_half_controllable_jordan_chain():
         assert test.modes[0].eigenvalue == pytest.approx(-1, abs=1e-3)
 
 
-def test_repeated_eigenvalues_need_as_many_inputs():
-    assert rl.controllability(model(-np.eye(3), np.ones(3))).rank == 1
-    assert rl.controllability(model(-np.eye(3), np.random.default_rng(0).normal(size=(3, 2)))).rank == 2
-    assert rl.controllability(model(-np.eye(3), np.eye(3))).rank == 3
-
-
 def test_symmetric_chain_pushed_in_the_middle():
     """Three masses, walls on both sides, force on the middle one: the mode q = (1, 0, -1) stays hidden."""
     k = np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]])

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from robustlab.errors import InputError
 from robustlab.linear_analysis import exactly_stable
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, h2_norm, hinf_norm
 from robustlab.result import Status
@@ -50,14 +49,6 @@ def test_peak_at_infinite_frequency_and_at_zero():
     assert (norm.value, norm.frequency) == (pytest.approx(5.0, rel=1e-12), 0.0)
 
 
-def test_all_pass_is_flat():
-    A, B = np.array([[0.0, 1.0], [-4.0, -0.4]]), np.array([[0.0], [0.8]])
-    all_pass = StateSpaceModel(A, B, [[0.0, -1.0]], [[1.0]])  # (s^2 - 0.4 s + 4) / (s^2 + 0.4 s + 4)
-    norm = hinf_norm(all_pass)
-    assert norm.value == pytest.approx(1.0, rel=1e-9)
-    assert norm.upper <= 1 + 3e-6
-
-
 @pytest.mark.parametrize(("n_inputs", "n_outputs", "n_states"), [(0, 2, 1), (2, 0, 1), (0, 0, 0), (0, 0, 3), (3, 0, 0)])
 def test_empty_sizes_have_norm_zero(n_inputs, n_outputs, n_states):
     model = StateSpaceModel(
@@ -67,13 +58,6 @@ def test_empty_sizes_have_norm_zero(n_inputs, n_outputs, n_states):
         np.zeros((n_outputs, n_inputs)),
     )
     assert hinf_norm(model).value == 0.0
-
-
-def test_static_gain_and_zero_system():
-    gain = np.array([[3.0, 0.0], [0.0, 4.0], [0.0, 0.0]])
-    static = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((3, 0)), gain)
-    assert hinf_norm(static).value == 4.0
-    assert hinf_norm(StateSpaceModel([[-1.0]], [[0.0]], [[1.0]], [[0.0]])).value == 0.0
 
 
 def test_cancelling_channels_give_a_norm_of_rounding_size():
@@ -90,30 +74,12 @@ def test_not_stable_means_infinite_even_where_unreachable(pole):
         assert "pole" in norm.reason
 
 
-def test_undamped_oscillator_is_infinite():
-    assert hinf_norm(StateSpaceModel([[0, 1], [-1, 0]], [[0], [1]], [[1, 0]], [[0]])).value == np.inf
-
-
 @pytest.mark.parametrize("pole", [0.9, -0.9, 0.0, 0.999999])
 def test_discrete_lag(pole):
     norm = hinf_norm(StateSpaceModel([[pole]], [[1.0]], [[1.0]], [[0.0]], 0.1))
     assert norm.value == pytest.approx(1 / (1 - abs(pole)), rel=1e-8)
     if pole < 0:
         assert norm.frequency == pytest.approx(np.pi / 0.1)
-
-
-def test_discrete_marginal_is_infinite():
-    assert hinf_norm(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1)).value == np.inf
-
-
-def test_pure_delays_have_norm_one():
-    shift = StateSpaceModel(np.eye(4, k=1), np.eye(4)[:, 3:], np.eye(4)[:1], [[0.0]], 1.0)
-    assert hinf_norm(shift).value == pytest.approx(1.0, rel=1e-9)
-
-
-def test_bad_rtol_is_refused():
-    with pytest.raises(InputError, match="rtol"):
-        hinf_norm(resonance(0.1), rtol=0.0)
 
 
 def test_bilinear_map_there_and_back():

@@ -24,14 +24,6 @@ def difference_on_grid(one, two, omega):
     return np.linalg.norm(gap, 2, axis=(1, 2)).max()
 
 
-def test_hankel_values_of_two_lags_in_closed_form():
-    # For G = sum b_i / (s + a_i) with B = C^T the two Gramians are b_i b_j / (a_i + a_j).
-    a, b = np.array([1.0, 4.0]), np.array([1.0, 3.0])
-    G = rl.StateSpaceModel(-np.diag(a), b[:, None], b[None], [[0.0]])
-    gramian = np.outer(b, b) / np.add.outer(a, a)
-    np.testing.assert_allclose(rl.reduce_model(G, 1).hankel, np.sort(np.linalg.eigvalsh(gramian))[::-1], rtol=1e-13)
-
-
 def test_hankel_values_of_slicots_documented_example():
     # The example in the documentation of AB09AD (SLICOT 5.0): its Hankel singular values, printed to four digits.
     values = rl.reduce_model(model_of_ab09ad(), 5).hankel

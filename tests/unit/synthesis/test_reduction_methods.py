@@ -112,14 +112,6 @@ def test_models_whose_gain_vanishes_ask_for_a_floor():
     assert rl.reduce_model(washout, 0, method="stochastic", floor=0.1).status is Status.CERTIFIED
 
 
-@pytest.mark.parametrize("options", [{"method": "hankel"}, {"method": "stochastic", "floor": 0.1}])
-def test_models_without_stable_or_reachable_states(options):
-    unstable = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.5]])
-    assert rl.reduce_model(unstable, 1, **options).error.upper == 0.0
-    deaf = rl.StateSpaceModel([[-1.0]], np.zeros((1, 1)), [[1.0]], [[0.5]])
-    assert rl.reduce_model(deaf, 1, **options).order == 0
-
-
 # --- requests --------------------------------------------------------------------------------------------------------
 
 
