@@ -16,7 +16,7 @@ import numpy as np
 from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.delays.approximation import checked_order
-from robustlab.delays.channels import covering
+from robustlab.delays.model import covering
 from robustlab.dynamics.effects.contract import Footprint
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant, without_signals

@@ -3,9 +3,6 @@
 # Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that crosses
 # give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j: only the real part of the pole counts.
 
-# Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that crosses
-# give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j: only the real part of the pole counts.
-
 from __future__ import annotations
 
 from collections.abc import Sequence

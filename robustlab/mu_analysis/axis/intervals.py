@@ -5,11 +5,6 @@
 # tested between and at these candidates, outwards from a frequency at which Phi < 0 is known. A version that asked
 # "is this eigenvalue imaginary?" with a tolerance certified wrong intervals.
 
-# Phi(omega) = M^* D_z M + j (G M - M^* G^*) - beta^2 D_w is singular where j omega is an eigenvalue of H. Rounding
-# moves eigenvalues off the axis, so *every* imaginary part counts as a possible change of sign, and the sign is
-# tested between and at these candidates, outwards from a frequency at which Phi < 0 is known. A version that asked
-# "is this eigenvalue imaginary?" with a tolerance certified wrong intervals.
-
 from __future__ import annotations
 
 from collections.abc import Sequence

@@ -369,7 +369,7 @@ class _Stability(_Search):
         # The gap may be that of the search: only modes that meet inside the box tell of a smaller Delta.
         if self.worst is not None and all(b.interval for b in self.blocks):
             better = smaller_destabilising(
-                self.model, self.blocks, self.worst, self.budget.share(ASCENT_SHARE), self.seed, proved=1 / self.level
+                self.model, self.blocks, self.worst, self.budget.share(ASCENT_SHARE), self.seed
             )
             self.worst = _as_seen(self.model, better)
 

@@ -10,12 +10,11 @@ Fan, Tits (1992); Ferreres, "A Practical Approach to Robustness Analysis with Ae
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, did_you_mean
 from robustlab.mu_analysis.matrix.box import root_box
 from robustlab.mu_analysis.matrix.certificate import delta_norm, proves
 from robustlab.mu_analysis.matrix.decomposition import entries
@@ -23,42 +22,12 @@ from robustlab.mu_analysis.matrix.gain import Gain, largest_gain
 from robustlab.mu_analysis.matrix.lower import lower_bound
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, upper_bounds
-from robustlab.result import Status
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
 SKEW_ROUNDS = 14  # levels of skewed mu one after the other
 INFLATIONS = (0.0, *(10.0**-k for k in range(13, 2, -1)))
 # by which a level is raised until its D, G prove it
 LARGEST_LEVEL = 1e8  # above it, for M of norm one, the fixed blocks alone count as at the edge of singular
-
-
-def skewed(
-    stack: ComplexArray, structure: tuple[Block, ...], fixed: Sequence[str | int], seed: int
-) -> tuple[dict[str, Any], Status]:
-    """Both bounds of skewed mu of each matrix with what proves them, as fields of `MuBounds`, and their status."""
-    varying = varying_inputs(structure, fixed)
-    q, p = structure_size(structure)
-    proved = [skew_upper(m, structure, varying) for m in stack]
-    attained = [skew_lower(m, structure, varying, seed) for m in stack]
-    lower = np.array([value for value, _ in attained])
-    upper = np.array([level for level, _ in proved])
-    lower = np.where((lower > upper) & (lower <= upper * (1 + 1e-8)), upper, lower)
-    zero = np.zeros((q, p), dtype=complex)
-    parts: dict[str, Any] = {
-        "lower": lower,
-        "upper": upper,
-        "scaled": upper,
-        "delta": np.stack([zero if d is None else d for _, d in attained]),
-        "D": np.stack([b.Dw for _, b in proved]),
-        "G": np.stack([b.G for _, b in proved]),
-        "D_z": np.stack([b.Dz for _, b in proved]),
-    }
-    if (lower > upper).any():
-        found = f"lower bound {float(lower.max()):.12g} above upper bound {float(upper.min()):.12g}: digits were lost"
-        raise NoTrustworthyNumber("mu", found)
-    sure = bool(np.isfinite(upper).all())
-    status = Status.CERTIFIED if sure and (lower > 0).all() else Status.CONVERGED if sure else Status.INACCURATE
-    return parts, status
 
 
 def varying_inputs(blocks: Sequence[Block], fixed: Sequence[str | int]) -> Mask:
