@@ -24,12 +24,12 @@ from robustlab.mu_analysis.axis.pole_migration import (
     first_crossing,
     perturbed_state_matrix,
 )
-from robustlab.mu_analysis.constants import ASCENT_REACH
 from robustlab.mu_analysis.matrix.box import block_entries, centre_matrix, gauge, lowest
 from robustlab.mu_analysis.matrix.delta_layout import delta_layout
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 
+ASCENT_REACH = 0.99  # of the smallest member known, the box in which a smaller one is sought
 ASCENTS_IN_VAIN = 5  # as many ascents in a box, for each mode, without anything smaller end a chain of them ...
 ASCENT_CHAINS = 3  # ... and so many chains in a row the search
 ASCENT_MODES = 5  # so many least damped modes go on from their best more often than the others

@@ -32,7 +32,7 @@ from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis, c
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin, WorstCaseGain
 from robustlab.mu_analysis.axis.mode_ascent import smaller_destabilising
 from robustlab.mu_analysis.axis.pole_migration import Destabilising, first_crossing, smallest_destabilising
-from robustlab.mu_analysis.constants import COARSE, MEMBERS, SINGULAR, WORK
+from robustlab.mu_analysis.constants import SINGULAR, WORK
 from robustlab.mu_analysis.matrix.box import (
     Box,
     block_entries,
@@ -58,6 +58,8 @@ __all__ = [
     "gain_within", "margin_within", "robust_performance", "robust_stability", "with_performance", "worst_case_gain",
 ]  # fmt: skip
 
+COARSE = 4e-3  # accuracy of the first cover, which tells whether branch and bound has to follow
+MEMBERS = 6  # of the set that are followed to a gain's own peak
 FINEST = 1e-9  # bounds closer together than this are told apart by rounding alone
 CONTRADICTS = 1e-5  # what attains a level to rounding may pass a proof that is as tight, by that much and no more
 GAIN_ACCURACY = 1e-4  # of the cover of a gain
