@@ -75,14 +75,8 @@ class MarginAt(_Curves, StabilityMargin):
     lower, upper, frequency
         The smallest margin, and where: at ``frequency`` no Delta smaller than ``lower`` makes the loop singular,
         ``delta``, of size ``upper``, does. Both inf where none can.
-    delta
-        That Delta, one value per block name; empty where none was found.
-    omega
-        Frequencies in rad/s, (N,).
-    lower_at, upper_at
-        Bounds of the margin at each of them, (N,).
-    delta_at
-        The Delta found at each of them.
+    omega, lower_at, upper_at, delta_at
+        Frequencies in rad/s, (N,), and at each of them the bounds of the margin, (N,), and the Delta found.
     status
         CERTIFIED: ``lower_at`` proved at each frequency, ``upper_at`` attained. CONVERGED: proved, not attained
         everywhere.

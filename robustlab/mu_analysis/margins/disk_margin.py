@@ -308,8 +308,10 @@ def disk_channels(
 
 def _numbered(model: StateSpaceModel, prefix: str) -> StateSpaceModel:
     """With names and without units that meet no others: the parts of a loop may name their signals alike."""
-    names = ([f"{prefix}.{kind}{i}" for i in range(n)] for kind, n in (("u", model.n_inputs), ("y", model.n_outputs)))
-    return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt, *names)
+    ins, outs = (
+        [f"{prefix}.{side}{i}" for i in range(n)] for side, n in (("u", model.n_inputs), ("y", model.n_outputs))
+    )
+    return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt, ins, outs)
 
 
 def check_disk(at: Place, skew: float, where: str) -> None:
