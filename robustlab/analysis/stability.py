@@ -32,7 +32,6 @@ def robust_stability(
     omega: ArrayLike | None = None,
     tolerance: float | None = None,
     accuracy: float | None = None,
-    variation: float | None = None,
     order: int | None = None,
     pole: float | None = None,
     seed: int = 0,
@@ -67,9 +66,6 @@ def robust_stability(
         Of an uncertain model: relative gap that branch and bound aims at, 0.01 where left out; inf: none.
     accuracy
         Of an uncertain model: relative distance to the best margin that D, G can prove, 3e-5 where left out.
-    variation
-        At frequencies: V in 1/(rad/s) with :math:`\|M_{11}(j\omega) - M_{11}(j\omega')\| \le V |\omega - \omega'|`
-        between neighbours (spectral norm). It is yours to know. With it the gaps are proved, too.
     order
         With delays: up to which order of Padé's approximations stability is tried, 1 to 16. With natures: highest power
         of the multipliers' filters ``a / (s + a)``, 0 to 8, 2 where left out.
@@ -113,7 +109,7 @@ def robust_stability(
     [True, False]
     """
     own = {"omega": omega, "tolerance": tolerance, "accuracy": accuracy}
-    given = {**own, "variation": variation, "order": order, "pole": pole, "time_limit": time_limit}
+    given = {**own, "order": order, "pole": pole, "time_limit": time_limit}
     data = isinstance(system, UncertainFrequencyData)
     if natures is not None:
         from robustlab.iqc.analysis import iqc_stability
@@ -129,9 +125,8 @@ def robust_stability(
         from robustlab.mu_analysis.margins.at_frequencies import robust_stability_at
 
         hint = "leave the frequencies out for the whole axis"
-        names = {"variation": "variation"}
-        chosen = options_of("robust_stability", "a system at given frequencies", given, names, hint)
-        return robust_stability_at(system, frequency, seed=seed, **chosen)
+        options_of("robust_stability", "a system at given frequencies", given, {}, hint)
+        return robust_stability_at(system, frequency, seed=seed)
     if isinstance(system, DelayedModel):
         from robustlab.mu_analysis.margins.delay_margins import delay_stability
 

@@ -7,6 +7,6 @@ __all__, __getattr__ = lazily(
     {
         "model": "DelayedModel",
         "signal_delays": "delay uncertain_delays with_delays",
-        "approximation": "error_bound error_weight high_pass pade phase_bound phase_error",
+        "approximation": "error_weight high_pass pade phase_bound phase_error",
     },
 )

@@ -25,7 +25,7 @@ from __future__ import annotations
 from fractions import Fraction
 from functools import cache, lru_cache
 from math import factorial, sqrt
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +33,9 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel, series
+
+if TYPE_CHECKING:
+    from flint import fmpz_poly
 
 # Times in s beyond which squares of corner frequencies overflow; the longest is one over it.
 SHORTEST = 1e-100
@@ -46,25 +49,14 @@ CELLS, FIRST_PHASE, ROUNDING = 4000, 1e-4, 1e-9
 FIRST_SHARE = 0.02
 
 
-def _polynomial(order: int) -> list[int]:
-    """Coefficients of :math:`P_n = (2n)!/n! Q_n`, constant first: ``P_k = (4k - 2) P_(k-1) + s^2 P_(k-2)``."""
-    before, last = [1], [2, 1]
-    if order == 0:
-        return before
+def _polynomial(order: int) -> fmpz_poly:
+    """:math:`P_n = (2n)!/n! Q_n`: ``P_k = (4k - 2) P_(k-1) + s^2 P_(k-2)``."""
+    from flint import fmpz_poly
+
+    before, last = fmpz_poly([1]), fmpz_poly([2, 1])
     for k in range(2, order + 1):
-        longer = [(4 * k - 2) * c for c in last] + [0]
-        for i, c in enumerate(before):
-            longer[i + 2] += c
-        before, last = last, longer
-    return last
-
-
-def _product(a: list[int], b: list[int]) -> list[int]:
-    found = [0] * (len(a) + len(b) - 1)
-    for i, x in enumerate(a):
-        for j, y in enumerate(b):
-            found[i + j] += x * y
-    return found
+        before, last = last, (4 * k - 2) * last + before.left_shift(2)
+    return last if order else before
 
 
 class PhaseBound(NamedTuple):
@@ -77,18 +69,13 @@ class PhaseBound(NamedTuple):
 @cache
 def phase_bound(order: int) -> PhaseBound:
     r"""The bound :math:`\theta_n(x) \le c_n x^{2n+1}`, with its two conditions checked in whole numbers."""
-    p = _polynomial(order)
-    mirrored = [c * (-1) ** i for i, c in enumerate(p)]
-    derivative = [i * c for i, c in enumerate(p)][1:] or [0]
-    mirrored_derivative = [c * (-1) ** i for i, c in enumerate(derivative)]
-    square = _product(p, mirrored)  # P(s) P(-s), in s = jx: the coefficient of s^2i belongs to (-1)^i x^2i
-    rate = list(square)
-    for term in (_product(derivative, mirrored), _product(p, mirrored_derivative)):
-        for i, c in enumerate(term):
-            rate[i] -= c
-    expected = [0] * (2 * order) + [(-1) ** order]
-    positive = all(c * (-1) ** i > 0 for i, c in enumerate(square[::2])) and not any(square[1::2])
-    if rate != expected or not positive:
+    from flint import fmpz_poly
+
+    p, minus = _polynomial(order), fmpz_poly([0, -1])
+    square = p * p(minus)  # P(s) P(-s), in s = jx: the coefficient of s^2i belongs to (-1)^i x^2i
+    rate = square - p.derivative() * p(minus) - p * p.derivative()(minus)
+    positive = all(square[2 * i] * (-1) ** i > 0 and not square[2 * i + 1] for i in range(order + 1))
+    if rate != fmpz_poly([0] * (2 * order) + [(-1) ** order]) or not positive:
         raise NoTrustworthyNumber("pade", f"the error bound of order {order} could not be proved")
     ratio = Fraction(factorial(order), factorial(2 * order))
     return PhaseBound(float(ratio * ratio / (2 * order + 1)), 2 * order + 1)
@@ -105,20 +92,13 @@ def phase_error(x: ArrayLike, order: int) -> Array:
     return np.angle(np.exp(1j * point) * (last.conj() / last))
 
 
-def error_bound(omega: ArrayLike, delay: float, order: int) -> Array:
-    r"""Proved bound of :math:`|e^{-j \omega d} - R_n(j \omega d)|`: ``min(2, c_n (omega d)^(2n+1))``."""
-    bound = phase_bound(order)
-    with np.errstate(over="ignore"):
-        return np.minimum(2.0, bound.coefficient * np.abs(np.asarray(omega, dtype=float) * delay) ** bound.power)
-
-
 # --- realisations -----------------------------------------------------------------------------------------------------
 
 
 @cache
 def _ladder(order: int) -> tuple[float, tuple[float, ...]]:
     """Damping and couplings of Schwarz's form of Q_n, from Routh's array in rational numbers."""
-    p = [Fraction(c) for c in reversed(_polynomial(order))]  # monic
+    p = [Fraction(int(c)) for c in reversed(_polynomial(order).coeffs())]  # monic
     above, row = p[0::2], p[1::2]
     damping, couplings = row[0] / above[0], []
     row = [c / row[0] for c in row]

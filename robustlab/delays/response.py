@@ -158,6 +158,7 @@ class _Run:
     def __init__(self, model: DelayedModel, t: Array, u: Array, hold: str, mesh: Array, degree: int) -> None:
         self.model, self.t, self.u, self.mesh = model, t, u, mesh
         self.nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
+        self.series = np.linalg.inv(_chebyshev(self.nodes, degree))  # coefficients from values at the nodes
         self.steps = np.diff(self.mesh)
         self.cells = len(self.steps)
         times = self.mesh[:-1, None] + self.steps[:, None] * self.nodes
@@ -180,13 +181,13 @@ class _Run:
         source = np.searchsorted(self.mesh, inner, side="right") - 1
         known = np.clip(source, 0, self.cells - 1)
         place = np.clip((back - self.mesh[known]) / self.steps[known], 0.0, 1.0)
-        return np.where(source < 0, -1, known), _interpolation(self.nodes, place)
+        return np.where(source < 0, -1, known), _chebyshev(place, len(self.nodes) - 1) @ self.series
 
     def outputs(self, x0: Array) -> Array:
         """Outputs at the samples: what holds just after each of them."""
         H, n = self.model.H, len(self.model.delays)
         C1, D11, D12 = H.C[:n], H.D[:n, :n], H.D[:n, n:]
-        maps = _Maps(H.A, H.B, self.steps, self.nodes, float(np.abs(self.mesh).max()))
+        maps, kind = _maps(H.A, H.B, self.steps, self.nodes, float(np.abs(self.mesh).max()))
         held = np.zeros((self.cells + 1, len(self.nodes), n))  # z at the nodes; the last row: before the first sample
         held[:-1] = self.force @ D12.T  # a delay of inputs alone may look back into the cell that is at work
         states, late = np.zeros((self.cells + 1, H.n_states)), np.zeros((self.cells + 1, n))
@@ -196,7 +197,7 @@ class _Run:
         for c in range(self.cells):
             # (nodes, n, nodes of the cell looked back to)
             w = np.einsum("jil,jil->ji", held[self.source[c], :, delay], self.weights[c])
-            free, forced = maps[c]
+            free, forced = maps[kind[c]]
             inputs = np.hstack([w, self.force[c]])
             x = free @ states[c] + np.tensordot(forced, inputs, ([2, 3], [0, 1]))
             held[c] = x @ C1.T + w @ D11.T + self.force[c] @ D12.T
@@ -211,55 +212,34 @@ class _Run:
     def rough(self, tolerance: float) -> Mask:
         """Cells in which what enters or leaves a delay is not resolved: its last coefficients are not small."""
         size = np.abs(self.signals).max(axis=(0, 1), initial=0.0)
-        series = np.linalg.inv(np.polynomial.chebyshev.chebvander(2.0 * self.nodes - 1.0, len(self.nodes) - 1))
-        tail = np.abs(np.einsum("kj,cji->cki", series[-2:], self.signals)).max(axis=1, initial=0.0)
+        tail = np.abs(np.einsum("kj,cji->cki", self.series[-2:], self.signals)).max(axis=1, initial=0.0)
         return (tail > tolerance * size).any(axis=1)
 
 
-def _interpolation(nodes: Array, place: Array) -> Array:
-    """Weights of the values at the nodes for each place in [0, 1], shape (*place.shape, nodes); barycentric."""
-    gaps = nodes[:, None] - nodes
-    np.fill_diagonal(gaps, 1.0)
-    scale = 1.0 / gaps.prod(axis=1)
-    distance = place[..., None] - nodes
-    hit = np.abs(distance) < 1e-12
-    with np.errstate(divide="ignore", invalid="ignore"):
-        terms = scale / distance
-        weights = terms / terms.sum(axis=-1, keepdims=True)
-    return np.where(hit.any(axis=-1, keepdims=True), hit.astype(float), weights)
+def _chebyshev(place: Array, degree: int) -> Array:
+    """Chebyshev's polynomials at each place in [0, 1], shape (*place.shape, degree + 1)."""
+    return np.asarray(np.polynomial.chebyshev.chebvander(2.0 * place - 1.0, degree))
 
 
-class _Maps:
-    """For each cell: states at its nodes from the state at its beginning, and from the inputs at its nodes."""
+def _maps(A: Array, B: Array, steps: Array, nodes: Array, end: float) -> tuple[list[tuple[Array, Array]], Indices]:
+    """States at the nodes from that at the beginning and from the inputs there; of each length of step, and which."""
+    from scipy.linalg import expm
 
-    def __init__(self, A: Array, B: Array, steps: Array, nodes: Array, end: float) -> None:
-        self._a, self._b, self._nodes = A, B, nodes
-        same = 8.0 * np.finfo(float).eps * end  # steps of a clock differ by its rounding
-        _, first, self._kind = np.unique(np.round(steps / same), return_index=True, return_inverse=True)
-        self._length = steps[first]
-        self._made: dict[int, tuple[Array, Array]] = {}
-        powers = np.vander(nodes, increasing=True)
-        factorials = np.array([factorial(k) for k in range(len(nodes))], dtype=float)
-        self._derivatives = factorials[:, None] * np.linalg.inv(powers)
-
-    def __getitem__(self, cell: int) -> tuple[Array, Array]:
-        kind = int(self._kind[cell])
-        if kind not in self._made:
-            self._made[kind] = self._of(float(self._length[kind]))
-        return self._made[kind]
-
-    def _of(self, h: float) -> tuple[Array, Array]:
-        """``(nodes, n, n)`` and ``(nodes, n, nodes, inputs)``: the input's derivatives are carried along as states."""
-        from scipy.linalg import expm
-
-        n, m, count = len(self._a), self._b.shape[1], len(self._nodes)
+    same = 8.0 * np.finfo(float).eps * end  # steps of a clock differ by its rounding
+    _, first, kind = np.unique(np.round(steps / same), return_index=True, return_inverse=True)
+    n, m, count = len(A), B.shape[1], len(nodes)
+    # The input's derivatives are carried along as states.
+    factorials = np.array([factorial(k) for k in range(count)], dtype=float)
+    derivatives = factorials[:, None] * np.linalg.inv(np.vander(nodes, increasing=True))
+    made = []
+    for h in steps[first]:
         block = np.zeros((n + m * count, n + m * count))
-        block[:n, :n] = self._a * h
-        block[:n, n : n + m] = self._b * h
+        block[:n, :n], block[:n, n : n + m] = A * h, B * h
         block[n : n + m * (count - 1), n + m :] = np.eye(m * (count - 1))
-        e = np.asarray([expm(block * s)[:n] for s in self._nodes])
+        e = np.asarray([expm(block * s)[:n] for s in nodes])
         forced = e[:, :, n:].reshape(count, n, count, m)
-        return e[:, :, :n], np.einsum("jnkm,kl->jnlm", forced, self._derivatives)
+        made.append((e[:, :, :n], np.einsum("jnkm,kl->jnlm", forced, derivatives)))
+    return made, kind
 
 
 def checked_rtol(rtol: float | None) -> float:

@@ -18,9 +18,9 @@ __all__ = [
 ]
 
 _MORE = {  # loaded on first use
-    "replay": "axis.critical_delta", "COVER_FORMS": "margins.cover", "DelayAxis": "margins.delay_axis",
+    "replay": "axis.critical_delta", "COVER_FORMS": "margins.cover", "DelayAxis": "margins.delay_loops",
     "PLACES": "margins.disk_margin", "gain_and_phase": "margins.disk_margin", "delta_norm": "matrix.certificate",
-    "level": "matrix.certificate", "proves": "matrix.certificate", "smallest_step": "matrix.minimum_norm",
+    "level": "matrix.certificate", "proves": "matrix.certificate", "smallest_step": "matrix.lower",
 }  # fmt: skip
 
 

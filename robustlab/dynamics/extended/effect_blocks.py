@@ -21,7 +21,7 @@ import numpy as np
 from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.delays.approximation import checked_order
-from robustlab.delays.channels import covering
+from robustlab.delays.model import covering
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, is_set_valued, rest_band, steady_force
 from robustlab.dynamics.extended.extended_plant import (

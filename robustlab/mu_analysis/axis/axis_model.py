@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import AnyArray, Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
+from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.linear_analysis.narrow_peaks import modes_apart, narrow_frequencies
 from robustlab.linear_analysis.structural import strong_components, with_hidden
 from robustlab.statespace import StateSpaceModel
@@ -62,8 +62,7 @@ def continuous(model: StateSpaceModel) -> StateSpaceModel:
         # z = (1 + s) / (1 - s): s x' = (A + I)^-1 (A - I) x + ...
         plus = np.linalg.inv(A + np.eye(n))
         A, B, C, D = plus @ (A - np.eye(n)), np.sqrt(2) * plus @ B, np.sqrt(2) * C @ plus, D - C @ plus @ B
-    if not _within_bounds((A, B, C, D)):
-        return _ordinary(StateSpaceModel(A, B, C, D), "frequency axis")
+    _ordinary(StateSpaceModel(A, B, C, D), "frequency axis")
     scale = balancing_factors(A)
     return _even(StateSpaceModel(A / scale[:, None] * scale, B / scale[:, None], C * scale[None, :], D))
 
@@ -96,26 +95,12 @@ def _half(gramian: AnyArray) -> AnyArray:
 
 
 def _ordinary(model: StateSpaceModel, where: str) -> StateSpaceModel:
-    """The model, with states balanced between inputs and outputs where its entries are extreme."""
-    parts = (model.A, model.B, model.C, model.D)
-    if _within_bounds(parts):
+    """The model; refused where products of its entries overflow."""
+    size = max(np.abs(m).max(initial=0.0) for m in (model.A, model.B, model.C, model.D))
+    if size <= MOST:
         return model
-    t = balancing_exponents(model.A, model.B, model.C).astype(float)
-    if model.B.any() and model.C.any():  # inputs and outputs alike
-        into, out = (np.frexp(m)[1] + e for m, e in ((model.B, -t[:, None]), (model.C, t)))
-        t += np.round(0.5 * (into[model.B != 0].max() - out[model.C != 0].max()))
-    shifts = (t - t[:, None], -t[:, None], t, np.zeros(model.D.shape))
-    with np.errstate(over="ignore", under="ignore"):
-        a, b, c, d = scaled = [np.ldexp(m, e.astype(int)) for m, e in zip(parts, shifts, strict=True)]
-    if not _within_bounds(scaled):
-        size = np.concatenate([np.abs(m[m != 0]).ravel() for m in scaled])
-        found = f"entries of M from {size.min():.3g} to {size.max():.3g} in balanced states: products of them overflow"
-        raise NoTrustworthyNumber(where, found, None, "choose other units of time, of signals, or of the parameters")
-    return StateSpaceModel(a, b, c, d, model.dt, model.inputs, model.outputs, model.states, where=where)
-
-
-def _within_bounds(matrices: Sequence[Array]) -> bool:
-    return all(np.abs(m).max(initial=0.0) <= MOST for m in matrices)
+    hint = "choose other units of time, of signals, or of the parameters"
+    raise NoTrustworthyNumber(where, f"an entry of {size:.3g} in M", f"at most {MOST:g}", hint)
 
 
 def frequencies(omega: ArrayLike | None, where: str) -> Array:

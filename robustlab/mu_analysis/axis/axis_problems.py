@@ -14,11 +14,10 @@ from robustlab.budget import Budget, dense
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import typical_speed
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, extend_work
-from robustlab.mu_analysis.axis.mode_ascent import ascended, is_stable_member, member_work, shrunk
-from robustlab.mu_analysis.constants import ASCENT_REACH
+from robustlab.mu_analysis.axis.mode_ascent import ASCENT_REACH, ascended, is_stable_member, member_work, shrunk
 from robustlab.mu_analysis.matrix.box import Box, box_model, centre_matrix, gauge, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights
-from robustlab.mu_analysis.matrix.gain import ascend
+from robustlab.mu_analysis.matrix.skew import ascend
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block

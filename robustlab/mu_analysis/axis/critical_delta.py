@@ -1,31 +1,20 @@
-"""The critical Delta: what it means on the machine (a replay in time), and which blocks the margin hangs on."""
-
-# Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that crosses
-# give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j: only the real part of the pole counts.
-
-# Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that crosses
-# give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j: only the real part of the pole counts.
+"""What the critical Delta means on the machine: a replay in time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from robustlab.arrays import Array, ComplexArray
+from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.axis.margin import Margin
-from robustlab.mu_analysis.axis.pole_migration import perturbed_state_matrix
-from robustlab.mu_analysis.matrix.certificate import delta_norm
-from robustlab.mu_analysis.matrix.delta_layout import delta_layout
 from robustlab.shown import AllFields, Facts, Shown, number
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
-__all__ = ["CriticalResponse", "pole_block_sensitivities", "replay"]
+__all__ = ["CriticalResponse", "replay"]
 
 
 INSIDE = 0.95  # share of the critical Delta that is shown as just inside the margin
@@ -123,25 +112,3 @@ def _free(model: StateSpaceModel, x0: Array, t: Array) -> Array:
     for i in range(1, len(t)):
         states[i] = step @ states[i - 1]
     return states @ model.C.T
-
-
-def pole_block_sensitivities(
-    model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, pole: complex
-) -> Array:
-    """Derivative of a model's stability margin by the relative size of each block, shape (n_blocks,)."""
-    layout = delta_layout(blocks)
-    delta = np.asarray(delta, dtype=complex)
-    a = perturbed_state_matrix(model, delta)
-    values, right = np.linalg.eig(a)
-    v = right[:, np.abs(values - pole).argmin()]
-    values, left = np.linalg.eig(a.T)
-    u = left[:, np.abs(values - pole).argmin()]
-    inner = complex(u @ v)
-    if abs(inner) < 1e-10:
-        raise NoTrustworthyNumber("pole_block_sensitivities", "a pole that is not simple", "a simple pole")
-    loop = np.eye(model.n_outputs) - model.D @ delta
-    back = np.eye(model.n_inputs) - delta @ model.D
-    x = np.linalg.solve(loop, model.C @ v)
-    row = np.linalg.solve(back.T, u @ model.B) / inner
-    parts = layout.contributions(delta[None], row[None], x[None])[0].real
-    return -delta_norm(blocks, delta) * parts / parts.sum()

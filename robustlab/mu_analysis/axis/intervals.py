@@ -5,11 +5,6 @@
 # tested between and at these candidates, outwards from a frequency at which Phi < 0 is known. A version that asked
 # "is this eigenvalue imaginary?" with a tolerance certified wrong intervals.
 
-# Phi(omega) = M^* D_z M + j (G M - M^* G^*) - beta^2 D_w is singular where j omega is an eigenvalue of H. Rounding
-# moves eigenvalues off the axis, so *every* imaginary part counts as a possible change of sign, and the sign is
-# tested between and at these candidates, outwards from a frequency at which Phi < 0 is known. A version that asked
-# "is this eigenvalue imaginary?" with a tolerance certified wrong intervals.
-
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -23,7 +18,6 @@ from robustlab.budget import Budget
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.mu_analysis.axis.axis_model import coupled_blocks, model_frequency, typical_speed
-from robustlab.mu_analysis.constants import FREQUENCIES
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.skew import divided, skew_upper
@@ -33,6 +27,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
+FREQUENCIES = 8  # at which D, G are sought together
 SLACK = 1e-5  # the Hamiltonian is that of a beta smaller by this: a blurred double root costs far less
 CREEPING = 0.97  # share of what is open that a round may leave open before the level is raised
 HOPELESS = 64.0  # accuracy at which creeping ends the cover: no scaling could prove anything there

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.mu_analysis.axis.axis_model import acting, continuous
 from robustlab.mu_analysis.axis.intervals import Piece
-from robustlab.mu_analysis.matrix.decomposition import entries
+from robustlab.mu_analysis.matrix.decomposition import depths, entries
 from robustlab.mu_analysis.matrix.upper import UpperBound
 from robustlab.norms.numbers import Numbers, block_rows, loop_numbers
 from robustlab.statespace import StateSpaceModel, lower_lft
@@ -94,15 +94,8 @@ def _depths(model: StateSpaceModel, blocks: Sequence[Block]) -> NDArray[np.int64
     n, acts = model.n_states, acting(model, blocks)
     labels = strong_components(acts)
     count = int(labels.max(initial=-1)) + 1
-    edges = np.zeros((count, count), dtype=bool)  # from the second to the first
+    edges, holds = np.zeros((count, count), dtype=bool), np.zeros(count, dtype=int)  # from the second to the first
     for to, source in np.argwhere(acts):
         edges[labels[to], labels[source]] |= labels[to] != labels[source]
-    holds = np.zeros(count, dtype=np.int64)
     holds[labels[n:]] = 1
-    depth = np.zeros(count, dtype=np.int64)
-    for _ in range(count):  # the longest way: at most so many rounds
-        deeper = np.where(edges, depth + holds, 0).max(axis=1, initial=0)
-        if (deeper <= depth).all():
-            break
-        depth = np.maximum(depth, deeper)
-    return depth[labels[n:]]
+    return depths(edges, holds)[labels[n:]]

@@ -73,18 +73,10 @@ class StabilityMargin(Bracket):
 
 @dataclass(frozen=True, eq=False)
 class Margin(Tabular, StabilityMargin):
-    """Robust stability margin: the model is stable for all Delta of norm below ``lower``, and not for ``delta``.
+    """Robust stability margin over the whole frequency axis, with the attributes of `StabilityMargin`.
 
     Attributes
     ----------
-    lower, upper
-        ``lower <= margin <= upper``; ``lower`` holds over the whole frequency axis where the status is CERTIFIED
-        (else it is 0). Both are inf where nothing can destabilise.
-    frequency
-        Frequency in rad/s at which ``delta`` brings a pole to the stability boundary; None where no such Delta was
-        found.
-    delta
-        The critical Delta, one value per block name; empty where none was found.
     physical
         The critical values and units of the physical parameters.
     pole
@@ -188,15 +180,11 @@ class WorstCaseGain(Tabular, PeakGain):
 
     Attributes
     ----------
-    lower, upper
-        ``lower <= worst gain <= upper``. ``lower`` is the gain of the member at ``delta``; ``upper`` is proved over the
-        whole frequency axis and the whole set. Both are inf where a member is unstable.
-    frequency
-        Frequency in rad/s at which the member at ``delta`` has the gain ``lower`` (of an unstable one: of its pole).
-    delta
-        The worst Delta found, one value per block name.
-    physical
-        The worst values and units of the physical parameters.
+    lower, upper, frequency
+        ``lower`` is the gain of the member at ``delta``, at ``frequency`` in rad/s (of an unstable one: of its pole);
+        ``upper`` is proved over the whole frequency axis and the whole set. Both are inf where a member is unstable.
+    delta, physical
+        The worst Delta found, one value per block name, and the values and units of the physical parameters.
     nominal
         Gain of the nominal member.
     status
@@ -211,11 +199,8 @@ class WorstCaseGain(Tabular, PeakGain):
         Frequency intervals for which nothing is proved.
     proof
         What ``upper`` rests on: pieces of the axis with their D, G, or regions of parameters and frequency.
-    notes
-        Remarks for the reader of a report.
     system, boxes
-        The set that it is about, and each box of a branch and bound with an interval proved in it, for
-        `robustlab.verify`.
+        As in `Margin`.
     """
 
     delta: Mapping[str, Any]

@@ -8,14 +8,6 @@
 # damped by now (iterated local search, Lourenço, Martin, Stützle 2003). A mode is told by its frequency, for the one
 # of largest real part is nearly always the slowest. Branch and bound asks for the same from the centres of regions.
 
-# max Re lambda_k(A + B Delta (I - D Delta)^-1 C) over |delta_i| <= s, by quasi-Newton steps with the exact
-# derivative. Where modes are lightly damped, two that meet inside the box may exchange their damping there, and paths
-# from the nominal poles, as in pole_migration, pass by: on chains of 24 masses these missed by 16 and 278 %, this by
-# 5 (benchmarks/results/mu_axis.txt). What comes of one mode is a local maximum among many, so the search goes on from
-# the best of each: a few parameters are thrown anew and the ascent is made again, more often for modes that are less
-# damped by now (iterated local search, Lourenço, Martin, Stützle 2003). A mode is told by its frequency, for the one
-# of largest real part is nearly always the slowest. Branch and bound asks for the same from the centres of regions.
-
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
@@ -32,17 +24,15 @@ from robustlab.mu_analysis.axis.pole_migration import (
     first_crossing,
     perturbed_state_matrix,
 )
-from robustlab.mu_analysis.constants import ASCENT_REACH
 from robustlab.mu_analysis.matrix.box import block_entries, centre_matrix, gauge, lowest
 from robustlab.mu_analysis.matrix.delta_layout import delta_layout
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 
-ASCENT_LEAST = 0.25  # the smallest box looked into, in sizes of the smallest member known at first ...
-ASCENTS_IN_VAIN = 5  # as many ascents there, for each mode, without anything smaller end a chain of them ...
+ASCENT_REACH = 0.99  # of the smallest member known, the box in which a smaller one is sought
+ASCENTS_IN_VAIN = 5  # as many ascents in a box, for each mode, without anything smaller end a chain of them ...
 ASCENT_CHAINS = 3  # ... and so many chains in a row the search
-ASCENT_MEMBERS = 100  # of the box, looked at for starts ...
-ASCENT_MODES = 5  # ... of so many least damped modes, and as many others; twice as many go on from their best
+ASCENT_MODES = 5  # so many least damped modes go on from their best more often than the others
 ASCENT_THROWN = 3  # so many parameters at most are thrown anew for that
 ASCENT_FIRST = 0.3  # share of the way to its own corner at which a nominal mode begins
 ASCENT_STEP = 0.05  # share by which the box shrinks around a mode that was led across the axis ...
@@ -135,10 +125,9 @@ def smaller_destabilising(
     worst: Destabilising,
     budget: Budget,
     seed: int = 0,
-    proved: float = 0.0,
 ) -> Destabilising:
     """A destabilising Delta of real blocks alone that is smaller than ``worst``, or ``worst`` where none was found."""
-    return _Search(model, tuple(blocks), worst, budget).run(seed, proved)
+    return _Search(model, tuple(blocks), worst, budget).run(seed)
 
 
 class _Search:
@@ -154,65 +143,35 @@ class _Search:
         # Of each mode, by its order in frequency: its least damping met in this box, and the point of the unit set.
         self.led: dict[int, tuple[float, Array]] = {}
 
-    def run(self, seed: int, proved: float) -> Destabilising:
-        """In boxes between what is proved and the smallest member, by bisection; then in those slightly smaller."""
-        rng = np.random.default_rng(seed)
+    def run(self, seed: int) -> Destabilising:
+        """In boxes slightly smaller than the smallest member, until so many chains of ascents in a row were in vain."""
+        rng, in_vain = np.random.default_rng(seed), 0
         if np.isfinite(self.best.pole):
             self.follow(block_entries(self.blocks, self.best.delta) * (1 + 1e-9))
-        empty, chains, in_vain = max(proved, ASCENT_LEAST * self.size), 0, 0
-        while chains < ASCENT_CHAINS and self._may_go_on():
-            before, largest = self.size, self.size * ASCENT_REACH
-            size = min(float(np.sqrt(empty * self.size)), largest)
-            ascents = self._ascents_within(size, size == largest, rng)
-            if self.size < before:
-                chains = in_vain = 0
-            elif size < largest:
-                empty = size
-            elif (in_vain := in_vain + max(ascents, 1)) >= ASCENTS_IN_VAIN * len(self.frequencies):
-                chains, in_vain, self.box = chains + 1, 0, 0.0  # what modes were led to is forgotten
+        while in_vain < ASCENT_CHAINS and self._may_go_on():
+            before, self.box, self.led = self.size, self.size * ASCENT_REACH, {}
+            for mode, point in chain(self._ways_out(), self._thrown(rng)):
+                values = self._led(mode, point) if self._may_go_on() else None
+                if values is not None:
+                    self.follow(values)
+                    break
+            in_vain = 0 if self.size < before else in_vain + 1
         return self.best
 
-    def _ascents_within(self, size: float, thorough: bool, rng: np.random.Generator) -> int:
-        """How many ascents were made inside a box until one led to a smaller member, or to the end of the turn."""
-        ascents, starts = 0, []
-        if size != self.box:
-            self.box, self.led = size, {}
-            starts = self._least_damped(rng)
-            for mode, aim in enumerate(1j * self.frequencies if thorough else []):  # on the nominal mode's own way out
-                now = _mode_next_to(self.model, self.blocks, np.zeros(len(self.blocks)), aim)
-                slopes = np.zeros(len(self.blocks)) if now is None else now[1]
-                starts.append((mode, ASCENT_FIRST * np.where(slopes < 0, self.low, 1.0)))
-        for mode, point in chain(starts, self._thrown(rng)):
-            if not self._may_go_on():
-                break
-            ascents += 1
-            values = self._led(mode, point)
-            if values is not None:
-                self.follow(values)
-                break
-        return ascents
+    def _ways_out(self) -> Iterator[tuple[int, Array]]:
+        """For each mode a point on the nominal mode's own way to the axis."""
+        for mode, aim in enumerate(1j * self.frequencies):
+            now = _mode_next_to(self.model, self.blocks, np.zeros(len(self.blocks)), aim)
+            slopes = np.zeros(len(self.blocks)) if now is None else now[1]
+            yield mode, ASCENT_FIRST * np.where(slopes < 0, self.low, 1.0)
 
     def _may_go_on(self) -> bool:
         """Work is left. That it may end here is no news, for the search ends somewhere; a clock that ended it is."""
         return self.budget.left > 0 and not (self.budget.seconds_left <= 0 and self.budget.over)
 
-    def _least_damped(self, rng: np.random.Generator) -> list[tuple[int, Array]]:
-        """Of random corners and points, those that damp a mode least: of the least damped modes, and of some others."""
-        best: dict[int, tuple[float, Array]] = {}
-        for turn in range(ASCENT_MEMBERS):
-            share = rng.random(len(self.blocks))
-            point = self.low + (1 - self.low) * (np.round(share) if turn % 2 else share)
-            for mode, pole in enumerate(self._modes(point)):
-                damping = float(-pole.real / abs(pole))
-                if mode not in best or damping < best[mode][0]:
-                    best[mode] = damping, point
-        met = [(mode, best[mode][1]) for mode in sorted(best, key=lambda mode: best[mode][0])]
-        least, others = met[:ASCENT_MODES], met[ASCENT_MODES:]
-        return least + [others[k] for k in rng.permutation(len(others))[:ASCENT_MODES]]
-
     def _thrown(self, rng: np.random.Generator) -> Iterator[tuple[int, Array]]:
         """Where modes have come to in this box, with a few parameters thrown anew; less damped ones more often."""
-        for _ in range(2 * ASCENT_MODES):
+        for _ in range(ASCENTS_IN_VAIN * len(self.frequencies)):
             order = sorted(self.led, key=lambda mode: self.led[mode][0])
             if not order:
                 return

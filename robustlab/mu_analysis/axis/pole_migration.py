@@ -21,8 +21,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.constants import SINGULAR
 from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
-from robustlab.mu_analysis.matrix.lower import lower_bounds
-from robustlab.mu_analysis.matrix.minimum_norm import FRACTIONS, unit_rows
+from robustlab.mu_analysis.matrix.lower import FRACTIONS, lower_bounds, unit_rows
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 

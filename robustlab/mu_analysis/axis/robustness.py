@@ -27,12 +27,16 @@ from robustlab.mu_analysis.axis.axis_model import (
     seed_frequencies,
 )
 from robustlab.mu_analysis.axis.axis_problems import GainProblem, MarginProblem
-from robustlab.mu_analysis.axis.critical_delta import pole_block_sensitivities
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis, cover_parts
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin, WorstCaseGain
 from robustlab.mu_analysis.axis.mode_ascent import smaller_destabilising
-from robustlab.mu_analysis.axis.pole_migration import Destabilising, first_crossing, smallest_destabilising
-from robustlab.mu_analysis.constants import COARSE, MEMBERS, SINGULAR, WORK
+from robustlab.mu_analysis.axis.pole_migration import (
+    Destabilising,
+    first_crossing,
+    perturbed_state_matrix,
+    smallest_destabilising,
+)
+from robustlab.mu_analysis.constants import SINGULAR, WORK
 from robustlab.mu_analysis.matrix.box import (
     Box,
     block_entries,
@@ -44,9 +48,9 @@ from robustlab.mu_analysis.matrix.box import (
 )
 from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
 from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
-from robustlab.mu_analysis.matrix.gain import Gain, ascend, gain_at, largest_gain
+from robustlab.mu_analysis.matrix.delta_layout import delta_layout
 from robustlab.mu_analysis.matrix.lower import lower_bounds
-from robustlab.mu_analysis.matrix.skew import gain_curves
+from robustlab.mu_analysis.matrix.skew import Gain, ascend, gain_at, gain_curves, largest_gain
 from robustlab.mu_analysis.matrix.upper import UpperBound, compile_kernels, upper_bounds
 from robustlab.norms import QUIET, gain_rounding, hinf_norm
 from robustlab.result import Status
@@ -58,6 +62,8 @@ __all__ = [
     "gain_within", "margin_within", "robust_performance", "robust_stability", "with_performance", "worst_case_gain",
 ]  # fmt: skip
 
+COARSE = 4e-3  # accuracy of the first cover, which tells whether branch and bound has to follow
+MEMBERS = 6  # of the set that are followed to a gain's own peak
 FINEST = 1e-9  # bounds closer together than this are told apart by rounding alone
 CONTRADICTS = 1e-5  # what attains a level to rounding may pass a proof that is as tight, by that much and no more
 GAIN_ACCURACY = 1e-4  # of the cover of a gain
@@ -369,7 +375,7 @@ class _Stability(_Search):
         # The gap may be that of the search: only modes that meet inside the box tell of a smaller Delta.
         if self.worst is not None and all(b.interval for b in self.blocks):
             better = smaller_destabilising(
-                self.model, self.blocks, self.worst, self.budget.share(ASCENT_SHARE), self.seed, proved=1 / self.level
+                self.model, self.blocks, self.worst, self.budget.share(ASCENT_SHARE), self.seed
             )
             self.worst = _as_seen(self.model, better)
 
@@ -408,14 +414,25 @@ class _Stability(_Search):
 
     def _shares(self) -> dict[str, float]:
         """Share of each block in the margin, summing to one; empty where the margin has no derivative."""
-        worst = self.worst
-        if worst is None or not np.isfinite(worst.pole) or not self.model.n_states:
+        # Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that
+        # crosses give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j.
+        model, worst = self.model, self.worst
+        if worst is None or not np.isfinite(worst.pole) or not model.n_states:
             return {}
+        a = perturbed_state_matrix(model, worst.delta)
         try:
-            slopes = pole_block_sensitivities(self.model, self.blocks, worst.delta, worst.pole)
-        except (NoTrustworthyNumber, np.linalg.LinAlgError):
+            (left, u), (right, v) = np.linalg.eig(a.T), np.linalg.eig(a)
+            u, v = u[:, np.abs(left - worst.pole).argmin()], v[:, np.abs(right - worst.pole).argmin()]
+            x = np.linalg.solve(np.eye(model.n_outputs) - model.D @ worst.delta, model.C @ v)
+            row = np.linalg.solve((np.eye(model.n_inputs) - worst.delta @ model.D).T, u @ model.B)
+        except np.linalg.LinAlgError:
             return {}
-        shares = -slopes / worst.norm
+        inner = complex(u @ v)
+        if abs(inner) < 1e-10:  # the pole is not simple
+            return {}
+        parts = delta_layout(self.blocks).contributions(worst.delta[None], row[None] / inner, x[None])[0].real
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = parts / parts.sum()
         # Parts that cancel to rounding say nothing.
         if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9:
             return {}

@@ -1,1 +1,1 @@
-"""Margins of loops: disk margins, the small-gain test; and covers of sets of models judged by mu."""
+"""Margins of loops, and covers of sets of models judged by mu."""

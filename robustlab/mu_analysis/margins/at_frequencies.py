@@ -13,7 +13,6 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab import checks
 from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import one_thread
 from robustlab.closing import closing
@@ -28,7 +27,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     check_disk,
     gain_and_phase,
 )
-from robustlab.mu_analysis.matrix.bounds import MuBounds, mu
+from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.box import lowest
 from robustlab.mu_analysis.matrix.skew import gain_curves
 from robustlab.norms import PeakGain
@@ -76,17 +75,8 @@ class MarginAt(_Curves, StabilityMargin):
     lower, upper, frequency
         The smallest margin, and where: at ``frequency`` no Delta smaller than ``lower`` makes the loop singular,
         ``delta``, of size ``upper``, does. Both inf where none can.
-    delta
-        That Delta, one value per block name; empty where none was found.
-    omega
-        Frequencies in rad/s, (N,).
-    lower_at, upper_at
-        Bounds of the margin at each of them, (N,).
-    delta_at
-        The Delta found at each of them.
-    between
-        Where a variation was given: a bound of the margin that is proved for all of each gap between two frequencies,
-        (N - 1,); else None, and nothing is claimed there.
+    omega, lower_at, upper_at, delta_at
+        Frequencies in rad/s, (N,), and at each of them the bounds of the margin, (N,), and the Delta found.
     status
         CERTIFIED: ``lower_at`` proved at each frequency, ``upper_at`` attained. CONVERGED: proved, not attained
         everywhere.
@@ -98,7 +88,6 @@ class MarginAt(_Curves, StabilityMargin):
     lower_at: Array
     upper_at: Array
     delta_at: tuple[Mapping[str, Any], ...]
-    between: Array | None
     assumed: str = ASSUMED
 
     @property
@@ -107,14 +96,14 @@ class MarginAt(_Curves, StabilityMargin):
         return False if self.upper <= 1 else None
 
     def headline(self) -> str:
-        return f"margin of at least {number(self.lower)} {_scope(self.omega, self.between)}"
+        return f"margin of at least {number(self.lower)} {_scope(self.omega)}"
 
     def facts(self) -> Facts:
         return [
             ("smallest margin", bracket(self.lower, self.upper, ("proved", "attained"))),
             ("critical frequency", number(self.frequency, "rad/s")),
             ("critical member", member(self.delta, {})),
-            ("holds", _scope(self.omega, self.between)),
+            ("holds", _scope(self.omega)),
             ("assumed", self.assumed),
         ]
 
@@ -157,7 +146,7 @@ class GainAt(Tabular, PeakGain):
         return [
             ("nominal there", number(self.nominal)),
             ("Delta", member(self.delta, {})),
-            ("scope", _scope(self.omega, None)),
+            ("scope", _scope(self.omega)),
         ]
 
     def details(self) -> list[Part]:
@@ -196,7 +185,7 @@ class DiskMarginsAt(DiskMargins):
     assumed: str = ASSUMED
 
     def facts(self) -> Facts:
-        return [*super().facts(), ("holds", _scope(self.omega, None)), ("assumed", self.assumed)]
+        return [*super().facts(), ("holds", _scope(self.omega)), ("assumed", self.assumed)]
 
     def details(self) -> list[Part]:
         return [*super().details(), *self.simultaneous.details()]
@@ -204,17 +193,13 @@ class DiskMarginsAt(DiskMargins):
 
 @told_as("robust_stability_at")
 @one_thread()
-def robust_stability_at(
-    system: Any, frequency: ArrayLike | None = None, *, variation: float | None = None, seed: int = 0
-) -> MarginAt:
+def robust_stability_at(system: Any, frequency: ArrayLike | None = None, *, seed: int = 0) -> MarginAt:
     """Of a model or of data at frequencies: `robustlab.robust_stability`."""
     data = _data(system, frequency, "robust_stability_at")
     if not data.blocks:
         hint = "frequency_data(..., radius=...) makes one"
         raise InputError("robust_stability_at", "no uncertainty", "blocks", hint)
-    if variation is not None:
-        checks.number("robust_stability_at: variation", variation, "a number of 0 or more, in 1/(rad/s)", at_least=0)
-    return _margin_at(data.omega, data.delta_channels, data.blocks, variation, seed)
+    return _margin_at(data.omega, data.delta_channels, data.blocks, seed)
 
 
 @told_as("worst_case_gain_at")
@@ -284,7 +269,7 @@ def disk_margin_at(
 
 
 def _disk_margin_at(omega: Array, M: ComplexArray, names: Sequence[str], skew: float, seed: int) -> DiskMarginAt:
-    found = _margin_at(omega, M, [ComplexScalar(name) for name in names], None, seed)
+    found = _margin_at(omega, M, [ComplexScalar(name) for name in names], seed)
     low, high, phase = gain_and_phase(found.lower, skew)
     return DiskMarginAt(
         found.lower, found.upper, found.frequency, found.status, (low, high), phase, skew, found.delta, (), omega,
@@ -314,48 +299,18 @@ def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFreq
     return data
 
 
-def _margin_at(omega: Array, M: ComplexArray, blocks: Sequence[Any], variation: float | None, seed: int) -> MarginAt:
+def _margin_at(omega: Array, M: ComplexArray, blocks: Sequence[Any], seed: int) -> MarginAt:
     found = mu(M, blocks, seed)
     with np.errstate(divide="ignore"):
         lower, upper = 1.0 / np.asarray(found.upper), 1.0 / np.asarray(found.lower)
     delta = tuple(delta_values(blocks, d) if v else {} for d, v in zip(found.delta, found.lower, strict=True))
-    between = None if variation is None else _between(omega, M, found, variation)
     k = int(np.argmin(lower))
     return MarginAt(
         float(lower[k]), float(upper[k]), float(omega[k]), found.status, delta[k], (), omega, lower, upper, delta,
-        between,
     )  # fmt: skip
 
 
-def _between(omega: Array, M: ComplexArray, found: MuBounds, variation: float) -> Array:
-    """Margin that is proved in each gap: both ends are carried to its middle."""
-    # Of D = T^* T, |E| <= e, t = |T_z| |T^-1|: the level of M + E is at most the root of
-    # beta^2 + 2 |T_z M T^-1| t e + t^2 e^2 + 2 |T^-* G| |T^-1| e.
-    reach = 0.5 * variation * np.diff(omega)
-    carried = [[_carried(M[k + i], found, k + i, float(e)) for i in (0, 1)] for k, e in enumerate(reach)]
-    return np.array([1.0 / max(pair) if max(pair) > 0 else np.inf for pair in carried])
-
-
-def _carried(M: ComplexArray, found: MuBounds, k: int, e: float) -> float:
-    """Level that the scalings of matrix k prove for all matrices within ``e`` of it; inf where none."""
-    try:
-        T, T_z = (np.linalg.cholesky(D[k]).conj().T for D in (found.D, found.D_z))
-        inverse = np.linalg.inv(T)
-    except np.linalg.LinAlgError:
-        return np.inf
-    size = float(np.linalg.norm(inverse, 2))
-    t = float(np.linalg.norm(T_z, 2)) * size * e
-    through = float(np.linalg.norm(T_z @ M @ inverse, 2))
-    turned = float(np.linalg.norm(inverse.conj().T @ found.G[k], 2)) * size * e
-    level = float(found.upper[k]) ** 2 + 2.0 * through * t + t * t + 2.0 * turned
-    return float(np.sqrt(level)) * (1.0 + 1e-9)
-
-
-def _scope(omega: Array, between: Array | None) -> str:
-    if between is None:
-        if len(omega) == 1:
-            return "at this frequency only"
-        return f"at the {len(omega)} given frequencies only; nothing is claimed between them"
-    low = number(float(between.min(initial=np.inf)))
-    ends = f"from {number(float(omega[0]))} to {number(float(omega[-1]), 'rad/s')}"
-    return f"{ends}, margin at least {low} between the points"
+def _scope(omega: Array) -> str:
+    if len(omega) == 1:
+        return "at this frequency only"
+    return f"at the {len(omega)} given frequencies only; nothing is claimed between them"

@@ -9,12 +9,24 @@ Skogestad, Postlethwaite, *Multivariable Feedback Control*, section 2.4.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, ClassVar, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
 
 from robustlab.errors import NoTrustworthyNumber, told_as
+from robustlab.linear_analysis.exact import (
+    MOST_STATES,
+    all_left,
+    determinant,
+    even_and_odd,
+    from_the_circle,
+    roots,
+    wired,
+)
 from robustlab.linear_analysis.structural import with_hidden
 from robustlab.mu_analysis.margins.disk_margin import (
     AT,
@@ -26,17 +38,17 @@ from robustlab.mu_analysis.margins.disk_margin import (
     in_decibels,
     in_degrees,
 )
-from robustlab.mu_analysis.margins.loop_fraction import LoopFraction, loop_fractions
 from robustlab.result import Status
 from robustlab.shown import AllFields, Facts, Part, Shown, number
-from robustlab.statespace import as_model
+from robustlab.statespace import StateSpaceModel, as_model
+
+if TYPE_CHECKING:
+    from flint import fmpz_poly
 
 __all__ = ["ClassicalMargin", "ClassicalMargins", "GainCrossing", "PhaseCrossing", "classical_margins"]
 
 POLE = 1e9  # a response beyond this, where L is real, belongs to a pole there: no factor of gain is meant by it
 LEAST = 1e-300  # and factors beyond one over this are infinite
-# The closed loop is tried with this share of the way from 1 to the margin's ends, in logarithms, within TRIED.
-INSIDE, TRIED = 0.999, 1e3
 
 
 @dataclass(frozen=True)
@@ -74,8 +86,8 @@ class ClassicalMargin(Shown):
     gain_crossings, phase_crossings
         All of them, by rising frequency.
     status
-        CONVERGED: all crossings are there, right to the last digits, and closed loops just inside the ends of the gain
-        margin are stable; INACCURATE: one is not.
+        CONVERGED: all crossings are there, right to the last digits. Of loops with delays: CERTIFIED, or INACCURATE
+        where it is not decided whether a crossing is only touched.
     reason
         Why it is inaccurate, or that the closed loop is unstable and which of its modes no feedback changes; else
         empty.
@@ -208,8 +220,7 @@ def classical_margins(
     stable, loops = loop_fractions(p, closed.K, closed.sign, channel_places(p.n_inputs, p.n_outputs, at))
     unstable = "" if stable else with_hidden("the closed loop is unstable", p, closed.K)
     channels = {name: _margin(L, unstable, name) for name, L in zip(names, loops, strict=True)}
-    good = all(margin.status is Status.CONVERGED for margin in channels.values())
-    return ClassicalMargins(channels, at, Status.CONVERGED if good else Status.INACCURATE, closed.said)
+    return ClassicalMargins(channels, at, Status.CONVERGED, closed.said)
 
 
 # --- crossings --------------------------------------------------------------------------------------------------------
@@ -224,12 +235,10 @@ def _margin(L: LoopFraction, unstable: str, name: str) -> ClassicalMargin:
     phase = tuple(_phase_crossings(L))
     if unstable:
         return ClassicalMargin(False, None, None, None, gain, phase, Status.CONVERGED, unstable)
-    (low, high), lag, delay = least_changes(gain, phase)
+    ends, lag, delay = least_changes(gain, phase)
     if not L.dt and abs(L.at_infinity()) >= 1:
         delay = 0.0
-    reason = _doubt(L, low, high)
-    status = Status.INACCURATE if reason else Status.CONVERGED
-    return ClassicalMargin(True, (low, high), lag, delay, gain, phase, status, reason)
+    return ClassicalMargin(True, ends, lag, delay, gain, phase, Status.CONVERGED)
 
 
 def least_changes(
@@ -258,10 +267,147 @@ def _phase_crossings(L: LoopFraction) -> Iterator[PhaseCrossing]:
             yield PhaseCrossing(omega, float(-1 / response))
 
 
-def _doubt(L: LoopFraction, low: float, high: float) -> str:
-    """Why the gain margin is not to be trusted: a closed loop inside its ends that is not stable; else empty."""
-    for end in (low, high):
-        factor = min(max(end, 1 / TRIED), TRIED) ** INSIDE
-        if not L.stable_with(factor):
-            return f"the closed loop with {factor:.6g} times the gain is not stable"
-    return ""
+# --- loops as fractions of polynomials --------------------------------------------------------------------------------
+#
+# L = N / D, D = det(loop opened), N + D = det(loop closed), of one matrix that holds A, B, C, D of plant and
+# controller as given. With N(j omega) = N_e(x) + j omega N_o(x), x = omega^2: |L| = 1 where N_e^2 + x N_o^2 - D_e^2 -
+# x D_o^2 = 0, L real where N_o D_e - N_e D_o = 0. Their positive roots are the crossings, all of them; nothing is
+# rounded before.
+
+# |L| (or the angle of L to the real axis) this near to 1 (to 0) without reaching it, compared with its neighbourhood:
+# it is touched. Complex roots x whose imaginary part is a larger share of them than BESIDE are not looked at for that.
+TOUCHED = Fraction(1, 10**9)
+BESIDE = Fraction(1, 10)
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """The loop at one frequency: ``real + j omega imag``, exactly."""
+
+    real: Fraction
+    imag: Fraction
+    x: Fraction  # omega^2
+
+    @property
+    def size_squared(self) -> Fraction:
+        """``|L|^2``."""
+        return self.real**2 + self.x * self.imag**2
+
+    def lag(self) -> float:
+        """From a response of size 1 to -1, in rad."""
+        return math.atan2(math.copysign(_square_root(self.x * self.imag**2), -self.imag), -self.real)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopFraction:
+    """A loop N / D without common factors; powers of s, or of ``v = (z - 1) / (z + 1)`` of a discrete loop."""
+
+    N: fmpz_poly
+    D: fmpz_poly
+    dt: float
+
+    @property
+    def last_frequency(self) -> float:
+        """The end of the axis in rad/s."""
+        return math.pi / self.dt if self.dt else math.inf
+
+    def frequency(self, x: Fraction) -> float:
+        """In rad/s."""
+        omega = _square_root(x)
+        return 2 / self.dt * math.atan(omega) if self.dt else omega
+
+    @cached_property
+    def _parts(self) -> tuple[fmpz_poly, fmpz_poly, fmpz_poly, fmpz_poly]:
+        return *even_and_odd(self.N), *even_and_odd(self.D)
+
+    def at(self, x: Fraction) -> Point | None:
+        """The response at ``omega = sqrt(x)``; None at a pole."""
+        ne, no, de, do = (_value(part, x) for part in self._parts)
+        size = de**2 + x * do**2
+        return Point((ne * de + x * no * do) / size, (no * de - ne * do) / size, x) if size else None
+
+    def at_infinity(self) -> Fraction:
+        """The real limit at infinite frequency (z = -1); D is the larger polynomial, or as large."""
+        if self.N.degree() > (degree := self.D.degree()):
+            raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at the end of the axis")
+        return Fraction(int(self.N[degree]), int(self.D[degree]))
+
+    def with_gain_one(self) -> list[Fraction] | None:
+        """``omega^2`` of all frequencies where ``|L| = 1``; None where it is 1 everywhere, to within TOUCHED."""
+        from flint import fmpz_poly
+
+        ne, no, de, do = self._parts
+        found = _size_squared(ne, no) - _size_squared(de, do)
+        size = _size_squared(*(fmpz_poly([abs(c) for c in part.coeffs()]) for part in (de, do)))
+        if all(abs(found[k]) * TOUCHED.denominator <= size[k] for k in range(found.degree() + 1)):
+            return None
+        return self._crossed(found, lambda at: abs(at.size_squared - 1))
+
+    def with_real_response(self) -> list[Fraction]:
+        """``omega^2`` of all positive frequencies where L is real; none where it is real everywhere."""
+        ne, no, de, do = self._parts
+        return self._crossed(
+            no * de - ne * do, lambda at: at.x * at.imag**2 / at.size_squared if at.size_squared else Fraction(1)
+        )
+
+    def _crossed(self, f: fmpz_poly, height: Callable[[Point], Fraction]) -> list[Fraction]:
+        """Positive roots of f by rising size, and where a height comes so near to zero that it counts as touched."""
+        found = list[Fraction]()
+        for root in roots(f):
+            if root.re <= 0 or not 0 <= root.im < BESIDE * root.re:
+                continue
+            if root.im:
+                here, *beside = (self.at(root.re * share) for share in (1, 1 - 2 * BESIDE, 1 + 2 * BESIDE))
+                near = min([Fraction(1), *(height(point) for point in beside if point is not None)])
+                if here is None or height(here) > TOUCHED * near:
+                    continue
+            found.append(root.re)
+        return sorted(found)
+
+
+def loop_fractions(
+    P: StateSpaceModel, K: StateSpaceModel, sign: int, places: Iterable[int]
+) -> tuple[bool, list[LoopFraction]]:
+    """Whether the loop ``y = P u``, ``u = sign K y`` is stable, and what each loop is with the others closed."""
+    n, k, m, p = P.n_states, K.n_states, P.n_inputs, P.n_outputs
+    if n + k > MOST_STATES:
+        found = f"a loop of {n + k} states"
+        hint = "rl.reduce_model; or cut the axis: rl.classical_margins(rl.with_delays(P), K)"
+        raise NoTrustworthyNumber("classical_margins", found, f"at most {MOST_STATES}", hint)
+    u, y = np.split(np.arange(m + p), [m])
+    M, _ = wired([(P, u, y, 1), (K, y, u, sign)], -np.eye(m + p))
+    (closed, scale), found = determinant(M, n + k), list[LoopFraction]()
+    for place in places:
+        cut = M.copy()
+        signal = n + k + place
+        cut[:signal, signal] = cut[signal + 1 :, signal] = 0.0
+        D, exponent = determinant(cut, n + k)
+        if D.degree() < n + k and not P.dt:
+            raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at infinite frequency")
+        D, whole = D * (1 << max(exponent - scale, 0)), closed * (1 << max(scale - exponent, 0))
+        N = whole - D
+        if P.dt:
+            N, D = from_the_circle(N, n + k), from_the_circle(D, n + k)
+        shared = N.gcd(D)
+        found.append(LoopFraction(N // shared, D // shared, P.dt))
+    poles = from_the_circle(closed, n + k) if P.dt else closed
+    return poles.degree() == n + k and all_left(poles), found
+
+
+def _size_squared(even: fmpz_poly, odd: fmpz_poly) -> fmpz_poly:
+    """``even^2 + x odd^2``."""
+    return even * even + (odd * odd).left_shift(1)
+
+
+def _value(f: fmpz_poly, x: Fraction) -> Fraction:
+    """``f(x)``."""
+    from flint import fmpq
+
+    found = f(fmpq(x.numerator, x.denominator))
+    return Fraction(int(found.p), int(found.q))
+
+
+def _square_root(x: Fraction) -> float:
+    """Also of what overflows."""
+    half = (x.numerator.bit_length() - x.denominator.bit_length()) // 2
+    return math.ldexp(math.sqrt(x / Fraction(4) ** half), half) if x else 0.0

@@ -281,16 +281,16 @@ def disk_channels(
     """
     a, b = apart
     m, p, q = plant.n_inputs - a, plant.n_outputs - a, plant.n_inputs + plant.n_outputs - 2 * a
-    joint = append(_numbered(plant, "p"), _numbered(K, "k"))
+    P, K = _numbered(plant, "p"), _numbered(K, "k")
+    (pu, py), (ku, ky) = ((part.input_names, part.output_names) for part in (P, K))
     # Inputs: what leaves delays, u, y; outputs: what enters delays, u, y.
-    at_p, at_k = np.arange(a + max(m, p)), np.arange(b + max(m, p))
-    ins = np.r_[at_p[:a], a + m + at_k[:b], at_p[a : a + m], a + m + at_k[b : b + p]]
-    outs = np.r_[at_p[:a], a + p + at_k[:b], a + p + at_k[b : b + m], at_p[a : a + p]]
-    B, C, D = joint.B[:, ins], joint.C[outs], joint.D[np.ix_(outs, ins)]
+    ins, outs = [*pu[:a], *ku[:b], *pu[a:], *ku[b:]], [*py[:a], *ky[:b], *ky[b:], *py[a:]]
+    joint = append(P, K).select(ins, outs)
+    B, C, D = joint.B, joint.C.copy(), joint.D.copy()
     d, places = a + b, channel_places(m, p, at)
     C[d : d + m] *= sign
     D[d : d + m] *= sign
-    kept, eye = np.eye(q)[list(places)], np.eye(q)
+    kept = np.eye(q)[list(places)]
     # What goes on at the channels is what enters there (seen: with (sigma - 1)/2 of it) and what comes around.
     general = StateSpaceModel(
         joint.A,
@@ -303,13 +303,15 @@ def disk_channels(
         ]),
         plant.dt,
     )  # fmt: skip
-    return lower_lft(general, StateSpaceModel([], [], [], eye, plant.dt))
+    return lower_lft(general, StateSpaceModel([], [], [], np.eye(q), plant.dt))
 
 
 def _numbered(model: StateSpaceModel, prefix: str) -> StateSpaceModel:
     """With names and without units that meet no others: the parts of a loop may name their signals alike."""
-    names = ([f"{prefix}.{kind}{i}" for i in range(n)] for kind, n in (("u", model.n_inputs), ("y", model.n_outputs)))
-    return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt, *names)
+    ins, outs = (
+        [f"{prefix}.{side}{i}" for i in range(n)] for side, n in (("u", model.n_inputs), ("y", model.n_outputs))
+    )
+    return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt, ins, outs)
 
 
 def check_disk(at: Place, skew: float, where: str) -> None:

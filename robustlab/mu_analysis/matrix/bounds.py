@@ -16,7 +16,7 @@ from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.matrix.box import Box
 from robustlab.mu_analysis.matrix.branch_and_bound import MatrixProblem, tighten
 from robustlab.mu_analysis.matrix.lower import lower_bounds
-from robustlab.mu_analysis.matrix.skew import skewed
+from robustlab.mu_analysis.matrix.skew import skew_lower, skew_upper, varying_inputs
 from robustlab.mu_analysis.matrix.upper import UpperBound, compile_kernels, upper_bounds
 from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, listed
@@ -196,7 +196,7 @@ def mu(
         raise InputError("mu: tolerance", "given with fixed blocks", "no tolerance with them")
     budget, proof = search_budget("mu", WORK, effort, time_limit), ()
     with one_thread():
-        parts, status = skewed(stack, structure, fixed, seed) if len(fixed) else _bounds(stack, structure, seed)
+        parts, status = _bounds(stack, structure, seed, fixed)
         if tolerance is not None:
             proof = _close(stack, parts, structure, tolerance, budget)
             parts["boxes"] = np.array([len(boxes) for boxes in proof], dtype=int)
@@ -215,16 +215,24 @@ def mu(
     return MuBounds(**parts, status=status, blocks=structure, notes=notes, M=given, fixed=kept, proof=proof)
 
 
-def _bounds(stack: ComplexArray, structure: tuple[Block, ...], seed: int) -> tuple[dict[str, Any], Status]:
+def _bounds(
+    stack: ComplexArray, structure: tuple[Block, ...], seed: int, fixed: Sequence[str | int]
+) -> tuple[dict[str, Any], Status]:
     """The D-G bounds of each matrix and the Delta found, and what they are worth."""
-    scale = _scale(stack)
-    stack = stack * scale[:, None, None]
-    uppers = upper_bounds(stack, structure)
-    lowers = lower_bounds(stack, structure, seed)
+    if len(fixed):
+        scale, varying = np.ones(len(stack)), varying_inputs(structure, fixed)
+        proved = [skew_upper(m, structure, varying) for m in stack]
+        lowers = [skew_lower(m, structure, varying, seed) for m in stack]
+    else:
+        scale = _scale(stack)
+        stack = stack * scale[:, None, None]
+        proved = [(bound.beta, bound) for bound in upper_bounds(stack, structure)]
+        lowers = lower_bounds(stack, structure, seed)
+    uppers = [bound for _, bound in proved]
     q, p = structure_size(structure)
     zero = np.zeros((q, p), dtype=complex)
     lower = np.array([value for value, _ in lowers])
-    upper = np.array([bound.beta for bound in uppers])
+    upper = np.array([level for level, _ in proved])
     # A lower bound is attained up to the rounding of its Delta: it may pass a tight upper bound by that much, no more.
     lower = np.where((lower > upper) & (lower <= upper * (1 + 1e-8)), upper, lower)
     if (lower > upper).any():

@@ -28,7 +28,6 @@ from robustlab.shown import Shown
 from robustlab.uncertainty.blocks import Block, block_slices
 
 REGIONS = 16  # solved together; more: quicker each, more of them in vain where a Delta is met
-SEARCHED = 2  # regions of a batch in which a Delta is searched for, where the problem is one matrix
 KEPT = 0.0625  # share of the work kept for a smaller set, and spent before a set is judged out of reach
 NARROW = 1e-7  # relative width below which a box is not cut again: rounding decides there
 
@@ -212,9 +211,7 @@ class MatrixProblem:
     """mu of one matrix M (p, q)."""
 
     def __init__(self, M: ComplexArray, blocks: Sequence[Block]) -> None:
-        self.M, self.blocks = M, tuple(blocks)
-        self._found: Improved | None = None
-        self._batches = 0
+        self.M, self.blocks, self._attacks = M, tuple(blocks), 0
 
     def root(self, level: float) -> Region:
         """All Delta of size ``1 / level``."""
@@ -225,40 +222,31 @@ class MatrixProblem:
         return points_work(self.blocks, count) + 150 * count
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
-        """A region is proved where its D-G bound is below one; the worst others are searched for a Delta."""
+        """A region is proved where its D-G bound is below one."""
         stack = box_matrices(self.M, self.blocks, [r.box for r in regions])
-        sound = [bool(np.isfinite(matrix).all()) for matrix in stack]
-        bounds = iter(points_below(stack[sound], self.blocks, 1.0) if any(sound) else [])
+        sound: Mask = np.isfinite(stack).all(axis=(1, 2))
+        bounds = iter(points_below(stack[sound], self.blocks, 1.0) if sound.any() else [])
         result: list[Array | None] = []
-        failed: list[tuple[float, int]] = []
-        for k, (region, matrix, good) in enumerate(zip(regions, stack, sound, strict=True)):
+        for region, matrix, good in zip(regions, stack, sound, strict=True):
             bound = next(bounds) if good else None
             if bound is not None and bound.beta < 1:
                 region.open.clear()
                 region.proof = region.box, bound
                 result.append(None)
-                continue
-            result.append(np.ones(len(self.blocks)) if bound is None else block_weights(matrix, bound, self.blocks))
-            if bound is not None:
-                failed.append((-bound.beta, k))
-        # The lower bound that was given is good nearly always: looks at batch 1, 2, 4, 8, ... cost little.
-        self._batches += 1
-        if self._batches & (self._batches - 1) == 0:
-            for _, k in sorted(failed)[:SEARCHED]:
-                self._search(stack[k], regions[k].box)
+            else:
+                result.append(np.ones(len(self.blocks)) if bound is None else block_weights(matrix, bound, self.blocks))
         return result
 
-    def _search(self, matrix: ComplexArray, box: Box) -> None:
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
         """A singular Delta inside the box, if a short search finds one."""
+        # The lower bound that was given is good nearly always: looks at region 1, 2, 4, 8, ... cost little.
+        self._attacks += 1
+        (matrix,) = box_matrices(self.M, self.blocks, [region.box])
+        if self._attacks & (self._attacks - 1) or not np.isfinite(matrix).all():
+            return None
         value, delta = lower_bound(matrix, self.blocks, 0, restarts=2, steps=15)
         if delta is None or value < 1:
-            return
-        half = np.repeat(box.half, [b.rows for b in self.blocks])
-        whole = centre_matrix(self.blocks, box.centre) + half[:, None] * delta
-        size = delta_norm(self.blocks, whole)
-        if singularity(self.M, whole) <= SINGULAR and (self._found is None or 1 / size > self._found.level):
-            self._found = Improved(1 / size, whole)
-
-    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
-        """The worst Delta that the search of open regions has met."""
-        return self._found
+            return None
+        half = np.repeat(region.box.half, [b.rows for b in self.blocks])
+        whole = centre_matrix(self.blocks, region.box.centre) + half[:, None] * delta
+        return Improved(1 / delta_norm(self.blocks, whole), whole) if singularity(self.M, whole) <= SINGULAR else None

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from robustlab.arrays import Array, ComplexArray, Indices
+from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.uncertainty.blocks import Block, block_slices
 
@@ -68,12 +68,7 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
     # M_ij != 0: w_j drives z_i, so component of j comes before that of i.
     drives = np.array([[bool((norms[i[:, None], j] > 0).any()) for j in groups] for i in groups])
     np.fill_diagonal(drives, False)
-    depth = np.zeros(count, dtype=int)
-    for _ in range(count):
-        deeper = np.where(drives, depth[None, :] + 1, 0).max(axis=1)
-        if (deeper == depth).all():
-            break
-        depth = deeper
+    depth = depths(drives, np.ones(count, dtype=int))
     result = []
     for c in np.argsort(depth, kind="stable"):
         members = groups[c]
@@ -84,6 +79,14 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
         matrix = M[of_z[:, None], of_w] * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
         result.append(Component(tuple(int(i) for i in members), int(depth[c]), exponents, matrix))
     return result
+
+
+def depths(drives: Mask, weights: Indices) -> Indices:
+    """The largest sum of weights before each node on a way of an acyclic graph; ``drives[i, j]``: j comes before i."""
+    depth = np.zeros(len(drives), dtype=int)
+    for _ in drives:  # the longest way: at most so many rounds
+        depth = np.where(drives, depth + weights, 0).max(axis=1, initial=0)
+    return depth
 
 
 def balancing_exponents(M: ComplexArray, blocks: Sequence[Block]) -> Array:

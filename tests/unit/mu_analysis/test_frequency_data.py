@@ -59,23 +59,15 @@ def test_margin_and_gain_have_their_closed_forms():
     assert (gain.lower, gain.upper, gain.frequency) == (gain.gain_lower[k], gain.gain_upper[k], OMEGA[k])
 
 
-def test_only_points_are_claimed_and_a_variation_closes_the_gaps():
+def test_only_points_are_claimed():
     resonance = rl.StateSpaceModel([[0, 1], [-1, -0.02]], [[0], [1]], [[1, 0]], [[0]])
     omega = np.array([0.5, 1.5])  # the peak at 1 rad/s lies between
     set_ = rl.unstructured(resonance, 1.0, "inverse-additive")
     found = rl.robust_stability(set_, frequency=omega)
     truth = rl.robust_stability(set_)
     assert found.lower > 30 * truth.upper
-    assert found.between is None
     assert "nothing is claimed between them" in found.summary()
     assert "taken for granted" in found.summary()
-    fine = np.linspace(0.5, 1.5, 400)
-    slope = abs(np.gradient(rl.frequency_response(resonance, np.linspace(0.5, 1.5, 400001))[:, 0, 0], 2.5e-6)).max()
-    between = rl.robust_stability(set_, frequency=fine, variation=1.01 * slope).between
-    assert between.shape == (399,)
-    assert 0.2 * truth.lower < between.min() <= truth.upper
-    inside = 1 / abs(rl.frequency_response(resonance, 0.5 * (fine[1:] + fine[:-1]))[:, 0, 0])
-    assert (between <= inside).all()
 
 
 def test_disk_margins_at_a_frequency():
