@@ -33,12 +33,12 @@ def mu_claims(found: MuBounds) -> list[Claim]:
     """Both bounds of each matrix."""
     if found.M is None:
         return []
-    stack = found.M.reshape(-1, *found.M.shape[-2:])
+    every = found.M.reshape(-1, *found.M.shape[-2:])
     rows = block_rows(found.blocks)
     claims: list[Claim] = []
-    stacks = [np.reshape(a, (len(stack), *np.shape(a)[-2:])) for a in (found.D, found.D_z, found.G, found.delta)]
-    for k, M in enumerate(stack):
-        D, D_z, G, delta = (M for stack in stacks)
+    stacks = [np.reshape(a, (len(every), *np.shape(a)[-2:])) for a in (found.D, found.D_z, found.G, found.delta)]
+    for k, M in enumerate(every):
+        D, D_z, G, delta = (stack[k] for stack in stacks)
         scaled, lower = (float(np.ravel(x)[k]) for x in (found.scaled, found.lower))
         if found.proof and (proof := found.proof[k]):
             claims.append(_boxes_claim(M, found.blocks, float(np.ravel(found.upper)[k]), proof))

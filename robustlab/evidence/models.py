@@ -102,7 +102,7 @@ def set_claims(found: BuiltModel) -> list[Claim]:
     return [Claim("set", numbers if off == 0 else {**numbers, "tolerance": np.array(off)})]
 
 
-# --- covers: of the models, the set and the weight as they are stored --------------------------------------------------
+# --- covers: of the models, the set and the weight as they are stored -------------------------------------------------
 
 
 def cover_claims(found: Cover) -> list[Claim]:
