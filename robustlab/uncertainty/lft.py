@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab import statespace
-from robustlab.arrays import is_rank_deficient
+from robustlab.arrays import Array, is_rank_deficient
 from robustlab.checks import whole
 from robustlab.closing import fed_back, wired
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
@@ -35,6 +35,7 @@ from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_mod
 from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, delta_matrix, structure_size
 from robustlab.uncertainty.interconnection import (
     Wiring,
+    channels_first,
     joined,
     ones,
     recentred,
@@ -446,6 +447,19 @@ def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:
         return UncertainModel(StateSpaceModel([], [], [], gain, 0.0, where=where), ())
     model = as_model(system, where)
     return UncertainModel(model, (), model.operating_point)
+
+
+def with_channels(
+    plain: StateSpaceModel, blocks: Sequence[Block], left: Array, right: Array, inner: Array | float = 0.0
+) -> UncertainModel:
+    """The set ``[A B; C D] + left Delta (I - inner Delta)^-1 right`` around a model."""
+    (q, p), n = structure_size(blocks), plain.n_states
+    model = StateSpaceModel(
+        plain.A, np.hstack([left[:n], plain.B]), np.vstack([right[:, :n], plain.C]),
+        np.block([[np.zeros((p, q)) + inner, right[:, n:]], [left[n:], plain.D]]),
+        plain.dt, *channels_first(blocks, plain.inputs, plain.outputs), plain.states,
+    )  # fmt: skip
+    return UncertainModel(model, blocks, plain.operating_point)
 
 
 def _nominal(operand: Any) -> Any:

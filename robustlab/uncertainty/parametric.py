@@ -15,7 +15,7 @@ from robustlab.statespace import SignalLike, StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.decomposition_tree import ConstantLft, MatrixPolynomial, decompositions
 from robustlab.uncertainty.laurent import Algebra, Laurent, walk
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, with_channels
 from robustlab.uncertainty.reduction import reduction
 
 # Boxes and vertices in which a zero of a denominator is looked for: fewer refuse more ranges that are good.
@@ -351,29 +351,10 @@ def _as_model(
     n = shapes[0]
     order = [k for name in ranges for k, owner in enumerate(lft.names) if owner == name]
     blocks = [RealScalar(name, lft.names.count(name), r) for name, r in ranges.items() if name in lft.names]
-    names = [f"{b.name}#{k + 1}" if b.repeats > 1 else b.name for b in blocks for k in range(b.repeats)]
-    d11, d12, d21 = lft.d11[np.ix_(order, order)], lft.d12[order], lft.d21[:, order]
     plain = StateSpaceModel(
         lft.d22[:n, :n], lft.d22[:n, n:], lft.d22[n:, :n], lft.d22[n:, n:], *signals, where="parametric"
     )
-    model = StateSpaceModel(
-        plain.A,
-        np.hstack([d21[:n], plain.B]),
-        np.vstack([d12[:, :n], plain.C]),
-        np.block([[d11, d12[:, n:]], [d21[n:], plain.D]]),
-        plain.dt,
-        [*_free("w:", names, plain.input_names), *plain.inputs],
-        [*_free("z:", names, plain.output_names), *plain.outputs],
-        plain.states,
-        where="parametric",
-    )
-    return UncertainModel(model, blocks)
-
-
-def _free(prefix: str, names: Sequence[str], taken: Sequence[str]) -> list[SignalLike]:
-    while any(f"{prefix}{name}" in taken for name in names):
-        prefix = f"{prefix[0]}{prefix}"
-    return [f"{prefix}{name}" for name in names]
+    return with_channels(plain, blocks, lft.d21[:, order], lft.d12[order], lft.d11[np.ix_(order, order)])
 
 
 def _first_exact(

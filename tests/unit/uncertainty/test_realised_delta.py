@@ -78,19 +78,6 @@ def test_bad_inputs_are_named(delta, omega, dt, text):
         realise_delta(blocks, delta, omega, dt)
 
 
-def uncertain(dt: float, seed: int = 3) -> rl.UncertainModel:
-    rng = np.random.default_rng(seed)
-    n, q = 5, 6
-    A = rng.standard_normal((n, n))
-    A = A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(n)
-    if dt:
-        A = np.linalg.solve(np.eye(n) - 0.2 * A, np.eye(n) + 0.2 * A)
-    B, C = rng.standard_normal((n, q + 1)), rng.standard_normal((q, n))
-    D = 0.1 * rng.standard_normal((q, q + 1))
-    model = rl.StateSpaceModel(A, B, C, D, dt)
-    return rl.UncertainModel(model, [rl.RealScalar("r"), rl.ComplexScalar("c", 2), rl.FullBlock("f", 3, 2)])
-
-
 def test_the_critical_delta_of_a_margin_is_replayed():
     M = rl.StateSpaceModel([[0, 1], [-1, -0.2]], [[0, 0], [1, 1]], [[1, 0.5], [1, 0]], np.zeros((2, 2)))
     model = rl.UncertainModel(M, [rl.ComplexScalar("d")])
