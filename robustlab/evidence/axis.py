@@ -9,29 +9,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.analysis.robust_gain import RobustGain
-from robustlab.evidence.delays import weight_claims
+from robustlab.delays.approximation import error_weight, pade
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import model_frequency
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.axis.joined_scalings import interval_scalings, joined_scalings
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, WorstCaseGain
 from robustlab.mu_analysis.matrix.bounds import BoxProof, MuBounds
 from robustlab.mu_analysis.matrix.box import Box, lowest, root_box
-from robustlab.norms.numbers import ABOVE, Numbers, block_rows, model_numbers
+from robustlab.norms.numbers import ABOVE, Numbers, block_rows, matrices, model_numbers
+from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, FullBlock, block_slices, delta_matrix
+from robustlab.uncertainty.lft import UncertainModel
 from robustlab.verification.claim import Claim
 
 SAME = 1e-10  # of a range: faces nearer than this are one face
+TOLERANCE = 1e-12  # for the rounding of a stored approximation and of its weight: at zero both are no exact zeros
+GRID = np.geomspace(1e-2, 1e4, 20_000)  # frequencies over one over the delay, at which the far end is sought
 
 
 def mu_claims(found: MuBounds) -> list[Claim]:
     """Both bounds of each matrix."""
     if found.M is None:
         return []
-    matrices = found.M.reshape(-1, *found.M.shape[-2:])
+    every = found.M.reshape(-1, *found.M.shape[-2:])
     rows = block_rows(found.blocks)
     claims: list[Claim] = []
-    stacks = [np.reshape(a, (len(matrices), *np.shape(a)[-2:])) for a in (found.D, found.D_z, found.G, found.delta)]
-    for k, M in enumerate(matrices):
+    stacks = [np.reshape(a, (len(every), *np.shape(a)[-2:])) for a in (found.D, found.D_z, found.G, found.delta)]
+    for k, M in enumerate(every):
         D, D_z, G, delta = (stack[k] for stack in stacks)
         scaled, lower = (float(np.ravel(x)[k]) for x in (found.scaled, found.lower))
         if found.proof and (proof := found.proof[k]):
@@ -182,3 +187,37 @@ def _attained(blocks: Sequence[Block], delta: NDArray[Any]) -> NDArray[np.float6
     """One over the norm of each block; huge where it is zero."""
     norms = [float(np.linalg.norm(delta[w, z], 2)) for w, z in block_slices(blocks)]
     return np.array([1 / n if n > 0 else 1e300 for n in norms])
+
+
+# --- weights that cover delays ----------------------------------------------------------------------------------------
+
+
+def delay_claims(found: UncertainModel) -> list[Claim]:
+    """That the weights of the set's delays cover them."""
+    return weight_claims(found.blocks)
+
+
+def weight_claims(blocks: Sequence[Block]) -> list[Claim]:
+    """Of each block that stands for a delay: its weight covers what the approximation misses of every such delay."""
+    claims: list[Claim] = []
+    for covered in dict.fromkeys(b.covers for b in blocks if b.covers is not None):
+        tau, spread, order, slope = covered
+        R, W = pade(tau, order), error_weight(order, slope, spread / tau).scaled(tau)
+        low, high = max(tau - spread, 0.0), tau + spread
+        numbers = {**matrices(R, "R_{}"), **matrices(W, "W_{}"), "dt": np.array(0.0), "range": np.array([low, high])}
+        more = {"far": np.array(_far(R, W, low, high)), "tolerance": np.array(TOLERANCE)}
+        claims.append(Claim("delay-weight", {**numbers, **more}))
+    return claims
+
+
+def _far(R: StateSpaceModel, W: StateSpaceModel, low: float, high: float) -> float:
+    """Where the weight has passed all that can be missed, before the arc of the delays reaches the opposite of R."""
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    omega = GRID / middle
+    r, w = (frequency_response(G, omega)[:, 0, 0] for G in (R, W))
+    short = np.abs(w) ** 2 <= 2.0 + 2.0 * np.abs(r) ** 2
+    passed = float(omega[np.flatnonzero(short)[-1] + 1]) if short.any() else float(omega[0])
+    opposite = np.abs(np.angle(r.conj() * np.exp(-1j * omega * middle))) + omega * half >= np.pi
+    if not half or not opposite.any():
+        return 1.001 * passed
+    return float(min(1.001 * passed, np.sqrt(passed * max(omega[np.argmax(opposite)], passed))))

@@ -8,8 +8,7 @@ import numpy as np
 
 from robustlab.budget import search_budget
 from robustlab.delays.model import DelayedModel
-from robustlab.evidence.axis import joined_scalings, margin_claims
-from robustlab.evidence.delays import weight_claims
+from robustlab.evidence.axis import joined_scalings, margin_claims, weight_claims
 from robustlab.mu_analysis.axis.robustness import margin_within
 from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.margins.delay_margins import DelayGain, DelayProof, DelayStability, covering_set

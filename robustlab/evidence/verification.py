@@ -33,10 +33,10 @@ CLAIMS: Mapping[str, str] = {
     "CoprimeMargin": "evidence.loops.coprime_claims",
     "DiskMargins": "evidence.loops.disk_claims",
     "DiskMargin": "evidence.loops.one_disk_claims",
-    "Cover": "evidence.covers.cover_claims",
+    "Cover": "evidence.models.cover_claims",
     "DelayStability": "evidence.loops.delayed_stability_claims",
     "DelayGain": "evidence.loops.delayed_gain_claims",
-    "UncertainModel": "evidence.delays.set_claims",
+    "UncertainModel": "evidence.axis.delay_claims",
 }
 
 

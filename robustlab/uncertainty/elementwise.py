@@ -19,7 +19,7 @@ from robustlab.errors import InputError, UnitMismatch, did_you_mean, told_as
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import FullBlock, RealScalar
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, with_channels
 
 # Rank factors may miss an entry of E by this share of its natural magnitude: above rounding, below the promised 1e-12.
 EXACT = 3e-14
@@ -341,36 +341,17 @@ def _rank_factors(e: Array, allowance: Array, scale: Array, stages: Sequence[Sta
 
 def _assemble(nominal: StateSpaceModel, parts: list[_Part], full: bool = False) -> UncertainModel:
     """Eqs 10.8, 10.9: the nominal model with the channels of Delta in front."""
-    n, m = nominal.n_states, nominal
-    into, out = {p.name: p.left.shape[1] for p in parts}, {p.name: p.right.shape[0] for p in parts}
-    size = sum(out.values())
+    size = sum(p.right.shape[0] for p in parts)
     if size > MAX_STATES:
         raise InputError(
             "elementwise", f"{size} channels of Delta", f"at most {MAX_STATES}", "use structure matrices or single"
         )
-    left = np.hstack([np.zeros((n + m.n_outputs, 0)), *(part.left for part in parts)])
-    right = np.vstack([np.zeros((0, n + m.n_inputs)), *(part.right for part in parts)])
-    model = StateSpaceModel(
-        m.A,
-        np.hstack([left[:n], m.B]),
-        np.vstack([right[:, :n], m.C]),
-        np.block([[np.zeros((size, left.shape[1])), right[:, n:]], [left[n:], m.D]]),
-        m.dt,
-        _channels("w", into, m.input_names) + list(m.inputs),
-        _channels("z", out, m.output_names) + list(m.outputs),
-        m.states,
-        where="elementwise",
-    )
-    blocks = [FullBlock(name, r, out[name]) if full else RealScalar(name, r) for name, r in into.items()]
-    return UncertainModel(model, blocks, m.operating_point)
-
-
-def _channels(prefix: str, sizes: Mapping[str, int], taken: Sequence[str]) -> list[Signal]:
-    """Names of the Delta channels, for example ``w:A[omega,i]`` or ``w:A#2``; none of them is a signal of the model."""
-    while any(name.startswith(f"{prefix}:") for name in taken) and len(prefix) < 10:
-        prefix += prefix[0]
-    names = [f"{name}#{k + 1}" if r > 1 else name for name, r in sizes.items() for k in range(r)]
-    return [Signal(f"{prefix}:{name}") for name in names]
+    n, n_u, n_y = nominal.n_states, nominal.n_inputs, nominal.n_outputs
+    left = np.hstack([np.zeros((n + n_y, 0)), *(part.left for part in parts)])
+    right = np.vstack([np.zeros((0, n + n_u)), *(part.right for part in parts)])
+    sizes = [(p.name, p.left.shape[1], p.right.shape[0]) for p in parts]
+    blocks = [FullBlock(name, r, c) if full else RealScalar(name, r) for name, r, c in sizes]
+    return with_channels(nominal, blocks, left, right)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------

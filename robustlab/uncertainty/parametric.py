@@ -13,9 +13,9 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.statespace import SignalLike, StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
-from robustlab.uncertainty.decomposition_tree import ConstantLft, assemble, plans
+from robustlab.uncertainty.decomposition_tree import ConstantLft, MatrixPolynomial, decompositions
 from robustlab.uncertainty.laurent import Algebra, Laurent, walk
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, with_channels
 from robustlab.uncertainty.reduction import reduction
 
 # Boxes and vertices in which a zero of a denominator is looked for: fewer refuse more ranges that are good.
@@ -305,12 +305,8 @@ def _candidates(
     signals: tuple[Any, ...],
 ) -> list[UncertainModel]:
     """The LFTs of the best few decompositions, reduced and as they are, the smallest first."""
-    n, n_u, n_y = shapes
-    gains = _Gains(algebra, ranges)
     found: list[UncertainModel] = []
-    for plan in plans(expressions, gains.weight, (n + n_y, n + n_u))[:DECOMPOSITIONS]:
-        used = {(s.variable, s.inverted) for s in plan.steps}
-        lft = assemble(plan, {key: gains.of(*key) for key in used})
+    for lft in _lfts(expressions, algebra, ranges)[:DECOMPOSITIONS]:
         model = _as_model(lft, ranges, shapes, signals)
         found += [reduction(model).model, model]
         if found[0].delta_shape[0] == len(found[0].blocks):
@@ -318,34 +314,34 @@ def _candidates(
     return sorted(found, key=lambda model: sum(model.delta_shape))
 
 
-class _Gains:
-    """The 1 x 1 LFTs of parameters, of denominators, and of their inverses."""
+def _lfts(
+    expressions: Sequence[Sequence[Laurent]], algebra: Algebra, ranges: Mapping[str, ParameterRange]
+) -> list[ConstantLft]:
+    """LFTs of a matrix in the parameters, the smallest first; a variable and its inverse are taken out each by itself.
 
-    def __init__(self, algebra: Algebra, ranges: Mapping[str, ParameterRange]) -> None:
-        self.algebra, self.ranges = algebra, ranges
-        self.made: dict[str, ConstantLft] = {}
+    A denominator is a variable, too, which has an LFT of its own.
+    """
+    from flint import fmpq
 
-    def weight(self, name: str) -> int:
-        """Repetitions that one use of a variable costs."""
-        return len(self._base(name).names)
-
-    def of(self, name: str, inverted: bool) -> ConstantLft:
-        """The LFT of a variable or its inverse."""
-        return self._base(name).inverse() if inverted else self._base(name)
-
-    def _base(self, name: str) -> ConstantLft:
-        if name in self.made:
-            return self.made[name]
-        inner = self.algebra.denominators.get(name)
-        if inner is None:
-            r = self.ranges[name]
+    entries = [((i, j), entry) for i, row in enumerate(expressions) for j, entry in enumerate(row)]
+    names = sorted({(name, e < 0) for _, entry in entries for monomial in entry.terms for name, e in monomial})
+    none = np.full((len(expressions), len(expressions[0]) if expressions else 0), fmpq(0))
+    terms = {(0,) * len(names): none.copy()}
+    for place, entry in entries:
+        for monomial, c in entry.terms.items():
+            powers = {(name, e < 0): abs(e) for name, e in monomial}
+            key = tuple(powers.get(name, 0) for name in names)
+            terms.setdefault(key, none.copy())[place] = fmpq(c.numerator, c.denominator)
+    gains: dict[tuple[str, bool], ConstantLft] = {}
+    for name, inverted in names:
+        if name in ranges:
             one = np.ones((1, 1))
-            made = ConstantLft((name,), np.zeros((1, 1)), one, r.radius * one, r.nominal * one)
+            base = ConstantLft((name,), np.zeros((1, 1)), one, ranges[name].radius * one, ranges[name].nominal * one)
         else:
-            plan = plans([[inner]], self.weight, (1, 1))[0]
-            made = assemble(plan, {(s.variable, s.inverted): self.of(s.variable, s.inverted) for s in plan.steps})
-        self.made[name] = made
-        return made
+            base = _lfts([[algebra.denominators[name]]], algebra, ranges)[0]
+        gains[name, inverted] = base.inverse() if inverted else base
+    found = decompositions(MatrixPolynomial(tuple(names), terms), 0.0, lambda name: len(gains[name].names))
+    return [lft.closed(gains) for lft in found[:DECOMPOSITIONS]]
 
 
 def _as_model(
@@ -355,29 +351,10 @@ def _as_model(
     n = shapes[0]
     order = [k for name in ranges for k, owner in enumerate(lft.names) if owner == name]
     blocks = [RealScalar(name, lft.names.count(name), r) for name, r in ranges.items() if name in lft.names]
-    names = [f"{b.name}#{k + 1}" if b.repeats > 1 else b.name for b in blocks for k in range(b.repeats)]
-    d11, d12, d21 = lft.d11[np.ix_(order, order)], lft.d12[order], lft.d21[:, order]
     plain = StateSpaceModel(
         lft.d22[:n, :n], lft.d22[:n, n:], lft.d22[n:, :n], lft.d22[n:, n:], *signals, where="parametric"
     )
-    model = StateSpaceModel(
-        plain.A,
-        np.hstack([d21[:n], plain.B]),
-        np.vstack([d12[:, :n], plain.C]),
-        np.block([[d11, d12[:, n:]], [d21[n:], plain.D]]),
-        plain.dt,
-        [*_free("w:", names, plain.input_names), *plain.inputs],
-        [*_free("z:", names, plain.output_names), *plain.outputs],
-        plain.states,
-        where="parametric",
-    )
-    return UncertainModel(model, blocks)
-
-
-def _free(prefix: str, names: Sequence[str], taken: Sequence[str]) -> list[SignalLike]:
-    while any(f"{prefix}{name}" in taken for name in names):
-        prefix = f"{prefix[0]}{prefix}"
-    return [f"{prefix}{name}" for name in names]
+    return with_channels(plain, blocks, lft.d21[:, order], lft.d12[order], lft.d11[np.ix_(order, order)])
 
 
 def _first_exact(

@@ -1,19 +1,13 @@
-"""Stable minimum-phase weights that lie above a bound, as close as their order allows.
+"""Stable minimum-phase weights that lie above a bound, as close as their order allows."""
 
-Boyd, Vandenberghe, *Convex Optimization* (2004), section 4.2.5 (quasi-convex problems).
-"""
-
-# min gamma with b <= |w| <= gamma b. With |w|^2 = N(x) / D(x), x = omega^2, this is for each fixed gamma a linear
-# programme in the coefficients of N and D (N - b^2 D >= 0, gamma^2 b^2 D - N >= 0, D > 0), so that bisection on gamma
-# finds the best there is, as far as floating point solves the programme. The weight follows by spectral
-# factorisation. N and D are written in orthonormal combinations of q / (x + q), relative to the last feasible N and
-# D, which keeps the programme well scaled over many decades.
+# min gamma with b <= |w| <= gamma b. The log of |w|^2 = N(x) / D(x), x = omega^2, in corner frequencies and bends of N
+# and D is fitted to that of the bound by least squares, then in the largest miss, by linear programmes in small steps.
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,14 +22,11 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, series
 
-WEIGHT_LEVEL = 1e-3  # bisection on log(gamma) ends here; far below the tolerances that weights are asked for
-WEIGHT_ROUNDS = 8  # rounds in which the points where the weight came out below the bound are added to the programme
+WEIGHT_LEVEL = 1e-3  # of log(gamma): far below the tolerances that weights are asked for
+WEIGHT_ROUNDS = 8  # rounds in which the points where the weight is off most are added to the fit
+WEIGHT_STEPS = 60  # linear programmes for one fit
 # The grid on which a weight is judged has so many points for one of the fit's: fewer miss peaks between them.
 FINER_GRID = 10
-WEIGHT_RESTARTS = 4  # bisections with new bases
-# The smallest D, relative to its scale: keeps poles off the imaginary axis; larger ones cost sharpness.
-LEAST_DENOMINATOR = 1e-6
-BASIS_RATIO = 2.0  # ratio of neighbouring q of a basis, at least: closer ones are hardly independent
 
 Bound = Callable[[Array], Array]
 
@@ -132,7 +123,7 @@ def overbound(
     """
     w, b = _checked(omega, bound, order, tolerance, dt)
     known: Bound = exact or (lambda x: np.exp(np.interp(np.log(x), np.log(w), np.log(b))))
-    steps = np.arange(FINER_GRID) / FINER_GRID
+    steps = np.arange(1, FINER_GRID) / FINER_GRID
     refined = np.exp((np.log(w[:-1, None]) + np.diff(np.log(w))[:, None] * steps).ravel())
     fine = np.unique(np.concatenate([w, refined]))
     target = known(fine)
@@ -198,223 +189,128 @@ def _around_lows(ratio: Array, fine: Array) -> Array:
     return np.unique(np.concatenate([np.geomspace(fine[k - 1], fine[k + 1], 41) for k in lows]))
 
 
-# --- the quasi-convex problem ----------------------------------------------------------------------------------------
+# --- a curve of given order above a bound -----------------------------------------------------------------------------
 
 
 def _of_order(n: int, w: Array, b: Array, fine: Array, target: Array) -> StateSpaceModel | None:
-    """Best weight of order n over the grid w and over the points of the fine grid that it turns out to need."""
+    """Weight of order n over the grid w and over the points of the fine grid that it turns out to need."""
     if n == 0:
         return StateSpaceModel([], [], [], [[float(target.max())]])
     points, values = w, b
     best: tuple[float, StateSpaceModel] | None = None
     for _ in range(WEIGHT_ROUNDS):
         model = _minimax(n, points, values)
-        if model is None:
-            break
-        ratio = np.abs(frequency_response(model, fine)[:, 0, 0]) / target
+        known, ratio = (
+            np.abs(frequency_response(model, at)[:, 0, 0]) / size for at, size in ((points, values), (fine, target))
+        )
         spread = float(ratio.max() / ratio.min())
         if best is None or spread < best[0]:
             best = spread, model
-        padded = np.concatenate([[np.inf], ratio, [np.inf]])
-        new = np.flatnonzero((ratio <= padded[:-2]) & (ratio <= padded[2:]) & (ratio < 1.0))  # lowest, below the bound
-        points, index = np.unique(np.concatenate([points, fine[new]]), return_index=True)
-        values = np.concatenate([values, target[new]])[index]
-        if ratio.min() > 1.0 - 0.1 * WEIGHT_LEVEL:
+        peaks = np.diff(np.sign(np.diff(ratio)), prepend=0.0, append=0.0) != 0
+        beyond = (ratio > (1 + WEIGHT_LEVEL) * known.max()) | (ratio < (1 - WEIGHT_LEVEL) * known.min())
+        if not (peaks & beyond).any():
             break
+        points, index = np.unique(np.concatenate([points, fine[peaks & beyond]]), return_index=True)
+        values = np.concatenate([values, target[peaks & beyond]])[index]
     return None if best is None else best[1]
 
 
-def _minimax(n: int, w: Array, b: Array) -> StateSpaceModel | None:
-    """Bisection on gamma, again and again with the programme scaled by the last feasible N and D."""
-    unit, mean = float(np.exp(0.5 * (np.log(w[0]) + np.log(w[-1])))), float(np.exp(np.log(b).mean()))
-    x, square = (w / unit) ** 2, (b / mean) ** 2
-    near, reached = _corners(n, x, square), float(np.log(b.max() / b.min())) + WEIGHT_LEVEL
-    best: _Factors | None = None
-    for _ in range(WEIGHT_RESTARTS):
-        low, high, before = 0.0, reached, reached
-        trial = reached if best is None else 0.5 * reached
-        while high - low > WEIGHT_LEVEL:
-            found = _programme(x, square, np.exp(2 * trial), near)
-            if found is None:
-                low = trial
-            else:
-                best, near, high = found, found, trial
-            trial = 0.5 * (low + high)
-        reached = high
-        if reached > 0.98 * before - WEIGHT_LEVEL and best is not None:
-            break
-    if best is None:
-        return None
-    return _sections(unit * _left(best.zeros), unit * _left(best.poles), mean * np.sqrt(best.gain))
-
-
-class _Factors(NamedTuple):
-    """Roots in x of N and of D, and N / D at infinity."""
-
-    zeros: Any
-    poles: Any
-    gain: float
-
-
-def _corners(n: int, x: Array, square: Array) -> _Factors:
-    """Roots of N and D with which log N / D comes near the bound in least squares: where the search begins."""
+def _minimax(n: int, w: Array, b: Array) -> StateSpaceModel:
+    """The weight whose log-magnitude comes nearest to that of the bound, from several starts."""
     from scipy.optimize import least_squares
 
-    wanted, pairs, odd = np.log(square), n // 2, n % 2
-    span, count = (np.log(x[0]), np.log(x[-1])), pairs + odd
+    unit, mean = float(np.exp(0.5 * (np.log(w[0]) + np.log(w[-1])))), float(np.exp(np.log(b).mean()))
+    x, wanted = (w / unit) ** 2, 2 * np.log(b / mean)
+    count, pairs = n - n // 2, n // 2
+    span = np.log(x[0]), np.log(x[-1])
     steps = np.linspace(*span, 2 * count + 2)[1:-1]
     peak = np.full(count, np.log(x[int(np.argmax(wanted))])) + 1e-2 * np.arange(count)
-    starts = [(steps[::2], steps[1::2]), (steps[1::2], steps[::2]), (steps[::2], peak)]
-    low = np.concatenate([np.full(2 * count, span[0] - 5.0), np.full(2 * pairs, np.log(1e-5)), [-np.inf]])
-    high = np.concatenate([np.full(2 * count, span[1] + 5.0), np.full(2 * pairs, np.log(1e3)), [np.inf]])
-
-    def parts(p: Array) -> list[tuple[Array, Array]]:
-        bends = p[2 * count : 2 * count + 2 * pairs]
-        return [(p[:count], bends[:pairs]), (p[count : 2 * count], bends[pairs:])]
-
-    def residual(p: Array) -> Array:
-        logs = [_log_factors(x, r, a, pairs) for r, a in parts(p)]
-        return p[-1] + logs[0] - logs[1] - wanted
-
-    best = None
-    for zeros, poles in starts:
-        begin = np.concatenate([zeros, poles, np.zeros(2 * pairs), [0.0]])
-        begin[-1] = -float(residual(begin).mean())
-        found = least_squares(residual, begin, bounds=(low, high), max_nfev=30)
-        if best is None or found.cost < best.cost:
-            best = found
-    assert best is not None
-    (r_n, a_n), (r_d, a_d) = parts(best.x)
-    return _Factors(_factor_roots(r_n, a_n, pairs), _factor_roots(r_d, a_d, pairs), float(np.exp(best.x[-1])))
+    wide = np.concatenate([np.full(count, 5.0), np.zeros(pairs)])
+    low = np.concatenate([np.full(count, span[0]), np.full(pairs, np.log(1e-12))]) - wide
+    high = np.concatenate([np.full(count, span[1]), np.full(pairs, np.log(1e3))]) + wide
+    box = np.array([[*low, *low, -np.inf], [*high, *high, np.inf]])
+    best: tuple[float, Array] = (np.inf, np.zeros(0))
+    bent = _bends(x, wanted, count)
+    for zeros, poles in ((steps[::2], steps[1::2]), (steps[1::2], steps[::2]), (steps[::2], peak), bent):
+        start = np.concatenate([zeros, np.zeros(pairs), poles, np.zeros(pairs), [0.0]])
+        start[-1] = -float(_miss(start, x, wanted, pairs)[0].mean())
+        near = least_squares(
+            lambda p: _miss(p, x, wanted, pairs)[0], start, lambda p: _miss(p, x, wanted, pairs)[1], box, max_nfev=60
+        )
+        best = min(best, (near.cost, near.x), key=lambda found: found[0])
+    p = _flattened(best[1], x, wanted, pairs, box)
+    numerator, denominator = (_polynomials(part, pairs, unit) for part in np.split(p[:-1], 2))
+    return _cascade(numerator, denominator, mean * float(np.exp(0.5 * p[-1])))
 
 
-def _log_factors(x: Array, r: Array, a: Array, pairs: int) -> Array:
-    size = np.exp(r)
-    two = (x[:, None] - size[:pairs]) ** 2 + 2.0 * np.exp(a) * size[:pairs] * x[:, None]
-    return np.log(two).sum(axis=1) + np.log(x[:, None] + size[pairs:]).sum(axis=1)
+def _bends(x: Array, wanted: Array, count: int) -> tuple[Array, Array]:
+    """Corners of N and of D (log) where the curve bends upwards and downwards, evenly in how much it does."""
+    at = np.log(x)
+    bend = np.gradient(np.gradient(wanted, at), at) * np.gradient(at)
+    found = []
+    for part in (np.maximum(bend, 0.0), np.maximum(-bend, 0.0)):
+        share = np.cumsum(part + 1e-9)
+        found.append(np.interp((np.arange(count) + 0.5) / count * share[-1], share, at))
+    return found[0], found[1]
 
 
-def _factor_roots(r: Array, a: Array, pairs: int) -> Any:
-    size, bend = np.exp(r).astype(np.complex128), np.exp(a) - 1.0
-    half = np.sqrt(bend.astype(np.complex128) ** 2 - 1.0)
-    return np.concatenate([size[:pairs] * (half - bend), size[:pairs] * (-half - bend), -size[pairs:]])
+def _miss(p: Array, x: Array, wanted: Array, pairs: int) -> tuple[Array, Array]:
+    """``log |w|^2`` less what is wanted, and its derivative; p: log of corners and bends of N, of D, of the gain.
+
+    In x = omega^2 a pair is ``(x - c)^2 + 2 e^a c x``, a single corner ``x + c``.
+    """
+    value, columns = p[-1] - wanted, []
+    for part, sign in zip(np.split(p[:-1], 2), (1.0, -1.0), strict=True):
+        corner, bend = np.exp(part[: len(part) - pairs]), np.exp(part[len(part) - pairs :])
+        c, s = corner[:pairs], x[:, None]
+        pair, single = (s - c) ** 2 + 2 * bend * c * s, s + corner[pairs:]
+        value = value + sign * (np.log(pair).sum(axis=1) + np.log(single).sum(axis=1))
+        columns += [2 * c * (c - s + bend * s) / pair, corner[pairs:] / single, 2 * bend * c * s / pair]
+        columns[-3:] = [sign * column for column in columns[-3:]]
+    return value, np.hstack([*columns, np.ones((len(x), 1))])
 
 
-class _Basis(NamedTuple):
-    """Polynomials of degree n in x, divided by a given one of size 1 or so at every point, in orthonormal columns."""
-
-    values: Array
-    to_sums: Array
-    q: Array
-
-
-def _basis(x: Array, roots: Any) -> _Basis:
-    size = np.abs(roots)
-    q = np.exp(np.linspace(np.log(size.min()), np.log(size.max()), len(size)))
-    if len(q) > 1 and q[-1] < BASIS_RATIO ** (len(q) - 1) * q[0]:
-        q = np.sqrt(q[0] * q[-1]) * BASIS_RATIO ** (np.arange(len(q)) - 0.5 * (len(q) - 1))
-    relative = np.exp(np.log(x[:, None] + q).sum(axis=1) - np.log(np.abs(x[:, None] - roots)).sum(axis=1))
-    sums = np.hstack([np.ones((len(x), 1)), q / (x[:, None] + q)]) * relative[:, None]
-    orthonormal, upper = np.linalg.qr(sums)
-    root = np.sqrt(len(x))
-    return _Basis(root * orthonormal, root * np.linalg.inv(upper), q)
-
-
-def _programme(x: Array, square: Array, level: float, near: _Factors) -> _Factors | None:
-    """N and D between the bound and gamma times the bound, or None where there are none."""
-    # The margin of both inequalities, relative to the terms that they compare, is maximised: 0 or more is feasible.
-    extra = np.zeros(0)
-    for _ in range(WEIGHT_ROUNDS):
-        points = np.concatenate([x, extra])
-        n, d = _basis(points, near.zeros), _basis(points, near.poles)
-        up, down = (np.log(np.abs(x[:, None] - roots)).sum(axis=1) for roots in (near.zeros, near.poles))
-        coefficients = _solved(n, d, square, level, near.gain * np.exp(up - down) / square, len(x))
-        if coefficients is None:
-            return None
-        parts = [_roots(basis, c) for basis, c in zip((n, d), coefficients, strict=True)]
-        wrong = [
-            r.real
-            for part in parts
-            if part is not None
-            for r in part[0]
-            if r.real >= 0 and abs(r.imag) <= 1e-9 * abs(r)
-        ]
-        if any(part is None for part in parts):
-            return None
-        if not wrong:
-            (zeros, top), (poles, bottom) = (part for part in parts if part is not None)
-            return _Factors(zeros, poles, near.gain * top / bottom) if top > 0 and bottom > 0 else None
-        extra = np.concatenate([extra, wrong])
-    return None
-
-
-def _solved(n: _Basis, d: _Basis, square: Array, level: float, shape: Array, m: int) -> tuple[Array, Array] | None:
-    """Coefficients of N and D in their bases; ``shape`` is what N / D b^2 is where both quotients are 1."""
+def _flattened(p: Array, x: Array, wanted: Array, pairs: int, box: Array) -> Array:
+    """Where the largest miss is as small as steps by linear programmes make it."""
     from scipy.optimize import linprog
 
-    k = n.values.shape[1]
-    f_n, f_d, one = shape[:, None] * n.values[:m], d.values[:m], np.ones((m, 1))
-    size = 1.0 / (1.0 + shape)[:, None]
-    above, under = np.hstack([-f_n, f_d, one]) * size, np.hstack([f_n / level, -f_d, one]) * size
-    none = np.zeros((len(n.values), k))
-    positive = np.vstack([np.hstack([-n.values, none]), np.hstack([none, -d.values])])
-    # at x = 0 and at infinity
-    last = [np.concatenate([[1.0], np.zeros(k - 1)]), np.ones(k)]
-    ends = np.vstack(
-        [np.hstack([v @ n.to_sums, np.zeros(k)]) / _peak(v @ n.to_sums) for v in last]
-        + [np.hstack([np.zeros(k), v @ d.to_sums]) / _peak(v @ d.to_sums) for v in last]
-    )
-    signs = np.vstack([positive, -ends])
-    rows = np.vstack([above, under, np.hstack([signs, np.zeros((len(signs), 1))])])
-    right = np.concatenate([np.zeros(2 * m), np.full(len(signs), -LEAST_DENOMINATOR)])
-    norm = np.concatenate([np.zeros(k), d.values.mean(axis=0), [0.0]])[None]
-    cost = np.append(np.zeros(2 * k), -1.0)
-    limits = [(None, None)] * (2 * k) + [(-1.0, 1.0)]
-    answer = linprog(cost, rows, right, norm, [1.0], limits, method="highs")
-    if not answer.success or answer.x is None or not np.isfinite(answer.x).all() or answer.x[-1] < 0:
-        return None
-    return answer.x[:k], answer.x[k : 2 * k]
+    (f, J), radius = _miss(p, x, wanted, pairs), 0.5
+    level, one = float(np.abs(f).max()), np.ones((len(x), 1))
+    for _ in range(WEIGHT_STEPS):
+        reach = [(max(lo - v, -radius), min(hi - v, radius)) for v, lo, hi in zip(p, *box, strict=True)]
+        rows, right = np.block([[J, -one], [-J, -one]]), np.concatenate([-f, f])
+        step = linprog(np.append(np.zeros(len(p)), 1.0), rows, right, bounds=[*reach, (0, None)], method="highs").x
+        if step is None:
+            break
+        trial = p + step[:-1]
+        at, slopes = _miss(trial, x, wanted, pairs)
+        reached = float(np.abs(at).max())
+        if reached >= level:
+            radius /= 4
+        else:
+            small = level - reached < 1e-2 * WEIGHT_LEVEL
+            p, f, J, level, radius = trial, at, slopes, reached, 2 * radius
+            if small:
+                break
+        if radius < WEIGHT_LEVEL:
+            break
+    return p
 
 
-def _peak(row: Array) -> float:
-    return float(np.abs(row).max())
+def _polynomials(part: Array, pairs: int, unit: float) -> list[Array]:
+    """Stable monic polynomials in s of degree two, sorted by size, then the one of degree one where there is one."""
+    corner = unit * np.exp(0.5 * part[: len(part) - pairs])
+    damping = np.sqrt(2 * np.exp(part[len(part) - pairs :]))
+    made = [np.array([1.0, d * c, c**2]) for c, d in zip(corner[:pairs], damping, strict=True)]
+    return [*sorted(made, key=lambda q: q[2]), *(np.array([1.0, c]) for c in corner[pairs:])]
 
 
-def _roots(basis: _Basis, coefficients: Array) -> tuple[Any, float] | None:
-    """Roots in x, and the leading coefficient of the quotient; None where rounding took them."""
-    sums, q = basis.to_sums @ coefficients, basis.q
-    if sums[0] == 0:
-        return None
-    values = np.linalg.eigvals(-np.diag(q) - np.outer(np.ones(len(q)), sums[1:] * q) / sums[0])
-    if not np.isfinite(values).all() or (values == 0).any():
-        return None
-    return values, float(sums[0])
-
-
-def _left(x: Any) -> Any:
-    """The s with ``s^2 = -x`` and negative real part."""
-    s = np.sqrt(-x.astype(np.complex128))
-    return np.where(s.real > 0, -s, s)
-
-
-def _sections(zeros: Any, poles: Any, gain: float) -> StateSpaceModel:
+def _cascade(numerator: list[Array], denominator: list[Array], gain: float) -> StateSpaceModel:
     """Gain at infinity times a cascade of biproper sections of first and second order."""
-    pairs = list(zip(_polynomials(zeros), _polynomials(poles), strict=True))
     model = StateSpaceModel([], [], [], [[gain]])
-    for numerator, denominator in pairs:
-        model = series(_section(numerator, denominator), anonymous(model))
+    for pair in zip(numerator, denominator, strict=True):
+        model = series(_section(*pair), anonymous(model))
     return anonymous(model)
-
-
-def _polynomials(roots: Any) -> list[Array]:
-    """Real monic polynomials of degree two (the last of degree one where the number is odd), sorted by size."""
-    upper = sorted((r for r in roots if r.imag > 1e-12 * abs(r)), key=abs)
-    real = sorted((r.real for r in roots if abs(r.imag) <= 1e-12 * abs(r)), key=abs)
-    single = [real.pop()] if len(real) % 2 else []
-    made = [np.array([1.0, -2.0 * r.real, abs(r) ** 2]) for r in upper]
-    made += [np.array([1.0, -(a + b), a * b]) for a, b in zip(real[::2], real[1::2], strict=True)]
-    made.sort(key=lambda p: p[2])
-    return [*made, *(np.array([1.0, -a]) for a in single)]
 
 
 def _section(numerator: Array, denominator: Array) -> StateSpaceModel:

@@ -132,19 +132,6 @@ def test_errors_of_reduced_models_are_the_differences_meant():
     assert level(found) == pytest.approx(weighted, rel=1e-4)
 
 
-def test_nothing_is_claimed_of_an_error_that_is_no_difference():
-    assert claims_of(rl.reduce_model(six(), 3, method="coprime")) == []
-    relative = RESULTS["relative error"]()
-    assert level(relative) == pytest.approx(relative.difference.upper, rel=2e-6)
-
-
-def test_the_cost_of_lqg_is_that_of_the_textbook():
-    lag = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]])
-    (claim,) = rl.verify(lqg(lag, [[1.0]], [[1.0]], [[1.0]], [[1.0]])).claims
-    a = 0.5 + np.sqrt(1.25)  # X = Z solve 2 a x - x^2 + 1 = 0 with a = 1/2: the cost is x + x^3
-    assert claim.bound**2 == pytest.approx(a + a**3, rel=1e-5)
-
-
 def cut() -> object:
     rng = np.random.default_rng(3)
     for _ in range(20):

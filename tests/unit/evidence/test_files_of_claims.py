@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import pickle
 import re
 import shutil
 from pathlib import Path
@@ -144,23 +143,6 @@ def test_a_file_of_an_earlier_version_says_what_is_not_bound(saved, capsys):
 
 def test_numbers_without_a_claim_are_listed(saved):
     assert rl.verify(saved).not_covered == ("frequency",)
-
-
-def test_a_loaded_result_has_its_class_and_its_attributes(saved, tmp_path):
-    found, margin = rl.load(saved), SAVED["margin"]()
-    assert (type(found).__name__, found.status) == ("HinfNorm", rl.Status.CERTIFIED)
-    assert repr(found).startswith("HinfNorm (certified)")
-    rl.save(tmp_path / "margin.h5", margin)
-    again = pickle.loads(pickle.dumps(rl.load(tmp_path / "margin.h5")))
-    assert (again.lower, again.upper, again.delta) == (margin.lower, margin.upper, margin.delta)
-    with pytest.raises(AttributeError, match="'proof' is not in its file, expected one of"):
-        _ = again.proof
-    rl.save(tmp_path / "design.h5", DESIGN)
-    design = rl.load(tmp_path / "design.h5")
-    assert (design.K.A == DESIGN.K.A).all()
-    assert (design.norm.upper, design.law) == (DESIGN.norm.upper, DESIGN.controller.law)
-    with pytest.raises(rl.InputError, match="verify the file"):
-        rl.verify(design)
 
 
 RECIPE = """

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import robustlab as rl
-from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty import elementwise_cover
 
@@ -51,9 +49,3 @@ def test_mu_of_the_cover_is_above_that_of_the_set():
     small = rl.robust_performance(rl.elementwise(nominal, perturbed, "elements"))
     large = rl.robust_performance(elementwise_cover(nominal, perturbed))
     assert large.lower <= small.upper
-
-
-def test_models_that_do_not_fit():
-    nominal, _ = pair()
-    with pytest.raises(InputError, match="to match nominal A"):
-        elementwise_cover(nominal, StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))

@@ -41,14 +41,3 @@ def test_an_affine_one_is_repeated_as_its_ranks_ask():
     lft = polynomial_lft(MatrixPolynomial(tuple(ranks), terms), np.ones((5, 7)), 1e-12)
     assert {name: lft.names.count(name) for name in ranks} == ranks
     assert not lft.d11.any()
-
-
-def test_a_product_that_many_share_is_taken_out_last():
-    """g (K_0 + sum m_k K_k), one factor for all: as a platform's stiffness has gravity, whatever order is given."""
-    rng = np.random.default_rng(2)
-    k = [rng.normal(size=(6, 6)) for _ in range(6)]
-    masses = {tuple(int(i == j) for i in range(6)): k[j] for j in range(1, 6)}
-    with_g = {(1, *e[1:]): part for e, part in masses.items()}
-    poly = MatrixPolynomial(tuple("gabcde"), {(0,) * 6: k[0], (1, *(0,) * 5): k[0], **masses, **with_g})
-    lft = polynomial_lft(poly, np.ones((6, 6)), 1e-12)
-    assert {name: lft.names.count(name) for name in "gabcde"} == dict.fromkeys("gabcde", 6)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.uncertainty import delta_values, realise_delta
+from robustlab.uncertainty import realise_delta
 
 SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (3, 3), (4, 2), (2, 5)]
 
@@ -76,38 +76,6 @@ def test_bad_inputs_are_named(delta, omega, dt, text):
     blocks = [rl.ComplexScalar("d"), rl.RealScalar("r"), rl.FullBlock("f", 1, 2)]
     with pytest.raises(rl.InputError, match=text):
         realise_delta(blocks, delta, omega, dt)
-
-
-def uncertain(dt: float, seed: int = 3) -> rl.UncertainModel:
-    rng = np.random.default_rng(seed)
-    n, q = 5, 6
-    A = rng.standard_normal((n, n))
-    A = A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(n)
-    if dt:
-        A = np.linalg.solve(np.eye(n) - 0.2 * A, np.eye(n) + 0.2 * A)
-    B, C = rng.standard_normal((n, q + 1)), rng.standard_normal((q, n))
-    D = 0.1 * rng.standard_normal((q, q + 1))
-    model = rl.StateSpaceModel(A, B, C, D, dt)
-    return rl.UncertainModel(model, [rl.RealScalar("r"), rl.ComplexScalar("c", 2), rl.FullBlock("f", 3, 2)])
-
-
-@pytest.mark.parametrize("dt", [0.0, 0.4])
-@pytest.mark.parametrize("seed", [1, 3])
-@pytest.mark.parametrize("omega", [0.1, 6.0])
-def test_a_singularising_delta_puts_a_pole_on_the_stability_boundary(dt, seed, omega):
-    model = uncertain(dt, seed)
-    bounds = rl.mu(rl.frequency_response(model.delta_channels, [omega])[0], model.blocks)
-    delta = delta_values(model.blocks, bounds.delta)
-    loop = model.evaluate(realise_delta(model.blocks, delta, omega, dt))
-    at = np.exp(1j * omega * dt) if dt else 1j * omega
-    assert np.abs(loop.poles() - at).min() <= 1e-6
-    # With less of it the loop of systems has, at that frequency, the response of the loop of numbers.
-    less = {name: 0.9 * value for name, value in delta.items()}
-    made = realise_delta(model.blocks, less, omega, dt)
-    assert made["r"] == less["r"]
-    direct = model.response([omega], less)
-    difference = rl.frequency_response(model.evaluate(made), [omega]) - direct
-    assert np.abs(difference).max() <= 1e-8 * np.abs(direct).max()
 
 
 def test_the_critical_delta_of_a_margin_is_replayed():

@@ -90,17 +90,6 @@ def test_an_unstable_nominal_model_is_refuted_however_small_mu_is():
     assert "band" in check(cases.claimed("mu-axis", unstable, band, level=level * 1e4)).claim
 
 
-def test_a_band_needs_no_more_than_itself():
-    _, _, numbers, level = example("mixed", 0)
-    one = {key: numbers[key][:1] for key in ("low", "high", "D_w", "D_z", "G")}
-    high = float(one["high"][0])
-    assert proved(numbers | one, band=[0.0, high], level=level * (1 + 1e-6))
-    assert not proved(numbers | one, band=[0.0, high * 1.01], level=level * (1 + 1e-6))
-    assert not proved(numbers | one, band=[high, 0.0], level=level * (1 + 1e-6))
-    assert not proved(numbers | one, band=[2 * high, 2 * high], level=level * (1 + 1e-6))
-    assert proved(numbers | one, band=[high, high], level=level * (1 + 1e-6))
-
-
 @pytest.mark.parametrize("name", ["real", "mixed", "full"])
 def test_a_destabilising_delta_is_a_member_and_refutes(name):
     G, margin, numbers, _ = example(name, 1)
