@@ -78,7 +78,7 @@ class SymbolicPlant(PlantAlong):
         states = np.empty((len(signal.t), len(x0)))
         inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), np.array(signal.broken))
         values = np.array(list(self.values.values()), dtype=np.float64)
-        outcome, time, culprit = code.integrate(
+        outcome, time, _, culprit = code.integrate(
             self.equations.rates.code, np.array(x0, dtype=np.float64), values, inputs, float(rtol), states
         )
         if outcome == code.DONE:
