@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import robustlab as rl
 from robustlab.dynamics import Simulator, Windows, linear_plant_of, parameter_groups, port_model
 from robustlab.errors import InputError
-from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.statespace import StateSpaceModel
 
 MOTOR = rl.plant("dc-motor")
 
@@ -28,23 +28,6 @@ def test_a_motor_has_a_joint_with_its_angle_and_a_current_port():
     assert (current.kind, current.unit) == ("current", "V")
     assert current.force == pytest.approx([0, 0, 1 / 0.62e-3], rel=1e-12)  # 1 V into the coil: di/dt = 1/L
     assert current.position is None
-
-
-def test_two_masses_have_two_joints_each_with_its_own_angle():
-    ports = port_model(rl.plant("two-mass")).ports
-    assert {n: np.flatnonzero(p.position).tolist() for n, p in ports.items()} == {"omega1": [0], "omega2": [1]}
-    assert ports["omega1"].force == pytest.approx([0, 0, 1e3, 0])
-    assert ports["omega2"].force == pytest.approx([0, 0, 0, 500.0])
-
-
-def test_a_position_must_integrate_the_velocity_and_nothing_else():
-    a = np.array([[0.0, 1.0], [0.0, -1.0]])
-    signals = {"states": (Signal("q", "m"), Signal("v", "m/s")), "inputs": (Signal("u", "V"),), "outputs": ("y",)}
-    found = {}
-    for name, b, leak in (("exact", 0.0, 0.0), ("driven", 1e-9, 0.0), ("leaking", 0.0, -1e-9)):
-        model = StateSpaceModel(a + np.diag([leak, 0.0]), [[b], [1.0]], [[1.0, 0.0]], [[0.0]], **signals)
-        found[name] = port_model(linear_plant_of(model)).ports["v"].position is not None
-    assert found == {"exact": True, "driven": False, "leaking": False}
 
 
 @settings(max_examples=25)
