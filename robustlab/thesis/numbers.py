@@ -19,7 +19,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.control.platform import TrajectoryFollowing
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
-from robustlab.dynamics.plants.motors import dc_motor, linear_actuator
+from robustlab.dynamics.plants.linear import dc_motor, linear_actuator
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.kinematics import inverse_kinematics
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform, stewart_platform
