@@ -66,25 +66,6 @@ def test_a_resonance_under_a_continuous_force(samples_a_period):
             assert np.abs(found - truth[0, first:]).max() < 1e-4 * np.abs(truth[0]).max()
 
 
-@pytest.mark.parametrize("sub", [1, 2, 4])
-def test_straight_lines_between_samples_are_exact_on_a_resonance(sub):
-    plant, omega = oscillator(8)
-    k, c = plant.values["k"], plant.values["c"]
-    n = 60
-    u = k * np.random.default_rng(5).normal(size=n)
-    t, x, truth = np.arange(n) * DT, np.zeros(2), []
-    for j in range(n):
-        truth.append(x)
-        after = u[min(j + 1, n - 1)]
-        x = solve_ivp(
-            lambda s, x, j=j, after=after: [x[1], u[j] + (after - u[j]) * (s - t[j]) / DT - c * x[1] - k * x[0]],
-            (t[j], t[j] + DT), x, rtol=1e-10, atol=1e-12,
-        ).y[:, -1]  # fmt: skip
-    run = Simulator(plant, [], u[:, None], DT, sub=sub, hold=("linear",))
-    found = run.run({}, [], np.zeros((1, 2)), whole(n)).states[0]
-    assert np.abs(found - truth).max(axis=0) == pytest.approx(0.0, abs=1e-7 * omega)
-
-
 def test_a_delay_and_a_shift_are_one_and_the_same():
     plant, _ = oscillator(20)
     u = np.random.default_rng(4).normal(size=(90, 1))

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.dynamics import Simulator, Windows, linear_plant_of, parameter_groups, port_model
+from robustlab.dynamics import Simulator, Windows, linear_plant_of, port_model
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
@@ -42,13 +42,6 @@ def test_a_force_fed_back_from_the_position_is_a_spring(k):
     assert np.abs(fed_back.A - stiffer.state_space().A).max() < 1e-12 * (100 + abs(k))
 
 
-# --- groups of parameters --------------------------------------------------------------------------------------------
-
-
-def groups(plant) -> dict[str, str]:
-    return {label: role for role, label, _ in parameter_groups(plant)}
-
-
 # --- bare models -----------------------------------------------------------------------------------------------------
 
 
@@ -65,7 +58,7 @@ def test_a_bare_model_becomes_a_plant_with_the_same_matrices():
     ):
         assert there == pytest.approx(here, rel=1e-14)
     assert plant.values == pytest.approx({"gain_u": 1.0, "inertia_omega": 7.2e-6, "damping_omega": 4.8e-5})
-    assert groups(plant) == {
+    assert {label: role for role, label, _ in parameter_groups(plant)} == {
         "gain_u": "input-gain", "inertia_omega": "inertia", "damping_omega": "viscous-friction",
     }  # fmt: skip
 
