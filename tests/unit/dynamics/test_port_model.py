@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.dynamics import Simulator, Windows, linear_plant_of, port_model
+from robustlab.dynamics import Simulator, Windows, linear_plant_of, parameter_groups, port_model
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
