@@ -159,11 +159,11 @@ def eliminated(given: StateSpaceModel, E: ArrayLike, where: str = "descriptor") 
     if e.shape != (n, n):
         raise InputError(where, f"E is {e.shape}", f"{(n, n)} as A")
     form = e, given.A, given.B, given.C, given.D
-    kept = e.any(axis=0)
-    found = _without_algebraic(*form, e.any(axis=1), kept)
+    rated, kept = (np.asarray(e.any(axis=axis), dtype=np.bool_) for axis in (1, 0))
+    found = _without_algebraic(form, rated, kept)
     if found is None:  # E shows only in other coordinates which states have a rate
         turned, rated = _turned(e, given, where)
-        found, kept = _without_algebraic(*turned, rated, rated), None
+        found, kept = _without_algebraic(turned, rated, rated), None
         assert found is not None
     a, b, c, d = found
     own = None if kept is None else tuple(np.flatnonzero(kept).tolist())
@@ -194,10 +194,11 @@ def _solved(e: AnyArray, right: Array) -> AnyArray:
     return np.linalg.solve(e / size, right / size)
 
 
-def _without_algebraic(
-    e: Array, a: Array, b: Array, c: Array, d: Array, rated: Mask, moving: Mask
-) -> tuple[Array, Array, Array, Array] | None:
-    """A, B, C, D where the equations without a rate can be solved for the states without one; else None."""
+def _without_algebraic(form: tuple[Array, ...], rated: Mask, moving: Mask) -> tuple[Array, Array, Array, Array] | None:
+    """A, B, C, D of the form (E, A, B, C, D) where its equations without a rate can be solved for the states without
+    one; else None.
+    """
+    e, a, b, c, d = form
     if rated.sum() != moving.sum():
         return None
     inner, algebraic = e[np.ix_(rated, moving)], a[np.ix_(~rated, ~moving)]

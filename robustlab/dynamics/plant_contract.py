@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor, uncertain_family
 from robustlab.dynamics.parameters import Parameter, overridden, parameter_ranges
+from robustlab.dynamics.rest import held_descriptor
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.provenance import Traced
 from robustlab.result import Status
@@ -254,8 +255,6 @@ class NonlinearPlant(Plant):
         self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
     ) -> TrimmedDescriptor:
         """The plant at rest as a function of its parameters."""
-        from robustlab.dynamics.rest import held_descriptor
-
         return held_descriptor(self, trim.x, trim.u, hold, tried)
 
     def uncertain(
