@@ -30,13 +30,14 @@ _INNER = {
     "effects.signal_effects": "SignalGain",
     "effects.spring_effects": "DAMPING",
     "extended.attached_effect": "AttachedEffect holding_force is_set_valued rest_band steady_force",
-    "extended.effect_blocks": "Dry delay_block effect_blocks effect_loads",
+    "extended.effect_blocks": "Dry effect_blocks effect_loads",
     "extended.extended_equations": "extended_model",
     "extended.extended_plant": "ExtendedPlant",
     "extended.feed_forward": "DryLevel FeedForward Wave feed_forward",
+    "extended.signal_blocks": "delay_block",
     "extended.simulator": "SampledInput Simulator Windows stepping",
     "plant_contract": "LocalModels PortPlace input_signal",
-    "plants.motors": "cart_travel linear_actuator",
+    "plants.linear": "cart_travel linear_actuator",
     "ports.split_joint": "shares_behind",
     "ports.motion_model": "local_port_model",
     "ports.port_model": "linear_plant_of parameter_groups port_model",
@@ -62,12 +63,12 @@ __all__ = [
 
 # name -> the function that makes the plant from its parameters
 _PLANTS = {
-    "dc-motor": "plants.motors.dc_motor",
-    "brushless-motor": "plants.motors.brushless_motor",
-    "servo-axis": "plants.masses.servo_axis",
-    "mass-spring-damper": "plants.masses.mass_spring_damper",
-    "two-mass": "plants.masses.two_mass",
-    "linear-actuator": "plants.motors.linear_actuator",
+    "dc-motor": "plants.linear.dc_motor",
+    "brushless-motor": "plants.linear.brushless_motor",
+    "servo-axis": "plants.linear.servo_axis",
+    "mass-spring-damper": "plants.linear.mass_spring_damper",
+    "two-mass": "plants.linear.two_mass",
+    "linear-actuator": "plants.linear.linear_actuator",
     "stewart-platform": "stewart.stewart_platform.stewart_platform",
 }
 

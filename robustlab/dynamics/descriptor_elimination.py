@@ -13,24 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import AnyArray, Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.structural import drop_unconnected
-from robustlab.signals import Signal, SignalLike, real_array, signals
+from robustlab.signals import SignalLike, real_array, signals
 from robustlab.statespace import OperatingPoint, StateSpaceModel, is_rank_deficient
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
 # What counts as rounding where a rank is taken.
 ROUNDING = 1e-12
-
-
-class Signals(NamedTuple):
-    """Inputs, outputs and states of a model."""
-
-    inputs: Sequence[Signal]
-    outputs: Sequence[Signal]
-    states: Sequence[Signal]
 
 
 class Channels(NamedTuple):
@@ -107,20 +99,6 @@ class Eliminated:
         return f"descriptor form of index {self.index}: {what}; relative residual {self.residual:.1e}"
 
 
-class _Form(NamedTuple):
-    """E, A, B, C, D as arrays."""
-
-    E: Array
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-
-
-# A, B, C, D of a state-space model, the index, and which states it kept.
-_Reduced = tuple[Array, Array, Array, Array, int, tuple[int, ...] | None]
-
-
 @told_as("descriptor")
 def descriptor(
     A: ArrayLike,
@@ -180,16 +158,28 @@ def eliminated(given: StateSpaceModel, E: ArrayLike, where: str = "descriptor") 
     e, n = real_array("E", E, 2, where), given.n_states
     if e.shape != (n, n):
         raise InputError(where, f"E is {e.shape}", f"{(n, n)} as A")
-    form = _Form(e, given.A, given.B, given.C, given.D)
-    a, b, c, d, index, kept = _semi_explicit(form) or _turned(form, where)
-    states = signals(None if kept is None else [given.states[k] for k in kept], len(a), "x", where)
+    form = e, given.A, given.B, given.C, given.D
+    rated, kept = (np.asarray(e.any(axis=axis), dtype=np.bool_) for axis in (1, 0))
+    found = _without_algebraic(form, rated, kept)
+    if found is None:  # E shows only in other coordinates which states have a rate
+        turned, rated = _turned(e, given, where)
+        found, kept = _without_algebraic(turned, rated, rated), None
+        assert found is not None
+    a, b, c, d = found
+    own = None if kept is None else tuple(np.flatnonzero(kept).tolist())
+    states = signals(None if own is None else [given.states[k] for k in own], len(a), "x", where)
     model = StateSpaceModel(a, b, c, d, given.dt, given.inputs, given.outputs, states, where=where)
-    residual = _residual(form, model)
+    residual = 0.0
+    for s in _points(model):  # that are no poles
+        one, two = d + c @ _solved(s * np.eye(len(a)) - a, b), given.D + given.C @ _solved(s * e - given.A, given.B)
+        size = float(np.abs(two).max(initial=0.0)) or 1.0  # squares of large entries overflow
+        off = float(np.linalg.norm((one - two) / size)) / (float(np.linalg.norm(two / size)) or 1.0)
+        residual = max(residual, off)
     if not residual <= SAME:
         text = f"the model without algebraic equations differs from the descriptor form by {residual:.1e}"
         hint = "is a singular value of E neither zero nor clearly not?"
         raise NoTrustworthyNumber(where, text, f"at most {SAME:.0e} of the transfer matrix", hint)
-    return Eliminated(model, index, kept, n, residual)
+    return Eliminated(model, int(len(a) < n), own, n, residual)
 
 
 def _has_inverse(matrix: Array) -> bool:
@@ -198,77 +188,53 @@ def _has_inverse(matrix: Array) -> bool:
 
 def _solved(e: AnyArray, right: Array) -> AnyArray:
     """``E^-1 right``; rows brought to one size first."""
+    if not len(e):
+        return np.zeros_like(right)
     size = np.abs(e).max(axis=1, keepdims=True, initial=0.0)
     return np.linalg.solve(e / size, right / size)
 
 
-def _semi_explicit(form: _Form) -> _Reduced | None:
-    """Where the zero rows of E, if any, can be solved for the states of its zero columns."""
-    rated, moving = form.E.any(axis=1), form.E.any(axis=0)
+def _without_algebraic(form: tuple[Array, ...], rated: Mask, moving: Mask) -> tuple[Array, Array, Array, Array] | None:
+    """A, B, C, D of the form (E, A, B, C, D) where its equations without a rate can be solved for the states without
+    one; else None.
+    """
+    e, a, b, c, d = form
     if rated.sum() != moving.sum():
         return None
-    inner, algebraic = form.E[np.ix_(rated, moving)], form.A[np.ix_(~rated, ~moving)]
+    inner, algebraic = e[np.ix_(rated, moving)], a[np.ix_(~rated, ~moving)]
     if not (_has_inverse(inner) and _has_inverse(algebraic)):
         return None
     n = int(moving.sum())
     # x2 = -A22^-1 (A21 x1 + B2 u)
-    fixed = -_solved(algebraic, np.hstack([form.A[np.ix_(~rated, moving)], form.B[~rated]]))
-    into, shown = form.A[np.ix_(rated, ~moving)] @ fixed, form.C[:, ~moving] @ fixed
-    rates = _solved(inner, np.hstack([form.A[np.ix_(rated, moving)], form.B[rated]]) + into)
-    kept = tuple(np.flatnonzero(moving).tolist())
-    c, d = form.C[:, moving] + shown[:, :n], form.D + shown[:, n:]
-    return rates[:, :n], rates[:, n:], c, d, int(n < len(form.E)), kept
+    fixed = -_solved(algebraic, np.hstack([a[np.ix_(~rated, moving)], b[~rated]]))
+    rates = np.hstack([a[np.ix_(rated, moving)], b[rated]]) + a[np.ix_(rated, ~moving)] @ fixed
+    rates, shown = _solved(inner, rates), np.hstack([c[:, moving], d]) + c[:, ~moving] @ fixed
+    return rates[:, :n], rates[:, n:], shown[:, :n], shown[:, n:]
 
 
-def _turned(form: _Form, where: str) -> _Reduced:
-    """Where E shows only in other coordinates which states have a rate."""
-    rows, columns = _scales(form)
-    e, a = (m * rows[:, None] * columns for m in (form.E, form.A))
-    u, values, v = np.linalg.svd(e)
-    rank = int((values > ROUNDING * values.max(initial=0.0)).sum())
-    rates = np.where(np.arange(len(e)) < rank, values, 0.0)
-    turned, b, c = u.T @ a @ v.T, u.T @ (form.B * rows[:, None]), form.C * columns @ v.T
-    small = ROUNDING * float(np.linalg.norm(a, 2))
-    if np.linalg.svd(turned[rank:, rank:], compute_uv=False).min(initial=np.inf) <= small:
-        if np.linalg.svd(turned[rank:], compute_uv=False).min() <= small or not _regular(e, a):
-            found = "s E - A is singular for every s: the equations do not determine x"
-            raise InputError(where, found, "as many independent equations as states")
-        hint = "solve the constraints that are differentiated for the states that they determine"
-        raise InputError(where, "an index above 1: derivatives determine states", "index 0 or 1", hint)
-    found = _semi_explicit(_Form(np.diag(rates), turned, b, c, form.D))
-    assert found is not None
-    return *found[:5], None
-
-
-def _regular(e: Array, a: Array) -> bool:
-    size = float(np.linalg.norm(a, 2)) / (float(np.linalg.norm(e, 2)) or 1.0)
-    return any(_has_inverse(s * size * e - a) for s in (0.37, 1.71, -2.3))
-
-
-def _scales(form: _Form) -> tuple[Array, Array]:
-    """Powers of two that bring the rows and columns of (E, A) to one size."""
-    size = np.maximum(*(np.abs(m) / (np.abs(m).max(initial=0.0) or 1.0) for m in (form.E, form.A)))
+def _turned(e: Array, given: StateSpaceModel, where: str) -> tuple[tuple[Array, ...], Mask]:
+    """The form in the coordinates of the singular values of E, and which of them have a rate; the index must be 1."""
+    # powers of two that bring the rows and columns of (E, A) to one size
+    size = np.maximum(*(np.abs(m) / (np.abs(m).max(initial=0.0) or 1.0) for m in (e, given.A)))
     rows, columns = np.ones(len(size)), np.ones(len(size))
     for _ in range(3):
         for axis, scale in ((1, rows), (0, columns)):
             largest = (size * rows[:, None] * columns).max(axis=axis)
             scale *= np.exp2(-np.rint(np.log2(np.where(largest > 0, largest, 1.0))))
-    return rows, columns
-
-
-def _residual(form: _Form, model: StateSpaceModel) -> float:
-    """Largest relative difference of the transfer matrices at points that are no poles."""
-    worst = 0.0
-    for point in _points(model):
-        one = _transfer(np.eye(model.n_states), model.A, model.B, model.C, model.D, point)
-        two = _transfer(form.E, form.A, form.B, form.C, form.D, point)
-        size = float(np.abs(two).max(initial=0.0)) or 1.0  # squares of large entries overflow
-        worst = max(worst, float(np.linalg.norm((one - two) / size)) / (float(np.linalg.norm(two / size)) or 1.0))
-    return worst
-
-
-def _transfer(e: Array, a: Array, b: Array, c: Array, d: Array, point: complex) -> AnyArray:
-    return d + c @ _solved(point * e - a, b) if len(a) else d + 0j
+    scaled, a = (m * rows[:, None] * columns for m in (e, given.A))
+    u, values, v = np.linalg.svd(scaled)
+    rated = values > ROUNDING * values.max(initial=0.0)
+    turned, small = u.T @ a @ v.T, ROUNDING * float(np.linalg.norm(a, 2))
+    if np.linalg.svd(turned[~rated][:, ~rated], compute_uv=False).min(initial=np.inf) <= small:
+        far = [s * float(np.linalg.norm(a, 2)) / (values.max(initial=0.0) or 1.0) for s in (0.37, 1.71, -2.3)]
+        alone = np.linalg.svd(turned[~rated], compute_uv=False).min() <= small
+        if alone or not any(_has_inverse(s * scaled - a) for s in far):
+            found = "s E - A is singular for every s: the equations do not determine x"
+            raise InputError(where, found, "as many independent equations as states")
+        hint = "solve the constraints that are differentiated for the states that they determine"
+        raise InputError(where, "an index above 1: derivatives determine states", "index 0 or 1", hint)
+    b, c = u.T @ (given.B * rows[:, None]), given.C * columns @ v.T
+    return (np.diag(np.where(rated, values, 0.0)), turned, b, c, given.D), rated
 
 
 def _points(model: StateSpaceModel) -> AnyArray:

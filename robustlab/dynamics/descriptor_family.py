@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations, combinations_with_replacement, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -366,22 +366,9 @@ def _values(polynomial: MatrixPolynomial, t: Array) -> Array:
 
 
 def _with_one_of(sampled: Sequence[int], moving: Sequence[int], count: int, degree: int) -> list[Exponents]:
-    """Monomials of the sampled parameters up to the degree; from the second degree on with the others, too."""
-    found = []
-    for total in range(1, degree + 1):
-        for powers in product(range(total + 1), repeat=len(moving)) if len(moving) <= 6 else _few(len(moving), total):
-            if sum(powers) == total:
-                key = dict(zip(moving, powers, strict=True))
-                if any(key.get(k, 0) for k in sampled):
-                    found.append(tuple(key.get(k, 0) for k in range(count)))
-    return found
-
-
-def _few(count: int, total: int) -> Iterator[tuple[int, ...]]:
-    from itertools import combinations_with_replacement
-
-    for chosen in combinations_with_replacement(range(count), total):
-        yield tuple(chosen.count(k) for k in range(count))
+    """Monomials of the moving parameters up to the degree that hold a sampled one."""
+    products = (c for total in range(1, degree + 1) for c in combinations_with_replacement(moving, total))
+    return [tuple(c.count(k) for k in range(count)) for c in products if set(c) & set(sampled)]
 
 
 def _box(family: _Family, moving: Sequence[int], seed: int) -> Array:

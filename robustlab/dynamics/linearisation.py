@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant, Trim, fitting
+from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant, Trim, point_of
 from robustlab.errors import InputError, told_as
 from robustlab.provenance import code_of
 from robustlab.statespace import OperatingPoint, StateSpaceModel
@@ -104,16 +103,15 @@ def linearise(
     StateSpaceModel(3 states, [u] -> [phi, omega, i], continuous)
     """
     if isinstance(plant, SteppedPlant):
-        return plant.linear_model(fitting(plant, at, "linearise: at") if isinstance(at, Trim) else at, amplitude, pade)
+        return plant.linear_model(at, amplitude, pade)
     if amplitude or pade:
         raise InputError("linearise", "amplitude or pade for a plant without effects", "neither")
     if isinstance(plant, NonlinearPlant):
-        trimmed = _trimmed(plant, at)
-        if trimmed is None:
-            x, u = _point(plant, at)
-            matrices, point = plant.jacobians(x, u), OperatingPoint(x, u, plant.output(x, u))
+        found = point_of(plant, at, "linearise: at")
+        if isinstance(found, Trim):
+            matrices, point = plant.jacobians_at(found), found.operating_point
         else:
-            matrices, point = plant.jacobians_at(trimmed), trimmed.operating_point
+            matrices, point = plant.jacobians(*found), OperatingPoint(*found, plant.output(*found))
         model = StateSpaceModel(*matrices, 0.0, plant.inputs, plant.outputs, plant.states, point, plant.name)
         if plant.provenance is not None and code_of(plant):
             model.traced(plant.provenance)
@@ -125,31 +123,11 @@ def linearise(
     model = plant.state_space()
     if at is None:
         return model
-    x, u = _point(plant, at)
+    given = (at.x, at.u) if isinstance(at, (Trim, OperatingPoint)) else at
+    if not (isinstance(given, (tuple, list)) and len(given) == 2):
+        raise InputError("linearise: at", type(at).__name__, "(x, u), or None")
+    x, u = plant.point(*given)
     point = OperatingPoint(x, u, plant.output(x, u))
     return StateSpaceModel(
         model.A, model.B, model.C, model.D, model.dt, model.inputs, model.outputs, model.states, point, plant.name
     )
-
-
-def _trimmed(plant: NonlinearPlant, at: Any) -> Trim | None:
-    """The trim that the user gave, or asked for by giving nothing or a pose; None where ``at`` is something else."""
-    if isinstance(at, Trim):
-        return fitting(plant, at, "linearise: at")
-    if at is None:
-        return plant.equilibrium()
-    if isinstance(at, (tuple, list)) and len(at) == 2:
-        return None
-    if not isinstance(at, (str, dict, OperatingPoint)) and np.ndim(at) == 1:
-        return plant.equilibrium(pose=at)
-    return None
-
-
-def _point(plant: Plant, at: Any) -> tuple[Any, Any]:
-    """State and input of what the user gave as the operating point."""
-    if isinstance(at, (Trim, OperatingPoint)):
-        return plant.point(at.x, at.u)
-    if isinstance(at, (tuple, list)) and len(at) == 2:
-        return plant.point(*at)
-    expected = "a trim, a pose or (x, u)" if isinstance(plant, NonlinearPlant) else "(x, u), or None"
-    raise InputError("linearise: at", f"{type(at).__name__}", expected)

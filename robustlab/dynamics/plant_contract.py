@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor, uncertain_family
 from robustlab.dynamics.parameters import Parameter, overridden, parameter_ranges
+from robustlab.dynamics.rest import held_descriptor
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.provenance import Traced
 from robustlab.result import Status
@@ -250,17 +251,10 @@ class NonlinearPlant(Plant):
         """State (n_x,) from which a simulation begins where none is given."""
         return np.zeros(len(self.states))
 
-    def response(self, signal: InputSignal, x0: Array, **options: float) -> tuple[Array, Array]:
-        """States (n, n_x) and outputs (n, n_y) at the times of the signal; ``options`` as `trajectory` takes them."""
-        x = self.trajectory(signal, x0, **options)
-        return x, self.outputs_along(x, signal.samples)
-
     def trimmed_descriptor(
         self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
     ) -> TrimmedDescriptor:
         """The plant at rest as a function of its parameters."""
-        from robustlab.dynamics.rest import held_descriptor
-
         return held_descriptor(self, trim.x, trim.u, hold, tried)
 
     def uncertain(
@@ -272,7 +266,10 @@ class NonlinearPlant(Plant):
     ) -> UncertainModel:
         """The set of the linear models at a trim, for all parameters within their tolerances."""
         allowed = parameter_ranges(self.parameters, ranges or {}, self.name)
-        point = _trim_at(self, at)
+        found = point_of(self, at, "uncertain: at")
+        if not isinstance(found, Trim):
+            raise InputError("uncertain: at", "a state and an input", "a trim, a pose or None")
+        point = found
         model = StateSpaceModel(
             *self.jacobians_at(point),
             0.0, self.inputs, self.outputs, self.states, point.operating_point, self.name,
@@ -315,18 +312,21 @@ class NonlinearPlant(Plant):
         return states
 
 
-def _trim_at(plant: NonlinearPlant, at: Any) -> Trim:
-    """The trim that the user gave, or asked for by a dict, a pose or nothing."""
+def point_of(plant: NonlinearPlant, at: Any, where: str) -> Trim | tuple[Array, Array]:
+    """The trim, or the state and input, that is meant by a trim, (x, u), a pose, a table to trim with, or None."""
     if isinstance(at, Trim):
-        return fitting(plant, at, "uncertain: at")
-    return plant.equilibrium(**(at or {})) if at is None or isinstance(at, dict) else plant.equilibrium(pose=at)
-
-
-def fitting(plant: NonlinearPlant, at: Trim, where: str) -> Trim:
-    """The trim, where it is one of the plant."""
-    if at.plant != plant.name or (len(at.x), len(at.u)) != (len(plant.states), len(plant.inputs)):
-        raise InputError(where, f"a trim of {at.plant} with {len(at.x)} states", f"one of {plant.name}")
-    return at
+        if at.plant != plant.name or (len(at.x), len(at.u)) != (len(plant.states), len(plant.inputs)):
+            raise InputError(where, f"a trim of {at.plant} with {len(at.x)} states", f"one of {plant.name}")
+        return at
+    if at is None or isinstance(at, dict):
+        return plant.equilibrium(**(at or {}))
+    if isinstance(at, OperatingPoint):
+        return plant.point(at.x, at.u)
+    if isinstance(at, (tuple, list)) and len(at) == 2:
+        return plant.point(*at)
+    if not isinstance(at, str) and np.ndim(at) == 1:
+        return plant.equilibrium(pose=at)
+    raise InputError(where, type(at).__name__, "a trim or (x, u), a pose, or None")
 
 
 class PlantAlong(NonlinearPlant):

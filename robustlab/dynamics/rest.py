@@ -9,59 +9,19 @@ import numpy as np
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor, Values
-from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, Trim
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
-from robustlab.result import Status
 from robustlab.statespace import real_array
 
 PASSES, HALVINGS = 60, 30
 # A plant is at rest where no rate is more than this share of the terms that make it up, or than this many units/s.
 STILL, FLOOR = 1e-10, 1e-13
-# A residual below this share is told as INACCURATE; above it there is no rest.
-NEAR = 1e-6
 # Singular values below this share of the largest are directions in which the plant may rest anywhere.
 RANK = 1e-11
 # A step turns no coordinate by more than this (rad): the equations turn with it.
 TURN = 0.5
-# The rest that is nearest to where the search began is found to this share.
-AGREED = 1e-9
-# Where Newton's method stalls at zero (a force that grows with the square of a speed), it starts again from these.
-STARTS = (1.0, 0.1, 10.0, -1.0)
 
 
-def rest(plant: NonlinearPlant, where: Mapping[str, Any]) -> Trim:
-    """The rest nearest to zero, or to ``where["start"]``, with the other entries of ``where`` held."""
-    n_x, n_u = len(plant.states), len(plant.inputs)
-    given = dict(where)
-    x, u = plant.point(*given.pop("start")) if "start" in given else (np.zeros(n_x), np.zeros(n_u))
-    began = np.concatenate([x, u])
-    held, wanted = asked(plant, given)
-    began[list(held)] = list(held.values())
-    free = np.array([k for k in range(n_x + n_u) if k not in held], dtype=np.intp)
-    shift = np.isin(np.arange(n_x + n_u), free)
-    starts = [began] + ([] if "start" in where else [began + level * shift for level in STARTS])
-    best = np.inf, began, 0
-    for start in starts:
-        z, excess, row = _newton(plant, start, free, wanted)[:3]
-        if excess < best[0]:
-            best = excess, z, row
-        if excess <= 1.0:
-            break
-    excess, z, row = best
-    if not excess <= NEAR / STILL:
-        names = [f"the rate of {s.name}" for s in plant.states] + [f"output {plant.outputs[k].name}" for k in wanted]
-        words = ", ".join(f"{k} = {v:g}" for k, v in given.items()) or "zero inputs"
-        hint = "hold other states, inputs or outputs, or give start=(x, u) near to it"
-        found = f"no rest was found with {words}: {names[row]} stays off"
-        raise NoTrustworthyNumber(plant.name, found, None, hint)
-    z, excess = _nearest(plant, began, (z, excess), free, wanted)
-    x, u = z[:n_x], z[n_x:]
-    residual = float(np.abs(plant.derivative(x, u)).max(initial=0.0))
-    status = Status.CONVERGED if excess <= 1.0 else Status.INACCURATE
-    return Trim(plant.name, x.copy(), u.copy(), plant.output(x, u), residual, None, status)
-
-
-def asked(plant: Plant, given: Mapping[str, Any]) -> tuple[dict[int, float], dict[int, float]]:
+def asked(plant: Any, given: Mapping[str, Any]) -> tuple[dict[int, float], dict[int, float]]:
     """Places in (x, u) -> value, and outputs -> value; a name of both is the state's or input's."""
     names = [s.name for s in (*plant.states, *plant.inputs)]
     outputs = [s.name for s in plant.outputs]
@@ -84,31 +44,6 @@ def asked(plant: Plant, given: Mapping[str, Any]) -> tuple[dict[int, float], dic
     return held, wanted
 
 
-def _nearest(
-    plant: NonlinearPlant, began: Array, found: tuple[Array, float], free: Indices, wanted: Mapping[int, float]
-) -> tuple[Array, float]:
-    """The rest moved towards where the search began, along all directions in which the plant rests anywhere."""
-    for _ in range(PASSES):
-        z, excess = found
-        local = _looked(plant, z, wanted)
-        if local is None:
-            break
-        way = (began - z)[free]
-        part = local.slopes[:, free]
-        size = np.abs(part).max(axis=1, initial=0.0)
-        size[size == 0.0] = 1.0
-        way = way - np.linalg.lstsq(part / size[:, None], part @ way / size, rcond=RANK)[0]
-        trial = z.copy()
-        trial[free] += way
-        if np.linalg.norm(way) <= AGREED * (1.0 + np.linalg.norm(z)):
-            break
-        after = _newton(plant, trial, free, wanted)
-        if after[1] > max(1.0, excess) or np.linalg.norm(after[0] - began) >= np.linalg.norm(z - began):
-            break
-        found = after[:2]
-    return found
-
-
 class _Look(NamedTuple):
     """At one point: residual (n,), its slopes (n, n_x + n_u), what counts as rest (n,), and the local model."""
 
@@ -118,13 +53,13 @@ class _Look(NamedTuple):
     local: Any
 
 
-def _newton(
-    plant: NonlinearPlant, start: Array, free: Indices, wanted: Mapping[int, float], values: Values | None = None
+def newton(
+    plant: Any, start: Array, free: Indices, wanted: Mapping[int, float], values: Values | None = None
 ) -> tuple[Array, float, int, Any]:
     """The point reached, its residual as a multiple of what counts as rest, the equation of the largest one, and the
     local model (None where the plant has no value).
     """
-    z, found = start.copy(), _looked(plant, start, wanted, values)
+    z, found = start.copy(), looked(plant, start, wanted, values)
     turning = np.array([s.unit == "rad" for s in (*plant.states, *plant.inputs)])[free]
     for _ in range(PASSES if len(free) else 0):
         if found is None or not found.residual.any():
@@ -138,7 +73,7 @@ def _newton(
         for _ in range(1 if (np.abs(found.residual) <= found.scale).all() else HALVINGS):
             trial = z.copy()
             trial[free] += share * change
-            after = _looked(plant, trial, wanted, values)
+            after = looked(plant, trial, wanted, values)
             if after is not None and np.linalg.norm(after.residual / size) < norm:
                 break
             share *= 0.5
@@ -151,7 +86,7 @@ def _newton(
     return z, float(excess.max(initial=0.0)), int(np.argmax(excess)) if len(excess) else 0, found.local
 
 
-def _looked(plant: NonlinearPlant, z: Array, wanted: Mapping[int, float], values: Values | None = None) -> _Look | None:
+def looked(plant: Any, z: Array, wanted: Mapping[int, float], values: Values | None = None) -> _Look | None:
     """The plant at a point of states and inputs; None where it has no value."""
     n_x, rows, asked_for = len(plant.states), list(wanted), np.array(list(wanted.values()))
     try:
@@ -165,7 +100,7 @@ def _looked(plant: NonlinearPlant, z: Array, wanted: Mapping[int, float], values
 
 
 def held_descriptor(
-    plant: NonlinearPlant, x: Array, u: Array, hold: Sequence[str] | None, tried: Mapping[str, Values]
+    plant: Any, x: Array, u: Array, hold: Sequence[str] | None, tried: Mapping[str, Values]
 ) -> TrimmedDescriptor:
     """The plant's descriptor form about (x, u) as a function of its parameters."""
     states, inputs = [s.name for s in plant.states], [s.name for s in plant.inputs]
@@ -203,9 +138,9 @@ def held_descriptor(
     raise refused
 
 
-def _following(plant: NonlinearPlant, start: Array, follow: Indices, values: Values, label: str = "") -> Any:
+def _following(plant: Any, start: Array, follow: Indices, values: Values, label: str = "") -> Any:
     """The local model at rest for these parameter values, all states and inputs at the start but those that follow."""
-    _, excess, row, local = _newton(plant, start, follow, {}, values)
+    _, excess, row, local = newton(plant, start, follow, {}, values)
     if local is None:
         raise NoTrustworthyNumber(plant.name, f"no finite linear model with what is held{label}")
     if excess > 1.0:

@@ -211,30 +211,26 @@ def _simulate_nonlinear(
     if isinstance(plant, SteppedPlant):
         start = plant.whole_state(start)
     start, _ = plant.point(start, np.zeros(len(plant.inputs)))
-    options = {key: value for key, value in (("rtol", rtol), ("step", step)) if value is not None}
-    for key, value in options.items():
-        number(f"simulate: {key}", value, "a number between 0 and 1", above=0, below=1)
+    for key, value in (("rtol", rtol), ("step", step)):
+        if value is not None:
+            number(f"simulate: {key}", value, "a number between 0 and 1", above=0, below=1)
+    force = signal.samples
     if isinstance(plant, SteppedPlant):
-        x, force, y = _stepped(plant, clock, sampled_inputs(plant.inputs, u, len(clock)), start, hold, options)
+        if hold != "zoh":
+            expected = "'zoh': its steps hold the input"
+            raise InputError("simulate: hold", f"{hold!r} for a plant that steps itself", expected)
+        if rtol is not None:
+            expected = "step: its steps have no error control"
+            raise InputError("simulate", "rtol for a plant that steps itself", expected)
+        force = sampled_inputs(plant.inputs, u, len(clock))
+        x, y = plant.stepped(clock, force, start, step)
     else:
         if step is not None:
             raise InputError("simulate", f"step for {plant.name}", "rtol: it is integrated with error control")
-        x, y = plant.response(signal, start, rtol=RTOL if rtol is None else rtol)
-        force = signal.samples
+        x = plant.trajectory(signal, start, rtol=RTOL if rtol is None else rtol)
+        y = plant.outputs_along(x, force)
     _check_finite(np.hstack([x, y]), clock, plant.name)
     return recorded(plant, clock, force, y, name or plant.name)
-
-
-def _stepped(
-    plant: SteppedPlant, t: Array, u: Array, x0: Array, hold: Any, options: dict[str, float]
-) -> tuple[Array, Array, Array]:
-    """States, inputs and outputs of a plant that makes its own steps."""
-    if hold != "zoh":
-        raise InputError("simulate: hold", f"{hold!r} for a plant that steps itself", "'zoh': its steps hold the input")
-    if "rtol" in options:
-        raise InputError("simulate", "rtol for a plant that steps itself", "step: its steps have no error control")
-    x, y = plant.stepped(t, u, x0, options.get("step"))
-    return x, u, y
 
 
 def transition(model: StateSpaceModel, h: float) -> tuple[Array, Array, Array]:

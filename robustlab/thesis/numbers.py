@@ -19,7 +19,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.control.platform import TrajectoryFollowing
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
-from robustlab.dynamics.plants.motors import dc_motor, linear_actuator
+from robustlab.dynamics.plants.linear import dc_motor, linear_actuator
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.kinematics import inverse_kinematics
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform, stewart_platform
@@ -98,20 +98,6 @@ class PublishedNumbers:
         """Keys of the rows that are said to be reproduced or fitted, and are not."""
         return [row.key for row in (*self.with_status("R"), *self.with_status("F")) if row.agrees is not True]
 
-    def table(self) -> str:
-        """The rows as text, the reason below each row that has one."""
-        lines = [f"{'item':<14}{'published':>12}{'ours':>14}{'difference':>13}  {'unit':<10} st  quantity (where)"]
-        for r in self.rows.values():
-            published, ours, gap = (_cell(v) for v in (r.published, r.ours, r.difference))
-            sign = {"equal": "", "at most": "<= ", "at least": ">= "}[r.bound]
-            lines.append(
-                f"{r.key:<14}{sign + published:>12}{ours:>14}{gap:>13}  {r.unit:<10} {r.status}   "
-                f"{r.quantity} ({r.where})"
-            )
-            if r.why:
-                lines.append(f"{'':<14}  {r.why}")
-        return "\n".join(lines)
-
     def to_json(self) -> dict[str, Any]:
         """Rows, cases and sine runs; of the tracking runs what the rows need."""
         tracking = {name: {"t": run.t, "error": run.error, "torque": run.torque, "voltage": run.voltage}
@@ -119,10 +105,6 @@ class PublishedNumbers:
         rows = {key: row.to_json() for key, row in self.rows.items()}
         sines = {name: run.to_json() for name, run in self.sines.items()}
         return {"rows": rows, "sines": sines, "cases": {c.name: c.to_json() for c in self.cases}, "tracking": tracking}
-
-
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.6g}"
 
 
 def published_numbers() -> PublishedNumbers:

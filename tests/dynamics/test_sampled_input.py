@@ -43,20 +43,6 @@ def test_a_shift_by_whole_samples_shifts_the_record(u, late, sub, hold):
         assert np.abs(moved[k] - expected).max() <= size
 
 
-@pytest.mark.parametrize("hold", HOLDS)
-def test_the_line_of_a_step_has_the_first_moment_of_what_it_stands_for(hold):
-    u = np.random.default_rng(3).normal(size=12)
-    signal, sub, late = SampledInput(u, hold), 2, 0.3137
-    theta = (np.arange(4000) + 0.5) / 4000
-    fine = np.stack([SampledInput(u, hold).samples(late - x) for x in theta], axis=1)  # at t_k + theta
-    for r in range(sub):
-        part = fine[:, 2000 * r : 2000 * (r + 1)]
-        tau = np.linspace(-1, 1, 2001)[:-1] + 1 / 2000
-        p, q = signal.steps(sub, late).reshape(-1, sub, 2)[:, r].T
-        assert 0.5 * (p + q) == pytest.approx(part.mean(axis=1), abs=2e-3)
-        assert (q - p) / 3 == pytest.approx((part * tau).mean(axis=1), abs=2e-3)
-
-
 @pytest.mark.parametrize("samples_a_period", [8, 9, 12])
 def test_a_resonance_under_a_continuous_force(samples_a_period):
     plant, omega = oscillator(samples_a_period)
@@ -78,47 +64,6 @@ def test_a_resonance_under_a_continuous_force(samples_a_period):
             window = Windows(np.array([first]), n - first)
             found = run.run({}, [], truth[None, :, first], window, (shift,)).outputs[0, :, 0]
             assert np.abs(found - truth[0, first:]).max() < 1e-4 * np.abs(truth[0]).max()
-
-
-@pytest.mark.parametrize("sub", [1, 2, 4])
-def test_straight_lines_between_samples_are_exact_on_a_resonance(sub):
-    plant, omega = oscillator(8)
-    k, c = plant.values["k"], plant.values["c"]
-    n = 60
-    u = k * np.random.default_rng(5).normal(size=n)
-    t, x, truth = np.arange(n) * DT, np.zeros(2), []
-    for j in range(n):
-        truth.append(x)
-        after = u[min(j + 1, n - 1)]
-        x = solve_ivp(
-            lambda s, x, j=j, after=after: [x[1], u[j] + (after - u[j]) * (s - t[j]) / DT - c * x[1] - k * x[0]],
-            (t[j], t[j] + DT), x, rtol=1e-10, atol=1e-12,
-        ).y[:, -1]  # fmt: skip
-    run = Simulator(plant, [], u[:, None], DT, sub=sub, hold=("linear",))
-    found = run.run({}, [], np.zeros((1, 2)), whole(n)).states[0]
-    assert np.abs(found - truth).max(axis=0) == pytest.approx(0.0, abs=1e-7 * omega)
-
-
-@pytest.mark.parametrize("late", [0.25, 0.5, -0.3, 2.7])
-def test_the_edges_of_a_held_input_lie_where_the_shift_puts_them(late):
-    plant, _ = oscillator(12, 0.05)
-    k = plant.values["k"]
-    n = 80
-    u = np.repeat(k * np.random.default_rng(8).normal(size=n // 4), 4)
-    # the same response, stepped on a grid on which the shifted edges lie
-    fine = 20
-    held = np.concatenate([np.full(200, u[0]), np.repeat(u, fine), np.full(200, u[-1])])
-    at = 200 - round(late * fine)
-    truth = Simulator(plant, [], held[at : at + n * fine][:, None], DT / fine, sub=1)
-    truth = truth.run({}, [], np.zeros((1, 2)), whole(n * fine)).states[0, ::fine]
-    scale = np.abs(truth).max(axis=0)
-    errors = []
-    for sub in (2, 4):
-        run = Simulator(plant, [], u[:, None], DT, sub=sub)
-        found = run.run({}, [], np.zeros((1, 2)), whole(n), (late * DT,)).states[0]
-        errors.append((np.abs(found - truth) / scale).max())
-    assert errors[0] < 2e-3
-    assert errors[1] < 0.3 * errors[0] + 1e-10
 
 
 def test_a_delay_and_a_shift_are_one_and_the_same():

@@ -109,17 +109,25 @@ def measured(plant: StewartPlatform) -> Array:
     return c
 
 
-def closed_loop(plant: StewartPlatform, controller: LayeredController, at: Trim | None = None) -> StateSpaceModel:
+def layered_loop(plant: StewartPlatform, controller: LayeredController) -> ControlledNonlinearPlant:
+    """The machine under control: references of the nut angles in, angles, rates and voltages out."""
+    read, k = measured(plant), controller.state_space()
+    # of the currents, which are no outputs, the controller makes the torques that it sees
+    sees = StateSpaceModel(
+        k.A, np.hstack([k.B[:, :6], k.B[:, 6:] @ read]), k.C, np.hstack([k.D[:, :6], k.D[:, 6:] @ read])
+    )
+    name = f"{plant.name} under control"
+    return ControlledNonlinearPlant.of(name, plant, sees, range(6), range(12, 30), controller.at)
+
+
+def closed_loop(plant: StewartPlatform, controller: LayeredController) -> StateSpaceModel:
     """Linear model of the machine under control: references r (6) to nut angles, torques and voltages (18)."""
-    model, k, c = linearise(plant, controller.at if at is None else at), controller.state_space(), measured(plant)
-    from_r, from_y = k.B[:, :6], k.B[:, 6:]
-    direct = k.D[:, 6:] @ c
-    a = np.block([[model.A + model.B @ direct, model.B @ k.C], [from_y @ c, k.A]])
-    b = np.vstack([np.zeros((18, 6)), from_r])
-    none = np.zeros((6, k.n_states))
-    outputs = np.vstack([np.hstack([c[:6], none]), np.hstack([c[12:], none]), np.hstack([direct, k.C])])
+    loop = layered_loop(plant, controller)
+    a, b, c, d = loop.jacobians(loop.start, loop.offset[:6])
+    torque = np.hstack([measured(plant)[12:], np.zeros((6, loop.K.n_states))])
     names = _signals(("phi", "rad"), ("torque", "N m"), ("u", "V"))
-    return StateSpaceModel(a, b, outputs, np.zeros((18, 6)), 0.0, k.inputs[:6], names, where="closed_loop")
+    outputs, direct = np.vstack([c[:6], torque, c[12:]]), np.vstack([np.zeros((12, 6)), d[12:]])
+    return StateSpaceModel(a, b, outputs, direct, 0.0, controller.state_space().inputs[:6], names, where="closed_loop")
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,12 +238,7 @@ def follow(
     """Nonlinear simulation of the machine under control, at rest at the controller's trim at the first time."""
     clock = Record(t, name="follow").t
     reference = _within(plant, trajectory, clock)
-    read, k, at = measured(plant), controller.state_space(), controller.at
-    # of the currents, which are no outputs, the controller makes the torques that it sees
-    sees = StateSpaceModel(
-        k.A, np.hstack([k.B[:, :6], k.B[:, 6:] @ read]), k.C, np.hstack([k.D[:, :6], k.D[:, 6:] @ read])
-    )
-    loop = ControlledNonlinearPlant.of(f"{plant.name} under control", plant, sees, range(6), range(12, 30), at)
+    read, loop = measured(plant), layered_loop(plant, controller)
     # The torque loops' poles of some 1000 /s would hold an explicit method to steps below a millisecond.
     states = _integrated(
         loop, lambda time: nut_angles(plant.geometry, trajectory.pose(time)), clock, trajectory.breaks, rtol

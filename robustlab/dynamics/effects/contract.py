@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -352,7 +352,7 @@ class Effect:
         """The values by name, all there and finite."""
         return self._checked(values, [p.name for p in self.parameters(Scales())])
 
-    def _checked(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+    def _checked(self, values: Mapping[str, float], names: list[str]) -> dict[str, float]:
         for name in values:
             if name not in names:
                 raise InputError(

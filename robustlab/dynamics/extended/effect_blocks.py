@@ -20,8 +20,6 @@ import numpy as np
 
 from robustlab import checks
 from robustlab.arrays import Array
-from robustlab.delays.approximation import checked_order
-from robustlab.delays.model import covering
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, is_set_valued, rest_band, steady_force
 from robustlab.dynamics.extended.extended_plant import (
@@ -30,6 +28,7 @@ from robustlab.dynamics.extended.extended_plant import (
     with_effects,
     without_signals,
 )
+from robustlab.dynamics.extended.signal_blocks import with_signals
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.ports.port_model import Port, PortModel, port_model
@@ -40,8 +39,8 @@ from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.shown import AllFields, Facts, Part, Shown, listed, number
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array
-from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
-from robustlab.uncertainty.lft import UncertainModel, product
+from robustlab.uncertainty.blocks import ParameterRange, RealScalar
+from robustlab.uncertainty.lft import UncertainModel
 
 # The nominal member of a set must be the plant's own linear model to this share of its largest response.
 NOMINAL_EXACT = 1e-8
@@ -514,88 +513,6 @@ def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: in
         blocks.append(RealScalar(name, 1, ParameterRange(s.middle, s.radius, s.unit), origin=words))
     found = UncertainModel(model, [*whole.blocks, *blocks], whole.operating_point)
     return found, [name for name, s in zip(names, sectors, strict=True) if s.approximate]
-
-
-def _lag_block(time: float, spread: float, name: str, origin: str) -> UncertainModel:
-    """All lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s, exactly."""
-    if not 0.0 <= spread < time:
-        raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")
-    a = -1.0 / time
-    if not spread:
-        return UncertainModel(StateSpaceModel([[a]], [[-a]], [[1.0]], [[0.0]]), [])
-    model = StateSpaceModel([[a]], [[a * spread, -a]], [[a], [1.0]], [[a * spread, -a], [0.0, 0.0]])
-    return UncertainModel(model, [RealScalar(name, 1, ParameterRange(time, spread, "s"), origin=origin)])
-
-
-def delay_block(delay: float, spread: float, pade: int, name: str, origin: str = "") -> UncertainModel:
-    r"""All delays from ``delay - spread`` (at least 0) to ``delay + spread`` as :math:`P + w \Delta`."""
-    if not 0 < delay < np.inf or not 0 <= spread < np.inf:
-        raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
-    n = checked_order(pade, "delay_block", 1)
-    # The slope of what is missed changes from 1 to 2 n + 1 where there is a spread: a lower order follows that better.
-    made = covering(delay, spread, n, n + 1 if spread else min(n + 2, 2 * n + 1))
-    return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin, covers=made.blocks[0].covers)])
-
-
-def with_signals(
-    whole: UncertainModel,
-    signals: Sequence[tuple[AttachedEffect, int, float]],
-    amplitude: Mapping[str, float],
-    width: float,
-    pade: int = 0,
-) -> UncertainModel:
-    """The model with what the effects put into its inputs and outputs: gains with a range, and with an order of Padé's
-    approximation delays and lags; each effect with the index of its signal and the level there.
-    """
-    into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
-    for e, k, level in [*reversed(into), *out]:  # the effect next to the plant first
-        for gadget in _gadgets(e, level, amplitude, width, pade):
-            if e.site.kind == "input":
-                whole = product(whole, _at_channel(gadget, whole.inputs, k, e.key))
-            else:
-                whole = product(_at_channel(gadget, whole.outputs, k, e.key), whole)
-    return whole
-
-
-def _gadgets(
-    e: AttachedEffect, level: float, amplitude: Mapping[str, float], width: float, pade: int
-) -> list[UncertainModel]:
-    """What an effect puts into its signal: a gain with a range, a delay, a lag."""
-    found: list[UncertainModel] = []
-    gain, seen = e.gain(level, amplitude), e.sector(amplitude, ("input", "output"))
-    reach = width * e.scale_std if seen is None else 0.5 * (seen.gain_upper - seen.gain_lower)
-    if reach:
-        words = f"{e.in_words}" + ("" if seen is None else " as a sector") + f"; {e.values_in_words}"
-        block = RealScalar(e.key, 1, ParameterRange(gain, reach), origin=words)
-        found.append(UncertainModel(StateSpaceModel([], [], [], [[0.0, reach], [1.0, gain]]), [block]))
-    elif gain != 1.0:
-        found.append(UncertainModel(StateSpaceModel([], [], [], [[gain]]), []))
-    if e.delay and pade:
-        spread = width * e.std.get(e.effect.delay, 0.0)
-        words = f"{e.in_words}, {e.delay:.6g} s +- {spread:.3g} s, as Padé of order {pade} and a weight proved to cover"
-        words = f"{words} what that misses; {e.values_in_words}"
-        found.append(delay_block(e.delay, spread, pade, e.key, words))
-    if e.time_constant and pade:
-        spread = width * e.std.get(e.effect.time_constant, 0.0)
-        words = f"{e.in_words}, {e.time_constant:.6g} s +- {spread:.3g} s; {e.values_in_words}"
-        found.append(_lag_block(e.time_constant, spread, e.key, words))
-    return found
-
-
-def _at_channel(gadget: UncertainModel, signals: Sequence[Signal], k: int, name: str) -> UncertainModel:
-    """The gadget of this name in signal k, all others passed on."""
-    g, (q, p), n = gadget.M, gadget.delta_shape, len(signals)
-    into, out = np.zeros((q + 1, q + n)), np.zeros((p + n, p + 1))
-    into[:q, :q], into[q, q + k] = np.eye(q), 1.0
-    out[:p, :p], out[p + k, p] = np.eye(p), 1.0
-    passed = np.zeros((p + n, q + n))
-    passed[p:, q:] = np.diag(np.arange(n) != k)
-    model = StateSpaceModel(
-        g.A, g.B @ into, out @ g.C, out @ g.D @ into + passed, 0.0,
-        [*(f"w_{name}" for _ in range(q)), *signals], [*(f"z_{name}" for _ in range(p)), *signals],
-        [f"{name} {i + 1}" for i in range(g.n_states)], where="effect_blocks",
-    )  # fmt: skip
-    return UncertainModel(model, gadget.blocks)
 
 
 def _check(own: StateSpaceModel, name: str, made: EffectBlocks) -> None:

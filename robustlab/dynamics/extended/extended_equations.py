@@ -28,7 +28,7 @@ from robustlab.dynamics.extended.attached_effect import (
 )
 from robustlab.dynamics.extended.nonlinear_steps import About, somewhere
 from robustlab.dynamics.extended.simulator import Simulator
-from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim
+from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim, point_of
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.dynamics.rest import PASSES, asked
 from robustlab.dynamics.simulation import CLOCK_JITTER
@@ -342,9 +342,7 @@ class ExtendedEquations(SteppedPlant):
             a, model.B * into, out[:, None] * model.C, out[:, None] * model.D * into, 0.0, self.inputs, self.outputs,
             self.states, OperatingPoint(x, u, self.output(x, u)), self.name,
         )  # fmt: skip
-        if pade and lags:
-            linear = lagged(linear, lags)
-        return delayed(linear, delays, pade) if pade and any(map(any, delays.values())) else linear
+        return _behind(linear, pade, delays, lags) if pade and (lags or any(map(any, delays.values()))) else linear
 
     def signal_gains(self, x: Array, u: Array, amplitude: Mapping[str, float]) -> tuple[Array, Array]:
         """Gains of the inputs, (n_u,), and of the outputs, (n_y,), that the effects on them have at (x, u)."""
@@ -395,16 +393,8 @@ class ExtendedEquations(SteppedPlant):
         self, at: Any, amplitude: Mapping[str, float] | None, pade: int
     ) -> tuple[Array, Array, Mapping[str, float]]:
         """State and input of a point, and the amplitudes, all checked."""
-        if at is None:
-            at = self.equilibrium()
-        if isinstance(at, (Trim, OperatingPoint)):
-            at = (at.x, at.u)
-        if not (isinstance(at, (tuple, list)) and len(at) == 2):
-            if isinstance(self.plant, NonlinearPlant) and isinstance(at, (list, tuple, np.ndarray)):
-                return self._asked_point(self.equilibrium(pose=at), amplitude, pade)
-            expected = "a trim or (x, u), or None for the rest of the plant"
-            raise InputError("linearise: at", f"{type(at).__name__}", expected)
-        x, u = self.point(*at)
+        found = point_of(self, at, "linearise: at")
+        x, u = (found.x, found.u) if isinstance(found, Trim) else found
         sites = tuple(dict.fromkeys(e.site.name for e in self.effects))
         for name, value in (amplitude or {}).items():
             where = f"linearise: amplitude {name!r}"
@@ -426,53 +416,38 @@ def _motion(port: Port, x: Array) -> tuple[float, float]:
     return q, float(port.velocity @ x)
 
 
-def delayed(model: StateSpaceModel, delays: Mapping[str, list[float]], order: int) -> StateSpaceModel:
-    """The model with the delays of its inputs and outputs as rational ones."""
-    before, after = (_bank(delays[side], order) for side in ("input", "output"))
-    whole = series(series(before, model), after)
-    names = [
-        (f"delay_{side}_{s.name}_{i + 1}", "")
-        for side, signals in (("input", model.inputs), ("output", model.outputs))
-        for s, delay in zip(signals, delays[side], strict=True)
-        for i in range(order if delay else 0)
-    ]
-    first = before.n_states
-    states = [*names[:first], *model.states, *names[first:]]
+def _behind(
+    model: StateSpaceModel, order: int, delays: Mapping[str, list[float]], lags: Mapping[int, float]
+) -> StateSpaceModel:
+    """The model with the delays of its inputs and outputs as rational ones, and with first-order lags of some inputs
+    (number of the input -> time constant in s) between those and itself.
+    """
     point = model.operating_point
     assert point is not None
-    settled = [_settled(bank, levels) for bank, levels in ((before, point.u), (after, point.y))]
-    x = np.concatenate([settled[0], point.x, settled[1]])
-    return StateSpaceModel(
-        whole.A, whole.B, whole.C, whole.D, 0.0, model.inputs, model.outputs, states,
-        OperatingPoint(x, point.u, point.y), "delays",
-    )  # fmt: skip
-
-
-def _bank(delays: list[float], order: int) -> StateSpaceModel:
-    unit = StateSpaceModel([], [], [], [[1.0]])
-    channels = [rational_delay(delay, order) if delay else unit for delay in delays]
-    return append(*(m.renamed([f"u{k}"], [f"y{k}"]) for k, m in enumerate(channels)))
-
-
-def _settled(bank: StateSpaceModel, levels: Array) -> Array:
-    return np.asarray(-np.linalg.solve(bank.A, bank.B @ levels), dtype=np.float64)
-
-
-def lagged(model: StateSpaceModel, lags: Mapping[int, float]) -> StateSpaceModel:
-    """The model behind first-order lags of some of its inputs: number of the input -> time constant in s."""
-    unit = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1)
-    channels = [
-        StateSpaceModel([[-1.0 / lags[k]]], [[1.0 / lags[k]]], [[1.0]], [[0.0]])
-        if k in lags
-        else StateSpaceModel(*unit)
-        for k in range(model.n_inputs)
-    ]
-    bank = append(*(m.renamed([f"u{k}"], [f"y{k}"]) for k, m in enumerate(channels)))
-    whole, point = series(bank, model), model.operating_point
-    assert point is not None
-    states = [*((f"lag_{model.inputs[k].name}", model.inputs[k].unit) for k in sorted(lags)), *model.states]
-    x = np.concatenate([point.u[sorted(lags)], point.x])
-    return StateSpaceModel(
-        whole.A, whole.B, whole.C, whole.D, 0.0, model.inputs, model.outputs, states,
-        OperatingPoint(x, point.u, point.y), "lags",
-    )  # fmt: skip
+    lagging = [StateSpaceModel([[-1 / T]], [[1 / T]], [[1.0]], [[0.0]]) if (T := lags.get(k)) else None
+               for k in range(model.n_inputs)]  # fmt: skip
+    late = {side: [rational_delay(d, order) if d else None for d in delays[side]] for side in delays}
+    banks = (
+        ("delay_input", late["input"], model.inputs, point.u),
+        ("lag", lagging, model.inputs, point.u),
+        ("delay_output", late["output"], model.outputs, point.y),
+    )
+    whole, states, x = None, [], list[Array]()
+    for kind, channels, signals, level in banks:
+        if kind == "delay_output":
+            whole, states = model if whole is None else series(whole, model), [*states, *model.states]
+            x.append(point.x)
+        if not any(channels):
+            continue
+        bank = append(
+            *((m or StateSpaceModel([], [], [], [[1.0]])).renamed([f"u{k}"], [f"y{k}"]) for k, m in enumerate(channels))
+        )
+        whole = bank if whole is None else series(whole, bank)
+        for s, m in zip(signals, channels, strict=True):
+            count = 0 if m is None else m.n_states
+            name, unit = (f"lag_{s.name}", s.unit) if kind == "lag" else (f"{kind}_{s.name}", "")
+            states += [(name if kind == "lag" else f"{name}_{i + 1}", unit) for i in range(count)]
+        x.append(np.asarray(-np.linalg.solve(bank.A, bank.B @ level), dtype=np.float64))
+    assert whole is not None
+    point = OperatingPoint(np.concatenate(x), point.u, point.y)
+    return StateSpaceModel(whole.A, whole.B, whole.C, whole.D, 0.0, model.inputs, model.outputs, states, point, "pade")

@@ -21,6 +21,7 @@ from robustlab.dynamics.extended.nonlinear_steps import (
     scaled,
     with_linear_parts,
 )
+from robustlab.dynamics.extended.signal_blocks import with_signals
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, with_factors
 from robustlab.dynamics.parameters import Parameter
@@ -188,8 +189,6 @@ class ExtendedPlant(ExtendedEquations):
         """All models within the tolerances, as an exact LFT; `left_out` has what they do not cover."""
         width = float(real_array("sigmas", sigmas, 0, "uncertain"))
         number("uncertain: sigmas", width, "0 or more", at_least=0)
-        from robustlab.dynamics.extended.effect_blocks import with_signals
-
         linear = self.linear_model()
         point = linear.operating_point
         assert point is not None

@@ -16,7 +16,7 @@ from robustlab.dynamics.effects.contract import Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.simulator import Windows, step_laws
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
-from robustlab.dynamics.ports.motion_model import Course, exponentials_and_ramps, local_port_model
+from robustlab.dynamics.ports.motion_model import Course, exponentials, local_port_model
 from robustlab.dynamics.ports.port_model import PortModel
 from robustlab.errors import InputError, NoTrustworthyNumber
 
@@ -196,7 +196,7 @@ class _Block:
         x, u = course.at(np.minimum((np.arange(of[-1] + 1) + 0.5) * stride, count - 0.5))
         local = self.plant.local_models(x @ self.carried.T, u)
         model = with_linear_parts(local_port_model(self.plant, local), self.effects)
-        halves = exponentials_and_ramps(model.A, 0.5 * h)
+        halves = exponentials(model.A, 0.5 * h)
         parts = []
         if model.A is not local.A:
             entering, added = model.B[..., n_u:], model.A.copy()

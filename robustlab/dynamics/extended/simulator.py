@@ -21,7 +21,6 @@ from robustlab.dynamics.ports.motion_model import (
     Course,
     MotionModel,
     exponentials,
-    exponentials_and_ramps,
     motion_model,
     with_factors,
 )
@@ -444,11 +443,7 @@ def _kept_model(
 
 def _steps_along(model: PortModel, h: float, n_u: int, rising: bool) -> tuple[Array, Array, Array, Array]:
     """Phi (3, ...), psi, gamma_u (3, ...) as of `_Table`, and what rates along a motion add in half a step."""
-    if rising:
-        phi, psi, ramp = exponentials_and_ramps(model.A, 0.5 * h)
-    else:
-        phi, psi = exponentials(model.A, 0.5 * h)
-        ramp = psi  # stands for none: inputs that are held have no ramp
+    phi, psi, ramp = exponentials(model.A, 0.5 * h)
     return *_in_steps(model.B[..., :n_u], phi, psi, ramp, rising), psi @ model.B[..., n_u:]
 
 

@@ -25,40 +25,20 @@ def entry(*signatures):
     return njit(list(signatures), cache=True, **_options)
 
 
-# What a machine must answer, by the type of its NamedTuple: code that takes functions as arguments is never kept on
-# disk, code that is chosen by type is.
+# A machine answers by the type of its NamedTuple: code that takes functions as arguments is never kept on disk, code
+# that is chosen by type is.
 def rates(z, u, machine, dz):
     """Rates dz (n,) at the state z under the inputs u."""
     raise NotImplementedError
 
 
-def observe(z, machine, x):
-    """What is observed of the state, into x; False where the machine cannot be."""
-    raise NotImplementedError
+def answers(kind, rates_of):
+    """Let machines of this kind answer with these rates."""
 
+    def typed(z, u, machine, dz):
+        return rates_of if getattr(machine, "instance_class", None) is kind else None
 
-def scaled(rtol, z, end, machine, first, scale):
-    """The size of the error that a step from z to end may have, into scale."""
-    raise NotImplementedError
-
-
-def answers(kind, rates_of, observe_of, scaled_of):
-    """Let machines of this kind answer with these functions."""
-
-    def is_one(machine):
-        return getattr(machine, "instance_class", None) is kind
-
-    def rates_typed(z, u, machine, dz):
-        return rates_of if is_one(machine) else None
-
-    def observe_typed(z, machine, x):
-        return observe_of if is_one(machine) else None
-
-    def scaled_typed(rtol, z, end, machine, first, scale):
-        return scaled_of if is_one(machine) else None
-
-    for stub, typed in ((rates, rates_typed), (observe, observe_typed), (scaled, scaled_typed)):
-        overload(stub, jit_options=_options)(typed)
+    overload(rates, jit_options=_options)(typed)
 
 
 try:
@@ -80,7 +60,7 @@ for name, shape in {"A": (16, 16), "B": (12,), "C": (16,), "D": (4, 16), "E3": (
 SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 EXPONENT = -1.0 / 8.0
 MAX_STEPS = 1_000_000
-DONE, LEFT, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2, 3
+DONE, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2
 
 
 class Inputs(NamedTuple):
@@ -189,16 +169,17 @@ def _not_finite(stages, found):
 
 
 @leaf
-def integrated(start, inputs, machine, rtol, z_at, x_at):
-    """States z and what is observed of them at the times of the inputs: (outcome, time reached, state not finite)."""
+def integrated(start, inputs, machine, rtol, least, growing, z_at):
+    """States z at the times of the inputs: (outcome, time reached, samples reached, state not finite).
+
+    The error of each state is held at rtol times ``least``, or its size where that is larger and it is ``growing``.
+    """
     clock, polynomials, broken = inputs
     n, last = start.shape[0], clock.shape[0] - 1
     stages, at, end, scale, u = np.zeros((16, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(polynomials.shape[2])
-    z, x, f = start.copy(), np.empty(n), np.empty((7, n))
+    z, f = start.copy(), np.empty((7, n))
     t, sample, evaluations, h, culprit = clock[0], 1, 0, 0.0, -1
     z_at[0] = z
-    if not observe(z, machine, x_at[0]):
-        return LEFT, t, culprit
     piece = 0
     while piece < last:  # it begins anew only where the inputs break
         following = piece + 1
@@ -210,11 +191,11 @@ def integrated(start, inputs, machine, rtol, z_at, x_at):
         rates(z, u, machine, stages[0])
         evaluations += 1
         if h == 0.0:
-            scaled(rtol, z, z, machine, True, scale)
+            scale[:] = rtol * least
             h = min(max(0.01 * _norm(z, scale) / max(_norm(stages[0], scale), 1e-12), 1e-6), 1e-2)
         while t < stop:
             if evaluations > 12 * MAX_STEPS:
-                return TOO_MANY_STEPS, t, culprit
+                return TOO_MANY_STEPS, t, sample, culprit
             step, ends = h, False
             if t + 1.001 * step >= stop:
                 step, ends = stop - t, True
@@ -229,14 +210,15 @@ def integrated(start, inputs, machine, rtol, z_at, x_at):
             _input_between(t + step, span, k, inputs, u)
             rates(end, u, machine, stages[12])
             evaluations += 12
-            scaled(rtol, z, end, machine, False, scale)
+            for i in range(n):
+                scale[i] = rtol * max(least[i], growing[i] * max(abs(z[i]), abs(end[i])))
             error = _error(step, stages, scale)
             if not error < 1.0:
                 if not np.isfinite(error):
                     culprit, error = _not_finite(stages, culprit), 1e12
                 h = step * max(SMALLEST, SAFETY * error**EXPONENT)
                 if h < 1e-14 * max(1.0, abs(t)):
-                    return NOT_FINITE, t, culprit
+                    return NOT_FINITE, t, sample, culprit
                 continue
             t_end = stop if ends else t + step
             if sample <= last and clock[sample] < t_end:
@@ -247,17 +229,10 @@ def integrated(start, inputs, machine, rtol, z_at, x_at):
                 _polynomial(z, end, step, stages, f)
                 while sample <= last and clock[sample] < t_end:
                     _dense(z, f, (clock[sample] - t) / step, z_at[sample])
-                    if not observe(z_at[sample], machine, x_at[sample]):
-                        return LEFT, clock[sample], culprit
                     sample += 1
             if sample <= last and clock[sample] == t_end:
                 z_at[sample] = end
-                inside = observe(end, machine, x_at[sample])
                 sample += 1
-            else:
-                inside = observe(end, machine, x)
-            if not inside:
-                return LEFT, t_end, culprit
             for i in range(n):
                 z[i], stages[0, i] = end[i], stages[12, i]
             t = t_end
@@ -265,4 +240,4 @@ def integrated(start, inputs, machine, rtol, z_at, x_at):
             # A step that was cut to end with its piece says nothing where it would shrink.
             h = step * max(growth, SMALLEST) if not ends or growth * step < h else h
         piece = following
-    return DONE, t, culprit
+    return DONE, t, sample, culprit

@@ -159,22 +159,13 @@ def _at_home(plant: NonlinearPlant, values: tuple[tuple[str, float], ...]) -> di
     return {names[k]: (float(1.0 / push[i, i]), float(drag[i])) for i, (_, k) in enumerate(joints)}
 
 
-def exponentials(a: Array, h: float) -> tuple[Array, Array]:
-    r"""``exp(A h)`` and :math:`\int_0^h e^{A s} ds` of A (m, n, n)."""
+def exponentials(a: Array, h: float) -> tuple[Array, Array, Array]:
+    r"""``exp(A h)``, :math:`\int_0^h e^{A s} ds` and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1) ds` of A (m, n, n)."""
     # Hochbruck, Ostermann, "Exponential integrators", Acta Numerica 19 (2010).
-    z, doublings = _halved(a, h)
-    first = _series(z, 1)
-    zeroth = np.eye(a.shape[-1]) + z @ first
-    for _ in range(doublings):
-        first = 0.5 * (zeroth @ first + first)
-        zeroth = zeroth @ zeroth
-    return zeroth, h * first
-
-
-def exponentials_and_ramps(a: Array, h: float) -> tuple[Array, Array, Array]:
-    r"""`exponentials`, and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1) ds`."""
-    z, doublings = _halved(a, h)
-    one, second = np.eye(a.shape[-1]), _series(z, 2)
+    size = float(np.abs(a).sum(axis=-1).max(initial=0.0)) * h
+    doublings = max(0, int(np.ceil(np.log2(size / SMALL)))) if size > 0.0 else 0
+    z, one = a * (h / 2.0**doublings), np.eye(a.shape[-1])
+    second = _series(z)
     first = one + z @ second
     zeroth = one + z @ first
     for _ in range(doublings):
@@ -184,17 +175,10 @@ def exponentials_and_ramps(a: Array, h: float) -> tuple[Array, Array, Array]:
     return zeroth, h * first, h * (2.0 * second - first)
 
 
-def _halved(a: Array, h: float) -> tuple[Array, int]:
-    """A h, halved so often that it is small, and how often."""
-    size = float(np.abs(a).sum(axis=-1).max(initial=0.0)) * h
-    doublings = max(0, int(np.ceil(np.log2(size / SMALL)))) if size > 0.0 else 0
-    return a * (h / 2.0**doublings), doublings
-
-
-def _series(z: Array, k: int) -> Array:
-    r""":math:`\varphi_k(z) = \sum_j z^j / (j + k)!` of small z, by Horner's rule."""
+def _series(z: Array) -> Array:
+    r""":math:`\sum_j z^j / (j + 2)!` of small z, by Horner's rule."""
     one = np.eye(z.shape[-1])
-    found = np.broadcast_to(one / math.factorial(TERMS + k), z.shape)
+    found = np.broadcast_to(one / math.factorial(TERMS + 2), z.shape)
     for j in range(TERMS - 1, -1, -1):
-        found = one / math.factorial(j + k) + z @ found
+        found = one / math.factorial(j + 2) + z @ found
     return found

@@ -35,9 +35,11 @@ from robustlab.dynamics.stewart.kinematics import (
     direct_kinematics,
     kernels,
     motion_kernels,
+    nut_angles,
     poses_array,
     real_array_of_one,
     singularity,
+    velocity_jacobian,
 )
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.result import Status
@@ -153,16 +155,10 @@ class StewartPlatform(PlantAlong):
         low, high = self.geometry.limits
         beyond = ((lengths < low - SLACK) | (lengths > high + SLACK)).any(axis=1)
         if beyond.any():
-            raise self._beyond(float(t[int(np.argmax(beyond))]))
-
-    def _beyond(self, time: float) -> NoTrustworthyNumber:
-        low, high = self.geometry.limits
-        return NoTrustworthyNumber(
-            self.name,
-            f"an actuator reaches the end of its range ({1e3 * low:g} .. {1e3 * high:g} mm) at t = {time:.6g} s",
-            None,
-            "the platform falls with its torques held: simulate less, close a loop, or widen L_min, L_max",
-        )
+            time, reach = float(t[int(np.argmax(beyond))]), f"{1e3 * low:g} .. {1e3 * high:g} mm"
+            found = f"an actuator reaches the end of its range ({reach}) at t = {time:.6g} s"
+            hint = "the platform falls with its torques held: simulate less, close a loop, or widen L_min, L_max"
+            raise NoTrustworthyNumber(self.name, found, None, hint)
 
     @property
     def port_places(self) -> tuple[PortPlace, ...]:
@@ -268,14 +264,14 @@ class StewartPlatform(PlantAlong):
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
         pose, twist = motion(self.geometry, x0[None])
         start = np.concatenate([pose[0], twist[0], x0[12:]])
-        states, z = np.empty((len(signal.t), len(x0))), np.empty((len(signal.t), len(x0)))
-        code = motion_kernels()
-        low, high = self.geometry.limits
+        z, code = np.empty((len(signal.t), len(x0))), motion_kernels()
         inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken)
-        machine = code.machine(self.geometry.legs, np.array(self.constants), self.motors, low - SLACK, high + SLACK)
-        outcome, time, _ = code.integrate(start, inputs, machine, rtol, z, states)
-        if outcome == code.LEFT:
-            raise self._beyond(time)
+        machine = code.machine(self.geometry.legs, np.array(self.constants), self.motors)
+        outcome, time, count, _ = code.integrate(start, inputs, machine, rtol, z)
+        made, twist = np.array(z[:count, :6]), z[:count, 6:12]
+        turned = self.geometry.turns * (velocity_jacobian(self.geometry, made) @ twist[..., None])[..., 0]
+        states = np.hstack([nut_angles(self.geometry, made), turned, z[:count, 12:]])
+        self.check_reach(signal.t[:count], states)
         if outcome != code.DONE:
             words = "the step became too small" if outcome == code.NOT_FINITE else "too many steps"
             raise NoTrustworthyNumber(self.name, f"no solution beyond t = {time:.9g} s: {words}")

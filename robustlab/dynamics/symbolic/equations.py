@@ -279,11 +279,11 @@ class PlantEquations:
                 raise InputError(f"{self._where}: motion", found, "p.joint(...) of all joints before it")
             self._check_mass_matrix(matrix, parameters)
             forces = forces + force[:n]
-            factor = _factorised(ca, matrix)
-            a = _solved(ca, factor, forces)
+            factor = ca.ldl(matrix)
+            a = ca.ldl_solve(forces, *factor)
             held = ca.SX.sym("a", n)
             rest = ca.jacobian(forces - ca.mtimes(matrix, held), z)
-            slopes = _solved(ca, factor, ca.substitute(rest, held, a))
+            slopes = ca.sparsify(ca.ldl_solve(ca.substitute(rest, held, a), *factor))
             rows |= {v: (a[k], slopes[k, :]) for k, (_, v, _) in enumerate(self._joints)}
         found = [rows[s.name] for s in self._states]
         jacobian = ca.vertcat(*(slope for _, slope in found))
@@ -397,36 +397,6 @@ class PlantEquations:
             size = "one expression" if shape == (1, 1) else f"shape {shape}"
             raise InputError(where, f"shape {found.shape}", size)
         return found
-
-
-def _factorised(ca: Any, matrix: Any) -> tuple[list[list[Any]], list[Any]]:
-    """Rows of L and the pivots D of M = L D L^T; entries that are zero in every state are left out."""
-    n = matrix.shape[0]
-    lower = [[ca.SX(1, 1) for _ in range(n)] for _ in range(n)]
-    pivots: list[Any] = []
-    for j in range(n):
-        scaled = [lower[j][k] * pivots[k] for k in range(j)]
-        pivots.append(matrix[j, j] - sum((lower[j][k] * scaled[k] for k in range(j)), ca.SX(1, 1)))
-        for i in range(j + 1, n):
-            rest = matrix[i, j] - sum((lower[i][k] * scaled[k] for k in range(j)), ca.SX(1, 1))
-            lower[i][j] = ca.sparsify(rest) / pivots[j]
-    return lower, pivots
-
-
-def _solved(ca: Any, factor: tuple[list[list[Any]], list[Any]], right: Any) -> Any:
-    """M^-1 right by the factors of M, shape of right (n, m)."""
-    lower, pivots = factor
-    n, m = right.shape
-    solution = ca.SX(n, m)
-    for c in range(m):
-        b = [right[i, c] for i in range(n)]
-        for i in range(n):
-            b[i] = b[i] - sum((lower[i][k] * b[k] for k in range(i)), ca.SX(1, 1))
-        b = [ca.sparsify(b[i]) / pivots[i] for i in range(n)]
-        for i in range(n - 1, -1, -1):
-            b[i] = ca.sparsify(b[i] - sum((lower[k][i] * b[k] for k in range(i + 1, n)), ca.SX(1, 1)))
-            solution[i, c] = b[i]
-    return ca.sparsify(solution)
 
 
 def _title(name: Any, where: str, kind: str) -> str:

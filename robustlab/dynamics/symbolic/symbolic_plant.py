@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import Array
-from robustlab.dynamics.plant_contract import InputSignal, LocalModels, PlantAlong, PortPlace, Trim
-from robustlab.dynamics.rest import rest
+from robustlab.arrays import Array, Indices
+from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PlantAlong, PortPlace, Trim
+from robustlab.dynamics.rest import PASSES, RANK, STILL, asked, looked, newton
 from robustlab.dynamics.symbolic.tape import Tape, tape_kernels
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
+from robustlab.result import Status
 from robustlab.statespace import Signal, real_array
 
 
@@ -78,7 +79,7 @@ class SymbolicPlant(PlantAlong):
         states = np.empty((len(signal.t), len(x0)))
         inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), np.array(signal.broken))
         values = np.array(list(self.values.values()), dtype=np.float64)
-        outcome, time, culprit = code.integrate(
+        outcome, time, _, culprit = code.integrate(
             self.equations.rates.code, np.array(x0, dtype=np.float64), values, inputs, float(rtol), states
         )
         if outcome == code.DONE:
@@ -149,3 +150,68 @@ def labels(
 
     by_states = [*slopes(rates, states), *slopes(rates, inputs), *slopes(outs, states), *slopes(outs, inputs)]
     return [*rates, *outs, *by_states, *slopes(rates, places, "the force at ")]
+
+
+# A residual below this share is told as INACCURATE; above it there is no rest.
+NEAR = 1e-6
+# The rest that is nearest to where the search began is found to this share.
+AGREED = 1e-9
+# Where Newton's method stalls at zero (a force that grows with the square of a speed), it starts again from these.
+STARTS = (1.0, 0.1, 10.0, -1.0)
+
+
+def rest(plant: NonlinearPlant, where: Mapping[str, Any]) -> Trim:
+    """The rest nearest to zero, or to ``where["start"]``, with the other entries of ``where`` held."""
+    n_x, n_u = len(plant.states), len(plant.inputs)
+    given = dict(where)
+    x, u = plant.point(*given.pop("start")) if "start" in given else (np.zeros(n_x), np.zeros(n_u))
+    began = np.concatenate([x, u])
+    held, wanted = asked(plant, given)
+    began[list(held)] = list(held.values())
+    free = np.array([k for k in range(n_x + n_u) if k not in held], dtype=np.intp)
+    shift = np.isin(np.arange(n_x + n_u), free)
+    starts = [began] + ([] if "start" in where else [began + level * shift for level in STARTS])
+    best = np.inf, began, 0
+    for start in starts:
+        z, excess, row = newton(plant, start, free, wanted)[:3]
+        if excess < best[0]:
+            best = excess, z, row
+        if excess <= 1.0:
+            break
+    excess, z, row = best
+    if not excess <= NEAR / STILL:
+        names = [f"the rate of {s.name}" for s in plant.states] + [f"output {plant.outputs[k].name}" for k in wanted]
+        words = ", ".join(f"{k} = {v:g}" for k, v in given.items()) or "zero inputs"
+        hint = "hold other states, inputs or outputs, or give start=(x, u) near to it"
+        found = f"no rest was found with {words}: {names[row]} stays off"
+        raise NoTrustworthyNumber(plant.name, found, None, hint)
+    z, excess = _nearest(plant, began, (z, excess), free, wanted)
+    x, u = z[:n_x], z[n_x:]
+    residual = float(np.abs(plant.derivative(x, u)).max(initial=0.0))
+    status = Status.CONVERGED if excess <= 1.0 else Status.INACCURATE
+    return Trim(plant.name, x.copy(), u.copy(), plant.output(x, u), residual, None, status)
+
+
+def _nearest(
+    plant: NonlinearPlant, began: Array, found: tuple[Array, float], free: Indices, wanted: Mapping[int, float]
+) -> tuple[Array, float]:
+    """The rest moved towards where the search began, along all directions in which the plant rests anywhere."""
+    for _ in range(PASSES):
+        z, excess = found
+        local = looked(plant, z, wanted)
+        if local is None:
+            break
+        way = (began - z)[free]
+        part = local.slopes[:, free]
+        size = np.abs(part).max(axis=1, initial=0.0)
+        size[size == 0.0] = 1.0
+        way = way - np.linalg.lstsq(part / size[:, None], part @ way / size, rcond=RANK)[0]
+        trial = z.copy()
+        trial[free] += way
+        if np.linalg.norm(way) <= AGREED * (1.0 + np.linalg.norm(z)):
+            break
+        after = newton(plant, trial, free, wanted)
+        if after[1] > max(1.0, excess) or np.linalg.norm(after[0] - began) >= np.linalg.norm(z - began):
+            break
+        found = after[:2]
+    return found

@@ -194,18 +194,9 @@ def _rates(z, u, machine, dz):
         dz[i] = w[code.outputs[i]]
 
 
-def _observe(z, machine, x):
-    return True
+answers(Plant, _rates)
 
-
-def _scaled(rtol, z, end, machine, first, scale):
-    for i in range(z.shape[0]):
-        scale[i] = rtol * max(LEAST_SCALE, abs(z[i]), abs(end[i]))
-
-
-answers(Plant, _rates, _observe, _scaled)
-
-_OUTCOME = types.Tuple((types.int64, types.float64, types.int64))
+_OUTCOME = types.Tuple((types.int64, types.float64, types.int64, types.int64))
 
 
 @entry(_OUTCOME(_CODE, _VECTOR, _VECTOR, _INPUTS, types.float64, _MATRIX))
@@ -217,4 +208,4 @@ def integrate(code, start, values, inputs, rtol, x_at):
     for i in range(values.shape[0]):
         w[n + n_u + i] = values[i]
     _run(code, 0, code.still, first, w)
-    return integrated(start, inputs, Plant(code, first, w), rtol, x_at, x_at)
+    return integrated(start, inputs, Plant(code, first, w), rtol, np.full(n, LEAST_SCALE), np.ones(n), x_at)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -34,24 +33,6 @@ def test_the_footprint_is_a_sector_that_holds(u, size, name):
     bounds = np.sort(np.stack([sector.gain_lower * u, sector.gain_upper * u]), axis=0)
     assert (seen >= bounds[0] - 1e-12).all()
     assert (seen <= bounds[1] + 1e-12).all()
-
-
-@pytest.mark.parametrize("steps", [0, 1, 7])
-def test_a_delay_of_whole_steps_shifts(steps):
-    u = np.random.default_rng(1).normal(size=50)
-    late = mapped("input-delay", u, {"d": steps * 1e-3})
-    np.testing.assert_allclose(late[steps:], u[: 50 - steps], atol=1e-13)
-    np.testing.assert_allclose(late[:steps], u[0], atol=1e-13)
-
-
-@given(signals, st.floats(0, 0.1))
-def test_a_delay_keeps_the_mean_over_every_step(u, d):
-    # the integral of a held signal is a broken line through its sums; shifted and sampled it is np.interp
-    h = 1e-3
-    t = h * np.arange(len(u) + 1)
-    total = np.concatenate([[0.0], h * np.cumsum(u)])
-    shifted = np.where(t < d, u[0] * (t - d), np.interp(t - d, t, total))
-    np.testing.assert_allclose(mapped("input-delay", u, {"d": d}, h), np.diff(shifted) / h, atol=1e-9)
 
 
 def test_the_speed_of_a_free_mass_under_a_delayed_step_is_exact():

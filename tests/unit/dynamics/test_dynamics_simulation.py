@@ -8,23 +8,6 @@ import pytest
 import robustlab as rl
 
 
-def test_first_order_step():
-    lag = rl.StateSpaceModel([[-3.0]], [[6.0]], [[1.0]], [[0.5]], inputs=[("u", "V")], outputs=[("y", "m")])
-    t = np.linspace(0, 2, 41)
-    record = rl.simulate(lag, t, np.ones(41), name="lag")
-    np.testing.assert_allclose(record["y"], 0.5 + 2 * (1 - np.exp(-3 * t)), rtol=1e-12)
-    assert (record.name, record.unit("u"), record.unit("y")) == ("lag", "V", "m")
-
-
-def test_first_order_ramp_with_first_order_hold():
-    lag = rl.StateSpaceModel([[-3.0]], [[3.0]], [[1.0]], [[0.0]])
-    t = np.linspace(0, 2, 11)
-    y = rl.simulate(lag, t, t, hold="foh")["y1"]
-    np.testing.assert_allclose(y, t - (1 - np.exp(-3 * t)) / 3, rtol=1e-12, atol=1e-15)
-    held = rl.simulate(lag, t, t)["y1"]
-    assert np.abs(held - y).max() > 0.05  # the hold matters, and zoh is not foh
-
-
 def test_motor_step_is_the_two_pole_solution():
     r, ind, k, kf, j = 2.07, 0.62e-3, 0.052, 4.8e-5, 7.2e-6
     # J L w'' + (J R + Kf L) w' + (Kf R + K^2) w = K u
@@ -51,12 +34,6 @@ def test_undamped_chain_keeps_its_energy():
     stretch = np.diff(q, axis=0, prepend=np.zeros((1, q.shape[1])))
     energy = 0.5 * (m @ v**2 + k @ stretch**2)
     np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
-
-
-def test_discrete_model_steps():
-    model = rl.StateSpaceModel([[0.5]], [[1.0]], [[2.0]], [[0.0]], dt=0.1)
-    y = rl.simulate(model, np.arange(6) * 0.1, np.ones(6))["y1"]
-    np.testing.assert_allclose(y, 4 * (1 - 0.5 ** np.arange(6)), rtol=1e-12)
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import robustlab as rl
 from robustlab.dynamics import Simulator, Windows, linear_plant_of, parameter_groups, port_model
 from robustlab.errors import InputError
-from robustlab.statespace import Signal, StateSpaceModel
+from robustlab.statespace import StateSpaceModel
 
 MOTOR = rl.plant("dc-motor")
 
@@ -30,23 +30,6 @@ def test_a_motor_has_a_joint_with_its_angle_and_a_current_port():
     assert current.position is None
 
 
-def test_two_masses_have_two_joints_each_with_its_own_angle():
-    ports = port_model(rl.plant("two-mass")).ports
-    assert {n: np.flatnonzero(p.position).tolist() for n, p in ports.items()} == {"omega1": [0], "omega2": [1]}
-    assert ports["omega1"].force == pytest.approx([0, 0, 1e3, 0])
-    assert ports["omega2"].force == pytest.approx([0, 0, 0, 500.0])
-
-
-def test_a_position_must_integrate_the_velocity_and_nothing_else():
-    a = np.array([[0.0, 1.0], [0.0, -1.0]])
-    signals = {"states": (Signal("q", "m"), Signal("v", "m/s")), "inputs": (Signal("u", "V"),), "outputs": ("y",)}
-    found = {}
-    for name, b, leak in (("exact", 0.0, 0.0), ("driven", 1e-9, 0.0), ("leaking", 0.0, -1e-9)):
-        model = StateSpaceModel(a + np.diag([leak, 0.0]), [[b], [1.0]], [[1.0, 0.0]], [[0.0]], **signals)
-        found[name] = port_model(linear_plant_of(model)).ports["v"].position is not None
-    assert found == {"exact": True, "driven": False, "leaking": False}
-
-
 @settings(max_examples=25)
 @given(k=st.floats(-50.0, 500.0))
 def test_a_force_fed_back_from_the_position_is_a_spring(k):
@@ -57,13 +40,6 @@ def test_a_force_fed_back_from_the_position_is_a_spring(k):
     stiffer = plant.with_parameters(k=plant.values["k"] + k)
     fed_back = model.with_state_feedback(port, -k * port.position)
     assert np.abs(fed_back.A - stiffer.state_space().A).max() < 1e-12 * (100 + abs(k))
-
-
-# --- groups of parameters --------------------------------------------------------------------------------------------
-
-
-def groups(plant) -> dict[str, str]:
-    return {label: role for role, label, _ in parameter_groups(plant)}
 
 
 # --- bare models -----------------------------------------------------------------------------------------------------
@@ -82,7 +58,7 @@ def test_a_bare_model_becomes_a_plant_with_the_same_matrices():
     ):
         assert there == pytest.approx(here, rel=1e-14)
     assert plant.values == pytest.approx({"gain_u": 1.0, "inertia_omega": 7.2e-6, "damping_omega": 4.8e-5})
-    assert groups(plant) == {
+    assert {label: role for role, label, _ in parameter_groups(plant)} == {
         "gain_u": "input-gain", "inertia_omega": "inertia", "damping_omega": "viscous-friction",
     }  # fmt: skip
 

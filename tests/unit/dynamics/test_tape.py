@@ -1,7 +1,5 @@
 """Tapes: every operation against numpy, and tapes that are none."""
 
-import pickle
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -51,13 +49,6 @@ def test_expressions_of_casadi_keep_their_values():
     for still in range(5):
         found = tape_of(x, y, still, "test")(points)
         np.testing.assert_allclose(found, [truth(p).full().ravel() for p in points], rtol=1e-14)
-
-
-def test_a_tape_goes_to_other_processes():
-    x = ca.SX.sym("x")
-    tape = tape_of(x, ca.cos(x) + 1, 0, "test")
-    before = tape(np.array([[0.3]]))
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(tape))(np.array([[0.3]])), before)
 
 
 GOOD = {
