@@ -29,7 +29,6 @@ from robustlab.identification.hypotheses.noise import (
     in_phase,
     least_squares,
     noise_ratio,
-    predictive,
     whitening,
 )
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
@@ -183,7 +182,6 @@ class _Search:
     expansions: int = 0
     noise: NoiseModel = field(init=False)
     sharpened: bool = False
-    near: bool = False  # whether the leader leaves little beyond the sensors' noise
 
     def run(self) -> Found:
         self.noise = first_noise(self.problem)
@@ -329,11 +327,10 @@ class _Search:
             self.visited[key] = judged
 
     def _judged(self, fit: Fit) -> Visited:
-        """What a set is worth; of a model that is far off nothing is granted for how well its fit says it knows."""
+        """What a set is worth."""
         held, price = in_phase(self.held, fit, self.problem.records)
-        seen = predictive(held, fit, self.noise) if self.near else as_fitted(held, fit, self.noise)
-        allowed = self.allowed(self.problem, fit)
-        return Visited(fit, log_prior(fit.hypothesis), seen - price, allowed)
+        seen = as_fitted(held, fit, self.noise)
+        return Visited(fit, log_prior(fit.hypothesis), seen - price, self.allowed(self.problem, fit))
 
     def _white(self, fit: Fit) -> bool:
         """Whether a fit's errors are as large as its noise model says."""
@@ -369,8 +366,8 @@ class _Search:
 
     def _noise_of(self, fit: Fit) -> NoiseModel:
         """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""
-        self.near = noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
-        return careful(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if self.near else 1))
+        near = noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
+        return careful(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if near else 1))
 
     def _again(self, fit: Fit) -> Fit:
         """The set fitted under the present noise and clock, from where it is."""
