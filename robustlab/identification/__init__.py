@@ -22,7 +22,7 @@ __all__, __getattr__ = lazily(
             "spatial_orders timed_lines"
         ),
         "hypotheses.effect_fit": "Problem Hypothesis FitPlan refit_distance Simulator Windows NoiseModel",
-        "hypotheses.noise": "whitening first_noise held_out_fit predictive",
+        "hypotheses.noise": "whitening first_noise held_out_fit as_fitted",
         "hypotheses.random_force": "FittedWindows ForceResponse PortMotion force_response plain_places",
         "hypotheses.unnamed_force": "Family fitted_windows judged unnamed_force",
         "monitoring.watch": "watch Watch",

@@ -12,15 +12,11 @@ START_STEP = 0.02  # of a window's start, for differences
 # small and fast part that would bring out, it is the first.
 AR_ORDER = 3
 BEYOND_NOISE = 60.0  # times the sensors' noise: something is missing. A quiet machine's torque noise: < 25
-# Iterations of the base and of each round. The base must be at its optimum, or whatever is added would seem to gain
-# what it still had to gain itself.
+# Iterations of the fit of the model as given, which must be at its optimum, or whatever is added would seem to gain
+# what it still had to gain itself; of a set from which one effect was taken; of a full fit.
 BASE = 25
-SECOND = 6
 LAST = 8
-ROUGH = 0.5  # fall of V at which the first two rounds stop
-KEPT_LAST = 8
-FULL = 15  # iterations of a full fit
-PROMISING = 3.0  # log-likelihood that a candidate must have gained in the first round to be pursued
+FULL = 15
 LEAST_STEPS = 1  # a sample
 SURE = 0.95  # probability of a set from which it is named, and of the sets in an answer together
 CANNOT_TELL = 3.0  # refit distance in noise sigmas below which no test on these records tells two effects

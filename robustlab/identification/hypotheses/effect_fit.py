@@ -1,6 +1,6 @@
 """Fit of one hypothesis by windowed simulation: parameters z and window starts xi, both a priori standard normal,
 minimise V = |whitened averaged errors|^2 + |xi|^2 + |z|^2; evidence -V/2 - logdet(H_zz)/2 by Laplace, the starts
-eliminated. Steps have Transtrum's geodesic acceleration (Transtrum, Sethna, 2012, section 3).
+eliminated.
 """
 
 from __future__ import annotations
@@ -28,8 +28,6 @@ RELATIVE = 1e-5  # fall of V, over V, below which a fit stops: smaller, more ite
 # millionth of its diagonal, and a damping above that creeps.
 DAMPING = 1e-4
 LEAST_DAMPING = 1e-10
-BEND = 0.1  # of a step, at which its curvature is measured; straight steps named one of 12 blind cases wrongly
-MOST_BENT = 0.75  # share of a step that its correction may be: larger follows sharper valleys
 TRIES = 8  # damped steps before a fit gives up
 HOPE = 2.0  # times the expected fall of V that a fit may still fall by: smaller gives up sooner
 LONGEST_STEP = 2.0  # of a standardised parameter in one step
@@ -223,15 +221,11 @@ class Linearised:
             (xt @ residual[:, :, None])[:, :, 0] + xi, np.einsum("wmz,wm->wz", j, residual), j, x,
         )  # fmt: skip
 
-    def along(self, dz: Array, dxi: Array) -> Array:
-        """Change of the residuals along a step, were they linear."""
-        return self.j @ dz + (self.x @ dxi[:, :, None])[:, :, 0]
-
-    def with_residual(self, residual: Array, xi: Array | None = None) -> Linearised:
-        """The same derivatives with other residuals, at the starts xi; without any, of a change of the residuals."""
+    def with_residual(self, residual: Array, xi: Array) -> Linearised:
+        """The same derivatives with other residuals, at the starts xi."""
         scores = np.einsum("wmz,wm->wz", self.j, residual)
         xr = (np.swapaxes(self.x, 1, 2) @ residual[:, :, None])[:, :, 0]
-        return replace(self, jr=scores.sum(axis=0), xr=xr if xi is None else xr + xi, scores=scores)
+        return replace(self, jr=scores.sum(axis=0), xr=xr + xi, scores=scores)
 
     @property
     def diagonal(self) -> Array:
@@ -530,9 +524,6 @@ class Problem:
             improved = 0.0
             for _ in range(TRIES):
                 dz, dxi = self._step(here.z, own, parts, damping, fixed)
-                if not fixed:
-                    bent = self._bent(here, parts, hypothesis, simulators, noise, (dz, dxi), damping, own)
-                    dz, dxi = dz + bent[0], [d + b for d, b in zip(dxi, bent[1], strict=True)]
                 there = at(self._within(here.z + dz), [x + d for x, d in zip(here.xi, dxi, strict=True)], here.around)
                 if there.cost < here.cost and self._distance(there) > NEAR:
                     there = exact(there)
@@ -584,30 +575,6 @@ class Problem:
             dz = -np.linalg.solve(equations, prior.gradient(z) + sum(r.gradient for r in reduced))
             dz = self._within(z + np.clip(dz, -LONGEST_STEP, LONGEST_STEP)) - z
         return dz, [-r.offset - r.slope @ dz for r in reduced]
-
-    def _bent(
-        self, here: _Place, parts: Sequence[Linearised], hypothesis: Hypothesis, simulators: Sequence[Simulator],
-        noise: NoiseModel, step: tuple[Array, list[Array]], damping: float, prior: Prior,
-    ) -> tuple[Array, Sequence[Array]]:  # fmt: skip
-        """Second-order correction of a step (geodesic acceleration): valleys of V are curved, straight steps creep."""
-        dz, dxi = step
-        z, ahead = here.z, [x + BEND * d for x, d in zip(here.xi, dxi, strict=True)]
-        there = z + BEND * dz
-        errors = self.whitened(self.errors(hypothesis, there, ahead, simulators, here.around), noise)
-        curved = [
-            p.with_residual(2.0 / BEND * ((e - r) / BEND - p.along(dz, d)))
-            for p, r, e, d in zip(parts, here.residual, errors, dxi, strict=True)
-        ]
-        reduced = [p.reduced(damping) for p in curved]
-        gradient = sum((r.gradient for r in reduced), np.zeros_like(z))
-        equations = damped(reduced, parts, damping, prior.precision)
-        bent_z: Array = -0.5 * np.asarray(np.linalg.solve(equations, gradient), dtype=float)
-        bent_xi = [-0.5 * r.offset - r.slope @ bent_z for r in reduced]
-        straight = float(dz @ dz) + sum(float((d**2).sum()) for d in dxi)
-        bent = float(bent_z @ bent_z) + sum(float((d**2).sum()) for d in bent_xi)
-        if bent < MOST_BENT**2 * straight:
-            return bent_z, bent_xi
-        return np.zeros_like(dz), [np.zeros_like(d) for d in dxi]
 
     def _linearised(
         self, k: int, hypothesis: Hypothesis, place: _Place, simulator: Simulator, noise: NoiseModel, fixed: bool

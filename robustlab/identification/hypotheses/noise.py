@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from robustlab.arrays import Array
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Prior, Problem
+from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 from robustlab.identification.tuning import AS_LARGE
 
@@ -84,17 +84,6 @@ def as_fitted(held: Problem, fit: Fit, noise: NoiseModel) -> float:
     return -0.5 * (held_out_fit(held, fit, noise).cost - float(fit.z @ fit.z))
 
 
-def predictive(held: Problem, fit: Fit, noise: NoiseModel) -> float:
-    """Log-likelihood of other windows given those that were fitted, up to a constant common to all hypotheses."""
-    # -1/2 min (V_h + (z - z^)^T H (z - z^)) - 1/2 logdet(H + H_h) + 1/2 logdet H: the parameters are known as well as
-    # the fit determines them and no better, since another motion may be far more sensitive to them.
-    told = Prior(fit.z, fit.hessian)
-    placed = held_out_fit(held, fit, noise)
-    there = held.fit(fit.hypothesis, noise, fit.z, placed.starts, FitPlan(PREDICTED, 0.5), prior=told)
-    before, after = (float(np.linalg.slogdet(h)[1]) for h in (fit.hessian, there.hessian))
-    return -0.5 * (there.cost + after - before)
-
-
 def window_errors(problem: Problem, fit: Fit) -> Array:
     """Mean square error of each chosen window as a share of the measured ranges, (n_windows,)."""
     errors, ranges = problem.errors(fit.hypothesis, fit.z, fit.starts), spans(problem.records)
@@ -154,7 +143,6 @@ def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = N
     return found
 
 
-PREDICTED = 4  # iterations of a fit to windows of which the parameters are known already
 PHASES = 8  # looked at before the best one is made finer
 PRICE = float(np.log(2 * PHASES))  # in log evidence, of a phase that was looked for in data to be judged on
 

@@ -316,12 +316,6 @@ class FittedWindows:
         return np.exp(-2.0 * np.pi * bandwidth * np.abs(middle[:, None] - middle))
 
     @property
-    def as_noise(self) -> bool:
-        """Whether noise and a random force, no larger than machines have, make the errors what they are."""
-        ratio = np.sqrt(self.alone.alone_q / self.points)
-        return bool(ratio < tuning.MOST_NOISE and self.alone.size < tuning.MOST_RANDOM)
-
-    @property
     def smaller(self) -> Array:
         """The sizes up to that of the hypothesis alone: what an unnamed force explains the random one need not."""
         known = np.append(SIZES[1:], self.alone.size)

@@ -13,7 +13,6 @@ import numpy as np
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import (
     Candidate,
-    Clock,
     Fit,
     FitPlan,
     Hypothesis,
@@ -29,13 +28,14 @@ from robustlab.identification.hypotheses.noise import (
     in_phase,
     least_squares,
     noise_ratio,
-    predictive,
     whitening,
 )
 from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
 from robustlab.identification.naming.moves import KEPT, extended, may_follow, promising, without
 
 BEAM = 4  # sets that are carried over to a new noise model, and expanded
+ROUGH = 6  # iterations before the noise is known: they only have to find a leader
+PROMISING = 3.0  # log-likelihood that an addition must gain
 CLOCK_SHARE = 0.25  # of a sample: standard deviation of an input's shift
 MOST_STEPS = 4  # a sample: more follow stiffer contacts and take more time
 STEP_ERROR = 0.1  # of the noise, by which half as long steps may change a residual
@@ -61,26 +61,22 @@ def held_inputs(problem: Problem, fit: Fit) -> tuple[Fit, Problem]:
         other[k] = "smooth" if hold[k] == "zoh" else "zoh"
         there = problem.under(replace(problem.clock, hold=tuple(other)))
         again = there.fit(fit.hypothesis, fit.noise, fit.z, fit.starts, FitPlan(tuning.LAST))
-        if again.cost < fit.cost - 2.0 * tuning.PROMISING:
+        if again.cost < fit.cost - 2.0 * PROMISING:
             hold, fit, problem = other, again, there
     return fit, problem
 
 
-def step_error(problem: Problem, fit: Fit) -> float:
-    """Change of residuals, in standard deviations of the noise, when every step is halved: 99 in 100 change by less."""
-    halved = problem.under(Clock(2 * (problem.clock.sub or 1), problem.clock.hold))
-    pairs = zip(
-        problem.whitened(problem.errors(fit.hypothesis, fit.z, fit.starts), fit.noise),
-        halved.whitened(halved.errors(fit.hypothesis, fit.z, fit.starts), fit.noise),
-        strict=True,
-    )
-    return float(np.quantile(np.concatenate([np.abs(a - b).ravel() for a, b in pairs]), 0.99))
-
-
 def short_steps(problem: Problem, fit: Fit) -> Problem:
     """The problem with steps so short that halving them changes no residual by more than a tenth of the noise."""
-    while (problem.clock.sub or 1) < MOST_STEPS and step_error(problem, fit) > STEP_ERROR:
-        problem = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
+    while (sub := problem.clock.sub or 1) < MOST_STEPS:
+        halved = problem.under(replace(problem.clock, sub=2 * sub))
+        whole, fine = (
+            np.concatenate([fit.noise.whitened(e).ravel() for e in p.errors(fit.hypothesis, fit.z, fit.starts)])
+            for p in (problem, halved)
+        )
+        if np.quantile(np.abs(whole - fine), 0.99) <= STEP_ERROR:
+            break
+        problem = halved
     return problem
 
 
@@ -183,7 +179,6 @@ class _Search:
     expansions: int = 0
     noise: NoiseModel = field(init=False)
     sharpened: bool = False
-    near: bool = False  # whether the leader leaves little beyond the sensors' noise
 
     def run(self) -> Found:
         self.noise = first_noise(self.problem)
@@ -302,12 +297,12 @@ class _Search:
             self.progress(done, expected + KEPT, f"what could be added to {text}")
 
         # V that it must come to, or it is neither promising nor near the best set.
-        ceiling = min(base.cost - 2.0 * tuning.PROMISING, best.cost + 2.0 * tuning.FAR_BEHIND)
+        ceiling = min(base.cost - 2.0 * PROMISING, best.cost + 2.0 * tuning.FAR_BEHIND)
         pool = [c for c in self.pool if may_follow(c, base.hypothesis)]
         starts = promising(self.problem, base, pool, base.cost - ceiling, said)
         for done, start in enumerate(starts, 1):
             most = np.inf if start.candidate.effect.gain_like else ceiling
-            plan = FitPlan(tuning.FULL if self.sharpened else tuning.SECOND, 0.05, ceiling=most)
+            plan = FitPlan(tuning.FULL if self.sharpened else ROUGH, 0.05, ceiling=most)
             self._visit(self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan))
             self.progress(done, len(starts), f"full fits of what could be added to {text}")
         self.expanded.add(key)
@@ -329,11 +324,10 @@ class _Search:
             self.visited[key] = judged
 
     def _judged(self, fit: Fit) -> Visited:
-        """What a set is worth; of a model that is far off nothing is granted for how well its fit says it knows."""
+        """What a set is worth."""
         held, price = in_phase(self.held, fit, self.problem.records)
-        seen = predictive(held, fit, self.noise) if self.near else as_fitted(held, fit, self.noise)
-        allowed = self.allowed(self.problem, fit)
-        return Visited(fit, log_prior(fit.hypothesis), seen - price, allowed)
+        seen = as_fitted(held, fit, self.noise)
+        return Visited(fit, log_prior(fit.hypothesis), seen - price, self.allowed(self.problem, fit))
 
     def _white(self, fit: Fit) -> bool:
         """Whether a fit's errors are as large as its noise model says."""
@@ -369,8 +363,8 @@ class _Search:
 
     def _noise_of(self, fit: Fit) -> NoiseModel:
         """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""
-        self.near = noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
-        return careful(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if self.near else 1))
+        near = noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
+        return careful(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if near else 1))
 
     def _again(self, fit: Fit) -> Fit:
         """The set fitted under the present noise and clock, from where it is."""
