@@ -140,14 +140,13 @@ def worst_case(
     n: Annotated[int, Whole(1, 100_000), "Points that the search starts from.", Named(option="-n,--samples")] = 256,
     seed: Seed = 0,
     search: Search = AS_USUAL,
-    workers: Workers = 1,
 ) -> Any:
     """The worst member that a search over all normalised Delta finds, with its Delta; a lower bound, not a guarantee.
 
     Example: robustlab worst-case uncertain.h5 --metric peak-deviation --outputs omega --input-value u=42 --t-end 0.1
     """
     options: dict[str, Any] = {**judged.options, **drive.of(uncertain), **search.options}
-    return rl.worst_case(uncertain, judged.metric, n=n, seed=seed, workers=workers, **options)
+    return rl.worst_case(uncertain, judged.metric, n=n, seed=seed, **options)
 
 
 @operation(

@@ -286,7 +286,7 @@ def sample(uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: i
 
     Examples
     --------
-    >>> from robustlab.uncertainty.blocks import RealScalar
+    >>> from robustlab import RealScalar, StateSpaceModel
     >>> M = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]])
     >>> lag = UncertainModel(M, [RealScalar("pole")])
     >>> [delta["pole"] for delta in sample(lag, 0, vertices="all").deltas]

@@ -5,8 +5,7 @@ A search attains what it reports; it proves no bound. Guaranteed bounds are `rob
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread, search_budget
+from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Evidence, Status
 from robustlab.shown import AllFields, Facts, Part, Shown, member, member_rows, number
@@ -176,7 +175,6 @@ def worst_case(
     n: int = 256,
     seed: int = 0,
     time_limit: float | None = None,
-    workers: int = 1,
     effort: float = 1.0,
 ) -> WorstCase:
     """The worst member of a set that a search over all normalised Delta finds.
@@ -209,8 +207,6 @@ def worst_case(
         Same seed, same answer.
     time_limit
         In s; what was found by then comes back with status TIMEOUT, and cannot be repeated. None: no limit.
-    workers
-        Threads of the local searches; the answer does not depend on their number.
     effort
         Work that the search may take, as a multiple of the usual (about a minute); counted, not timed. Most searches
         end long before.
@@ -239,40 +235,36 @@ def worst_case(
     """
     budget = search_budget("worst_case", WORK, effort, time_limit)
     request = MetricRequest(metric, output, input, t, u, hold, band)
-    for name, count, least in (("n", n, 1), ("workers", workers, 1), ("seed", seed, 0)):
+    for name, count, least in (("n", n, 1), ("seed", seed, 0)):
         if not is_count(count, least):
             raise InputError("worst_case", f"{name} is {count!r}", f"a whole number, at least {least}")
     with one_thread():
-        return _searched(uncertain, request, budget, int(n), int(seed), int(workers))
+        search = _Search(make_metric(uncertain, request), budget)
+        theta, score = search.run(int(n), int(seed))
+        return _result(uncertain, request, search, theta, search.judge.sense * score, int(seed))
 
 
-def _searched(
-    uncertain: UncertainModel,
-    request: MetricRequest,
-    budget: Budget,
-    n: int,
-    seed: int,
-    workers: int,
+def _result(
+    uncertain: UncertainModel, request: MetricRequest, search: _Search, theta: Array, found: float, seed: int
 ) -> WorstCase:
-    judge = make_metric(uncertain, request)
-    search = _Search(judge, budget)
-    theta, found = search.run(n, seed, workers)
-    delta = delta_values(uncertain.blocks, search.set.deltas(theta[None])[0])
+    judge = search.judge
+    delta = delta_values(uncertain.blocks, judge.set.deltas(theta[None])[0])
     evaluation = judge.evaluate(delta)
     value = evaluation.value
     status = Status.CONVERGED if evaluation.accurate and judge.agrees(found, value) else Status.INACCURATE
     if search.ended:
-        status = Status.TIMEOUT if search.remark == NOT_REPEATABLE else Status.INCONCLUSIVE
+        status = Status.TIMEOUT if search.budget.struck else Status.INCONCLUSIVE
     why = f": {evaluation.reason}" if evaluation.reason else ""
     label = LABEL_SMALLEST if judge.sense < 0 else LABEL
     label = label if np.isfinite(value) else f"{UNBOUNDED}{why}"
+    remark = [search.budget.remark] if search.ended and search.budget.remark else []
     return WorstCase(
         value,
         delta,
         request.name,
         judge.evaluate({}).value,
         status,
-        "; ".join([label, *([search.remark] if search.ended and search.remark else []), *uncertain.remarks]),
+        "; ".join([label, *remark, *uncertain.remarks]),
         search.evaluations,
         uncertain.physical(delta),
         evaluation.at,
@@ -301,27 +293,8 @@ def _response(judge: Metric, delta: Mapping[str, Any]) -> WorstResponse | None:
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
-class _Unbounded(Exception):
-    """A climb met a member without a bounded value."""
-
-    def __init__(self, theta: Array) -> None:
-        super().__init__()
-        self.theta = theta
-
-
-class _Over(Exception):
-    """The budget of a climb ended it."""
-
-
-@dataclass
-class _Climb:
-    """What a local search has found so far: the best vector, its score, what it cost and may cost."""
-
-    theta: Array
-    score: float
-    budget: Budget
-    evaluations: int = 0
-    gradients: int = 0
+class _Ended(Exception):
+    """The work of a climb is used up, or it met a member without a bounded value."""
 
 
 class _Search:
@@ -329,146 +302,130 @@ class _Search:
 
     def __init__(self, judge: Metric, budget: Budget) -> None:
         self.judge, self.budget = judge, budget
-        self.set = judge.set
-        ends = np.cumsum([0, *(b.n_coordinates for b in self.set.blocks)])
-        self.real = [int(i) for i, b in zip(ends, self.set.blocks, strict=False) if b.interval]
         self.evaluations = self.gradients = 0
-        self.remark: str | None = None  # what ended the search early
+        self.ended = False  # early, by the budget
+        self.best, self.top = np.zeros(judge.set.size), -np.inf
 
-    @property
-    def ended(self) -> bool:
-        """Whether the budget ended it early."""
-        return self.remark is not None
-
-    def run(self, n: int, seed: int, workers: int) -> tuple[Array, float]:
-        """The worst vector and its value."""
+    def run(self, n: int, seed: int) -> tuple[Array, float]:
+        """Return the worst vector and its score."""
         points = self._start_points(n, seed)
         scores = self._scores(points)
         order = np.argsort(-scores, kind="stable")
-        best, top = points[order[0]], float(scores[order[0]])
-        if self.set.size and not np.isposinf(top) and not self.ended:
-            if self.set.all_real and self.judge.smooth:
-                starts = _apart(points[order], CLIMBS, APART)
-                for found in self._climbs(starts, workers):
-                    self._add(found)
-                    if found.score > top:
-                        best, top = found.theta, found.score
-                best, top = self._finish(best, top, 0.25)
-            else:
-                for index in order[:STARTS]:
-                    theta, score = self._finish(points[index], float(scores[index]), 2.0)
-                    if score > top:
-                        best, top = theta, score
-        return best, self.judge.sense * top
+        self._keep(points[order[0]], float(scores[order[0]]))
+        if not self.judge.set.size or np.isposinf(self.top) or self.ended:
+            return self.best, self.top
+        if self.judge.set.all_real and self.judge.smooth:
+            starts = _apart(points[order], CLIMBS, APART)
+            share = CLIMBING * self.budget.left / len(starts)
+            for start in starts:
+                self._climb(start, share)
+            self._keep(*self._compass(self.best, self.top, 0.25))
+        else:
+            for index in order[:STARTS]:
+                self._keep(*self._compass(points[index], float(scores[index]), 2.0))
+        return self.best, self.top
+
+    def _keep(self, theta: Array, score: float) -> None:
+        if score > self.top:
+            self.best, self.top = theta.copy(), score
 
     def _start_points(self, n: int, seed: int) -> Array:
-        d = self.set.size
-        centre = np.zeros((1, d))
+        """Return the centre, vertices and Sobol points (k, d)."""
+        d, blocks = self.judge.set.size, self.judge.set.blocks
         if d == 0:
-            return centre
-        signs = vertex_signs(len(self.real), VERTICES, seed) if self.real else np.zeros((0, 0))
+            return np.zeros((1, 0))
+        ends = np.cumsum([0, *(b.n_coordinates for b in blocks)])
+        real = [int(i) for i, b in zip(ends, blocks, strict=False) if b.interval]
+        signs = vertex_signs(len(real), VERTICES, seed) if real else np.zeros((0, 0))
         vertices = np.zeros((len(signs), d))
-        vertices[:, self.real] = signs
-        return np.vstack([centre, vertices, 2.0 * _sobol(n, d, seed) - 1.0])
+        vertices[:, real] = signs
+        return np.vstack([np.zeros((1, d)), vertices, 2.0 * _sobol(n, d, seed) - 1.0])
 
     def _measure(self, theta: Array) -> Array:
-        """Values at vectors (k, d), NaN-free; whatever the optimisers ask for lies in the box."""
-        return self.judge.of(self.set.members(theta))
+        """Return the scores at vectors (k, d) and count their work."""
+        self.budget.spend(self.judge.work(len(theta)))
+        self.evaluations += len(theta)
+        return self.judge.sense * self.judge.of(self.judge.set.members(theta))
 
     def _scores(self, theta: Array) -> Array:
-        """Scores at vectors (k, d); after the end of the budget the rest counts as -inf."""
+        """Return the scores at vectors (k, d); -inf for those that the budget leaves no work for."""
         scores = np.full(len(theta), -np.inf)
         m = self.judge.uncertain.M
         for part in chunks(len(theta), 64 * (m.A.size + m.D.size + 1)):
             if self.evaluations and self.budget.over:
-                self.remark = self.budget.remark
+                self.ended = True
                 break
-            scores[part] = self.judge.sense * self._measure(theta[part])
-            self.budget.spend(self.judge.work(part.stop - part.start))
-            self.evaluations += part.stop - part.start
+            scores[part] = self._measure(theta[part])
         return scores
-
-    def _add(self, found: _Climb) -> None:
-        self.evaluations += found.evaluations
-        self.gradients += found.gradients
-        self.remark = self.remark if self.remark == NOT_REPEATABLE else found.budget.remark or self.remark
 
     # -- climbing along gradients --
 
-    def _climbs(self, starts: Array, workers: int) -> Iterator[_Climb]:
-        # With a common budget the end of a climb would depend on how far the others, in other threads, have come.
-        each = CLIMBING * self.budget.left / len(starts)
-        budgets = [self.budget.apart(each) for _ in starts]
-        if workers == 1:
-            yield from map(self._climb, starts, budgets)
-            return
-        with ThreadPoolExecutor(workers) as pool:
-            yield from pool.map(self._climb, starts, budgets)
-
-    def _climb(self, start: Array, budget: Budget) -> _Climb:
-        """Jumps towards the vertex that the gradient points to, then L-BFGS-B; the best point seen counts."""
+    def _climb(self, start: Array, work: float) -> None:
+        """Jump towards the vertex that the gradient points to, then L-BFGS-B; the best point seen is kept."""
         from scipy.optimize import minimize
 
-        climb = _Climb(start, -np.inf, budget)
+        last = self.budget.left - work
         try:
-            self._jump(climb)
-            size = max(abs(climb.score), 1e-300)
+            theta, best = self._jump(start, last)
+            size = max(abs(best), 1e-300)
 
             def falling(theta: Array) -> tuple[float, Array]:
-                score, slope = self._score_and_slope(theta, climb)
+                score, slope = self._score_and_slope(theta, last)
                 return -score / size, -slope / size
 
-            bounds = [(-1.0, 1.0)] * self.set.size
+            bounds = [(-1.0, 1.0)] * self.judge.set.size
             options = {"maxiter": CLIMB_STEPS}
-            minimize(falling, climb.theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        except _Unbounded as met:
-            climb.theta, climb.score = met.theta, np.inf
-        except _Over:
+            minimize(falling, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        except _Ended:
             pass
-        return climb
 
-    def _jump(self, climb: _Climb) -> None:
-        theta = climb.theta
+    def _jump(self, theta: Array, last: float) -> tuple[Array, float]:
+        score = -np.inf
         for _ in range(JUMPS):
-            score, slope = self._score_and_slope(theta, climb)
+            score, slope = self._score_and_slope(theta, last)
             vertex = np.where(slope != 0, np.sign(slope), theta)
             trials = theta + np.array([1.0, 0.5, 0.25, 0.1, 0.03])[:, None] * (vertex - theta)
-            scores = self.judge.sense * self._measure(trials)
-            climb.evaluations += len(trials)
-            climb.budget.spend(self.judge.work(len(trials)))
+            scores = self._measure(trials)
             best = int(np.argmax(scores))
+            self._keep(trials[best], float(scores[best]))
             if np.isposinf(scores[best]):
-                raise _Unbounded(trials[best])
+                raise _Ended
             if not scores[best] > score + 1e-9 * abs(score):
-                return
-            theta = trials[best]
-            climb.theta, climb.score = theta, float(scores[best])
+                break
+            theta, score = trials[best], float(scores[best])
+        return theta, score
 
-    def _score_and_slope(self, theta: Array, climb: _Climb) -> tuple[float, Array]:
-        """The score, and its difference quotients on the same side of 0 (at 0 upwards), within the box."""
-        if climb.budget.over:
-            raise _Over
+    def _score_and_slope(self, theta: Array, last: float) -> tuple[float, Array]:
+        """Return the score and its difference quotients on the same side of 0 (at 0 upwards), within the box.
+
+        Raises _Ended where less work than ``last`` is left.
+        """
+        if np.isposinf(self.top):
+            raise _Ended
+        if self.budget.over or self.budget.left <= last:
+            self.ended = True
+            if not self.budget.struck:
+                self.budget.use_up()
+            raise _Ended
         step = np.where(theta < 0.0, -STEP, STEP)
         step = np.where(np.abs(theta + step) > 1.0, -step, step)
         points = np.vstack([theta, theta + np.diag(step)])
-        climb.budget.spend(self.judge.work(len(points)))
-        scores = self.judge.sense * self._measure(points)
-        climb.gradients += 1
-        climb.evaluations += len(points)
+        scores = self._measure(points)
+        self.gradients += 1
         if np.isposinf(scores).any():
-            raise _Unbounded(points[int(scores.argmax())])
+            self._keep(points[int(scores.argmax())], np.inf)
+            raise _Ended
         score = float(scores[0])
-        if score > climb.score:
-            climb.theta, climb.score = theta.copy(), score
+        self._keep(theta, score)
         change = scores[1:] - score
         return score, np.where(np.abs(change) > ROUNDING * abs(score), change, 0.0) / step
 
     # -- compass search --
 
-    def _finish(self, theta: Array, score: float, step: float) -> tuple[Array, float]:
+    def _compass(self, theta: Array, score: float, step: float) -> tuple[Array, float]:
         """Compass search in the box: steps along every coordinate, along the projected slope, and all gains together.
 
-        The first steps are as wide as ``step`` (2: a vertex's neighbours), the last ones as small as ``smallest_step``.
+        The first steps are as wide as ``step`` (2: a vertex's neighbours), the last ones as small as SMALLEST_STEP.
         """
         while step > SMALLEST_STEP and not self.ended and not np.isposinf(score):
             trials = self._trials(theta, score, step)

@@ -64,17 +64,16 @@ print(*margin.notes, digest(margin), *gain.notes, digest(gain))
 
 
 @pytest.mark.slow
-def test_the_worst_member_is_the_same_under_load_and_for_any_number_of_threads():
+def test_the_worst_member_is_the_same_under_load():
     found = same_under_load(
         MODEL
         + """
-found = [rl.worst_case(model(0.2), "h2", n=64, workers=w, effort=1e-3) for w in (1, 2)]
-print(*[f.status for f in found], found[0].label, *[digest(f) for f in found])
+found = rl.worst_case(model(0.2), "h2", n=64, effort=1e-3)
+print(found.status, found.label, digest(found))
 """
     )
-    assert found.startswith("inconclusive inconclusive ")
+    assert found.startswith("inconclusive ")
     assert USED_UP in found
-    assert found.split()[-1] == found.split()[-2]
 
 
 @pytest.mark.slow

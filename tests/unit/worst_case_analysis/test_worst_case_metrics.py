@@ -131,7 +131,7 @@ def test_unstable_members_are_said_to_be(metric):
         (lambda: worst_case(lag(), "settling-time", t=T, band=2.0), InputError, "band is 2.0"),
         (lambda: worst_case(lag(), "overshoot", t=T, u=np.sin(T)), InputError, "an input that changes"),
         (lambda: worst_case(lag(), "overshoot", t=T, u=0 * T), NoTrustworthyNumber, "settles at 0"),
-        (lambda: worst_case(lag(), "peak", t=T, workers=0), InputError, "workers is 0"),
+        (lambda: worst_case(lag(), "peak", t=T, n=0), InputError, "n is 0"),
     ],
 )
 def test_requests_that_make_no_sense(call, error, text):
