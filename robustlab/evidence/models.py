@@ -167,7 +167,7 @@ def _inside(model: StateSpaceModel, centre: StateSpaceModel, weight: StateSpaceM
     loop = StateSpaceModel(A + both @ v_x, both / d, C[:p] + direct @ v_x, direct / d, model.dt)
     level = 1.0 if size < 1.0 else above(size)
     numbers = loop_numbers(P, K)
-    return Claim("loop-norm", {**numbers, "gamma": np.array(level), **proof_of_norm(loop, level, size, numbers)})
+    return Claim("loop-norm", {**numbers, "gamma": np.array(level), **norm_matrix(loop, level, size, numbers)})
 
 
 def _diagonal(X: Array, Y: Array) -> Array:
