@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from robustlab.delays.approximation import checked_order
-from robustlab.delays.channels import covering
+from robustlab.delays.model import covering
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
