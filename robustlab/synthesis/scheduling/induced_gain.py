@@ -321,6 +321,11 @@ class _Posed:
             return None, None, failed
         found = np.array([X.value for X in P.values()]).reshape(*self.shape, n, n)
         found = self.back.T @ found @ self.back * (s.w / (s.z * s.rate))
+        return (
+            float(np.asarray(gamma.value)) / s.gain if level is None else level,
+            0.5 * (found + np.swapaxes(found, -1, -2)),
+            "",
+        )
 
 
 def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, Array, Array]]:
