@@ -18,8 +18,8 @@ _PUBLIC = {
     "zpk": "realisations",
     "descriptor": "dynamics.descriptor_elimination",
     "Record": "record",
-    "load": "storage",
-    "save": "storage",
+    "load": "storage.interchange",
+    "save": "storage.interchange",
     "export_controller": "storage.controller_export",
     # delays
     "DelayedModel": "delays.model",

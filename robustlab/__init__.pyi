@@ -44,9 +44,9 @@ from robustlab.record import Record as Record
 from robustlab.result import Status as Status
 from robustlab.statespace import Signal as Signal
 from robustlab.statespace import StateSpaceModel as StateSpaceModel
-from robustlab.storage import load as load
-from robustlab.storage import save as save
 from robustlab.storage.controller_export import export_controller as export_controller
+from robustlab.storage.interchange import load as load
+from robustlab.storage.interchange import save as save
 from robustlab.synthesis.dk.dk_iteration import dk as dk
 from robustlab.synthesis.fixed.fixed_structure import fixed_structure as fixed_structure
 from robustlab.synthesis.fixed.goal_tuning import tune as tune
