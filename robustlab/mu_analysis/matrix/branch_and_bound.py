@@ -224,7 +224,7 @@ class MatrixProblem:
     def examine(self, regions: list[Region]) -> list[Array | None]:
         """A region is proved where its D-G bound is below one."""
         stack = box_matrices(self.M, self.blocks, [r.box for r in regions])
-        sound: Mask = np.isfinite(stack).all(axis=(1, 2))
+        sound = np.array([bool(np.isfinite(matrix).all()) for matrix in stack], dtype=bool)
         bounds = iter(points_below(stack[sound], self.blocks, 1.0) if sound.any() else [])
         result: list[Array | None] = []
         for region, matrix, good in zip(regions, stack, sound, strict=True):
