@@ -60,7 +60,7 @@ def newton(
     local model (None where the plant has no value).
     """
     z, found = start.copy(), looked(plant, start, wanted, values)
-    turning = np.array([s.unit == "rad" for s in (*plant.states, *plant.inputs)])[free]
+    turning = np.array([float(s.unit == "rad") for s in (*plant.states, *plant.inputs)])[free]
     for _ in range(PASSES if len(free) else 0):
         if found is None or not found.residual.any():
             break
@@ -68,7 +68,8 @@ def newton(
         size = np.abs(part).max(axis=1, initial=0.0)
         size[size == 0.0] = 1.0
         change = np.linalg.lstsq(part / size[:, None], -found.residual / size, rcond=RANK)[0]
-        norm, share = np.linalg.norm(found.residual / size), TURN / max(TURN, np.abs(change[turning]).max(initial=0.0))
+        norm, turn = np.linalg.norm(found.residual / size), float(np.abs(turning * change).max(initial=0.0))
+        share = TURN / max(TURN, turn)
         # at rounding a step is only tried as it is
         for _ in range(1 if (np.abs(found.residual) <= found.scale).all() else HALVINGS):
             trial = z.copy()
