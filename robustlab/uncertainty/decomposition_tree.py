@@ -83,7 +83,8 @@ class MatrixPolynomial:
     def __call__(self, t: Array) -> Array:
         """The matrix (m, n) at t, shape (number of names,)."""
         powers = [np.prod(np.power(t, exponents)) for exponents in self.terms]
-        return np.tensordot(np.array(powers), np.stack(list(self.terms.values())), 1)
+        coefficients: Any = np.stack(list(self.terms.values()))
+        return np.tensordot(np.array(powers), coefficients, 1)
 
 
 def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float) -> ConstantLft:

@@ -203,10 +203,10 @@ def _weight(block: Block, given: Part, side: str) -> tuple[StateSpaceModel, Bloc
     size = block.cols if side == "z" else block.rows
     shape = weight.n_outputs, weight.n_inputs
     if shape == (1, 1):
-        matrices = (np.kron(np.eye(size), X) for X in (weight.A, weight.B, weight.C, weight.D))
+        A, B, C, D = (np.kron(np.eye(size), X) for X in (weight.A, weight.B, weight.C, weight.D))
         marks = [f"#{k + 1}" if size > 1 else "" for k in range(size)]
         states = [f"{block.name}: {s.name}{mark}" for mark in marks for s in weight.states]
-        return StateSpaceModel(*matrices, weight.dt, states=states), block
+        return StateSpaceModel(A, B, C, D, weight.dt, states=states), block
     if block.is_scalar:
         raise InputError(where, f"a weight of {shape[0]} x {shape[1]}", "1 x 1 for a scalar block")
     if shape[side == "z"] != size or 0 in shape:

@@ -222,8 +222,8 @@ def _rebuilt(
                 signals[i] += own[part.start : part.start + size]
                 new[i] += size
     whole = whole[np.ix_(order[1], order[0])]
-    parts = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
-    return StateSpaceModel(*parts, M.dt, *signals, M.states, where="reduction"), tuple(kept)
+    parts, (inputs, outputs) = (whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]), signals
+    return StateSpaceModel(*parts, M.dt, inputs, outputs, M.states, where="reduction"), tuple(kept)
 
 
 def _invariant(a: Array, b: Array, sizes: Sequence[int], tolerance: float, b_size: float) -> tuple[list[Array], float]:

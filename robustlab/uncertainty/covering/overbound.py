@@ -230,13 +230,12 @@ def _minimax(n: int, w: Array, b: Array) -> StateSpaceModel:
     high = np.concatenate([np.full(count, span[1]), np.full(pairs, np.log(1e3))]) + wide
     box = np.array([[*low, *low, -np.inf], [*high, *high, np.inf]])
     best: tuple[float, Array] = (np.inf, np.zeros(0))
+    slopes: Any = lambda p: _miss(p, x, wanted, pairs)[1]  # noqa: E731
     bent = _bends(x, wanted, count)
     for zeros, poles in ((steps[::2], steps[1::2]), (steps[1::2], steps[::2]), (steps[::2], peak), bent):
         start = np.concatenate([zeros, np.zeros(pairs), poles, np.zeros(pairs), [0.0]])
         start[-1] = -float(_miss(start, x, wanted, pairs)[0].mean())
-        near = least_squares(
-            lambda p: _miss(p, x, wanted, pairs)[0], start, lambda p: _miss(p, x, wanted, pairs)[1], box, max_nfev=60
-        )
+        near = least_squares(lambda p: _miss(p, x, wanted, pairs)[0], start, slopes, box, max_nfev=60)
         best = min(best, (near.cost, near.x), key=lambda found: found[0])
     p = _flattened(best[1], x, wanted, pairs, box)
     numerator, denominator = (_polynomials(part, pairs, unit) for part in np.split(p[:-1], 2))
