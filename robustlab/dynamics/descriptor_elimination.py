@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -194,7 +194,7 @@ def _solved(e: AnyArray, right: Array) -> AnyArray:
     return np.linalg.solve(e / size, right / size)
 
 
-def _without_algebraic(form: tuple[Array, ...], rated: Mask, moving: Mask) -> tuple[Array, Array, Array, Array] | None:
+def _without_algebraic(form: tuple[Array, ...], rated: Any, moving: Any) -> tuple[Array, Array, Array, Array] | None:
     """A, B, C, D of the form (E, A, B, C, D) where its equations without a rate can be solved for the states without
     one; else None.
     """

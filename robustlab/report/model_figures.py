@@ -169,7 +169,8 @@ def pole_figure(shown: Any, n: int = MEMBERS, seed: int = 0) -> Figure:
 
 
 def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> _Drawn:
-    whole, deltas = shown, ()
+    whole: Any = shown
+    deltas: Any = ()
     if isinstance(shown, Samples):
         whole, deltas = shown.uncertain, shown.deltas
     elif isinstance(shown, UncertainModel) and shown.blocks:

@@ -226,6 +226,10 @@ def save_figure(figure: Figure, folder: str | Path, name: str, png: bool = True)
         # A name in a script that the font lacks is drawn as boxes; the caption in the report has it in full.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         _thinned(figure)
+        engine = figure.get_layout_engine()
+        if engine is not None:  # once: matplotlib would draw twice for every file
+            engine.execute(figure)
+            figure.set_layout_engine(None)
         if png:
             FigureCanvasAgg(figure)
             metadata = {"Software": "robustlab"}

@@ -21,7 +21,6 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import Signal, StateSpaceModel, append
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
-from robustlab.uncertainty.reduction import reduce_blocks
 from robustlab.uncertainty.upper_lft import is_singular
 
 # A model whose first channels are those of the blocks.
@@ -89,7 +88,11 @@ def joined(
         whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:], m.dt, *signals, states, where=where
     )
     merged = [name for name, (same, _, _) in channels.items() if len(same) > 1]
-    return reduce_blocks(model, blocks, names=merged, keep=True) if merged else (model, blocks)
+    if not merged:
+        return model, blocks
+    from robustlab.uncertainty.reduction import reduce_blocks  # files of sets are read without it
+
+    return reduce_blocks(model, blocks, names=merged, keep=True)
 
 
 def unnamed(m: StateSpaceModel, mark: str, where: str = "StateSpaceModel") -> StateSpaceModel:

@@ -43,8 +43,6 @@ from robustlab.uncertainty.interconnection import (
     unnamed,
     weighted,
 )
-from robustlab.uncertainty.realised_delta import realise_delta
-from robustlab.uncertainty.reduction import reduction
 from robustlab.uncertainty.upper_lft import closed_response, is_singular, upper_lft
 
 
@@ -363,6 +361,8 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         NoTrustworthyNumber
             A realisation misses its value.
         """
+        from robustlab.uncertainty.realised_delta import realise_delta  # loads the norms
+
         return realise_delta(self.blocks, delta, frequency, self.dt)
 
     def close(self, K: StateSpaceModel) -> UncertainModel:
@@ -387,6 +387,8 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         ----------
         D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation representations" (1997).
         """
+        from robustlab.uncertainty.reduction import reduction  # files of sets are read without it
+
         return reduction(self, tolerance).model
 
     def to_json(self) -> dict[str, object]:

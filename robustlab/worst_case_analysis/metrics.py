@@ -282,9 +282,9 @@ class PoleMetric(Metric):
         self.sense = -1.0 if damping else 1.0
         self.unit = "" if damping or uncertain.dt else "rad/s"
 
-    def _worst(self, poles: NDArray[Any]) -> Array:
-        """The worst over the poles (..., n_x)."""
-        poles = poles.astype(complex)
+    def _worst(self, of: NDArray[Any]) -> Array:
+        """Return the worst over the poles (..., n_x)."""
+        poles: Any = of.astype(complex)
         if not self._damping:
             return (np.abs(poles) - 1.0 if self.uncertain.dt else poles.real).max(axis=-1)
         if self.uncertain.dt:
@@ -420,7 +420,8 @@ class TimeMetric(Metric):
     ) -> None:
         need_real(uncertain, name)
         self.uncertain = connected(selected(uncertain, None, output))
-        self._measure, self._drive, self._hold, self._band = MEASURES[name], drive, hold, band
+        self._measure, self._drive, self._band = MEASURES[name], drive, band
+        self._hold: Hold = hold
         self.unit = self._measure.unit or self.uncertain.outputs[0].unit
         self.location = "" if name in ("rms", "settling-time") else "t [s]"
         self.smooth = self._measure.smooth

@@ -212,7 +212,7 @@ def _with_hidden(course: Course, hidden: Indices) -> Array:
         at, u = about.at(np.arange(n - 1) + 0.5)
         local = plant.local_models(at, u)
         a = local.A[:, hidden[:, None], hidden]
-        phi, psi = exponentials(np.ascontiguousarray(a), course.dt)
+        phi, psi, _ = exponentials(np.ascontiguousarray(a), course.dt)
         free = local.rates[:, hidden] - np.einsum("npq,nq->np", a, at[:, hidden])
         pushed = np.einsum("npq,nq->np", psi, free)
         state = _resting(a[0], free[0], x[0, hidden])

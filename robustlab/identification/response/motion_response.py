@@ -57,7 +57,7 @@ class MotionResponse:
         added = np.zeros((len(self.course.u), 0)) if added is None else added
         n_d = added.shape[1]
         about = motion_model(self.course, {}, starts, length, STEPS)
-        phi, psi = exponentials(np.ascontiguousarray(about.model.A), dt / STEPS)
+        phi, psi, _ = exponentials(np.ascontiguousarray(about.model.A), dt / STEPS)
         b, columns = about.model.B[..., :n_u], list(self.columns)
         joints = [p.force for p in about.model.ports.values() if p.kind == "joint"]
         driven, forced = psi @ b, psi @ (np.stack(joints, axis=-1) if joints else b)[..., :n_d]

@@ -395,7 +395,9 @@ class _Stability(_Search):
         frequency, pole = None, None
         if worst is not None:
             pole, end = worst.pole, not np.isfinite(worst.pole)
-            frequency = model_frequency(uncertain, np.inf if end else abs(pole.imag))
+            rounding = 1e-14 * np.linalg.norm(uncertain.M.A)
+            at = np.inf if end else abs(pole.imag) if abs(pole.imag) > rounding else 0.0
+            frequency = model_frequency(uncertain, at)
             if uncertain.M.is_discrete:
                 pole = -1.0 + 0j if end else (1 + pole) / (1 - pole)
         unproved = f"{len(left)} frequency intervals not proved: mu_upper holds on the grid only" if left else ""
