@@ -83,6 +83,8 @@ def _samples(inputs: Sequence[Signal], n: int, u: Mapping[str, ArrayLike] | Arra
     if isinstance(u, Mapping):
         held = {name: np.repeat(value, n) if np.ndim(value) == 0 else value for name, value in u.items()}
         u = {**dict.fromkeys(names, np.zeros(n)), **held}
+    elif np.ndim(u) == 0:
+        u = np.repeat(np.asarray(u), n)
     return sampled_inputs(tuple(inputs), u, n)
 
 

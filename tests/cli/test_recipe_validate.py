@@ -62,7 +62,7 @@ def test_a_set_that_explains_the_record_meets_the_requirement(tmp_path):
     assert numbers["verdict"] == f"not invalidated at gamma = {numbers['gamma']:.4g}"
     assert numbers["lower"] <= numbers["gamma"] == numbers["upper"] <= 0.7
     assert numbers["blocks"]["k"]["size"] <= numbers["gamma"] * (1 + 1e-9)
-    assert [f["stem"] for f in step["figures"]] == ["held-q"]
+    assert [f["stem"] for f in step["figures"]] == ["held-record-q"]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert numbers["verdict"] in page
     assert "Not invalidated is not proved" in page

@@ -33,6 +33,11 @@ FARTHEST = 2.0**500  # to which rows and columns are scaled; two such factors mu
 SWEEPS = 2  # of coordinate ascent over the real blocks
 STACK = 4_000_000  # numbers that one stack of paths may hold: memory, not the answer
 
+# A candidate of a block of a new kind that changes by more than this share is led back to the structure, in so many
+# rounds.
+OUTSIDE = 1e-9
+SHRINKING, LEAST_SHRINK, NEWTON_STEPS = 40, 1e-6, 12
+
 Found = tuple[float, ComplexArray | None]
 
 
@@ -75,7 +80,7 @@ def _verified(
 ) -> Found:
     """The smallest candidate that is better than ``best`` and singular to rounding, on the whole of M."""
     part = [blocks[i] for i in component.members]
-    exact = [project(part, c) for c in candidates]
+    exact = [d for c in candidates for d in _of_the_structure(component.matrix, part, c)]
     for norm, candidate in sorted(((delta_norm(part, c), c) for c in exact), key=lambda pair: pair[0]):
         if not 0 < norm < np.inf:
             continue
@@ -87,6 +92,42 @@ def _verified(
         if close and _singular_nearby(component.matrix, part, candidate):
             return 1 / delta_norm(blocks, delta), delta
     return best
+
+
+def _of_the_structure(M: ComplexArray, blocks: Sequence[Block], candidate: ComplexArray) -> list[ComplexArray]:
+    """The candidate without what the structure has no room for."""
+    delta = project(blocks, candidate)
+    if np.abs(delta - candidate).max() <= OUTSIDE * np.abs(candidate).max():
+        return [delta]
+    met: list[ComplexArray] = []
+    shrink = 0.0
+    for _ in range(SHRINKING):
+        found = _led_back(M, blocks, (1 - shrink) * delta)
+        if found is not None and (not met or delta_norm(blocks, found) < delta_norm(blocks, met[-1]) * (1 - 1e-9)):
+            met.append(found)
+            delta, shrink = found, min(max(2 * shrink, 0.1), 0.5)
+        elif not met or shrink < LEAST_SHRINK:
+            break
+        else:
+            shrink /= 4
+    return met
+
+
+def _led_back(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray | None:
+    """A Delta of the structure that makes ``I - M Delta`` singular, by Newton steps of least change, or None."""
+    for _ in range(NEWTON_STEPS):
+        u, sigma, vh = np.linalg.svd(np.eye(len(M)) - M @ delta)
+        if sigma[-1] <= EPS * sigma[0]:
+            break
+        row, x = np.conj(u[:, -1]) @ M, np.conj(vh[-1])
+        along = np.outer(np.conj(row), np.conj(x))
+        moves = [project(blocks, along), project(blocks, 1j * along)]
+        gains = np.array([row @ move @ x for move in moves])
+        parts = np.linalg.lstsq(np.stack([np.real(gains), np.imag(gains)]), np.array([sigma[-1], 0.0]), rcond=1e-8)[0]
+        delta = delta + parts[0] * moves[0] + parts[1] * moves[1]
+        if not np.isfinite(delta).all():
+            return None
+    return delta if singularity(M, delta) <= SINGULAR else None
 
 
 def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> bool:

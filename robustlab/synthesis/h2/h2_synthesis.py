@@ -11,7 +11,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
-from robustlab.linear_analysis.magnitude import refuse_extremes
+from robustlab.linear_analysis.magnitude import refuse_extremes, refuse_overflow
 from robustlab.linear_analysis.matrix_equations import care, dare
 from robustlab.norms import H2Norm, h2_by_channels
 from robustlab.result import Status
@@ -179,6 +179,7 @@ def _designed(
     # What the search is for is the rest of K beside the direct term that cancels D11.
     gain = _cancelling_gain(matrices, dt, where)
     shifted, trials = _with_gain(matrices, gain), list[_Trial]()
+    refuse_overflow(where, shifted.A, shifted.B1, shifted.C1, shifted.D11)
     try:
         moving = plant.continuous().matrices() if dt else shifted
     except NoTrustworthyNumber:  # a pole at z = -1: the rebuilt loop will tell

@@ -201,7 +201,7 @@ def _designed(
     require_stabilisable(scaled, plant.model.state_names, f"synth {method}", rate)
     lower, assumptions = pointwise_bound(matrices, scalings, plant.model.dt), broken_assumptions(scaled, plant, rate)
     verifier = Verifier(plant, continuous.D22, budget)
-    leader, other, disagree = portfolio(matrices, scalings, budget, lower.value)
+    leader, other, disagree = portfolio(matrices, scalings, budget, lower.value, continuous.D22)
     best = verifier.smallest(leader.candidates + other.candidates)
     if best is None:
         ended = f": {NOT_REPEATABLE}" if budget.struck else " within the work budget" if budget.over else ""

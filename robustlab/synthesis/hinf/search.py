@@ -12,12 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.synthesis.hinf.two_riccati import PROBES, TwoRiccatiProblem
 from robustlab.synthesis.nonsmooth.objectives import ModalLoop, PeakFinder
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+from robustlab.synthesis.problem.rebuilt_loop import well_posed_neighbours
 from robustlab.synthesis.problem.scaling import Scaling
 
 # Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum.
@@ -75,7 +76,11 @@ class Candidate:
 class Search:
     """Trials on one scaled continuous plant without D22; every controller that stabilises is kept."""
 
-    def __init__(self, plant: PlantMatrices, scaling: Scaling, budget: Budget, floor: float = 0.0) -> None:
+    def __init__(
+        self, plant: PlantMatrices, scaling: Scaling, budget: Budget, floor: float = 0.0, D22: Array | None = None
+    ) -> None:
+        # What is found must be able to take D22 back in.
+        self.D22 = None if D22 is None or not D22.any() else scaling.y[:, None] * D22 * scaling.u
         self.scaling, self.plant = scaling, scaling.apply(plant)
         self.budget, self.floor = budget, floor  # floor: a proved lower bound of gamma in the plant's units
         self.careful, self.probes = False, PROBES[:1]
@@ -212,6 +217,11 @@ class Search:
 
     def _kept(self, K: Realisation, limit: float) -> Candidate | None:
         """A scaled controller as a candidate, where its loop is stable with a gain of at most limit (plant's units)."""
+        # One that cannot take D22 back in gives way to the best of its neighbours that can.
+        near = [K] if self.D22 is None else well_posed_neighbours(K, self.D22)
+        return smallest([candidate for each in near if (candidate := self._entered(each, limit)) is not None])
+
+    def _entered(self, K: Realisation, limit: float) -> Candidate | None:
         scale, loop = self.scaling, trial_loop(self.plant, K)
         self.budget.spend(dense(len(loop.A), 3))  # its poles, responses on a grid, a few Hamiltonians of twice its size
         if not all(np.isfinite(part).all() for part in loop):
@@ -248,13 +258,13 @@ def estimated_optimum(leader: Search) -> float:
 
 
 def portfolio(
-    matrices: PlantMatrices, scalings: tuple[Scaling, Scaling], budget: Budget, floor: float
+    matrices: PlantMatrices, scalings: tuple[Scaling, Scaling], budget: Budget, floor: float, D22: Array
 ) -> tuple[Search, Search, float]:
     """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma.
 
     The search that found the smallest gamma, the other one, and the relative difference of what they reached.
     """
-    one, two = (Search(matrices, scaling, budget, floor) for scaling in scalings)
+    one, two = (Search(matrices, scaling, budget, floor, D22) for scaling in scalings)
     for search, other in ((one, two), (two, one)):
         search.ladder()
         if search.proved(search.best):

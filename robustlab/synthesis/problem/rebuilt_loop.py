@@ -6,17 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import Array
+from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
 from robustlab.linear_analysis.narrow_peaks import in_states
 from robustlab.norms.hinfinity import eigenvalue_blur
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 
 # Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
 ILL_POSED = 1e10
+# Smallest singular values of I + D22 D_K that are aimed at where it has smaller ones.
+DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)
 # Above this condition number modes are no basis.
 NO_BASIS = 1e12
 # From this on the errors of entries count so much that other states are better.
@@ -35,6 +37,22 @@ def with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
         A, B = K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D
     refuse_overflow("controller", A, B, C, D)
     return StateSpaceModel(A, B, C, D, K.dt)
+
+
+def well_posed_neighbours(K: Realisation, D22: AnyArray) -> list[Realisation]:
+    """K itself where ``I + D22 D_K`` is far from singular; else controllers with the smallest change of ``D_K``.
+
+    A single weight on S has its optimum at such a K: without them mixsyn fails on 4 of the 13 plants of its tests.
+    """
+    with np.errstate(all="ignore"):
+        back = np.eye(len(D22)) + D22 @ K.D
+    if not np.isfinite(back).all():  # K overflows
+        return []
+    U, s, Vt = np.linalg.svd(back)
+    if s[-1] >= DISTANCES[0]:
+        return [K]
+    inverse = np.linalg.pinv(D22, rcond=1e-10)
+    return [K._replace(D=K.D + inverse @ (U * np.maximum(delta - s, 0.0)) @ Vt) for delta in DISTANCES]
 
 
 def named_controller(K: StateSpaceModel, inputs: Any, outputs: Any, dt: float) -> StateSpaceModel:
