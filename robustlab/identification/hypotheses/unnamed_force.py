@@ -198,7 +198,7 @@ def _transformed(x: Array, values: Array, waves: Array) -> ComplexArray:
 
 PRIOR = 0.05  # probability that something acts that is not in the catalogue, before any data
 # What the sums end with where there is hardly any motion, or nothing that tells some parameter.
-UNTOLD = (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError)
+SINGULAR = (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError)
 STRENGTHS = 10.0 ** np.arange(-3.5, 0.1, 0.5)  # lambda, of the force that moves the port
 
 

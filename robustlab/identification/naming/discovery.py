@@ -291,7 +291,7 @@ def _uniform(records: Sequence[Record]) -> list[UniformRecord]:
 
 
 def _most_windows(problem: Problem) -> tuple[int, int]:
-    """Return the numbers of fitted and held-out windows of the search; fewer long ones of an expensive nonlinear plant."""
+    """Return the numbers of fitted and held-out windows of the search, fewer for an expensive nonlinear plant."""
     length = problem.records[0].windows.length
     if isinstance(problem.plant, LinearPlant):
         return MOST_WINDOWS, MOST_HELD

@@ -73,8 +73,8 @@ class Discovery(Tabular, Evidence):
     status
         CONVERGED; INCONCLUSIVE if the verdict is ambiguous or unknown, or most of the held-out error remains.
     verdict
-        ``"no missing effect"`` (``rivals``: effects not excluded all the same), ``"named"``, ``"ambiguous"`` (some effect
-        has rivals that these records do not exclude), ``"unknown"`` (no effect of the catalogue explains the error).
+        ``"no missing effect"`` (``rivals``: effects not excluded), ``"named"``, ``"ambiguous"`` (an effect has rivals
+        that these records do not exclude), ``"unknown"`` (no effect of the catalogue explains the error).
     complete
         False if structure remains beyond the named effects.
     effects, rivals, kinds

@@ -45,7 +45,7 @@ class Gaps:
 
 
 class Simulated(NamedTuple):
-    """A fit on held-out data: the fit with re-estimated initial states, outputs of windows and whole runs, by record."""
+    """A fit on held-out data: with re-estimated initial states, outputs of windows and whole runs by record."""
 
     problem: Problem
     fit: Fit
@@ -72,7 +72,7 @@ def _measured(held: Problem) -> tuple[list[Array], list[Array]]:
 
 
 def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord] = ()) -> Gaps:
-    """Return errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and over their whole records."""
+    """Return errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and whole records."""
     own = {name: simulated(held, fit, known) for name, fit in models.items()}
     outputs, free = {name: s.windows for name, s in own.items()}, {name: s.runs for name, s in own.items()}
     measured, followed = _measured(held)

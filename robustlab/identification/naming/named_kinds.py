@@ -137,7 +137,7 @@ class Kinds:
         return list(found.values())
 
     def named(self, problem: Problem, remains: bool = False) -> tuple[NamedKind, ...]:
-        """Return the sure classes, in the order of the best set's effects; ``remains``: more than noise is unexplained."""
+        """Return the sure classes in order of the best set's effects; ``remains``: more than noise is unexplained."""
         nodes = dict.fromkeys(
             node for entry in self.posterior.sets for c in entry.fit.hypothesis.candidates
             if c.key not in self.ignored and (node := self.sure_kind(c)) is not None
