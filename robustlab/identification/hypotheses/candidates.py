@@ -166,7 +166,7 @@ def periods_seen(k: float, position: Array, records: Sequence[PreparedRecord]) -
 
 
 def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, stroke: float = math.inf) -> tuple[float, ...]:
-    """Return the strongest spatial frequencies of the force d over the position q, rad per unit of q, strongest first."""
+    """Return spatial frequencies of the force d over the position q, rad per unit of q, strongest first."""
     # Fewer than two periods in the longest stroke of one record are a curve and not a line.
     q, d, v = q[moving], d[moving], v[moving]
     span = float(np.ptp(q)) if len(q) else 0.0
@@ -278,8 +278,8 @@ def with_absolute_tolerances(plant: AnyPlant, stated: Mapping[str, tuple[float, 
 
 def nuisance_parameters(plant: AnyPlant, tolerances: Mapping[str, tuple[float, bool]]) -> tuple[Nuisance, ...]:
     """Return the groups of parameters with a tolerance r, each with a common factor exp(s z), z standard normal."""
-    # s = ln(1 + r) / sqrt(3) is the standard deviation of a uniform log factor within the tolerance. The value 0 moves by
-    # s z with s = r / sqrt(3), a friction never below 0. Parameters outside the equations are excluded.
+    # s = ln(1 + r) / sqrt(3) is the standard deviation of a uniform log factor within the tolerance. The value 0 moves
+    # by s z with s = r / sqrt(3), a friction never below 0. Parameters outside the equations are excluded.
     found, seen = [], set[str]()
     for _, label, names in parameter_groups(plant):
         seen.update(names)

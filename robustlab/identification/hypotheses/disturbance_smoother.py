@@ -37,8 +37,8 @@ class SmoothedRecord(Evidence):
     """States and forces given the whole record."""
 
     t: Array  # clock in s, (n,)
-    # x, x_std: states and their standard deviations, (n, n_x), relative to the model's operating point. A state that the
-    # outputs do not determine has its prior std (much larger than the record's range).
+    # x, x_std: states and their standard deviations, (n, n_x), relative to the model's operating point. A state that
+    # the outputs do not determine has its prior std (much larger than the record's range).
     x: Array
     x_std: Array
     covariance: Array  # joint covariance of the states at each sample, (n, n_x, n_x)
@@ -59,7 +59,7 @@ def smooth_disturbance(
     noise_std: ArrayLike | None = None,
     bandwidth: ArrayLike | None = None,
 ) -> SmoothedRecord:
-    """Return smoothed states and forces of a record with held inputs u; noise and bandwidth (Hz) default to estimates."""
+    """Return smoothed states and forces of a record with held inputs u; estimate noise and bandwidth (Hz) if None."""
     # ports (n_x, m): rate of the states per unit of each force. NaN in y is a missing sample.
     task = _prepared(model, ports, t, u, y, noise_std)
     given = None
@@ -83,7 +83,7 @@ def smooth_disturbance(
 def output_shares(
     model: StateSpaceModel, ports: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord
 ) -> tuple[Array, Array]:
-    """Return the contribution of each output to the smoothed states, (n_measured, n, n_x), and that of one unit more."""
+    """Return the part of each output in the smoothed states, (n_measured, n, n_x), and that of one unit more."""
     # Noise and bandwidth are fixed: the smoother is linear. Half of an output is subtracted, since a larger one would
     # raise the noise floor of a quantised output.
 
@@ -189,8 +189,8 @@ def _with_forces(model: StateSpaceModel, ports: Array) -> StateSpaceModel:
 
 def _walk_root(wide: StateSpaceModel, h: float, place: int) -> Array:
     """Return L with L^T L = int_0^h e^{Fs} b b^T e^{F^T s} ds, b the unit vector of a force."""
-    # Gauss quadrature over a step so short that it is exact to rounding, doubled up to h; the covariance itself would lose
-    # half the digits of the states that the force reaches last.
+    # Gauss quadrature over a step so short that it is exact to rounding, doubled up to h; the covariance itself would
+    # lose half the digits of the states that the force reaches last.
     fastest = float(np.abs(wide.poles()).max(initial=0.0)) * h
     doublings = max(0, math.ceil(math.log2(fastest))) if fastest > 0 else 0
     short = h / 2.0**doublings

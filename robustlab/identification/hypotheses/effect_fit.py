@@ -334,20 +334,20 @@ class Problem:
         return [(c, slice(a, b)) for c, (a, b) in zip(hypothesis.candidates, pairwise(ends), strict=True)]
 
     def moving(self, hypothesis: Hypothesis) -> list[bool]:
-        """Of each nuisance whether it moves anything: the factor of an effect on its parameters is the whole factor."""
+        """Return whether each nuisance is free: an effect on its parameters replaces it."""
         sites = [c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"]
         wrong = {*sites, *(name for site in sites for name in site.split("+"))}
         return [n.label not in wrong for n in self.nuisances]
 
     def shift(self, z: Array) -> tuple[float, ...] | None:
-        """Shift of each input's clock in s, beside any delay that an effect gives it; None where none has one."""
-        told = {n.input: n.spread * v for n, v in zip(self.nuisances, z, strict=False) if n.input}
-        return tuple(float(told.get(s.name, 0.0)) for s in self.plant.inputs) if told else None
+        """Return the shift of each input's clock in s, without delays of effects; None without clocks."""
+        shifts = {n.input: n.spread * v for n, v in zip(self.nuisances, z, strict=False) if n.input}
+        return tuple(float(shifts.get(s.name, 0.0)) for s in self.plant.inputs) if shifts else None
 
     def setting(self, hypothesis: Hypothesis, z: Array) -> Setting:
-        """What a simulation is run with at the standardised parameters."""
-        # A delay that all sensors of a linear plant share is run as one of all inputs: then both have the same
-        # histories before a window's start, and the same errors to the last bit.
+        """Return the arguments of a simulation at the standardised parameters."""
+        # A delay common to all sensors of a linear plant is simulated as one of all inputs: both then have the same
+        # history before a window, and the same errors to the last bit.
         factors, values = self.split(hypothesis, z)
         delayed = any(c.site.kind == "output" and c.effect.delay for c in hypothesis.candidates)
         if not delayed or isinstance(self.plant, NonlinearPlant):
@@ -363,13 +363,13 @@ class Problem:
         return Setting(factors, left, tuple(s + shared for s in shift))
 
     def size(self, hypothesis: Hypothesis) -> int:
-        """Number of standardised parameters."""
+        """Return the number of standardised parameters."""
         return len(self.nuisances) + sum(len(c.parameters) for c in hypothesis.candidates)
 
     # --- residuals ---------------------------------------------------------------------------------------------------
 
     def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:
-        """One simulator a record."""
+        """Return one simulator per record."""
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
         sub, hold, rough = self.clock.sub, self.clock.hold, self.clock.rough
         return [
@@ -413,8 +413,8 @@ class Problem:
         near: tuple[dict[str, float], list[dict[str, float]]] | None = None,
     ) -> Array:
         """Return simulated measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
-        # For several initial states, xi (copies, n_windows, n_x), the copies follow each other. ``near``: nearby parameters
-        # for the matrices of a nonlinear plant and their motion.
+        # For several initial states, xi (copies, n_windows, n_x), the copies follow each other. ``near``: nearby
+        # parameters for the matrices of a nonlinear plant and their motion.
         factors, values, shift = setting
         record, chosen = self.records[k], self.chosen[k]
         values, about = (
@@ -479,8 +479,8 @@ class Problem:
         prior: Prior | None = None,
     ) -> Fit:
         """Minimise V by Levenberg-Marquardt from z."""
-        # A nonlinear plant's matrices multiply deviations from its motion: they are recomputed after large changes of z and
-        # at the end.
+        # A nonlinear plant's matrices multiply deviations from its motion: they are recomputed after large changes of z
+        # and at the end.
         fixed, tolerance = plan.fixed, plan.tolerance
         z = np.array(z, dtype=float)
         own = Prior(np.zeros(len(z)), np.eye(len(z))) if prior is None else prior
